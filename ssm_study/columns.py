@@ -1,5 +1,5 @@
-"""Definitions of the columns of a record, stated once: name, unit, and how each is printed, ranked
-and verified."""
+"""Definitions of the columns of a record, stated once for each: name, unit, and how it is printed,
+ranked and verified."""
 
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -42,7 +42,7 @@ ADDED_COLUMNS = frozenset(
 
 @dataclass(frozen=True)
 class Column:
-    """A typed column of the table, declared in the `metrics` module of the room that computes it.
+    """Definition of one column of the table, in the `metrics` module of the room that computes it.
 
     `better` is `high`, `low`, or empty where no direction is better; `word` is what print calls it
     (in `unit`), `head` a heading for narrow tables; a `shown` column is among those that `show`
@@ -73,7 +73,8 @@ class Column:
 
     @property
     def is_pattern(self) -> bool:
-        """Whether the name contains a wildcard and so stands for several columns."""
+        """Whether the name contains a wildcard, so that the definition describes several
+        columns."""
         return "*" in self.name
 
     def matches_name(self, name: str) -> bool:

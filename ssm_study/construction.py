@@ -1,5 +1,5 @@
-"""Construct objects from plain settings. Objects from plain settings: `_target_` names a class, and
-its constructor is the schema.
+"""Construction of objects from plain settings. `_target_` names a class, and its constructor is the
+schema.
 
 A setting is refused in one sentence where a constructor has no such field, where its value has
 another type, or where a number is so large that memory would run out before anything is said.
@@ -52,8 +52,8 @@ def construct_part(name: str, settings: Mapping[str, Any]) -> Any:
 
 
 def construct(path: str, node: Any) -> Any:
-    """Construct objects from a tree of settings: every class named by `_target_` is called with its
-    fields, inner ones first.
+    """Construct objects from nested settings, the inner ones first. Each class that is named by
+    `_target_` is called with its fields.
 
     `path` names the tree in errors. Raises `BadRequest` for unknown or mistyped fields. A whole
     number given where any number is wanted becomes a float.
@@ -72,7 +72,7 @@ def construct(path: str, node: Any) -> Any:
 
 def import_target(target: str) -> Any:
     """Import the class or function that a dotted name such as `package.module.Class` stands for.
-    Raises `ImportError`."""
+    Raises `ImportError` if there is none."""
     module, _, name = target.rpartition(".")
     try:
         return getattr(import_module(module), name)

@@ -33,9 +33,8 @@ FICLONE = 0x40049409  # Linux: two files share their blocks until one of them is
 
 
 def write_atomically(path: Path, content: bytes, durable: bool = True) -> None:
-    """Write a file atomically, so that readers see the old or the new content, never a part.
-    Replace `path` by `content`: temporary file beside it (never TMPDIR), fsync, rename, fsync of
-    the folder.
+    """Write a file atomically, so that readers see the old or the new content, never a part. A
+    temporary file beside it (never in TMPDIR) is flushed and renamed, then the folder is flushed.
 
     Raises `OSError` with the old version untouched and no temporary left behind. Not `durable`:
     survives every kill but not a power loss; for what is synchronised later, or counts as absent
@@ -65,9 +64,8 @@ def write_json_atomically(path: Path, value: Any, durable: bool = True) -> None:
 
 
 def link_or_copy(source: Path, target: Path) -> None:
-    """Create a second file with the same content, by a hard link where possible, else by a copy.
-    `target` has the content of `source`, sharing its bytes where the file system can: cloned, else
-    linked.
+    """Create a second file with the same content, by a clone or a hard link if possible, else by a
+    copy.
 
     Both are only ever replaced as a whole; whoever writes into one in place breaks the sums of
     both, and that is seen.
@@ -85,8 +83,7 @@ def link_or_copy(source: Path, target: Path) -> None:
 
 
 def json_bytes(value: Any) -> bytes:
-    """Serialise a value as canonical JSON, the byte form of all files sealed with a digest.
-    `read_sealed_json` knows no other."""
+    """Serialise a value as canonical JSON, the only form of files that are sealed with a digest."""
     strict: dict[str, Any] = {"allow_nan": False, "ensure_ascii": False}
     if isinstance(value, dict) and value and CONTAINERS.isdisjoint(map(type, value.values())):
         # The same text five times as fast: with an indent Python's encoder works, without one that
@@ -99,8 +96,8 @@ def json_bytes(value: Any) -> bytes:
 
 
 def flush_to_disk(path: Path) -> None:
-    """Flush a file or folder to disk with `fsync`. `fsync` of a file; of a folder, renames in it
-    become durable where its file system can do that."""
+    """Flush a file or folder to disk with `fsync`. For a folder, renames in it become durable if
+    its file system supports that."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -138,13 +135,13 @@ def sha256_of_file(path: Path) -> str:
 
 def add_digest(body: dict[str, Any]) -> dict[str, Any]:
     """Add to a JSON object its own SHA-256 digest, under the key `sha256`. `read_sealed_json` then
-    notices a flipped bit in the text itself."""
+    notices a flipped bit in the text."""
     return {**body, "sha256": _sha256_of_body(body)}
 
 
 def read_sealed_json(content: bytes) -> dict[str, Any] | None:
-    """Read a JSON object that carries its own SHA-256 digest; None if a single byte was changed
-    since `write_json_atomically` wrote it."""
+    """Read a JSON object that carries its own SHA-256 digest; None if a byte was changed since it
+    was written."""
     try:
         value = json.loads(content)
         body = {key: item for key, item in value.items() if key != "sha256"}
@@ -164,8 +161,8 @@ def _sha256_of_body(body: dict[str, Any]) -> str:
 
 @contextmanager
 def file_lock(path: Path, patience_s: float = math.inf) -> Iterator[bool]:
-    """Context that holds an exclusive lock on a file, and yields whether the lock was obtained in
-    time. Yields whether it was obtained.
+    """Context that tries to hold an exclusive lock on a file. It yields whether the lock was
+    obtained in time.
 
     The system releases it when the process dies. It is a flock; on a file system that knows none
     it is a name of this machine, which excludes the processes of this machine.
@@ -203,8 +200,8 @@ def is_locked(path: Path) -> bool:
 
 
 def _acquire_lock(descriptor: int, patience_s: float, held_name: ExitStack) -> bool:
-    """Lock an open file within a time limit; return whether that succeeded. Try for `patience_s` to
-    lock the open file; a name is held until `held_name` is closed."""
+    """Lock an open file within a time limit, and return whether that succeeded. A name that stands
+    for the lock is released with `held_name`."""
     try:
         if math.isinf(patience_s):
             fcntl.flock(descriptor, fcntl.LOCK_EX)  # waits in the kernel, without polling
@@ -242,8 +239,8 @@ def _raise_unless_locks_unsupported(error: OSError) -> None:
 
 
 def _acquire_socket_lock(descriptor: int, held_name: ExitStack) -> bool:
-    """Lock a file through an abstract socket name, where its file system does not support locks;
-    return whether that succeeded.
+    """Lock a file through an abstract socket name, for file systems that do not support locks.
+    Returns whether that succeeded.
 
     The name is an address of Linux' abstract sockets: it lies in no file system and goes when its
     process dies. On another system nobody can have it.
@@ -264,7 +261,7 @@ def _acquire_socket_lock(descriptor: int, held_name: ExitStack) -> bool:
 
 
 def refuse_symbolic_link(folder: Path) -> None:
-    """Raise an error if a folder is a symbolic link. Raise `BadRequest` for a folder that is a
-    link: what is written into it lands elsewhere."""
+    """Raise `BadRequest` for a folder that is a symbolic link, since files written into it would
+    land elsewhere."""
     problem = "is a link to another place, where nothing is written"
     require(not folder.is_symlink(), "folder", folder, problem, "remove the link")

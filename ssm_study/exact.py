@@ -1,5 +1,5 @@
-"""Exact rational matrices and the decision whether one is positive definite. The verdict on a
-certificate: exact arithmetic on the stored floats, no tolerance anywhere.
+"""Exact rational matrices, and the decision whether such a matrix is positive definite. They decide
+certificates: exact arithmetic on the stored floats, without any tolerance.
 
 By halves, in balls that hold the exact number; where one contains zero with twice as many digits,
 and where `BITS` do not decide by the fraction-free LDL^T (Sylvester). Why: docs/theory.md, "The
@@ -45,7 +45,7 @@ class Exact:
     @classmethod
     def block(cls, rows: list[list[Any]]) -> "Exact":
         """Exact matrix assembled from nested rows of blocks, like `np.block`. Raises `ValueError`
-        where the blocks do not fit."""
+        if the blocks do not fit together."""
         return cls._from_entries(
             np.block([[cls.from_floats(block)._entries() for block in row] for row in rows])
         )
@@ -73,12 +73,12 @@ class Exact:
         return Exact._from_entries(self._entries()[index])
 
     def diagonal_matrix(self) -> "Exact":
-        """Diagonal matrix that has the entries of this one-row matrix on its diagonal."""
+        """Diagonal matrix with the entries of this one-row matrix on its diagonal."""
         return Exact._from_entries(np.diagflat(self._entries()[0]))
 
     def to_floats(self) -> Float[np.ndarray, "r c"]:
-        """Convert the exact matrix to floats, each entry rounded to the nearest float. Each entry
-        rounded once to the nearest float: the same bits on every machine."""
+        """Convert the exact matrix to floats, each entry rounded once to the nearest float. The
+        result has the same bits on every machine."""
         return np.array(
             [[int(entry.p) / int(entry.q) for entry in row] for row in self.rational.tolist()]
         )
@@ -133,8 +133,8 @@ def is_positive_definite(matrix: Exact) -> bool:
 def _is_definite_in_intervals(
     matrix: arb_mat,
 ) -> bool | None:  # What these balls prove; None where one of them leaves it open
-    """Whether every matrix within these intervals is positive definite; None where interval
-    arithmetic leaves it open."""
+    """Whether every matrix within the intervals is positive definite; None if interval arithmetic
+    cannot decide it."""
     rows = matrix.tolist()
     half = matrix.nrows() // 2
     if not half:

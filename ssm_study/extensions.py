@@ -1,5 +1,4 @@
-"""Extension packages of users: which are trusted, where they lie, and how they are loaded. Other
-people's code: what is trusted besides this package, and where it lies.
+"""Extension packages of users: which are trusted, where they are, and how they are loaded.
 
 Trusted are installed packages that register an entry point of the group `ssm_study`, and the one
 folder that is named on the command line by `--with`. Nothing else is imported, and no configuration
@@ -25,8 +24,8 @@ FOLDER = "SSM_STUDY_WITH"  # holds it for the processes that work on a study, on
 
 
 def pop_extension_option(arguments: list[str]) -> list[str]:
-    """Remove `--with FOLDER` from command-line arguments and trust the extension package in that
-    folder. Raises `BadRequest` for another folder."""
+    """Remove `--with FOLDER` from command-line arguments, and trust the extension package in that
+    folder. Raises `BadRequest` if the folder holds none."""
     if OPTION not in arguments:
         return arguments
     place = arguments.index(OPTION)
@@ -38,8 +37,8 @@ def pop_extension_option(arguments: list[str]) -> list[str]:
 
 
 def trust_package(folder: Path) -> None:
-    """Trust the extension package in a folder, so that it can be imported and configurations can
-    name its classes. Raises `BadRequest` for no such package."""
+    """Trust the extension package in a folder, so that it can be imported and its classes can be
+    named in configurations. Raises `BadRequest` if there is none."""
     folder = folder.resolve()
     whole = folder.name.isidentifier() and (folder / "__init__.py").is_file()
     require(whole, OPTION, folder, "is no study folder", "make one: ssm-study new FOLDER")
@@ -50,8 +49,8 @@ def trust_package(folder: Path) -> None:
 
 @cache
 def trusted_packages() -> dict[str, Path]:
-    """Names and folders of all trusted extension packages. Raises `BadRequest` where the name of
-    the folder means another one."""
+    """Names and folders of all trusted extension packages. Raises `BadRequest` if Python finds
+    another package under the folder's name."""
     points = sorted(point.module.split(".")[0] for point in entry_points(group=GROUP))
     found = {name: folder for name in points if (folder := _package_folder(name)) is not None}
     if own := os.environ.get(FOLDER):
@@ -71,7 +70,8 @@ def trusted_packages() -> dict[str, Path]:
 
 
 def extension_configuration_folders() -> list[Path]:
-    """Folders with yaml files of the trusted extension packages, in the order of Hydra's search."""
+    """Folders with the yaml files of trusted extension packages, in the order in which Hydra
+    searches them."""
     return [folder / "conf" for folder in trusted_packages().values() if (folder / "conf").is_dir()]
 
 

@@ -1,5 +1,5 @@
-"""Registry of classes of one kind, found by name in the files of a folder. A family: one
-question, one room, one file a member; members are found by their names, from no list."""
+"""Registration of classes of one kind, which are found by name in the files of a folder. A family:
+one question, one room, one file a member; members are found by their names, from no list."""
 
 import pkgutil
 from abc import ABC

@@ -1,5 +1,4 @@
-"""Refusals of bad input in one form, with field, value, problem and remedy. How this project
-says no: one sentence naming the field, the value and the remedy."""
+"""Errors about bad input, all in one form: field, value, problem and remedy."""
 
 import math
 from collections.abc import Iterable
@@ -42,26 +41,27 @@ def escape_control_characters(text: str) -> str:
 
 
 def require(condition: Any, field: str, value: Any, problem: str, remedy: str) -> None:
-    """Raise `BadRequest` with this field, value, problem and remedy unless a condition holds."""
+    """Raise `BadRequest` with a field, its value, a problem and a remedy unless a condition
+    holds."""
     if not condition:
         raise BadRequest(field, value, problem, remedy)
 
 
 def require_positive(field: str, value: Any, remedy: str) -> None:
-    """Raise `BadRequest` unless a number, or each of several, is positive and finite. None
-    passes."""
+    """Raise `BadRequest` unless a number, or each of several, is positive and finite. None is
+    accepted."""
     values = value if isinstance(value, list | tuple) else (value,)
     good = all(v is None or 0 < v < math.inf for v in values)
     require(good, field, value, "must be positive and finite", remedy)
 
 
 def require_at_least(least: float | int, field: str, value: Any, remedy: str) -> None:
-    """Raise `BadRequest` unless a number is finite and not below a minimum. None passes."""
+    """Raise `BadRequest` unless a number is finite and not below a minimum. None is accepted."""
     problem = "must not be negative" if least == 0 else f"must be at least {least:g}"
     require(value is None or least <= value < math.inf, field, value, problem, remedy)
 
 
 def require_one_of(known: Iterable[Any], field: str, value: Any) -> None:
-    """Raise `BadRequest` unless a value is one of the allowed ones; the message lists them."""
+    """Raise `BadRequest` unless a value is among the allowed ones, which the message lists."""
     *others, last = map(str, names := tuple(known))
     require(value in names, field, value, "unknown", f"use {', '.join(others)} or {last}")

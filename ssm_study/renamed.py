@@ -32,7 +32,7 @@ CHANGELOG = "CHANGELOG.md, version 0.2.0"
 
 
 class OldName(FutureWarning):
-    """Warning that a name of an earlier version was used; it is read for one version."""
+    """Warning that a name of an earlier version was used, which is understood for one version."""
 
 
 # Modules, below `ssm_study`. An entry of a package counts for the modules in it as well, except for
@@ -219,9 +219,9 @@ COLUMNS: Mapping[str, str] = {}
 
 @dataclass(frozen=True, kw_only=True)
 class Withdrawn:
-    """Description of a setting or class that was removed: since which version, and what to use
-    instead. `neutral` is the value of a setting that changed nothing: a stored configuration that
-    has it is read without it."""
+    """Description of a removed setting or class: since which version, and what to use instead.
+    `neutral` is a value of a setting that changed nothing; a stored configuration with it is read
+    without it."""
 
     since: str
     remedy: str
@@ -229,7 +229,7 @@ class Withdrawn:
 
     @property
     def sentence(self) -> str:
-        """Text that names the version in which the setting or class was withdrawn."""
+        """Text that names the version in which the setting or class was removed."""
         return f"withdrawn in {self.since}"
 
 
@@ -322,7 +322,7 @@ def current_target(target: Any) -> Any:
 
 
 def withdrawn_target(target: Any) -> Withdrawn | None:
-    """Notice for a `_target_` class that has been withdrawn; None for any other class."""
+    """Notice for a `_target_` class that was removed; None for any other class."""
     return WITHDRAWN_TARGETS.get(str(target).removeprefix(f"{OURS}."))
 
 
@@ -341,7 +341,7 @@ _WARNED: set[str] = set()
 
 
 def current_settings(tree: Any, path: str = "") -> Any:
-    """Settings of an earlier version with every old name replaced by the current one.
+    """Settings of an earlier version, with every old name replaced by the current one.
 
     Raises `BadRequest` for a withdrawn setting whose value is not the neutral one.
     """
@@ -384,8 +384,7 @@ def rename_old_settings(config: Any) -> None:
 
 
 def withdrawn_setting(path: str) -> Withdrawn | None:
-    """Notice for a setting that has been withdrawn, by its dotted path; None for any other
-    setting."""
+    """Notice for a removed setting, given by its dotted path; None for any other setting."""
     words = path.split(".")
     for pattern, withdrawn in WITHDRAWN_SETTINGS.items():
         parts = pattern.split(".")
@@ -396,14 +395,14 @@ def withdrawn_setting(path: str) -> Withdrawn | None:
 
 
 def refuse_withdrawn(path: str, value: Any, withdrawn: Withdrawn) -> None:
-    """Raise `BadRequest` if a withdrawn setting has a value that once had an effect."""
+    """Raise `BadRequest` for a removed setting, unless its value had no effect."""
     if value != withdrawn.neutral:
         problem = f"was {withdrawn.sentence} ({CHANGELOG})"
         raise BadRequest(path, value, problem, withdrawn.remedy)
 
 
 def current_override(word: str) -> str:
-    """Command-line override such as `model.integrated=true` with its old name replaced by the
+    """Command-line override such as `model.integrated=true`, with its old name replaced by the
     current one.
 
     Raises `BadRequest` with the line of the changelog for what was withdrawn.
@@ -427,8 +426,8 @@ def current_override(word: str) -> str:
 
 
 def current_overrides(words: Sequence[str]) -> list[str]:
-    """Command-line overrides with old names replaced by current ones; overrides without effect are
-    left out."""
+    """Command-line overrides with old names replaced by current ones, and without overrides that
+    have no effect any more."""
     present = [current_override(word) for word in words]
     return [word for word in present if word]
 
@@ -437,7 +436,8 @@ def current_overrides(words: Sequence[str]) -> list[str]:
 
 
 def add_renamed_columns(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy of a record in which every renamed column stands under both its old and its new name."""
+    """Copy of a record in which every renamed column appears under both its old and its new
+    name."""
     both = dict(record)
     for old, new in COLUMNS.items():
         if new in record:
@@ -451,13 +451,13 @@ def add_renamed_columns(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class OldModules(MetaPathFinder):
-    """Import hook that redirects imports of renamed modules and restores renamed functions under
-    their old names."""
+    """Import hook that redirects imports of renamed modules and makes renamed functions available
+    under their old names."""
 
     def find_spec(
         self, fullname: str, path: Any = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Specification by which Python imports an old module name or a module with renamed
+        """Specification by which Python imports a module under an old name, or one with renamed
         contents; None for any other."""
         del target
         if not fullname.startswith(f"{OURS}."):
@@ -473,7 +473,7 @@ class OldModules(MetaPathFinder):
             execute = spec.loader.exec_module
 
             def exec_module(module: ModuleType) -> None:
-                """Run the module's code, then restore the old names in it."""
+                """Run the module's code, then add the old names to it."""
                 execute(module)
                 _restore_old_names(module, inner)
 
@@ -492,13 +492,13 @@ def _find_with_other_finders(fullname: str, path: Any) -> ModuleSpec | None:
 
 
 class Alias(Loader):
-    """Module loader that makes an old module name stand for the module of the new name."""
+    """Module loader that gives the module of the new name when an old name is imported."""
 
     def __init__(self, present: str) -> None:
         self.present = present
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        """Module of the new name, imported in place of the old one."""
+        """Module of the new name, which takes the place of the old one."""
         del spec
         return None
 
@@ -516,8 +516,8 @@ def _modules_with_renames() -> frozenset[str]:
 
 
 def _restore_old_names(module: ModuleType, inner: str) -> None:
-    """Make the old names of its functions, classes and methods available in a module that was just
-    imported."""
+    """Make the functions, classes and methods of a newly imported module available under their old
+    names."""
     holder = f"{inner}."
     old_names = {
         old.removeprefix(holder): new
@@ -526,7 +526,7 @@ def _restore_old_names(module: ModuleType, inner: str) -> None:
     }
 
     def look_up(name: str) -> Any:
-        """Object of the module that an old name stands for, with a warning."""
+        """Object of the module that an old name stands for; a warning is issued."""
         if name not in old_names:
             raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}")
         warn_of_old_name(f"{module.__name__}.{name}", f"{OURS}.{old_names[name]}")
@@ -542,15 +542,16 @@ def _restore_old_names(module: ModuleType, inner: str) -> None:
 
 
 def support_old_methods(base: type, methods: Mapping[str, str]) -> None:
-    """Make renamed methods of a class and all its subclasses callable and overridable by their old
-    names."""
+    """Make renamed methods of a class and of its subclasses usable under their old names, for calls
+    and for overriding."""
     add_method_aliases(base, methods)
     for kind in _subclasses(base):
         add_method_aliases(kind, methods)
     defined = vars(base).get("__init_subclass__")
 
     def redirect_renamed_overrides(cls: type, **options: Any) -> None:
-        """Let a new subclass that overrides a method by its old name override the renamed one."""
+        """Let a method that a new subclass defines under an old name override the renamed
+        method."""
         add_method_aliases(cls, methods)
         if defined is None:
             super(base, cls).__init_subclass__(**options)  # type: ignore[arg-type]
@@ -562,7 +563,7 @@ def support_old_methods(base: type, methods: Mapping[str, str]) -> None:
 
 
 def add_method_aliases(kind: type, methods: Mapping[str, str]) -> None:
-    """Give each renamed method that a class defines its other name as well."""
+    """Give each renamed method that a class defines its other name, too."""
     for old, new in methods.items():
         defined = vars(kind)
         if old in defined and new not in defined:

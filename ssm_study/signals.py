@@ -13,7 +13,8 @@ from ssm_study.refusal import require, require_positive
 
 @dataclass(frozen=True, kw_only=True)
 class Channel:
-    """A named physical quantity, e.g. `Channel(name="armature_voltage", unit="V")`."""
+    """Name and unit of a physical quantity, such as `Channel(name="armature_voltage",
+    unit="V")`."""
 
     name: str
     unit: str
@@ -21,8 +22,8 @@ class Channel:
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
-    """Measured or simulated signals of one experiment. One experiment: `u[k]` is held over `[k,
-    k+1) step_s`, `y[k]` is sampled at `k step_s`, before `u[k]` acts.
+    """Measured or simulated signals of one experiment. `u[k]` is constant over `[k, k+1) step_s`,
+    `y[k]` is sampled at `k step_s`, before `u[k]` acts.
 
     Shapes: `u (T, m)`, `y (T, p)`, both in physical units; `d (T, k)` are measured disturbances,
     held as `u` is, None where there are none. In a `closed_loop` the input answers the output. A
@@ -66,7 +67,7 @@ class Trajectory:
 
     @property
     def inputs_and_disturbances(self) -> Float[np.ndarray, "T j"]:
-        """Inputs and measured disturbances side by side, the inputs alone where no disturbance is
+        """Inputs and measured disturbances side by side; the inputs alone if no disturbance is
         measured."""
         return self.u if self.d is None else np.hstack([self.u, self.d])
 
@@ -97,8 +98,8 @@ SHORTEST_PERIOD = (
 
 
 def find_repetition(u: Float[np.ndarray, "T m"]) -> tuple[int, int] | None:
-    """Start and period of the last stretch over which the input repeats itself; None if it does
-    not. `(start, period)`: two equal pieces of that length follow each other from `start` on.
+    """Start and period of the last segment in which the input repeats itself; None if it does not.
+    `(start, period)`: two equal pieces of that length follow each other from `start` on.
 
     The inputs must be equal, as commanded ones are; a piece that does not move does not count.
     """
@@ -125,8 +126,8 @@ def lagged_inputs(u: Float[np.ndarray, "T m"], lags: int) -> Float[np.ndarray, "
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """Offsets and scales between physical and dimensionless signals. `u = u_eq + s_u v,  y = y_eq +
-    s_y w`: physical outside, scaled inside, by pure gains around the equilibrium.
+    """Offsets and scales between physical and dimensionless signals. `u = u_eq + s_u v, y = y_eq +
+    s_y w`, pure gains around the equilibrium.
 
     So zero stays zero, and a model with `S_u(0) = S_y(0) = 0` rests at the equilibrium. Shapes:
     `input_* (m,)`, `output_* (p,)`, and `disturbance_* (k,)` of measured disturbances, empty where
@@ -210,7 +211,7 @@ class Scale:
     def append_equilibrium_input(
         self, inputs: Iterable[Float[np.ndarray, "_ m"]]
     ) -> list[Float[np.ndarray, "_ m"]]:
-        """Append the equilibrium input, as a record of one sample, to a list of input records."""
+        """Append the equilibrium input, as a record with one sample, to a list of input records."""
         return [*inputs, self.input_equilibrium[None]]
 
 
@@ -222,8 +223,8 @@ Ends = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]
 
 
 def input_limits(lower: Limit, upper: Limit, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> Ends:
-    """Lower and upper limit of each input: as given, else the range of the recorded inputs. Raises
-    `BadRequest` for another number than inputs."""
+    """Lower and upper limit of each input, as given or else the range of the recorded inputs.
+    Raises `BadRequest` if their number differs from that of the inputs."""
     seen = np.concatenate(inputs)
     found = []
     for name, given, end in (
@@ -240,8 +241,8 @@ def input_limits(lower: Limit, upper: Limit, inputs: Sequence[Float[np.ndarray, 
 
 @dataclass(frozen=True, kw_only=True)
 class DataSet:
-    """Separate training, validation and test records of one system. `start_up_samples` are
-    simulated, not scored.
+    """Separate training, validation and test records of one system. The first `start_up_samples` of
+    each are simulated but not scored.
 
     `mismatch_records` are for the mismatch alone (`synthesis.mismatch`): no fit, no early stopping
     and no score uses them. `disturbances` are measured, and no actuator moves them.
@@ -285,7 +286,7 @@ class DataSet:
         )
 
     def shift_out_dead_time(self, samples: int) -> "DataSet":
-        """Remove a dead time by pairing each output with the input that many samples before it.
+        """Remove a dead time by pairing each output with the input from as many samples before.
         Measured disturbances act without it."""
         shortest = min(len(one) for one in (*self.training, *self.validation, *self.test))
         problem = f"the shortest record has {shortest} samples"
@@ -293,8 +294,7 @@ class DataSet:
         require(samples < shortest, "model.dead_time", samples, problem, remedy)
 
         def shift_outputs(records: Trajectories) -> Trajectories:
-            """Records in which each output stands beside the earlier input that the dead time
-            delays."""
+            """Records in which each output is paired with the earlier input that it responds to."""
             return tuple(
                 replace(one[samples:], u=one.u[: len(one) - samples], first=one.first)
                 for one in records
@@ -311,7 +311,7 @@ class DataSet:
 def fit_percent(
     y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0
 ) -> float:
-    """Fit of a simulated output to the measured one in percent. `100 (1 - ||y - y_hat|| / ||y -
+    """Fit of a simulated output to the measured one, in percent. `100 (1 - ||y - y_hat|| / ||y -
     mean(y)||)`, Frobenius norms over all channels, after the start-up samples."""
     y = y[start_up_samples:]
     y_hat = y_hat[start_up_samples:]
@@ -327,6 +327,6 @@ def fit_from_relative_error(share: float | np.floating) -> float:
 def rmse(
     y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0
 ) -> float:
-    """Root mean square error of a simulated output. `sqrt(mean((y - y_hat)^2))` in the unit of y,
-    after the start-up samples."""
+    """Root mean square error of a simulated output, in the unit of the output. `sqrt(mean((y -
+    y_hat)^2))` after the start-up samples."""
     return float(np.sqrt(np.mean((y[start_up_samples:] - y_hat[start_up_samples:]) ** 2)))

@@ -1,5 +1,5 @@
-"""Look of all figures: sizes, fonts and how they are saved. One look for every figure: widths of
-a two-column paper, colours that survive colour blindness and grey print."""
+"""Style of all figures: sizes, fonts and how they are saved. One look for every figure: widths of a
+two-column paper, colours that survive colour blindness and grey print."""
 
 import io
 from collections.abc import Iterator
@@ -55,15 +55,15 @@ _PAGE: ContextVar[float] = ContextVar("_PAGE", default=PAGE_IN)
 
 
 def is_narrow() -> bool:
-    """Whether figures are drawn for one column of a paper."""
+    """Whether figures are drawn for a single column of a paper."""
     return _PAGE.get() == COLUMN_IN
 
 
 @contextmanager
 def paper_style(width: Width = "page") -> Iterator[None]:
-    """Context in which all figures are drawn and saved in the project's style. Everything drawn and
-    saved inside has the look of this project; the caller's own settings come back after.
-    `width="column"`: figures that know how are drawn for one column."""
+    """Context in which all figures are drawn and saved in the project's style. Afterwards the
+    caller's own settings are in force again. `width="column"`: figures that can be are drawn for
+    one column."""
     import matplotlib as mpl
     import seaborn as sns
     from cycler import cycler
@@ -83,14 +83,14 @@ def paper_style(width: Width = "page") -> Iterator[None]:
 
 
 def new_figure(width_in: float = COLUMN_IN, height_in: float = 2.3) -> "Figure":
-    """Empty Matplotlib figure, independent of pyplot's global state. Such figures can be drawn
-    anywhere and are freed; a notebook shows them, whether or not it has loaded pyplot."""
+    """Empty Matplotlib figure, independent of pyplot's global state. It can be drawn anywhere and
+    is freed; a notebook displays it whether or not pyplot is loaded."""
     return _figure_class()(figsize=(width_in, height_in), layout="constrained")
 
 
 @cache
 def _figure_class() -> "type[Figure]":
-    """Class of figures that notebooks show in the style of the project."""
+    """Class of figures that a notebook displays in the project's style."""
     from matplotlib.figure import Figure
 
     class NotebookFigure(Figure):
@@ -118,7 +118,7 @@ def place_legend_above(axes: "Axes", columns: int = 3, others: "tuple[Axes, ...]
 def save_figure(
     figure: "Figure", folder: Path, name: str, kinds: tuple[str, ...] = ("png", "pdf")
 ) -> list[Path]:
-    """Save a figure as PNG and PDF. Write `folder/name.png` and `folder/name.pdf`, or one of them.
+    """Save a figure under a name in a folder, as PNG and PDF or as one of them.
 
     The same data give the same bytes: no creation date is written.
     """

@@ -37,7 +37,7 @@ class _Recurrence:
 
 @dataclass(frozen=True, kw_only=True)
 class StateSpace(_Recurrence):
-    """Linear discrete-time state-space system. `x+ = a x + b u,  y = c x + d u` in discrete time.
+    """Linear discrete-time state-space system. `x+ = a x + b u, y = c x + d u`.
 
     Shapes: `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, real. Raises `BadRequest` for entries
     that are not finite.
@@ -50,7 +50,7 @@ class StateSpace(_Recurrence):
 
     @property
     def spectral_radius(self) -> float:
-        """Spectral radius of the state matrix: below one, the system is stable."""
+        """Spectral radius of the state matrix; below one, the system is stable."""
         return float(np.abs(np.linalg.eigvals(self.a)).max())
 
     @property
@@ -63,7 +63,7 @@ class StateSpace(_Recurrence):
         self,
     ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "m r"], Float[np.ndarray, "p r"]]:
         """Basis of all equilibria: states, inputs and outputs that stay constant. `X = A X + B V`
-        and `C X + D V`: states, inputs and outputs of a basis of all rest points.
+        and `C X + D V`.
 
         `V = I` and `r = m`, one for each constant input, but of a model that integrates.
         """
@@ -80,8 +80,8 @@ class StateSpace(_Recurrence):
     def simulate(
         self, u: Float[np.ndarray, "*batch T m"], x0: Float[np.ndarray, "*batch n"] | None = None
     ) -> tuple[Float[np.ndarray, "*batch T p"], Float[np.ndarray, "*batch n"]]:
-        """Simulate the system for an input sequence from an initial state. Step through `u` from
-        `x0` (default 0); returns the outputs and the state after the last sample."""
+        """Simulate the system for a sequence of inputs from an initial state (default 0), and
+        return the outputs and the final state."""
         batch = u.shape[:-2]
         samples = u.shape[-2]
         x = np.zeros((*batch, self.order)) if x0 is None else x0
@@ -94,9 +94,8 @@ class StateSpace(_Recurrence):
         return states @ self.c.T + u @ self.d.T, x
 
     def impulse_response_length(self, most: int = 4000, remainder: float = 0.1) -> int:
-        """Number of samples after which only a given share of the impulse response remains.
-        Samples, at most `most`, after which `remainder` of `sum |C A^k B|` is left: how long the
-        system answers.
+        """Number of samples after which only a given share of the impulse response remains. At most
+        `most` samples; the share is `remainder` of `sum |C A^k B|`.
 
         By default the bulk of it, not the tail of a mode that no record filled. One run for each
         input, since the answers to several at once may cancel.
@@ -134,15 +133,14 @@ class StructuredSystem(_Recurrence):
 
     def corners(self, most: int = 10) -> Float[np.ndarray, "k q"]:
         """Corners of the cube of neuron slopes: all combinations of zero and one, or a few of them
-        where there are many neurons. They are every such choice of up to `most` neurons, else a
-        few, one per row."""
+        if there are many neurons. With up to `most` neurons all, one per row."""
         q = self.neurons
         if q <= most:
             return np.array(list(product((0.0, 1.0), repeat=q))).reshape(-1, q)
         return np.vstack([np.zeros(q), np.ones(q), np.eye(q), 1 - np.eye(q)])
 
     def linearise_at_slopes(self, slopes: Float[np.ndarray, "q"]) -> StateSpace:
-        """Linear system that results when each neuron is replaced by a gain, its slope."""
+        """Linear system in which each neuron is replaced by a constant gain, its slope."""
         driven = self.e * slopes
         seen = self.h * slopes
         a = self.a + driven @ self.f
@@ -155,8 +153,8 @@ System = StateSpace | StructuredSystem
 
 @dataclass(frozen=True, kw_only=True)
 class JacobianBall:
-    """Ball of matrices that contains every Jacobian of a static map. All Jacobians `J = alpha I +
-    beta Delta`, `||Delta||_2 <= 1`: what the theorems really need of a scaffolding.
+    """Ball of matrices that contains every Jacobian of a static map. `J = alpha I + beta Delta`,
+    `||Delta||_2 <= 1`: all that the theorems need of the map.
 
     `alpha` keeps its sign; for a scalar map with slopes in `[mu, nu]`, `alpha = (nu + mu)/2`, `beta
     = (nu - mu)/2`. Source: docs/theory.md, "The ball of Jacobians"; [Z26] has singular values,
@@ -179,25 +177,25 @@ class JacobianBall:
 
     @property
     def lower(self) -> float:
-        """Smallest slope of a scalar map in the ball."""
+        """Smallest slope of a scalar map whose slopes the ball contains."""
         return self.alpha - self.beta
 
     @property
     def upper(self) -> float:
-        """Largest slope of a scalar map in the ball."""
+        """Largest slope of a scalar map whose slopes the ball contains."""
         return self.alpha + self.beta
 
     @property
     def relative_radius(self) -> float:
-        """Radius of the ball divided by the size of its centre. `beta / |alpha|`: what the exact
-        frontier is stated in."""
+        """Radius of the ball divided by the size of its centre, `beta / |alpha|`, on which the
+        exact limit of the rate depends."""
         return float("inf") if self.alpha == 0 else self.beta / abs(self.alpha)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Balls:
-    """Balls of Jacobians of a model's input map and output map. The balls that the theorems are
-    applied with: `input` holds the Jacobians of `S_u`, `output` those of `S_y`."""
+    """Balls of Jacobians of a model's input map and output map. `input` contains the Jacobians of
+    `S_u`, `output` those of `S_y`."""
 
     input: JacobianBall
     output: JacobianBall
@@ -205,8 +203,8 @@ class Balls:
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """Gains of a state-feedback controller with its observer. Controller and observer gains of `u =
-    K xh, xh+ = A xh + B S_u(u) + L (yh - y)`, scaled; many, if batched.
+    """Gains of a state-feedback controller with its observer. `u = K xh, xh+ = A xh + B S_u(u) + L
+    (yh - y)`, scaled; many, if batched.
 
     `s` is the model's order, and that of an internal model `z+ = internal z + error_input_matrix(y
     - y*)` where there is one: None
@@ -221,32 +219,32 @@ class Gains:
 
     @property
     def modes(self) -> Float[np.ndarray, "z z"]:
-        """State matrix of the controller's internal model, of size zero where there is none."""
+        """State matrix of the controller's internal model, of size zero if it has none."""
         return (
             np.eye(self.k.shape[-1] - self.l.shape[-2]) if self.internal is None else self.internal
         )
 
     def at(self, which: int | Int[np.ndarray, "N"]) -> "Gains":
-        """Select one controller and observer, or several, from a stack of gains."""
+        """Select one pair of controller and observer, or several, from a stack of gains."""
         l_z = None if self.l_z is None else self.l_z[which]
         return Gains(k=self.k[which], l=self.l[which], l_z=l_z, internal=self.internal)
 
 
 def error_input_matrix(modes: Float[np.ndarray, "z z"], outputs: int) -> Float[np.ndarray, "z p"]:
     """Input matrix by which the control error drives the controller's internal model. Each output
-    enters every state of its own copy alike."""
+    enters all states of its own copy alike."""
     return np.tile(np.eye(outputs), (len(modes) // outputs, 1))
 
 
 def frozen_modes(modes: Float[np.ndarray, "z z"]) -> Float[np.ndarray, "z z"]:
-    """State matrix of the controller's internal model while an input limit is active: integrators
-    hold their state. Integrators (ones on the diagonal) hold their state, oscillators go on."""
+    """State matrix of the controller's internal model while an input limit is active. Integrators
+    (ones on the diagonal) hold their state, oscillators go on."""
     return np.where(np.diagonal(modes)[:, None] == 1, np.eye(len(modes)), modes)
 
 
 def array_from_json(data: Mapping[str, Any], key: str, dimensions: int) -> Float[np.ndarray, "..."]:
-    """Read an array from JSON data and check its dimensions and that it is finite. `data[key]` as a
-    finite float64 array of that many dimensions; raises `BadRequest` otherwise."""
+    """Read a finite array with a given number of dimensions from JSON data. Raises `BadRequest` for
+    any other entry `data[key]`."""
     require(key in data, key, "missing", "the stored model lacks this entry", AGAIN)
     try:
         values = np.asarray(data[key], dtype=np.float64)

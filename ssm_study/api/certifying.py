@@ -38,8 +38,8 @@ SMALLEST_RATE = 1e-9  # what is asked of the problem while its gain is analysed
 
 @dataclass(frozen=True, kw_only=True)
 class GainCertificate:
-    """Result of certifying one gain: the proved rate, or the reason why none is proved. Guarantee
-    for one gain: its certified rate, the theorem's certificate, and the rates possible.
+    """Result of certifying one gain: the proved rate with its certificate, or the reason why no
+    rate is proved.
 
     `rate` is the largest contraction rate per sample that exact arithmetic confirmed, None where
     there is none; `certificate` holds its matrices: the gain is its `k` or `l`, the metric its `p`
@@ -101,12 +101,12 @@ class Certification:
 
 
 def _describe_limit(rate: float) -> str:
-    """Words on the largest contraction rate that any certificate of a gain can reach."""
+    """Text that says how large a contraction rate any certificate of a gain can prove."""
     return f"at most {rate:.6g}" if rate > 0 else "no rate is possible"
 
 
 def _describe_slopes(name: str, slopes: tuple[float, float]) -> str:
-    """Words on the slopes that a certificate holds for, and of which map."""
+    """Text that names a static map and the range of slopes for which a certificate holds."""
     lowest, highest = (f"{slope:.6g}" for slope in slopes)
     between = lowest if slopes[0] == slopes[1] else f"{lowest} to {highest}"
     return f"{between} of the {'output' if name == 'observer' else 'input'} map"
@@ -169,7 +169,8 @@ def certify(
 
 
 def read_system_to_certify(system: Any) -> tuple[Any, Any, Any]:
-    """Matrices A, B and C of a system that stands alone; of a state matrix B and C stay None.
+    """Matrices A, B and C of the system to certify; B and C are None where only a state matrix is
+    given.
 
     Raises `BadRequest` for a transfer function, whose states are not known, and for a design or
     any other object.
@@ -225,8 +226,8 @@ def certify_gain(
 
 
 def _describe_missing_rate(closed: Float[np.ndarray, "n n"], ball: JacobianBall) -> str:
-    """Words on why no rate can be certified, from the state matrix of the loop at the mean
-    slope."""
+    """Text that explains why no rate can be certified for a gain, from the loop's eigenvalues at
+    the mean slope."""
     slowest = float(np.abs(np.linalg.eigvals(closed)).max())
     if slowest >= 1:
         return f"the loop is unstable at the mean slope (spectral radius {slowest:.4g})"
@@ -244,8 +245,8 @@ def _prove_rate(
     limit: float,
     theorem: type[Side],
 ) -> Side | None:
-    """Try to prove a gain's contraction at one rate. The theorem's certificate at the problem's
-    rate; None where floats find no metric."""
+    """Certificate that a gain contracts at the problem's rate; None where no metric is found in
+    floats."""
     started = time.perf_counter()
     factor = float(((1 - supremum) * (1 - problem.rate)) ** 0.25)  # between the two, in log r
     try:
@@ -266,8 +267,8 @@ def _prove_rate(
 def _conditioned_coordinates(
     problem: Problem, k: Float[np.ndarray, "m n"], factor: float
 ) -> Float[np.ndarray, "n n"]:
-    """State coordinates in which the certification of a gain is numerically well conditioned.
-    Cholesky factor of the loop's own Gramian at the mean slope: well-scaled coordinates."""
+    """State coordinates in which the certification of a gain is numerically well conditioned. They
+    are a Cholesky factor of the loop's own Gramian at the mean slope."""
     alpha = problem.ball.alpha
     closed = (problem.a + alpha * problem.b @ k) / factor
     drive = problem.b @ problem.b.T / factor**2

@@ -110,8 +110,8 @@ def compare_simulations(
     states: Mapping[str, int | None],
     start_up_samples: int = 0,
 ) -> ModelComparison:
-    """Score simulations of the same records by several models, best fit first. The longest record
-    is drawn.
+    """Score simulations of the same records by several models, and sort them by fit, best first.
+    The longest record is drawn.
 
     The first `start_up_samples` of each record are not scored: they tell the initial state.
     """

@@ -107,7 +107,7 @@ def _rates_for_bare_system(
     parts: Parts, rate: float | None, observer_rate: float | None
 ) -> tuple[float | None, float | None]:
     """Contraction rates of the design for a linear system that comes without records. Raises
-    `BadRequest` where they would be chosen by them."""
+    `BadRequest` where records would be needed to choose them."""
     choice = parts.choices["synthesis"]
     problem = "chooses by a validation record, and there is none"
     remedy = "use method='riccati' with rate and observer_rate"
@@ -164,7 +164,8 @@ def _design_for_system(
 
 
 def without_settings_of_a_study(certificate: Certificates) -> Certificates:
-    """Replace remedies that name settings of a study, which a system given as matrices has not."""
+    """Replace advice that names settings of a study, because a system given as matrices has no such
+    settings."""
     sides = {}
     for side in SIDES:
         part = certificate.parts_by_name[side]
@@ -177,7 +178,7 @@ def without_settings_of_a_study(certificate: Certificates) -> Certificates:
 
 
 def slope_ball(name: str, slopes: Slopes) -> JacobianBall:
-    """Ball of Jacobians of a static map, from its smallest and largest slope."""
+    """Ball of Jacobians of a static map with a given smallest and largest slope."""
     pair = read_numbers(name, slopes)
     usable = pair.shape == (2,) and bool(np.isfinite(pair).all())
     remedy = "give (lowest, highest), as in (0.8, 1.2)"

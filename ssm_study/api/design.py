@@ -42,7 +42,7 @@ STARTS = (-1.0, 1.0)  # from where a loop is drawn unless it is told, in output 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Design:
-    """Certified controller with its observer, as Python users hold it. `u = K xh`.
+    """Certified controller with its observer, for use from Python. `u = K xh`.
 
     `certificate` holds `state_feedback` and `observer` with their gains and matrices; `model` is
     what is certified. `origin` is the identified model it was designed for, None for a bare system
@@ -76,11 +76,11 @@ class Design:
 
     @cached_property
     def folder(self) -> Path:
-        """Folder with the files of the design that the export reads."""
+        """Folder with the files of the design, from which the controller is exported."""
         return self.run_folder or self._write_files(make_scratch_folder())
 
     def _write_files(self, folder: Path) -> Path:
-        """Write model, certificates and the ranges of the records into a folder."""
+        """Write the model, the certificates and the signal ranges of the records into a folder."""
         content = json.dumps(self.model.to_json(), indent=1, allow_nan=False)
         (folder / "model.json").write_text(content + "\n", encoding="utf-8")
         self.certificate.save(folder / "certificate.json")
@@ -132,8 +132,8 @@ class Design:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """All columns on data, model, design and loop. A loaded design has its run's, a bare
-        system those of `facts`."""
+        """All columns on data, model, design and loop. A loaded design has the columns of its run;
+        the design of a bare system has those of `facts`."""
         if self.origin is None:
             return dict(self.facts)
         facts = self.origin.facts
@@ -221,7 +221,8 @@ class Design:
         return html_table("Design", self.summary())
 
     def plot(self, y0: Values | None = None, *, plant: "Plant | None" = None) -> Any:
-        """Draw outputs and inputs of the closed loop from initial outputs, beside the open loop.
+        """Draw outputs and inputs of the closed loop from given initial outputs, beside the
+        response without control.
 
         By default from one output scale above and below the equilibrium, on the identified model or
         on `plant`; dashed is the range of the recorded inputs. Returns the Matplotlib figure.
@@ -289,7 +290,8 @@ class Design:
         )
 
     def coverage_plot(self) -> Any:
-        """Draw how many times the measured model error the proof tolerates, for each band.
+        """Draw, for each frequency band, how many times the measured model error the proof
+        tolerates.
 
         Returns the Matplotlib figure. Raises `BadRequest` for a design without records, and where
         nothing is covered for want of a proof.
@@ -344,5 +346,5 @@ class Design:
 
 
 def _loop_place_words(plant: "Plant | None") -> str:
-    """Words that say whether a loop was closed on a plant or on the model."""
+    """Text that says whether a loop was closed on a plant or on the model."""
     return "the simulated plant" if plant else "the identified model"

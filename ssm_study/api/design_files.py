@@ -8,8 +8,8 @@ from ssm_study.signals import DataSet
 
 
 def write_records(data: DataSet, folder: Path) -> None:
-    """Write training inputs and validation outputs, from which the export takes ranges and
-    names."""
+    """Write the training inputs and the validation outputs of a data set, from which an export
+    takes signal ranges and names."""
     metadata = {"step_s": repr(data.step_s)}
     inputs = (*group_training_inputs(data), *group_training_disturbances(data))
     write_mcap(folder / "excitation.mcap", inputs, metadata)
@@ -25,7 +25,7 @@ def group_training_inputs(data: DataSet) -> Iterator[SignalGroup]:
 
 
 def group_training_disturbances(data: DataSet) -> Iterator[SignalGroup]:
-    """Measured disturbances of the training records, each as an own topic of the recording."""
+    """Measured disturbances of the training records, each under its own topic."""
     channels = tuple(data.disturbances)
     for i, record in enumerate(data.training):
         if record.d is not None:

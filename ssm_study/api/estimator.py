@@ -54,12 +54,12 @@ class Estimator:
     model_: Model = field(init=False, repr=False)
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002
-        """Settings of the estimator by name, as scikit-learn reads them. No setting has settings of
-        its own, so `deep` changes nothing."""
+        """Settings of the estimator by name, as scikit-learn reads them. `deep` changes nothing,
+        since no setting has settings of its own."""
         return {one.name: getattr(self, one.name) for one in fields(self) if one.init}
 
     def set_params(self, **parameters: Any) -> "Estimator":
-        """Change settings of the estimator by name. Raises `BadRequest` for a name that is none."""
+        """Change settings of the estimator by name. Raises `BadRequest` for an unknown name."""
         names = self.get_params()
         for name, value in parameters.items():
             known = ", ".join(names)
@@ -68,8 +68,8 @@ class Estimator:
         return self
 
     def fit(self, u: Signals, y: Signals, disturbance: Signals | None = None) -> "Estimator":
-        """Identify the model from inputs and outputs. Raises `BadRequest` for whatever `st.fit`
-        refuses."""
+        """Identify the model from inputs and outputs. Raises `BadRequest` for all data that
+        `st.fit` refuses."""
         self.model_ = fit(
             u,
             y,
@@ -93,7 +93,8 @@ class Estimator:
         return model.predict(u, disturbance)
 
     def score(self, u: Values, y: Values, disturbance: Values | None = None) -> float:
-        """Fit in percent of a free run whose initial state is estimated from the first samples.
+        """Fit of the identified model on a record, in percent, with the initial state estimated
+        from the first samples.
 
         Measured disturbances stay at their mean where they are not given. Raises `BadRequest`
         before `fit`, and for a record that is no longer than its start.
@@ -116,14 +117,13 @@ class Estimator:
         return simulation.fit_percent
 
     def _require_model(self) -> Model:
-        """Identified model; refuses an estimator that has not been fitted. Raises `BadRequest`
-        where there is none yet."""
+        """Identified model of the estimator. Raises `BadRequest` before `fit`."""
         if not hasattr(self, "model_"):
             raise BadRequest("estimator", "Estimator", "is not fitted", "call fit(u, y) first")
         return self.model_
 
     def __sklearn_tags__(self) -> Any:
-        """Tags that scikit-learn asks an estimator for. It is imported only then."""
+        """Tags of the estimator that scikit-learn reads. scikit-learn is imported only here."""
         from sklearn.utils import InputTags, RegressorTags, Tags, TargetTags
 
         target_tags = TargetTags(required=True, multi_output=True)

@@ -122,8 +122,8 @@ def fit(
 
 
 def sampling_time_s(step_s: Any) -> float:
-    """Convert a sampling time, a number or a time difference, to seconds. Raises `BadRequest` for
-    what is none."""
+    """Convert a sampling time, given as a number or a time difference, to seconds. Raises
+    `BadRequest` for anything else."""
     remedy = "give it in seconds"
     if isinstance(step_s, timedelta | np.timedelta64):
         step_s = pd.Timedelta(step_s).total_seconds()

@@ -43,8 +43,8 @@ def linearise_model(model: SSM | StructuredSSM) -> "python_control.StateSpace":
 
 
 def convert_to_continuous(discrete: "python_control.StateSpace") -> "python_control.StateSpace":
-    """Convert a sampled system with held input to continuous time, by the matrix logarithm of `[A
-    B; 0 I]`.
+    """Convert a discrete-time system, whose input is held between samples, to continuous time. It
+    takes the matrix logarithm of `[A B; 0 I]`.
 
     Raises `BadRequest` where a pole lies on the negative real axis or at zero.
     """

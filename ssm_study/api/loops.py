@@ -21,7 +21,7 @@ LOOP = {"loop": "regulation"}
 
 
 def make_identified_plant(design: "Design") -> IdentifiedPlant:
-    """Make a simulated plant of the identified model, with the channels of its records."""
+    """Make a simulated plant from the identified model, with the channel names of its records."""
     if design.origin is None:
         return IdentifiedPlant.from_model(design.model)
     data = design.origin.data
@@ -54,8 +54,7 @@ def simulate_loop(
 
 
 def _disturbance_names(design: "Design") -> list[str]:
-    """Names of the measured disturbances of a design. They are numbered where its records are not
-    known."""
+    """Names of the measured disturbances of a design, numbered where its records are not known."""
     if design.origin is None:
         disturbances = design.model.scale.disturbances
         return [f"d_{k + 1}" for k in range(disturbances)]
@@ -64,8 +63,8 @@ def _disturbance_names(design: "Design") -> list[str]:
 
 
 def tabulate_rollouts(rollouts: Rollouts, plant: Plant | IdentifiedPlant) -> pd.DataFrame:
-    """Table of simulated closed loops with one row for each case and sample. Its columns are `case,
-    time_s`, inputs and outputs by name."""
+    """Table of simulated closed loops with one row for each case and sample. Its columns are
+    `case`, `time_s`, and the inputs and outputs by name."""
     channels = (*plant.inputs, *plant.outputs)
     names = [channel.name for channel in channels]
     tables = []

@@ -43,7 +43,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Model:
-    """Model that was identified from records, as Python users hold it. `y = simulate(u)`.
+    """Identified model for use from Python, with the records that it was identified from. `y =
+    simulate(u)`.
 
     `simulator` holds the numbers: a `StructuredSSM`, an `SSM`, or a baseline. `data` are the
     records with their parts. `facts` are a run's columns up to the model (`fit_test_percent`, ...).
@@ -77,17 +78,17 @@ class Model:
 
     @cached_property
     def mismatch(self) -> Mismatch:
-        """Error of the model at each frequency and amplitude, as the records show it."""
+        """Error of the model that the records show, at each frequency and amplitude."""
         return measure_mismatch(self.ssm, self.data)
 
     @cached_property
     def evidence(self) -> Judgement:
-        """Judgement of what the records allow to be said of the plant."""
+        """Judgement of which statements about the plant the records support."""
         return judge_evidence(self.ssm, self.data, self.mismatch)
 
     @property
     def ssm(self) -> SSM | StructuredSSM:
-        """State-space model that can be certified; raises `BadRequest` for a baseline."""
+        """State-space model that can be certified; raises `BadRequest` for a baseline model."""
         if isinstance(self.simulator, SSM | StructuredSSM):
             return self.simulator
         kind = type(self.simulator).__name__
@@ -108,7 +109,7 @@ class Model:
 
     @property
     def disturbance_names(self) -> list[str]:
-        """Names of the measured disturbances, in order. None where there are none."""
+        """Names of the measured disturbances, in order; empty if there are none."""
         channels = self.data.disturbances
         return [channel.name for channel in channels]
 
@@ -298,7 +299,7 @@ class Model:
 
     @classmethod
     def load(cls, folder: str | Path) -> "Model":
-        """Load a model that `save` wrote, equal to the last digit.
+        """Load a model that `save` wrote; its numbers are exactly the same.
 
         Raises `BadRequest` where there is none.
         """
@@ -310,8 +311,7 @@ class Model:
 
 
 def draw_or_refuse(name: str, make: Callable[[], "Picture"]) -> Any:
-    """Draw a picture, or refuse in one sentence where there is nothing to show. Raises `BadRequest`
-    with the reason where there is none."""
+    """Draw a picture, or raise `BadRequest` with the reason where it would be empty."""
     from ssm_study.api.pictures.drawing import draw_picture
     from ssm_study.api.pictures.picture import NothingToShow
 

@@ -1,4 +1,4 @@
-"""Files of a saved model: the model itself, its records, and how it was found."""
+"""Files of a saved model: the model itself, its records, and how it was identified."""
 
 import json
 from dataclasses import asdict
@@ -27,7 +27,7 @@ def holds_saved_model(folder: Path) -> bool:
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write a value as JSON. Its numbers are read back to the last digit.
+    """Write a value as JSON, with all digits of its numbers.
 
     A training curve may hold NaN, where an epoch had no fit.
     """
@@ -120,7 +120,7 @@ def signal_arrays(data: DataSet) -> dict[str, Any]:
 
 
 def read_data(content: dict[str, Any], arrays: dict[str, Any]) -> DataSet:
-    """Data set from its description and its samples."""
+    """Rebuild a data set from its description and its samples."""
     scale = {name: np.asarray(values, dtype=float) for name, values in content["scale"].items()}
     fields: dict[str, Any] = {}
     for part in PARTS:
@@ -138,7 +138,7 @@ def read_data(content: dict[str, Any], arrays: dict[str, Any]) -> DataSet:
 def read_records(
     part: str, descriptions: list[dict[str, Any]], arrays: dict[str, Any]
 ) -> tuple[Trajectory, ...]:
-    """Records of one part of a data set."""
+    """Rebuild the records of one part of a data set, such as the training records."""
     records = []
     for number, description in enumerate(descriptions):
         values: dict[str, Any] = {

@@ -38,7 +38,8 @@ def configuration_folders() -> list[Path]:
 
 
 def load_choice(group: str, choice: str) -> Tree:
-    """Load the settings of one choice of a configuration group, with its defaults merged in.
+    """Load the settings of one choice of a configuration group, such as `plant=dc_motor`, with its
+    defaults merged in.
 
     Raises `BadRequest` for a choice that no yaml file describes.
     """
@@ -80,7 +81,7 @@ def _load_default(group: str, entry: Any) -> Tree:
 
 
 class Replacement(dict[str, Any]):
-    """Tree of settings that replaces another one as a whole instead of being merged with it."""
+    """Tree of settings that replaces another tree as a whole instead of being merged with it."""
 
 
 def merge_trees(tree: Tree, other: Mapping[str, Any]) -> None:
@@ -136,8 +137,8 @@ def _parse_numbers(value: Any) -> Any:
 
 
 def split_words(words: Iterable[str]) -> list[tuple[str, str]]:
-    """Split words such as `model.order=4` into keys and values. Raises `BadRequest` for other
-    words."""
+    """Split words such as `model.order=4` into keys and values. Raises `BadRequest` for words of
+    another form."""
     pairs = []
     for word in words:
         key, equals, value = str(word).partition("=")
@@ -148,14 +149,13 @@ def split_words(words: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def part_name(word: str) -> str:
-    """Name of the part of a study that a word of the command sets."""
+    """Name of the part of a study that a word such as `model.order=4` sets."""
     key = word.partition("=")[0].lstrip("+").rpartition("@")[2]
     return key.replace("/", ".").partition(".")[0]
 
 
 class Parts:
-    """Choices and settings of a study's parts, from which the parts are built. `build` constructs
-    one of them.
+    """Choices and settings of a study's parts, from which the parts are built.
 
     `words` are the command's: `model=ssm`, `model.order=4`, `training/optimiser=adam`,
     `reference@loop.reference=step`. A value given twice is the later one. Raises `BadRequest` for
@@ -180,8 +180,7 @@ class Parts:
                 self._set_field(key, value)
 
     def _choose(self, key: str, choice: str) -> None:
-        """Choose an option inside a part, such as `scaffold@model.scaffold_in` or
-        `training/optimiser`."""
+        """Choose an option inside a part, such as `training/optimiser=adam`."""
         group, _, place = key.partition("@")
         place = place or group.replace("/", ".")
         part = place.partition(".")[0]
@@ -205,8 +204,8 @@ class Parts:
         assign_value(self.trees, key, value)
 
     def _override_sign(self, path: str) -> str:
-        """Sign, `+` or none, that an override needs before it on the command line. Hydra takes
-        fields that the yaml files lack only as additions."""
+        """Sign that the command line needs before an override: `++` for a field that the yaml files
+        lack, otherwise none."""
         if not self._has_setting(path):
             self.added.add(path)
         return "++" if path in self.added else ""
@@ -221,7 +220,7 @@ class Parts:
         return True
 
     def set_fields(self, part: str, **settings: Any) -> None:
-        """Set those fields of a part whose new value is not None."""
+        """Set the given fields of a part; a field whose new value is None stays unchanged."""
         for name, value in settings.items():
             if value is not None:
                 sign = self._override_sign(f"{part}.{name}")
@@ -229,7 +228,7 @@ class Parts:
                 self.details.append(f"{sign}{part}.{name}={format_value(value)}")
 
     def build(self, part: str) -> Any:
-        """Build the object that a part of the study describes. Raises `BadRequest` for missing,
+        """Build the object that the settings of one part describe. Raises `BadRequest` for missing,
         unknown or unusable settings."""
         tree = self.trees[part]
         missing = next((key for key, value in tree.items() if value == MISSING), None)
@@ -237,18 +236,18 @@ class Parts:
         return construct_part(part, tree)
 
     def words_for_parts(self, *names: str) -> tuple[str, ...]:
-        """Words of the command that concern the named parts or seeds."""
+        """Words of the command line that set the named parts or the seeds."""
         return tuple(word for word in self.given if part_name(word) in names)
 
     def words_for_command(self) -> tuple[str, ...]:
-        """Choices and settings as words that `ssm-study run` understands."""
+        """Choices and settings as words for the command line `ssm-study run`."""
         chosen = [f"{name}={choice}" for name, choice in self.choices.items()]
         numbers = [f"{name}={value}" for name, value in self.numbers.items()]
         return (*chosen, *self.details, *numbers)
 
 
 def format_value(value: Any) -> str:
-    """Text of a setting's value that Hydra reads back as the same value."""
+    """Text of a setting's value, from which Hydra reads the same value again."""
     if isinstance(value, list | tuple):
         return f"[{','.join(map(format_value, value))}]"
     if value is None:

@@ -18,7 +18,7 @@ def simulate(
     plant: Plant | None = None,
     disturbance: Values | None = None,
 ) -> pd.DataFrame:
-    """Simulate a model for given inputs, or a designed closed loop from given initial outputs.
+    """Simulate a model for given inputs, or the closed loop of a design from given initial outputs.
 
     A model runs from rest for the inputs `given (T, m)`. A loop runs on the identified model, or
     on `plant`, from each row of `given (N, p)` or number of `given (N,)`, without noise, as the

@@ -1,5 +1,5 @@
-"""Functions for each step from records to a certified controller. They use no folders and no
-cache."""
+"""Functions for each step on the way from records to a certified controller. They use no folders
+and no cache."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -38,7 +38,8 @@ def identify_model(
     workplace: Path,
     keep_on_interrupt: bool = False,
 ) -> tuple[Any, "Identification"]:
-    """Train a model on the training records. Returns it with its dead time, and how it was found.
+    """Train a model on the training records, and return it with its dead time and a description of
+    how it was identified.
 
     A model of one layer with a dead time is trained on records shifted by it. Checkpoints lie in a
     folder of `workplace` while the training runs. With `keep_on_interrupt` Ctrl-C ends the training
@@ -59,7 +60,7 @@ def measure_mismatch(model: Any, data: DataSet) -> Mismatch:
 
 
 def judge_evidence(model: Any, data: DataSet, plant_mismatch: Mismatch) -> Judgement:
-    """Judge what the records and the model allow to be said of the plant."""
+    """Judge which statements about the plant the records and the model support."""
     validation, test = simulate_validation_and_test(model, data)
     return collect_findings(data, model, validation, test, plant_mismatch)
 
@@ -108,5 +109,5 @@ def design_controller(
 
 
 def scale_deviation(model: StateSpaceModel, u: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
-    """Deviation of a physical input from the equilibrium, in the model's scaled units."""
+    """Convert a physical input to its scaled deviation from the equilibrium."""
     return model.scale.scaled_input(u)

@@ -1,4 +1,5 @@
-"""Summaries of models and designs: one value a line, as text and as a table for notebooks."""
+"""Summaries of models and designs, with one value per line, as text and as a table for
+notebooks."""
 
 import re
 from html import escape
@@ -64,21 +65,22 @@ def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dic
 
 
 def choice_words(chosen: str) -> str:
-    """Words on the settings that the records chose, in which `input_path` is named by what it
-    is."""
+    """Text on the settings that the records chose, with a plain name for the value of
+    `input_path`."""
     for value, answer in (("none", "no"), ("free", "yes")):
         chosen = chosen.replace(f"input path {value}", f"input drives the neurons {answer}")
     return chosen
 
 
 def chosen_sizes(chosen: str) -> dict[str, int]:
-    """Numbers of states and neurons that the records chose, before the training removed any."""
+    """Numbers of states and neurons that were chosen by the records, before training removed unused
+    ones."""
     sizes = re.findall(r"\b(order|neurons) (\d+)", chosen)
     return {name: int(size) for name, size in sizes}
 
 
 def size_words(count: int, chosen: int | None) -> int | str:
-    """Number of states or neurons, and that it is less than chosen where some were not needed."""
+    """Number of states or neurons, with a note where training removed some of the chosen number."""
     if chosen is None or count >= chosen:
         return count
     return f"{count} (of the {chosen} chosen, the others were not needed)"
@@ -105,8 +107,8 @@ def summarise_design(design: "Design") -> pd.Series:
 
 
 def summarise_side(name: str, part: Any, rate: float | None) -> dict[str, str]:
-    """Lines of the summary on the certificate of controller or observer; where exact arithmetic
-    does not confirm it, also why."""
+    """Summary lines on the certificate of a controller or observer, with the reason where exact
+    arithmetic does not confirm it."""
     value = "no rate" if rate is None else f"rate {rate:.3g} per sample"
     lines = {name: f"{value}, {PROVED[part.certified]} (limit {part.rate_limit:.3g})"}
     if not part.certified:
@@ -136,12 +138,12 @@ def summarise_prediction(facts: dict[str, Any]) -> dict[str, str]:
 
 
 def name_with_unit(channel: Any) -> str:
-    """Name of a channel, its unit in parentheses where there is one."""
+    """Name of a channel, followed by its unit in parentheses if it has one."""
     return f"{channel.name} ({channel.unit})" if channel.unit else channel.name
 
 
 def sample_count_words(data: DataSet) -> str:
-    """Numbers of samples for training, validation and test, in words."""
+    """Text with the numbers of samples for training, validation and test."""
     counts = []
     for part in ("training", "validation", "test"):
         samples = sum(len(record) for record in getattr(data, part))

@@ -1,4 +1,4 @@
-"""Reading of linear systems given as python-control's, SciPy's, or a tuple of matrices."""
+"""Conversion of linear systems from python-control, SciPy or tuples of matrices."""
 
 from typing import Any
 
@@ -29,7 +29,7 @@ def read_linear_system(system: Any) -> tuple[StateSpace, float]:
 
 def read_sampling_time(step_s: Any) -> float:
     """Check the sampling time of a discrete-time system and convert it to a number. Raises
-    `BadRequest` for anything else."""
+    `BadRequest` for any other value."""
     is_number = isinstance(step_s, float | int) and not isinstance(step_s, bool)
     discrete = is_number and 0 < float(step_s) < np.inf
     remedy = "give the sampling period: control.StateSpace(P.A, P.B, P.C, P.D, step_s)"
@@ -42,7 +42,7 @@ def read_sampling_time(step_s: Any) -> float:
 def read_matrix(
     name: str, values: Any, shape: tuple[int | None, int | None]
 ) -> Float[np.ndarray, "r c"]:
-    """Read a finite matrix and check its shape against the others. None leaves a dimension free.
+    """Read a finite matrix and check its shape; None stands for a dimension of any size.
 
     Raises `BadRequest` that names the matrix, its shape and the one that fits.
     """
@@ -85,7 +85,7 @@ def _read_matrices(system: tuple[Any, ...]) -> tuple[StateSpace, float]:
 
 
 def _build_state_space(matrices: list[Any]) -> StateSpace:
-    """Build a state space from four matrices whose shapes are checked."""
+    """Build a state space from four matrices, after checking that their shapes fit together."""
     a = read_matrix("A", matrices[0], (None, None))
     n = len(a)
     a = read_matrix("A", a, (n, n))

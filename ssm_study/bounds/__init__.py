@@ -1,2 +1,2 @@
-"""Proved properties of identified models: slopes, gains and reachability. Properties of a model
-that can be proved: slopes, Lipschitz constants, Gramians, Hankel singular values, balancing."""
+"""Proved properties of identified models: ranges of slopes, gains and reachability. They also
+include Lipschitz constants, Hankel singular values and balancing."""

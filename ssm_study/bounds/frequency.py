@@ -34,8 +34,8 @@ def largest_gains(system: StateSpace, angles: Float[np.ndarray, "F"]) -> Float[n
 
 
 def hinf_norm(system: StateSpace) -> float:
-    """H-infinity norm of a discrete-time system. `sup_w sigma_max(C (e^{jw} I - A)^{-1} B + D)`;
-    infinite if `A` is not stable, or not by what floats resolve.
+    """H-infinity norm of a discrete-time system, infinite for an unstable one. `sup_w sigma_max(C
+    (e^{jw} I - A)^{-1} B + D)`; infinite also where floats cannot decide stability.
 
     A bilinear map carries the unit circle to the imaginary axis and leaves the norm; there, `gamma`
     exceeds the norm iff the Hamiltonian of `gamma` has no imaginary eigenvalue, and between
@@ -51,8 +51,8 @@ def hinf_norm(system: StateSpace) -> float:
 
 
 def _peak_gain(system: StateSpace) -> float:
-    """Largest gain of a stable system over all frequencies (H-infinity norm). A level is raised
-    until no frequency crosses it."""
+    """Largest gain of a stable system over all frequencies (H-infinity norm), by raising a level
+    until no frequency response crosses it."""
     poles = np.linalg.eigvals(system.a)
     angles = np.concatenate([[0.0, np.pi], np.abs(np.angle(poles)), np.geomspace(1e-4, np.pi, 32)])
     best = float(largest_gains(system, angles).max())
@@ -74,7 +74,8 @@ def _peak_gain(system: StateSpace) -> float:
 
 
 def _continuous_equivalent(system: StateSpace) -> StateSpace:
-    """Continuous-time system with the same H-infinity norm, by the bilinear transform."""
+    """Continuous-time system with the same H-infinity norm as a discrete-time one, by the bilinear
+    transform."""
     one = np.eye(system.order)
     root2 = np.sqrt(2)
     shifted = np.linalg.inv(one + system.a)  # exists: no eigenvalue at -1, A is stable
@@ -84,8 +85,8 @@ def _continuous_equivalent(system: StateSpace) -> StateSpace:
 
 
 def _crossing_frequencies(system: StateSpace, gamma: float) -> Float[np.ndarray, "w"]:
-    """Frequencies at which a singular value of the response equals `gamma`, ascending, both
-    signs."""
+    """Frequencies of both signs, in ascending order, at which a singular value of the response
+    equals a given gain."""
     a = system.a
     b = system.b
     c = system.c

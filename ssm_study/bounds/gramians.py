@@ -90,8 +90,8 @@ def balanced_realization(linear: StateSpace, order: int | None = None) -> StateS
 
 
 def _gramian_factors(linear: StateSpace) -> list[Float[np.ndarray, "n n"]]:
-    """Square-root factors of the controllability and observability Gramians. `R` with `R R^T = W`
-    of both Gramians, by eigenvalues, so that a singular one is no error."""
+    """Square-root factors of the controllability and observability Gramians. `R` with `R R^T = W`,
+    by eigenvalues, so that a singular Gramian is no error."""
     both = (
         np.linalg.eigh(controllability_gramian(*pair))
         for pair in ((linear.a, linear.b), (linear.a.T, linear.c.T))
@@ -120,8 +120,8 @@ def bound_local_controllability(
     a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: JacobianBall
 ) -> LocalProperty:
     """Bound from both sides how strongly inputs reach the states of a nonlinear model along any
-    trajectory. Along any input the states can be steered both ways, if `(A, B)` is controllable and
-    `mu_u > 0`.
+    trajectory. The states can be steered in both directions along any input if `(A, B)` is
+    controllable and `mu_u > 0`.
 
     Of `(A^T, C^T)`: along any trajectory nearby states can be told apart, if `(A, C)` is observable
     and `mu_y > 0`.

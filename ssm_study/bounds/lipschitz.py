@@ -20,8 +20,7 @@ from ssm_study.exact import Exact, is_positive_definite
 
 
 def is_proved_nonexpansive(network: Network, multipliers: Sequence[Float[np.ndarray, "_"]]) -> bool:
-    """Whether these multipliers prove that the network is 1-Lipschitz. It is decided exactly, not
-    estimated.
+    """Whether given multipliers prove, in exact arithmetic, that a network is 1-Lipschitz.
 
     False says that they prove nothing, not that the network expands.
     """
@@ -41,8 +40,8 @@ def is_proved_nonexpansive(network: Network, multipliers: Sequence[Float[np.ndar
 
 
 def _selection_matrices(network: Network) -> list[Exact]:
-    """Selection matrices that pick `v`, then each layer's `d_l`, from the stacked `(v, d_1, ...,
-    d_L)`."""
+    """Selection matrices that pick the input and the output of each layer from one stacked vector.
+    The stack is `(v, d_1, ..., d_L)`."""
     sizes = [network.inputs, *(len(bias) for bias in network.biases)]
     ends = np.cumsum(sizes)
     identity = np.eye(ends[-1])

@@ -34,9 +34,9 @@ ENLARGED = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
 def lipsdp_ball(
     network: Network, scalar_centre: bool = False
 ) -> tuple[Float[np.ndarray, "k m"], float]:
-    """Smallest ball of matrices that semidefinite programming proves to hold every Jacobian of a
-    network. Centre and least radius with `|J(v) - centre|_2 <= radius` for every v, of any
-    centre or (`scalar_centre`) of those that are `alpha I`. Refuses as above."""
+    """Smallest ball of matrices that, as semidefinite programming proves, contains every Jacobian
+    of a network. Centre and least radius with `|J(v) - centre|_2 <= radius` for every v, for any
+    centre or (`scalar_centre`) for a centre `alpha I`. Raises `BadRequest` as stated above."""
     hidden = [len(b) for b in network.biases]
     multipliers = [cp.Variable(h, nonneg=True) for h in hidden]
     shape = (network.outputs, network.inputs)
@@ -82,9 +82,9 @@ def lipsdp_ball(
 def _proved_radius(
     network: Network, multipliers: list[Float[np.ndarray, "_"]], centre: Float[np.ndarray, "k m"]
 ) -> float:
-    """Smallest radius that given multipliers prove for a ball of Jacobians around a given centre.
-    The least L for these multipliers and this centre: the Schur complement onto v of all else.
-    Infinite if none."""
+    """Smallest radius of a ball of Jacobians around a given centre that given multipliers prove;
+    infinite if they prove none. The radius follows from the Schur complement onto v of all other
+    signals."""
     m = network.inputs
     largest = max(float(t.max(initial=0.0)) for t in multipliers)
     kept = [
@@ -107,8 +107,8 @@ def _proved_radius(
 
 
 def _selection_matrix(network: Network, layer: int) -> Float[np.ndarray, "h w"]:
-    """Matrix that picks `v` (layer 0) or the output `d_l` of layer l from the stacked `(v, d_1,
-    ..., d_L)`."""
+    """Matrix that picks the input or the output of one layer from one stacked vector. The stack is
+    `(v, d_1, ..., d_L)`; layer 0 stands for the input `v`."""
     sizes = [network.inputs, *(len(b) for b in network.biases)]
     start = sum(sizes[:layer])
     return np.eye(sum(sizes))[start : start + sizes[layer]]

@@ -1,4 +1,4 @@
-"""The numbers of a record that describe the certified model: its linear part, slopes and local
+"""Columns of a record that describe the certified model: its linear part, slopes and local
 Gramians."""
 
 from typing import Any
@@ -70,8 +70,8 @@ COLUMNS = (
 
 
 def model_bound_columns(model: Any) -> dict[str, Any]:
-    """Columns of what is proved of the model alone: slopes, local Gramians and its linear part.
-    Beside them stand the paper's slopes (unsound below).
+    """Columns with the proved properties of the model alone: slopes, local Gramians and its linear
+    part. The paper's slopes, which are not a sound lower bound, stand beside them.
 
     Local controllability and observability, [Z26] Propositions 1 and 2, are of a recurrence without
     neurons. One that integrates has no Hankel values.

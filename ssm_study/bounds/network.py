@@ -1,5 +1,4 @@
-"""A leaky-ReLU network written around its value at zero, so that `N(0) = 0` to the last bit; its
-slopes and inverse.
+"""Leaky-ReLU networks whose value at zero is exactly zero, with their slopes and inverses.
 
 The scaffolding of [Z26] section IV.
 """
@@ -104,8 +103,8 @@ class Network:
 
 @dataclass(frozen=True, kw_only=True)
 class PortableMap:
-    """Static map as plain matrices, which no framework is needed to evaluate. `S(v) = linear v +
-    N(v)`, N a leaky-ReLU network around its value at zero, or None. `linear (k, m)`."""
+    """Static map as plain matrices, for evaluation without a deep-learning framework. `S(v) =
+    linear v + N(v)`, N a leaky-ReLU network around its value at zero, or None. `linear (k, m)`."""
 
     linear: Float[np.ndarray, "k m"]
     network: Network | None
@@ -115,7 +114,7 @@ class PortableMap:
         return straight if self.network is None else straight + self.network(v)
 
     def as_network(self) -> Network:
-        """The same map as a single network, its linear part written as neurons of slope one."""
+        """Rewrite the whole map as one network, with its linear part as neurons of slope one."""
         inputs = self.linear.shape[1]
         through = np.eye(self.linear.shape[1])
         zero = np.zeros(inputs)
@@ -153,8 +152,8 @@ Row = Float[np.ndarray, "_"]
 
 @dataclass(frozen=True)
 class _Piece:
-    """Affine piece of a scalar network, in exact integer arithmetic. On `(low, high)` the layer's
-    output is `(slope t + offset) / 2^bits`, vectors of integers."""
+    """Affine piece of a piecewise-linear scalar network, in exact integer arithmetic. On `(low,
+    high)` the layer's output is `(slope t + offset) / 2^bits`, vectors of integers."""
 
     low: End
     high: End
@@ -164,8 +163,8 @@ class _Piece:
 
 
 def slope_interval(network: Network) -> tuple[Fraction, Fraction]:
-    """Exact smallest and largest slope of a network with one input and one output. The exact `[mu,
-    nu]`: the least and the greatest slope. Raises `BadRequest` for more than one channel.
+    """Exact smallest and largest slope of a network with one input and one output. Raises
+    `BadRequest` for more than one channel.
 
     Between break points the network is affine; sorting them and listing the pieces gives all
     slopes. Weights are floats, hence dyadic rationals: slopes and offsets are integers over one
@@ -181,8 +180,8 @@ def slope_interval(network: Network) -> tuple[Fraction, Fraction]:
 
 
 def break_points(network: Network) -> list[Fraction]:
-    """Points at which the slope of a scalar network changes. Where the slope changes, in order;
-    points between pieces of one slope may be among them. Refuses as above."""
+    """Points, in ascending order, at which the slope of a scalar network may change. Raises
+    `BadRequest` for more than one channel."""
     return [piece.low for piece in _affine_pieces(network) if isinstance(piece.low, Fraction)]
 
 
@@ -212,7 +211,8 @@ def _affine_pieces(network: Network) -> list[_Piece]:
 def _as_scaled_integers(
     matrix: Float[np.ndarray, "..."],
 ) -> Exact:  # matrix = integers / 2^bits, exactly
-    """Integers and a number of bits with `matrix = integers / 2^bits`, exactly."""
+    """Write a matrix of floats exactly as integers divided by a power of two. `matrix = integers /
+    2^bits`."""
     ratios = [float(value).as_integer_ratio() for value in matrix.ravel()]
     bits = max(denominator.bit_length() - 1 for _, denominator in ratios)
     scaled = [
@@ -222,7 +222,7 @@ def _as_scaled_integers(
 
 
 def _split_at_layer(piece: _Piece, weights: Exact, biases: Exact, slopes: Exact) -> list[_Piece]:
-    """Split an affine piece where a neuron of the next layer changes sign, and apply the active
+    """Split an affine piece where a neuron of the next layer changes sign, and apply the neurons'
     slopes."""
     affine = weights[1] + piece.bits
     one = 1 << biases[1]
@@ -242,7 +242,7 @@ def _split_at_layer(piece: _Piece, weights: Exact, biases: Exact, slopes: Exact)
 
 
 def _number_between(low: End, high: End) -> Fraction:
-    """Some number inside an interval whose ends may be infinite."""
+    """Number inside an interval that may be unbounded."""
     if isinstance(low, Fraction):
         return low + 1 if high == inf else (low + Fraction(high)) / 2
     return Fraction(high) - 1 if high != inf else Fraction(0)
@@ -250,8 +250,8 @@ def _number_between(low: End, high: End) -> Fraction:
 
 @dataclass(frozen=True, kw_only=True)
 class Inverse:
-    """Inverse of a static map, linear or piecewise linear per channel. `v = matrix w`, or per
-    channel, with its points, slopes and offsets, `v = slopes[j] w + offsets[j]`.
+    """Inverse of a static map that is linear, or piecewise linear in each channel. `v = matrix w`,
+    or per channel, with its points, slopes and offsets, `v = slopes[j] w + offsets[j]`.
 
     j is the count of `points <= w`.
     """
@@ -270,9 +270,8 @@ class Inverse:
 
 
 def invert_map(portable: PortableMap) -> Inverse | None:
-    """Invert a static map exactly; None for one that couples its channels or is not strictly
-    monotone. The inverse, as exact as its slopes; None for a map that couples its channels or is
-    not strictly monotone.
+    """Exact inverse of a static map; None for a map that couples its channels or is not strictly
+    monotone.
 
     A piecewise-linear map from `t_j` to `w_j` has the inverse from `w_j` to `t_j`, piece by piece.
     Source: docs/theory.md, "With neurons".
@@ -287,8 +286,8 @@ def invert_map(portable: PortableMap) -> Inverse | None:
 
 
 def _split_into_scalar_maps(portable: PortableMap) -> list[PortableMap]:
-    """Split a static map into scalar maps, one per channel; none if a neuron couples two channels.
-    One scalar map per channel; none if a neuron sees or moves two of them."""
+    """Split a static map into one scalar map for each channel; empty if a neuron couples two
+    channels."""
     net = portable.network
     gains = np.diagonal(portable.linear)
     if portable.linear.shape == (1, 1):

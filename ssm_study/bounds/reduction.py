@@ -1,5 +1,5 @@
-"""Order reduction between identification and synthesis, by balanced truncation to fewer states.
-Source: Moore 1981."""
+"""Reduction of a model to fewer states between identification and synthesis, by balanced
+truncation. Source: Moore 1981."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,8 +10,9 @@ from ssm_study.refusal import require, require_at_least
 
 @dataclass(frozen=True, kw_only=True)
 class Reduction:
-    """Order reduction of a model by balanced truncation. `x = T z` with equal, diagonal Gramians;
-    then keep the states that carry something: conf/reduction/balanced.yaml.
+    """Settings of the reduction of a model to fewer states by balanced truncation. `x = T z` with
+    equal, diagonal Gramians, of which the states with the largest Hankel singular values stay:
+    conf/reduction/balanced.yaml.
 
     `drop_below` acts in any case: on modes that the controller could hardly move, in coordinates
     that floats do not hold. `absorb` is `SSM.absorb_map_centres`, done first.

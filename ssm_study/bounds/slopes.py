@@ -1,5 +1,5 @@
-"""Proved bounds on the slopes of the static maps S_u and S_y: the balls that hold their Jacobians
-(docs/theory.md), and how each was proved."""
+"""Proved bounds on the slopes of the static maps S_u and S_y: balls that contain all their
+Jacobians (docs/theory.md), and how each was proved."""
 
 from dataclasses import dataclass
 from fractions import Fraction
@@ -19,8 +19,8 @@ ROUNDING_SHARE = 1e-12
 
 @dataclass(frozen=True, kw_only=True)
 class SlopeBound:
-    """Proved ball of Jacobians of a static map, and the method that proved it. The ball `J = alpha
-    I + beta Delta` that holds every Jacobian; the least and the greatest slope, with sign.
+    """Proved ball of Jacobians of a static map, and the method that proved it. `J = alpha I + beta
+    Delta` contains every Jacobian; the smallest and the largest slope have a sign.
 
     In several dimensions these are the ends `alpha -+ beta` of the ball.
     """
@@ -32,8 +32,8 @@ class SlopeBound:
 
 
 def bound_from_interval(lower: Fraction, upper: Fraction, method: str) -> SlopeBound:
-    """Slope bound from a smallest and a largest slope. Both ends rounded outwards to floats; the
-    ball encloses the rational interval, not its rounded picture."""
+    """Slope bound from a smallest and a largest slope. Both ends are rounded outwards to floats, so
+    that the ball contains the exact interval."""
     least = _round_down(lower)
     most = -_round_down(-upper)
     ball = enclosing_ball(lower, upper)
@@ -47,8 +47,8 @@ def bound_from_ball(ball: JacobianBall, method: str) -> SlopeBound:
 
 
 def enclosing_ball(lower: Fraction, upper: Fraction) -> JacobianBall:
-    """Ball of Jacobians in floats that encloses an interval of slopes. The smallest ball of
-    floats with `alpha - beta <= lower` and `upper <= alpha + beta` in exact arithmetic."""
+    """Smallest ball of Jacobians in floats that contains an interval of slopes. `alpha - beta <=
+    lower` and `upper <= alpha + beta` in exact arithmetic."""
     require(
         lower <= upper, "slopes", (float(lower), float(upper)), "lower exceeds upper", "swap them"
     )
@@ -64,8 +64,8 @@ def _round_down(value: Fraction) -> float:
 
 
 def ball_around_identity(centre: Float[np.ndarray, "m m"], radius: float) -> JacobianBall:
-    """Ball of Jacobians around a multiple of the identity that contains a given ball. Its radius
-    grows by the distance between the centres.
+    """Ball of Jacobians that contains a given ball and whose centre is a multiple of the identity.
+    Its radius grows by the distance between the centres.
 
     `alpha = trace(centre)/m`; of a rotation far from the identity the ball contains zero, which
     synthesis refuses.
@@ -157,8 +157,8 @@ def spectral_norm_bound(network: Network) -> tuple[float, float]:
 
 
 def jacobian_ball(scaffold: Any) -> SlopeBound:
-    """Ball of matrices, centred on a multiple of the identity, that holds every Jacobian of a
-    static map. Alpha carries the sign of the slopes.
+    """Ball that contains every Jacobian of a static map and whose centre is a multiple of the
+    identity. Alpha carries the sign of the slopes.
 
     Each kind knows its own: exact (scalar networks, monotone, linear), by construction (residual),
     or the narrower of LipSDP and interval arithmetic. Raises `BadRequest` for a scaffolding that is
@@ -176,7 +176,8 @@ def jacobian_ball(scaffold: Any) -> SlopeBound:
 
 
 def certified_balls(model: Any) -> Balls:
-    """Proved balls of Jacobians of a model's input map and output map. Refuses as above."""
+    """Proved balls of Jacobians of a model's input map and output map. Raises `BadRequest` where
+    none is proved."""
     return Balls(
         input=jacobian_ball(model.scaffold_in).ball, output=jacobian_ball(model.scaffold_out).ball
     )

@@ -1,5 +1,4 @@
-"""Certificates of a design, or the reason why there are none, as synthesis returns them, and the
-file that stores them.
+"""Certificates of a design, or the reasons why there are none, and the file that stores them.
 
 Which fields a certificate has is its theorem's matter (`synthesis.theorem`). Source: [Z26],
 docs/theory.md.
@@ -46,8 +45,8 @@ LETTERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Side(Theorem, abstract=True):
-    """Certificate of one gain, that of the controller or that of the observer. Differences shrink
-    by `r = sqrt(1 - rate)` a step, whatever the Jacobians in the ball.
+    """Certificate of one gain, that of the controller or that of the observer. Distances shrink by
+    `r = sqrt(1 - rate)` a sample, for every Jacobian in the ball.
 
     `rate_limit` is the exact frontier of all gains at this ball; `observes` tells an observer from
     a state feedback.
@@ -61,13 +60,13 @@ class Side(Theorem, abstract=True):
 
     @property
     def contraction(self) -> float:
-        """Factor by which distances shrink per sample according to the certificate. `r`: the factor
-        by which distances (the estimation error) shrink each step."""
+        """Factor by which distances shrink in each sample according to the certificate, `r`."""
         return float(np.sqrt(1 - self.rate))
 
     @property
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
-        """Gain matrices that are deployed, by letter: `k`, or `l` and, with neurons, `l_z`."""
+        """Gain matrices that are deployed, keyed by symbol: `k`, or `l` and, with neurons,
+        `l_z`."""
         return {letter: vars(self)[letter] for letter in ("k", "l", "l_z") if letter in vars(self)}
 
     @property
@@ -77,32 +76,31 @@ class Side(Theorem, abstract=True):
 
     @property
     def gain_norm(self) -> float:
-        """`||K||_2`, scaled input per state unit; `||L||_2`, state unit per scaled output."""
+        """Spectral norm of the gain matrix, in scaled units. `||K||_2` is scaled input per state
+        unit; `||L||_2` state unit per scaled output."""
         return float(np.linalg.norm(self.gain, 2))
 
     @classmethod
     def ball(cls, context: VerificationContext) -> JacobianBall:
-        """Ball of Jacobians that the certificate has to hold for. That of `S_u`, of an observer
-        that of `S_y`."""
+        """Ball of Jacobians for which the certificate has to hold. For a controller it is that of
+        `S_u`, for an observer that of `S_y`."""
         return context.balls.output if cls.observes else context.balls.input
 
     def at_largest_rate(self) -> "Side | None":
-        """Certificate of the same gain at the largest rate proved for it; None where that is no
-        larger than certified already."""
+        """Certificate of the same gain at the largest rate that is proved for it; None where the
+        certified rate is already that large."""
         return None
 
     @staticmethod
     @abstractmethod
     def numbers_of(problem: Any, found: Any) -> dict[str, Any]:
-        """Collect the fields to store, every number that `conditions` uses, from a problem and its
-        solution `found`."""
+        """Collect from a problem and its solution every number that the certificate stores."""
 
 
 class ProblemCertificate(Side, abstract=True):
     """Mixin for a certificate that proves exactly the matrix inequality which its synthesis solved.
-    Beside
-    `StateFeedback` or `Observer`: what a theorem answers whose fields bear the letters of
-    `LETTERS`."""
+    It stands beside `StateFeedback` or `Observer` and serves theorems whose fields have the symbols
+    of `LETTERS`."""
 
     @staticmethod
     @abstractmethod
@@ -120,8 +118,8 @@ class ProblemCertificate(Side, abstract=True):
 
     @classmethod
     def _system(cls, context: VerificationContext) -> Any:
-        """System that the certificate speaks of: the one with the internal model for a controller,
-        else the model's."""
+        """System for which the certificate is proved: with the internal model for a controller,
+        otherwise the model's own."""
         return context.system if cls.observes else context.controlled
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
@@ -131,16 +129,16 @@ class ProblemCertificate(Side, abstract=True):
 
     @classmethod
     def rate_limit_of(cls, context: VerificationContext) -> float:
-        """Largest rate that any certificate of this theorem can have for this model: the exact
-        frontier, with neurons the worst over frozen slopes."""
+        """Largest rate that any certificate of this theorem can prove for a model. It is the exact
+        frontier; with neurons, the smallest over frozen slopes."""
         system = cls._system(context)
         controlled = dual_system(system) if cls.observes else system
         return controller_frontier(controlled, cls.ball(context)).rate_limit
 
     @classmethod
     def numbers_of(cls, problem: Problem, found: Solution) -> dict[str, Any]:
-        """Collect the fields of the certificate from a problem and its solution, by letter; those
-        of an observer are turned back."""
+        """Collect the certificate's matrices from a problem and its solution, keyed by symbol.
+        Those of an observer are transposed back from the dual problem."""
         of: dict[str, Any] = {
             **vars(problem),
             **vars(found),
@@ -157,7 +155,7 @@ class ProblemCertificate(Side, abstract=True):
         return {name: of[name] for name in (part.name for part in fields(cls)) if name in of}
 
     def as_problem(self) -> tuple[Problem, Solution]:
-        """Rebuild the synthesis problem, without weights, from the stored numbers; those of an
+        """Rebuild the synthesis problem, without weights, from the stored numbers. Matrices of an
         observer are transposed."""
         of: dict[str, Any] = dict(vars(self))
         if self.observes:
@@ -179,8 +177,8 @@ class ProblemCertificate(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class StateFeedback(Side, abstract=True):
-    """Certificate that a state feedback `u = K x` makes the model `a, b` contract in `M = P^{-1}`:
-    the inequalities are linear in `p (n, n)`.
+    """Certificate that a state feedback `u = K x` makes the model contract in a metric. The metric
+    is `M = P^{-1}`: the inequalities are linear in `p (n, n)`.
 
     The printed proof says P, the inequality is the dual form.
     """
@@ -196,7 +194,7 @@ class StateFeedback(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Observer(Side, abstract=True):
-    """Certificate that an observer makes the estimation error contract in `M = Q`."""
+    """Certificate that an observer makes the estimation error contract in the metric `M = Q`."""
 
     c: Float[np.ndarray, "p n"]
     q: Float[np.ndarray, "n n"]
@@ -209,8 +207,8 @@ class Observer(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Infeasible:
-    """Entry of a design in place of a controller or observer that has no certificate at these
-    settings, with the reason: a result, not an error. `rate_limit` says how much was possible.
+    """Entry of a design in place of a missing certificate, with the reason. It is a result, not an
+    error; `rate_limit` says which rate was possible.
 
     `proved`: the exact frontier (or a hypothesis) excludes it for every method; otherwise this one
     found nothing.
@@ -250,7 +248,7 @@ WITHDRAWN = "withdrawn in 0.2"
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """Controller and observer; either may be missing, with its reason.
+    """Controller and observer of one design; either may be missing, with the reason.
 
     `extra_certificates`: what is proved of the pair as deployed, by the names of the file.
     `withdrawn`: entries of an older file that are not claimed any more, as they were read.
@@ -285,7 +283,8 @@ class Design:
 
     @property
     def pair(self) -> Gains:
-        """Deployed gains of controller and observer. Raises `BadRequest` as `parts` does."""
+        """Deployed gains of controller and observer. Raises `BadRequest` with the reason where one
+        of them is infeasible."""
         feedback, observer = self.parts()
         n = len(observer.l)
         l_z = getattr(observer, "l_z", None)
@@ -314,7 +313,8 @@ class Design:
         return {letter: gain for side in sides for letter, gain in side.gains.items()}
 
     def certified_rate(self, side: str) -> float | None:
-        """Largest rate that is proved for the gain of controller or observer. None without any."""
+        """Largest rate that is proved for the gain of controller or observer; None where no rate is
+        proved."""
         parts = self.parts_by_name[side], self.extra_certificates.get(f"{side}_deployed")
         rates = [part.rate for part in parts if isinstance(part, Side) and part.certified]
         return max(rates, default=None)
@@ -336,7 +336,7 @@ class Design:
     @classmethod
     def from_json(cls, content: dict[str, Any]) -> "Design":
         """Read a design from the content of `certificate.json`. Raises `BadRequest` for a missing
-        part, an unknown or missing field, or a matrix that is no matrix."""
+        part, an unknown or missing field, or a malformed matrix."""
         for part in SIDES:
             require(part in content, f"certificate.{part}", None, "is missing", AGAIN)
         withdrawn = {name: part for name, part in content.items() if _is_withdrawn(name, part)}
@@ -352,26 +352,26 @@ class Design:
 
     @classmethod
     def load(cls, path: Path) -> "Design":
-        """Read a design from JSON; raises `BadRequest` for a file that holds none."""
+        """Read a design from a JSON file; raises `BadRequest` for a file that holds no design."""
         return cls.from_json(json.loads(path.read_text(encoding="utf-8")))
 
 
 def certificate_digest(content: dict[str, Any]) -> str:
-    """Hash that shows whether a stored certificate was altered: SHA-256 of its other fields as
+    """Hash that reveals whether a stored certificate was altered: SHA-256 of its other fields as
     canonical JSON."""
     rest = {name: value for name, value in content.items() if name != "digest"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
 def _is_withdrawn(label: str, content: Any) -> bool:
-    """Whether a part of the file claims what nothing decides any more."""
+    """Whether a part of `certificate.json` claims a theorem that no longer exists."""
     named = content.get("theorem", label) if isinstance(content, dict) else None
     return named in WITHDRAWN_PARTS.get(label, ())
 
 
 def _read_certificate(label: str, content: dict[str, Any]) -> Any:
-    """Construct a certificate from its stored fields by the theorem that it names, or that has the
-    part's name where it names none."""
+    """Construct a certificate from its stored fields by the theorem that it names. A part that
+    names none belongs to the theorem of the part's own name."""
     require(isinstance(content, dict), f"certificate.{label}", content, "is no object", AGAIN)
     values = {
         name: value for name, value in content.items() if name not in ("digest", "certified_rate")

@@ -1,5 +1,5 @@
-"""The exact largest rate that any certificate of [Z26] Theorems 1 and 2 can reach, computed without
-a solver.
+"""Exact largest rate that any certificate of [Z26] Theorems 1 and 2 can prove, computed without a
+solver.
 
 Theorem 1 is feasible iff `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`, S of minimum energy;
 Theorem 2 is the
@@ -32,7 +32,7 @@ NEGLIGIBLE = 1e-20  # a power F^(2^j) of this size no longer matters in sum_j F^
 
 @dataclass(frozen=True, kw_only=True)
 class Frontier:
-    """Exact limit of the contraction rate that any certificate can reach for a model. A certificate
+    """Exact limit of the contraction rate that certificates can prove for a model. A certificate
     exists for every `rate < rate_limit`, and for none from there on.
 
     `contraction_limit = sqrt(1 - rate_limit)` is the smallest certifiable factor per step; above
@@ -126,8 +126,8 @@ def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) 
 def energy_root(
     a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]
 ) -> Float[np.ndarray, "k k"]:
-    """Square root of the Gramian of the inverse-time system, for unstable modes. Lower triangular
-    `L` with `L L^T = W`, `W = A^{-1} (W + B B^T) A^{-T}`, all `|lambda(A)| > 1`.
+    """Square root of the Gramian of the inverse-time system, for modes outside the unit circle.
+    Lower triangular `L` with `L L^T = W`, `W = A^{-1} (W + B B^T) A^{-T}`, all `|lambda(A)| > 1`.
 
     Summed in factored form by doubling, so that small directions of W keep their relative accuracy.
     Raises `NoSolution` if the sum does not converge or the factor is singular (a mode out of
@@ -154,9 +154,9 @@ def energy_root(
 def largest_energy(
     a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float
 ) -> float:
-    """Largest eigenvalue of the least control energy at a given contraction factor.
-    `lambda_max(Bh^T S Bh)`: 0 when no mode is faster than `r` asks for, infinite for one out of
-    reach.
+    """Largest eigenvalue of the smallest control energy with which a contraction factor can be
+    reached. `lambda_max(Bh^T S Bh)`: 0 when every mode is fast enough already, infinite when a slow
+    mode cannot be reached.
 
     Those with `|lambda| > r` are a left invariant subspace: the ordered real Schur form of `A^T`
     has orthogonal coordinates of it, so no eigenvector basis is ever inverted.

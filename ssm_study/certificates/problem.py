@@ -28,8 +28,8 @@ def dual_system(system: System) -> System:
 
 @dataclass(frozen=True, kw_only=True)
 class Neurons:
-    """Neurons inside the recurrence of a synthesis problem. `w = phi(z) - phi(bias)`, slopes in
-    [0, 1], beside the `a, b` of a problem; of an observer the dual system's."""
+    """Neurons inside the recurrence of a synthesis problem. `w = phi(z) - phi(bias)` with slopes in
+    [0, 1], beside the `a, b` of a problem; for an observer, the neurons of the dual system."""
 
     e: Float[np.ndarray, "n q"]
     f: Float[np.ndarray, "q n"]
@@ -44,7 +44,7 @@ class Neurons:
     @property
     def neuron_scales(self) -> Float[np.ndarray, "q"]:
         """Scale of each neuron that balances its input and output weights. Powers of two `d` that
-        make `|e_i| / d_i` and `d_i |f_i|` alike: trained neurons differ by many decades."""
+        make `|e_i| / d_i` and `d_i |f_i|` alike, since trained neurons differ by many decades."""
         into = np.linalg.norm(self.e, axis=0)
         seen = np.linalg.norm(self.f, axis=1)
         ratio = np.divide(into, seen, out=np.ones_like(into), where=(into > 0) & (seen > 0))
@@ -118,8 +118,7 @@ class Problem:
 
     @property
     def required_neurons(self) -> Neurons:
-        """Neurons of the problem; raises an error where there are none. The neurons; raises
-        `ValueError` for a problem without any."""
+        """Neurons of the problem; raises `ValueError` for a problem without neurons."""
         if self.neurons is None:
             raise ValueError("this problem has no neurons")
         return self.neurons
@@ -131,8 +130,8 @@ class Problem:
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Gain and metric that a synthesis method returns, not yet verified. Matrices of Theorem 1 as a
-    method found them, not yet verified: `p, y (n, n)`, `k (m, n)`, `sigma`.
+    """Gain and metric that a synthesis method returns, not yet verified. Symbols of Theorem 1: `p,
+    y (n, n)`, `k (m, n)`, `sigma`.
 
     With neurons also their `multipliers (q,)`, the diagonal of Lambda, and `k_w (m, q)`, what an
     observer injects; `logs` is where a search over multipliers ended.
@@ -148,7 +147,7 @@ class Solution:
     logs: Float[np.ndarray, "s"] | None = None
 
     def undo_neuron_scaling(self, neurons: Neurons) -> "Solution":
-        """Solution with its multipliers in the units of the unscaled neurons."""
+        """Convert the multipliers of the solution to the units of the unscaled neurons."""
         assert self.multipliers is not None
         assert self.k_w is not None
         d = neurons.neuron_scales
@@ -162,14 +161,14 @@ def symmetric_part(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]
 
 
 class NoSolution(Exception):
-    """Raised when a synthesis method ends without a gain. A method ended without matrices; the
-    message says what the solver reported. Information, not a verdict."""
+    """Raised when a synthesis method ends without a gain. The message is the solver's; it is
+    information, not a verdict."""
 
 
 @contextmanager
 def linear_algebra_failures_as_no_solution() -> Iterator[None]:
-    """Turn a failure of linear algebra inside the block into `NoSolution`, so that it ends one
-    attempt and not the run."""
+    """Turn a failure of linear algebra inside a `with` block into `NoSolution`, so that only the
+    present attempt ends."""
     try:
         yield
     except np.linalg.LinAlgError as error:

@@ -44,8 +44,8 @@ def solve_riccati(a: Square, b: Float[np.ndarray, "n m"], q: Square, kappa: floa
 
 
 def solve_riccati_by_doubling(a: Square, g: Square, q: Square) -> Square | None:
-    """Solve a discrete Riccati equation by structure-preserving doubling. The stabilising S of `S =
-    A^T (S^{-1} + G)^{-1} A + Q` by structure-preserving doubling; None without a limit.
+    """Solve a discrete Riccati equation by structure-preserving doubling; None where the iteration
+    does not converge. The stabilising S of `S = A^T (S^{-1} + G)^{-1} A + Q`.
 
     From `H = Q` each step squares the closed-loop matrix: `A' = A (I + G H)^{-1} A`, `G' = G + A (I
     + G H)^{-1} G A^T`, `H' = H + A^T H (I + G H)^{-1} A`; H converges to S, quadratically. A few
@@ -81,7 +81,7 @@ def least_metric(
     slack: float = SLACK,
 ) -> Square:
     """Smallest metric in which a given gain contracts. The least `P = Ah_K (P^{-1} - beta^2 K^T
-    K)^{-1} Ah_K^T + Bh Bh^T + E` at `r = contraction`, for a given gain.
+    K)^{-1} Ah_K^T + Bh Bh^T + E` at `r = contraction`.
 
     Solved for `z`, where `x = right z`, `z = left x`; `Ah_K = Ah + alpha Bh K`, `E = slack I`.
     Raises `NoSolution` if floats find none.

@@ -44,12 +44,12 @@ Blocks = list[list[Any]]
 
 
 def symmetric_from_upper(upper: Blocks) -> Blocks:
-    """Full symmetric block matrix from its upper triangle of blocks. All blocks of the symmetric
-    matrix, zeros as arrays of their size."""
+    """Full symmetric block matrix from its upper triangle of blocks. Blocks of zeros become arrays
+    of their size."""
     sizes = [row[0].shape[0] for row in upper]
 
     def block(i: int, j: int) -> Any:
-        """Block of the full matrix at one place, transposed from the upper triangle where
+        """Block at one place of a symmetric block matrix, transposed from the upper triangle where
         necessary."""
         held = upper[min(i, j)][abs(i - j)]
         if isinstance(held, int):
@@ -60,8 +60,8 @@ def symmetric_from_upper(upper: Blocks) -> Blocks:
 
 
 def assemble_blocks(rows: Blocks) -> Any:
-    """Assemble a block matrix, in exact numbers if one of its blocks is exact. Blocks side by side
-    as they are: `np.block`, exactly where one of them is exact."""
+    """Assemble a block matrix, in exact numbers if one of its blocks is exact, otherwise by
+    `np.block`."""
     return (
         Exact.block(rows)
         if any(isinstance(block, Exact) for row in rows for block in row)
@@ -70,22 +70,21 @@ def assemble_blocks(rows: Blocks) -> Any:
 
 
 def multiplier_matrix(entries: Any) -> Any:
-    """Diagonal matrix with a stored vector of multipliers on its diagonal. The diagonal matrix of a
-    stored vector, whose zeros nobody can alter: a multiplier `Lambda`."""
+    """Diagonal matrix with a stored vector of multipliers on its diagonal, so that the zeros beside
+    it cannot be altered."""
     return entries.diagonal_matrix() if isinstance(entries, Exact) else np.diagflat(entries)
 
 
 def scale_to_unit_diagonal(matrix: Float[np.ndarray, "s s"]) -> Float[np.ndarray, "s s"]:
-    """Scale a symmetric matrix so that its diagonal is one. `D M D` with `D = diag(|M_ii|)^(-1/2)`:
-    what definiteness and conditioning mean whatever the units."""
+    """Scale a symmetric matrix so that its diagonal is one. `D M D` with `D = diag(|M_ii|)^(-1/2)`,
+    by which definiteness and conditioning do not depend on units."""
     scale = 1 / np.sqrt(np.maximum(np.abs(np.diagonal(matrix)), np.finfo(float).tiny))
     scaled = scale[:, None] * matrix * scale
     return (scaled + scaled.T) / 2
 
 
 def smallest_eigenvalue(matrix: Float[np.ndarray, "s s"]) -> float:
-    """Smallest eigenvalue of a symmetric matrix. It is at most one where the diagonal is scaled to
-    one."""
+    """Smallest eigenvalue of a symmetric matrix."""
     return float(np.linalg.eigvalsh(matrix)[0])
 
 
@@ -96,7 +95,7 @@ def scaled_condition_number(matrix: Float[np.ndarray, "n n"]) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class VerificationContext:
-    """Data that a verifier derives from `model.json` by itself and compares a certificate with.
+    """Data that a verifier derives from the model file by itself and compares a certificate with.
 
     `system` is the model's recurrence and `controlled` what the state feedback acts on (with
     integral action another); `gains` are those of the parts that stand beside this one in the file,
@@ -111,8 +110,7 @@ class VerificationContext:
 
 @dataclass(frozen=True, kw_only=True)
 class Theorem(ABC):
-    """Base class of a certificate: stored matrices and the inequalities that they must satisfy. One
-    certificate: the numbers of a theorem, whether they prove it, and information beside them.
+    """Base class of a certificate: stored matrices and the inequalities that they must satisfy.
 
     `certified` is the verdict of exact arithmetic on the stored floats; `margin` the smallest
     eigenvalue of the first condition scaled to a unit diagonal, `condition` the condition number of
@@ -152,9 +150,8 @@ class Theorem(ABC):
     @staticmethod
     @abstractmethod
     def conditions(of: Any) -> dict[str, Blocks]:
-        """Matrices that must be positive definite for the theorem to hold, by label. Named block
-        matrices (upper triangles) that must be positive definite; `of` has every field and
-        product."""
+        """Matrices that must be positive definite for the theorem to hold, by label. They are upper
+        triangles of blocks; `of` has every field and product."""
 
     @abstractmethod
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
@@ -163,24 +160,24 @@ class Theorem(ABC):
     @staticmethod
     @abstractmethod
     def ball(context: VerificationContext) -> JacobianBall:
-        """Ball of the stored model's own Jacobians, which the certificate's ball must contain."""
+        """Ball of Jacobians of the stored model, which the certificate's own ball must contain."""
 
     @classmethod
     @abstractmethod
     def rate_limit_of(cls, context: VerificationContext) -> float | None:
-        """Largest rate that this theorem can prove for the model; None without a formula. The exact
-        limit of the rate, if one is known; None where nothing can be said."""
+        """Largest rate that the theorem can prove for a model with any gain; None where no formula
+        is known."""
 
     @classmethod
     def name(cls) -> str:
-        """Name of the theorem's file, by which a stored certificate is read back."""
+        """Name of the file that defines the theorem, by which a stored certificate is read back."""
         return cls.__module__.rpartition(".")[2]
 
     @classmethod
     def _evaluated(
         cls, read: Callable[[Any], Any], numbers: Mapping[str, Any]
     ) -> dict[str, Blocks]:
-        """Blocks of the conditions, computed in floats or in exact numbers."""
+        """Block matrices of the theorem's conditions, computed in floats or in exact numbers."""
         of = {label: read(value) for label, value in numbers.items()}
         of |= {label: of[left] @ of[right] for label, (left, right) in cls.products.items()}
         return {
@@ -196,8 +193,8 @@ class Theorem(ABC):
 
     @classmethod
     def exact_conditions(cls, **numbers: Any) -> dict[str, Exact]:
-        """Matrices of the conditions in exact arithmetic. Raises `ValueError` where the shapes do
-        not fit."""
+        """Matrices of the certificate's inequalities in exact arithmetic. Raises `ValueError` where
+        the shapes do not fit."""
         return {
             label: Exact.block(blocks)
             for label, blocks in cls._evaluated(Exact.from_floats, numbers).items()
@@ -205,8 +202,8 @@ class Theorem(ABC):
 
     @classmethod
     def holds(cls, **numbers: Any) -> bool:
-        """Whether the certificate's conditions hold, decided in exact arithmetic. Whether every
-        condition is positive definite: decided, not estimated."""
+        """Whether all matrices of the theorem's conditions are positive definite, decided in exact
+        arithmetic."""
         return all(
             is_positive_definite(matrix) for matrix in cls.exact_conditions(**numbers).values()
         )
@@ -215,9 +212,8 @@ class Theorem(ABC):
     def proved(
         cls, numbers: Mapping[str, Any], *, started: float, status: str, **information: Any
     ) -> Any:
-        """Construct the certificate from its numbers and decide it in exact arithmetic. The
-        certificate of these numbers: products rounded, verdict exact; `started` by
-        `time.perf_counter`."""
+        """Construct a certificate from its numbers and decide it in exact arithmetic. Products are
+        rounded to floats; `started` is a time of `time.perf_counter`."""
         information |= {
             "certified": cls.holds(**numbers),
             "margin": smallest_eigenvalue(next(iter(cls.as_floats(**numbers).values()))),
@@ -245,7 +241,8 @@ class Theorem(ABC):
         }
 
     def failed_checks(self, context: VerificationContext) -> list[str]:
-        """One sentence for each claim of this certificate that does not hold for the model.
+        """Sentences on those claims of the certificate that do not hold for the model, one for each
+        claim.
 
         A theorem that knows no neurons (a matrix `e`) proves nothing of a model with them, nor the
         reverse.
@@ -276,7 +273,7 @@ class Theorem(ABC):
 
 
 def find_theorem(name: str) -> type[Theorem]:
-    """Class of a theorem by the name of its file, extension packages included."""
+    """Class of a theorem by the name of its file; theorems of extension packages are found, too."""
     if (
         name.isidentifier()
         and not name.startswith("_")
@@ -294,8 +291,8 @@ def find_theorem(name: str) -> type[Theorem]:
 
 
 def convert_field(where: str, kind: Any, value: Any) -> Any:
-    """Convert a stored field to the type that the certificate declares for it. A field of a
-    certificate as its type has it; raises `BadRequest` for what is no such thing."""
+    """Convert a stored field to the type that the certificate declares for it. Raises `BadRequest`
+    for a value of another kind."""
     if kind in (bool, str):
         require(isinstance(value, kind), where, value, f"is not a {kind.__name__}", AGAIN)
         return value

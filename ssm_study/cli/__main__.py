@@ -1,4 +1,4 @@
-"""Entry point of `python -m ssm_study.cli`, the command line without its installed script."""
+"""Entry point of `python -m ssm_study.cli`, the same command line as `ssm-study`."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Functions behind all commands except `run`: each takes the parsed options and returns an exit
+"""Functions behind all commands except `run`. Each takes the parsed options and returns an exit
 status, None for success.
 
 Each imports what it takes when it is given, so that `--help` and refusals load no library of
@@ -22,7 +22,7 @@ EXPORTED = (".h", ".c", ".json", ".py", ".onnx")
 
 
 def act_on_folder(action: Command, subject: str, options: argparse.Namespace) -> int | None:
-    """Find the study or run folder that is meant, and call the command with it."""
+    """Find the study folder or run folder that the options name, and call the command with it."""
     from ssm_study.table import folders
 
     find_folder = {
@@ -40,7 +40,7 @@ def write_new_study(options: argparse.Namespace) -> None:
 
 
 def look_at_log(options: argparse.Namespace) -> None:
-    """Print a description of a log, and draw it where it holds records."""
+    """Print a description of a log file, and draw the log if it holds usable records."""
     from ssm_study.data.look import look
     from ssm_study.data.text_layout import TextSettings
 
@@ -64,7 +64,7 @@ def look_at_log(options: argparse.Namespace) -> None:
 
 
 def excite(options: argparse.Namespace) -> None:
-    """Write an excitation for the user's own plant and print its file."""
+    """Write an excitation signal for the user's own plant to a file, and print the file's name."""
     from ssm_study.data.excitations.user_excitation import OwnPlantRecord
 
     settings = {"sines": ()} | excitation_settings(options)
@@ -78,8 +78,8 @@ def excite(options: argparse.Namespace) -> None:
 
 
 def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
-    """Settings of the excitation: those that an earlier run of the plant suggests, overridden by
-    the given options."""
+    """Settings of the excitation signal: those suggested by an earlier run of the plant, overridden
+    by the given options."""
     settings: dict[str, Any] = {}
     if options.after is not None:
         from ssm_study.study.run_files import RunFiles
@@ -93,7 +93,7 @@ def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def gather_study(options: argparse.Namespace) -> None:
-    """Build the table of a study again from its runs."""
+    """Build the table of a study anew from its runs."""
     from ssm_study.table.gather import gather
 
     count = len(gather(options.study, anew=True))
@@ -118,7 +118,8 @@ def show_study_or_run(options: argparse.Namespace) -> None:
 
 
 def show_run(options: argparse.Namespace) -> None:
-    """Print the outcome and the whole record of a run. Options of a table are refused."""
+    """Print the outcome and the whole record of a run. Raises `BadRequest` for options that only
+    apply to tables."""
     from rich.console import Console
 
     from ssm_study.report.run_record import print_run
@@ -178,7 +179,8 @@ def export_controller(options: argparse.Namespace) -> None:
 
 
 def may_overwrite(folder: Path) -> bool:
-    """Whether an earlier export may be replaced, asked on a terminal. True without one."""
+    """Whether an earlier export may be replaced: the answer of the user on a terminal, otherwise
+    true."""
     earlier = sorted(path.name for path in folder.glob("*") if path.suffix in EXPORTED)
     if not earlier or not sys.stdin.isatty():
         return True
@@ -189,7 +191,7 @@ def may_overwrite(folder: Path) -> bool:
 
 
 def export_recordings(options: argparse.Namespace) -> None:
-    """Write the closed loops of all runs into one recording and print its file."""
+    """Write the closed loops of all runs into one recording and print the name of its file."""
     from ssm_study.table.one_recording import export_mcap
 
     print(export_mcap(options.study))
@@ -228,7 +230,7 @@ def report_study(options: argparse.Namespace) -> None:
 
 
 def figures_line(paths: list[Path], left_out: int) -> str:
-    """Text on how many figures were drawn and where they are."""
+    """Text that says how many figures were drawn and where they are."""
     if not paths:
         return "no figure drawn; -v says why"
     count = len({path.stem for path in paths})
@@ -238,7 +240,7 @@ def figures_line(paths: list[Path], left_out: int) -> str:
 
 
 def announce_drawing() -> None:
-    """Print that the figures take a while, where a person watches the terminal."""
+    """Print, on a terminal only, that drawing the figures takes a while."""
     if sys.stderr.isatty():
         print("drawing the figures, which takes up to a minute", file=sys.stderr, flush=True)
 

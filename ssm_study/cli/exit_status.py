@@ -1,4 +1,4 @@
-"""Exit status of a command, and the message for an error that ended it."""
+"""Exit status of a command, and the message for an error that ended the command."""
 
 import errno
 
@@ -15,8 +15,8 @@ REMEDIES = {
 
 
 def storage_error(field: str, error: OSError, otherwise: str = "not named") -> BadRequest:
-    """Error message for a full disk or a folder without write permission. `field` names what was
-    requested."""
+    """Error message for a full disk or a folder without write permission. `field` names the setting
+    that requested it."""
     problem = error.strerror or type(error).__name__
     remedy = REMEDIES.get(error.errno or 0, "make room, or choose a folder that you may write to")
     return BadRequest(field, error.filename or otherwise, problem, remedy)

@@ -1,4 +1,5 @@
-"""The command line called from Python: compose a request, run a study, save a design as a run."""
+"""The command line called from Python: compose a configuration, run a study, save a design as a
+run."""
 
 import shutil
 from collections.abc import Sequence
@@ -46,7 +47,7 @@ def compose_configuration(overrides: Sequence[str]) -> DictConfig:
 
 
 def study(*overrides: str) -> pd.DataFrame:
-    """Run a study from Python as `ssm-study run` does, and return its table. Returns its table.
+    """Run a study from Python as `ssm-study run` does, and return its table.
 
     One row per run. Raises `BadRequest` for a wrong request; runs that failed are rows with status
     `failed`.
@@ -62,7 +63,8 @@ def study(*overrides: str) -> pd.DataFrame:
 
 
 def save_run(design: "Design", folder: Path) -> Path:
-    """Save a design as a run folder, as the command writes it for the same settings.
+    """Save a design as a run folder, with the files that the command would write for the same
+    settings.
 
     Model and gains are computed again, with everything that a run's record says beside them.
     Raises `BadRequest` where the run's certificate differs from the design's.

@@ -49,14 +49,15 @@ def explain_hydra_error(error: BaseException, overrides: list[str], folder: Path
 
 
 def suggest_choice(group: str, name: str, choices: list[str]) -> str:
-    """Suggestion for a name that is no choice of its group: the nearest choice, else all of
-    them."""
+    """Suggestion for a name that is no choice of its group: the nearest choice, or all of them
+    where none is near."""
     near = get_close_matches(name, choices, n=1)
     return f"did you mean {group}={near[0]}?" if near else f"choose among {', '.join(choices)}"
 
 
 def suggest_with_place(key: str, at: list[str], overrides: list[str]) -> str:
-    """Suggestion for a configuration choice that is written together with its place."""
+    """Suggestion for a configuration group that has to be written with its place, such as
+    `reference@loop.reference`."""
     values = [word.partition("=")[2] for word in overrides if word.split("=")[0] == key]
     value = values[0] if values else "VALUE"
     suggestions = " or ".join(f"{place}={value}" for place in at)
@@ -64,7 +65,7 @@ def suggest_with_place(key: str, at: list[str], overrides: list[str]) -> str:
 
 
 def first_error_line(error: BaseException) -> str:
-    """First line of an error message of Hydra or OmegaConf."""
+    """First line of an error message from Hydra or OmegaConf."""
     text = str(error)
     for appendix in ("\n    full_key", "\nConfig search path", "\nSee https://", "\nTo append"):
         text = text.split(appendix)[0]
@@ -91,7 +92,7 @@ def refuse_dashes(overrides: list[str], folder: Path) -> None:
 
 
 def refuse_misspelt_option(word: str) -> None:
-    """Raise `BadRequest` for an option that resembles one of ours."""
+    """Raise `BadRequest` for an option that resembles one of `ssm-study`'s own options."""
     if word in OPTIONS or not word.startswith("--"):
         return
     near = get_close_matches(word, OPTIONS, n=1, cutoff=0.8)
@@ -101,8 +102,8 @@ def refuse_misspelt_option(word: str) -> None:
 
 
 def suggest_for_key(key: str, overrides: list[str], folder: Path) -> str:
-    """Suggestion for a key that does not exist: the choice that has it, else the nearest key or
-    group, else an empty text."""
+    """Suggestion for a configuration key that does not exist. It names the choice that has the key,
+    else the nearest key or group; it is empty where nothing is near."""
     if owners := choices_with_key(key, folder):
         verb = "have" if len(owners) > 1 else "has"
         return f"{' and '.join(owners)} {verb} it: add {owners[0]}"
@@ -116,8 +117,8 @@ def suggest_for_key(key: str, overrides: list[str], folder: Path) -> str:
 
 
 def compose_without_mistake(key: str, overrides: list[str], folder: Path) -> DictConfig:
-    """Compose the request without the settings that may be wrong: its choices alone, of a sweep the
-    first ones.
+    """Compose the configuration without the settings that may be wrong. Only choices stay, and of a
+    sweep the first of each.
 
     What names no choice says nothing about what was meant.
     """
@@ -151,7 +152,7 @@ def groups_with_place(group: str, message: str, folder: Path) -> list[str]:
 
 
 def choices_with_key(key: str, folder: Path) -> list[str]:
-    """Choices of unselected configuration groups that have a given key."""
+    """Choices of configuration groups that have a given key and are not selected at present."""
     parts = key.split(".")
     choices = []
     for cut in range(1, len(parts)):

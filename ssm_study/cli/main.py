@@ -19,7 +19,7 @@ INTERRUPTED = (
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one `ssm-study` command and return its exit status. Returns its exit status."""
+    """Run one `ssm-study` command and return its exit status."""
     limit_threads()  # first: the libraries read it once, when they are imported
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _is_output_closed() -> bool:
-    """Whether the reader of our output, such as `head`, has closed it."""
+    """Whether the program that reads our output, such as `head`, has stopped reading."""
     poll = select.poll()
     poll.register(sys.stdout.fileno(), 0)
     return bool(poll.poll(0))

@@ -1,4 +1,4 @@
-"""The command `new`: writes the folder of a new study from a template."""
+"""The command `new`, which writes the folder of a new study from a template."""
 
 import re
 from importlib.util import find_spec

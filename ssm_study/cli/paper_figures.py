@@ -1,3 +1,3 @@
-"""Figures of the paper, which every run draws at its end."""
+"""Figures of the paper, which are drawn at the end of every run."""
 
 PAPER_FIGURES = ("validation_trajectory", "closed_loop_responses")

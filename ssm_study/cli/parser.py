@@ -31,7 +31,7 @@ SUBJECTS = {
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """Parser of all commands but `run`, whose words Hydra reads."""
+    """Parser of all commands except `run`, whose words Hydra parses."""
     parser = argparse.ArgumentParser(prog="ssm-study", description=DESCRIPTION, epilog=EPILOG)
     parser.add_argument("--version", action="version", version=f"ssm-study {__version__}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -85,8 +85,8 @@ def add_excite(subparsers: Subparsers) -> None:
 
 
 def add_look(subparsers: Subparsers) -> None:
-    """Add the command `look FILE`, which describes a log, draws it, and prints the command that
-    fits it."""
+    """Add the command `look FILE`, which describes and draws a log and prints a command that fits a
+    model to it."""
     summary = "show what is in a log: columns, clock, holes, dynamics; and the command that fits it"
     command = add_command(subparsers, "look", summary)
     command.add_argument("file", type=Path, metavar="FILE", help="the log")
@@ -106,7 +106,8 @@ def add_look(subparsers: Subparsers) -> None:
 
 
 class Action(NamedTuple):
-    """Command on a study or on a run: its function, which of the two it needs, and its help."""
+    """Command on a study or on a run: its function, its help, and whether it needs a study or a
+    run."""
 
     function: Command
     subject: str
@@ -115,7 +116,8 @@ class Action(NamedTuple):
 
 
 def add_action(subparsers: Subparsers, name: str, action: Action) -> None:
-    """Add a command on a folder, which is looked up before the command's function is called."""
+    """Add a command that acts on a folder, which is found before the command's function is
+    called."""
     command = add_command(subparsers, name, action.summary)
     subject = action.subject
     metavar = subject.upper().replace("_OR_", "|")

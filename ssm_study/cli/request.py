@@ -1,5 +1,5 @@
-"""Check of a request before Hydra acts on it: our own options, and every configuration of a
-sweep."""
+"""Check of a request before Hydra acts on it: the program's own options, and every configuration of
+a sweep."""
 
 import re
 from collections.abc import Iterable, Iterator
@@ -53,13 +53,14 @@ def translate_arguments(arguments: list[str]) -> list[str]:
 
 
 def quote_sines(words: Iterable[str]) -> list[str]:
-    """Put quotes around a sine in `internal_model=[sine(0.5Hz)]`, which Hydra would read as a
-    function."""
+    """Put quotes around a word such as `sine(0.5Hz)`, which Hydra would otherwise read as a
+    function call."""
     return [SINE.sub(r"'\1'", word) if "internal_model=" in word else word for word in words]
 
 
 def check_request(arguments: list[str], folder: Path, name: str) -> Command:
-    """Compose the request and refuse classes outside the allow list.
+    """Compose the configuration of a request, and raise `BadRequest` if it names a class outside
+    the allow list.
 
     Hydra makes callbacks, launcher and sweeper before any code of ours is asked; so this comes
     first. Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
@@ -74,14 +75,15 @@ def check_request(arguments: list[str], folder: Path, name: str) -> Command:
 
 
 def parse_overrides(request: Command) -> list[Override]:
-    """Parse the overrides of a request. Raises Hydra's errors for those it cannot read."""
+    """Parse the overrides of a request. Raises Hydra's error for an override that cannot be
+    parsed."""
     parser = OverridesParser.create(config_loader=request.config_loader)
     return parser.parse_overrides(list(request.asked.overrides))
 
 
 def refuse_no_choices(request: Command) -> None:
-    """Raise `BadRequest` for a group without a name of a choice, for which Hydra gives no clear
-    error."""
+    """Raise `BadRequest` for a configuration group without the name of a choice, for which Hydra's
+    own error is unclear."""
     assert isinstance(request.config_loader, Loader)
     for override in parse_overrides(request):
         key = str(override.key_or_group)
@@ -96,7 +98,8 @@ def refuse_no_choices(request: Command) -> None:
 
 
 def refuse_empty(request: Command) -> None:
-    """Raise `BadRequest` for `plant={}`, which Hydra would merge without any effect."""
+    """Raise `BadRequest` for an empty dictionary such as `plant={}`, which Hydra would merge
+    without any effect."""
     for override in parse_overrides(request):
         key = str(override.key_or_group)
         value = override.value()
@@ -107,8 +110,8 @@ def refuse_empty(request: Command) -> None:
 
 @contextmanager
 def checked_request(request: Command) -> Iterator[None]:
-    """Context that checks every job of a request before Hydra starts, and shows progress where the
-    launcher reports none.
+    """Context in which every job of a request is checked before Hydra starts. It also shows
+    progress where the launcher reports none.
 
     The jobs that a search asks for are not known beforehand: a wrong one is a failed row.
     """

@@ -1,5 +1,5 @@
-"""The command `ssm-study run`: one run or a sweep, composed by Hydra, with a plain message for
-every wrong request."""
+"""The command `ssm-study run`, which composes one run or a sweep by Hydra and explains every wrong
+request in plain words."""
 
 import gc
 import os
@@ -35,8 +35,8 @@ PYTHONS_WARNING = warnings.formatwarning
 
 
 def refuse_more_threads_than_cores() -> None:
-    """Raise `BadRequest` for a thread count in the environment that is no number or exceeds the
-    cores this process may use."""
+    """Raise `BadRequest` if the environment sets a thread count that is no number or exceeds the
+    available cores."""
     limit_threads()  # a program that calls `run` has not
     cores = len(os.sched_getaffinity(0))
     for variable in THREADS:
@@ -53,7 +53,7 @@ def _warning_text(
     lineno: int,
     line: str | None = None,
 ) -> str:
-    """Text of a warning, without the line of code. Our own warnings are sentences for the user."""
+    """Text of a warning, without the line of code that raised it."""
     if category.__module__.startswith("ssm_study"):
         return f"ssm-study: {message}\n"
     return PYTHONS_WARNING(message, category, filename, lineno, line)
@@ -66,8 +66,8 @@ def configuration_folder() -> Path:
 
 
 def run(overrides: list[str]) -> int:
-    """Run one study, or with `-m` a Hydra multirun. Refuses a wrong request. Options and `--help`
-    are Hydra's."""
+    """Run one study, or with `-m` a sweep of several runs. Raises `BadRequest` for a wrong request.
+    Options and `--help` are Hydra's."""
     warnings.formatwarning = _warning_text
     refuse_more_threads_than_cores()
     refuse_dashes(overrides, configuration_folder())
@@ -119,8 +119,8 @@ def answer_request(overrides: list[str], opens: bool) -> int:
 
 
 def explain_value(error: ValueError, overrides: list[str]) -> BadRequest | None:
-    """Message for a number or null where a choice must be named, which Hydra reports unclearly.
-    None for any other error."""
+    """Error message for a number or null in place of a choice's name, which Hydra reports
+    unclearly. None for any other error."""
     message = str(error)
     if "integer string conversion" in message:
         problem = "holds a number of thousands of digits"
@@ -131,13 +131,13 @@ def explain_value(error: ValueError, overrides: list[str]) -> BadRequest | None:
 
 
 def print_progress(what: str) -> None:
-    """Print a line of progress, on a terminal only."""
+    """Print a line of progress if the output is a terminal."""
     if sys.stderr.isatty():
         print(f"ssm-study: {what} ...", file=sys.stderr, flush=True)
 
 
 def show_page(request: Command) -> None:
-    """Write the study's page and open it in the browser."""
+    """Write the page of the study and open it in the browser."""
     from ssm_study.report.page.writing import write_page
     from ssm_study.study.line import study_folder
 
@@ -147,13 +147,13 @@ def show_page(request: Command) -> None:
 
 
 def conclude_study(request: Command) -> bool:
-    """Gather the runs of a study into its table and print it; draw the run where it is the only
-    one. True if a run failed."""
+    """Gather the runs of a study into its table and print the table. A single run is drawn. True if
+    a run failed."""
     return conclude_sweep(request.config) if request.is_sweep else conclude_run(request.config)
 
 
 def _task_function() -> Callable[[DictConfig], Any]:
-    """Task function that Hydra calls for a run."""
+    """Function that Hydra calls for each run."""
     # It would look at five thousand modules again and again, and once more at the end: 3 s.
     gc.disable()
     from ssm_study.study import line as study

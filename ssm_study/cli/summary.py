@@ -1,4 +1,4 @@
-"""Summary at the end of a run or sweep: gathered, drawn, and printed in one table."""
+"""Summary at the end of a run or a sweep, gathered, drawn and printed as one table."""
 
 import io
 import json
@@ -23,8 +23,8 @@ WIDTH = 80  # of the outcome, where a terminal is not narrower
 
 
 def conclude_run(config: DictConfig) -> bool:
-    """Gather the study, draw the run's figures and print how it went. True if the run failed, or,
-    with `strict`, cannot be judged."""
+    """Gather the study, draw the figures of the run and print its outcome. True if the run failed
+    or, with `strict`, cannot be judged."""
     study = study_folder(config)
     console = Console()
     record = read_record(study / str(config.run)) or {}
@@ -51,8 +51,8 @@ def conclude_run(config: DictConfig) -> bool:
 
 
 def _read_stored_list(told: Path, study: Path, files: Sequence[Path]) -> list[Any]:
-    """Read the JSON list in the file if it is newer than the study's records and all `files`. Else
-    the list is empty.
+    """Read a JSON list from a file that is newer than the study's records and all `files`;
+    otherwise the list is empty.
 
     Figures that are younger show another run of the study.
     """
@@ -68,8 +68,8 @@ def _read_stored_list(told: Path, study: Path, files: Sequence[Path]) -> list[An
 def _outcome_text(
     study: Path, record: dict[str, Any], drawn: Sequence[str], figures: list[Path], width: int
 ) -> str:
-    """Gather and draw a study, and return the text on how the run ended. It is coloured for a
-    terminal of that width."""
+    """Gather a study, draw its figures, and return the text on the outcome of the run. It is
+    coloured for a terminal of the given width."""
     from ssm_study.report.figures import draw_figures  # here: a sweep and its jobs draw nothing
     from ssm_study.report.outcome import print_outcome
     from ssm_study.table.gather import gather
@@ -91,7 +91,7 @@ def _outcome_text(
 
 
 def conclude_sweep(config: DictConfig) -> bool:
-    """Gather the study and print its table. True if any of its runs failed."""
+    """Gather the study and print its table. True if any run failed."""
     from ssm_study.evidence.finding import CANNOT_JUDGE
     from ssm_study.table.show import show_table
 

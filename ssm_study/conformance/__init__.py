@@ -14,14 +14,14 @@ from ssm_study.extensions import extension_configuration_folders
 
 
 def folders() -> list[Path]:
-    """Folders with yaml files of the configuration groups, ours first, in the order of Hydra's
-    search."""
+    """Folders that hold the yaml files of configuration groups, this package's first, in the order
+    in which Hydra searches them."""
     return [configuration_folder(), *extension_configuration_folders()]
 
 
 def choices(group: str) -> list[str]:
-    """Names of all complete yaml files of a configuration group, those with missing values (`???`)
-    left out."""
+    """Names of all complete yaml files of a configuration group; files with missing values (`???`)
+    are left out."""
     names = set()
     for folder in folders():
         for path in (folder / group).glob("*.yaml"):

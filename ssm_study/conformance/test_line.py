@@ -1,4 +1,5 @@
-"""Law that every choice of a part runs from data to record. A new yaml is a new test case."""
+"""Law that every choice of every part of a study runs from data to record. A new yaml is a new test
+case."""
 
 import json
 import os
@@ -28,8 +29,8 @@ OPTIONS = {"plant": "plant", "scaffold": "scaffold@model.scaffold_in", "reductio
 
 
 def every_choice() -> list[tuple[str, ...]]:
-    """Command-line words of one run for every choice of these configuration groups and every
-    extension experiment."""
+    """Command-line words of one run for each choice of the configuration groups and each experiment
+    of an extension package."""
     words: list[tuple[str, ...]] = []
     for group, option in OPTIONS.items():
         words += [(*QUICK, f"{option}={name}") for name in choices(group)]
@@ -41,7 +42,7 @@ def every_choice() -> list[tuple[str, ...]]:
 
 @pytest.fixture(autouse=True)
 def _no_more_than_the_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Switch off array-shape checks and figures, since here whole runs are tested.
+    """Switch off the checks of array shapes and the figures, because whole runs are tested here.
 
     No generator: of a module that jaxtyping checks, pytest would take its fixture for one that
     returns.
@@ -53,7 +54,7 @@ def _no_more_than_the_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def shared_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results folder that all tests share, so that equal stages are computed once."""
+    """Results folder that all tests share, so that equal stages are computed only once."""
     base = tmp_path_factory.getbasetemp()
     is_worker = "PYTEST_XDIST_WORKER" in os.environ
     return (base.parent if is_worker else base) / "every"
@@ -79,7 +80,7 @@ def test_the_whole_line(choice: tuple[str, ...], shared_results: Path) -> None:
 
 
 def test_no_choice_of_another_package_hides_behind_ours() -> None:
-    """No extension package has a yaml file or figure of the same name as one of this package."""
+    """No extension package has a yaml file or figure with the name of one of this package."""
     ours, *others = folders()
     our_files = yaml_files(ours)
     for theirs in others:

@@ -1,4 +1,4 @@
-"""Laws of `Plant`, tested for every yaml of the group."""
+"""Laws that every plant obeys, tested for each choice of the configuration group `plant`."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_the_equilibrium_is_a_fixed_point(plant: Plant) -> None:
 
 
 def test_shapes_and_names_agree(plant: Plant) -> None:
-    """Inputs, outputs and states have as many entries as the plant names."""
+    """Inputs, outputs and states have as many entries as the plant has names for them."""
     x, y = plant.simulate(inputs(plant, 3))
     assert x.shape == (3, SAMPLES, len(plant.states))
     assert y.shape == (3, SAMPLES, len(plant.outputs))
@@ -64,7 +64,7 @@ def test_two_halves_equal_the_whole(plant: Plant) -> None:
 
 
 def test_states_at_reads_back(plant: Plant) -> None:
-    """The states that a plant gives for an output produce that output."""
+    """The state that a plant gives for an output produces that output."""
     offsets = np.linspace(*plant.initial_range, 5)
     of_each_output = offsets[:, None] * np.ones(len(plant.outputs))
     wanted = plant.equilibrium().y + of_each_output

@@ -1,4 +1,4 @@
-"""Log files written from arrays, series and data frames given in Python."""
+"""Conversion of arrays, series and data frames to log files."""
 
 import hashlib
 from collections.abc import Sequence
@@ -24,8 +24,7 @@ LATEST = 0.5  # periods by which a time of an index may be off an even clock
 
 @dataclass(frozen=True)
 class LoggedArrays:
-    """Log files written from arrays, with the names of their columns. Files that arrays became,
-    and the names of their columns."""
+    """Log files written from arrays, and the names of their columns."""
 
     paths: list[str]
     inputs: list[str]
@@ -36,8 +35,8 @@ class LoggedArrays:
 def write_log_files(
     u: Any, y: Any, folder: Path, step_s: float | None = None, disturbance: Any = None
 ) -> LoggedArrays:
-    """Write arrays of experiments to log files. Each experiment as `logs/<digest>.parquet`, so
-    that equal numbers are the same run; its columns by name."""
+    """Write the arrays of experiments to log files. Each becomes `logs/<digest>.parquet`, so that
+    equal numbers give the same run."""
     several = isinstance(u, list | tuple) and len(u) > 0 and np.ndim(u[0]) > 0
     signals = {"u": u, "y": y}
     if disturbance is not None:
@@ -97,8 +96,8 @@ def refuse_clocks_and_copies(titles: Sequence[str], values: Float[np.ndarray, "T
 def signal_columns(
     values: Any, name: str, channels: int | None = None, columns: Sequence[str] | None = None
 ) -> tuple[list[str], Float[np.ndarray, "T c"]]:
-    """Convert one signal, given as an array, series or frame, to numbers and channel names. Names
-    and numbers of one signal; a frame's columns in the order of `columns`, by name.
+    """Convert one signal, given as an array, series or frame, to numbers and channel names. Columns
+    of a frame are taken in the order of `columns`.
 
     Raises `BadRequest` for what is no table of finite real numbers, lies on its side, or has other
     channels.
@@ -121,8 +120,7 @@ def signal_columns(
 def disturbance_values(
     values: Any, names: Sequence[str], samples: int | None = None
 ) -> Float[np.ndarray, "T k"] | None:
-    """Convert measured disturbances to an array with one column per named disturbance. None where
-    none are given.
+    """Convert measured disturbances to an array with one column for each; None if there are none.
 
     Raises `BadRequest` where the model has no path for them, and for another number of samples.
     """
@@ -152,8 +150,8 @@ def select_columns(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> pd
 
 
 def as_real_matrix(values: Any, name: str) -> Float[np.ndarray, "T c"]:
-    """Convert values to a two-dimensional array of real numbers. A table of real numbers; refuses
-    complex numbers, dates, masked samples and tables on their side."""
+    """Convert values to a two-dimensional array of real numbers. Raises `BadRequest` for complex
+    numbers, dates, masked samples and arrays with more columns than rows."""
     remedy = "give an array (T, channels)"
     masked = np.ma.isMaskedArray(values) and bool(np.ma.getmaskarray(values).any())
     first = int(np.argwhere(np.ma.getmaskarray(values))[0][0]) if masked else 0
@@ -177,7 +175,8 @@ def as_real_matrix(values: Any, name: str) -> Float[np.ndarray, "T c"]:
 
 
 def refuse_nonfinite(table: Float[np.ndarray, "T c"], values: Any, name: str) -> None:
-    """Refuse an array that holds a number that is not finite, and say where: `y[1999] is NaN`."""
+    """Raise `BadRequest` for an array with a number that is not finite, and name its place, as in
+    `y[1999] is NaN`."""
     bad = np.argwhere(~np.isfinite(table))
     if not len(bad):
         return
@@ -190,8 +189,8 @@ def refuse_nonfinite(table: Float[np.ndarray, "T c"], values: Any, name: str) ->
 
 
 def check_time_index(u: Any, y: Any, step_s: float | None) -> None:
-    """Check that the time indexes of series or frames agree with each other and with the sampling
-    time, and are evenly spaced. Refuses others."""
+    """Raise `BadRequest` unless the time indexes of series or frames are evenly spaced and agree
+    with each other and with the sampling time."""
     sides = (("u", u), ("y", y))
     tables = pd.Series | pd.DataFrame
     indexed = [(name, side.index) for name, side in sides if isinstance(side, tables)]
@@ -213,7 +212,8 @@ def check_time_index(u: Any, y: Any, step_s: float | None) -> None:
 
 
 def refuse_uneven_index(times_s: Float[np.ndarray, "T"], name: str) -> None:
-    """Refuse a time index that runs backwards, has a gap, or is not evenly spaced."""
+    """Raise `BadRequest` for a time index that runs backwards, has a gap, or is not evenly
+    spaced."""
     steps = np.diff(times_s)
     median_s = float(np.median(steps))
     where = f"{name} (index)"
@@ -234,8 +234,8 @@ def refuse_uneven_index(times_s: Float[np.ndarray, "T"], name: str) -> None:
 
 
 def index_times_s(index: Any) -> Float[np.ndarray, "T"] | None:
-    """Convert the index of a series or frame to times in seconds. None for an index that counts
-    rows or names them."""
+    """Convert the index of a series or frame to times in seconds; None for an index of row numbers
+    or names."""
     if len(index) < 3:
         return None
     if isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex):

@@ -1,5 +1,5 @@
-"""Assembly of records into a data set: scales as pure gains about the equilibrium, and the checks
-that every record must pass.
+"""Assembly of a data set from records, with its scaling about the equilibrium and the checks that
+every record must pass.
 
 And a data set as named arrays and one json-able dictionary, and back, bit for bit: how the store
 keeps it.
@@ -34,7 +34,7 @@ def assemble_dataset(
     parts: Parts, rest: Rest, channels: tuple[Channels, ...], start_up_samples: int, **fields: Any
 ) -> DataSet:
     """Assemble a data set and its scaling from the records for training, validation and test.
-    `scale = rms(training - rest)` per channel: a gain about the equilibrium `rest = (u, y)`, or
+    `scale = rms(training - rest)` per channel, a gain about the equilibrium `rest = (u, y)`, or
     `(u, y, d)` with measured disturbances; `channels` likewise.
 
     `parts` are training, validation and test, `fields` the other fields of the data set. Raises
@@ -90,9 +90,9 @@ def assemble_dataset(
 
 
 def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."]], dict[str, Any]]:
-    """Convert a data set to named arrays, and a dictionary of the rest, for storage. Arrays
-    `part/i/u`, `part/i/y` (and `d`) and the vectors of the scale; names, units and periods in the
-    dictionary."""
+    """Convert a data set, for storage, to named arrays and a dictionary with everything else.
+    Arrays `part/i/u`, `part/i/y` (and `d`) and the vectors of the scale; names, units and periods
+    in the dictionary."""
     arrays = {name: values for name, values in vars(data.scale).items() if values.size}
     about: dict[str, Any] = {
         "start_up_samples": data.start_up_samples,

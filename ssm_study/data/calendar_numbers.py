@@ -1,5 +1,5 @@
-"""Conversion of calendar dates that a log holds as plain numbers, such as days of a spreadsheet, to
-seconds.
+"""Conversion of calendar dates that a log stores as plain numbers, such as a spreadsheet's day
+numbers, to seconds.
 
 `20260305100000` is a date, `46086.4167` a day of a spreadsheet, `738586.4167` one of MATLAB,
 `1772700000000` milliseconds since 1970. Read as seconds each of them is wrong without a word.
@@ -27,8 +27,8 @@ Times = Float[np.ndarray, "T"]
 
 
 def parse_calendar_numbers(title: str, times: Times) -> tuple[Times, str] | None:
-    """Convert numbers that are calendar dates to seconds since the first, and say how they were
-    read."""
+    """Convert numbers that stand for calendar dates to seconds since the first date, and say which
+    form they had."""
     finite = times[np.isfinite(times)]
     if len(finite) < 2:
         return None
@@ -58,8 +58,8 @@ def are_unix_times(times: Times) -> bool:
 
 
 def parse_digit_dates(times: Times) -> Times | None:
-    """Convert dates written as whole numbers, `20260305100000`, to seconds since the first; None
-    for other numbers."""
+    """Convert dates written as whole numbers, such as `20260305100000`, to seconds since the first;
+    None for other numbers."""
     finite = times[np.isfinite(times)]
     if not np.array_equal(finite, np.round(finite)) or finite.min() < 10 ** (min(DIGITS) - 1):
         return None
@@ -83,7 +83,7 @@ def parse_digit_dates(times: Times) -> Times | None:
 
 
 def describe_day_numbers(title: str, finite: Times) -> str:
-    """Sentence on numbers that count days; empty for other numbers.
+    """Sentence that says which calendar numbers that count days belong to; empty for other numbers.
 
     The name says it, or the step is a round number of seconds as days and none as it stands.
     """

@@ -24,8 +24,8 @@ HELD = 0.5  # share of samples at which a held input does not change
 
 @dataclass(frozen=True, kw_only=True)
 class EvenRows:
-    """Rows of a log with evenly spaced times, cut into pieces without gaps. Rows on an even clock:
-    stretches of values, where each starts in samples, and the period.
+    """Rows of a log with evenly spaced times, cut into pieces without gaps. Each piece starts at a
+    whole number of samples.
 
     `remarks` state holes, missing values and interpolation, in words.
     """
@@ -42,7 +42,7 @@ def log_length(pieces: EvenRows) -> int:
 
 
 def period_and_jitter(time_s: Float[np.ndarray, "T"]) -> tuple[float, Float[np.ndarray, "T"]]:
-    """Mean sampling period, and the deviation of every sample from an evenly spaced clock in
+    """Mean sampling period of a clock, and how far each time is from an evenly spaced clock, in
     periods."""
     mean_s = float((time_s[-1] - time_s[0]) / (len(time_s) - 1))
     even = time_s[0] + mean_s * np.arange(len(time_s))
@@ -50,7 +50,7 @@ def period_and_jitter(time_s: Float[np.ndarray, "T"]) -> tuple[float, Float[np.n
 
 
 def refuse_decreasing_times(time_s: Float[np.ndarray, "T"], where: str) -> None:
-    """Refuse times that decrease, and times that were rounded so far that they repeat."""
+    """Raise `BadRequest` for times that decrease, or that repeat because they were rounded."""
     steps = np.diff(time_s)
     if (steps < 0).any():
         k = int(np.argmax(steps < 0)) + 1
@@ -67,7 +67,8 @@ def refuse_decreasing_times(time_s: Float[np.ndarray, "T"], where: str) -> None:
 def refuse_repeated_row(
     time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], where: str
 ) -> None:
-    """Refuse a row that repeats the whole row before it, where rows hardly ever repeat."""
+    """Raise `BadRequest` for a row that equals the row before it, in a log where that hardly ever
+    happens."""
     is_still = np.diff(time_s) == 0
     if not is_still.any() or is_still.mean() > FEW_REPEATS:
         return
@@ -125,9 +126,8 @@ def resample_to_even_clock(
 def recover_rounded_clock(
     time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], tolerance: float
 ) -> EvenRows | None:
-    """Recover an evenly spaced clock from times that were rounded when they were written. Rows on
-    the even clock that explains times written with few digits, None where none does or the times
-    are even as they stand."""
+    """Recover an evenly spaced clock from times that were rounded when they were written. None if
+    no such clock explains the times, or if the times are even already."""
     steps = np.diff(time_s)
     forwards = bool((steps >= 0).all()) and time_s[-1] > time_s[0]
     if not forwards or (steps.all() and period_and_jitter(time_s)[1].max() <= tolerance):
@@ -147,8 +147,7 @@ def check_rounded_clock(
     time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], step_s: float, where: str
 ) -> EvenRows:
     """Check rounded times against a stated sampling time, and give the rows evenly spaced times.
-    Rows with times that were rounded, on the sampling time that is given; refuses another one than
-    the first rows show."""
+    Raises `BadRequest` where the times contradict the stated one."""
     refuse_decreasing_times(time_s[np.append(True, np.diff(time_s) != 0)], where)
     span_s = float(time_s[-1] - time_s[0])
     coarsest_s = float(np.diff(time_s).max())
@@ -163,7 +162,8 @@ def check_rounded_clock(
 
 
 def require_equal_period(step_s: float | None, period_s: float, where: str) -> None:
-    """Refuse a stated sampling time that differs from the period of the recorded times."""
+    """Raise `BadRequest` for a stated sampling time that differs from the period of the recorded
+    times."""
     agrees = step_s is None or abs(step_s - period_s) <= AGREEMENT * period_s
     remedy = "correct one of them (units?), or leave step_s null"
     problem = f"the times of {where} show {period_s:.6g} s"
@@ -179,8 +179,8 @@ def cut_at_gaps(
     tolerance: float,
     resample: bool,
 ) -> EvenRows:
-    """Cut a log into pieces where its clock has gaps. Stretches between the holes of a clock;
-    interpolated where the clock wanders."""
+    """Cut a log into pieces at the gaps of its clock. Values are interpolated where the clock
+    wanders."""
     steps = np.diff(time_s)
     median_s = float(np.median(steps))
     holes = np.flatnonzero(steps > HOLE * median_s)
@@ -210,8 +210,7 @@ def cut_at_gaps(
 def gap_remarks(
     steps: Float[np.ndarray, "T"], holes: Int[np.ndarray, "H"], period_s: float
 ) -> list[str]:
-    """Sentences that describe the gaps in the times of a log. How many holes there are, and how
-    long, in words."""
+    """Sentences on the gaps in the times of a log: how many there are, and how long they last."""
     if not len(holes):
         return []
     missing_s = float(steps[holes].sum()) - len(holes) * period_s
@@ -222,7 +221,8 @@ def gap_remarks(
 def refuse_uneven_times(
     steps: Float[np.ndarray, "T"], median_s: float, where: str, resample: bool
 ) -> None:
-    """Refuse a log whose times are unevenly spaced, unless resampling is requested."""
+    """Raise `BadRequest` for a log whose times are unevenly spaced, unless resampling is
+    requested."""
     low, high = np.percentile(steps, [5, 95])
     spread = float(high - low) / median_s
     problem = f"the periods differ by {spread:.0%} of their median, {median_s:.4g} s: no clock"
@@ -241,8 +241,8 @@ def interpolate_pieces(
     period_s: float,
     remarks: list[str],
 ) -> EvenRows:
-    """Resample pieces of a log at evenly spaced times by interpolation. Stretches on a clock of
-    that period: outputs on lines between rows, held inputs held."""
+    """Resample pieces of a log at evenly spaced times by interpolation, linearly except for inputs
+    that are held constant."""
     cut: list[np.ndarray] = []
     starts: list[int] = []
     between = 0
@@ -282,8 +282,8 @@ def interpolate_column(
     column: Float[np.ndarray, "T"],
     is_input: bool,
 ) -> Float[np.ndarray, "K"]:
-    """Interpolate one column of a log at other times: piecewise constant for a held input, linear
-    otherwise. An input that holds levels is held, anything else is interpolated linearly."""
+    """Interpolate one column of a log at other times: piecewise constant for a held input,
+    otherwise linear."""
     if is_input and (np.diff(column) == 0).mean() > HELD:
         last = np.searchsorted(times, clock * (1 + 1e-12) + 1e-12, side="right") - 1
         return column[np.clip(last, 0, len(column) - 1)]
@@ -291,7 +291,7 @@ def interpolate_column(
 
 
 def cut_at_missing_values(pieces: EvenRows) -> EvenRows:
-    """Cut pieces of a log where a value is missing; stretches of one or two rows are left out."""
+    """Cut pieces of a log where a value is missing, and leave out pieces of one or two rows."""
     cut: list[np.ndarray] = []
     starts: list[int] = []
     missing = 0

@@ -1,5 +1,5 @@
-"""Find the column of a log that is its clock. Column of a log that is its clock: by name, unit
-and place; its times in seconds."""
+"""Search for the column of a log that is its clock. It is found by its title, its unit and its
+place, and its times are converted to seconds."""
 
 import re
 from collections.abc import Collection
@@ -60,8 +60,8 @@ MOSTLY = 0.9  # share of steps in one direction, from which on a column is a clo
 
 
 def clock_unit_s(title: str, stated: str) -> float | None:
-    """Number of seconds in the unit that the title of a clock column states. Seconds of one unit of
-    a clock, as its name or its column states; None without a unit.
+    """Number of seconds in the unit that the title of a clock column states; None if no unit is
+    stated.
 
     `time(ms)`, `time_ms`, `t [ms]`, `time ms`, `millis`. Raises `BadRequest` for a unit that is
     none of time.
@@ -82,8 +82,8 @@ def clock_unit_s(title: str, stated: str) -> float | None:
 
 
 def is_clock_name(title: str) -> bool:
-    """Whether a column's title is that of a clock, as `time`, `t`, `Timestamp (ms)`, `time_s` or
-    `date` are."""
+    """Whether the title of a column is that of a clock, such as `time`, `t`, `Timestamp (ms)`,
+    `time_s` or `date`."""
     plain = title_without_unit(title)
     if fold_title(plain) in WORDS or plain.strip().lower() in ("millis", "micros", "seconds"):
         return True
@@ -92,8 +92,8 @@ def is_clock_name(title: str) -> bool:
 
 
 def has_clock_word(title: str) -> bool:
-    """Whether a title begins or ends with a word for a clock, as `t_now` and `sensor_timestamp`
-    do."""
+    """Whether a title begins or ends with a word for a clock, such as `t_now` and
+    `sensor_timestamp`."""
     words = title_words(title_without_unit(title))
     return any(fold_title(word) in WORDS for word in (*words[:1], *words[-1:]))
 
@@ -104,8 +104,8 @@ def title_words(title: str) -> list[str]:
 
 
 def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
-    """Find the column of a log that is its clock; None if there is none. The column that is the
-    clock: named like one, or without a name and first; else None.
+    """Find the column of a log that is its clock; None if there is none. It is the column with the
+    title of a clock, else the first one if it has no title.
 
     Its values must increase (a clock written with few digits may stand still); where a title has a
     clock's word beside others, `t_now`, they must not stand still either. The first column of
@@ -146,19 +146,21 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
 
 
 def unwrap_column_times(table: Table, title: str) -> Float[np.ndarray, "T"]:
-    """Times of a column, made to increase where a counter overflows or summer time ends."""
+    """Times of a column, corrected so that they increase where a counter overflows or summer time
+    ends."""
     return unwrap_clock(table.columns[title], is_dated=title in table.dated)[0]
 
 
 def is_clock_column(table: Table, title: str) -> bool:
-    """Whether the numbers of a column are those of a clock, or of several experiments' clocks."""
+    """Whether the numbers of a column are the times of one clock, or of several experiments one
+    after another."""
     times = table.columns[title]
     return is_increasing(unwrap_column_times(table, title)) or bool(find_clock_restarts(times))
 
 
 def is_increasing(times: Float[np.ndarray, "T"], *, strictly: bool = False) -> bool:
-    """Whether a sequence of times increases. Whether the times never run backwards (strictly: nor
-    stand still), and are mostly known."""
+    """Whether a sequence of times increases, apart from missing times. Equal times count as
+    increasing unless `strictly` is set."""
     finite = times[np.isfinite(times)]
     enough = len(finite) >= max(3, 0.5 * len(times))
     if not enough or finite[-1] <= finite[0]:
@@ -168,7 +170,7 @@ def is_increasing(times: Float[np.ndarray, "T"], *, strictly: bool = False) -> b
 
 
 def is_evenly_spaced(times: Float[np.ndarray, "T"]) -> bool:
-    """Whether the steps between successive times are equal to within a thousandth."""
+    """Whether successive times have the same distance up to a thousandth."""
     if len(times) < 3 or not np.isfinite(times).all():
         return False
     steps = np.diff(times)
@@ -184,8 +186,7 @@ def counts_rows(times: Float[np.ndarray, "T"]) -> bool:
 def clock_column_seconds(
     title: str, table: Table, *, is_stated: bool = False
 ) -> tuple[Float[np.ndarray, "T"], str]:
-    """Convert the times of a clock column to seconds. The times of a column in seconds, and in
-    words what unit was read.
+    """Convert the times of a clock column to seconds, and say which unit they had.
 
     Whole numbers without a unit, several apart, are taken for seconds with a doubt, unless the
     sampling time is stated: they may count milliseconds.
@@ -229,8 +230,7 @@ def first_column_counts_rows(contents: Table) -> bool:
 def refuse_backward_clock(
     contents: Table, taken: list[str], file: Path, *, is_stated: bool
 ) -> None:
-    """Refuse a log whose clock column, found by its title, runs backwards, at one row or as a
-    whole.
+    """Raise `BadRequest` for a log whose clock column runs backwards, at one row or as a whole.
 
     Where the sampling time is stated a column of one letter may be anything (`T`, a temperature).
     """
@@ -253,7 +253,7 @@ def refuse_backward_clock(
 
 
 def refuse_clock_as_signal(contents: Table, taken: list[str], file: Path) -> None:
-    """Refuse to use the clock column of a log as a signal."""
+    """Raise `BadRequest` if the clock column of a log is used as a signal."""
     first = next(iter(contents.columns))
     for title in taken:
         steps = np.diff(contents.columns[title])
@@ -266,13 +266,13 @@ def refuse_clock_as_signal(contents: Table, taken: list[str], file: Path) -> Non
 
 
 def unread_clock_remarks(contents: Table) -> list[str]:
-    """Remarks on columns that are named like a clock but cannot be read as one."""
+    """Remarks on columns that have the title of a clock but cannot be read as one."""
     named = [title for title in contents.skipped if is_clock_name(title)]
     return [f"{UNREAD} {title}: {contents.skipped[title]}" for title in named]
 
 
 def unread_clock_sentence(remarks: list[str]) -> str:
-    """Sentence of a refusal on the columns that are named like a clock but cannot be read as
+    """Sentence for an error message on columns that have the title of a clock but cannot be read as
     one."""
     unread = [remark for remark in remarks if remark.startswith(UNREAD)]
     return f" ({unread[0]})" if unread else ""

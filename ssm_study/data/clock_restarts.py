@@ -1,4 +1,5 @@
-"""Detection of several experiments in one file. Where the clock starts again, the log is cut."""
+"""Detection of several experiments in one log file. Where the clock starts again, the log is
+cut."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -14,8 +15,8 @@ APART = 2  # samples between two experiments: none follows the other
 
 
 def find_clock_restarts(time_s: Float[np.ndarray, "T"]) -> list[int]:
-    """Find the rows at which the clock starts again in a file that holds several experiments. A
-    clock that runs backwards elsewhere too has none."""
+    """Find the rows at which the clock starts again, in a file that holds several experiments.
+    There are none where the clock also runs backwards elsewhere."""
     finite = time_s[np.isfinite(time_s)]
     if len(finite) < len(time_s) or len(time_s) < 2 * SHORTEST_EXPERIMENT:
         return []
@@ -64,8 +65,8 @@ def resample_experiments(
 
 
 def join_experiments(experiments: Sequence[EvenRows], where: str) -> EvenRows:
-    """Join the experiments of one file into one log of separate pieces. Experiments of one sampling
-    time as pieces of one log, none of which follows another."""
+    """Join the experiments of one file, which share a sampling time, into one log of separate
+    pieces."""
     steps_s = [experiment.step_s for experiment in experiments]
     step_s = float(np.median(steps_s))
     alike = max(abs(each - step_s) for each in steps_s) <= AGREEMENT * step_s

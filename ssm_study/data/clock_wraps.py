@@ -39,7 +39,7 @@ def unwrap_clock(times: Times, *, is_dated: bool) -> tuple[Times, str]:
 
 
 def _undo_summer_time(times: Times, steps: Steps, period: float) -> tuple[Times, str]:
-    """Add an hour to the times after each step back that the end of summer time explains."""
+    """Add an hour to all times after each backward step that the end of summer time explains."""
     is_back = (steps <= 0) & (period <= HOUR_S)
     if not is_back.any() or not _are_one_period(steps[is_back] + HOUR_S, period).all():
         return times, ""
@@ -49,5 +49,5 @@ def _undo_summer_time(times: Times, steps: Steps, period: float) -> tuple[Times,
 
 
 def _are_one_period(steps: Steps, period: float) -> np.ndarray:
-    """Which time steps are one sampling period long."""
+    """For each time step, whether it is as long as one sampling period."""
     return np.abs(steps - period) <= NEAR * period

@@ -1,4 +1,5 @@
-"""Replacement of a closed-loop log's input by the part that the known set point explains.
+"""Replacement of the input in a closed-loop log by the part of it that the known set point
+explains.
 
 A fit from the one to the other takes the controller for part of the plant where noise is slow. What
 the set point r explains of the input, `u_r = F r`, knows nothing of the noise: `y = G u_r + S v`;
@@ -29,7 +30,7 @@ def project_inputs_on_set_points(
     logs: Sequence[Trajectory], references: Sequence[Rows]
 ) -> tuple[list[Trajectory], float]:
     """Replace the input of closed-loop logs by the part that the set point explains in a
-    least-squares fit. One filter serves all logs; that part's share of the input's power is
+    least-squares fit. All logs share one filter; the share of the input's power that it explains is
     returned, too.
 
     Raises `BadRequest` for logs that are too short.
@@ -56,8 +57,8 @@ def project_inputs_on_set_points(
 
 def reconstruct_pi_set_point(log: Trajectory, gain: float, integral_s: float) -> Rows:
     """Reconstruct the set point of a closed-loop log from the settings of its PI controller. `r = y
-    + e`, `e = (u - u_eq) / gain - i`, `i+ = i + (step_s / integral_s) e`, i as if it rested at the
-    start.
+    + e`, `e = (u - u_eq) / gain - i`, `i+ = i + (step_s / integral_s) e`, with i as at rest in the
+    beginning.
 
     Raises `BadRequest` for more than one input or output, and where the input is at a limit, which
     hides e.

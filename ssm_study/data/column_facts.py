@@ -1,4 +1,4 @@
-"""Facts of one column of a log: range, levels and gaps."""
+"""Facts on one column of a log: range, levels and missing values."""
 
 from dataclasses import dataclass
 
@@ -11,8 +11,7 @@ HELD = 0.5  # share of samples at which a column that holds levels does not chan
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnFacts:
-    """Range, levels and gaps of one column of a log. One column: its unit, range, how many
-    values it takes, how many are missing."""
+    """Facts on one column of a log: unit, range, number of levels and number of missing values."""
 
     name: str
     unit: str
@@ -24,13 +23,13 @@ class ColumnFacts:
     rows: int
 
     def table_line(self) -> str:
-        """One line of a table on the column's range, levels and gaps."""
+        """Line of a table that states the column's range, levels and missing values."""
         name = (self.name or "(no name)")[:28]
         unit = f"[{self.unit}]" if self.unit else ""
         return f"  {name:<28} {unit:<8}{self.range_words()}".rstrip()
 
     def range_words(self) -> str:
-        """Range and levels in words."""
+        """Text that states the column's range and levels."""
         if not self.levels:
             return "empty"
         if self.levels == 1:
@@ -43,7 +42,7 @@ class ColumnFacts:
 
 
 def column_facts(name: str, table: Table) -> ColumnFacts:
-    """Compute range, levels and missing values of one column."""
+    """Compute the range, the levels and the number of missing values of one column."""
     values = table.columns[name]
     finite = values[np.isfinite(values)]
     held_share = float((np.diff(finite) == 0).mean()) if len(finite) > 1 else 0.0

@@ -1,4 +1,4 @@
-"""Dates and times in common forms, converted to seconds since the first."""
+"""Conversion of dates and times in common forms to seconds since the first."""
 
 import re
 
@@ -23,20 +23,19 @@ ORDERS = {"year first": "abc", "day first": "cba", "month first": "cab"}
 
 
 class AmbiguousDates(ValueError):
-    """Raised when the order of day and month in dates is ambiguous, so that two readings give
-    different times."""
+    """Raised when dates can be read in two ways, because day and month can be exchanged."""
 
 
 def is_date(cell: str) -> bool:
-    """Whether a cell of a table is a date, with or without a time, or a time of day."""
+    """Whether a cell of a table is a date (with or without a time) or a time of day."""
     if any(re.fullmatch(form, cell) for form in (DATE, TIME_OF_DAY, MINUTES)):
         return True
     return guess_date_format(cell) is not None
 
 
 def guess_date_format(cell: str) -> str | None:
-    """Format of a date with the name of its month, or of digits and a letter T; None for anything
-    else."""
+    """Format of a date that names its month, or that has digits around a letter T; None for any
+    other text."""
     has_letter = any(letter.isalpha() for letter in cell)
     if not has_letter or not any(letter.isdigit() for letter in cell) or len(cell) > LONGEST:
         return None
@@ -48,8 +47,8 @@ def guess_date_format(cell: str) -> str | None:
 
 
 def seconds_since_first(cells: list[str]) -> Float[np.ndarray, "T"]:
-    """Convert the dates in a column's cells to seconds since the first of them. NaN where a cell is
-    no date.
+    """Convert the dates in a column's cells to seconds since the first date. A cell without a date
+    becomes NaN.
 
     `03/04/2026` may be March or April: the order under which the times increase is taken. Raises
     `AmbiguousDates` where both do and differ.
@@ -95,14 +94,14 @@ def seconds_since_midnight(parts: pd.DataFrame) -> Float[np.ndarray, "T"]:
 
 
 def unwrap_midnight(seconds: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-    """Make times of day continue past midnight, so that they never jump back by a day."""
+    """Make times of day increase past midnight, so that they never jump back by a day."""
     steps = np.diff(np.nan_to_num(seconds, nan=0.0), prepend=seconds[:1])
     days = np.cumsum(steps < -DAY_S / 2)
     return seconds + DAY_S * days
 
 
 def date_seconds(parts: pd.DataFrame, dotted: bool) -> Float[np.ndarray, "T"]:
-    """Convert dates to seconds since 1970, with the order of day, month and year that fits all of
+    """Convert dates to seconds since 1970, in the order of day, month and year that fits all of
     them."""
     within = seconds_since_midnight(parts)
     shift = parts["zone"].map(zone_seconds, na_action="ignore").fillna(0.0).to_numpy(dtype=float)
@@ -135,7 +134,7 @@ def zone_seconds(zone: str) -> float:
 
 
 def choose_increasing_reading(readings: list[np.ndarray], samples: int) -> Float[np.ndarray, "T"]:
-    """Choose, among several readings of the same dates, the one in which time increases, and
+    """Choose, among several interpretations of the same dates, the one in which time increases
     evenly."""
     if not readings:
         return np.full(samples, np.nan)

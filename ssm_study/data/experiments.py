@@ -1,4 +1,4 @@
-"""Data sets from separate recordings for training, validation and test, such as public
+"""Data sets whose training, validation and test records are separate recordings, such as public
 benchmarks."""
 
 import importlib
@@ -28,8 +28,8 @@ DOWNLOADERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedExperiments(AroundRest):
-    """Data set from separate recordings for training, validation and test. `training`, `validation`
-    and `test` recordings, with paths relative to a folder.
+    """Data set whose training, validation and test records are separate recordings. Their paths are
+    relative to a folder.
 
     `folder` null searches for the `benchmark` (`benchmark_folder`). `score`: see
     `data.metrics.SCORES`. A `fold` is held out of every training recording and scored in place of
@@ -69,7 +69,7 @@ class RecordedExperiments(AroundRest):
         )
 
     def _read_parts(self) -> Parts:
-        """Read the records for training, validation and test. Of a fold, what is kept also
+        """Read the records for training, validation and test. With folds, the remaining part also
         validates, as it does without folds."""
         folder = self.records_folder()
         if self.fold is None:
@@ -86,8 +86,8 @@ class RecordedExperiments(AroundRest):
         return pieces, pieces, [piece for _, piece in parts]
 
     def records_folder(self) -> Path:
-        """Folder in which the recordings of the data set lie. Raises `BadRequest` where there is
-        none."""
+        """Folder that holds the recordings of the data set. Raises `BadRequest` if it does not
+        exist."""
         if self.folder is None:
             return benchmark_folder(self.benchmark)
         require(
@@ -101,8 +101,8 @@ class RecordedExperiments(AroundRest):
 
 
 def benchmark_folder(benchmark: str) -> Path:
-    """Folder of a public benchmark's files, downloaded if needed. The folder of a benchmark
-    (`DOWNLOADERS`): in $SSM_STUDY_DATA, in ../shared/data, or the official package's.
+    """Folder of a public benchmark's files, which are downloaded if needed. It is in
+    $SSM_STUDY_DATA, in ../shared/data, or in the official package's own place.
 
     That package downloads it; it needs the extra `benchmarks` and a network. Raises `BadRequest`
     where it is nowhere.
@@ -126,8 +126,8 @@ def benchmark_folder(benchmark: str) -> Path:
 
 
 def find_record_file(folder: Path, name: str) -> Path:
-    """Find a record file in a folder by its name, or by its stem with the suffix of CSV or MAT.
-    Records are distributed as both. Refuses without."""
+    """Find a record file by its name, or by its name with the suffix of CSV or MAT. Records are
+    distributed in both formats. Raises `BadRequest` if there is none."""
     exact = folder / name
     twins = sorted(
         p for p in folder.iterdir() if p.stem == exact.stem and p.suffix.lower() in (".mat", ".csv")

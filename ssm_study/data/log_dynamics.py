@@ -1,5 +1,5 @@
-"""Dynamics of the plant as a log shows them, in words: delay and lag of the response, integrator,
-closed loop, noise.
+"""Sentences on the plant's dynamics in a log: delay of the response, integrator, closed loop,
+noise.
 
 Lags come from least squares on increments: `dy[k]` on `du[k] ... du[k - LAGS]` and two earlier
 `dy`; a lag answers where its coefficient is `SURE` standard errors from zero.
@@ -40,8 +40,8 @@ Signal = Float[np.ndarray, "T"]
 
 @dataclass(frozen=True, kw_only=True)
 class InputShares:
-    """Shares of the variance of the output's level, and of its change over a window, that the input
-    explains. Also the share of its level that the output loses over that window, and at that pace
+    """Share of the output's variance that the input explains, for its level and for its change over
+    a window. Also the share of its level that the output loses over that window, and at that pace
     over the log."""
 
     level: float
@@ -52,14 +52,14 @@ class InputShares:
 
     @property
     def is_integrator(self) -> bool:
-        """Whether the logged plant integrates its input: the input explains the output's changes
-        better than its level."""
+        """Whether the logged plant integrates its input, because the input explains changes of the
+        output better than its level."""
         changes = self.change > self.level + INTEGRATES
         return changes and self.lost > -DRIFTS and self.lost_in_log < FORGETS
 
 
 def describe_log_dynamics(records: Sequence[Trajectory]) -> list[str]:
-    """Describe in sentences the plant's dynamics in a log: delay, integrator, closed loop and
+    """Describe in sentences how the plant behaves in a log: delay, integrator, closed loop and
     noise."""
     record = max(records, key=len)
     u = record.u[:, 0]
@@ -87,8 +87,8 @@ def describe_log_dynamics(records: Sequence[Trajectory]) -> list[str]:
 
 
 def same_sample_sentence() -> str:
-    """Sentence on an output that responds within the same sample, so that cause and effect are
-    ambiguous."""
+    """Sentence on an output that responds within the same sample, so that cause and effect cannot
+    be told apart."""
     return "input and output move within the same sample: which of them answers is not to be seen"
 
 
@@ -104,8 +104,8 @@ def input_return_sentence(rests: int) -> str:
 
 
 def response_delay_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
-    """Sentence on the number of samples after which the output responds to the input. Of an
-    integrator it is the output's change that responds."""
+    """Sentence on the number of samples after which the output responds to the input. For an
+    integrator, the response is a change of the output."""
     rate = np.diff(y)
     answering = rate if shares.is_integrator else y[1:]
     word = "the output's change" if shares.is_integrator else "the output"
@@ -138,7 +138,7 @@ def block_means(values: Signal, length: int) -> Float[np.ndarray, "B"]:
 
 
 def dead_time_sentence(lag: int, word: str) -> str:
-    """Sentence on the dead time of the response, a whole number of samples."""
+    """Sentence on the dead time of the response, in whole samples."""
     if lag == 0:
         return f"{word} answers within the same sample ({FEEDTHROUGH})"
     if lag == 1:
@@ -149,7 +149,8 @@ def dead_time_sentence(lag: int, word: str) -> str:
 
 
 def slow_response_sentence(lag: int, stride: int, word: str) -> str:
-    """Sentence on the delay of a slow response, which is known only to within several samples."""
+    """Sentence on the delay of a slow response, which can only be estimated to within several
+    samples."""
     if lag <= 1:
         return f"{word} answers slowly, within {(lag + 1) * stride} samples"
     return (
@@ -158,8 +159,8 @@ def slow_response_sentence(lag: int, stride: int, word: str) -> str:
 
 
 def first_response_lag(u: Signal, y: Signal) -> int | None:
-    """Smallest lag at which the output responds significantly to a change of the input. None where
-    none is significant."""
+    """Smallest number of samples after which the output responds significantly to a change of the
+    input; None without a significant response."""
     if np.std(np.diff(u)) == 0 or np.std(np.diff(y)) == 0:
         return None
     x, target = increment_regression(u, y)
@@ -177,8 +178,8 @@ def first_response_lag(u: Signal, y: Signal) -> int | None:
 def increment_regression(
     u: Signal, y: Signal
 ) -> tuple[Float[np.ndarray, "K R"], Float[np.ndarray, "K"]]:
-    """Regressors and target of a linear regression of output increments on past input and output
-    increments.
+    """Regressors and target of a linear regression of output increments on past input increments
+    and past output increments.
 
     Regressors `du[k - 0 ... LAGS], dy[k - 1], dy[k - 2]`, target `dy[k]`; both scaled.
     """
@@ -190,8 +191,8 @@ def increment_regression(
 
 
 def feedback_share(u: Signal, y: Signal) -> float:
-    """Share of the input's variance that earlier outputs explain beyond earlier inputs, a sign of
-    feedback.
+    """Share of the input's variance that earlier outputs explain better than earlier inputs, which
+    is a sign of feedback.
 
     An input that its own past foretells, as a sweep of sines, needs more of that past than the few
     outputs that a controller reads: else outputs stand for inputs of long ago.
@@ -214,8 +215,8 @@ def feedback_share(u: Signal, y: Signal) -> float:
 
 
 def input_shares(u: Signal, y: Signal) -> InputShares:
-    """Shares of the output's level and changes that the input explains, over the window that
-    explains them best.
+    """Shares of the output's level and of its changes that the input explains, for the window
+    length at which it explains most.
 
     The window is the shortest over which the input explains most of the output's changes: over a
     long one a plant with an integrator is turned round (a position must come back), a plant without
@@ -236,7 +237,7 @@ def input_shares(u: Signal, y: Signal) -> InputShares:
 
 
 def add_long_window_loss(u: Signal, y: Signal, shares: InputShares) -> InputShares:
-    """Input shares with the largest loss of level that longer windows show."""
+    """Input shares in which the loss of level is the largest one over longer windows."""
     longer = [w for w in WINDOWS if shares.window < w <= LONGER * shares.window]
     losses = [input_shares_over_window(u, y, w).lost_in_log for w in longer if len(u) >= 8 * w]
     return replace(shares, lost_in_log=max([shares.lost_in_log, *losses]))
@@ -250,8 +251,8 @@ def largest_explained_level(u: Signal, y: Signal) -> float:
 
 
 def input_shares_over_window(u: Signal, y: Signal, window: int) -> InputShares:
-    """Shares of the output's level and changes that the mean input over windows of one length
-    explains."""
+    """Shares of the output's level and of its changes that the mean input over windows of one
+    length explains."""
     weights = np.full(window, 1 / window)
     mean = np.convolve(u, weights, mode="valid")[:-1:window]
     ends = y[window::window][: len(mean)]
@@ -272,7 +273,7 @@ def input_shares_over_window(u: Signal, y: Signal, window: int) -> InputShares:
 
 
 def explained_variance_share(x: Float[np.ndarray, "K d"], target: Float[np.ndarray, "K"]) -> float:
-    """Share of the target's variance that a least-squares fit explains; 0 of a constant."""
+    """Share of the target's variance that a least-squares fit explains; 0 for a constant target."""
     if np.ptp(target) == 0:
         return 0.0
     residual = target - x @ np.linalg.lstsq(x, target, rcond=1e-9)[0]
@@ -280,8 +281,8 @@ def explained_variance_share(x: Float[np.ndarray, "K d"], target: Float[np.ndarr
 
 
 def sensor_noise_sentence(y: Signal) -> str:
-    """Sentence on the resolution and the noise of the output's sensor. Resolution of the output,
-    and its noise by second differences."""
+    """Sentence on the resolution and the noise of the output's sensor. The noise is estimated from
+    second differences."""
     steps = np.abs(np.diff(y))
     moving = steps[steps > 0]
     resolution = float(moving.min()) if len(moving) else 0.0

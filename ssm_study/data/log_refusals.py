@@ -1,4 +1,4 @@
-"""Errors about a log, extended by the command that shows what is in it."""
+"""Extension of errors about a log by the command that shows what the log contains."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ LOOK = "`ssm-study look {}` shows what is in the file"
 
 
 def refusal_with_look_command(error: BadRequest, path: Path) -> BadRequest:
-    """Add to an error on a log file the command that shows its contents."""
+    """Error about a log file, extended by the command that shows the contents of the file."""
     remedy = error.remedy.rstrip(".")
     is_foreign = path.suffix.lower() in FOREIGN  # look does not read it either
     is_of_arrays = path.parent.name == ARRAYS and path.suffix == ".parquet"

@@ -1,5 +1,5 @@
-"""Overview of a log on one screen: its columns, its clock, how the output responds to the input,
-and a command that fits it.
+"""Overview of a log on one screen: its columns, its clock, how the output responds, and a command
+that fits a model to it.
 
 Each sentence is a measurement on the log alone; none of them decides anything about a model.
 """
@@ -33,7 +33,8 @@ NO_COMMAND = "no command yet: change what the line `not read yet` names, and loo
 
 @dataclass(frozen=True, kw_only=True)
 class LogSettings:
-    """Columns and clock of a log as the user states them. None leaves a setting to be found."""
+    """Columns and clock of a log as the user states them. None stands for a setting that is to be
+    found."""
 
     input: str | None = None
     output: str | None = None
@@ -57,7 +58,7 @@ class LogSettings:
         )
 
     def overrides(self) -> list[str]:
-        """Command-line words for the settings of a log that the user states."""
+        """Command-line words for those settings of a log that the user states."""
         words = [f"data.time={quote_for_command(self.time)}"] if self.time is not None else []
         words += [f"data.step_s={self.step_s:g}"] if self.step_s is not None else []
         if self.disturbance is not None:
@@ -73,8 +74,8 @@ class LogSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class LogLook:
-    """Overview of a log: facts on its columns, sentences on its dynamics, and the command that fits
-    it. Contents of a log: facts of its columns, sentences, the command, and the signals if read."""
+    """Overview of a log: facts on its columns, sentences on its dynamics, and a command that fits a
+    model to it."""
 
     path: Path
     columns: list[ColumnFacts]
@@ -95,8 +96,8 @@ class LogLook:
 
 
 def skipped_column_lines(skipped: dict[str, str]) -> list[str]:
-    """Lines of text that say which columns of a log were skipped, and why. Lines on what was
-    skipped and why; of a long list, those with numbers, and how many more."""
+    """Lines of text that say which columns of a log were skipped, and why. A long list is shortened
+    to columns with numbers."""
     worth = skipped
     if len(skipped) > MOST_SKIPPED:
         worth = {name: why for name, why in skipped.items() if "samples" in why}
@@ -164,8 +165,8 @@ def look(
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """Records of a log as a run reads them, whether their sampling time is known, and sentences on
-    both."""
+    """Records of a log as a run would read them, with sentences on how they were read and whether
+    the sampling time is known."""
 
     records: list[Trajectory]
     step_is_known: bool
@@ -180,7 +181,7 @@ def column_name(column: str | int | None) -> str | None:
 def choose_signals(
     table: Table, facts: Sequence[ColumnFacts], clock: str | None, stated: LogSettings
 ) -> tuple[str | None, str | None]:
-    """Names of the input and output columns: the stated ones, otherwise guessed."""
+    """Names of the input and output columns, as stated by the user or else guessed."""
     uneven = [column for column in facts if not is_evenly_spaced(table.columns[column.name])]
     free = [column for column in uneven if column.name != stated.disturbance]
     u, y = guess_signals(free, clock)
@@ -193,7 +194,7 @@ def choose_signals(
 def set_point_sentences(
     facts: Sequence[ColumnFacts], signals: tuple[str, str], stated: LogSettings
 ) -> list[str]:
-    """Sentences on columns whose titles suggest a set point."""
+    """Sentences on columns whose titles are those of a set point."""
     names = [column.name for column in facts if is_set_point_title(column.name)]
     others = [name for name in names if name not in (*signals, stated.time)]
     if not others:
@@ -203,15 +204,15 @@ def set_point_sentences(
 
 
 def clock_column_name(table: Table) -> str | None:
-    """Name of the column that is the clock of a log, or that counts its rows."""
+    """Name of the column of a log that is its clock or counts its rows."""
     if first_column_counts_rows(table):
         return next(iter(table.columns))
     return find_clock_column(table, ())
 
 
 def examine_signals(path: Path, table: Table, clock: str | None, source: RecordedData) -> Reading:
-    """Read the input and output of a log as a run does, and describe their dynamics or the obstacle
-    to reading them.
+    """Read the input and output of a log as a run would, and describe their dynamics or why they
+    cannot be read.
 
     Where the sampling time alone is missing, lags, rests and noise are those of the samples.
     """
@@ -238,7 +239,7 @@ def examine_signals(path: Path, table: Table, clock: str | None, source: Recorde
 def other_signal_sentences(
     facts: Sequence[ColumnFacts], clock: str | None, signals: Sequence[str | None]
 ) -> list[str]:
-    """Sentence that lists the varying columns besides input and output, for they may be
+    """Sentence that lists the varying columns other than input and output, because they may be
     disturbances."""
     titles = [column.name for column in facts]
     places = [column_index(titles, name) for name in (*signals, clock)]
@@ -258,8 +259,8 @@ def other_signal_sentences(
 
 
 def column_index(titles: Sequence[str], name: str | None) -> int | None:
-    """Index of the column that a name or number on the command line means. Which column a name of
-    the command means; None for a name of none of them."""
+    """Index of the column that a name or a number on the command line stands for; None if there is
+    no such column."""
     if name is None or name in titles:
         return None if name is None else titles.index(name)
     plain = [fold_title(title_without_unit(title)) for title in titles]
@@ -288,7 +289,7 @@ def study_command(
     step_is_known: bool,
     sentences: Sequence[str],
 ) -> str:
-    """Command line, ready to paste, that runs a study on the log."""
+    """Command line that runs a study on the log, ready to be pasted."""
     if u is None or y is None:
         return f"ssm-study run data=recorded data.path={quote_for_command(str(path))} ..."
     words = ["ssm-study run data=recorded", f"data.path={quote_for_command(str(path))}"]
@@ -305,8 +306,8 @@ def study_command(
 
 
 def quote_for_command(text: str) -> str:
-    """Quote a value for the shell and the configuration. A value as shell and configuration read it
-    back: letters and digits need no quotes."""
+    """Quote a value so that both the shell and the configuration read it unchanged. Letters and
+    digits need no quotes."""
     if re.fullmatch(r"[\w./:\-]+", text, re.ASCII):
         return text
     escaped = text.replace("\\", "\\\\").replace("'", "\\'")

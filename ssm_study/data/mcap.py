@@ -1,4 +1,5 @@
-"""MCAP recordings: one protobuf message per sample and topic, log times from the sampling clock.
+"""MCAP recordings with one protobuf message per sample and topic, and times from the sampling
+clock.
 
 Groups below one name on one clock share a topic: `/case_0/input` and `/case_0/output` are the
 fields `input` and `output` of `/case_0`. A message takes 16 bytes of index and a head, so this
@@ -49,9 +50,8 @@ DAMAGE = (McapError, DecodeError, zstandard.ZstdError, zlib.error, struct.error,
 
 @dataclass(frozen=True, kw_only=True)
 class SignalGroup:
-    """Signals of an MCAP recording that are sampled at common times, as one topic. Signals sampled
-    together: `values (T, c)` of the `channels`, at `time_s (T,)`, under one topic such as
-    `/output`.
+    """Signals of an MCAP recording that are sampled at common times, stored as one topic. `values
+    (T, c)` of the `channels`, at `time_s (T,)`, under a topic such as `/output`.
 
     Times are kept to the nanosecond. Channel names must be identifiers, for they become protobuf
     fields.
@@ -77,7 +77,7 @@ class SignalGroup:
 
 
 def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, str]) -> None:
-    """Write groups of signals to a new MCAP file, which appears under its name only when it is
+    """Write groups of signals to a new MCAP file, which gets its final name only when it is
     complete.
 
     Foxglove shows topics with schemas, `/output.speed` or `/case_0.output.speed`; units stand in
@@ -125,7 +125,7 @@ def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, 
 
 
 def _merge_topics(groups: tuple[SignalGroup, ...]) -> dict[str, list[SignalGroup]]:
-    """Merge MCAP topics with a common parent name and equal times into one topic."""
+    """Merge MCAP topics that have the same parent name and the same times into one topic."""
     below: dict[str, list[SignalGroup]] = defaultdict(list)
     for group in groups:
         below[group.topic.rpartition("/")[0]].append(group)
@@ -145,8 +145,8 @@ def _merge_topics(groups: tuple[SignalGroup, ...]) -> dict[str, list[SignalGroup
 def _open_channel(
     context: foxglove.Context, topic: str, parts: list[SignalGroup]
 ) -> foxglove.Channel:
-    """Open an MCAP topic whose schema is a protobuf message of doubles, nested where several groups
-    share it. Field numbers follow the order given."""
+    """Open an MCAP topic whose schema is a protobuf message of doubles, nested if several groups
+    share it. Field numbers follow the order of the signals."""
     words = "".join(ch if ch.isalnum() else " " for ch in topic).split()
     message = "".join(word[0].upper() + word[1:] for word in words)
     file = descriptor_pb2.FileDescriptorProto(
@@ -184,8 +184,8 @@ def _open_channel(
 def _message_layout(
     counts: list[int], nested: bool
 ) -> tuple[UInt8[np.ndarray, "b"], Int[np.ndarray, "k"]]:
-    """Byte layout of a protobuf message of doubles. A message of zeros, each double behind its tag,
-    and where the bytes of the doubles lie: of a fixed size."""
+    """Layout in bytes of a protobuf message of doubles: a message of zeros, and where the bytes of
+    each double are."""
     message = b""
     at = list[int]()
     for number, channels in enumerate(counts, start=1):
@@ -329,7 +329,7 @@ def _decode_groups(
 
 
 def _require_fields(message: Any) -> dict[str, Any]:
-    """Refuse a JSON message that is not an object with fields."""
+    """Raise `BadRequest` for a JSON message that is not an object with fields."""
     require(isinstance(message, dict), "path", "message", "not an object with fields", "log fields")
     return dict(message)
 
@@ -337,8 +337,8 @@ def _require_fields(message: Any) -> dict[str, Any]:
 def _decode_protobuf(
     decode: Any, contents: list[bytes]
 ) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
-    """Decode the protobuf messages of an MCAP topic to columns of numbers. All rows at once where
-    every message is laid out as this project writes it, one by one otherwise."""
+    """Decode the protobuf messages of an MCAP topic to columns of numbers. All rows are decoded at
+    once if this project wrote them, otherwise one by one."""
     fields = decode(contents[0]).DESCRIPTOR.fields
     nested = all(one.message_type is not None for one in fields)
     parts = [list(one.message_type.fields) for one in fields] if nested else [list(fields)]
@@ -363,8 +363,8 @@ def _decode_protobuf(
 def _number_columns(
     messages: list[dict[Names, Any]],
 ) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
-    """Collect the number fields of messages as columns. Fields that are a number in the first
-    message, and must be in all others."""
+    """Collect the number fields of messages as columns. A field that is a number in the first
+    message must be one in all others."""
     names = [
         name
         for name, value in messages[0].items()

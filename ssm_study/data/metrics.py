@@ -1,5 +1,5 @@
-"""Columns of a record that describe the data: their origin, what they identify, and the scores of
-public benchmarks."""
+"""Columns of a record that describe the data: their origin, what their inputs excite, and the
+scores of public benchmarks."""
 
 import warnings
 from typing import Any
@@ -36,8 +36,8 @@ COLUMNS = (
 
 
 def data_columns(data: DataSet) -> dict[str, Any]:
-    """Columns of a result record that describe the data set: its source and what its inputs excite.
-    Where the records come from and how much of the input's range they visit; no output enters."""
+    """Columns of a record that describe the data set: where it comes from and how well its inputs
+    excite the plant."""
     return {
         "data_source": data.metadata.get("source"),
         "benchmark": data.metadata.get("benchmark"),
@@ -49,9 +49,8 @@ def data_columns(data: DataSet) -> dict[str, Any]:
 
 
 def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -> tuple[float, ...]:
-    """Root mean square errors on the test records in the form in which a public benchmark scores
-    them. One RMSE per test record, after the start-up samples: in the unit of
-    `data.metadata["score"]`."""
+    """Root mean square error on each test record as a public benchmark scores it. The start-up
+    samples do not count; the unit is that of `data.metadata["score"]`."""
     require(
         len(y_hat) == len(data.test),
         "y_hat",
@@ -70,7 +69,7 @@ def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -
 def position_rmse_mm(
     record: Trajectory, velocity_hat: Float[np.ndarray, "T 1"], start_up_samples: int
 ) -> float:
-    """Root mean square error, in mm, of the position that results from integrating a simulated
+    """Root mean square error of a position, in mm, that results from integrating a simulated
     velocity. `1000 rms(q - q_hat)` with `q[k] = q[s] + step_s sum(y[s+1..k])`, started at the
     measured position `q[s]`.
 
@@ -83,13 +82,13 @@ def position_rmse_mm(
 
 
 class SlopesNotIdentifiable(UserWarning):
-    """Warning that the training inputs take too few levels to identify the slopes of the input
-    nonlinearity."""
+    """Warning that the training inputs take too few levels for the slopes of the input nonlinearity
+    to be identified."""
 
 
 def input_coverage(data: DataSet) -> float:
-    """Share of the input's amplitude range that the training inputs visit, in `BINS` equal bins.
-    The worst input channel counts.
+    """Share of the input's amplitude range that the training inputs visit, for the input with the
+    smallest share. The range has `BINS` equal bins.
 
     The range of a channel is that of all its records, so a two-level signal scores 2 / `BINS`. In
     [0, 1].
@@ -105,7 +104,8 @@ def input_coverage(data: DataSet) -> float:
 
 
 def warn_if_two_level(data: DataSet) -> str | None:
-    """Warn where a training input takes at most two levels; returns the warning, or None."""
+    """Warn if a training input takes at most two levels, and return the warning; None if no input
+    does."""
     training = np.concatenate([r.u for r in data.training])
     for j, channel in enumerate(data.inputs):
         levels = len(np.unique(training[:, j]))
@@ -123,8 +123,8 @@ def warn_if_two_level(data: DataSet) -> str | None:
 
 
 def persistency_order(u: Float[np.ndarray, "T m"]) -> int:
-    """Order of persistent excitation of an input signal. The largest L <= `HIGHEST_ORDER` for which
-    the block Hankel matrix of L rows of u has full row rank `m L`.
+    """Order of persistent excitation of an input signal. It is the largest L <= `HIGHEST_ORDER` for
+    which the block Hankel matrix of L rows of u has full row rank `m L`.
 
     A linear system of order n is identifiable from such data if `L >= n + its lag + 1` (Willems et
     al. 2005). Judged on the first 2000 samples.

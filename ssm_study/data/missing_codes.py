@@ -18,7 +18,7 @@ CODES = "a number that may stand for a missing value"
 
 
 def find_missing_code(values: Float[np.ndarray, "T"]) -> tuple[float, int] | None:
-    """Find an extreme value of a column that may stand for missing values, and how often it
+    """Find an extreme value of a column that may stand for missing values, and count how often it
     occurs."""
     finite = values[np.isfinite(values)]
     if not len(finite):

@@ -1,4 +1,4 @@
-"""Conversion of column titles to the plain names that recordings and tables take."""
+"""Conversion of column titles to the plain names that recordings and tables can store."""
 
 import re
 import unicodedata
@@ -16,8 +16,8 @@ def plain_name(column: str) -> str:
 
 
 def _spell_in_ascii(letter: str) -> str:
-    """Spell a letter outside ASCII in ASCII letters. `ω` -> `omega`, `Ω` -> `Omega`, `°` -> `deg`,
-    `ß` -> `ss`; another letter stays."""
+    """Spell a letter in ASCII letters where a spelling is known. `ω` -> `omega`, `Ω` -> `Omega`,
+    `°` -> `deg`, `ß` -> `ss`; another letter stays."""
     if letter in LETTERS:
         return LETTERS[letter]
     name = re.match(r"GREEK (SMALL|CAPITAL) LETTER (FINAL )?([A-Z]+)", unicodedata.name(letter, ""))

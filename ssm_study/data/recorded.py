@@ -31,24 +31,23 @@ Splitter = Callable[[Trajectory], Pieces]
 
 
 class RecordedSource(ABC):
-    """Base class of data sources that read files. It names the files and builds the data set."""
+    """Base class of data sources that read files, which names the files and builds the data set."""
 
     @abstractmethod
     def files(self) -> tuple[Path, ...]:
-        """Paths of all files from which the data set is built. Each exists, or `BadRequest` is
-        raised."""
+        """Paths of all files from which the data set is built. Raises `BadRequest` if one does not
+        exist."""
 
     @abstractmethod
     def build(self, seed: int) -> DataSet:
-        """Build the data set from its files. `seed` only names the run, as nothing here is
-        random."""
+        """Build the data set from its files. `seed` only appears in the name of the run, as nothing
+        here is random."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AroundRest(RecordedSource):
-    """Base class of recorded data whose scaling is relative to an equilibrium. It is "zero" or
-    "mean" (of the training samples), or one number per channel, as given. Records about an
-    equilibrium: "zero" or "mean" (of the training samples), or one number per channel, as given.
+    """Base class of recorded data whose scaling is relative to an equilibrium. The equilibrium is
+    "zero", "mean" (of the training samples), or one number per channel.
 
     `start_up_samples` at the beginning of each record are simulated, not scored: a record seldom
     starts at rest. `fold` k of `folds`, counted from 0, tests on the k-th of so many equal pieces
@@ -74,8 +73,8 @@ class AroundRest(RecordedSource):
     def assemble_about_equilibrium(
         self, parts: Parts, channels: tuple[Channels, ...], **about: str
     ) -> DataSet:
-        """Assemble a data set that is scaled about the equilibrium of its records. Refuses what
-        `assemble_dataset` refuses."""
+        """Assemble a data set that is scaled about the equilibrium of its records. Raises
+        `BadRequest` as `assemble_dataset` does."""
         require(
             len(parts[0]) > 0, "data.training", "none", "no record is left to train on", "cut less"
         )
@@ -177,7 +176,8 @@ class RecordedData(Columns, AroundRest):
         self.pair_files("test_path", "test_output_path")
 
     def _check_disturbance_columns(self) -> None:
-        """Refuse a disturbance column that is named twice or is another signal too."""
+        """Raise `BadRequest` for a disturbance column that is named twice or is another signal,
+        too."""
         names = as_name_list(self.disturbance or ())
         require(all(names), "data.disturbance", names, "names no column", "name a column")
         twice = [name for name in names if names.count(name) > 1]
@@ -211,7 +211,7 @@ class RecordedData(Columns, AroundRest):
 
     def pair_files(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
         """Pair each input file with its output file, where the outputs have files of their own.
-        Refuses too few or too many."""
+        Raises `BadRequest` if there are too few or too many."""
         names, others = (as_name_list(getattr(self, name) or ()) for name in (field, outputs))
         expected = len(names) if self.has_output_files else 0
         problem = f"{len(others)} files of outputs, {expected} expected"
@@ -255,8 +255,8 @@ class RecordedData(Columns, AroundRest):
         return replace(data, mismatch_records=self._cut_mismatch_records(logs))
 
     def _cut_mismatch_records(self, logs: "list[_Log]") -> tuple[Trajectory, ...]:
-        """Cut out the records that only measure the model error: stretches of constant input and
-        repeated periods."""
+        """Cut out the records that only serve to measure the model error: segments of constant
+        input and repeated periods."""
         pieces = [piece for log in logs for piece in log.pieces]
         rests = [splits.rest_segments(piece) for piece in pieces]
         periodic = [splits.periodic_segments(piece, self.start_up_samples) for piece in pieces]
@@ -266,8 +266,8 @@ class RecordedData(Columns, AroundRest):
         return tuple(one for found in segments for one in found if len(one) > least)
 
     def _files_of_logs(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
-        """Files of every log, one or a pair; two files with inputs in one and outputs in the other
-        are one log. Two files of which one has the inputs and the other the outputs are one log."""
+        """Files of every log: one file each, or a pair if inputs and outputs are in separate
+        files."""
         files = self.pair_files(field, outputs)
         if len(files) != 2 or self.has_output_files:
             return files
@@ -280,9 +280,8 @@ class RecordedData(Columns, AroundRest):
         return [(first, second)] if apart else files
 
     def _read_logs(self, field: str, outputs: str, before: int = 0) -> "list[_Log]":
-        """Read every log, and reduce its input to the set point's part where the set point is
-        known. Where set point or PI are known, the input is the part that the set point makes, and
-        its share is noted."""
+        """Read every log, and reduce its input to the part that the set point explains where the
+        set point is known. The share of the input in that part is noted."""
         source = self
         if self.reference is not None:
             columns = [*as_name_list(self.input), *as_name_list(self.reference)]
@@ -304,8 +303,8 @@ class RecordedData(Columns, AroundRest):
         first: int = 0,
         last: int | None = None,
     ) -> tuple[list[Trajectory], str]:
-        """Read one log as pieces without gaps, with its measured disturbances. Read as `Columns`
-        does; disturbances are read, held and averaged as inputs are."""
+        """Read one log as pieces without gaps, with its measured disturbances. Disturbances are
+        read, held and averaged like inputs."""
         if self.disturbance is None:
             return super().read_pieces(path, output_path, first=first, last=last)
         columns = [*as_name_list(self.input), *as_name_list(self.disturbance)]
@@ -349,8 +348,8 @@ class RecordedData(Columns, AroundRest):
         return splits.split_pieces(log, splitter, self.start_up_samples + 2)
 
     def _choose_splitter(self, logs: list[list[Trajectory]]) -> tuple[Splitter, str]:
-        """Choose the function that splits a log into training, validation and test, and describe it
-        in words."""
+        """Choose the function that splits a log into training, validation and test, and describe
+        the split in words."""
         if self.validation is not None:
             named = {"validation": self.validation, "test": self.test or []}
             return partial(split_at_intervals, named=named), "into named intervals"

@@ -1,4 +1,4 @@
-"""Reading of one recorded experiment: its file, columns, clock and range of samples."""
+"""Reading of one recorded experiment from the columns and a range of samples of a file."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,16 +37,15 @@ ASSUMED_SECOND = "and a row is taken to last one second"
 
 
 def as_name_list(names: Names) -> tuple[str, ...]:
-    """Convert one name or several to a tuple of names. One name or several, as several; a column
-    without a name goes by its number."""
+    """Convert one name or several names to a tuple of names. A column without a name is given by
+    its number."""
     return (str(names),) if isinstance(names, str | int) else tuple(map(str, names))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Columns:
-    """Base class of settings that say which columns of a file are inputs, outputs and clock.
-    Columns `input` and `output` of a file, or of a file each, and the clock of their rows
-    (docs/data.md).
+    """Base class of settings that say which columns of a file are inputs, outputs and clock. Inputs
+    and outputs may be in separate files (docs/data.md).
 
     Without `time` the clock is found by its name, or as the nameless first column. `separator`,
     `decimal` and `header` state what is otherwise found in a text. `decimate` n keeps every n-th
@@ -95,17 +94,17 @@ class Columns:
 
     @property
     def text_settings(self) -> TextSettings:
-        """Layout of a text file as far as the configuration states it."""
+        """Layout of a text file, as far as the configuration states it."""
         return TextSettings(separator=self.separator, decimal=self.decimal, header=self.header)
 
     @property
     def has_output_files(self) -> bool:
-        """Whether the outputs are in files of their own."""
+        """Whether the outputs are in separate files."""
         return False
 
     @property
     def searches_clock(self) -> bool:
-        """Whether the clock is searched for among the columns where none is named."""
+        """Whether the clock is searched for among the columns because none is named."""
         return True
 
     @property
@@ -115,12 +114,12 @@ class Columns:
 
     @property
     def measured_outputs(self) -> tuple[Channel, ...]:
-        """Output channels as in the file; `outputs` are their rates if `differentiate` is set."""
+        """Output channels as the file has them. With `differentiate`, `outputs` are their rates."""
         return name_channels(self.output, self.output_unit, "output", self.has_output_files)
 
     @property
     def outputs(self) -> tuple[Channel, ...]:
-        """Output channels of the data set, as measured or differentiated."""
+        """Output channels of the data set, differentiated where that is requested."""
         rates = tuple(
             Channel(name=f"{c.name}_rate", unit=f"{c.unit}/s") for c in self.measured_outputs
         )
@@ -153,7 +152,7 @@ class Columns:
         first: int = 0,
         last: int | None = None,
     ) -> tuple[list[Trajectory], str]:
-        """Read the stretches of a log between its gaps and missing values, and describe how it was
+        """Read the pieces of a log between its gaps and missing values, and describe how it was
         read.
 
         Each piece says at which sample of the log it begins. A refusal of what the file holds ends
@@ -184,7 +183,8 @@ class Columns:
     def _build_record(
         self, values: Float[np.ndarray, "T c"], period_s: float, path: Path
     ) -> Trajectory:
-        """Build one record from evenly spaced rows, decimated and differentiated as configured."""
+        """Build one record from evenly spaced rows, decimated and differentiated as the settings
+        say."""
         u, y = np.split(values, [len(self.inputs)], axis=1)
         u, y = decimate_record(u, y, self.decimate)
         step_s = period_s * self.decimate
@@ -223,8 +223,8 @@ class Columns:
     def _read_columns(
         self, path: Path, output_path: Path
     ) -> tuple[Float[np.ndarray, "T"] | None, float | None, Float[np.ndarray, "T2 c"], list[str]]:
-        """Read the times, the sampling time that a file states, the signals and remarks on them.
-        The rows of two files must go together."""
+        """Read the signals of a log, their times and the sampling time that the file states, with
+        remarks. Rows of two files must belong together."""
         sides = [
             (path, as_name_list(self.input), self.inputs),
             (output_path, as_name_list(self.output), self.measured_outputs),
@@ -253,7 +253,8 @@ class Columns:
     def _refuse_unequal_times(
         self, times: list[np.ndarray], tables: list[Table], output_path: Path, rows: int
     ) -> None:
-        """Refuse an input and an output file whose rows are not at the same times."""
+        """Raise `BadRequest` for an input file and an output file whose rows are not at the same
+        times."""
         recordings = any(table.time_s is not None for table in tables) and self.time is None
         problem = "log times count from each recording's own start"
         remedy = "put both signals into one recording"
@@ -311,8 +312,8 @@ class Columns:
         self, contents: Table, length: int
     ) -> tuple[Float[np.ndarray, "T"] | None, list[str]]:
         """Times of a log whose first column counts the rows. They are in seconds in a file without
-        names (which the evidence doubts), none where the sampling time is given; refused otherwise.
-        """
+        names (which the evidence doubts), None where the sampling time is given; refused
+        otherwise."""
         if not first_column_counts_rows(contents):
             return None, []
         if self.step_s is not None:
@@ -336,8 +337,8 @@ class _LogFile:
 
 @dataclass(frozen=True, kw_only=True)
 class Recording(Columns):
-    """One experiment to be read from a file, or from a range of its samples. Samples `first` to
-    before `last` of the columns of the file at `path`."""
+    """One experiment to be read from a range of samples of a file. It has samples `first` to before
+    `last` of the columns of the file at `path`."""
 
     path: str
     first: int = 0
@@ -352,20 +353,21 @@ class Recording(Columns):
         return self.step_s is None
 
     def read(self) -> Trajectory:
-        """Read the recorded experiment in physical units. Refuses what `read_record` refuses."""
+        """Read the recorded experiment in physical units. Raises `BadRequest` as `read_record`
+        does."""
         return self.read_record(Path(self.path), first=self.first, last=self.last)
 
 
 def equals_any_column(values: Float[np.ndarray, "T"], columns: list[np.ndarray]) -> bool:
-    """Whether a column holds the same numbers as one of several columns."""
+    """Whether a column holds the same numbers as at least one of several columns."""
     return any(np.array_equal(values, column, equal_nan=True) for column in columns)
 
 
 def decimate_record(
     u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], every: int
 ) -> tuple[Float[np.ndarray, "T2 m"], Float[np.ndarray, "T2 p"]]:
-    """Decimate a record: every n-th output, and the mean input until the next. A hold would have
-    applied that mean."""
+    """Decimate a record to every n-th output, with the mean input up to the next output. A hold
+    would have applied that mean."""
     periods = len(u) // every
     blocks = u[: periods * every].reshape(periods, every, -1)
     return blocks.mean(axis=1), y[: periods * every : every]

@@ -21,8 +21,7 @@ DIGITS = 12  # of a written time; the rest is arithmetic
 
 
 def rounded_period_s(time_s: Float[np.ndarray, "T"]) -> tuple[float, float] | None:
-    """Estimate the sampling time of rounded times, and its relative uncertainty. Period of the even
-    clock that explains rounded times, and its relative uncertainty.
+    """Estimate the sampling time behind rounded times, and its relative uncertainty.
 
     The period is the shortest decimal number among the possible ones. None where no even clock
     explains the times, or clocks of clearly different periods do.
@@ -43,8 +42,8 @@ def rounded_period_s(time_s: Float[np.ndarray, "T"]) -> tuple[float, float] | No
 def period_bounds_s(
     time_s: Float[np.ndarray, "T"], error_s: Float[np.ndarray, "T"]
 ) -> tuple[float, float] | None:
-    """Smallest and largest period of an evenly spaced clock that lies within a tolerance of every
-    time. None without any."""
+    """Smallest and largest period of an evenly spaced clock that agrees with every time up to its
+    tolerance; None if there is none."""
     rows = len(time_s) - 1
     span_s = float(time_s[-1] - time_s[0])
     scaled = (time_s - time_s[0]) / span_s
@@ -90,7 +89,7 @@ def significant_digits(text: str) -> int:
 
 
 def roundest_number(low: float, high: float) -> float:
-    """Number in an interval of positive numbers that has the fewest digits."""
+    """Number in an interval of positive numbers that is written with the fewest digits."""
     middle = 0.5 * (low + high)
     for digits in range(1, DIGITS + 1):
         number = float(f"{middle:.{digits}g}")

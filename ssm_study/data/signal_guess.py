@@ -1,4 +1,4 @@
-"""Guess which columns of a log are input and output, by their titles and by their levels."""
+"""Guess at which columns of a log are input and output, by their titles and by their levels."""
 
 import re
 from collections.abc import Sequence
@@ -33,15 +33,14 @@ def guess_signals(facts: Sequence[ColumnFacts], clock: str | None) -> tuple[str 
 
 
 def is_set_point_title(name: str) -> bool:
-    """Whether a title is that of a set point, as `r`, `ref`, `T1 setpoint`, `TSP1` and
-    `speed_target` are."""
+    """Whether a title is that of a set point, such as `r`, `ref`, `T1 setpoint`, `TSP1` or
+    `speed_target`."""
     return title_word_score(name, SET_POINT_WORDS) == 1.0
 
 
 def input_score(column: ColumnFacts) -> float:
-    """Score of how much a column looks like an input of the plant. How much a column looks like an
-    input: by its name, by how it holds few levels, and by how far it moves. Columns that are alike
-    in this are taken in their order."""
+    """Score of how much a column looks like an input of the plant: by its name, its number of
+    levels, and its range. Columns with equal scores are taken in their order."""
     few_levels = max(0.0, 1.0 - 2.0 * column.levels / column.rows)
     by_levels = HOLDS_COUNT * round(column.held, 1) + FEW_LEVELS_COUNT * round(few_levels, 1)
     magnitude = max(abs(column.low), abs(column.high))
@@ -50,8 +49,8 @@ def input_score(column: ColumnFacts) -> float:
 
 
 def title_word_score(name: str, words: tuple[str, ...]) -> float:
-    """Score of how well a column's title matches a word. One if a word of the name is among the
-    words, a half if one begins with them."""
+    """Score of how well a column's title matches a list of words. One if a word of the title is in
+    the list, a half if one begins with a word in the list."""
     parts = [part for part in re.split(r"[^a-z]+", name.lower()) if part]
     if any(part in words for part in parts):
         return 1.0

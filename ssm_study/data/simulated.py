@@ -46,12 +46,13 @@ FRESH = 11  # marks the seeds of fresh data sets
 
 
 class TrainingAlone(UserWarning):
-    """Warning that an excitation's own amplitude applies to the training records only."""
+    """Warning that the amplitude set in an excitation applies to the training records only."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FreshRecords:
-    """Simulated records, seen by neither fit nor design, that measure the model error anew."""
+    """Simulated records that measure the model error anew, since neither fit nor design has seen
+    them."""
 
     validation: Trajectories
     mismatch_records: Trajectories
@@ -118,8 +119,7 @@ class SimulatedData:
         return assemble_dataset(parts, (rest.u, rest.y), channels, self.start_up_samples, **fields)
 
     def simulate_fresh_sets(self, plant: Plant, seed: int) -> Iterator[FreshRecords]:
-        """Simulate further records that neither fit nor design uses, each set with a seed of its
-        own."""
+        """Simulate further records that neither fit nor design uses, each set with its own seed."""
         for number in range(self.fresh_sets):
             rng = np.random.default_rng([seed, FRESH, number])
             scoring = self.scoring_excitation
@@ -155,7 +155,7 @@ class SimulatedData:
         *,
         noisy: bool = True,
     ) -> list[Trajectory]:
-        """Simulate records under an excitation that begin at the plant's equilibrium."""
+        """Simulate records that begin at the plant's equilibrium, under a given excitation."""
         request = SignalRequest(
             samples=samples,
             step_s=plant.step_s,
@@ -173,9 +173,9 @@ class SimulatedData:
 def simulate_mismatch_records(
     plant: Plant, rng: np.random.Generator, deviation: Float[np.ndarray, "p"]
 ) -> tuple[Trajectory, ...]:
-    """Simulate the records that only measure the model error: periodic excitation, free decays and
-    slow returns. Two periods at each of `SHARES` and then rest; free decays from each of `DECAYS`;
-    noise of that `noise_deviation`.
+    """Simulate the records that only serve to measure the model error: periodic excitation, free
+    decays and slow returns. Two periods at each of `SHARES` and then rest; free decays from each of
+    `DECAYS`; noise of that `noise_deviation`.
 
     Then slow returns from each of `RETURNS`, and rest: friction lets go of a jump to rest, not of a
     slow return.
@@ -211,7 +211,7 @@ def simulate_mismatch_records(
 def _split_into_records(
     plant: Plant, names: Sequence[str], u: np.ndarray, y: np.ndarray
 ) -> list[Trajectory]:
-    """Split stacked inputs and outputs into one named record each."""
+    """Split stacked inputs and outputs into named records, one for each case."""
     records = []
     for name, inputs, outputs in zip(names, u, y, strict=True):
         records.append(Trajectory(u=inputs, y=outputs, step_s=plant.step_s, name=name))
@@ -221,9 +221,9 @@ def _split_into_records(
 def simulate_sine_records(
     plant: Plant, rng: np.random.Generator, deviation: Float[np.ndarray, "p"], lines: Sequence[int]
 ) -> tuple[Trajectory, ...]:
-    """Simulate single-sine experiments at chosen frequencies and several amplitudes. Single sines
-    at these lines of `PERIOD`, at each of `SINE_SHARES` of the amplitude: one period of lead-in and
-    two that count; every input moves alike."""
+    """Simulate single-sine experiments at chosen frequencies and several amplitudes. Each has one
+    period of `PERIOD` samples as lead-in and two that count, at each of `SINE_SHARES` of the
+    amplitude; all inputs move alike."""
     rest = plant.equilibrium()
     amplitude = np.array(plant.input_amplitude)
     inputs = []
@@ -241,7 +241,7 @@ def simulate_sine_records(
 
 
 def _broadband_signal(rng: np.random.Generator, longest: int) -> Float[np.ndarray, "T"]:
-    """Generate a broadband signal with random levels and random holding times. Levels uniform in
-    [-1, 1], held from one sample to `longest`, short and long equally often on a log scale."""
+    """Generate a broadband signal with random levels and random holding times. Levels are uniform
+    in [-1, 1]; the logarithm of the holding time is uniform up to `longest`."""
     holds = np.exp(rng.uniform(0.0, np.log(longest + 1), PERIOD)).astype(int)
     return np.repeat(rng.uniform(-1.0, 1.0, PERIOD), holds)[:PERIOD]

@@ -1,5 +1,5 @@
-"""Split of a log into training, validation and test: by time, named intervals, interleaved blocks,
-or folds."""
+"""Split of a log into training, validation and test: by time, at named intervals, into interleaved
+blocks, or by folds."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -25,8 +25,8 @@ UNLIKE = 1.0
 def split_pieces(
     log_pieces: Sequence[Trajectory], split_record: Callable[[Trajectory], Pieces], shortest: int
 ) -> Pieces:
-    """Split a log that consists of several pieces as if it had no gaps. Cut a log that has holes as
-    one without would be cut, its samples counted over the holes.
+    """Split a log that consists of several pieces as if it had no gaps. Its samples are counted
+    over the gaps.
 
     Parts of a piece that are shorter than `shortest` samples are left out.
     """
@@ -55,8 +55,8 @@ def split_by_time(record: Trajectory, validation: float, test: float) -> Pieces:
 
 
 def split_into_blocks(record: Trajectory) -> Pieces:
-    """Split a record into interleaved blocks for training, validation and test. `BLOCKS` equal
-    pieces: 1, 2, 3 train, 4 validates, 5 tests, and so on."""
+    """Split a record into interleaved blocks for training, validation and test. Of `BLOCKS` equal
+    pieces, 1, 2, 3 train, 4 validates, 5 tests, and so on."""
     edges = np.linspace(0, len(record), BLOCKS + 1).round().astype(int)
     blocks = [record[a:b] for a, b in pairwise(edges)]
     training = [block for k, block in enumerate(blocks) if k % 5 < 3]
@@ -89,8 +89,8 @@ def split_at_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pi
 
 
 def split_by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
-    """Split a record into equal folds, of which one tests and the one before it validates. Before
-    the first comes the last; the others train."""
+    """Split a record into equal folds, of which one tests and the one before it validates. The last
+    fold counts as the one before the first; all others train."""
     piece = folds * np.arange(len(record)) // len(record)
     is_tested = piece == fold
     validates = piece == (fold - 1) % folds
@@ -98,7 +98,7 @@ def split_by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
 
 
 def cut_out_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajectory], Trajectory]:
-    """Cut one of several equal folds out of a record; returns the remaining pieces and the fold."""
+    """Cut a record into one of several equal folds and the remaining pieces."""
     start = round(len(record) * fold / folds)
     end = round(len(record) * (fold + 1) / folds)
     sides = (record[:start], record[end:])
@@ -106,8 +106,8 @@ def cut_out_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajec
 
 
 def rest_segments(record: Trajectory) -> list[Trajectory]:
-    """Cut out the stretches in which the input rests at the value with which the record ends. None
-    where it ends moving. Measured disturbances count as inputs: while they move nothing rests.
+    """Cut out the segments in which the input is constant at the value with which the record ends.
+    There are none in a record that ends moving. Measured disturbances count as inputs.
 
     A stretch counts that lasts half as long as the last one. What the plant does there is evidence;
     no fit uses it.
@@ -116,8 +116,8 @@ def rest_segments(record: Trajectory) -> list[Trajectory]:
 
 
 def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Trajectory]:
-    """Cut out the segments between rests in which the input repeats itself periodically. Half of
-    the stretch before and all behind belong to them.
+    """Cut out the segments in which the input repeats itself periodically, between segments of
+    constant input. Half of the constant segment before and all of the one behind belong to them.
 
     `ssm-study excite` writes one for each amplitude: what its second period does not repeat is
     noise. Nothing of a log that moves otherwise, too: a few equal pulses would stand for all that
@@ -134,8 +134,8 @@ def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Traject
 
 
 def _rest_ranges(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
-    """Index ranges in which the input rests at the value with which the record ends. With `first`,
-    one at its beginning counts, too."""
+    """Index ranges in which the input is constant at the value with which the record ends. With
+    `first`, a range at the beginning of the record counts, too."""
     moving = record.inputs_and_disturbances
     moved = np.flatnonzero((moving != moving[-1]).any(axis=1))
     if not len(moved) or len(record) - moved[-1] <= SHORTEST_REST:
@@ -146,8 +146,8 @@ def _rest_ranges(record: Trajectory, first: bool = False) -> list[tuple[int, int
 
 
 def _group_by_part(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
-    """Cut a record into runs of samples that belong to training, validation or test. 0 trains, 1
-    validates, 2 tests."""
+    """Cut a record into runs of successive samples that belong to training, validation or test. 0
+    trains, 1 validates, 2 tests."""
     pieces: Pieces = ([], [], [])
     edges = np.flatnonzero(np.diff(part, prepend=-1, append=-1))
     for a, b in pairwise(edges):

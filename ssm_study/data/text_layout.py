@@ -1,4 +1,5 @@
-"""Detection of a text file's layout: encoding, separator, decimal mark, comments, names, units.
+"""Detection of a text file's layout: encoding, separator, decimal mark, comments, column names,
+units.
 
 All of it is found in the text itself, and any of it may be stated instead (`TextSettings`). The
 rows of numbers decide: a separator and a decimal mark fit if they cut the rows into equally many
@@ -48,7 +49,7 @@ MOSTLY_ZERO = 0.4  # share of every second byte, from which on a text is one of 
 
 @dataclass(frozen=True, kw_only=True)
 class TextSettings:
-    """Layout of a text file as the user states it; settings that are None are detected from the
+    """Layout of a text file as the user states it. Settings that are None are detected from the
     file.
 
     `separator` is a mark or its name (tabs, semicolons, commas, bars, spaces); `decimal` is "." or
@@ -75,8 +76,7 @@ class TextSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class TextLayout:
-    """Detected layout of a text file, and its rows. A text taken apart: `rows` of text with their
-    `line_numbers`, and what they mean.
+    """Detected layout of a text file, with its rows as text and their `line_numbers`.
 
     `names` are the header's cells, None where the file has none; `units` those of a row of units.
     """
@@ -102,8 +102,8 @@ class TextLayout:
 
 
 def decode_text(path: Path, content: bytes) -> tuple[str, str]:
-    """Decode the bytes of a text file, and name the encoding. The text and the name of its
-    encoding; refuses bytes that are no text."""
+    """Decode the bytes of a text file, and name the encoding. Raises `BadRequest` for bytes that
+    are no text."""
     for mark, encoding in BYTE_ORDER_MARKS:
         if content.startswith(mark):
             try:
@@ -130,8 +130,8 @@ def decode_text(path: Path, content: bytes) -> tuple[str, str]:
 
 
 def detect_wide_encoding(content: bytes) -> str:
-    """Encoding of a text with two bytes for each letter and no byte order mark; empty for another
-    text."""
+    """Encoding of a text that has two bytes for each letter and no byte order mark; empty for any
+    other text."""
     halves = {"utf-16-le": content[1::2], "utf-16-be": content[::2]}
     zeros = {name: half.count(0) / max(len(half), 1) for name, half in halves.items()}
     wide = [name for name, share in zeros.items() if share > MOSTLY_ZERO]
@@ -140,8 +140,8 @@ def detect_wide_encoding(content: bytes) -> str:
 
 
 def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLayout:
-    """Detect the layout of a text file: encoding, separator, decimal mark, header and units. Take a
-    text apart; raises `BadRequest` where no row of numbers is found."""
+    """Detect the layout of a text file: encoding, separator, decimal mark, header and units. Raises
+    `BadRequest` if no row of numbers is found."""
     text, encoding = decode_text(path, content)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     numbered = [(k, line) for k, line in enumerate(lines, start=1) if line.strip()]
@@ -196,7 +196,7 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
 
 
 def sample_lines(lines: list[str]) -> list[str]:
-    """Sample lines from all over a text file except its first ones."""
+    """Sample lines from the whole of a text file except its beginning."""
     later = lines[min(len(lines) // 2, 20) :]
     stride = max(len(later) // SAMPLED_ROWS, 1)
     return later[::stride][:SAMPLED_ROWS]
@@ -227,7 +227,8 @@ def is_number(cell: str, decimal: str) -> bool:
 
 
 def find_separators(lines: list[str], settings: TextSettings) -> tuple[str, str]:
-    """Find the separator and the decimal mark for which the lines best form a table of values."""
+    """Find the separator and the decimal mark with which the lines form the best table of
+    values."""
     separators = SEPARATORS if settings.separator_mark is None else (settings.separator_mark,)
     decimals = (".", ",") if settings.decimal is None else (settings.decimal,)
     rows = sample_lines(lines)
@@ -248,8 +249,8 @@ def find_separators(lines: list[str], settings: TextSettings) -> tuple[str, str]
 
 
 def table_score(rows: list[list[str]], decimal: str) -> float:
-    """Score of how well lines that were split into cells form a table of values. How nearly the
-    rows are a table: share of rows of the usual length, times share of values.
+    """Score of how well lines that were split into cells form a table of values. It is the share of
+    rows with the usual length, times the share of values.
 
     Of two readings that are both perfect, the one with more columns scores more. Cells as `05`
     are the digits behind a decimal comma, not whole numbers.
@@ -265,8 +266,8 @@ def table_score(rows: list[list[str]], decimal: str) -> float:
 
 
 def find_numeric_columns(rows: list[list[str]], columns: int, decimal: str) -> list[bool]:
-    """For each column, whether nine of ten sampled cells are values. Columns of missing values
-    alone do not count."""
+    """For each column, whether at least nine in ten sampled cells hold a value. A column of missing
+    values does not count."""
     regular = [row for row in rows if len(row) == columns]
     numeric = []
     for j in range(columns):
@@ -279,7 +280,7 @@ def find_numeric_columns(rows: list[list[str]], columns: int, decimal: str) -> l
 def first_value_row(
     cells: list[list[str]], columns: int, numeric: list[bool], decimal: str
 ) -> int | None:
-    """Index of the first row that has values in all numeric columns. None if there is none."""
+    """Index of the first row that has values in all numeric columns; None if there is none."""
     for k, row in enumerate(cells):
         if len(row) != columns:
             continue
@@ -292,13 +293,13 @@ def first_value_row(
 
 
 def number_with_noun(number: int, noun: str) -> str:
-    """Write a number with its noun in singular or plural. A number with its noun: `1 line`, `2
-    lines`."""
+    """Write a number with its noun in singular or plural, such as `1 line` and `2 lines`."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def fits_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
-    """Whether a row above the numbers has one cell for each column, so that it can name them."""
+    """Whether a row above the numbers has one cell for each column, so that its cells can be the
+    columns' names."""
     if len(row) == columns + 1:
         return row[-1] == ""
     if len(row) == columns - 1:
@@ -310,8 +311,8 @@ def fits_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
 def refuse_shifted_names(
     path: Path, cells: list[list[str]], above: list[list[str]], columns: int
 ) -> None:
-    """Refuse a header line with one name too many or too few. A trace whose variables stand one
-    below the other is refused, too."""
+    """Raise `BadRequest` for a header line with one name too many or too few. A trace whose
+    variables are listed one below another is refused, too."""
     stacked = bool(above or cells) and (above + cells)[0][0].strip().lower() == "[key]"
     remedy = "export a table with one column a variable"
     problem = "is a trace of keys and values, its variables one below the other"
@@ -323,7 +324,7 @@ def refuse_shifted_names(
 
 
 def remove_repeated_header_lines(body: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], int]:
-    """Remove lines that repeat the header of a text file, and count them.
+    """Remove lines that repeat the header in the body of a text file, and count them.
 
     A logger that is switched on again writes its line of names again.
     """
@@ -364,7 +365,8 @@ def fold_header_cell(cell: str) -> str:
 def parse_names_in_comment(
     comments: list[str], separator: str, columns: int, decimal: str
 ) -> list[str] | None:
-    """Parse the column names in the last comment line, as NumPy writes them. None without."""
+    """Parse the column names in the last comment line, where NumPy writes them; None if there are
+    none."""
     bare = comments[-1].strip().lstrip('#%/" ')
     for mark in (separator, ",", ";", "\t", " "):
         cells = split_cells(bare, mark)
@@ -376,8 +378,8 @@ def parse_names_in_comment(
 def numbered_column_names(
     cells: list[list[str]], columns: int, header: bool | None
 ) -> tuple[list[str] | None, int]:
-    """Column names `0,1,2` or `1,2,3` in the first row of a table, and the number of rows they
-    take.
+    """Column names `0,1,2` or `1,2,3` in the first row of a table, and the number of rows that hold
+    names.
 
     Counting from 0 they are names if the numbers below are unlike whole numbers, as pandas writes
     an array; counting from 1, always (a reader that is asked for a number refuses to guess).

@@ -1,5 +1,5 @@
-"""Normalisation of numbers in text files: digit groups, percent signs, words for on and off, and
-the like.
+"""Conversion of numbers in text files to one form: digit groups, percent signs, words for on and
+off, and the like.
 
 A point or comma between groups of three digits is read where the column shows that it groups them
 (`1,234.5`, `1.234.567`). A column of `20,007` alone could be thousands or decimals, and is refused.
@@ -18,7 +18,7 @@ FORTRAN = r"^([-+]?[\d.]+)[dD]([-+]?\d+)$"
 def normalise_numbers(
     cells: pa.ChunkedArray, missing: pa.ChunkedArray, decimal: str
 ) -> tuple[pa.ChunkedArray, str]:
-    """Rewrite numbers with a decimal point and no group separators, and describe what is
+    """Rewrite numbers with a decimal point and without group separators, and describe what is
     ambiguous."""
     cells = pc.replace_substring(cells, "\u2212", "-")
     cells = _remove_plain_separators(cells)
@@ -49,7 +49,8 @@ def _remove_plain_separators(cells: pa.ChunkedArray) -> pa.ChunkedArray:
 def _remove_group_separators(
     cells: pa.ChunkedArray, filled: pa.ChunkedArray, group: str, decimal: str
 ) -> tuple[pa.ChunkedArray, str]:
-    """Remove the mark between groups of three digits, if the column shows that it is one."""
+    """Remove the mark between groups of three digits if the column shows that the mark separates
+    groups."""
     mark = "," if group == "," else r"\."
     point = r"\." if decimal == "." else ","
     grouped = rf"^[-+]?[1-9]\d{{0,2}}({mark}\d{{3}})+({point}\d+)?$"
@@ -64,7 +65,7 @@ def _remove_group_separators(
 
 
 def _replace_switch_words(cells: pa.ChunkedArray, filled: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Replace the words of a switch, such as on and off, by 1 and 0."""
+    """Replace words for the state of a switch, such as on and off, by 1 and 0."""
     words = pa.array(list(WORDS))
     if not pc.all(pc.is_in(pc.utf8_lower(filled), value_set=words)).as_py():
         return cells

@@ -1,4 +1,4 @@
-"""Composition of a request by Hydra, once for the request and for all jobs of a sweep. Only this
+"""Composition of configurations by Hydra, once for a request and for all jobs of a sweep. Only this
 file uses Hydra's private names.
 
 Hydra composes a request three times, and reads every file again for each job of a sweep: a quarter
@@ -47,7 +47,7 @@ NAME = re.compile(r"\$\{run_name:([^${}]*)\}")
 
 
 class Loader(ConfigLoaderImpl):
-    """Hydra's configuration loader with a faster list of a group's choices. It does not copy all
+    """Hydra's configuration loader with a faster list of a group's choices. It does not copy the
     files that it has read (`--help` lists a hundred groups)."""
 
     defaults: Mapping[str, Any] = MappingProxyType({})  # by group, to be marked
@@ -67,8 +67,8 @@ class Loader(ConfigLoaderImpl):
 
 
 class Command(Hydra):
-    """Command line of a Hydra application. It does what `hydra.main` does with the arguments, over
-    the configuration `name` in `folder`.
+    """Command line of a Hydra application, over one folder of configuration files. It does with the
+    arguments what `hydra.main` does.
 
     `config` is composed when first asked for, and is what `do` then runs: it can be checked before
     Hydra makes the callbacks, the launcher and the sweeper that it names.
@@ -89,8 +89,8 @@ class Command(Hydra):
 
     @cached_property
     def config(self) -> DictConfig:
-        """Composed configuration of the request. Raises whatever Hydra raises for a request that it
-        cannot compose."""
+        """Composed configuration of the request. Raises Hydra's error for a request that cannot be
+        composed."""
         mode = RunMode.MULTIRUN if self.asked.multirun else RunMode.RUN
         words = list(self.asked.overrides)
         if not any(word.startswith("hydra.mode=") for word in words):
@@ -107,7 +107,7 @@ class Command(Hydra):
 
     @property
     def is_sweep(self) -> bool:
-        """Whether the request is a sweep of several jobs."""
+        """Whether the command line requests a sweep of several jobs."""
         return bool(self.config.hydra.mode == RunMode.MULTIRUN)
 
     def execute(self, task: TaskFunction) -> None:
@@ -126,7 +126,7 @@ class Command(Hydra):
 
 def set_hydra_config(config: DictConfig) -> None:
     """Set the configuration from which Hydra resolves `${hydra:...}`. Hydra's own `set_config`
-    would copy its whole section first (5 ms)."""
+    would first copy its whole section (5 ms)."""
     HydraConfig.instance().cfg = config  # type: ignore[assignment]  # Hydra's type is that of the section alone
 
 
@@ -137,8 +137,8 @@ def clear_hydra_state() -> None:
 
 
 def grid_combinations(config: DictConfig) -> list[list[str]]:
-    """Override lists of all jobs of a grid sweep, `a=1,2 b=3` -> `[[a=1, b=3], [a=2, b=3]]`. Empty
-    for a search, which chooses its values while it runs."""
+    """Override lists of all jobs of a grid sweep, such as `[[a=1, b=3], [a=2, b=3]]` for `a=1,2
+    b=3`. Empty for a search, which chooses its values while it runs."""
     if config.hydra.sweeper._target_ not in GRIDS:
         return []
     words = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
@@ -149,8 +149,8 @@ def grid_combinations(config: DictConfig) -> list[list[str]]:
 
 @dataclass
 class ComposedChoices:
-    """Configuration composed from one set of choices, into which the plain values of each job are
-    put."""
+    """Configuration composed from one set of choices, to which the plain values of each job are
+    added."""
 
     config: DictConfig
     held: dict[str, bool] = field(default_factory=dict)
@@ -158,8 +158,8 @@ class ComposedChoices:
 
     @cached_property
     def tree(self) -> Settings:
-        """The configuration as plain containers, without Hydra's section and with interpolations
-        unresolved."""
+        """Configuration as plain containers, without Hydra's section and with unresolved
+        interpolations."""
         tree = OmegaConf.to_container(self.config, resolve=False)
         assert isinstance(tree, dict)
         return Settings(
@@ -168,9 +168,8 @@ class ComposedChoices:
 
     @cached_property
     def settings_in_run_name(self) -> tuple[str, ...] | None:
-        """Settings that appear in the name of the run; None if the name uses others than plain
-        settings. None where anything else is interpolated (OmegaConf then has to resolve it, which
-        is slow)."""
+        """Settings that appear in the name of the run; None if the name depends on more than plain
+        settings. OmegaConf has to resolve such a name, which is slow."""
         interpolation = NAME.fullmatch(str(self.tree.get("run", "")))
         others = [value for key, value in self.tree.items() if key != "run"]
         if interpolation is None or any("${" in str(value) for value in others):
@@ -189,8 +188,8 @@ class ComposedChoices:
         return self.held[path]
 
     def settings(self, values: dict[str, Any]) -> Settings:
-        """Settings of one job, made by putting values, given by dotted path, into the shared
-        composition. Unchanged sections are shared between jobs."""
+        """Settings of one job, made by putting values at dotted paths of the shared composition.
+        Unchanged sections are shared between jobs."""
         assert self.settings_in_run_name is not None
         settings = Settings(self.tree)
         by_section: dict[str, dict[str, Any]] = {}
@@ -204,7 +203,7 @@ class ComposedChoices:
         return Settings(settings | {"run": run_name(settings, *self.settings_in_run_name)})
 
     def section(self, name: str, values: dict[str, Any]) -> Any:
-        """One section of the settings of a job with its own values put in; equal sections are the
+        """One section of a job's settings, with the job's own values put in; equal sections are the
         same object."""
         typed = [(path, type(value), value) for path, value in values.items()]
         key = (name, *typed)
@@ -225,8 +224,8 @@ def replace_at_path(tree: Any, path: list[str], value: Any) -> Any:
 
 
 class Composer:
-    """Composer of the configuration of each job of a sweep. It equals Hydra's `load_sweep_config`
-    but does not read the files again for every job.
+    """Composer of the configurations of a sweep's jobs. It gives what Hydra's `load_sweep_config`
+    gives, but does not read the files again for every job.
 
     `refuse` is asked about every composition.
     """
@@ -244,7 +243,7 @@ class Composer:
         self.composed: dict[tuple[str, ...], ComposedChoices] = {}
 
     def compose(self, overrides: list[str], number: int | None = None) -> DictConfig:
-        """Whole configuration of one job, Hydra's section included. The next call may return the
+        """Whole configuration of one job, including Hydra's section. The next call may return the
         same object with other values."""
         chosen, values = self._split_overrides(overrides)
         config = chosen.config
@@ -277,8 +276,8 @@ class Composer:
         return plain_settings(config)
 
     def _split_overrides(self, overrides: list[str]) -> tuple[ComposedChoices, list[Override]]:
-        """Separate the overrides of a job into the composition that it shares with other jobs and
-        its own plain values."""
+        """Separate the overrides of a job into a composition that other jobs share and the job's
+        own plain values."""
         parsed = [self._parse_override(word) for word in overrides]
         chosen = self._composition(parsed)
         marked = []
@@ -290,7 +289,7 @@ class Composer:
         return chosen, [override for override, is_own in marked if is_own]
 
     def _composition(self, parsed: list[tuple[Override, bool]]) -> ComposedChoices:
-        """Composition for these parsed overrides, loaded by Hydra when it is first needed."""
+        """Composition for parsed overrides, which Hydra loads when it is first needed."""
         choices = [str(override.input_line) for override, is_plain in parsed if not is_plain]
         # The paths, too: values are put into the composition itself, so all its jobs must give the
         # same.
@@ -312,8 +311,8 @@ class Composer:
 
 
 def is_plain_value(override: Override, repository: IConfigRepository) -> bool:
-    """Whether an override sets a plain value (`a.b=1`). It then chooses no group, adds, deletes,
-    interpolates and instantiates nothing, and changes nothing of Hydra's own."""
+    """Whether an override only sets a plain value, such as `a.b=1`. It then chooses no group, adds,
+    deletes, interpolates and instantiates nothing, and changes nothing of Hydra's own."""
     path = str(override.key_or_group)
     value = override.value()
     if override.type is not OverrideType.CHANGE or override.package is not None:

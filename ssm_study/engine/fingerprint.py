@@ -43,9 +43,8 @@ FORM = f"1 {sys.version}"  # syntax trees differ from one Python to the next
 
 
 class Part(NamedTuple):
-    """Statements that define one name: their digest and the names and imports they depend on. Their
-    digest, the names that they read, and the symbols that imports inside their functions bring
-    in."""
+    """Statements that define one name: their digest and the names and imports that they depend
+    on."""
 
     digest: str
     names: list[str]
@@ -57,7 +56,7 @@ NOTHING = Part("", [], [])
 
 @dataclass
 class Module:
-    """Content of one scanned source file: the statements behind each name, and the imported
+    """Content of one scanned source file: the statements that define each name, and the imported
     symbols."""
 
     parts: dict[str, Part] = field(default_factory=dict)
@@ -92,8 +91,8 @@ class Code:
         return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()
 
     def _is_defined(self, module: str, name: str) -> bool:
-        """Whether a module defines a name; a library, or a module without statements, may define
-        any."""
+        """Whether a module defines a name. A library, or a module without statements, may define
+        any name."""
         if not self._is_followed(module.split(".")[0]):
             return True
         read = self._read_module(module)
@@ -104,7 +103,7 @@ class Code:
         )
 
     def dependency_closure(self, roots: Iterable[Symbol]) -> set[Symbol]:
-        """All symbols on which the given ones depend, directly or through others, libraries not
+        """All symbols on which given symbols depend, directly or through others; libraries are not
         followed."""
         seen = set[Symbol]()
         waiting = {self._followed_symbol(symbol) for symbol in roots}
@@ -120,22 +119,22 @@ class Code:
 
     def read_loaded_modules(self) -> None:
         """Read the source of every loaded module of this package, so that later edits of the files
-        do not count."""
+        have no effect."""
         for module in sorted(sys.modules):
             if module.split(".")[0] == OURS:
                 self._read_module(module)
 
     def _followed_symbol(self, symbol: Symbol) -> Symbol:
-        """Symbol as its dependencies are followed: a library as a whole, one of this package under
-        its present name."""
+        """Symbol in the form in which dependencies are followed: a library as a whole, a symbol of
+        this package under its present name."""
         top = symbol[0].split(".")[0]
         if not self._is_followed(top):
             return (top, LIBRARY)
         return self._present_symbol(symbol) if top == OURS else symbol
 
     def _present_symbol(self, symbol: Symbol) -> Symbol:
-        """Present place of a symbol of this package; other people's code may import it by an old
-        name."""
+        """Present module and name of a symbol of this package, which other people's code may import
+        by an old name."""
         module, name = symbol
         if name in (WHOLE, LIBRARY):
             return (
@@ -147,8 +146,8 @@ class Code:
         return current_symbol(module, name)
 
     def _is_followed(self, top: str) -> bool:
-        """Whether the sources of a package are read. They are for this package, and for whatever is
-        not installed as a library (a clone, a script)."""
+        """Whether the sources of a package are read. They are for this package, and for code that
+        is not installed as a library (a clone, a script)."""
         if top not in self.followed:
             path = None if top in sys.stdlib_module_names else self._source_path(top)
             is_ours = top in (*self.folders, OURS, "__main__")
@@ -174,8 +173,8 @@ class Code:
             yield from self._symbols_in_module(module, read)
 
     def _symbols_in_module(self, module: str, read: Module) -> Iterator[Symbol]:
-        """All symbols of a module. For a package's `__init__.py` also those of its files, whose
-        members are found by name."""
+        """All symbols of a module. An `__init__.py` also counts the symbols of the package's files,
+        because members are found by name."""
         for bound in read.bound_names:
             yield module, bound
         for symbols in read.imported.values():
@@ -188,14 +187,14 @@ class Code:
                 yield f"{module}.{file.stem}", WHOLE
 
     def _digest(self, module: str, name: str) -> str:
-        """Digest of the statements behind one symbol; for a library its version."""
+        """Digest of the statements that define one symbol; for a library, its version."""
         if name == LIBRARY:
             return library_version(module)
         parts = (self._read_module(module) or Module()).parts
         return f"{parts.get(LOOSE, NOTHING).digest} {parts.get(name, NOTHING).digest}"
 
     def _read_module(self, module: str) -> Module | None:
-        """Scanned source of a module, read once. None where it has no Python source."""
+        """Scanned source of a module, read once; None if it has no Python source."""
         if module not in self.modules:
             path = self._source_path(module)
             is_cached = module.split(".")[0] == OURS and not self.folders
@@ -204,8 +203,7 @@ class Code:
         return self.modules[module]
 
     def _source_path(self, module: str) -> Path | None:
-        """Path of a module's source, found without importing anything. None if it has no Python
-        source."""
+        """Path of a module's source, found without any import; None if it has no Python source."""
         top, *inner = module.split(".")
         if top == "__main__":
             return None if inner else Path(sys.modules[top].__file__ or "")
@@ -239,7 +237,7 @@ def _is_installed(path: Path) -> bool:
 
 @cache
 def _package_folder(top: str) -> Path | None:
-    """Folder of a top-level package, or the file of a top-level module that is no package."""
+    """Folder of a top-level package, or the file of a top-level module."""
     spec = importlib.util.find_spec(top)
     if spec is None or not spec.origin or not spec.origin.endswith(".py"):
         return None
@@ -253,7 +251,7 @@ def code_version(*roots: Callable[..., Any] | type | str) -> str:
 
 
 def find_symbol(root: Callable[..., Any] | type | str) -> Symbol:
-    """Module and name under which a function or class is defined; a lambda stands for its whole
+    """Module and name in which a function or class is defined. A lambda stands for its whole
     module."""
     if isinstance(root, str):
         module, _, name = root.rpartition(".")
@@ -266,7 +264,8 @@ def find_symbol(root: Callable[..., Any] | type | str) -> Symbol:
 
 @cache
 def library_version(library: str) -> str:
-    """Version of the distribution that provides an import name. Empty for the standard library."""
+    """Version of the installed distribution that provides an import name; empty for the standard
+    library."""
     if library in sys.stdlib_module_names:
         return ""
     with suppress(metadata.PackageNotFoundError):
@@ -278,7 +277,7 @@ def library_version(library: str) -> str:
 
 @cache
 def _distributions_with_files() -> list[tuple[metadata.Distribution, str]]:
-    """Every installed distribution with the text that lists its files."""
+    """Every installed distribution, with the text that lists its files."""
     listed = []
     for owner in metadata.distributions():
         files = owner.read_text("RECORD") or owner.read_text("top_level.txt") or ""
@@ -319,7 +318,7 @@ def _symbols_from_pairs(pairs: Iterable[Iterable[str]]) -> list[Symbol]:
 
 
 def _scan_source(path: Path, module: str) -> Module:
-    """Scan a source file: which statements bind each name, and what is imported."""
+    """Scan a source file for the statements that define each name and for the imported symbols."""
     tree = ast.parse(path.read_bytes())
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     bound = defaultdict[str, list[ast.stmt]](list)
@@ -345,7 +344,7 @@ def _drop_docstrings(tree: ast.Module) -> None:
 
 
 def _scan_statements(statements: list[ast.stmt], package: str) -> Part:
-    """Digest and dependencies of the statements that bind one name."""
+    """Digest and dependencies of the statements that define one name."""
     text = "\n".join(map(ast.dump, statements))
     names: set[str] = set()
     imports: set[Symbol] = set()
@@ -382,8 +381,7 @@ def _bound_names(statement: ast.stmt) -> set[str]:
 
 
 def _names_read(node: ast.AST) -> Iterator[str]:
-    """Names that are read when the statement runs or is called; those in annotations are
-    left out."""
+    """Names that are read when a statement runs or is called; names in annotations are left out."""
     if isinstance(node, ast.Name):
         yield node.id
     for label, value in ast.iter_fields(node):

@@ -58,8 +58,8 @@ class Job:
         return ended
 
     def check_settings(self, task: Task[Any]) -> None:
-        """Check the settings of this job, naming the run in any `BadRequest`. Raises the task's
-        `BadRequest` with the name of the run added."""
+        """Check the settings of this job. Raises the task's `BadRequest` with the name of the run
+        added."""
         try:
             task.request(self.settings)
         except BadRequest as refusal:
@@ -70,7 +70,8 @@ class Job:
 def create_jobs(
     composer: Composer, overrides: Sequence[list[str]], first_number: int = 0
 ) -> list[Job]:
-    """Jobs of a sweep, numbered as Hydra numbers them, each with its settings and its folder.
+    """Create the jobs of a sweep, numbered as Hydra numbers them, each with its settings and its
+    folder.
 
     Raises `BadRequest` for a name that leaves the results folder.
     """
@@ -84,7 +85,7 @@ def create_jobs(
 
 
 def run_job(job: Job, composer: Composer, task: Task[Any], hydra_context: HydraContext) -> None:
-    """Run a job in the present process, with all output written to `folder/run.log`.
+    """Run a job in the present process, and write all its output to `folder/run.log`.
 
     What Hydra's `run_job` does in a process that goes on to other jobs, without the copies it needs
     to undo it.
@@ -130,7 +131,8 @@ def _redirect_output(folder: Path) -> None:
 
 
 def ended_job_outcome(job: Job) -> Outcome:
-    """Outcome of a job whose process has ended, from its record or from how the process died."""
+    """Outcome of a job whose process has ended, from its record or, without one, from how the
+    process died."""
     assert job.process is not None
     job.process.join()
     kill_job(job)  # what the job started and left behind
@@ -145,8 +147,7 @@ def record_death(
     folder: Path, death: Mapping[str, Any], text: str, pid: int | None = None
 ) -> Outcome:
     """Record that a run's process died, unless the run has a final record, and return the run's
-    outcome. Where that is not final and no process works on the run, a failure with `text` as
-    traceback is recorded first.
+    outcome. A failure with `text` as traceback is recorded if no process works on the run.
 
     Not where another process than `pid` began the run: a sweep that was killed meanwhile left it,
     and it is only lost.
@@ -168,7 +169,7 @@ def record_death(
 
 
 def _cause_of_death(job: Job) -> dict[str, Any]:
-    """Error columns of a process that ended by a signal or an exit without leaving a record."""
+    """Error columns of a process that was ended by a signal, or exited without leaving a record."""
     code = job.process.exitcode if job.process else None
     if code is None or code == SERVER_DIED:
         message = "the process that jobs are forked from was killed"
@@ -190,8 +191,8 @@ def _death_columns(kind: str, message: str, transient: bool) -> dict[str, Any]:
 
 
 def stop_overdue_job(job: Job) -> None:
-    """Stop a job that exceeds its time limit. Its traceback is requested (faulthandler answers
-    SIGABRT into the log), then its whole process group is killed."""
+    """Stop a job that exceeds its time limit. Its traceback is requested (faulthandler writes it to
+    the log on SIGABRT), then its whole process group is killed."""
     assert job.process is not None
     seconds = time.monotonic() - job.started
     message = f"no result after {seconds:.0f} s, the limit of hydra.launcher.timeout_s"

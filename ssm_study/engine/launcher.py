@@ -1,5 +1,5 @@
-"""Launching of a sweep. Its jobs are composed, checked or planned here for every launcher; the
-default one forks a process for each job."""
+"""Launching of the jobs of a sweep. Its jobs are composed, checked or planned here for every
+launcher; the default one forks a process for each job."""
 
 import contextlib
 import os
@@ -36,7 +36,7 @@ from ssm_study.refusal import require
 
 @runtime_checkable
 class Sweep(Protocol):
-    """Data with which Hydra calls a launcher."""
+    """Objects that Hydra gives to a launcher when a sweep begins."""
 
     hydra_context: HydraContext
     task_function: TaskFunction
@@ -50,15 +50,15 @@ class Launcher(ABC):
 
     @abstractmethod
     def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:
-        """Run the unfinished jobs of a sweep and fill in their outcomes. Afterwards each one has
-        its `outcome`, also where its process failed."""
+        """Run the unfinished jobs of a sweep and fill in their outcomes. Afterwards each job has
+        its `outcome`, even if its process failed."""
 
 
 def launch_sweep(
     launcher: Launcher, sweep: Sweep, overrides: Sequence[list[str]], first_number: int
 ) -> list[JobReturn]:
-    """Compose the configurations of all jobs, check those that are not finished, then run or plan
-    them. Returns one `JobReturn` each."""
+    """Compose the configurations of all jobs, check the unfinished ones, then run or plan them.
+    Returns one `JobReturn` for each."""
     setup_globals()
     task = find_task(sweep.task_function)
     task.refuse_configuration(sweep.config)
@@ -83,8 +83,8 @@ def launch_sweep(
 
 @dataclass(frozen=True, kw_only=True)
 class Processes(Launcher):
-    """Launcher with one fresh process per job. A job may raise, exit, crash, hang or be killed, and
-    the others do not notice.
+    """Launcher with one fresh process per job. A job may raise, exit, crash, hang or be killed
+    without any effect on the others.
 
     `n_jobs` processes at a time with `threads` each; raises `BadRequest` if that is more than the
     cores. With `fail_fast` none is begun after the first failure.
@@ -148,8 +148,8 @@ class Processes(Launcher):
             progress.update_running_jobs(running=0)
 
     def _wait_for_ended(self, server: Server, running: list[Job], progress: Progress) -> list[Job]:
-        """Wait a moment and return the jobs that have ended, by themselves or stopped at the time
-        limit."""
+        """Wait a moment, and return the jobs that have ended by themselves or were stopped at the
+        time limit."""
         server.wait_for_job_end(0.5)
         ended = [job for job in running if job.process and job.process.exitcode is not None]
         progress.update_running_jobs(running=len(running))
@@ -164,8 +164,8 @@ class Processes(Launcher):
 
 
 def preload_for_jobs(task: Task[Any], jobs: list[Job]) -> None:
-    """Import in advance what every job of a sweep would import, and read the code on which their
-    keys depend."""
+    """Import in advance everything that the jobs of a sweep would import, and read the code on
+    which their keys depend."""
     planned = KeyedStages(shared_store(jobs[0].settings))
     for job in jobs:
         with contextlib.suppress(Exception):  # the job itself says what is wrong with it

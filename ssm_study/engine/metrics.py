@@ -1,4 +1,4 @@
-"""Columns that the engine itself records of every run: who computed it, where, when and how long it
+"""Columns that the engine records of every run: who computed it, where, when and how long it
 took."""
 
 from ssm_study.columns import Column

@@ -1,4 +1,4 @@
-"""Plan of a sweep before any work. It tells how many runs and stages it needs, how many exist
+"""Plan of a sweep, made before any work. It tells how many runs and stages it needs, how many exist
 already, and how long the others will take."""
 
 import json
@@ -15,14 +15,14 @@ from ssm_study.engine.store import MANIFEST, Store
 
 @dataclass(frozen=True)
 class PlannedStages(Stages):
-    """Stages that are planned without computing. Each is noted with its key and whether the store
-    has it."""
+    """Stages of a run that are only planned. Each is noted with its key and whether the store has
+    it."""
 
     store: Store
     noted: dict[str, StageResult] = field(default_factory=dict)
 
     def stage_with_key(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
-        """Note that a run needs the stage with this key, and whether the store has it, without
+        """Note that a run needs the stage with a given key and whether the store has it, without
         computing it."""
         if key in self.noted:  # many runs share a stage: its folder is looked for once
             return self.noted[key]
@@ -35,11 +35,11 @@ class PlannedStages(Stages):
 
 
 class KeyedStages(PlannedStages):
-    """Planned stages that also know the keys of their columns. This requires reading all code that
-    the columns depend on."""
+    """Planned stages that also know the keys of their columns. For this, all code on which the
+    columns depend is read."""
 
     def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
-        """Key of a stage's columns, without computing them."""
+        """Key under which the columns of a stage are stored, without computing the columns."""
         columns_key(output, before)
         return {}
 
@@ -51,8 +51,8 @@ def plan_lines(
     finished: int,
     jobs_at_once: int = 1,
 ) -> list[str]:
-    """Text with the plan of a sweep: runs and stages that are missing, and the time they will take.
-    It says `at least` where a missing stage was never timed.
+    """Text with the plan of a sweep: how many runs and stages are missing, and how long they will
+    take. It says `at least` if a missing stage was never timed.
 
     `walks` take the stages of each unfinished run down the line.
     """
@@ -82,7 +82,8 @@ def plan_lines(
 
 
 def mean_stage_seconds(store: Store, stage: str) -> float | None:
-    """Mean computing time of one stage in the store, in seconds; damaged manifests are left out."""
+    """Mean computing time of one stage in the store, in seconds, without stages whose manifests are
+    damaged."""
     seconds = []
     for manifest in store.root.glob(f"{stage}/[!.]*/{MANIFEST}"):
         with suppress(OSError, ValueError, KeyError, TypeError):
@@ -91,7 +92,7 @@ def mean_stage_seconds(store: Store, stage: str) -> float | None:
 
 
 def format_duration(seconds: float) -> str:
-    """Duration as text with the precision of an estimate: `7 s`, `3 min`, `2.5 h`."""
+    """Duration as text, rounded to the precision of an estimate: `7 s`, `3 min`, `2.5 h`."""
     if seconds < 100:
         return f"{seconds:.0f} s"
     if seconds < 6000:

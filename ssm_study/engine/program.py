@@ -1,4 +1,4 @@
-"""Command line for a task: Hydra's overrides, and `-m` for sweeps."""
+"""Command-line program that is made from a task: Hydra's overrides, and `-m` for sweeps."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -29,7 +29,7 @@ FOLDERS = {
 
 def main(task: Task[Any], settings: Mapping[str, Any]) -> None:
     """Run a task with its settings, changed by the overrides on the command line; all options of
-    Hydra work."""
+    Hydra can be used."""
     choices = [{f"override hydra/{group}": choice} for group, choice in CHOICES.items()]
     defaults = {"defaults": ["_self_", *choices]}
     node = defaults | COMMON | {"dry_run": False} | dict(settings) | {"hydra": FOLDERS}

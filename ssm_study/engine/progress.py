@@ -1,4 +1,4 @@
-"""One line of progress for a whole sweep: runs done, failed, infeasible, time left."""
+"""Line of progress for a whole sweep: runs done, failed, infeasible, time left."""
 
 import sys
 import time
@@ -17,8 +17,8 @@ QUIET_S = 30.0  # without a terminal: a line at most this often, and one at the 
 
 
 class Progress:
-    """Counter of outcomes that prints progress on stderr. It updates one line on a terminal, and
-    prints a new line now and then elsewhere."""
+    """Counter of a sweep's outcomes, which prints progress on stderr. It updates one line on a
+    terminal, and prints a new line now and then elsewhere."""
 
     def __init__(self, total: int) -> None:
         self.total = total
@@ -42,13 +42,13 @@ class Progress:
         print(self.line(), file=sys.stderr, flush=True)
 
     def count_outcome(self, status: str, reused: bool = False) -> None:
-        """Count the outcome of a finished run and show the progress."""
+        """Count the outcome of a finished run and print the progress."""
         self.counts[status] += 1
         self.reused += reused
         self._show()
 
     def update_running_jobs(self, running: int) -> None:
-        """Set the number of running jobs and show the progress."""
+        """Set the number of running jobs and print the progress."""
         self.running = running
         self._show()
 
@@ -68,7 +68,7 @@ class Progress:
         return "; ".join(parts)
 
     def seconds_left(self) -> float | None:
-        """Seconds left, estimated from the mean time of the runs done in this sweep. None before
+        """Seconds left, estimated from the mean time of the runs done in this sweep; None before
         the first."""
         fresh = self.counts.total() - self.reused  # runs there before took no time now
         remaining = self.total - self.counts.total()
@@ -87,8 +87,8 @@ class Progress:
 
 
 class Watch(Thread):
-    """Thread that shows the progress from the run folders, for launchers that do not report it
-    (basic, Slurm, Ray)."""
+    """Thread that prints the progress of a sweep from its run folders, for launchers that do not
+    report it (basic, Slurm, Ray)."""
 
     def __init__(self, folders: Sequence[Path], every_s: float = 2.0) -> None:
         super().__init__(daemon=True)
@@ -116,7 +116,7 @@ class Watch(Thread):
             self._read_folders(progress)  # the last line is of how it ended
 
     def _read_folders(self, progress: Progress) -> None:
-        """Count the statuses in the run folders and show the progress."""
+        """Count the statuses in the run folders and print the progress."""
         statuses = self._statuses()
         progress.counts = Counter(status for status in statuses if status in FINAL)
         progress.update_running_jobs(running=statuses.count(RUNNING))

@@ -35,8 +35,8 @@ def provenance(libraries: tuple[str, ...], source: Path) -> dict[str, Any]:
 
 
 def _git_output(here: Path, *question: str) -> str | None:
-    """Output of a git command in the repository that tracks a file; None without such a repository.
-    None if there is none."""
+    """Output of a git command in the repository that tracks a file; None if no repository tracks
+    it."""
     with suppress(OSError, subprocess.SubprocessError):
         for arguments in (("ls-files", "--error-unmatch", here.name), question):
             command = ["git", "-C", str(here.parent), *arguments]

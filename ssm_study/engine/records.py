@@ -1,5 +1,5 @@
-"""Record of a run, `record.json`, one flat object sealed by its own SHA-256. All tables and figures
-are made from records."""
+"""Record of a run in `record.json`, one flat object sealed by its own SHA-256 digest. All tables
+and figures are made from records."""
 
 import math
 from collections.abc import Mapping
@@ -36,8 +36,8 @@ FINAL = (OK, INFEASIBLE, FAILED)  # no process is at work on it, nor was one sto
 
 
 def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) -> None:
-    """Write the record of `folder` atomically; NaN becomes null, infinities become the texts `inf`
-    and `-inf`."""
+    """Write the record of a run folder atomically. NaN becomes null, infinities become the texts
+    `inf` and `-inf`."""
     columns = {str(name): value for name, value in record.items() if name not in OF_THE_FILE}
     flat = {name: storable_value(name, value) for name, value in columns.items()}
     body = {"record_version": VERSION} | add_renamed_columns(flat)
@@ -45,8 +45,8 @@ def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) 
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
-    """Record of `folder` with `status` as it is now (`lost`, `corrupt` included). None if there is
-    none."""
+    """Record of a run folder with the run's present `status` (`lost` and `corrupt` included); None
+    if there is none."""
     try:
         content = read_limited_bytes(folder / RECORD, LARGEST)
     except (FileNotFoundError, NotADirectoryError):
@@ -62,7 +62,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 
 
 def parse_record(content: bytes) -> dict[str, Any]:
-    """Parse a record from bytes. Anything that is not exactly a sealed record gives only `status =
+    """Parse a record from bytes. Bytes that are not exactly a sealed record give only `status =
     corrupt`."""
     record = read_sealed_json(content)
     version = None if record is None else record.get("record_version")
@@ -78,8 +78,7 @@ def parse_record(content: bytes) -> dict[str, Any]:
 
 
 def _fit_in_64_bits(*values: Any) -> bool:
-    """Whether all whole numbers among the values have at most 64 bits, as a table can store
-    them."""
+    """Whether every whole number among the values has at most 64 bits, as tables require."""
     whole = [value for value in values if type(value) is int]
     return all(-(1 << 63) < value < 1 << 63 for value in whole)
 

@@ -1,5 +1,5 @@
-"""Execution of one run: claim its folder, do the work, and leave one record, also of a failure. A
-finished run is never touched again."""
+"""Execution of one run: claim its folder, do the work, and leave one record, even after a failure.
+A finished run is never touched again."""
 
 import errno
 import os
@@ -30,8 +30,9 @@ FINISHED = frozenset({OK, INFEASIBLE})
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Outcome of a run after `execute_run`. `did` is one of `ran`, `found` (finished before),
-    `left` (failed before and not asked to retry), `elsewhere` (another process works on it)."""
+    """Outcome of a run: its status and whether it was executed. `did` is one of `ran`, `found`
+    (finished before), `left` (failed before and not to be retried), `elsewhere` (another process
+    works on it)."""
 
     folder: Path
     status: str
@@ -41,14 +42,15 @@ class Outcome:
 
 @dataclass
 class Run:
-    """Claimed run folder; the work writes its files into `path` and its numbers through `note`."""
+    """Run folder that this process has claimed. The work writes its files into `path` and its
+    numbers through `note`."""
 
     path: Path
     facts: dict[str, Any] = field(default_factory=dict)
     stage_folders: list[Path] = field(default_factory=list)  # that the work has taken so far
 
     def note(self, **facts: Any) -> None:
-        """Add columns to the run's record; they are stored even if the work fails later."""
+        """Add columns to the run's record, which stay even if the work fails later."""
         self.facts.update(facts)
 
     def note_stage(
@@ -65,7 +67,7 @@ class Run:
             raise FileNotFoundError(errno.ENOENT, "was removed", str(stage.path))
 
     def is_missing_a_stage(self) -> bool:
-        """Whether somebody has removed the folder of a stage that this run uses."""
+        """Whether the stored folder of a stage that this run uses was removed."""
         return not all(folder.is_dir() for folder in self.stage_folders)
 
 
@@ -105,7 +107,7 @@ def execute_run(
 
 
 def _starting_columns(folder: Path, before: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Columns recorded when a run begins, among them the count of attempts."""
+    """Columns that are recorded when a run begins, with the number of attempts."""
     attempts = int((before or {}).get("attempt") or 0)
     return {
         "study": folder.parent.name,
@@ -119,8 +121,7 @@ def _starting_columns(folder: Path, before: Mapping[str, Any] | None) -> dict[st
 
 
 def run_status(folder: Path, mine: bool = False) -> dict[str, Any] | None:
-    """Status of a run from its record, `corrupt` also for a finished run one of whose files was
-    changed.
+    """Status of a run from its record. It is `corrupt` also for a finished run with a changed file.
 
     `mine` is for the holder of the lock: a run that says `running` is then nobody's.
     """
@@ -133,8 +134,8 @@ def run_status(folder: Path, mine: bool = False) -> dict[str, Any] | None:
 
 
 def needs_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
-    """Whether a run has to be executed, given the status in its folder. Finished runs are not,
-    failed ones only with `retry_failed`, unless the machine was at fault (disk, signal)."""
+    """Whether a run has to be executed, given the status in its folder. Finished runs need not;
+    failed ones only with `retry_failed`, or if the machine was at fault (disk, signal)."""
     if before is None:
         return not retry_failed
     status = before["status"]
@@ -156,7 +157,7 @@ def existing_outcome(folder: Path, before: Mapping[str, Any] | None) -> Outcome:
 def _do_work(
     folder: Path, opening: dict[str, Any], work: Callable[[Run], Mapping[str, Any] | None]
 ) -> Outcome:
-    """Do the work of a run and write its record, of a failure too."""
+    """Do the work of a run and write its record, even if the work fails."""
     run = Run(path=folder)
     started = time.perf_counter()
     # Until the end only the lock says that the run is under way.
@@ -184,22 +185,22 @@ def _do_work(
 
 def _is_scheduler_stop(error: BaseException) -> bool:
     """Whether an error was raised because the scheduler announced the end of the job's time. The
-    job is queued again, or its last attempt is over, and the run is `lost`, so that the next
-    attempt or the same command repeats it."""
+    job is queued again, or its last attempt is over; the run is `lost`, so that the next attempt or
+    the same command repeats it."""
     *_, (innermost, _) = traceback.walk_tb(error.__traceback__)
     return str(innermost.f_globals.get("__name__")).startswith("submitit.")
 
 
 def seal_run(folder: Path) -> None:
-    """Write `manifest.json` with the checksums of all files of the run, its configuration
-    included."""
+    """Write `manifest.json` with the checksums of all files of the run, including its
+    configuration."""
     changing = frozenset({LOCK, ATTEMPTS, RECORD, "run.log"})
     seal_folder(folder, {"run": folder.name}, leave_out=changing)
 
 
 def error_columns(error: BaseException, folder: Path) -> dict[str, Any]:
-    """Columns that describe a failure: type, message, and whether a retry may succeed. The same
-    command tries again after a transient one (disk or memory of the machine)."""
+    """Columns that describe a failure: type, message, and whether a retry may succeed. A transient
+    failure (disk or memory of the machine) is retried by the same command."""
     text = str(error) or type(error).__name__
     if isinstance(error, SystemExit):
         text = f"exited with status {error.code}"
@@ -214,7 +215,7 @@ def error_columns(error: BaseException, folder: Path) -> dict[str, Any]:
 
 
 def _exception_chain(error: BaseException) -> Iterator[BaseException]:
-    """Exception followed by those it was raised from or while handling."""
+    """Exception, followed by all exceptions that it was raised from or while handling."""
     cause: BaseException | None = error
     while cause is not None:
         yield cause
@@ -236,7 +237,8 @@ _OF_THE_DISK = tuple(os.strerror(code) for code in _ERRORS_OF_THE_DISK)
 
 
 def _is_fault_of_machine(error: BaseException, folder: Path) -> bool:
-    """Whether an error is the machine's fault (disk, memory, a removed store) and not the run's."""
+    """Whether an error is the fault of the machine (disk, memory, a removed store) rather than of
+    the run."""
     if isinstance(error, FileNotFoundError):
         if error.filename is None:
             return False
@@ -252,7 +254,7 @@ def _is_fault_of_machine(error: BaseException, folder: Path) -> bool:
 def write_failure(
     folder: Path, facts: Mapping[str, Any], error: Mapping[str, Any], text: str
 ) -> None:
-    """Write the traceback, then the record of a failed run. On a full disk the run stays `running`
+    """Write the traceback of a failed run, then its record. On a full disk the run stays `running`
     without a lock and counts as lost."""
     with suppress(OSError):
         write_atomically(folder / TRACEBACK, text.encode(errors="replace"))
@@ -283,5 +285,5 @@ def _archive_attempt(folder: Path, before: Mapping[str, Any] | None) -> None:
 
 
 def _utc_now() -> str:
-    """Present time in UTC, as text."""
+    """Present time in UTC as text."""
     return datetime.now(UTC).isoformat(timespec="seconds")

@@ -1,5 +1,5 @@
-"""Server process from which jobs are forked. It is itself forked from the sweep, so it has all
-libraries and configurations loaded.
+"""Server process from which the jobs of a sweep are forked. It is itself forked from the sweep, so
+it has all libraries and configurations loaded.
 
 So a job starts at once, and nothing is sent to it. The server also ends every job that would
 outlive the sweep.
@@ -35,8 +35,8 @@ UNBORN = 0
 
 @dataclass
 class Child:
-    """Process of one job. `exitcode` is None while it runs, and minus the signal's number if a
-    signal killed it."""
+    """Process of one job. `exitcode` is None while it runs, and minus the number of the signal if
+    one killed it."""
 
     pid: int
     wait_for_job_end: Callable[[float | None], object]
@@ -53,8 +53,8 @@ class Child:
 
 @dataclass
 class Server:
-    """Server process from which the jobs of a sweep are forked. `preload` imports for all of them,
-    `threads` is the number of threads of each."""
+    """Server process from which the jobs of a sweep are forked. `preload` imports for all of them;
+    each uses `threads` threads."""
 
     tasks: Sequence[Callable[[], object]]
     preload: Callable[[], object]
@@ -82,7 +82,7 @@ class Server:
         return born
 
     def wait_for_job_end(self, timeout: float | None) -> None:
-        """Wait until a job ends, at most for a time limit, and note its exit status."""
+        """Wait, up to a time limit, until a job ends, and note its exit status."""
         if self.line is not None and self.line.poll(timeout):
             self._read_message()
 
@@ -94,7 +94,8 @@ class Server:
             self.line = None
 
     def _read_message(self) -> Child | None:
-        """Read one message of the server: the new process for a start, None for an end."""
+        """Read one message of the server: the new process if one was started, None if one has
+        ended."""
         assert self.line is not None
         try:
             pid, exitcode = self.line.recv()  # a birth has no exit code, an end has
@@ -140,8 +141,8 @@ class Server:
 
 
 def _run_server(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: int) -> NoReturn:
-    """Main loop of the server process: fork jobs on request and report their ends. When the sweep
-    is gone, kill all processes."""
+    """Main loop of the server process, which forks jobs on request and reports their ends. When the
+    process of the sweep has gone, it kills all jobs."""
     os.setsid()  # Ctrl-C on the terminal reaches the sweep alone, which then ends the rest in order
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
@@ -193,7 +194,7 @@ def _fork_job(sweep: Connection, task: Callable[[], object]) -> int:
 
 
 def kill_with_children(pid: int) -> None:
-    """Kill the process of a job and all processes that it started."""
+    """Kill a process and all processes that it started."""
     # A group of its own is the first thing it makes, not the birth of it.
     for kill in (os.killpg, os.kill):
         with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -208,7 +209,7 @@ def thread_limits(threads: int) -> dict[str, str]:
 
 
 def _apply_memory_and_threads(threads: int) -> None:
-    """Apply the memory and thread settings to libraries that the process has loaded already."""
+    """Apply the settings of memory and threads to libraries that the process has loaded already."""
     with contextlib.suppress(AttributeError):  # another C library
         for parameter, value in ALLOCATOR:
             ctypes.CDLL(None).mallopt(parameter, value)
@@ -217,8 +218,8 @@ def _apply_memory_and_threads(threads: int) -> None:
 
 
 def _collapse_into_large_pages() -> None:
-    """Collapse the server's memory into large pages, so that a fork copies a short page table. A
-    fork then takes 13 ms instead of 35, for 0.8 s once.
+    """Collapse the server's memory into large pages, so that forks are faster. A fork takes 13 ms
+    instead of 35, for 0.8 s once.
 
     Linux 6.1 and later; elsewhere nothing happens.
     """

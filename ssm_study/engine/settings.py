@@ -1,5 +1,5 @@
-"""Settings of a run as plain containers, their canonical text, and the names that are derived from
-it.
+"""Settings of a run as plain containers, their canonical text, and names that are derived from that
+text.
 
 A stage is called by the SHA-256 of all that its result depends on, a run by that of its
 configuration: so every launcher, today and tomorrow, finds it in the same folder.
@@ -26,8 +26,7 @@ NOT_IDENTITY = frozenset(
 
 
 class Settings(dict[str, Any]):
-    """Dictionary of settings that is not to be changed. `settings.seed` is `settings["seed"]`, at
-    any depth."""
+    """Read-only dictionary of settings. `settings.seed` is `settings["seed"]`, at any depth."""
 
     def __getattr__(self, name: str) -> Any:
         try:
@@ -37,12 +36,12 @@ class Settings(dict[str, Any]):
 
 
 def target_names(node: Any) -> frozenset[str]:
-    """Every class that plain containers name by `_target_`."""
+    """Names of all classes that nested settings name by `_target_`."""
     return frozenset(str(value) for _, key, value in walk_nodes(node) if key == "_target_")
 
 
 def as_settings(value: Any) -> Any:
-    """Copy of nested plain containers in which every dictionary is a `Settings`."""
+    """Copy of nested plain containers in which every dictionary is replaced by a `Settings`."""
     if isinstance(value, list):
         return [as_settings(item) for item in value]
     if isinstance(value, Settings) or not isinstance(value, dict):
@@ -53,8 +52,8 @@ def as_settings(value: Any) -> Any:
 def plain_settings(
     config: DictConfig | Settings, without: Set[str] = frozenset({"hydra"})
 ) -> Settings:
-    """Configuration as plain `Settings` with interpolations resolved, without the sections named in
-    `without`."""
+    """Configuration as plain `Settings`, with interpolations resolved and the sections named in
+    `without` left out."""
     if isinstance(config, Settings):
         if without.isdisjoint(config):
             return config
@@ -64,14 +63,14 @@ def plain_settings(
 
 
 def resolve_node(node: Any) -> Any:
-    """Node of a configuration as plain containers, with interpolations resolved; any other value
-    unchanged."""
+    """Node of a configuration as plain containers, with interpolations resolved; any other value is
+    returned unchanged."""
     return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
 
 
 def walk_nodes(tree: Any, prefix: str = "") -> Iterator[tuple[str, str, Any]]:
-    """Dotted path, last key and value of every entry in nested plain containers, outer ones
-    first."""
+    """Iterate over the dotted path, the last key and the value of every entry in nested containers,
+    outer entries first."""
     children: Iterable[tuple[Any, Any]] = ()
     if isinstance(tree, dict):
         children = tree.items()
@@ -83,8 +82,8 @@ def walk_nodes(tree: Any, prefix: str = "") -> Iterator[tuple[str, str, Any]]:
 
 
 def refuse_unbounded(tree: Any) -> None:
-    """Raise `BadRequest` for NaN and infinity in the settings: Hydra accepts them, but no run could
-    be named by them."""
+    """Raise `BadRequest` for NaN and infinity in the settings, which Hydra accepts but no run can
+    be named by."""
     for path, _, value in walk_nodes(tree):
         is_finite = not isinstance(value, float) or math.isfinite(value)
         remedy = "leave it out, or give a finite value"
@@ -92,7 +91,7 @@ def refuse_unbounded(tree: Any) -> None:
 
 
 def canonical_json(value: Any) -> str:
-    """Canonical JSON text of plain containers, the same for the same meaning. Keys are sorted,
+    """Canonical JSON text of plain containers, which is equal for equal values. Keys are sorted,
     there are no spaces, `1.0` and `1` are alike.
 
     Raises `BadRequest` for NaN, infinity and anything that is no plain container.
@@ -123,7 +122,7 @@ def digest_of_value(value: Any) -> str:
 
 
 def run_name(config: DictConfig | Settings, *shown: str) -> str:
-    """Name of a run: selected settings, then ten digits of a hash of all settings.
+    """Name of a run: selected settings, followed by ten digits of a hash of all settings.
 
     `shown` are pairs `word:key`, e.g. `width:model.hidden_width`; a key that is not there is left
     out, and so is a part of the settings that is null: it adds nothing to what a run is. Ten
@@ -141,7 +140,7 @@ def run_name(config: DictConfig | Settings, *shown: str) -> str:
 
 
 def value_at(settings: Any, path: str) -> Any:
-    """Value at a dotted path of the settings. None where there is no such entry."""
+    """Value at a dotted path of the settings; None if there is no such entry."""
     for word in path.split("."):
         settings = settings.get(word) if isinstance(settings, Mapping) else None
     return settings
@@ -170,7 +169,7 @@ _Dumper.add_representer(Settings, yaml.CSafeDumper.represent_dict)
 
 
 def yaml_text(value: Any) -> str:
-    """YAML text that `OmegaConf.load` reads back to the same plain containers. It is written five
+    """YAML text from which `OmegaConf.load` reads the same plain containers. It is written five
     times as fast as by OmegaConf."""
     return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True))
 

@@ -1,5 +1,5 @@
-"""Launcher of a sweep on Slurm. A job that is cancelled or loses its node becomes a failed run, and
-the others are waited for."""
+"""Launcher that runs the jobs of a sweep on Slurm. A job that is cancelled or loses its node
+becomes a failed run, and the others are waited for."""
 
 import time
 from dataclasses import dataclass
@@ -68,8 +68,8 @@ def submitit_executor(params: dict[str, Any]) -> submitit.AutoExecutor:
 
 
 def wait_for_outcome(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) -> Outcome:
-    """Outcome of a submitted job once it has ended. A job that Slurm ended becomes a failed run
-    that the same command repeats."""
+    """Outcome of a job that was submitted to Slurm, once it has ended. A job that Slurm ended
+    becomes a failed run that the same command repeats."""
     state = wait_for_end(submitted, patience_s)
     try:
         if state != FORGOTTEN:
@@ -91,8 +91,8 @@ def wait_for_outcome(job: Job, submitted: submitit.Job, patience_s: float = FORG
 
 
 def wait_for_end(submitted: submitit.Job, patience_s: float) -> str:
-    """Wait until a submitted job has ended, and return Slurm's state of it; without accounting a
-    job cancelled in the queue is `FORGOTTEN`."""
+    """Wait until a job that was submitted to Slurm has ended, and return its state. Without
+    accounting, a job cancelled in the queue is `FORGOTTEN`."""
     asked = time.monotonic()
     unheard = 0
     while not submitted.done():

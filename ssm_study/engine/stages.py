@@ -1,4 +1,4 @@
-"""Stages of a run: each is a pure function of its inputs, computed once and stored.
+"""Stages of a run, each a pure function of its inputs that is computed once and stored.
 
 The key of a result is written by nobody: it follows from the settings of its parts, the stages
 before it and the code of its functions.
@@ -21,13 +21,13 @@ Compute = Callable[[Path], None]
 
 
 def empty_columns(*_: Any) -> Any:
-    """Return no columns, for a stage that only leaves files."""
+    """Return no columns, for a stage that only writes files."""
     return {}
 
 
 @dataclass(frozen=True)
 class Stage(Generic[T]):
-    """One step of a run: `compute(folder, *before, **parts)` writes files, `read(folder)` returns
+    """One step of a run. `compute(folder, *before, **parts)` writes files, `read(folder)` returns
     the value in them.
 
     `measure(value, *before)` gives columns of the record; it has a key of its own, so a new column
@@ -49,8 +49,8 @@ class Stage(Generic[T]):
 
 @dataclass(frozen=True, kw_only=True)
 class StageResult:
-    """Folder of a finished stage. `seconds` is how long computing it took, `reused` whether it was
-    computed before this call."""
+    """Folder of a finished stage, with how long computing it took and whether it was computed
+    before. `seconds` and `reused`."""
 
     path: Path
     key: str
@@ -61,7 +61,7 @@ class StageResult:
 
 @dataclass(frozen=True)
 class StageOutput(Generic[T]):
-    """Output of a finished stage, whose value is read from its folder when first asked for."""
+    """Output of a finished stage, whose value is read from its folder when it is first needed."""
 
     stage: Stage[T]
     result: StageResult
@@ -70,7 +70,7 @@ class StageOutput(Generic[T]):
 
     @cached_property
     def value(self) -> T:
-        """Value of the stage, read from its folder when first asked for."""
+        """Value of the stage, read from its folder when it is first needed."""
         return self.computed[0] if self.computed else self.stage.read(self.result.path)
 
     @cached_property
@@ -86,7 +86,7 @@ class StageOutput(Generic[T]):
 
 class Stages(ABC):
     """Interface of stores of stages. `Store` computes and stores them, `PlannedStages` only notes
-    what would be computed."""
+    which would be computed."""
 
     def run_stage(
         self,
@@ -95,7 +95,7 @@ class Stages(ABC):
         parts: Mapping[str, Any] | None = None,
         *before: StageOutput[Any],
     ) -> StageOutput[T]:
-        """Output of a stage for these settings, which `compute` receives as `parts` (the settings
+        """Output of a stage for given settings. `compute` receives them as `parts` (the settings
         themselves where that is None).
 
         Of the two the key depends on `settings` alone: what changes no result stands in `parts`. A
@@ -124,15 +124,15 @@ class Stages(ABC):
 
     @abstractmethod
     def stage_with_key(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:
-        """Result of the stage with this key, computed if it is not stored yet. `note` says what the
-        key was made of."""
+        """Result of the stage with a given key, which is computed if it is not stored yet. `note`
+        says from what the key was made."""
 
     def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:  # noqa: ARG002
-        """Columns that describe a finished stage. Empty in a plan."""
+        """Columns that describe a finished stage; empty in a plan."""
         return {}
 
     def unrecorded(self) -> "Stages":
-        """The same store of stages, used without noting the stages in the run's record."""
+        """The same store of stages, which does not note them in the run's record."""
         return self
 
 

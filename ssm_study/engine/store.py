@@ -1,5 +1,5 @@
-"""Store of stages: each is computed once, stored under its key, and checked to the last bit when it
-is read."""
+"""Store of stages, each computed once, stored under its key, and checked to the last bit when it is
+read."""
 
 import errno
 import os
@@ -37,8 +37,8 @@ CHECKPOINT = "last.ckpt"
 
 @dataclass(frozen=True)
 class Store(Stages):
-    """Folder of stored stages: `root/<stage>/<key>/` holds the files of one stage and
-    `manifest.json` with the SHA-256 of each.
+    """Folder of stored stages. `root/<stage>/<key>/` holds the files of one stage and
+    `manifest.json` with the SHA-256 digest of each.
 
     A folder under its final name is complete: it was written as `.tmp-*` beside, synchronised, and
     renamed. Only one process computes a key at a time (flock). Where the lock does not reach from
@@ -48,7 +48,7 @@ class Store(Stages):
     root: Path
 
     def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
-        """Columns of a stage, read from their stored file or else measured and stored.
+        """Columns of a stage, read from a stored file or else measured and stored.
 
         A damaged file is measured again.
         """
@@ -70,8 +70,8 @@ class Store(Stages):
     def stage_with_key(
         self, name: str, key: str, note: dict[str, Any], compute: Compute
     ) -> StageResult:
-        """Result of the stage with this key, computed by `compute(folder)` if it is missing or
-        damaged.
+        """Result of the stage with a given key. It is computed by `compute(folder)` if it is
+        missing or damaged.
 
         Whatever `compute` raises is raised; nothing half-written is ever seen under the final name.
         """
@@ -90,8 +90,7 @@ class Store(Stages):
             return self._compute_stage(name, key, note, compute)
 
     def find_stage(self, name: str, key: str) -> StageResult | None:
-        """Stored stage with this key if it is intact; else None. None if it is missing or
-        damaged."""
+        """Stored stage with a given key; None if it is missing or damaged."""
         folder = self.stage_folder(name, key)
         manifest = intact_manifest(folder)
         # The name holds 32 of its 64 digits only.
@@ -101,7 +100,7 @@ class Store(Stages):
         return StageResult(path=folder, key=key, seconds=seconds, reused=True, name=name)
 
     def stage_folder(self, name: str, key: str) -> Path:
-        """Folder in which the stage with this key is stored."""
+        """Folder in which the stage with a given key is stored."""
         is_plain = name.replace("_", "").replace("-", "").isalnum()
         require(is_plain, "stage", name, "not a plain name", "use letters and digits")
         return self.root / name / key[:32]
@@ -135,7 +134,8 @@ class Store(Stages):
 
 
 def _move_into_place(temporary: Path, final: Path) -> None:
-    """Move a finished stage to its final name in one step, so that it is complete or absent."""
+    """Rename the folder of a finished stage to its final name in one step, so that it is complete
+    or absent."""
     try:
         temporary.rename(final)
     except OSError:
@@ -147,14 +147,14 @@ def _move_into_place(temporary: Path, final: Path) -> None:
 
 
 def machine_name() -> str:
-    """Name of this machine as it appears in file names. Its locks are reliable here, and may not be
-    elsewhere."""
+    """Name of this machine as it appears in file names. Locks of this machine are reliable here,
+    those of others may not be."""
     return digest_of_value(socket.gethostname())[:8]
 
 
 def _clear_leftovers(temporary: Path, final: Path) -> None:
-    """Remove the temporary folders of killed processes. A checkpoint in them (`CHECKPOINT`) moves
-    to the new folder, to continue from.
+    """Remove the temporary folders that killed processes left. A checkpoint in them (`CHECKPOINT`)
+    moves to the new folder, to continue from.
 
     Another node may be at work beyond our lock: its folder stays for `ABANDONED_S`, and what it
     saved is copied.
@@ -176,8 +176,7 @@ def _clear_leftovers(temporary: Path, final: Path) -> None:
 def seal_folder(
     folder: Path, note: dict[str, Any], leave_out: frozenset[str] = frozenset()
 ) -> None:
-    """Write `manifest.json` (the note, sizes and SHA-256 sums, and its own sum), then flush the
-    whole folder to disk.
+    """Write the manifest of a folder, with sizes and SHA-256 digests, and flush the folder to disk.
 
     `leave_out` names entries directly in `folder` that may change later; they are synchronised, not
     sealed. A manifest that was cut short seals nothing, so it needs no replacing; what makes the
@@ -201,7 +200,7 @@ def seal_folder(
 
 
 def intact_manifest(folder: Path) -> dict[str, Any] | None:
-    """Manifest of `folder` if it and all files that it lists are unchanged; else None."""
+    """Manifest of a folder; None if the manifest or a file that it lists was changed."""
     try:
         manifest = read_sealed_json(read_limited_bytes(folder / MANIFEST))
     except OSError:

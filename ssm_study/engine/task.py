@@ -1,4 +1,4 @@
-"""Interface of a task that is run many times. The engine knows nothing else of it."""
+"""Interface of tasks that are run many times. The engine knows nothing else of it."""
 
 import inspect
 import re
@@ -31,8 +31,8 @@ _CHECKED: dict[Path, Any] = {}
 
 
 class Task(ABC, Generic[R]):
-    """Base class of a program's task: checks a configuration, computes its stages, and completes
-    the record.
+    """Base class of a program's task, which checks a configuration, computes its stages, and
+    completes the record.
 
     Hydra calls `job`. The settings have the keys `study`, `results_dir`, `run` (`${run_name:...}`),
     `retry_failed` and `dry_run`; all others are the task's own. `libraries` are the distributions
@@ -43,39 +43,39 @@ class Task(ABC, Generic[R]):
 
     @abstractmethod
     def check(self, settings: Settings) -> R:
-        """Build the request that the settings describe, refusing every mistake that can be seen
-        before long work. Raises `BadRequest` for every mistake that can be seen before long
-        work."""
+        """Build the request that the settings describe. Raises `BadRequest` for every mistake that
+        can be seen before long work."""
 
     @abstractmethod
     def stages(self, request: R, stages: Stages) -> None:
-        """Run every stage of the request, or plan it, depending on the given `stages`."""
+        """Run or plan every stage of the request, depending on the given store of stages."""
 
     def run(self, request: R, run: Run) -> Facts:  # noqa: ARG002
-        """Compute the columns that need all stages. `run.facts` holds the stages' columns, `status`
-        may be `infeasible`."""
+        """Compute the columns that depend on all stages. `run.facts` holds the stages' columns,
+        `status` may be `infeasible`."""
         return {}
 
     def parameters(self, request: R) -> Facts:  # noqa: ARG002
-        """Parameters of the request, which are columns of the record from the start."""
+        """Parameters of the request, which are columns of the record from the beginning."""
         return {}
 
     def command_line_columns(self, request: R, overrides: Sequence[str]) -> Facts:  # noqa: ARG002
-        """Columns of the record that depend on the command line alone. A run made without one lacks
+        """Columns of the record that depend only on the command line; a run made from Python lacks
         them."""
         return {}
 
     def refuse_configuration(self, config: DictConfig) -> None:
-        """Raise `BadRequest` for a configuration with forbidden content, before any of it is
+        """Raise `BadRequest` for a configuration with forbidden content, before anything in it is
         resolved or instantiated."""
 
     def input_files(self, settings: Settings) -> list[Path]:  # noqa: ARG002
-        """Files that the request reads; a finished run is out of date once their content
+        """Files that the request reads. A finished run is out of date once their content
         changes."""
         return []
 
     def preload(self, again: Set[str]) -> None:
-        """Import, once before the first job is forked, what all jobs of a sweep would import.
+        """Import everything that the jobs of a sweep would import, once before the first job is
+        forked.
 
         `again` names the stages that several jobs will compute; what only other stages take is left
         to the job.
@@ -86,8 +86,8 @@ class Task(ABC, Generic[R]):
         return provenance(self.libraries, Path(inspect.getfile(type(self))))
 
     def settings(self, config: DictConfig | Settings) -> Settings:
-        """Plain settings of a configuration, after checking it for forbidden content. Raises
-        `BadRequest` for what no configuration may contain."""
+        """Plain settings of a configuration, after a check for forbidden content. Raises
+        `BadRequest` for such content."""
         if not isinstance(config, Settings):
             self.refuse_configuration(config)
         settings = plain_settings(config)
@@ -98,7 +98,7 @@ class Task(ABC, Generic[R]):
         return settings
 
     def request(self, config: DictConfig | Settings) -> R:
-        """Checked request of a configuration, built once per run and process."""
+        """Checked request of a configuration, built only once in each run and process."""
         settings = self.settings(config)
         folder = run_folder(settings).absolute()
         if folder not in _CHECKED:
@@ -107,7 +107,8 @@ class Task(ABC, Generic[R]):
         return found
 
     def job(self, config: DictConfig | Settings) -> Outcome:
-        """Execute the run of a configuration unless it is finished, and leave its record."""
+        """Execute the run that a configuration describes, unless it is finished, and leave its
+        record."""
         settings = self.settings(config)
         # Before anything is built: a finished run costs next to nothing.
         outcome = self.outcome_without_running(settings)
@@ -126,7 +127,7 @@ class Task(ABC, Generic[R]):
         request = self.request(settings)
 
         def work(run: Run) -> Facts:
-            """Run every stage and return the columns that complete the record."""
+            """Run every stage, and return the columns that complete the record."""
             announces = settings.get("progress") is True and sys.stderr.isatty()
             self.stages(request, RunStages(shared_store(settings).root, run, announces))
             return self.run(request, run)
@@ -149,7 +150,7 @@ class Task(ABC, Generic[R]):
         )
 
     def outcome_without_running(self, config: DictConfig | Settings) -> Outcome | None:
-        """Outcome of a run that needs no execution; None for one that does. None for a run that is.
+        """Outcome of a run that need not be executed; None for a run that must be.
 
         Raises `BadRequest` for a finished run whose input files have changed since.
         """
@@ -171,8 +172,8 @@ class Task(ABC, Generic[R]):
 
 @dataclass(frozen=True)
 class RunStages(Store):
-    """Stages of one run. Each is noted in the record and its files are copied, so that the run
-    stays complete when the store is removed."""
+    """Stages of one run, each noted in the record. Their files are copied, so that the run stays
+    complete when the store is removed."""
 
     run: Run
     announces: bool = False
@@ -180,8 +181,7 @@ class RunStages(Store):
     def stage_with_key(
         self, name: str, key: str, note: dict[str, Any], compute: Compute
     ) -> StageResult:
-        """Result of a stage: read from the store if it is there, else computed after its name is
-        printed."""
+        """Result of a stage, read from the store or else computed after its name is printed."""
 
         def announced(folder: Path) -> None:
             """Print the name of the stage and compute it."""
@@ -202,7 +202,7 @@ class RunStages(Store):
         return facts
 
     def unrecorded(self) -> Store:
-        """The store itself, whose stages are not noted in the run's record."""
+        """The store itself, which does not note its stages in the run's record."""
         return Store(self.root)
 
 
@@ -233,7 +233,7 @@ def shared_store(config: DictConfig | Settings) -> Store:
 
 
 def find_task(task_function: Any) -> Task[Any]:
-    """Task object behind the function that Hydra was given."""
+    """Task object behind the function that was given to Hydra."""
     task = getattr(task_function, "__self__", None)
     assert isinstance(task, Task), "Hydra calls the method `job` of a Task"
     return task

@@ -1,1 +1,1 @@
-"""Findings about whether records and model allow a prediction for the plant."""
+"""Findings on whether records and model allow a prediction for the plant."""

@@ -1,4 +1,5 @@
-"""Findings on an output that moves by itself, such as a limit cycle, whose phase is in no input.
+"""Findings on an output that oscillates by itself, as in a limit cycle, so that no input predicts
+its phase.
 
 Where the input decides, a piece of a log is predicted as well from the log's beginning as from the
 piece's own estimated state: docs/trust.md, "Logs that cannot bear a judgement, and logs that can".
@@ -19,7 +20,7 @@ FORGOTTEN = 0.1  # share that a piece's own state may add to it: noise leaves bo
 
 
 def judge_autonomous_motion(case: Case) -> list[Finding]:
-    """Findings about an output that moves by itself more than by its input."""
+    """Findings about an output that moves more by itself than because of its input."""
     shares = predicted_power_shares(case)
     if shares is None or shares[1] >= BY_INPUT or shares[0] - shares[1] <= FORGOTTEN:
         return []
@@ -36,9 +37,9 @@ def judge_autonomous_motion(case: Case) -> list[Finding]:
 
 
 def predicted_power_shares(case: Case) -> tuple[float, float] | None:
-    """Shares of the output's power that the model predicts from each piece's own initial state and
-    from the log before it. `1 - |y - y_hat|^2 / |y|^2`, about the means of each piece, over those
-    that validate or test behind others.
+    """Shares of the output's power that the model predicts from two kinds of initial state. One is
+    estimated in each piece, the other continues from the log before the piece: `1 - |y - y_hat|^2 /
+    |y|^2`, about the means of each piece, over those that validate or test behind others.
 
     The first is of free runs from the piece's own estimated state, the second of runs from the
     beginning of the log. Means are taken off, for an integrator keeps an offset. None where no
@@ -48,7 +49,7 @@ def predicted_power_shares(case: Case) -> tuple[float, float] | None:
     scale = case.data.scale.output_scale
 
     def signal_power(y: Float[np.ndarray, "T p"]) -> float:
-        """Power of a scaled signal about its mean, start-up samples left out."""
+        """Power of a scaled signal about its mean, without the start-up samples."""
         deviation = (y - y[skip:].mean(axis=0)) / scale
         return float((deviation[skip:] ** 2).sum())
 

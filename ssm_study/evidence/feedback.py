@@ -1,4 +1,4 @@
-"""Findings on a log that was made in a closed loop, where innovations of the output appear again in
+"""Findings on a log that was recorded in a closed loop, where noise of the output appears again in
 the input.
 
 `v` and `w` are what the last `PAST` inputs do not predict of an output and of an input; with
@@ -97,8 +97,8 @@ def judge_feedback(case: Case) -> Iterator[Finding]:
 
 
 def feedback_sentence(earlier: float, present: float) -> str:
-    """Sentence with the statistic that reveals a closed loop, the one further above its threshold
-    of two."""
+    """Sentence with the statistic that reveals a closed loop. Of two statistics it is the one
+    further above its threshold of two."""
     if present - PRESENT >= earlier - EARLIER:
         return (
             f"What is new in the output explains {100 * present:.0f} % of what is new in the input"
@@ -107,8 +107,8 @@ def feedback_sentence(earlier: float, present: float) -> str:
 
 
 def responds_within_sample(data: DataSet) -> bool:
-    """Whether the plant responds to its input within one sample, rather than a controller to its
-    output.
+    """Whether a response within one sample is the plant's to its input, rather than a controller's
+    to the output.
 
     A controller with negative feedback makes the first coefficient of the finite impulse response
     point against the plant's further response; a plant that answers within the sample does not.
@@ -137,7 +137,7 @@ def shows_closed_loop(data: DataSet, earlier: float, present: float) -> bool:
 def judge_instability(
     data: DataSet, *, closed: bool, integrated: bool = False
 ) -> Iterator[Finding]:
-    """Findings on a log whose plant is unstable or integrates its input.
+    """Findings on a log of a plant that is unstable or integrates its input.
 
     In open loop sensor noise makes a mode look slower, and integrators of noise stay below
     `GROWTH`. A loop's noise moves it either way, so that only `UNSTABLE` is clear.
@@ -174,9 +174,8 @@ def judge_instability(
 
 
 def integrator_share(data: DataSet) -> float | None:
-    """Share of the output's changes that the mean input explains, where the log shows an
-    integrator. Share of the output's changes that its one input's mean explains, where the longest
-    stretch of a log shows an integrator; None elsewhere."""
+    """Share of the output's changes that the mean of its input explains, where the longest piece of
+    a log shows an integrator; None elsewhere. For one input only."""
     stretches = join_log_stretches(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
         return None
@@ -186,9 +185,8 @@ def integrator_share(data: DataSet) -> float | None:
 
 
 def growth_statistics(data: DataSet) -> tuple[float, float]:
-    """Share of the output's rise that the input explains, and a statistic of growth with the
-    output's own level. Share of the output's rise that the input explains, and whether the output
-    grows with itself.
+    """Share of the output's rise that the input explains, and a statistic of whether the output
+    grows with its own level.
 
     Least squares `y[k + h] - y[k] = h (f(u) + g(u before)) + c y[k - h]` with f and g piecewise
     linear: an integrator behind a dead zone or a curve has c = 0. Returns the share of the power of
@@ -215,8 +213,9 @@ def growth_statistics(data: DataSet) -> tuple[float, float]:
 
 
 def _growth_rows(u: Rows, y: Rows, nodes: list[Float[np.ndarray, "_"]]) -> tuple[Rows, Rows, Rows]:
-    """Regression rows that relate the output's growth to its input and its own level. They hold
-    what the input added over a stride and the one before, the output's rise, and its past."""
+    """Regression rows that relate the output's growth to its input and its own level. They hold the
+    input's effect over one stride and over the stride before, the output's rise, and the output
+    before."""
     hats: list[np.ndarray] = []
     for column, at in zip(u.T, nodes, strict=True):
         hats += [np.interp(column, at, corner) for corner in np.eye(len(at))]
@@ -242,8 +241,8 @@ def _last_t_statistic(
 
 
 def dominant_mode_modulus(data: DataSet, lags: int) -> float:
-    """Largest modulus of a mode of an ARX model that is fitted to the log. It is arbitrary without
-    a reference in the log."""
+    """Largest modulus of a mode of an ARX model that is fitted to the log. It is arbitrary if the
+    log has no reference signal."""
     a = fit_arx_matrices(scale_records(data), lags, feedthrough=False)[0]
     p = len(data.scale.output_scale)
     companion = np.eye(lags * p, k=-p)
@@ -253,8 +252,8 @@ def dominant_mode_modulus(data: DataSet, lags: int) -> float:
 
 def feedback_share(data: DataSet, first: int) -> float:
     """Share of the input's innovations that the output's innovations explain, a sign of a closed
-    loop. The largest share of any input's `w` that `v`, from `first` samples ago on, explains in
-    the other half."""
+    loop. It is the largest share of any input's `w` that `v`, from `first` samples ago on, explains
+    in the other half."""
     halves = [half for u, y in scale_records(data) for half in _split_regression(u, y, first)]
     if not halves:
         return 0.0
@@ -273,8 +272,8 @@ def _join_rows(halves: list[list[Rows]]) -> list[Rows]:
 
 def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
     """Powers of the residuals when a regression that is fitted to one half of a log predicts the
-    other. Powers in the scored half: of the input, of `w`, of `w` clipped, and of what `v` leaves
-    of that."""
+    other half. Powers in the scored half: of the input, of `w`, of `w` clipped, and of what `v`
+    leaves of that."""
     past, y, u = fitted
     own_past, own_y, own_u = scored
     on_u = np.linalg.lstsq(past, u, rcond=ROUNDING)[0]
@@ -293,8 +292,8 @@ def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray
 
 
 def _split_regression(u: Rows, y: Rows, first: int) -> Iterator[list[Rows]]:
-    """Regression arrays of each half of a record. Past inputs (and one), outputs of `first` to
-    `OUTPUTS` samples ago, the input: of each half of a record."""
+    """Regression arrays for each half of a record. They hold past inputs and a one, outputs of
+    `first` to `OUTPUTS` samples ago, and the input."""
     rows = len(u) - PAST
     if len(u) < SHORTEST * PAST:
         return

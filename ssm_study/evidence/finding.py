@@ -1,5 +1,5 @@
-"""Findings about the records and the model, each a sentence with a severity. Each is one sentence
-with its number and what to do, at one of three levels."""
+"""Findings about the records and the model, each a sentence with a level of severity. Each is one
+sentence with its number and what to do, at one of three levels."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,8 +20,8 @@ CANNOT_JUDGE = "cannot judge"
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One sentence about the records or the model, with its severity. A `make_note` leaves the
-    evidence sound, a `make_doubt` qualifies a prediction, `cannot judge` forbids one.
+    """One sentence about the records or the model, with its level of severity. A `note` leaves the
+    evidence sound, a `doubt` qualifies a prediction, `cannot judge` forbids one.
 
     Levels follow size, never a p-value alone: every free run of a nonlinear plant fails a whiteness
     test.
@@ -39,8 +39,8 @@ ScaledRecord = tuple[Inputs, Outputs]
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Data set, model and free runs whose evidence is judged. Case to be judged: the records, and
-    the model's free runs of validation and test."""
+    """Data set, model and free runs whose evidence is to be judged. The free runs are of the
+    validation and test records."""
 
     data: DataSet
     model: Model
@@ -54,8 +54,7 @@ class Case:
 
     def scale_with_disturbances(self, record: Trajectory) -> ScaledRecord:
         """Input and output of a record in scaled units, with measured disturbances as further
-        inputs. `scale_record`, with measured disturbances beside the input: all that moves the
-        output."""
+        inputs."""
         scale = self.data.scale.with_disturbances_as_inputs()
         return scale.scaled_input(record.inputs_and_disturbances), scale.scaled_output(record.y)
 
@@ -63,8 +62,8 @@ class Case:
         self, records: Trajectories, lags: int
     ) -> tuple[Float[np.ndarray, "K d"], Float[np.ndarray, "K p"]]:
         """Regressors of past inputs and target outputs for a linear FIR model of several records.
-        Rows `(u[k], ..., u[k - lags], 1)` beside `y[k]`, scaled, of the records longer than twice
-        the lags."""
+        Rows `(u[k], ..., u[k - lags], 1)` beside `y[k]`, scaled, of the records that are longer
+        than twice the lags."""
         scale = self.data.scale
         inputs = [np.empty((lags, scale.inputs))]  # of these no row follows
         outputs = [np.empty((lags, scale.outputs))]
@@ -98,8 +97,8 @@ def make_doubt(sentence: str) -> Finding:
 
 
 def grade_by_size(size: float, doubtful: float, hopeless: float, sentence: str) -> list[Finding]:
-    """Finding whose level depends on the size of a number; none below the level of a doubt. A doubt
-    from `doubtful` on, `cannot judge` from `hopeless` on, nothing below."""
+    """Finding whose level depends on the size of a number; none for a small number. It is a doubt
+    from `doubtful` on and `cannot judge` from `hopeless` on."""
     if size >= hopeless:
         return [Finding(level="cannot judge", sentence=sentence)]
     return [make_doubt(sentence)] if size >= doubtful else []

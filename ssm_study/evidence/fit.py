@@ -24,8 +24,8 @@ FEW = 300  # samples below which the fits of two parts are not compared
 
 
 def judge_fit(case: Case) -> list[Finding]:
-    """Findings about the fit: its size, its differences between the parts, and what the model
-    misses."""
+    """Findings about the fit: its size, its differences between training, validation and test, and
+    the part of the output that the model misses."""
     validation = case.validation.fit_percent
     test = case.test.fit_percent
     findings = judge_poor_fit(case)
@@ -51,7 +51,7 @@ def judge_fit(case: Case) -> list[Finding]:
 
 
 def judge_poor_fit(case: Case) -> list[Finding]:
-    """Finding on a poor fit of the validation and test records together.
+    """Finding on a poor fit to the validation and test records together.
 
     Where the error is small against the range of the training output, the percentage is poor
     because those records hardly move: a doubt that says both, never `cannot judge`.
@@ -90,8 +90,8 @@ def judge_initial_state(case: Case) -> list[Finding]:
 
 
 def fir_fit_percent(case: Case) -> float:
-    """Fit in percent of a linear FIR filter, estimated on the training records, on the test
-    records. It is estimated on the training records (`LAGS` taps).
+    """Fit to the test records, in percent, of a linear FIR filter that is estimated on the training
+    records. It has `LAGS` taps.
 
     Minus infinity where no record is long enough for one.
     """
@@ -120,7 +120,7 @@ def pooled_fit_percent(case: Case) -> float:
 def scaled_output_and_error(
     case: Case, part: Simulation
 ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
-    """Scaled outputs and simulation errors of all records of a part, without start-up samples."""
+    """Scaled outputs and simulation errors of several records, joined, without start-up samples."""
     start = part.start_up_samples
     scale = case.data.scale
     y = [scale.scaled_output(record.y)[start:] for record in part.records]
@@ -130,8 +130,8 @@ def scaled_output_and_error(
 
 
 def relative_rms_error(case: Case) -> float:
-    """Root mean square simulation error as a share of the range of the training output. Of several
-    outputs the largest counts."""
+    """Root mean square simulation error as a share of the range of the training output, for the
+    output with the largest share."""
     parts = [scaled_output_and_error(case, part)[1] for part in (case.validation, case.test)]
     rms = np.sqrt((np.concatenate(parts) ** 2).mean(axis=0))
     trained = np.concatenate([case.scale_record(record)[1] for record in case.data.training])
@@ -141,8 +141,8 @@ def relative_rms_error(case: Case) -> float:
 
 
 def unmodelled_input_share(case: Case) -> float:
-    """Share of the output's power that past inputs explain and the model misses. Share of the
-    output's power by which a filter from u, fitted to one half of the residual, predicts the other.
+    """Share of the output's power that past inputs explain but the model misses. A filter from u,
+    fitted to one half of the residual, predicts the other half.
 
     The power is that of each part about its own mean, as in the fit that the outcome prints.
     """
@@ -166,8 +166,8 @@ def unmodelled_input_share(case: Case) -> float:
 
 
 def judge_whiteness(case: Case) -> list[Finding]:
-    """Finding of the standard whiteness test of the simulation error. It is at most a note, since
-    every free run of a nonlinear plant fails it.
+    """Finding of the standard whiteness test on the simulation error. It is at most a note, since
+    every free run of a nonlinear plant fails the test.
 
     Source: Ljung, System Identification, 2nd ed. (1999) section 16.6.
     """

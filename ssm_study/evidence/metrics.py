@@ -1,5 +1,5 @@
-"""Judgement of the evidence and its columns in a record. All findings together: one level, and
-why; the columns they fill, and what they do to a prediction."""
+"""Judgement of the evidence, and its columns in a record. The level is the gravest of all findings;
+it decides whether a prediction is stated."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -36,8 +36,8 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Judgement:
-    """All findings about the evidence that the records give for a model. The worst level of the
-    findings: `sound` (notes at most), `make_doubt` or `cannot judge`."""
+    """All findings about the evidence that the records give for a model. Its level is that of the
+    gravest finding: `sound` (notes at most), `doubt` or `cannot judge`."""
 
     findings: tuple[Finding, ...]
 
@@ -49,7 +49,7 @@ class Judgement:
 
     @property
     def reasons(self) -> str | None:
-        """Text of all findings, the gravest first. None where there are none."""
+        """Text of all findings, the gravest first; None if there are none."""
         ordered = sorted(
             self.findings, key=lambda finding: (CANNOT_JUDGE, DOUBT, "note").index(finding.level)
         )
@@ -61,8 +61,8 @@ class Judgement:
 
     @classmethod
     def from_json(cls, content: list[Mapping[str, Any]]) -> "Judgement":
-        """Read the findings of a judgement from JSON. Raises `BadRequest` for what is no list of
-        findings."""
+        """Read the findings of a judgement from JSON. Raises `BadRequest` for anything but a list
+        of findings."""
         for k, entry in enumerate(content if isinstance(content, list) else [content]):
             sound = isinstance(entry, dict) and entry.keys() == {"level", "sentence"}
             require(sound, f"evidence.json [{k}]", entry, "is no finding", "run the study again")
@@ -73,7 +73,7 @@ class Judgement:
 def collect_findings(
     data: DataSet, model: Model, validation: Simulation, test: Simulation, mismatch: Mismatch
 ) -> Judgement:
-    """Collect all findings about the records, the model and the measured model error."""
+    """Collect all findings on the records, the model and the measured model error."""
     case = Case(data=data, model=model, validation=validation, test=test)
     findings = [
         *fit.judge_fit(case),
@@ -123,14 +123,13 @@ def judge_reading(reading: str) -> list[Finding]:
 
 
 def evidence_columns(judgement: Judgement, *_: Any) -> dict[str, Any]:
-    """Columns of a result record with the judgement of the evidence and its reasons. `evidence` is
-    sound, doubt or cannot judge; notes leave it sound."""
+    """Columns of a record with the judgement of the evidence and its reasons. `evidence` is sound,
+    doubt or cannot judge; notes leave it sound."""
     return {"evidence": judgement.level, "evidence_reasons": judgement.reasons}
 
 
 def withhold_predictions(facts: dict[str, Any], level: str | None) -> dict[str, Any]:
-    """Remove the predictions from a design's columns where the evidence allows none. The facts of a
-    design with no prediction where the evidence allows none."""
+    """Remove the predictions from a design's columns if the evidence allows no prediction."""
     if level != CANNOT_JUDGE:
         return facts
     predictions = ("predicted_stable", "predicted_faster")

@@ -47,9 +47,8 @@ UNTRAINED = 0.2  # share of the test input's power in bands that training did no
 
 
 def judge_records(case: Case, mismatch: Mismatch) -> list[Finding]:
-    """Findings about what the records contain: ranges, levels, length, drift, spectra and rest. All
-    of them, each with its own sentence; those on rest and on what is unknown of the mismatch come
-    last."""
+    """Findings about the contents of the records: ranges, levels, length, drift, spectra and rest.
+    Findings on rest and on what is unknown of the model error come last."""
     looks = (
         _judge_range,
         _judge_levels,
@@ -63,7 +62,7 @@ def judge_records(case: Case, mismatch: Mismatch) -> list[Finding]:
 
 
 def _join_scaled(case: Case, records: tuple[Trajectory, ...]) -> ScaledRecord:
-    """Concatenated scaled inputs and outputs of several records."""
+    """Scaled inputs and outputs of several records, joined."""
     parts = [case.scale_record(record) for record in records]
     inputs = np.concatenate([u for u, _ in parts])
     return inputs, np.concatenate([y for _, y in parts])
@@ -101,7 +100,7 @@ def _judge_range(case: Case) -> Iterator[str]:
 
 
 def _judge_levels(case: Case) -> Iterator[str]:
-    """Sentences on a training input that changes too seldom, takes two levels or stays on one
+    """Sentences on a training input that changes too rarely, takes only two levels or stays on one
     side."""
     u = _join_scaled(case, case.data.training)[0]
     changes = count_input_changes(case.data)
@@ -123,8 +122,8 @@ def _judge_levels(case: Case) -> Iterator[str]:
 
 
 def count_input_changes(data: DataSet) -> int:
-    """Number of input changes in the training records and where they continue another piece of
-    their log.
+    """Number of input changes in the training records. A change where a record continues an earlier
+    piece of the same log counts, too.
 
     A log that is cut at its steps has none within its pieces.
     """
@@ -144,7 +143,7 @@ def count_input_changes(data: DataSet) -> int:
 
 
 def _judge_saturation(case: Case) -> Iterator[Finding]:
-    """Findings on an output that saturates or stands at zero while the input moves.
+    """Findings on an output that is saturated or constant at zero while the input moves.
 
     A machine that comes to a stop reads zero, too: from the log alone a dead zone cannot be told
     from a sensor that ends there.
@@ -170,7 +169,7 @@ def _judge_saturation(case: Case) -> Iterator[Finding]:
 
 
 def saturated_share(case: Case, output: int, limit: float) -> float:
-    """Share of training samples at which a moving output has run into a limit of its sensor.
+    """Share of training samples at which a moving output is at a limit of its sensor.
 
     Counted are stretches in which the input still moves and which the output enters at speed: a
     machine at rest, or inside a dead zone, comes to its extreme slowly and once.
@@ -216,7 +215,7 @@ def _judge_length(case: Case) -> Iterator[str]:
 
 
 def _judge_slow_mode(case: Case) -> str:
-    """Sentence on a model whose slowest mode hardly decays within a record.
+    """Sentence on a model whose slowest mode hardly decays within the length of a record.
 
     It speaks of the output where the log shows that it integrates, else of the model alone.
     """
@@ -235,12 +234,12 @@ def _judge_slow_mode(case: Case) -> str:
 
 
 def integrates(case: Case) -> bool:
-    """Whether the model holds what its input has done for ever."""
+    """Whether the model integrates its input, so that the effect of an input never decays."""
     return case.model.linear.spectral_radius >= 1 - ROUNDING
 
 
 def follows_input_level(data: DataSet) -> bool:
-    """Whether the output follows the level of its input, as no integrator does."""
+    """Whether the output follows the level of its input, which rules out an integrator."""
     stretches = join_log_stretches(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
         return False
@@ -268,7 +267,7 @@ def _judge_drift(case: Case) -> Iterator[str]:
 
 
 def _judge_repetition(case: Case) -> Iterator[str]:
-    """Sentence on test records that repeat training records."""
+    """Sentence on test records that contain parts of the training records."""
     share = repeated_test_share(case.data)
     if share > PART:
         yield (
@@ -278,7 +277,8 @@ def _judge_repetition(case: Case) -> Iterator[str]:
 
 
 def repeated_test_share(data: DataSet) -> float:
-    """Share of the test records' windows that also occur, bit for bit, in the training records.
+    """Share of the test records' windows that also occur, with the same bits, in the training
+    records.
 
     A coarse sensor repeats itself by chance: input and output must agree, over windows so long
     that the training records hardly ever repeat themselves.
@@ -293,7 +293,7 @@ def repeated_test_share(data: DataSet) -> float:
 
 
 def _window_bytes(record: Trajectory, length: int) -> set[bytes]:
-    """Bytes of every window of a record in which the output moves."""
+    """Contents, as bytes, of all windows of a record in which the output moves."""
     both = np.ascontiguousarray(np.concatenate([record.u, record.y], axis=1))
     pieces = (slice(k, k + length) for k in range(len(both) - length + 1))
     return {both[piece].tobytes() for piece in pieces if np.ptp(record.y[piece]) > 0}
@@ -311,7 +311,7 @@ def _repeated_share(records: tuple[Trajectory, ...], length: int) -> float:
 
 
 def _judge_spectrum(case: Case) -> Iterator[str]:
-    """Sentence on test inputs whose spectrum the training inputs do not excite."""
+    """Sentence on test inputs with frequencies that the training inputs do not excite."""
 
     def power_spectrum(records: tuple[Trajectory, ...]) -> Float[np.ndarray, "F"]:
         """Power spectrum of the input over several records, summed over the channels."""
@@ -335,7 +335,7 @@ def _judge_spectrum(case: Case) -> Iterator[str]:
 
 def _judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
     """Findings on a plant that does not come to rest, or whose records do not show whether it does.
-    A plant that does not rest is judged, and refused; a record that cannot say so is a note."""
+    A plant that does not come to rest is not judged; records that leave it open give a note."""
     response = case.model.linear.impulse_response_length()
     rests = [
         output_after_motion(*case.scale_with_disturbances(record), response)

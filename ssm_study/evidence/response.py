@@ -49,13 +49,14 @@ def judge_response(case: Case) -> list[Finding]:
 
 
 def slowest_mode_remainder(case: Case) -> float:
-    """Fraction of the model's slowest mode that remains after the longest training record. It is 1
-    for an integrator."""
+    """Fraction of the model's slowest mode that remains after the length of the longest training
+    record; 1 for an integrator."""
     return case.model.linear.spectral_radius ** max(len(record) for record in case.data.training)
 
 
 def _judge_coherence(case: Case) -> Iterator[Finding]:
-    """Doubt about records whose input and output have a low coherence in the controller's band."""
+    """Doubt about records in which input and output have a low coherence in the controller's
+    frequency band."""
     parts = [case.scale_with_disturbances(record) for record in case.data.training]
     segment = int(np.clip(sum(len(u) for u, _ in parts) // AVERAGES, *SEGMENTS))
     parts = [(u, y) for u, y in parts if len(u) >= segment]
@@ -80,15 +81,15 @@ def _judge_coherence(case: Case) -> Iterator[Finding]:
 
 
 def multiple_coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
-    """Multiple coherence between inputs and output at each frequency, for the output where it is
-    smallest.
+    """Multiple coherence between inputs and output at each frequency, for the output with the
+    lowest coherence.
 
     Spectra are averaged over all records: where the input rests in one of them, the others tell.
     Zero without power.
     """
 
     def cross_spectra(i: int, j: int) -> Complex[np.ndarray, "F r c"]:
-        """Cross spectra of two signals, summed over all records by their lengths."""
+        """Cross spectra of two signals, summed over all records and weighted by their lengths."""
         spectra = []
         for part in parts:
             a = part[i][:, :, None]
@@ -110,7 +111,7 @@ def multiple_coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarra
 
 
 def _judge_sampling(case: Case) -> Iterator[Finding]:
-    """Note on a log that was sampled much too slowly or too fast for the model's response."""
+    """Note on a log whose sampling is much too slow or too fast for the model's response."""
     response = case.model.linear.impulse_response_length()
     statement = (
         f"The bulk of the model's response lasts {response} samples of {case.data.step_s:g} s"
@@ -143,8 +144,8 @@ def _judge_dead_time(case: Case) -> Iterator[Finding]:
 
 def dead_time_samples(case: Case) -> int:
     """Dead time of the plant in samples, estimated from an FIR model of the training records.
-    Samples beyond the first by which every input is clearly not seen in any output; 0 where that is
-    not clear."""
+    Number of samples beyond the first after which no output has clearly responded to any input; 0
+    if that is not clear."""
     x, y = case.regression_arrays(case.data.training, LAGS)
     if len(x) < 2 * x.shape[1]:
         return 0

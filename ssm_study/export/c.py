@@ -145,7 +145,7 @@ def _render_header(
 
 
 def _render_set_point_maps(device: Device, name: str) -> str:
-    """C functions that map set points to equilibria of the controller's model."""
+    """C functions that convert set points to equilibria of the controller's model."""
     points = device.set_point_maps
     assert points is not None
     maps = _render_inverse_map(f"{name}_s_in_inverse", points.inward, name, device.real)
@@ -156,14 +156,14 @@ def _render_set_point_maps(device: Device, name: str) -> str:
 
 
 def _function_prototypes(defined: str) -> str:
-    """Prototypes of the public functions that a C text defines."""
+    """Prototypes of the public functions that are defined in a C text."""
     lines = defined.splitlines()
     opened = [line for line in lines if "_API void" in line]
     return "".join(f"{line.removesuffix(' {')};\n" for line in opened)
 
 
 def _render_ramp_stop(device: Device) -> str:
-    """Line of C that stops the internal model of a ramp while an input limit acts. Empty where it
+    """Line of C that stops the internal model of a ramp while an input limit is active; empty if it
     is not needed.
 
     Integrators do so by themselves, and oscillators go on.
@@ -181,7 +181,7 @@ def _count_constants(code: str) -> int:
 
 
 def escape_comment(text: str) -> str:
-    """Change a text so that it can neither end a C comment nor continue beyond its line.
+    """Change a text so that it can neither end a C comment nor continue on the next line.
 
     The text may come from whatever name somebody gave a study.
     """
@@ -223,7 +223,7 @@ def _render_limits_comment(device: Device, has_set_points: bool) -> str:
 
 
 def _render_disturbance_update(device: Device, name: str) -> str:
-    """C code that adds measured disturbances to the next state. Empty where there are none."""
+    """C code that adds measured disturbances to the next state; empty if there are none."""
     disturbances = device.controller.scale.disturbances
     if not disturbances:
         return ""
@@ -296,8 +296,8 @@ def _render_signal_table(label: str, values: Float[np.ndarray, "T w"], real: str
 def _render_function(
     name: str, argument: str, tables: dict[str, Float[np.ndarray, "..."]], body: str, real: str
 ) -> str:
-    """C function with one argument and one result, behind its constant arrays. `void name(argument,
-    out)`.
+    """C function with one argument and one result, preceded by its constant arrays. `void
+    name(argument, out)`.
 
     A constant is called `name_<label>` in C and `#label` in `body`.
     """
@@ -318,7 +318,7 @@ def _render_product(
 
 
 def _render_map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
-    """C function that evaluates a piecewise linear map, layer by layer. `out += linear v + N(v)`,
+    """C function that evaluates a piecewise-linear map, layer by layer. `out += linear v + N(v)`,
     `d = phi(W d + b) - phi(b)`."""
     tables = {"linear": portable.linear}
     body = _render_product(prefix, "linear", portable.linear, "v", "out")

@@ -1,4 +1,5 @@
-"""Monitor in the exported C that watches whether the plant stays within the disc of its coverage.
+"""Monitor in the exported C code, which checks whether the plant stays within the measured disc
+that the certificate covers.
 
 With the model's own output m for the input that is applied, from rest, and `e = y - m`, noise and
 initial state included, the device keeps
@@ -36,8 +37,8 @@ UNMONITORED = "the certificate covers no mismatch, or not that of this kind of m
 
 @dataclass(frozen=True, kw_only=True)
 class Filter:
-    """Weight of one channel as a difference equation. Its state is `x_0 <- entering + a x`, the
-    others shifted by one; it gives `c x + d entering`, kappa included."""
+    """Weighting filter of one channel as a difference equation. Its state is `x_0 <- entering + a
+    x`, the others shifted by one; it gives `c x + d entering`, kappa included."""
 
     a: Float[np.ndarray, "o"]
     c: Float[np.ndarray, "o"]
@@ -45,7 +46,8 @@ class Filter:
 
     @classmethod
     def of(cls, weight: Float[np.ndarray, "v v"], kappa: float) -> "Filter | None":
-        """Filter from `[A, B; C, D]` in controller canonical form. None in any other form."""
+        """Filter from matrices in controller canonical form; None for matrices in any other form.
+        `[A, B; C, D]`."""
         order = len(weight) - 1
         shift = np.eye(order, k=-1)[1:]
         first = np.eye(order)[:, :1]
@@ -58,9 +60,9 @@ class Filter:
 
 @dataclass(frozen=True, kw_only=True)
 class Monitor:
-    """Numbers of the monitor, in scaled units: the disc's centre and floor (kappa included), its
-    weights, what is allowed in a sample, and the limit of the sum. `states` of the model come
-    first among the controller's."""
+    """Numbers of the monitor, in scaled units: the disc's centre and floor, its weights, and the
+    limits of each sample and of the sum. Kappa is included. `states` of the model come first among
+    the controller's."""
 
     states: int
     centre: float
@@ -72,8 +74,8 @@ class Monitor:
 
     @classmethod
     def of(cls, model: Model, design: Design) -> "Monitor | None":
-        """Monitor of a design with one layer that has a certificate of its coverage. None for any
-        other, and where measured disturbances enter.
+        """Monitor for a one-layer design with certified coverage; None for any other design, or
+        with measured disturbances.
 
         The allowance is a standing error of the settling band in every output; the limit the energy
         with which the model comes to rest from outputs half their scale away.
@@ -99,8 +101,8 @@ class Monitor:
 
 
 def decay_energy(linear: StateSpace) -> float:
-    """Energy `sum |y|^2` of the free decay from the equilibria with one output at one, all outputs
-    in turn."""
+    """Energy of the free decay from equilibria with one output at one, for each output in turn.
+    `sum |y|^2`."""
     rest, _, gain = linear.steady_states()
     starts = rest @ np.linalg.pinv(gain)
     observability = scipy.linalg.solve_discrete_lyapunov(linear.a.T, linear.c.T @ linear.c)
@@ -139,7 +141,8 @@ REFUSED = f"""
 def render_monitor(
     device: Device, monitor: Monitor | None, sizes: Mapping[str, object]
 ) -> dict[str, str]:
-    """C texts of the monitor by their placeholders. Without a monitor its switch is refused."""
+    """C texts of the monitor, keyed by the placeholders of the template. Without a monitor, its
+    switch in the header leads to a compiler error."""
     if monitor is None:
         none = dict.fromkeys(("monitor_members", "monitor_call", "monitor_reset"), "")
         return none | {"monitor_watch": REFUSED}

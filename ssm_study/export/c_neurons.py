@@ -8,8 +8,7 @@ from ssm_study.models.structured import NEURONS
 
 
 def render_neurons(device: Device, name: str) -> dict[str, str]:
-    """Parts of the C header that concern the neurons of the model. Empty texts for a model without
-    neurons.
+    """Parts of the C header on the neurons of the model; empty texts for a model without neurons.
 
     `include` is math.h, `neurons` their function, `read` its call where the observer's error is
     not known yet, `driven` the call where it is.

@@ -1,4 +1,4 @@
-"""Constants of the exported C, each written so that it reads back to the same float."""
+"""Constants of the exported C code, each written so that it is read back as the same float."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from ssm_study.export.device import REALS
 
 
 def render_number(value: float | np.floating[Any], real: str) -> str:
-    """Shortest decimal text that reads back to the same float."""
+    """Shortest decimal text that is read back as the same float."""
     digits = np.format_float_scientific(REALS[real](value), trim="0")
     return f"{digits}f" if real == "float" else digits
 

@@ -1,4 +1,4 @@
-"""Python model of a controller on a device, which computes as the exported C code does.
+"""Python model of a controller on a device, which computes exactly as the exported C code does.
 
 For a set point r the law aims at the equilibrium of the model nearest to it: `v* = S_u^{-1}(G^+
 S_y^{-1}(w_r))`, clamped to the limits, `x* = (I - A)^{-1} B S_u(v*)`, `G = C (I - A)^{-1} B + D`,
@@ -52,15 +52,15 @@ class SetPoints:
 
     @property
     def maps(self) -> dict[str, Any]:
-        """The three maps between set points and equilibria, by name."""
+        """The three maps between set points and equilibria, keyed by name."""
         names = ("to_lifted", "at_rest", "seen")
         return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
-    """Controller as it runs on a device: rounded numbers, input limits, and operations in the order
-    of the C code.
+    """Controller as it runs on a device, with rounded numbers, input limits, and operations in the
+    order of the C code.
 
     Limits are infinite where there is none. `set_point_maps` is None where they cannot be computed
     on a device: S_u or S_y couples its channels, the model integrates, no constant input reaches
@@ -77,7 +77,7 @@ class Device:
     def from_controller(
         cls, controller: PortableController, real: str, lower: Vector, upper: Vector
     ) -> "Device":
-        """Device on which a controller runs, with all numbers rounded to a float type.
+        """Controller on a device, with all numbers rounded to a float type.
 
         Missing limits become the largest `real`.
         """
@@ -100,7 +100,8 @@ class Device:
 
     @cached_property
     def set_point_maps(self) -> SetPoints | None:
-        """Maps between set points and equilibria, from the rounded numbers; None if there are none.
+        """Maps between set points and equilibria, computed from the rounded numbers; None if there
+        are none.
 
         None where a device cannot compute them.
         """
@@ -117,8 +118,8 @@ class Device:
     def _linear_set_point_maps(
         self, model: StateSpace, inward: Inverse, outward: Inverse
     ) -> SetPoints | None:
-        """Maps between set points and equilibria of a linear model, as matrices. None where it
-        integrates or cannot hold every output."""
+        """Maps between set points and equilibria of a linear model, as matrices; None for a model
+        that integrates or cannot reach every output."""
         states, _, gain = model.steady_states()
         if model.integrates:
             return None
@@ -139,8 +140,8 @@ class Device:
     def _interpolated_set_point_maps(
         self, controller: PortableController, inward: Inverse, outward: Inverse
     ) -> SetPoints | None:
-        """Maps between set points and equilibria of a model with neurons, by interpolation. The
-        points between show the error."""
+        """Maps between set points and equilibria of a model with neurons, by interpolation. Points
+        between the interpolated ones show the error."""
         if len(self.lower) > 1:
             return None
         low = self._mapped_limit(controller, self.lower)
@@ -184,8 +185,8 @@ class Device:
 
     @property
     def count_multiplications(self) -> int:
-        """Largest number of multiplications that one sample of the controller takes. Those of the
-        activation function do not count.
+        """Largest number of multiplications in one sample of the controller, without those of
+        activation functions.
 
         In one `step` where there are no set points.
         """
@@ -208,8 +209,8 @@ class Device:
         return products + reaching + inverses + maps + 2 * inputs
 
     def equilibrium_state(self, y0: Vector) -> Vector:
-        """Equilibrium state of the controller's model at a given output. It is the equilibrium of
-        the plant where there are no set points."""
+        """Equilibrium state of the controller's model at a given output. Without set points it is
+        the plant's equilibrium."""
         points = self.set_point_maps
         if points is None:
             controller_a = self.controller.a
@@ -223,7 +224,8 @@ class Device:
     def compute_step(
         self, x: Vector, y: Vector, r: Vector, d: Vector | None = None
     ) -> tuple[Vector, Vector]:
-        """Compute the controller's limited input for one sample, and its next state.
+        """Compute the controller's input for one sample, within the input limits, and its next
+        state.
 
         Without set points the law steers towards the equilibrium. Measured disturbances that are
         not given are at theirs.
@@ -292,8 +294,8 @@ class Device:
         r: Float[np.ndarray, "T p"],
         d: Float[np.ndarray, "T k"] | None = None,
     ) -> Float[np.ndarray, "T m"]:
-        """Inputs that the controller computes from recorded measurements and set points. It takes
-        measured disturbances, too, where it uses some.
+        """Inputs that the controller computes from recorded measurements and set points. Measured
+        disturbances are an argument where the controller uses them.
 
         It starts at rest at the first measurement.
         """

@@ -1,4 +1,4 @@
-"""Export of the controller as an ONNX model of one sample, `(y, state) -> (u, next_state)`. With
+"""Export of one sample of the controller as an ONNX model, `(y, state) -> (u, next_state)`. With
 measured disturbances it takes `(y, state, d)`.
 
 In doubles, for any batch size.
@@ -85,8 +85,8 @@ class _GraphBuilder:
         return self.append_operator("Sum", *parts, -neurons.phi_bias)
 
     def append_activation(self, kind: str, z: str) -> str:
-        """Append an activation function to the graph, in operators that runtimes have for
-        doubles."""
+        """Append an activation function to the graph, using only operators that runtimes support
+        for doubles."""
         if kind == "tanh":
             return self.append_operator("Tanh", z)
         above = self.append_operator("Max", z, np.zeros(1))
@@ -109,7 +109,7 @@ class _GraphBuilder:
         return self.append_operator("Add", cubed, self.append_operator("Sub", z, clipped))
 
     def _append_increment(self, x: str) -> str:
-        """Append the sum of a signal and one to the graph."""
+        """Append the addition of one to a signal to the graph."""
         return self.append_operator("Add", x, np.ones(1))
 
 
@@ -122,7 +122,7 @@ def build_onnx_model(controller: PortableController, about: str) -> Any:
     states = len(controller.a)
 
     def declare_signal(name: str, width: int) -> Any:
-        """Declaration of an input or output of the graph."""
+        """Declaration of an input or output of the ONNX graph."""
         return helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["batch", width])
 
     outputs = controller.scale.outputs

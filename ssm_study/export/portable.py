@@ -1,4 +1,4 @@
-"""Controller and model as plain arrays, from which all exports are made.
+"""Controller and model as plain arrays, from which all export formats are made.
 
 Every target of the export starts from these.
 """
@@ -24,8 +24,8 @@ MATRICES = ("a", "b", "c", "d", "k", "l", "e")
 
 @dataclass(frozen=True, kw_only=True)
 class PortableNeurons:
-    """Neurons of a model as plain arrays. `evaluate_activations(F x + G S_u(v) + L_z e + b) -
-    phi(b)` with e the observer's output error.
+    """Neurons of a model as plain arrays, with their activation functions. `phi(F x + G S_u(v) +
+    L_z e + b) - phi(b)` with e the observer's output error.
 
     `into (n, r)` is the model's E, which drives x+; `h (q, r)` reads them into the output;
     `phi_bias` is `evaluate_activations(b)`. Zero rows of `into` and columns of `f` stand for the
@@ -52,7 +52,7 @@ class PortableNeurons:
 
 @dataclass(frozen=True, kw_only=True)
 class PortableController:
-    """Controller and observer of a run as plain arrays.
+    """Controller and observer of a run as plain arrays, which need no framework.
 
     `u = u_eq + s_u K x,  x+ = A x + B S_u(v) + L (S_y(C x + D S_u(v)) - w) + E w`, with
     `v = (u - u_eq)/s_u`, `w = (y - y_eq)/s_y`; physical `u (m,)`, `y (p,)`. The state `x (n,)`
@@ -97,8 +97,8 @@ class PortableController:
 
     @property
     def frozen_state_range(self) -> slice:
-        """Range of the internal model's states that stop while an input limit acts. They are the
-        integrators of a ramp's internal model.
+        """Range of the internal model's states that are frozen while an input limit is active. They
+        are the integrators of a ramp's internal model.
 
         They come first in its model.
         """
@@ -128,7 +128,7 @@ class PortableController:
 
 
 def _refuse_unexportable_design(design: Design) -> None:
-    """Refuse a design without both gains, or one that inverts the input map."""
+    """Raise `BadRequest` for a design that lacks a gain or that inverts the input map."""
     for name, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
         if isinstance(part, Infeasible):
             reason = part.reason.rstrip(".")
@@ -192,8 +192,7 @@ def convert_controller(model: Model, design: Design) -> PortableController:
 def _convert_neurons(
     model: Model, l_z: Float[np.ndarray, "r p"] | None, added: int
 ) -> PortableNeurons | None:
-    """Convert the neurons of a model to plain arrays; None if it has none. None for a model without
-    neurons."""
+    """Convert the neurons of a model to plain arrays; None for a model without neurons."""
     if not isinstance(model, StructuredSSM) or not model.neurons:
         return None
     outputs = model.scale.outputs
@@ -217,7 +216,7 @@ def _convert_neurons(
 def multiply_in_order(
     a: Float[np.ndarray, "r c"], x: Vector, start: Vector | None = None
 ) -> Vector:
-    """Sum `start + a x`, added up column by column as in the C code.
+    """Product of a matrix and a vector, summed column by column as in the C code. `start + a x`.
 
     `@` does not promise it.
     """
@@ -228,7 +227,7 @@ def multiply_in_order(
 
 
 def convert_floats(value: Any, kind: Any) -> Any:
-    """Copy of an object in which every array, at any depth, has a given float type."""
+    """Copy of an object in which every array, at any depth, is converted to a given float type."""
     if isinstance(value, np.ndarray):
         return value.astype(kind)
     if isinstance(value, tuple):

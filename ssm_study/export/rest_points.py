@@ -24,7 +24,7 @@ Rows = Float[np.ndarray, "h r"]
 
 @dataclass(frozen=True, kw_only=True)
 class PiecewiseLinear:
-    """Piecewise linear map of a scalar to a vector. `out = slopes[j] w + offsets[j]`, j the count
+    """Piecewise-linear map of a scalar to a vector. `out = slopes[j] w + offsets[j]`, j the count
     of `points <= w`.
 
     Beyond the ends the last line continues.
@@ -36,7 +36,7 @@ class PiecewiseLinear:
 
     @classmethod
     def interpolate(cls, w: Vector, out: Rows) -> "PiecewiseLinear":
-        """Piecewise linear map through given points."""
+        """Piecewise-linear map through given points."""
         order = np.argsort(w)
         w = w[order]
         out = out[order]
@@ -46,20 +46,20 @@ class PiecewiseLinear:
         return cls(points=points, slopes=slopes, offsets=offsets)
 
     def __call__(self, w: Vector) -> Vector:
-        """Value of the map at `w`."""
+        """Value of the map at a scalar `w`."""
         j = int((self.points <= w[0]).sum())
         return self.slopes[j] * w[0] + self.offsets[j]
 
 
 def evaluate_equilibrium_map(by: "PiecewiseLinear | Float[np.ndarray, 'r c']", w: Vector) -> Vector:
-    """Evaluate a matrix or a piecewise linear map at a vector. The product is in the order of the C
+    """Evaluate a matrix or a piecewise-linear map at a vector. The product is in the order of the C
     code."""
     return by(w) if isinstance(by, PiecewiseLinear) else multiply_in_order(by, w)
 
 
 @dataclass(frozen=True, kw_only=True)
 class EquilibriumCurve:
-    """Equilibria of a model for increasing values of its mapped input. For each of `lifted (h,)`
+    """Equilibria of a model for increasing values of its mapped input. For each of `lifted (h,)`:
     states `x (h, n)`, and the arguments of S_y, `read (h,)`.
 
     `read` rises or falls throughout.
@@ -110,7 +110,7 @@ def _find_equilibrium(
     """Find the equilibrium state of a model with neurons for one mapped input."""
 
     def equilibrium_residual(x: Vector) -> tuple[Vector, Float[np.ndarray, "n n"]]:
-        """Difference between the next state and the state."""
+        """Difference between the next state and the present one, with its Jacobian."""
         z = model.f @ x + model.g[:, 0] * v + neurons.bias
         w = evaluate_activations(neurons.kinds, z) - neurons.phi_bias
         slopes = evaluate_activations(neurons.kinds, z, "slope")

@@ -74,8 +74,8 @@ def write_controller(
 def render_controller(
     run: Path, *, real: str = "double", prefix: str = "controller"
 ) -> dict[str, str]:
-    """Names and texts of the C files of a run's controller. Refuses what `write_controller`
-    refuses."""
+    """Names and texts of the C files of a run's controller. Raises `BadRequest` as
+    `write_controller` does."""
     controller = load_controller(run)
     design = Design.load(run / "certificate.json")
     device = Device.from_controller(controller, real, *find_input_limits(run))
@@ -98,8 +98,8 @@ def render_controller(
 
 
 def find_input_limits(run: Path) -> tuple[Range, Range]:
-    """Lower and upper limits of the input in physical units, as set or as recorded. Infinite for a
-    run without records.
+    """Lower and upper limits of the input in physical units, as set or else as recorded; infinite
+    for a run without records.
 
     `loop.input_lower` and `loop.input_upper` where they were given, else what the training records
     and rest visited: beyond that range nothing is known of S_u.
@@ -140,7 +140,7 @@ def _read_recorded_ranges(
 
 
 def _describe_signals(run: Path, device: Device) -> tuple[str, ...]:
-    """Lines of text on every signal: name, unit and limits or range."""
+    """Lines of text that give, for every signal, its name, its unit and its limits or range."""
     lines: list[str] = []
     inputs = _read_recorded_ranges(run, "excitation.mcap", "/input")
     if inputs is not None:
@@ -166,7 +166,7 @@ def _describe_ranges(
 
 
 def _describe_limits(run: Path, design: Design, device: Device) -> tuple[str, ...]:
-    """Sentences on what the certificate proves within the input limits. Empty where it proves
+    """Sentences on what the certificate proves under the input limits; empty if it proves
     nothing."""
     lower = np.asarray(device.lower, dtype=float)
     upper = np.asarray(device.upper, dtype=float)
@@ -203,7 +203,7 @@ def _describe_limits(run: Path, design: Design, device: Device) -> tuple[str, ..
 
 
 def _describe_set_point_error(device: Device) -> tuple[str, ...]:
-    """Line of text with the largest error of set points between stored equilibria."""
+    """Line of text with the largest error of set points between the tabulated equilibria."""
     if device.set_point_maps is None or not device.set_point_maps.missed:
         return ()
     missed = f"missed by at most {device.set_point_maps.missed:.1e}."
@@ -242,7 +242,7 @@ def _load_model(run: Path) -> Model:
 
 
 def describe_origin(run: Path) -> str:
-    """Line of text with the run that a controller comes from and the exact verdict on its
+    """Line of text that names the run from which a controller comes and the exact verdict on its
     certificate."""
     model = _load_model(run)
     design = Design.load(run / "certificate.json")
@@ -269,7 +269,7 @@ def _is_certified(run: Path, model: Model, design: Design) -> bool:
 
 
 def _describe_rounding_error(run: Path, device: Device) -> tuple[str, ...]:
-    """Line of text with the change of the simulated closed loop due to rounding. Empty in double
+    """Line of text that says how much rounding changes the simulated closed loop; empty in double
     precision.
 
     From rest one output scale off.
@@ -346,8 +346,8 @@ def prove_deployed_rates(device: Device, design: Design) -> dict[str, float | No
 def _provable_rate(
     part: Theorem, context: VerificationContext, gain: dict[str, Float[np.ndarray, "r c"]]
 ) -> float:
-    """Largest rate, at most the certified one, that exact arithmetic proves for the rounded
-    numbers. Else the largest smaller one, by bisection; 0 if none can."""
+    """Largest rate, up to the certified one, that exact arithmetic proves for the rounded numbers.
+    It is found by bisection; 0 if none can be proved."""
     ball = part.ball(context)
     stored = float(part.variables["rate"])
     numbers = part.variables | part.model_data(context) | gain
@@ -366,8 +366,8 @@ def _provable_rate(
 
 
 def _bound_rounded_slopes(portable: PortableMap) -> JacobianBall | None:
-    """Ball that contains the slopes of a static map with rounded numbers. None where no sound one
-    is known."""
+    """Ball that contains the slopes of a static map with rounded numbers; None if no proved ball is
+    known."""
     try:
         if portable.network is None:
             linear_scaffold = LinearScaffold(gain=portable.linear)

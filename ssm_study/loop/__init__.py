@@ -1,1 +1,1 @@
-"""Closed loop of controller and plant, its trajectories and its measures."""
+"""Closed loop of controller and plant, its trajectories and the measures of its behaviour."""

@@ -1,4 +1,4 @@
-"""Certified bound on the state of a closed loop with observer, and its comparison with simulated
+"""Certified bound on the state of a closed loop with an observer, and its comparison with simulated
 runs.
 
 The experiment is that of docs/closed_loop.md. With `M = P^{-1}`, `d[k] = ||x[k]||_M` and `e[k] =
@@ -58,7 +58,7 @@ def metric_distances(
 
 
 def _feedback_distances(rows: Estimates, feedback: StateFeedback) -> Distances:
-    """Distances of states from the equilibrium in the state feedback's metric `P^{-1}`."""
+    """Distances of states from the equilibrium in the metric of the state feedback, `P^{-1}`."""
     columns = rows.reshape(-1, rows.shape[2]).T
     norms = np.linalg.norm(transform_to_inverse_metric(feedback.p, columns), axis=0)
     return norms.reshape(rows.shape[:2])
@@ -67,7 +67,7 @@ def _feedback_distances(rows: Estimates, feedback: StateFeedback) -> Distances:
 def distance_bound(
     d0: PerCase, e0: PerCase, samples: int, feedback: StateFeedback, observer: Observer
 ) -> Distances:
-    """Certified upper bound on the state's distance from the equilibrium at each sample.
+    """Certified upper bound on the distance of the state from the equilibrium at each sample.
 
     `r_c^k d[0] + c e[0] sum_{i<k} r_c^(k-1-i) r_o^i` for `k = 0 .. samples - 1`, with
     `r = sqrt(1 - rate)`.
@@ -141,8 +141,8 @@ def estimation_decay_rate(
 def relative_bound_excess(
     x_hat: Estimates, x0: Float[np.ndarray, "N n"], feedback: StateFeedback, observer: Observer
 ) -> float | None:
-    """Largest amount by which an estimate exceeds the certified bound, relative to the initial
-    bound.
+    """Largest amount by which an estimated state exceeds the certified bound, relative to the bound
+    at the first sample.
 
     `max(0, ||xh[k]||_M - b[k]) / b[0]` over cases and samples. `b[k]` is the bound above plus
     `kappa r_o^k e[0]` (docs/closed_loop.md); on the model from `x0` the value is 0. `M` belongs to

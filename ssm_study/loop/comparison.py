@@ -1,5 +1,5 @@
-"""Table that compares controllers in several situations, on the same plant, initial conditions and
-noise."""
+"""Table that compares controllers in several situations, with the same plant, initial conditions
+and noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -25,8 +25,8 @@ Case = tuple[Plant, Loop]
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison(ComparisonTable):
-    """Table that compares controllers in several situations, with one row for each controller in
-    each situation.
+    """Settings of a table that compares controllers in several situations. It has one row for each
+    controller in each situation.
 
     It is explained in docs/closed_loop.md, "Robustness".
 
@@ -61,7 +61,7 @@ class Comparison(ComparisonTable):
         require(is_pi, "loop.comparison.own_pi", self.own_pi, "not a gain and a time", remedy)
 
     def _check_names(self, field_name: str, names: Sequence[str]) -> None:
-        """Refuse values of a setting that are not among the known names."""
+        """Raise `BadRequest` for values of a setting that are not among the known names."""
         unknown = [value for value in getattr(self, field_name) if value not in names]
         withdrawn = [WITHDRAWN[value] for value in unknown if value in WITHDRAWN]
         problem = withdrawn[0] if withdrawn else "not known"
@@ -95,7 +95,7 @@ class Comparison(ComparisonTable):
         return rows
 
     def situation_cases(self, plant: Plant, loop: Loop, situation: str, seed: int) -> list[Case]:
-        """Plants and loop experiments of one situation, such as a load step. Empty if the plant
+        """Plants and loop experiments of one situation, such as a load step; empty if the plant
         cannot show it."""
         horizon_s = loop.horizon_samples(plant.step_s) * plant.step_s
         match situation:
@@ -125,8 +125,8 @@ class Comparison(ComparisonTable):
                 return [(plant, replace(loop, disturbance=step))] if plant.disturbances else []
 
     def perturbed_plants(self, plant: Plant, seed: int) -> list[Plant]:
-        """Plants whose physical constants are varied by space-filling random factors, in `1 +-
-        spread_share`."""
+        """Plants whose physical constants are multiplied by random factors that fill a range
+        evenly. The range is `1 +- spread_share`."""
         if not self.spread_fields:
             return []
         missing = sorted(name for name in self.spread_fields if not hasattr(plant, name))

@@ -36,8 +36,8 @@ Measured = Float[np.ndarray, "k"] | None
 
 
 class Controller(ABC):
-    """Interface of control laws from measured outputs to inputs, with a memory that is updated at
-    every sample. Its memory is updated every sample.
+    """Interface of control laws that compute inputs from measured outputs, with a memory that is
+    updated at every sample.
 
     `u[k] = input(memory[k], y[k], target[k])`, `memory[k+1] = advance(memory[k], u[k], y[k],
     target[k])`. `u` and `y` are in physical units. `targets` turns a reference into whatever the
@@ -49,17 +49,17 @@ class Controller(ABC):
     dimensions: tuple[int, int]  # (m, p): inputs it commands, outputs it reads
 
     def initial_memory(self, cases: int) -> Memory:
-        """Memory of the controller before the first sample. By default there is none."""
+        """Memory of the controller before the first sample; empty unless a control law has one."""
         return np.zeros((cases, 0))
 
     def targets(self, reference: Reference) -> Plan:
-        """Signal that the control law follows at each sample, computed from the reference. By
-        default it is the reference itself."""
+        """Signal that the control law follows at each sample, computed from the reference. Unless
+        overridden it is the reference itself."""
         return reference
 
     def required_inputs(self, reference: Reference) -> Float[np.ndarray, "K m"]:
-        """Inputs that the control law needs to hold the extreme values of the reference. By default
-        there are none."""
+        """Inputs that the control law needs for the extreme values of the reference; empty unless
+        overridden."""
         return np.zeros((0, self.dimensions[0]))
 
     @abstractmethod
@@ -69,22 +69,23 @@ class Controller(ABC):
     def advance(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Memory:
-        """Memory of the controller at the next sample. None stands for their equilibrium."""
+        """Memory of the controller at the next sample. `d` None stands for disturbances at their
+        equilibrium."""
         return memory
 
     def estimate(self, memory: Memory) -> Estimate:
-        """Part of the controller's memory that estimates the model's state."""
+        """Estimate of the model's state, the part of the controller's memory that holds it."""
         return memory[:, :0]
 
     def select_cases(self, stayed: Bool[np.ndarray, "N"]) -> "Controller":
-        """Control law for a selection of the simulated cases, where each case may have gains of its
-        own."""
+        """Control law for a selection of the simulated cases, because each case may have its own
+        gains."""
         return self
 
 
 @dataclass(frozen=True, kw_only=True)
 class Uncontrolled(Controller):
-    """Control law that applies the constant equilibrium input, with which every other law is
+    """Control law that always applies the equilibrium input, with which every other law is
     compared."""
 
     u: Float[np.ndarray, "m"]
@@ -93,7 +94,7 @@ class Uncontrolled(Controller):
 
     @classmethod
     def for_plant(cls, plant: Plant) -> "Uncontrolled":
-        """Uncontrolled plant, for its sampling time and dimensions."""
+        """Constant control law with the sampling time and the dimensions of a given plant."""
         rest = plant.equilibrium()
         dimensions = (len(plant.inputs), len(plant.outputs))
         return cls(u=rest.u, step_s=plant.step_s, dimensions=dimensions)
@@ -159,7 +160,7 @@ class EstimateFeedback(Controller):
 
 @dataclass(frozen=True, kw_only=True)
 class ObserverFeedback(EstimateFeedback):
-    """Feedback of an observer's state estimate around a trajectory of the model.
+    """Feedback of the observer's state estimate around a trajectory of the model.
 
     `u = u_eq + s_u (u* + K (xh - x*) + K_z z)`, xh the estimate ([Z26] eq. 9 and Theorem 3). A
     target row is `(x*, u*, y*)`, a trajectory of the model near the reference. `K (m, n)`, or one
@@ -196,7 +197,7 @@ class ObserverFeedback(EstimateFeedback):
         return cls(model=model, gains=design.pair, inverse=inverse)
 
     def unlimited_input(self, u: ScaledInputs, feedback: ScaledInputs) -> np.ndarray:
-        """Scaled input that the control law computes before any limit acts.
+        """Scaled input that the control law computes before input limits are applied.
 
         `u* + K (...)`; or, where `S_u` is undone, `S_u^{-1}(S_u(u*) + K (...))`.
         """
@@ -265,8 +266,8 @@ class ObserverFeedback(EstimateFeedback):
 def multiply_rows(
     gain: Float[np.ndarray, "*cases r c"], rows: Float[np.ndarray, "N c"]
 ) -> Float[np.ndarray, "N r"]:
-    """Product of a gain matrix with each row of an array. There is one gain for all rows, or one
-    for each."""
+    """Product of a gain matrix with each row of an array. There may be one gain for all rows, or
+    one for each."""
     if gain.ndim == 2:
         return rows @ gain.T
     return np.einsum("nij,nj->ni", gain, rows)

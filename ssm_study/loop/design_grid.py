@@ -1,4 +1,4 @@
-"""Table of hundreds of certified designs, each run on the true plant, which tests how well the
+"""Table of hundreds of certified designs, all simulated on the true plant, which tests how well the
 stability margin predicts."""
 
 from dataclasses import dataclass, field
@@ -33,8 +33,8 @@ impossible."""
 
 @dataclass(frozen=True, kw_only=True)
 class DesignGrid(ComparisonTable):
-    """Table of randomly chosen certified designs, with their predictions and their behaviour on the
-    true plant.
+    """Settings of a table of randomly chosen certified designs, with their predictions and their
+    behaviour on the true plant.
 
     The default choice, if any, is row 0. A row holds rates, gains, what is predicted
     (`synthesis.mismatch`), the response area on the model, and what the true plant did over the
@@ -88,7 +88,7 @@ class DesignGrid(ComparisonTable):
 
 
 def _prepend_gains(pair: Gains, gains: Gains) -> Gains:
-    """Put the gains of one more controller and observer in front of stacked gains."""
+    """Put the gains of one more controller and observer before an array of gains."""
     stacked = {}
     for name, gain in vars(pair).items():
         if gain is not None:

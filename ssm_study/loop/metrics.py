@@ -115,8 +115,8 @@ def behaviour_columns(loop: LoopRuns) -> Columns:
 
 
 def measured_noise_gain(run: Rollouts) -> float | None:
-    """Measured ratio of the output's standard deviation to the measurement noise's, at rest.
-    `std(y) / std(n)` over the second half of the horizon. None without noise.
+    """Ratio of the output's standard deviation to that of the measurement noise, measured at rest;
+    None without noise. `std(y) / std(n)` over the second half of the horizon.
 
     The share of the sensor's noise n that reaches the true output at rest; `noise_gain_model` of
     the design is it for the model.
@@ -133,7 +133,8 @@ def measured_noise_gain(run: Rollouts) -> float | None:
 
 
 def pool_columns(loops: list[LoopRuns]) -> Columns:
-    """Closed-loop columns over the cases of several experiments of the same length together."""
+    """Closed-loop columns over the cases of several experiments of the same length, taken
+    together."""
     efforts = [loop.controlled.u - loop.input_equilibrium for loop in loops]
     errors = [loop.controlled.y - loop.controlled.reference for loop in loops]
     cases = sum(len(error) for error in errors)
@@ -157,8 +158,8 @@ def pool_columns(loops: list[LoopRuns]) -> Columns:
 
 
 def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
-    """Columns on how many cases settle and how fast, compared with the uncontrolled plant. Also how
-    the others move."""
+    """Columns on how many cases settle and how fast, compared with the uncontrolled plant, and on
+    how the other cases move."""
     times_s: list[float | None] = []
     alone_s: list[float | None] = []
     motion: Counter[str] = Counter()
@@ -187,7 +188,7 @@ def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
 
 
 def settles_faster(times_s: list[float | None], alone_s: list[float | None]) -> bool:
-    """Whether every controlled case settles, and on average sooner than without control.
+    """Whether every controlled case settles, and on average sooner than the uncontrolled plant.
 
     A case that never settles without control counts as slower there. A word of success stands only
     where this holds: a controller may be certified, and settle, and help nobody.
@@ -204,8 +205,8 @@ def settles_faster(times_s: list[float | None], alone_s: list[float | None]) -> 
 
 
 def largest_residual_oscillation(loops: list[LoopRuns]) -> float | None:
-    """Largest remaining oscillation of any settled case, in settling bands. None if none
-    settles."""
+    """Largest oscillation that remains in any settled case, in units of the settling band; None if
+    no case settles."""
     swings = []
     for loop in loops:
         run = loop.quiet or loop.runs_for_settling
@@ -270,6 +271,6 @@ def certificate_columns(loop: LoopRuns, design: Design) -> Columns:
 
 
 def mean_of_known(values: Iterable[float | None]) -> float | None:
-    """Mean of the values that are not None; None if there are none. None if there are none."""
+    """Mean of the values that are not None; None if there are none."""
     numbers = [value for value in values if value is not None]
     return float(np.mean(numbers)) if numbers else None

@@ -1,4 +1,4 @@
-"""References for the output: offsets from the equilibrium as functions of time, the same for every
+"""References for the output, as offsets from the equilibrium over time, the same for every
 output."""
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class EquilibriumReference(NoDisturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class StepReference(Reference):
-    """Reference with one step at a given time. `r = before` until `at_s`, then `after`."""
+    """Reference with a step at a given time. `r = before` until `at_s`, then `after`."""
 
     before: float
     after: float
@@ -37,7 +37,8 @@ class StepReference(Reference):
 
 @dataclass(frozen=True, kw_only=True)
 class FileReference(Reference):
-    """Reference that is read from a CSV file with two columns, time in seconds and offset.
+    """Reference that is read from a CSV file with two columns: time in seconds, and offset from the
+    equilibrium.
 
     Straight lines join the rows; both ends are held.
     """

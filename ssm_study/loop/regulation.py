@@ -95,7 +95,7 @@ class IdentifiedPlant(Plant):
         return Equilibrium(u=scale.input_equilibrium, x=x, y=scale.output_equilibrium)
 
     def states_at(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
-        """States at which a constant input would hold the given outputs.
+        """States in which a constant input would hold the outputs at given values.
 
         Where no input holds it (neurons may rectify or saturate; fewer inputs than outputs hold
         few outputs), the smallest state that the linear part reads as it.
@@ -103,7 +103,7 @@ class IdentifiedPlant(Plant):
         return np.stack([self._steady_state(y) for y in y0])
 
     def _steady_state(self, y: Float[np.ndarray, "p"]) -> Float[np.ndarray, "n"]:
-        """State in which a constant input would hold one given output."""
+        """State in which a constant input would hold the output at a given value."""
         try:
             return scaled_equilibrium(self.model, y)[0]
         except BadRequest:
@@ -135,7 +135,7 @@ class IdentifiedPlant(Plant):
 
 
 def _number_channels(name: str, count: int) -> Channels:
-    """Channels of one name without a unit, numbered from 1 where there are several."""
+    """Channels with a common name and without units, numbered from 1 if there are several."""
     if count == 1:
         channel = Channel(name=name, unit="")
         return (channel,)
@@ -143,7 +143,7 @@ def _number_channels(name: str, count: int) -> Channels:
 
 
 def _scaled_channels(prefix: str, count: int) -> Channels:
-    """Channels of scaled signals with one prefix, numbered from 0."""
+    """Channels of scaled signals, named by a common prefix and a number from 0."""
     return tuple(Channel(name=f"{prefix}{i}", unit="1") for i in range(count))
 
 
@@ -183,19 +183,18 @@ class LoopRuns:
 
     @property
     def runs_for_settling(self) -> Rollouts:
-        """Runs by which settling is judged: without noise where noise alone crosses the band. They
-        are the noise-free ones, where there are any."""
+        """Runs by which settling is judged. They are without noise if noise alone would leave the
+        settling band."""
         return self.noise_free or self.controlled
 
 
 class ComparisonTable(ABC):
-    """Interface of tables that a run writes beside its record, in `comparison.csv`. It has one flat
+    """Interface of tables that a run writes beside its record, in `comparison.csv`, with one flat
     row per case."""
 
     @abstractmethod
     def rows(self, plant: Plant, identified: Identified, loop: "Loop", seed: int) -> list[Row]:
-        """Rows of the comparison table, with the same columns in every row. Missing values are
-        None."""
+        """Rows of the comparison table, all with the same columns. Missing values are None."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,14 +245,16 @@ class Loop:
         return np.asarray(low, dtype=float), np.asarray(high, dtype=float)
 
     def with_default_limits(self, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> "Loop":
-        """Copy of the experiment whose missing input limits are the range of recorded inputs."""
+        """Copy of the experiment in which missing input limits are replaced by the range of
+        recorded inputs."""
         low, high = input_limits(self.input_lower, self.input_upper, inputs)
         input_lower = low.tolist()
         input_upper = high.tolist()
         return replace(self, input_lower=input_lower, input_upper=input_upper)
 
     def run_design(self, plant: Plant, model: Model, design: Design, seed: int) -> LoopRuns:
-        """Run a certified design on the plant, and on the noise-free model for comparison."""
+        """Simulate a certified design on the plant and, for comparison, on the model without
+        noise."""
         controller = ObserverFeedback.from_design(model, design)
         runs = self.run_on_plant(plant, controller, seed)
         initial_outputs = runs.controlled.y[:, 0]
@@ -261,7 +262,7 @@ class Loop:
         return replace(runs, on_model=on_model)
 
     def run_on_plant(self, plant: Plant, controller: Controller, seed: int) -> LoopRuns:
-        """Run any controller on the plant, and the plant without control.
+        """Simulate the plant with a controller, and without control.
 
         At one seed all controllers meet the same initial states, noise, reference and disturbance.
         """
@@ -288,8 +289,8 @@ class Loop:
     def _noise_crosses_band(
         self, plant: Plant, controller: Controller, noise: Float[np.ndarray, "N T p"]
     ) -> bool:
-        """Whether noise alone drives a plant that starts at the equilibrium out of the settling
-        band."""
+        """Whether measurement noise alone makes a plant that starts at the equilibrium leave the
+        settling band."""
         still = replace(self, reference=EquilibriumReference(), disturbance=NoDisturbance())
         equilibrium = plant.equilibrium()
         y0 = np.tile(equilibrium.y, (len(noise), 1))
@@ -300,7 +301,8 @@ class Loop:
     def run_on_model(
         self, plant: Plant, controller: ObserverFeedback, y0: Float[np.ndarray, "N p"]
     ) -> Rollouts:
-        """Run a controller on its own model from the same outputs, without noise and disturbance.
+        """Simulate a controller on its own model from the same outputs, without noise and
+        disturbance.
 
         This is the situation that the certificate speaks of.
         """
@@ -311,8 +313,8 @@ class Loop:
         return quiet.simulate(twin, controller, y0, no_noise)
 
     def with_default_horizon(self, model: Model) -> "Loop":
-        """Copy of the experiment with a horizon that suits the model where none is set. It is the
-        one that is set, else `RESPONSES` times the model's response."""
+        """Copy of the experiment in which a missing horizon is replaced by one that suits the
+        model. It is `RESPONSES` times the model's response."""
         if self.horizon_s is not None:
             return self
         response = linearise_at_equilibrium(model).impulse_response_length(SAMPLES[1], REMAINDER)
@@ -329,7 +331,8 @@ class Loop:
     def draw_conditions(
         self, plant: Plant, seed: int
     ) -> tuple[Float[np.ndarray, "N p"], Float[np.ndarray, "N T p"]]:
-        """Draw initial outputs and measurement noise, the same for every controller at one seed."""
+        """Draw initial outputs and measurement noise, which for one seed are the same for every
+        controller."""
         cases = self.initial_conditions
         samples = self.horizon_samples(plant.step_s)
         outputs = len(plant.outputs)

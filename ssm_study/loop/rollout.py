@@ -1,4 +1,4 @@
-"""Simulation of closed loops for many cases at once, and measures of their behaviour.
+"""Simulation of closed loops for many cases at once, with measures of their behaviour.
 
 Judged on the true output alone, never on the noisy measurement.
 """
@@ -58,7 +58,7 @@ class Rollouts:
 
     @property
     def stayed_within_bound(self) -> Bool[np.ndarray, "N"]:
-        """Whether each case stayed within the bound of the simulation."""
+        """For each case, whether its signals stayed within the bound of the simulation."""
         return self.left_at_sample == STAYED
 
     @property
@@ -132,7 +132,8 @@ def simulate_closed_loop(
 def _write_stopped_cases(
     log: Log, plant: Plant, stopped: Int[np.ndarray, "S"], k: int, last: dict[str, np.ndarray]
 ) -> None:
-    """Write the last values of cases that have left the bound to the rest of the log."""
+    """Write the last values of cases that have left the simulation's bound to the remaining samples
+    of the log."""
     at_rest = np.tile(plant.equilibrium().u, (len(stopped), 1))
     values = {name: value[:, None] for name, value in {"u": at_rest, **last}.items()}
     _write_samples(log, stopped, slice(k, None), values)
@@ -161,7 +162,7 @@ def _is_inside_bound(
     estimate: Float[np.ndarray, "N n"],
     bound: Bound,
 ) -> Bool[np.ndarray, "N"]:
-    """Whether output, input and estimate of each case lie within the bound of the simulation."""
+    """For each case, whether output, input and estimate are within the bound of the simulation."""
     rest = plant.equilibrium()
     amplitudes = (u - rest.u) / np.array(plant.input_amplitude)
     sizes = np.abs(np.hstack([amplitudes, estimate]))
@@ -171,7 +172,7 @@ def _is_inside_bound(
 
 
 def _repeat_last_values(log: Log, left_at_sample: Int[np.ndarray, "N"]) -> None:
-    """Fill each case that left the bound with its last values inside it."""
+    """Fill the samples after a case has left the bound with its last values inside the bound."""
     for case in np.flatnonzero(left_at_sample > 0):
         left = left_at_sample[case]
         for values in log.values():
@@ -179,7 +180,7 @@ def _repeat_last_values(log: Log, left_at_sample: Int[np.ndarray, "N"]) -> None:
 
 
 def _check_dimensions(plant: Plant, controller: Controller) -> None:
-    """Refuse a controller made for other inputs, outputs or another sampling time than the
+    """Raise `BadRequest` for a controller whose inputs, outputs or sampling time differ from the
     plant's."""
     needed = (len(plant.inputs), len(plant.outputs))
     fits = controller.dimensions == needed
@@ -193,7 +194,7 @@ def _check_dimensions(plant: Plant, controller: Controller) -> None:
 
 
 def _check_reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None:
-    """Refuse a reference whose values need inputs beyond the limits."""
+    """Raise `BadRequest` for a reference whose values need inputs beyond the limits."""
     beyond = np.abs(demanded - np.clip(demanded, *limits))
     excess = float(beyond.max(initial=0.0))
     if excess == 0.0:
@@ -276,8 +277,8 @@ def trend_and_oscillation(signals: Float[np.ndarray, "N K"]) -> tuple[PerCase, P
 
 
 def residual_oscillations(rollouts: Rollouts, band: float) -> Float[np.ndarray, "S"]:
-    """Amplitude of each settled case's oscillation in the last tenth of the horizon. The worst
-    output counts.
+    """Amplitude of each settled case's oscillation in the last tenth of the horizon, for the output
+    that oscillates most.
 
     The amplitude is about a straight line. A loop that swings for ever inside the band of settling
     is settled by definition, and not at rest. In the output's unit.
@@ -344,7 +345,7 @@ def mean_squared_contraction(
 
 
 def replay_error(controller: Controller, run: Rollouts, limits: Limits = UNLIMITED) -> float:
-    """Largest difference between recorded inputs and those that the controller computes again,
+    """Largest difference between recorded inputs and the inputs that the controller computes again,
     relative to the largest input.
 
     `|u - u_again| / max |u|` over cases that stayed, `u_again` from the recorded measurements

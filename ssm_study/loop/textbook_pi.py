@@ -1,5 +1,5 @@
-"""Columns on a PI controller that a textbook rule tunes from the same model, for comparison with a
-certified design. It runs on the same plant from the same initial states."""
+"""Columns on a PI controller that is tuned by a textbook rule from the same model, for comparison
+with a certified design. It runs on the same plant from the same initial states."""
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from ssm_study.refusal import BadRequest
 def textbook_pi_columns(
     plant: Plant | None, model: Model, loop: Loop, seed: int
 ) -> dict[str, float | int | None]:
-    """Columns on the closed loop of a simulated plant with Tyreus and Luyben's PI controller.
+    """Columns on the closed loop of a simulated plant with a PI controller tuned by Tyreus and
+    Luyben's rule.
 
     The same starts, noise, reference, disturbance and limits as for the certified design. None for
     a log, a device (which is not run again), several inputs or outputs, and where the rule has no

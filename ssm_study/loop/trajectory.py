@@ -1,4 +1,5 @@
-"""Trajectories of states and inputs whose output follows a reference as closely as the model can.
+"""Trajectories of states and inputs with which the model's output follows a reference as closely as
+it can.
 
 A contracting loop converges to any trajectory of its own model: `v = S_u(u*)` by linear-quadratic
 tracking, then `u* = S_u^{-1}(v)`, dead zone included (docs/closed_loop.md). Source: [Z26] Theorem 3
@@ -35,7 +36,7 @@ EQUILIBRIUM_TOLERANCE = 1e-8
 
 
 def scaled_equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
-    """Scaled state and input at which the model rests with a given physical output.
+    """Scaled state and input of the equilibrium at which the model has a given physical output.
 
     `x* = f(x*, S_u(u*)),  y = h(x*, S_u(u*))` for the recurrence f. With more inputs than outputs
     the smallest `S_u(u*)` is taken. Raises `BadRequest` when no input holds that output.
@@ -47,7 +48,8 @@ def scaled_equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
     size = max(1.0, float(np.abs(y_bar).max()))
 
     def equilibrium_residual(point: Vector) -> Vector:
-        """Deviation from equilibrium and from the requested output."""
+        """Deviation of a state and input from equilibrium, and of the output from the requested
+        one."""
         x, v = np.split(point, [n])
         motion = model.advance(x, v) - x
         through_neurons = (
@@ -59,7 +61,7 @@ def scaled_equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
         return np.concatenate([motion, output - y_bar])
 
     def residual_jacobian(point: Vector) -> Matrix:
-        """Jacobian of the residual."""
+        """Jacobian of the deviation from equilibrium and from the requested output."""
         x, v = np.split(point, [n])
         linear = model.linearise_at(x, v) if isinstance(model, StructuredSSM) else model.linear
         return np.block([[linear.a - np.eye(n), linear.b], [linear.c, linear.d]])
@@ -82,7 +84,7 @@ def scaled_equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
 
 
 def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
-    """Trajectory of a linear model whose output is nearest to the reference.
+    """Trajectory of a linear model whose output is as close as possible to the reference.
 
     One row `(x*[k], u*[k])` per sample, in scaled units. Minimises `sum |y_bar[k] - y_bar*[k]|^2 +
     SMOOTHNESS |v[k] - v[k-1]|^2` from the model's equilibrium; the whole reference (output's unit)
@@ -131,7 +133,8 @@ def feedback_trajectory(
     reference: Reference,
     law: Callable[..., Vector] = np.add,
 ) -> Plan:
-    """Trajectory on which a feedback leads a model with neurons to each set point of the reference.
+    """Trajectory along which a feedback leads a model with neurons to each set point of the
+    reference.
 
     One row `(x*[k], u*[k])` per sample: `u* = us + K (x* - xs)` from the model's equilibrium,
     `(xs, us)` the equilibrium of the reference's value: it gets there at the certified rate;
@@ -159,7 +162,7 @@ def set_point_equilibria(model: Model, reference: Reference) -> Plan:
 
 
 def invert_map(scaffold: Scaffold, w: Matrix) -> Matrix:
-    """Solve `S(v) = w` for the argument `v` of a static map, row by row.
+    """Argument at which a static map has a given value, row by row. Solves `S(v) = w` for `v`.
 
     Scalar maps, which are monotone, are inverted in a bracket; others by damped Newton steps.
     Raises `BadRequest` when the map does not reach `w`.
@@ -181,7 +184,8 @@ def invert_map(scaffold: Scaffold, w: Matrix) -> Matrix:
 
 
 def _invert_scalar_map(scaffold: Scaffold, w: Vector) -> Vector:
-    """Solve scalar equations `S(v) = w` by Chandrupatla's method, all at once.
+    """Arguments at which a scalar map has given values, all at once by Chandrupatla's method.
+    Solves `S(v) = w`.
 
     Not a number where no bracket is found.
     """
@@ -198,7 +202,8 @@ def _invert_scalar_map(scaffold: Scaffold, w: Vector) -> Vector:
 
 
 def _invert_vector_map(scaffold: Scaffold, w: Matrix) -> Matrix:
-    """Solve `S(v) = w` by Newton's method, row by row."""
+    """Arguments at which a map of several channels has given values, row by row by Newton's method.
+    Solves `S(v) = w`."""
     values, index = np.unique(w, axis=0, return_inverse=True)
     start = np.zeros(scaffold.inputs)
     tolerance = 1e-2 * INVERSION_TOLERANCE
@@ -214,7 +219,8 @@ def _invert_vector_map(scaffold: Scaffold, w: Matrix) -> Matrix:
 
 
 def _require_solved(is_reached: np.bool_, value: Vector, problem: str, more: str) -> None:
-    """Refuse a reference for which no equilibrium or input of the model was found."""
+    """Raise `BadRequest` for a reference for which no equilibrium or input of the model was
+    found."""
     remedy = f"choose a reference within the reach of the inputs{more}"
     rounded = np.round(value, 4).tolist()
     require(bool(is_reached), "loop.reference", rounded, problem, remedy)

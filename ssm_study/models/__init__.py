@@ -1,1 +1,1 @@
-"""Model structures that are identified from records."""
+"""Model structures that can be identified from records."""

@@ -1,4 +1,4 @@
-"""Parametrisation of recurrences with neurons that contract by construction.
+"""Parameters of recurrences with neurons for which every value gives a contracting recurrence.
 
 All `(A, E, F)` whose open-loop inequality (docs/theory.md, "With neurons") holds at r with `M = I,
 Lambda = I` are
@@ -33,7 +33,7 @@ Moved = Float[np.ndarray, "d _ _"]
 
 class FreeParameters(NamedTuple):
     """Unconstrained parameters of a contracting recurrence. `x_e (n, q)`, `x_g (n + q, n)`, `log_d
-    (q,)`: any numbers."""
+    (q,)` may be any numbers."""
 
     x_e: Float[np.ndarray, "*k n q"]
     x_g: Float[np.ndarray, "*k nq n"]
@@ -42,7 +42,7 @@ class FreeParameters(NamedTuple):
 
 class RecurrenceMatrices(NamedTuple):
     """Matrices of a recurrence with neurons that decide whether it contracts. `a (n, n)`, `e (n,
-    q)`, `f (q, n)`: what decides whether a structured model contracts."""
+    q)`, `f (q, n)`."""
 
     a: Float[np.ndarray, "*k n n"]
     e: Float[np.ndarray, "*k n q"]
@@ -58,8 +58,8 @@ class ContractingRecurrence(NamedTuple):
 
 
 def matrices_from_parameters(free: FreeParameters, rate: float) -> RecurrenceMatrices:
-    """Map unconstrained parameters to the matrices of a contracting recurrence. The recurrence of
-    these parameters; it contracts with `r = rate` in the metric `M = I`."""
+    """Matrices of the contracting recurrence that unconstrained parameters stand for. It contracts
+    with `r = rate` in the metric `M = I`."""
     n = free.x_g.shape[1]
     e = np.sqrt(2.0) * _cayley_contraction(free.x_e)[0]
     stacked = rate * _cayley_contraction(free.x_g)[0]
@@ -72,8 +72,8 @@ def matrices_from_parameters(free: FreeParameters, rate: float) -> RecurrenceMat
 def differentiate_matrices(
     free: FreeParameters, change: FreeParameters, rate: float
 ) -> RecurrenceMatrices:
-    """Directional derivatives of the map from unconstrained parameters to matrices. `d explicit`
-    along `change`, whose leading axis counts directions.
+    """Directional derivatives of the recurrence's matrices with respect to unconstrained
+    parameters. The leading axis of `change` counts directions.
 
     `con(X) = X L^{-T}`, `L L' = I + X'X`: `d con = (dX - con dL') L^{-T}` with `dL = L low(L^{-1}
     dS L^{-T})`, low the lower triangle with half its diagonal. The same rule gives `dR` of `R R' =
@@ -119,8 +119,8 @@ def parameters_from_matrices(core: RecurrenceMatrices, rate: float) -> FreeParam
 def project_to_contracting(
     core: RecurrenceMatrices, slope: Float[np.ndarray, "q"], rate: float
 ) -> ContractingRecurrence:
-    """Change a recurrence until it contracts at a given rate. The first model on a path from `core`
-    that contracts at `rate`; `slope` is the neurons' average slope.
+    """Change a recurrence until it contracts at a given rate. It is the first on a path from `core`
+    that does; `slope` is the neurons' average slope.
 
     Along the path E shrinks while A takes over what the neurons did on average, `A + E diag(slope)
     F`, which is itself pulled inside `rate` first: at the end of the path no neuron is left. Raises
@@ -155,7 +155,7 @@ def project_to_contracting(
 
 def find_contraction_metric(core: RecurrenceMatrices, rate: float) -> ContractingRecurrence | None:
     """Find a metric in which a recurrence contracts at a given rate; None if the search finds none.
-    M and Lambda in which `core` contracts at `rate`, or None where this search finds none.
+    The metric is M and Lambda.
 
     With `w = (z + v)/2` the LMI is the bounded-real lemma of `C (zI - A)^{-1} B < 1`, `A = (A + E
     F/2)/r`, `B = E Lambda^{-1/2}/2`, `C = Lambda^{1/2} F/r`; Lambda balances the rows and columns
@@ -196,8 +196,8 @@ def transform_to_metric(contracting: ContractingRecurrence) -> RecurrenceMatrice
 
 
 def _balancing_scales(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]:
-    """Diagonal scaling that balances the rows and columns of a matrix. `d` such that off the
-    diagonal the rows and columns of `diag(1/d) gains diag(d)` have equal norms."""
+    """Diagonal scaling that balances the rows and columns of a matrix. Off the diagonal, the rows
+    and columns of `diag(1/d) gains diag(d)` have equal norms."""
     off = gains - np.diag(np.diagonal(gains))
     d = np.ones(len(gains))  # the diagonal does not move under scaling
     for _ in range(20):  # sweeps of Osborne's iteration
@@ -210,14 +210,15 @@ def _balancing_scales(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]
 
 
 def _cayley_contraction(x: Tall) -> tuple[Tall, Square]:  # con(X) and the L of L L' = I + X'X
-    """Matrix of norm below one from any matrix, and the Cholesky factor that defines it."""
+    """Convert any matrix to one of norm below one, by a Cayley transform. The Cholesky factor that
+    defines it is returned, too."""
     low = np.linalg.cholesky(np.eye(x.shape[1]) + x.T @ x)
     return np.linalg.solve(low, x.T).T, low
 
 
 def _invert_cayley_contraction(y: Tall) -> Tall:
-    """Matrix whose contraction `con(X)` is a given matrix of norm below one. `con(X) = Y`. `I - Y'Y
-    = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its Cholesky factor as L."""
+    """Matrix that the Cayley transform converts to a given matrix of norm below one. `con(X) = Y`.
+    `I - Y'Y = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its Cholesky factor as L."""
     return y @ np.linalg.inv(np.linalg.cholesky(np.eye(y.shape[1]) - y.T @ y)).T
 
 

@@ -24,8 +24,8 @@ Lifted = Float[np.ndarray, "*batch mbar"]
 
 
 class Simulator(Family, Explicit):
-    """Interface of identified models that can be simulated. An identified model, explicit numbers
-    only: what training returns and what is stored; `names` are its kinds."""
+    """Interface of identified models, which consist of explicit numbers and can be simulated and
+    stored. `names` are their kinds."""
 
     @abstractmethod
     def simulate(self, u: Inputs) -> Outputs:
@@ -33,8 +33,8 @@ class Simulator(Family, Explicit):
         units."""
 
     def simulate_from_outputs(self, u: Inputs, y_start: Measured) -> Outputs:  # noqa: ARG002
-        """Simulate the model in free run after the first, measured outputs. A model that cannot use
-        them starts at the equilibrium."""
+        """Simulate the model in free run after some measured outputs. A model that cannot use them
+        starts at the equilibrium."""
         return self.simulate(u)
 
 
@@ -54,8 +54,8 @@ class ScaffoldedModel(Simulator):
     b_d: Float[np.ndarray, "_ _"]
 
     def check_dimensions(self) -> None:
-        """Check that the dimensions of static maps, recurrence and signals fit together. Raises
-        `BadRequest` otherwise."""
+        """Raise `BadRequest` unless the dimensions of static maps, recurrence and signals fit
+        together."""
         shape = (self.linear.order, self.scale.disturbances) if self.scale.disturbances else (0, 0)
         problem = f"the model needs a matrix of shape {shape}"
         require(self.b_d.shape == shape, "b_d", self.b_d.shape, problem, "write model.json again")
@@ -82,20 +82,20 @@ class ScaffoldedModel(Simulator):
 
     @property
     def system(self) -> System:
-        """Linear or structured system that certificates of this model are about."""
+        """Linear or structured system to which certificates of this model refer."""
         return self.linear
 
     def map_input(self, u: Float[np.ndarray, "*batch m"]) -> Lifted:
-        """Apply the static input map to a physical input. `ubar = S_u((u - u_eq) / input_scale)`:
-        physical input to what drives the recurrence."""
+        """Apply the static input map to a physical input. `ubar = S_u((u - u_eq) / input_scale)`
+        drives the recurrence."""
         return self.scaffold_in(self.scale.scaled_input(u))
 
     def driving_signals(
         self, u: Float[np.ndarray, "*batch T m"], d: Float[np.ndarray, "*batch T k"] | None
     ) -> Float[np.ndarray, "*batch T j"]:
         """Signals that drive the recurrence: the mapped input and the scaled measured disturbances.
-        `map_input(u)`, and beside it the scaled measured disturbances where there are some, at
-        their equilibrium if they are not given: what `simulate_mapped` takes."""
+        Disturbances that are not given stay at their equilibrium; the signals are what
+        `simulate_mapped` takes."""
         lifted = self.map_input(u)
         if not self.scale.disturbances:
             return lifted
@@ -126,24 +126,24 @@ class ScaffoldedModel(Simulator):
 
     @abstractmethod
     def advance(self, x: State, ubar: Lifted) -> State:
-        """Next state of the model from state and mapped input."""
+        """Next state of the model for a state and a mapped input."""
 
     def output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
-        """Physical output of the model from state and mapped input. `y = y_eq + output_scale
-        S_y(ybar)`, physical."""
+        """Physical output of the model for a state and a mapped input. `y = y_eq + output_scale
+        S_y(ybar)`."""
         return self.scale.physical_output(self.scaled_output_at(x, ubar))
 
     @abstractmethod
     def scaled_output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
-        """Scaled output of the model from state and mapped input. `S_y(ybar)`, the output in scaled
-        units, as the observer's innovation needs it."""
+        """Output of the model in scaled units for a state and a mapped input. `S_y(ybar)`, which
+        the observer's innovation needs."""
 
     @abstractmethod
     def simulate_mapped(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, np.ndarray]:
         """Simulate the recurrence for a sequence of mapped inputs. `ybar` from `x0` (default 0),
-        and the last state or all of them. `ubar` is what `map_input` or `driving_signals`
+        with the last state or all of them. `ubar` is what `map_input` or `driving_signals`
         returns."""
 
     def simulate(
@@ -160,8 +160,8 @@ class ScaffoldedModel(Simulator):
 
 @dataclass(frozen=True, kw_only=True)
 class DelayLine:
-    """Delay line that adds a dead time to a model by additional states. States that hold the inputs
-    under way, behind the `states` of a model: the newest first."""
+    """Delay line that adds a dead time to a model by further states. They hold the inputs of the
+    last samples, the newest first, behind the `states` of the model."""
 
     states: int
     channels: int
@@ -175,8 +175,8 @@ class DelayLine:
     def state_matrix(
         self, a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]
     ) -> Float[np.ndarray, "N N"]:
-        """State matrix of a model with a delay line at its input. The oldest input drives the model
-        by B."""
+        """State matrix of a model with a delay line before its input. The oldest input drives the
+        model by B."""
         n = self.states
         size = n + self.state_count
         whole = np.zeros((size, size))
@@ -187,13 +187,13 @@ class DelayLine:
         return whole
 
     def input_matrix(self) -> Float[np.ndarray, "N m"]:
-        """Input matrix of a model with a delay line, through which alone the input enters."""
+        """Input matrix of a model with a delay line. The input only enters the line."""
         return np.eye(self.states + self.state_count, self.channels, -self.states)
 
     def widen_rows(
         self, of_state: Float[np.ndarray, "k n"], of_input: Float[np.ndarray, "k m"]
     ) -> Float[np.ndarray, "k N"]:
-        """Extend a matrix that acts on state and input to one that acts on the state with the delay
+        """Extend a matrix that acts on state and input, so that it acts on the state with the delay
         line."""
         newer = np.zeros((len(of_state), self.state_count - self.channels))
         return np.hstack([of_state, newer, of_input])
@@ -201,8 +201,8 @@ class DelayLine:
     def lengthen_columns(
         self, of_disturbance: Float[np.ndarray, "_ k"]
     ) -> Float[np.ndarray, "_ k"]:
-        """Extend the disturbance matrix of a model by zero rows for the delay line. None enters the
-        delay line."""
+        """Extend the disturbance matrix of a model by zero rows for the states of the delay
+        line."""
         channels = of_disturbance.shape[1]
         waiting = self.state_count if channels else 0
         return np.vstack([of_disturbance, np.zeros((waiting, channels))])
@@ -230,8 +230,8 @@ class SSM(ScaffoldedModel):
 
     @classmethod
     def from_linear(cls, linear: StateSpace, step_s: float, scale: Scale | None = None) -> "SSM":
-        """Model of a linear system without nonlinear static maps. A linear system as it is:
-        identities for scaffoldings, scaled by one around zero unless told otherwise."""
+        """Model of a linear system, with identities as static maps. Signals are scaled by one
+        around zero unless `scale` is given."""
         m = linear.b.shape[1]
         p = len(linear.c)
         inward = LinearScaffold.identity(m)
@@ -252,7 +252,8 @@ class SSM(ScaffoldedModel):
     def simulate_mapped(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, State]:
-        """Simulate `C x + D ubar` step by step. Returns it with the last state."""
+        """Simulate the linear recurrence `C x + D ubar` step by step. The last state is returned,
+        too."""
         lifted = ubar.shape[-1] == self.linear.b.shape[1]
         return (self.linear if lifted else self.driven_system).simulate(ubar, x0)
 
@@ -261,17 +262,17 @@ class SSM(ScaffoldedModel):
         return replace(self, linear=linear)
 
     def with_driven_system(self, system: StateSpace) -> "SSM":
-        """Copy of the model with another linear part, disturbances included, of any order. It
-        inverts `driven_system`."""
+        """Copy of the model with another linear part, disturbances included, of any order. The
+        inverse of `driven_system`."""
         m = self.linear.b.shape[1]
         linear = StateSpace(a=system.a, b=system.b[:, :m], c=system.c, d=system.d[:, :m])
         b_d = system.b[:, m:] if self.scale.disturbances else self.b_d
         return replace(self, linear=linear, b_d=b_d)
 
     def with_dead_time(self, samples: int) -> "SSM":
-        """Copy of the model with a dead time at its input. The model behind a dead time, `x+ = A x
-        + B ub[k - samples]`; what is under way are states of the recurrence. Measured disturbances
-        act without it."""
+        """Copy of the model with a dead time at its input. `x+ = A x + B ub[k - samples]`; the
+        delayed inputs are states of the recurrence. Measured disturbances act without the dead
+        time."""
         a, b, c, d = (vars(self.linear)[name] for name in "abcd")
         line = DelayLine(states=len(a), channels=b.shape[1], samples=samples)
         late = StateSpace(
@@ -283,8 +284,8 @@ class SSM(ScaffoldedModel):
         return replace(self, linear=late, b_d=line.lengthen_columns(self.b_d))
 
     def absorb_map_centres(self) -> "SSM":
-        """Move linear factors of the static maps into the linear part. The same input-output map, a
-        matrix M moved from each scaffolding into the linear part where that helps.
+        """Move linear factors of the static maps into the linear part where that makes their balls
+        of Jacobians smaller. The input-output map stays the same.
 
         `B S_u(v) = (B M) (M^{-1} S_u(v))` and `S_y(C x) = (S_y M^{-1})(M C x)`, whose scaffoldings
         then have Jacobians around the identity. The theorems speak of a ball around `alpha I`; a
@@ -307,8 +308,8 @@ class SSM(ScaffoldedModel):
 def _factor_out_centre(
     scaffold: Scaffold, side: str
 ) -> tuple[Scaffold, Float[np.ndarray, "m m"]] | None:
-    """Static map without the centre matrix of its Jacobians, and that matrix, if this makes their
-    ball smaller."""
+    """Static map without the centre matrix of its Jacobians, and that matrix; None if this does not
+    make the ball of Jacobians smaller."""
     if (
         scaffold.inputs != scaffold.outputs
         or scaffold.inputs == 1

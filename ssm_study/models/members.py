@@ -25,15 +25,15 @@ def mean_output(
     u: Float[np.ndarray, "*batch T m"],
     d: Float[np.ndarray, "*batch T k"] | None = None,
 ) -> Float[np.ndarray, "*batch T p"]:
-    """Mean output of several models' free runs from the equilibrium. Without measured disturbances
-    these stay at their equilibrium."""
+    """Mean output of several models in free run from the equilibrium. Measured disturbances that
+    are not given stay at their equilibrium."""
     loads = {} if d is None else {"d": d}
     return np.mean([model.simulate(u, **loads) for model in members], axis=0)
 
 
 def simulate_with_mean(members: Sequence[Any], data: DataSet) -> tuple[Simulation, Simulation]:
-    """Free runs of the validation and test records by the mean of several models. Each has the kind
-    of initial state that predicts better."""
+    """Free runs of the validation and test records by the mean of several models. The kind of
+    initial state is the one that predicts better."""
     runs = [simulate_validation_and_test(model, data) for model in members]
     validation = [run for run, _ in runs]
     test = [run for _, run in runs]
@@ -41,16 +41,15 @@ def simulate_with_mean(members: Sequence[Any], data: DataSet) -> tuple[Simulatio
 
 
 def mean_of_runs(runs: Sequence[Simulation]) -> Simulation:
-    """Measured records with the mean of several simulations of them."""
+    """Measured records, with the mean of several simulations of them."""
     by_record = zip(*(run.simulated for run in runs), strict=True)
     means = tuple(np.mean(outputs, axis=0) for outputs in by_record)
     return replace(runs[0], simulated=means, starts=())
 
 
 def member_columns(members: Sequence[Any], data: DataSet) -> dict[str, Any]:
-    """Columns on the averaged output of several models: their number, and the average's fits in
-    percent. None for one
-    model."""
+    """Columns on the mean of several models' outputs: number of models, and fits of the mean in
+    percent; empty for a single model."""
     if len(members) < 2:
         return {}
     validation, test = simulate_with_mean(members, data)

@@ -93,9 +93,9 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Simulation:
-    """Measured records with a model's simulated outputs. Records beside their free runs, both
-    physical; the first `start_up_samples` of each are not scored. `starts` has the state from which
-    a record's run began, None where its first samples gave it."""
+    """Measured records with a model's simulated outputs, in physical units. The first
+    `start_up_samples` of each are not scored. `starts` has the state from which a record's run
+    began, None where its first samples gave it."""
 
     records: Trajectories
     simulated: tuple[Float[np.ndarray, "_ p"], ...]
@@ -110,7 +110,7 @@ class Simulation:
         start_up_samples: int,
         starts: tuple[Any, ...] = (),
     ) -> "Simulation":
-        """Simulate each of several records by a model."""
+        """Simulate several records by a model."""
         states = starts or (None,) * len(records)
         simulated = tuple(
             simulate_record(model, record, start_up_samples, state)
@@ -128,8 +128,8 @@ class Simulation:
 
     @property
     def rmse(self) -> float:
-        """Root mean square simulation error. `sqrt(mean((y - y_hat)^2))` over the same samples,
-        unit of the output."""
+        """Root mean square error of the simulated outputs over the scored samples, in the unit of
+        the output. `sqrt(mean((y - y_hat)^2))`."""
         return rmse(*self._scored_outputs())
 
     def _scored_outputs(self) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
@@ -139,8 +139,8 @@ class Simulation:
 
 
 def size_columns(model: Simulator) -> dict[str, Any]:
-    """Columns on the size of a model. States and neurons of a structured model: what was asked for
-    may have been a choice by folds."""
+    """Columns on the size of a model, such as its numbers of states and neurons. They may differ
+    from the configuration, where folds chose the size."""
     if not isinstance(model, StructuredSSM):
         return {}
     return {"states_identified": model.order, "neurons": len(model.neurons)}
@@ -149,8 +149,8 @@ def size_columns(model: Simulator) -> dict[str, Any]:
 def fit_columns(
     validation: Simulation, test: Simulation, scores: tuple[float, ...] = ()
 ) -> dict[str, Any]:
-    """Columns on the free-run fits and the test error of a model. On a benchmark also its score, in
-    the unit it is published in."""
+    """Columns on the fits of a model's free runs and its test error. On a benchmark also its score,
+    in the unit of the publications."""
     fits = {"fit_validation_percent": validation.fit_percent, "fit_test_percent": test.fit_percent}
     return (
         fits
@@ -170,9 +170,8 @@ GAUSS_NEWTON_STEPS = 5  # for a nonlinear S_y; a linear one is solved by the fir
 def simulate_record(
     model: Any, record: Trajectory, start_up_samples: int, start: Any = None
 ) -> Float[np.ndarray, "T p"]:
-    """Simulate a record with an initial state that is estimated from its first samples. The
-    simulated output `(T, p)`, physical: from `start` where it is given, from rest if every sample
-    is scored, else from the estimated state.
+    """Simulate a record from an initial state that is estimated from its first samples. The run
+    starts from `start` if that is given, and from rest if every sample is scored.
 
     A regression takes the start-up samples for its past outputs; another baseline starts at rest.
     """
@@ -192,7 +191,8 @@ def estimate_initial_state(
     model: Any, record: Trajectory, samples: int, reached_by: Trajectory | None = None
 ) -> Float[np.ndarray, "n"]:
     """Estimate the initial state of a record by regularised least squares. `argmin |y -
-    y_hat(x0)|^2 / noise + x0^T W^{-1} x0` over the first `samples`, W what the input reaches.
+    y_hat(x0)|^2 / noise + x0^T W^{-1} x0` over the first `samples`, W the Gramian of the states
+    that the input reaches.
 
     W is that of the lifted input of the record, or of the one that is given (a decay has no input
     of its own), over its length, so a state that the input
@@ -223,8 +223,8 @@ def estimate_initial_state(
 
 
 def _record_gramian(model: Any, lifted: Lifted) -> Gramian:
-    """Gramian of the states that the inputs of a record excite. The reachability Gramian of the
-    record; with neurons the second moment of the states it drives from rest."""
+    """Gramian of the states that the inputs of a record excite. With neurons it is the second
+    moment of the states that the inputs reach from rest."""
     if isinstance(model, SSM):
         system = model.driven_system
         return reachability_gramian(system.a, system.b * lifted.std(axis=0), len(lifted))
@@ -235,7 +235,7 @@ def _record_gramian(model: Any, lifted: Lifted) -> Gramian:
 def _linearise_output(
     model: Any, lifted: Lifted, x0: Float[np.ndarray, "n"]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Simulated output from an initial state, and its derivative by that state."""
+    """Simulated output from an initial state, and its derivative with respect to that state."""
     if isinstance(model, SSM):
         powers = [model.linear.c]  # C A^k, k = 0 ... T - 1
         for _ in range(len(lifted) - 1):
@@ -253,8 +253,8 @@ def _linearise_output(
 
 
 def reachability_gramian(a: Gramian, b: Float[np.ndarray, "n m"], samples: int) -> Gramian:
-    """Finite-horizon reachability Gramian of a linear recurrence. `sum_k A^k B B^T A^kT` over k
-    below the first power of two that is not less than `samples`: by doubling."""
+    """Reachability Gramian of a linear recurrence over a finite horizon. `sum_k A^k B B^T A^kT`
+    over k below the first power of two that is not less than `samples`, by doubling."""
     gramian = b @ b.T
     power = a
     for _ in range((samples - 1).bit_length()):

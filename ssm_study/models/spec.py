@@ -1,5 +1,5 @@
-"""Settings of the linear recurrence between static maps, and the linear system from which its
-training starts."""
+"""Settings of the linear recurrence between static maps, and the linear system with which its
+training begins."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ Pairs = Sequence[
 
 @dataclass(frozen=True, kw_only=True)
 class Initialisation:
-    """Linear system from which a training starts, in modal form.
+    """Linear system with which a training begins, in modal form.
 
     `y = Re(c_r x_r) + 2 Re(c_c x_c) + d u`: the factor two of the pairs is not in `c`.
     """
@@ -45,7 +45,7 @@ class Initialisation:
     d: Float[np.ndarray, "p m"]
 
     def simulate_output(self, u: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T p"]:
-        """Output of the initial linear system from the equilibrium."""
+        """Output of the initial linear system, simulated from the equilibrium."""
         # SciPy loads a part at its first use: this one takes half a second.
         lfilter = scipy.signal.lfilter
         states = []
@@ -64,8 +64,8 @@ def draw_modes_on_ring(
     channels: tuple[int, int],
     rng: np.random.Generator,
 ) -> Initialisation:
-    """Draw random stable modes in a ring of the unit disc. Radii uniform in area between the two,
-    angles uniform in `frequency` (rad per sample); small random gains.
+    """Draw random stable modes in a ring inside the unit circle. Radii are uniform in area between
+    the two given, angles uniform in `frequency` (rad per sample); gains are small and random.
 
     Source: Orvieto et al. (2023), lemma 3.2.
     """
@@ -97,7 +97,7 @@ def draw_complex_normal(
 def estimate_initial_system(
     records: Pairs, order: int, rng: np.random.Generator, feedthrough: bool
 ) -> Initialisation:
-    """Estimate the linear system from which a training starts from the records. ARX by least
+    """Estimate, from the records, the linear system with which training begins. ARX by least
     squares over all records, its impulse response, a balanced realisation of it, its modes.
 
     Long ARX models are unstable on noise, and where the input acts at once but no feedthrough is
@@ -171,8 +171,8 @@ def arx_impulse_response(
 def realise_impulse_response(
     h: Float[np.ndarray, "K p m"], order: int, rng: np.random.Generator
 ) -> StateSpace:
-    """Balanced state-space realisation of an impulse response, truncated to a given order. Fast
-    modes fill what it lacks."""
+    """Balanced state-space realisation of an impulse response, truncated to a given order. If it
+    has too few modes, fast ones are added."""
     half = len(h) // 2
     p, m = h.shape[1:]
     rows = np.arange(half)[:, None]
@@ -196,8 +196,8 @@ def realise_impulse_response(
 
 
 def modal_initialisation(system: StateSpace) -> Initialisation:
-    """Initial system in modal form with the eigenvalues of a given one, moved inside the unit
-    circle. Real ones come first, one of each pair; `b`, `c` are in eigenvector coordinates."""
+    """Initial system in modal form with the eigenvalues of a given system, moved inside the unit
+    circle. Real ones come first, then one of each pair; `b`, `c` are in eigenvector coordinates."""
     values, vectors = np.linalg.eig(system.a)
     b = np.linalg.solve(vectors, system.b.astype(complex)).astype(complex)
     c = (system.c @ vectors).astype(complex)
@@ -211,7 +211,8 @@ def modal_initialisation(system: StateSpace) -> Initialisation:
 
 
 def stabilise_eigenvalues(values: Inexact[np.ndarray, "n"]) -> Inexact[np.ndarray, "n"]:
-    """Mirror unstable eigenvalues into the unit circle and limit the modulus of all."""
+    """Move unstable eigenvalues inside the unit circle by reflection, and limit the modulus of
+    all."""
     radius = np.abs(values)
     mirrored = values / np.maximum(radius, 1.0) ** 2
     values = np.where(radius > 1.0, mirrored, values)
@@ -221,8 +222,8 @@ def stabilise_eigenvalues(values: Inexact[np.ndarray, "n"]) -> Inexact[np.ndarra
 
 
 class ModelSpec(ABC):
-    """Base class of settings that build a trainable model. A choice of model structure; `build`
-    returns it at its starting point, drawn from `seed`."""
+    """Base class of settings that build a trainable model, one class for each model structure.
+    `build` draws initial parameters from `seed`."""
 
     # Whether what is identified is an `SSM`, which the study goes on to certify; a baseline is
     # scored only.
@@ -235,11 +236,11 @@ class ModelSpec(ABC):
 
     @abstractmethod
     def build(self, data: DataSet, seed: int) -> "TorchModel":
-        """Build the trainable model with initial parameters of a seed."""
+        """Build the trainable model with initial parameters that are drawn from a seed."""
 
     def for_training_run(self, start: int) -> "ModelSpec":  # noqa: ARG002
-        """Settings for one of several trainings, by its number. They are the same for all, as each
-        training has a seed of its own."""
+        """Settings for one of several training runs, given by its number. By default they are the
+        same for all; each has its own seed."""
         return self
 
 
@@ -289,8 +290,8 @@ class SSMSpec(ModelSpec):
                 require(fits, f"model.{name}", ends, problem, "correct the range")
 
     def for_training_run(self, start: int) -> "SSMSpec":
-        """Settings for training number `start` of several. From the second on it begins with random
-        modes, real ones only to make pairs."""
+        """Settings for one of several training runs, given by its number. The first begins with an
+        estimated system, the others with random modes."""
         return (
             replace(self, start="ring", real_modes=self.order - 2 * ((self.order - 1) // 2))
             if start
@@ -322,8 +323,8 @@ class SSMSpec(ModelSpec):
 
 
 def scale_records(data: DataSet) -> Pairs:
-    """Convert training records to scaled units. Training records in scaled units: `(u - u_eq) /
-    input_scale`, `(y - y_eq) / output_scale`."""
+    """Training records converted to scaled units. `(u - u_eq) / input_scale`, `(y - y_eq) /
+    output_scale`."""
     return [
         (data.scale.scaled_input(record.u), data.scale.scaled_output(record.y))
         for record in data.training
@@ -331,18 +332,18 @@ def scale_records(data: DataSet) -> Pairs:
 
 
 def scale_records_with_disturbances(data: DataSet) -> Pairs:
-    """Convert training records to scaled units, with measured disturbances as further inputs."""
+    """Training records converted to scaled units, with measured disturbances as further inputs."""
     return scale_records(data.with_disturbances_as_inputs())
 
 
 def require_whole_number(least: int, name: str, value: object, remedy: str) -> None:
-    """Refuse a setting that is no whole number or is below a minimum."""
+    """Raise `BadRequest` for a setting that is no whole number or is below a minimum."""
     fits = isinstance(value, int) and not isinstance(value, bool) and value >= least
     require(fits, f"model.{name}", value, f"must be a whole number, at least {least}", remedy)
 
 
 def check_slope_bounds(lower: float, upper: float) -> None:
-    """Refuse slope bounds that are empty or include zero."""
+    """Raise `BadRequest` for slope bounds that are empty or include zero."""
     require_positive("model.slope_lower", lower, "use 0.01 or so")
     fits = lower < upper < np.inf
     problem = "the lower slope must lie below the upper one"

@@ -10,8 +10,8 @@ from ssm_study.refusal import require_one_of
 
 
 def read_model_json(data: Mapping[str, Any]) -> Simulator:
-    """Read any identified model from its JSON form. An SSM has no kind, a structured one has
-    neurons instead; an unknown kind is refused."""
+    """Read an identified model of any kind from its JSON form. Raises `BadRequest` for an unknown
+    kind. An SSM has no kind there, a structured model has neurons instead."""
     if data.get("kind") is None:
         return StructuredSSM.from_json(data) if "neurons" in data else SSM.from_json(data)
     require_one_of(kinds := Simulator.members(baselines), "kind", data["kind"])

@@ -23,8 +23,8 @@ Values = Float[np.ndarray, "*batch"]
 
 
 class Activation(NamedTuple):
-    """Activation function with its slope and its C expression. `evaluate_activations(z)`, its slope
-    `phi'(z)` in [0, 1] (right of a kink), and C's text, an expression in `z` for math.h.
+    """Activation function, with its slope and its C expression. The slope `phi'(z)` is in [0, 1]
+    (right of a kink); the C text is an expression in `z` for math.h.
 
     What it serves: tanh friction and saturation, softplus overflow and rectifiers, clipped_cubic
     hardening, relu and saturation the same with kinks. Source: docs/theory.md, "With neurons".
@@ -59,8 +59,8 @@ NEURONS = {  # in the order of the compiled form's codes (`structured_kernel.act
 
 
 def activation_codes(kinds: tuple[str, ...]) -> Int[np.ndarray, "q"]:
-    """Integer codes of the neurons' activation functions. The compiled form's codes; raises
-    `BadRequest` for a kind that is not known."""
+    """Integer codes of the neurons' activation functions, for compiled code. Raises `BadRequest`
+    for an unknown activation."""
     known = list(NEURONS)
     for kind in kinds:
         require(kind in known, "neurons", kind, "unknown neuron", f"use {', '.join(known)}")
@@ -71,7 +71,7 @@ def evaluate_activations(
     kinds: tuple[str, ...], z: Float[np.ndarray, "*batch q"], of: str = "value"
 ) -> Float[np.ndarray, "*batch q"]:
     """Evaluate the neurons' activation functions, or their slopes. `phi_i(z_i)` for each neuron i,
-    or `from_parts` it the "slope"."""
+    or `phi_i'(z_i)` where `of` is "slope"."""
     out = np.empty_like(z)
     for i, kind in enumerate(kinds):
         out[..., i] = getattr(NEURONS[kind], of)(z[..., i])
@@ -84,8 +84,8 @@ Injected = Float[np.ndarray, "*batch q"] | float
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredSSM(ScaffoldedModel):
-    """Identified recurrence with neurons inside, between static maps. `x+ = A x + B v + E w, y =
-    y_eq + output_scale S_y(C x + D v + H w), v = S_u((u - u_eq) / input_scale)`.
+    """Identified model with neurons inside its recurrence, between static maps. `x+ = A x + B v + E
+    w, y = y_eq + output_scale S_y(C x + D v + H w), v = S_u((u - u_eq) / input_scale)`.
 
     `z = F x + G v + b,  w = phi(z) - phi(b)`, elementwise with slopes in [0, 1]: rest stays at
     rest. Shapes:
@@ -129,8 +129,7 @@ class StructuredSSM(ScaffoldedModel):
 
     @property
     def linear(self) -> StateSpace:  # type: ignore[override] # read only, as every field here
-        """Linear part of the structured recurrence. `(A, B, C, D)`, what remains without the
-        neurons."""
+        """Linear part of the recurrence, `(A, B, C, D)`, without the neurons."""
         return StateSpace(a=self.a, b=self.b, c=self.c, d=self.d)
 
     @property
@@ -140,7 +139,7 @@ class StructuredSSM(ScaffoldedModel):
 
     @property
     def _structured_system(self) -> StructuredSystem:
-        """Recurrence with its neurons as a structured system."""
+        """Recurrence with its neurons, in the form that certificates use."""
         return StructuredSystem(
             **{block.name: getattr(self, block.name) for block in fields(StructuredSystem)}
         )
@@ -157,7 +156,7 @@ class StructuredSSM(ScaffoldedModel):
     @cached_property
     def driven_matrices(self) -> "KernelMatrices":
         """Matrices of the recurrence for compiled code, with measured disturbances as further
-        inputs. Disturbances reach the state alone."""
+        inputs. Disturbances only act on the state."""
         from ssm_study.models.structured_kernel import KernelMatrices
 
         system = self.driven_system
@@ -169,8 +168,8 @@ class StructuredSSM(ScaffoldedModel):
     def linearise_at(
         self, x: Float[np.ndarray, "n"], ubar: Float[np.ndarray, "mbar"]
     ) -> StateSpace:
-        """Linearise the recurrence at one state and mapped input. The recurrence's derivative at
-        one state and lifted input: neurons replaced by their slopes there."""
+        """Linearise the recurrence at one state and mapped input. Neurons are replaced by their
+        slopes there."""
         return self._structured_system.linearise_at_slopes(
             evaluate_activations(self.neurons, self.f @ x + self.g @ ubar + self.bias, "slope")
         )
@@ -178,7 +177,7 @@ class StructuredSSM(ScaffoldedModel):
     def neuron_outputs(
         self, x: State, ubar: Lifted, injected: Injected = 0.0
     ) -> Float[np.ndarray, "*batch q"]:
-        """Outputs of the neurons at one state and mapped input. `w = phi(F x + G v + b + injected)
+        """Outputs of the neurons for a state and a mapped input. `w = phi(F x + G v + b + injected)
         - phi(b)`; an observer injects `L_z (yh - y)`."""
         z = x @ self.f.T + ubar @ self.g.T + self.bias + injected  # what the neurons see
         return evaluate_activations(self.neurons, z) - evaluate_activations(self.neurons, self.bias)
@@ -196,8 +195,8 @@ class StructuredSSM(ScaffoldedModel):
     def simulate_mapped(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, Float[np.ndarray, "*batch T1 n"]]:
-        """Simulate the recurrence for a mapped input sequence. `C x + D v + H w`, compiled, and
-        the states, of which there is one more: that after the last sample."""
+        """Simulate the recurrence for a sequence of mapped inputs, in compiled code. `C x + D v + H
+        w`, and the states, one more than samples: the last is the one after the last sample."""
         from ssm_study.models.structured_kernel import simulate_compiled
 
         batch = ubar.shape[:-2]
@@ -212,8 +211,8 @@ class StructuredSSM(ScaffoldedModel):
         return ybar.reshape(*batch, samples, -1), states.reshape(*batch, samples + 1, -1)
 
     def with_dead_time(self, samples: int) -> "StructuredSSM":
-        """Append a dead time to the model's input. The model behind a dead time: the neurons see
-        the input that many samples late, too."""
+        """Copy of the model with a dead time at its input. The neurons see the input as many
+        samples late, too."""
         n, m = self.b.shape
         line = DelayLine(states=n, channels=m, samples=samples)
         idle = np.zeros((line.state_count, len(self.neurons)))
@@ -231,7 +230,7 @@ class StructuredSSM(ScaffoldedModel):
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> "StructuredSSM":
-        """Read a structured model from its JSON form. One of one layer has q = 0. Raises as
+        """Read a structured model from its JSON form. A model with one layer has q = 0. Raises as
         `Explicit` does."""
         if data.get("neurons"):
             return super().from_json(data)

@@ -1,4 +1,4 @@
-"""Compiled code of the structured recurrence, for free runs and forward sensitivities. Each takes
+"""Compiled code of the recurrence with neurons, for free runs and forward sensitivities. Each takes
 one pass over the samples.
 
 `z = F x + G v + b,  w = phi(z) - phi(b),  x+ = A x + B v + E w,  ybar = C x + D v + H w` with v =
@@ -22,8 +22,9 @@ from ssm_study.models.matrix_shapes import matrix_shapes
 
 
 class KernelMatrices(NamedTuple):
-    """Matrices of a recurrence with neurons in the form that compiled code takes. `a (n, n), b (n,
-    m), c (p, n), d (p, m), e (n, q), f (q, n), g (q, m), h (p, q)`, `bias (q,)`, `kinds (q,)`."""
+    """Matrices of a recurrence with neurons in the layout that compiled code takes. `a (n, n), b
+    (n, m), c (p, n), d (p, m), e (n, q), f (q, n), g (q, m), h (p, q)`, `bias (q,)`, `kinds
+    (q,)`."""
 
     a: Float[np.ndarray, "n n"]
     b: Float[np.ndarray, "n m"]
@@ -38,7 +39,7 @@ class KernelMatrices(NamedTuple):
 
     @classmethod
     def from_parts(cls, parts: Mapping[str, Any], kinds: Int[np.ndarray, "q"]) -> "KernelMatrices":
-        """Make the matrices for compiled code from named arrays. For any other layout numba would
+        """Make the matrices for compiled code from named arrays. For any other layout, numba would
         compile everything once more."""
         arrays = (np.array(parts[name], dtype=np.float64, order="C") for name in cls._fields[:-1])
         return cls._make((*arrays, kinds))
@@ -47,8 +48,7 @@ class KernelMatrices(NamedTuple):
 @compile_with_numba
 @no_type_check
 def activation_and_slope(code, z):
-    """Value and slope of one activation function. `(phi(z), phi'(z))` of the neuron with that
-    code."""
+    """Value and slope of the activation function with a given code. `(phi(z), phi'(z))`."""
     if code == 0:
         value = tanh(z)
         return value, 1.0 - value * value
@@ -126,8 +126,7 @@ def simulate_compiled(k, v, x0):
 def split_blocks(
     sizes: dict[str, tuple[int, ...]], j: Float[np.ndarray, "*batch P"]
 ) -> dict[str, Float[np.ndarray, "..."]]:
-    """Cut the last axis of an array into blocks of given sizes. The last axis cut into blocks of
-    these shapes, in their order."""
+    """Cut the last axis of an array into blocks of given shapes, in their order."""
     *ends, _ = accumulate(map(prod, sizes.values()))
     return dict(zip(sizes, np.split(j, ends, axis=-1), strict=True))
 
@@ -135,8 +134,9 @@ def split_blocks(
 @compile_with_numba
 @no_type_check
 def _add_sample_sensitivity(row, weights, s, inner, scaled, through, here, basis, channel, own, at):
-    """Add one sample's contribution to the derivatives of one state or output by all parameters. It
-    comes from `weights s`, from this row's own entries (from `own` on), and from the neurons.
+    """Add one sample's contribution to the derivatives of one state or output with respect to all
+    parameters. It comes from `weights s`, from this row's own entries (from `own` on), and from the
+    neurons.
 
     `here = (x, v, w, slope, rest)` with the neurons' slopes; `at` are the first columns of f, g,
     bias and scaffold_in.
@@ -181,8 +181,8 @@ def simulate_with_sensitivities(
     moved: Float[np.ndarray, "N T K"],
     channel: Int[np.ndarray, "K"],
 ) -> tuple[Float[np.ndarray, "N T p"], dict[str, Float[np.ndarray, "N T p _"]]]:
-    """Simulated output and its derivatives by all parameters, in compiled code. `ybar`, and its
-    derivatives by each of `BLOCKS`, flattened by rows.
+    """Simulated output and its derivatives with respect to all parameters, in compiled code. The
+    derivatives are in the order of `BLOCKS`, flattened by rows.
 
     Parameter j of `scaffold_in` moves the lifted input of `channel[j]` by `moved[., ., j]` per
     unit; `x0` is the own record's.
@@ -200,9 +200,9 @@ def simulate_with_sensitivities(
 @compile_with_numba
 @no_type_check
 def _sensitivity_loop(k, v, x0, basis, channel, places):
-    """Compiled loop over records and samples for the output's derivatives by the parameters. A
-    state parameter keeps `dx` in one row of `s`; what drives it is sparse and is added by its
-    place."""
+    """Compiled loop over records and samples for the output's derivatives with respect to the
+    parameters. `dx` of a state parameter is one row of `s`; what drives it is sparse and is added
+    by its place."""
     records, samples, m = v.shape
     n = k.a.shape[0]
     p = k.c.shape[0]

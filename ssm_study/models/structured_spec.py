@@ -44,8 +44,9 @@ Signals = Float[np.ndarray, "*batch c"]
 
 @dataclass(frozen=True)
 class TrainablePieces:
-    """Trainable piecewise-linear static map with written-out derivatives. `S_c(v) = int_0^v s_c`,
-    slopes `s = lower + (upper - lower) / (1 + exp(-free))` between the sorted `points`.
+    """Trainable piecewise-linear static map whose derivatives are explicit formulas. `S_c(v) =
+    int_0^v s_c`, slopes `s = lower + (upper - lower) / (1 + exp(-free))` between the sorted
+    `points`.
 
     Its parameters in order: `free (c, h + 1)`, then `points (c, h)`; without break points (`knots`)
     the identity, which has none. Behind the channels come `passed` ones that pass as they are:
@@ -70,8 +71,8 @@ class TrainablePieces:
         )
 
     def initial_parameters(self, samples: Float[np.ndarray, "N c"]) -> Free:
-        """Initial parameters of the map, with equal slopes and evenly spaced break points. The
-        points keep off the ends, which are seldom visited."""
+        """Initial parameters of the map, with equal slopes and evenly spaced break points. None of
+        them is near the ends, which are rarely visited."""
         if not self.knots:
             return np.zeros(0)
         low = samples[:, : self.channels].min(axis=0)
@@ -80,8 +81,8 @@ class TrainablePieces:
         return np.concatenate([np.zeros(self.channels * (self.knots + 1)), points.T.ravel()])
 
     def _slopes_and_points(self, theta: Free) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slopes, their derivatives by the free parameters, and the sorted break points. Each has
-        one row a channel."""
+        """Slopes, their derivatives with respect to the free parameters, and the sorted break
+        points. Each has one row per channel."""
         split = self.channels * (self.knots + 1)
         share = 1.0 / (
             1.0 + np.exp(-theta[:split].reshape(self.channels, -1))
@@ -96,8 +97,8 @@ class TrainablePieces:
     def derivatives(
         self, theta: Free, v: Signals
     ) -> tuple[Signals, Signals, Float[np.ndarray, "*batch P"]]:
-        """Evaluate the map, its slopes, and its derivatives by the parameters. `S(v)`, its slope at
-        v, and what each parameter does to the channel that it belongs to.
+        """Values of the map, its slopes, and its derivatives with respect to the parameters. A
+        parameter changes only the channel to which it belongs.
 
         `dS/ds_j` is the signed length of `[0, v]` within piece j; `dS/dt_j = s_j - s_{j+1}` where
         t_j lies between 0 and v, negative where v < 0.
@@ -127,12 +128,12 @@ class TrainablePieces:
         return values, at, np.concatenate([*frees, *moves], axis=-1)
 
     def values(self, theta: Free, v: Signals) -> Signals:
-        """Values of the map, followed by the channels that pass unchanged."""
+        """Values of the map, followed by the channels that it leaves unchanged."""
         mapped = self.freeze(theta)(v[..., : self.channels])
         return np.concatenate([mapped, v[..., self.channels :]], axis=-1) if self.passed else mapped
 
     def freeze(self, theta: Free) -> Scaffold:
-        """Trained map as explicit numbers, for the channels that do not pass unchanged."""
+        """Trained map as explicit numbers, without the channels that it leaves unchanged."""
         if not self.knots:
             return LinearScaffold.identity(self.channels)
         slopes, _, points = self._slopes_and_points(theta)
@@ -242,13 +243,13 @@ class StructuredSpec(ModelSpec):
 
     @property
     def training_count(self) -> int:
-        """Number of trainings from different initial parameters. It is `starts`, one more with
+        """Number of training runs from different initial parameters. It is `starts`, one more with
         `among_starts`, and at least as many as `members` need."""
         return max(self.starts + (self.among_starts is not None), self.members)
 
     def for_training_run(self, start: int) -> "StructuredSpec":
-        """Settings for training number `initial_parameters` of several. With `among_starts` each
-        odd k and the last have half the states, the last no neurons.
+        """Settings for one of several training runs, given by its number. With `among_starts` each
+        odd number and the last have half the states, the last no neurons.
 
         More can be certified of such models, where they suffice.
         """
@@ -262,7 +263,7 @@ class StructuredSpec(ModelSpec):
         self, channels: tuple[int, int], disturbances: int = 0
     ) -> tuple[TrainablePieces, TrainablePieces]:
         """Trainable input and output maps for given numbers of channels. Measured disturbances pass
-        S_u unchanged."""
+        through S_u unchanged."""
         lower = self.slope_lower
         upper = self.slope_upper
         lift = TrainablePieces(channels[0], int(self.knots), lower, upper, passed=disturbances)
@@ -270,7 +271,7 @@ class StructuredSpec(ModelSpec):
         return lift, read
 
     def without_neurons(self) -> SSMSpec:
-        """Settings of the same model without neurons, trained as `model=ssm` is."""
+        """Settings of the same model without neurons, which is trained as `model=ssm` is."""
         inward, outward = (
             Monotone() if knots else Linear() for knots in (self.knots, self.output_knots)
         )
@@ -280,6 +281,6 @@ class StructuredSpec(ModelSpec):
         return SSMSpec(hidden_width=width, scaffold_in=inward, scaffold_out=outward, **shared)
 
     def build(self, data: Any, seed: int) -> Any:  # noqa: ARG002
-        """Refuse to build a torch model, since a structured model is trained without torch. A
-        structured model has a training of its own (`training.structured_fit`)."""
+        """Raise an error, since a structured model is trained without torch
+        (`training.structured_fit`)."""
         raise TypeError("it has a training of its own")

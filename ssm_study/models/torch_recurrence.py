@@ -1,4 +1,4 @@
-"""Simulation of the linear recurrence in torch, by one convolution or in chunks of samples.
+"""Simulation of the linear recurrence in torch, by one convolution or in blocks of samples.
 
     x[k+1] = lambda x[k] + B u[k],    y[k] = Re(C x[k]) + D u[k],    x[0] given      (all modes are
     decoupled)
@@ -29,8 +29,8 @@ _AGES = torch.arange(CHUNK + 1, dtype=torch.float64)[:, None]
 
 
 class ChunkedRecurrence(torch.autograd.Function):
-    """Simulation of a linear recurrence in blocks of 64 samples, with its gradient. Blocks of 64
-    samples, their products and a scan of the states between; shapes as above, `x0 (e, n)` or None.
+    """Simulation of a linear recurrence in blocks of 64 samples, with its gradient. Products of
+    blocks and a scan of the states between them; shapes as above, `x0 (e, n)` or None.
 
         y_q = U_q T + Re(X_q W),    X_{q+1} = lambda^64 X_q + U_q G          (rows: records; q
         counts blocks)
@@ -45,7 +45,7 @@ class ChunkedRecurrence(torch.autograd.Function):
     def forward(
         ctx: Any, decay: Tensor, b: Tensor, c: Tensor, d: Tensor, u: Tensor, x0: Tensor | None
     ) -> Tensor:
-        """Simulate the recurrence block by block, and store what the gradient needs."""
+        """Simulate the recurrence block by block, and store the values that the gradient needs."""
         rate = decay.to(
             torch.complex128
         )  # in which powers are taken: a phase grows with its sample
@@ -70,7 +70,8 @@ class ChunkedRecurrence(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        """Gradients of the loss by the recurrence's parameters, its input and its initial state."""
+        """Gradients of the loss with respect to the recurrence's parameters, its input and its
+        initial state."""
         turns, power, b, c, lift, read, within, blocks, x = ctx.saved_tensors
         m = b.shape[1]
         p = len(c)
@@ -116,7 +117,7 @@ class ChunkedRecurrence(torch.autograd.Function):
 
 
 def _as_real(table: Complex2) -> Real2:  # Real and imaginary parts side by side, without a copy
-    """View complex numbers as real and imaginary parts side by side."""
+    """View complex numbers as pairs of real and imaginary parts."""
     return torch.view_as_real(table).flatten(-2)
 
 
@@ -136,8 +137,8 @@ def _toeplitz_table(
 
 
 def _diagonal_sums(table: Float[Tensor, "sm sp"], p: int, m: int) -> Float[Tensor, "s p m"]:
-    """Sums along the diagonals of a block Toeplitz matrix. Rows of length 2 s - 1 instead of 2 s
-    put a diagonal into a column."""
+    """Sums along the diagonals of a block Toeplitz matrix. With rows of length 2 s - 1 instead of 2
+    s, a diagonal becomes a column."""
     flipped = table.view(CHUNK, m, CHUNK, p).permute(1, 3, 0, 2).flip(2)
     skewed = torch.nn.functional.pad(flipped, (0, CHUNK)).flatten(2)[..., :-CHUNK]
     return skewed.unflatten(2, (CHUNK, -1)).sum(2)[..., CHUNK - 1 :].permute(2, 1, 0)
@@ -154,15 +155,16 @@ def _split_into_blocks(
 def _join_blocks(
     blocks: Float[Tensor, "q e sp"], samples: int, channels: int
 ) -> Float[Tensor, "e T p"]:
-    """Join blocks of samples to one signal."""
+    """Join blocks of samples into one signal."""
     return blocks.unflatten(2, (CHUNK, channels)).transpose(0, 1).flatten(1, 2)[:, :samples]
 
 
 def _scan_blocks(
     turns: Complex[Tensor, "s 1 n"], rise: Complex[Tensor, "q e n"], x0: Tensor | None
 ) -> Tensor:
-    """Advance a diagonal recurrence from block to block. `x[0] = x0`, `x[k+1] = lambda x[k] +
-    rise[k]`: s steps in all groups of s at once, then from group to group."""
+    """Carry the state of a diagonal recurrence from one block of samples to the next. `x[0] = x0`,
+    `x[k+1] = lambda x[k] + rise[k]`: s steps in all groups of s at once, then from group to
+    group."""
     groups = -(-len(rise) // len(turns))
     x = rise.new_zeros(groups * len(turns), *rise.shape[1:])
     x[1 : len(rise)] = rise[:-1]
@@ -191,8 +193,8 @@ Tables = tuple[Complex[Tensor, "s n"], Complex[Tensor, "q n"]]
 
 @dataclass(frozen=True, kw_only=True)
 class ModalForm:
-    """Linear recurrence in modal coordinates. The recurrence in explicit modal parameters; `decay =
-    log(lambda)` with negative real part."""
+    """Linear recurrence in modal coordinates, by explicit parameters. `decay = log(lambda)` with
+    negative real part."""
 
     decay: Complex[Tensor, "n"]
     b: Complex[Tensor, "n m"]
@@ -213,7 +215,7 @@ def final_state(modes: ModalForm, u: Input, x0: Modal | None = None) -> Modal:
 
 def simulate_by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
     """Simulate a linear recurrence by FFT convolution. `y = g * u` by real transforms of a fast
-    length; differentiable forward, vectorised and any number of times."""
+    length; it can be differentiated forward, vectorised, and any number of times."""
     (p, m), samples = modes.d.shape, u.shape[1]
     both = power_tables(modes.decay, samples)
     length = next_fast_len(2 * samples - 1, real=True)
@@ -232,13 +234,13 @@ def simulate_by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None)
 
 
 def simulate_in_chunks(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
-    """Simulate a linear recurrence in blocks of samples. Blocks of 64 samples as matrix products;
+    """Simulate a linear recurrence in blocks of samples. Blocks of 64 samples are matrix products;
     the states between blocks follow the same law, 64 times slower."""
     return ChunkedRecurrence.apply(modes.decay, modes.b, modes.c, modes.d, u, x0)
 
 
 def power_tables(decay: Complex[Tensor, "n"], samples: int) -> Tables:
-    """Tables whose products are the powers of the modes up to a number of samples. `F_ri =
+    """Two tables whose products are the powers of the modes up to a number of samples. `F_ri =
     lambda_i^r` and `C_qi = lambda_i^(s q)`, so that `lambda^k = C_q F_r` with `k = q s + r`.
 
     About sqrt(samples) rows each; the powers are taken in complex128.
@@ -251,9 +253,8 @@ def power_tables(decay: Complex[Tensor, "n"], samples: int) -> Tables:
 
 
 def mode_powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "count n"]:
-    """Powers of the modes, one row for each exponent. Large tables are made by doubling, nine times
-    cheaper than the exponentials. count - 1; large tables by doubling, nine times cheaper than the
-    exponentials."""
+    """Powers of the modes, one row for each exponent from 0 to `count - 1`. Large tables are made
+    by doubling, nine times cheaper than exponentials."""
     if count * len(rate) <= FEW_POWERS:
         return torch.exp(torch.arange(count, device=rate.device)[:, None] * rate)
     step = torch.exp(rate)[None]
@@ -266,7 +267,7 @@ def mode_powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "coun
 
 def modal_impulse_response(weights: Complex[Tensor, "r n"], both: Tables) -> Float[Tensor, "r K"]:
     """Impulse response of a modal form, as weighted sums of powers of its modes. `Re sum_i
-    weights_i lambda_i^k` without a table of samples x n: one real product of the two tables."""
+    weights_i lambda_i^k`, as one real product of two tables, without a table of samples x n."""
     fine, coarse = both
     left = torch.view_as_real(weights[:, None, :] * coarse).flatten(-2)
     return (left @ torch.view_as_real(fine.conj().resolve_conj()).flatten(-2).mT).flatten(-2)
@@ -277,7 +278,7 @@ _FORWARD = ContextVar("derivatives are taken forward", default=False)
 
 @contextmanager
 def allow_forward_derivatives() -> Iterator[None]:
-    """Context in which simulation uses only operations with forward-mode derivatives."""
+    """Context in which simulation uses only operations that have forward-mode derivatives."""
     token = _FORWARD.set(True)
     try:
         yield
@@ -286,8 +287,8 @@ def allow_forward_derivatives() -> Iterator[None]:
 
 
 def simulate_modal_form(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
-    """Simulate a linear recurrence by the fastest available method. The faster of convolution and
-    chunks for this length and order; both are the same law."""
+    """Simulate a linear recurrence by the fastest available method. Convolution and blocks give the
+    same result; their speed depends on length and order."""
     few = len(modes.decay) <= CHUNKS_UP_TO_MODES and u.shape[1] >= CHUNKS_FROM_SAMPLES
     return (simulate_in_chunks if few and not _FORWARD.get() else simulate_by_convolution)(
         modes, u, x0

@@ -23,7 +23,7 @@ FEW_LEVELS = 8  # mean hold from which evaluating once per level beats the sorte
 
 class InputMapping(nn.Module):
     """Module that applies the trainable input map to fixed records. `S_u(u)` for one fixed `u (e,
-    T, m)`, by the cheapest of three exact ways; what they need is prepared once.
+    T, m)`, by the cheapest of three exact ways, which are prepared once.
 
     Held inputs repeat: once per distinct input vector, copied to where it occurs. One channel and a
     piecewise-linear map with h kinks: the sorted samples fall into h + 1 runs, each an affine map,
@@ -98,7 +98,7 @@ class _PiecewiseEvaluation(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        """Gradients of the loss by the slopes and offsets of the map's pieces."""
+        """Gradients of the loss with respect to the slopes and offsets of the map's pieces."""
         counts, ranked, order = ctx.saved_tensors
         sorted_upstream = upstream[0].index_select(0, order)
         parts = (sorted_upstream * ranked, sorted_upstream)  # by the slopes, by the offsets
@@ -185,8 +185,8 @@ class LRU(nn.Module):
         return ModalForm(decay=torch.complex(-damping, angle), b=b, c=c, d=d)
 
     def to_state_space(self) -> StateSpace:
-        """Real state-space matrices of the recurrence. A has a number on the diagonal per real
-        mode, a 2 x 2 rotation block per pair.
+        """Real state-space matrices of the recurrence. A has a number on the diagonal for each real
+        mode, a 2 x 2 rotation block for each pair.
 
         `x = Re z` for real modes, `(Re z, Im z)` for pairs; `Re(c z) = Re c Re z - Im c Im z`.
         """
@@ -226,7 +226,7 @@ class LRU(nn.Module):
 def _split_parameters(
     values: Complex[Tensor, "n k"], reals: int, trained: bool
 ) -> tuple[nn.Parameter, nn.Parameter]:
-    """Real and imaginary parts of modal values as separate parameters."""
+    """Real and imaginary parts of complex modal values, as separate parameters."""
     real = nn.Parameter(values.real.contiguous().clone(), requires_grad=trained)
     return real, nn.Parameter(values.imag[reals:].contiguous().clone(), requires_grad=trained)
 
@@ -240,8 +240,8 @@ def _join_parameters(
 
 
 class TorchModel(nn.Module, ABC):
-    """Base class of trainable torch models. A trainable model on scaled signals; `states` is the
-    length of the initial state it accepts.
+    """Base class of trainable torch models on scaled signals. `states` is the length of the initial
+    state that a model accepts.
 
     `differentiates_forward`: whether Levenberg-Marquardt can have its Jacobian.
     """
@@ -250,13 +250,13 @@ class TorchModel(nn.Module, ABC):
     differentiates_forward: ClassVar[bool] = True
 
     def forward(self, u: Signals, x0: States | None = None) -> Signals:
-        """Simulate the model's output from an initial state. It is overridden where that is cheaper
-        than `advance`."""
+        """Simulate the model's output from an initial state. A subclass overrides it where it can
+        be cheaper than `advance`."""
         return self.advance(u, u.new_zeros(len(u), self.states) if x0 is None else x0)[0]
 
     @abstractmethod
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
-        """Simulate the model's output, and return its final state too."""
+        """Simulate the model's output, and return its final state, too."""
 
     @abstractmethod
     def freeze(self, data: DataSet) -> Simulator:
@@ -295,8 +295,7 @@ class TorchSSM(TorchModel):
     def advance(
         self, u: Signals, x0: States, lifted: Signals | None = None
     ) -> tuple[Signals, States]:
-        """Simulate the model's output, and return its final state too. Returns the output and the
-        last state."""
+        """Simulate the model's output, and return its final state, too."""
         lifted = self.driving_signals(u) if lifted is None else lifted
         modes = self.lru.modal_form()
         modal = self.lru.to_modal_state(x0)

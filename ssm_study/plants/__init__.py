@@ -1,1 +1,1 @@
-"""Plants that are simulated and controlled."""
+"""Plants that can be simulated and controlled."""

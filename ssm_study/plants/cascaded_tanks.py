@@ -22,7 +22,7 @@ from ssm_study.signals import Channel
 
 @dataclass(frozen=True, kw_only=True)
 class CascadedTanks(Plant):
-    """Plant of two tanks in cascade, each emptying by Torricelli's law and limited by its brim.
+    """Plant of two tanks in cascade, which empty by Torricelli's law and overflow at their brims.
 
         dx1/dt = k4 u - k1 sqrt(x1),                       x1 <= brim, the excess spills
         dx2/dt = k2 sqrt(x1) - k3 sqrt(x2) + k5 spill + d,  x2 <= brim, and what spills here is lost
@@ -72,8 +72,7 @@ class CascadedTanks(Plant):
         return Equilibrium(u=u, x=np.array([upper, lower]), y=np.array([lower]))
 
     def states_at(self, y0: Outputs) -> States:
-        """States with the lower tank's level at the given output and the upper tank in
-        equilibrium."""
+        """States with the lower tank's level at the output and the upper tank in equilibrium."""
         upper = np.full_like(y0, self.equilibrium().x[0])
         return np.concatenate([upper, y0], axis=1)
 
@@ -82,7 +81,7 @@ class CascadedTanks(Plant):
         substep_s = self.step_s / self.substeps
 
         def rate(levels: States) -> States:
-            """Time derivative of both levels under the held input."""
+            """Time derivatives of both levels under constant input."""
             return self._level_rates(levels, pumped, d[:, 0])
 
         for _ in range(self.substeps):  # the brim is enforced after each substep

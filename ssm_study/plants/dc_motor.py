@@ -1,4 +1,4 @@
-"""Nonlinear DC motor with a two-mass drive, the main plant of the study."""
+"""Nonlinear DC motor with two masses, the main plant of the study."""
 
 from collections import namedtuple
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ NOT_NEGATIVE = (
 
 @dataclass(frozen=True, kw_only=True)
 class DCMotor(Plant):
-    """DC motor whose shaft drives a load through an elastic coupling, with Coulomb friction.
+    """DC motor that drives a load through an elastic coupling, with Coulomb friction.
 
     Coulomb friction can hold each shaft still; the input has a dead-zone.
 

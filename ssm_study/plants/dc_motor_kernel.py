@@ -1,4 +1,5 @@
-"""Compiled simulation of the two-mass motor with exact switches of its friction modes.
+"""Compiled simulation of the motor with two masses, with exact times at which friction modes
+change.
 
 Between switches the motor is affine, `dx/dt = A x + b`, so its Taylor coefficients follow from
 `c[q+1] = A c[q]/(q+1)` and the truncated series is a one-step method of order `ORDER`. A sign
@@ -30,7 +31,8 @@ def _torques_without_coulomb(p, i, wm, wl, th, load):
 @compile_with_numba
 @no_type_check
 def _fill_taylor_series(p, c, v, load, motor_mode, load_mode):
-    """Fill in the Taylor coefficients of the motor's motion over time. Row 0 is the state.
+    """Compute the Taylor coefficients of the motor's motion over time, in place. Row 0 is the
+    state.
 
     A stuck body has speed zero in every row, hence exactly.
     """
@@ -64,8 +66,8 @@ def _evaluate_series(c, j, t):
 @compile_with_numba
 @no_type_check
 def _mode_margin(p, c, t, load, body, mode):
-    """Margin by which a body stays in its friction mode (stuck or sliding); negative after it has
-    left it. It is positive while the mode lasts."""
+    """Margin by which a body stays in its friction mode (stuck or sliding), positive while the mode
+    lasts and negative afterwards."""
     if mode != 0:
         return mode * _evaluate_series(c, 1 + body, t)
     tm, tl = _torques_without_coulomb(
@@ -82,7 +84,7 @@ def _mode_margin(p, c, t, load, body, mode):
 @compile_with_numba
 @no_type_check
 def _mode_switch_time(p, c, h, load, body, mode):
-    """Time at which a body leaves its friction mode (stuck or sliding), by bisection. Larger than h
+    """Time at which a body leaves its friction mode (stuck or sliding), by bisection; larger than h
     if it does not."""
     if _mode_margin(p, c, h, load, body, mode) >= 0.0:
         return 2.0 * h
@@ -100,8 +102,8 @@ def _mode_switch_time(p, c, h, load, body, mode):
 @compile_with_numba
 @no_type_check
 def _friction_mode(speed, torque, coulomb):
-    """Friction mode of a body: 0 stuck, otherwise the sign of its motion or of the motion about to
-    begin."""
+    """Friction mode of a body: 0 if it is stuck, otherwise the sign of its motion or of the motion
+    about to begin."""
     if speed != 0.0:
         return 1 if speed > 0.0 else -1
     if abs(torque) <= coulomb:
@@ -112,7 +114,7 @@ def _friction_mode(speed, torque, coulomb):
 @compile_with_numba
 @no_type_check
 def _advance_substep(p, c, h, v, load):
-    """Advance the motor's state by one substep, across switches of the friction modes."""
+    """Advance the motor's state by one substep, through changes of the friction modes."""
     tm, tl = _torques_without_coulomb(p, c[0, 0], c[0, 1], c[0, 2], c[0, 3], load)
     motor_mode = _friction_mode(c[0, 1], tm, p.coulomb)
     load_mode = _friction_mode(c[0, 2], tl, p.coulomb)

@@ -32,7 +32,7 @@ class NoDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class StepDisturbance(Disturbance):
-    """Disturbance that is a step, optionally limited in time: `size` from `at_s` to `until_s`."""
+    """Disturbance that is a step of `size` at `at_s`, which may end at `until_s`."""
 
     size: float
     at_s: float
@@ -52,7 +52,7 @@ class StepDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class PeriodicDisturbance(Disturbance):
-    """Sinusoidal disturbance `d = amplitude sin(2 pi frequency_hz t)`."""
+    """Sinusoidal disturbance, `d = amplitude sin(2 pi frequency_hz t)`."""
 
     amplitude: float
     frequency_hz: float
@@ -66,7 +66,8 @@ class PeriodicDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class RampDisturbance(Disturbance):
-    """Disturbance that is a ramp of `slope_per_s` from `from_s` until `until_s`, else constant."""
+    """Disturbance that changes by `slope_per_s` from `from_s` to `until_s` and is constant before
+    and after."""
 
     slope_per_s: float
     from_s: float
@@ -85,7 +86,8 @@ class RampDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class RandomDisturbance(Disturbance):
-    """Disturbance of random levels, uniform in `[-amplitude, amplitude]`, each held for `hold_s`.
+    """Disturbance of random levels, uniform in `[-amplitude, amplitude]`, each of which lasts
+    `hold_s`.
 
     A function of seed and time alone.
     """

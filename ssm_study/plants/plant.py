@@ -1,5 +1,5 @@
-"""Interface of simulated plants: signals, equilibrium, and one sampling period under constant
-input."""
+"""Interface of simulated plants: signals, equilibrium, and simulation of one sampling period under
+constant input."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class Equilibrium:
 
 
 class Plant(ABC):
-    """Sampled system under held input, in physical units throughout.
+    """Sampled plant whose input is constant within a sample, in physical units throughout.
 
     `x[k+1] = f(x[k], u[k], d[k]),  y[k] = h(x[k])`. Concrete plants are frozen keyword-only
     dataclasses, one file and one yaml each, that name their
@@ -76,7 +76,7 @@ class Plant(ABC):
 
     @property
     def input_clock_s(self) -> float:
-        """Shortest time, in seconds, for which an excitation holds a level by default."""
+        """Shortest time, in seconds, for which an excitation stays at one level by default."""
         return 10 * self.step_s
 
     @property
@@ -102,7 +102,8 @@ class Plant(ABC):
 
     @abstractmethod
     def states_at(self, y0: Outputs) -> States:
-        """States of the plant with given outputs and everything else in equilibrium."""
+        """States of the plant in which the outputs have given values and everything else is in
+        equilibrium."""
 
     @abstractmethod
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
@@ -110,16 +111,15 @@ class Plant(ABC):
         disturbance."""
 
     def disturbance_effect(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
-        """Contribution of a measured disturbance to the plant's next state. Only an identified
-        model has one."""
+        """Contribution of a measured disturbance to the plant's next state. Only identified models
+        have one."""
         problem = f"{type(self).__name__} has no path for a measured disturbance"
         remedy = "close the loop on the identified model, or use the plant's own disturbance"
         raise refusal.BadRequest("disturbance", len(measured), problem, remedy)
 
     @abstractmethod
     def output(self, x: States) -> Outputs:
-        """Outputs of the plant as its sensors read them before the input of the same sample
-        acts."""
+        """Outputs of the plant, measured before the input of the same sample acts."""
 
     def simulate(
         self,
@@ -147,10 +147,10 @@ class Plant(ABC):
 
 
 def field_property(field: str, factors: tuple[int, ...] = ()) -> Any:
-    """Property that returns a field of the plant, multiplied by factors if there are any."""
+    """Property that returns a field of the plant, multiplied by other fields if some are named."""
 
     def read_field(plant: Plant) -> Any:
-        """Value of the field, times the factors."""
+        """Value of a field of the plant, multiplied by the factors."""
         value = getattr(plant, field)
         if not factors:
             return value
@@ -162,7 +162,7 @@ def field_property(field: str, factors: tuple[int, ...] = ()) -> Any:
 def refuse_wrong_signs(
     plant: Plant, positive: tuple[str, ...] | None = None, not_negative: tuple[str, ...] = ()
 ) -> None:
-    """Refuse settings of a plant that have the wrong sign or are not finite.
+    """Raise `BadRequest` for settings of a plant that have the wrong sign or are not finite.
 
     `positive` None: every one that is not among `not_negative`.
     """

@@ -1,5 +1,5 @@
-"""Quadruple tank: four tanks, two pumps and two level sensors, a common laboratory plant with two
-inputs and two outputs."""
+"""Quadruple tank with two pumps and two level sensors, a common laboratory plant with two inputs
+and two outputs."""
 
 from dataclasses import dataclass
 
@@ -96,7 +96,7 @@ class QuadrupleTank(Plant):
         into[:, :2] += d
 
         def rate(levels: States) -> States:
-            """Time derivative of the four levels under the held input."""
+            """Time derivatives of the four levels under constant input."""
             return self._level_rates(levels, into)
 
         levels = runge_kutta(rate, x, self.step_s, self.substeps)

@@ -1,4 +1,4 @@
-"""Servo drive whose friction falls as it starts to move (Stribeck), behind an amplifier that
+"""Servo drive whose friction falls when it begins to move (Stribeck), with an amplifier that
 saturates."""
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from ssm_study.signals import Channel
 
 @dataclass(frozen=True, kw_only=True)
 class StribeckDrive(Plant):
-    """Servo drive: one inertia with Stribeck friction, driven by a saturated current loop.
+    """Servo drive with one inertia, Stribeck friction and a saturated current loop.
 
         tau di/dt = sat(u) - i,    J dw/dt = K i - b w - F(w) - d
         F(w) = sgn(w) (Fc + (Fs - Fc) exp(-(w/ws)^2)),   at rest any torque up to Fs

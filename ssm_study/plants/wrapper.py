@@ -16,7 +16,7 @@ Memory = Float[np.ndarray, "N r"]  # the appended states of each case
 
 
 def _inner_property(name: str) -> Any:
-    """Property that returns the property of the same name of the wrapped plant."""
+    """Property that returns the wrapped plant's property of the same name."""
     return property(attrgetter(f"plant.{name}"))
 
 
@@ -47,8 +47,7 @@ class Wrapper(Plant):
         return (*self.plant.states, *self.memory)
 
     def initial_memory(self) -> Float[np.ndarray, "r"]:
-        """Initial values of the states that a wrapper adds to its plant. They are zeros by
-        default."""
+        """Initial values of the states that a wrapper adds to its plant, zeros by default."""
         return np.zeros(len(self.memory))
 
     def equilibrium(self) -> Equilibrium:
@@ -84,7 +83,7 @@ class Wrapper(Plant):
 
 @dataclass(frozen=True, kw_only=True)
 class SaturatedInput(Wrapper):
-    """Plant whose input is limited, `x+ = f(x, clip(u, lower, upper), d)`.
+    """Plant with a limited input, `x+ = f(x, clip(u, lower, upper), d)`.
 
     Limits in the input's unit, one number or one per input.
     """

@@ -1,2 +1,1 @@
-"""Figures, terminal output and web page from a study's table. From the table to figures and a
-page."""
+"""Figures, terminal output and web page that are made from the table of a study."""

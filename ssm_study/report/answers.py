@@ -1,4 +1,4 @@
-"""Answers of a study to its three questions, in sentences computed from its table.
+"""Answers of a study to its three questions, as sentences computed from its table.
 
 Where feasibility ends, whether a better fit means a better loop, and whether the prediction holds.
 The best run and the failures have parts of the page of their own.
@@ -40,7 +40,7 @@ class Answer:
 
 
 def answers(table: pd.DataFrame) -> list[Answer]:
-    """Questions that this table has numbers for, with their answers."""
+    """Questions that a study's table can answer, each with its answer."""
     found = [
         Answer("Where does feasibility end, and why?", feasibility_sentences(table)),
         Answer("Does a better fit mean a better loop?", fit_sentences(table)),
@@ -50,8 +50,8 @@ def answers(table: pd.DataFrame) -> list[Answer]:
 
 
 def parameters_line(table: pd.DataFrame) -> str:
-    """Line that names the swept settings and their values. `Swept: model order (4, 8, 12); ...`,
-    or that there was no sweep."""
+    """Line that names the swept settings and their values. `Swept: model order (4, 8, 12); ...`, or
+    that there was no sweep."""
     parts = []
     for name in swept_settings(table):
         title = column_words(name).split(" (")[0].lower()
@@ -60,8 +60,8 @@ def parameters_line(table: pd.DataFrame) -> str:
 
 
 def list_values(values: pd.Series) -> str:
-    """Text that lists the distinct values of a setting in order. Of many, their number, the first
-    and the last."""
+    """Text that lists the distinct values of a setting in order. Of many values it gives their
+    number, the first and the last."""
     distinct = values.dropna().unique().tolist()
     distinct.sort(key=lambda value: (value == "auto", value))
     printed = [f"{value:g}" if isinstance(value, float) else str(value) for value in distinct]
@@ -71,8 +71,8 @@ def list_values(values: pd.Series) -> str:
 
 
 def group_by_plant(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Groups of runs with the same plant, each with the plant's name. The runs of each plant with
-    `DC motor: ` for their first sentence; empty for a single plant.
+    """Groups of runs with the same plant, each with the plant's name, such as `DC motor: `, for the
+    first sentence. The name is empty for a single plant.
 
     Settling times of different plants do not compare.
     """
@@ -86,14 +86,14 @@ def group_by_plant(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
 
 
 def feasibility_sentences(table: pd.DataFrame) -> tuple[str, ...]:
-    """Sentences on which requested rates have certificates. The exact limits of the rates; the
-    observers' only where a request failed."""
+    """Sentences on which requested rates can be certified, with the exact limits of the rates.
+    Observers are mentioned only where a request failed."""
     sides = ("controller", "observer")
     return tuple(sentence for side in sides for sentence in frontier_sentences(table, side))
 
 
 def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
-    """Sentences on the largest certifiable rates of the study's models, and how many requests
+    """Sentences on the largest certifiable rates of the study's models, and on how many requests
     exceeded them."""
     rate = numeric_column(table, f"rate_{side}")
     limit = numeric_column(table, f"{side}_rate_limit")
@@ -119,7 +119,7 @@ def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
 
 
 def limit_sentence(side: str, limit: pd.Series) -> str:
-    """Sentence on the range of the largest certifiable rate over the models of a study, and what
+    """Sentence on the range of the largest certifiable rate over the models of a study, and on what
     determines it."""
     reach = f"{limit.max():.3g}"
     if limit.nunique() > 1:
@@ -133,21 +133,21 @@ def limit_sentence(side: str, limit: pd.Series) -> str:
 
 
 def exceeded_limit_sentence(beyond: int, known: int, certified: int) -> str:
-    """Sentence on how many requested rates exceed the exact limit, and how those runs ended."""
+    """Sentence on how many requested rates exceed the exact limit, and on how those runs ended."""
     outcome = f"{certified} of those were certified" if certified else "none of those was certified"
     return f"{beyond} of {known} requests lie beyond it, and {outcome}."
 
 
 def fit_sentences(table: pd.DataFrame) -> tuple[str, ...]:
-    """Sentences on whether a better model fit goes with a better closed loop. Per plant: how the
-    fit ranks with the share of starts settled, or with the settling time."""
+    """Sentences on whether a better model fit goes with a better closed loop, for each plant. They
+    correlate the fit with the share of settled initial states, or with the settling time."""
     if len(table) < 2:
         return ()
     return tuple(prefix + fit_sentence(runs) for prefix, runs in group_by_plant(table))
 
 
 def fit_sentence(table: pd.DataFrame) -> str:
-    """Sentence on the rank correlation (Spearman) of the fit with the first outcome that varies."""
+    """Sentence on the rank correlation (Spearman) of the fit with the first result that varies."""
     certified = boolean_column(table, "controller_certified") & boolean_column(
         table, "observer_certified"
     )
@@ -172,16 +172,16 @@ def fit_sentence(table: pd.DataFrame) -> str:
 
 
 def prediction_question(table: pd.DataFrame) -> str:
-    """Question about the prediction of stability, in words that fit the table. A log has no plant
-    to ask about."""
+    """Question about the prediction of stability, in words that suit the runs of the table. A log
+    has no plant to ask about."""
     on_model = text_column(table, "loop_on") == "identified model"
     where = "model" if len(table) and on_model.all() else "plant"
     return f"Does the prediction hold on the {where}?"
 
 
 def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
-    """Sentences on how many loops settle where stability was predicted, how many where it was not,
-    and how often the prediction may fail."""
+    """Sentences on how many loops settle with and without a prediction of stability, and on how
+    often the prediction may fail."""
     share = numeric_column(table, "stable_fraction")
     stable = predicted_stable(table)
     known = numeric_column(table, "predicted_stable").notna() & share.notna()
@@ -205,8 +205,8 @@ def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
 
 
 def failure_bound(models: pd.Series, share: pd.Series) -> list[str]:
-    """Sentence with an upper bound on how often a prediction of stability fails. Each model counts
-    once.
+    """Sentence with an upper bound on how often a prediction of stability fails, where each model
+    counts once.
 
     Loops of one model are not independent. With k of N models wrong the probability is below the p
     of `P(X <= k) = 0.05`, X binomial (Clopper & Pearson 1934); `1 - 0.05^(1/N)` for none.

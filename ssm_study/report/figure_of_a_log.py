@@ -1,4 +1,4 @@
-"""Picture of `ssm-study look`, with inputs and outputs over time, pieces apart."""
+"""Picture of a log, which `ssm-study look` draws: inputs and outputs over time, with gaps."""
 
 from typing import TYPE_CHECKING
 
@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
 
 def draw_log(seen: "LogLook") -> "Figure":
-    """Draw the output above and the input below it, over the time of the log, and a measured
-    disturbance below both. A hole is left white."""
+    """Draw a log over time, the outputs above the inputs, and measured disturbances below both.
+    Gaps of the log stay white."""
     from matplotlib.figure import Figure
 
     with style.paper_style():

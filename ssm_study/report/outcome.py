@@ -1,5 +1,5 @@
-"""The outcome of a run on one screen, in the blocks MODEL, PROVED, PREDICTED and SEEN, and where
-the figures lie."""
+"""Outcome of a run on one screen, in the blocks MODEL, PROVED, PREDICTED and SEEN, and the places
+of its figures."""
 
 import math
 import re
@@ -39,7 +39,7 @@ def print_outcome(record: Mapping[str, Any], figures: Sequence[Path], console: C
 
 
 def figure_lines(figures: Sequence[Path]) -> list[str]:
-    """Lines that name the saved figures, with paths from where the user stands:
+    """Lines that name the saved figures, with paths relative to the current folder:
     `figures/hankel_spectrum.png, .pdf`."""
     kinds: dict[str, list[str]] = {}
     for path in figures:
@@ -49,8 +49,7 @@ def figure_lines(figures: Sequence[Path]) -> list[str]:
 
 
 def outcome_table(record: Mapping[str, Any]) -> Table:
-    """Table of a run's results for the terminal. The numbers of `record.json` in the order of
-    the argument: model, proof, prediction, plant."""
+    """Table of a run's results for the terminal, in the order model, proof, prediction, plant."""
     table = Table(show_header=False, box=None, pad_edge=False, width=WIDTH)
     table.add_column(width=27, no_wrap=True)
     table.add_column(overflow="fold")
@@ -72,8 +71,8 @@ def outcome_table(record: Mapping[str, Any]) -> Table:
 
 
 def outcome_text(record: Mapping[str, Any]) -> Text:
-    """Text of the run's verdict with its sentence. `cannot judge` stands before it where the
-    evidence allows no judgement."""
+    """Text of the run's verdict with its sentence. `cannot judge` comes first where the evidence
+    allows no judgement."""
     verdict = verdict_per_run(pd.DataFrame([dict(record)])).iloc[0]
     settles = verdict in (SETTLED, NO_FASTER)
     where = ", on the identified model" if settles and not _is_on_plant(record) else ""
@@ -84,14 +83,14 @@ def outcome_text(record: Mapping[str, Any]) -> Text:
 
 
 def _is_on_plant(record: Mapping[str, Any]) -> bool:
-    """Whether the loop ran on a plant and not on the identified model. A log has none, also where
-    no loop was closed."""
+    """Whether the loop ran on a plant rather than on the identified model. A log has no plant, even
+    if no loop was closed."""
     is_log = record.get("loop_on") is None and "plant" in record and record["plant"] is None
     return record.get("loop_on") != "identified model" and not is_log
 
 
 def loop_place(record: Mapping[str, Any]) -> str:
-    """Words for where the loop was closed: `simulated plant` or `identified model`."""
+    """Words that say where the loop was closed: `simulated plant` or `identified model`."""
     if not _is_on_plant(record):
         return "identified model"
     place = record.get("loop_on")
@@ -99,7 +98,7 @@ def loop_place(record: Mapping[str, Any]) -> str:
 
 
 def format_column(record: Mapping[str, Any], name: str, form: str = ".3g", unit: str = "") -> str:
-    """Text of a recorded column with its unit. A dash stands where it is missing."""
+    """Text of a recorded column with its unit, or a dash if it is missing."""
     value = record.get(name)
     if value is None:
         return MISSING
@@ -137,7 +136,7 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def baseline_text(record: Mapping[str, Any]) -> str:
-    """Fit of the best of a few simple models on the test record, and whether it predicts better."""
+    """Text with the test fit of the best of a few simple models, and whether it predicts better."""
     fit = record.get("fit_baseline_percent")
     own = record.get("fit_test_percent")
     text = f"{format_column(record, 'fit_baseline_percent', '.1f', ' %')}, {record.get('baseline')}"
@@ -146,8 +145,7 @@ def baseline_text(record: Mapping[str, Any]) -> str:
 
 
 def log_reading(record: Mapping[str, Any]) -> str:
-    """Text that says how the log was read and cut into records. Empty for simulated
-    data."""
+    """Text that says how the log was read and cut into records; empty for simulated data."""
     notes = str(record.get("evidence_reasons") or "")
     reading = re.search(r"note: The log was read so: (.*?)\.(?= (?:note|doubt):|$)", notes)
     cut = re.search(r"note: The log was (cut .*?)\.(?= (?:note|doubt):|$)", notes)
@@ -156,7 +154,7 @@ def log_reading(record: Mapping[str, Any]) -> str:
 
 
 def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows on the rates that exact arithmetic proves on the model for the gains that are used."""
+    """Rows on the rates that exact arithmetic proves for the deployed gains on the model."""
     for side, theorem in THEOREMS.items():
         name = f"{side}_certified_rate"
         limit = f"at most {format_column(record, f'{side}_rate_limit')}"
@@ -174,8 +172,8 @@ def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def limit_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows on the rate proved with a limited input, and on the initial outputs from which the full
-    rate holds."""
+    """Rows on the rate that is proved under input limits, and on the initial outputs from which the
+    full rate holds."""
     label = LIMITS_OF[_is_on_plant(record)]
     if record.get("neurons") and record.get("controller_certified"):
         yield "neurons", label, "nothing is proved: the theorems on limits know no neurons"
@@ -193,7 +191,7 @@ def limit_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Table rows on whether the proof covers the model error that the records show.
+    """Rows on whether the proof covers the model error that the records show.
 
     Below one it covers nothing, and no share is printed; of an older run the tolerance is.
     """
@@ -215,7 +213,7 @@ def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def refit_words(record: Mapping[str, Any]) -> str:
-    """Remark that the model was trained on the records which show its error; empty otherwise.
+    """Remark that the model was trained on the records that show its error; empty if it was not.
 
     Such records show less of the error than records that the training has not seen.
     """
@@ -224,7 +222,7 @@ def refit_words(record: Mapping[str, Any]) -> str:
 
 
 def fresh_data_words(record: Mapping[str, Any]) -> str:
-    """Words on how much of the proved disc the fresh data need, which neither fit nor design has
+    """Text on how much of the proved disc is needed by fresh data, which neither fit nor design has
     used."""
     needed = record.get("coverage_needed")
     if needed is None:
@@ -242,7 +240,7 @@ def fresh_data_words(record: Mapping[str, Any]) -> str:
 
 
 def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows on the prediction that model and records allow before the controller is tried on the
+    """Rows on the behaviour that model and records predict before the controller is tried on the
     plant."""
     yield "evidence", "Evidence", str(record.get("evidence"))
     label = "Prediction for the plant" if _is_on_plant(record) else "Prediction"
@@ -265,8 +263,8 @@ def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows on the measured closed loop: initial states that settled, how fast, and the effect of
-    the noise."""
+    """Rows on the measured closed loop: how many initial states settled, how fast, and the effect
+    of the noise."""
     count = format_column(record, "stable_count", ".0f")
     starts = format_column(record, "initial_conditions", ".0f")
     yield "stable_count", "Initial states settled", f"{count} of {starts}"
@@ -283,8 +281,8 @@ def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def pi_words(record: Mapping[str, Any]) -> str:
-    """Words on how a textbook's PI does from the same initial states, and whether it is the better
-    controller."""
+    """Text on how a textbook PI controller does from the same initial states, and on whether it is
+    better."""
     count = format_column(record, "stable_count_pi", ".0f")
     starts = format_column(record, "initial_conditions", ".0f")
     pi_time_s = record.get("settling_time_pi_s")
@@ -297,8 +295,8 @@ def pi_words(record: Mapping[str, Any]) -> str:
 
 
 def noise_words(record: Mapping[str, Any]) -> str:
-    """Words on the effect of the sensor's noise on the output. The loop then moves by itself, or is
-    closer to its limit than predicted."""
+    """Text on the effect of the sensor's noise on the output. A large effect means that the loop
+    moves by itself, or is closer to its limit than predicted."""
     measured = record.get("noise_gain_measured")
     model = record.get("noise_gain_model")
     if measured is None:
@@ -326,7 +324,7 @@ def certified_word(record: Mapping[str, Any], side: str) -> str:
 
 
 def reasons(record: Mapping[str, Any]) -> Iterator[str]:
-    """Reasons of a record why its run is doubted, infeasible, not certified or failed."""
+    """Reasons, taken from its record, why a run is doubted, infeasible, not certified or failed."""
     findings = str(record.get("evidence_reasons") or "")
     for finding in re.split(r" (?=(?:note|doubt|cannot judge): )", findings):
         if finding.startswith(("doubt: ", "cannot judge: ")):

@@ -1,4 +1,4 @@
-"""Free runs of several runs' models on the test record that they share."""
+"""Free runs of several runs' models on a test record that the runs share."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ FEWEST = 2
 
 
 def overlay(folders: Sequence[Path]) -> ModelComparison:
-    """Compare the stored free runs of several runs, best fit first.
+    """Compare the stored free runs of several runs, sorted by fit, best first.
 
     Raises `BadRequest` for fewer than two runs, a run without a test record, and a test record that
     is not that of the first run.
@@ -51,7 +51,8 @@ def overlay(folders: Sequence[Path]) -> ModelComparison:
 
 
 def short_names(folders: Sequence[Path]) -> list[str]:
-    """Names of runs without the parts that all share. Two that are alike have their study, too."""
+    """Names of runs without the parts that all runs share. Equal names are preceded by the
+    study."""
     parts = [folder.name.split("-") for folder in folders]
     if len({len(one) for one in parts}) == 1:
         differs = [len(set(column)) > 1 for column in zip(*parts, strict=True)]
@@ -76,7 +77,7 @@ def _read_test_free_run(folder: Path) -> RecordedCases:
 def _require_same_record(
     first_folder: Path, first: RecordedCases, folder: Path, other: RecordedCases
 ) -> None:
-    """Refuse a test record whose inputs or measured outputs are not those of the first run."""
+    """Raise `BadRequest` for a run whose test record differs from that of the first run."""
     remedy = "name runs of the same data and the same test part"
     for name in ("input", "measured"):
         ours = [case.values for case in first.signals(name)]

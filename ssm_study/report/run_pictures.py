@@ -1,4 +1,4 @@
-"""Pictures of one run, from its folder alone."""
+"""Pictures of one run, made only from the files in its folder."""
 
 from collections.abc import Callable
 from typing import Any
@@ -22,14 +22,15 @@ from ssm_study.study.recordings import RecordedCases
 
 
 def picture_of_best(name: str, study: StudyFolder) -> Picture:
-    """A picture of the study's best run. Raises `NothingToDraw` with the reason."""
+    """Named picture of the study's best run. Raises `NothingToDraw` with the reason where it would
+    be empty."""
     if study.best is None:
         raise NothingToDraw("No run left a model.")
     return picture_of_run(name, study.best)
 
 
 def picture_of_run(name: str, run: RunFolder) -> Picture:
-    """A picture of one run. Raises `NothingToDraw` with the reason."""
+    """Named picture of one run. Raises `NothingToDraw` with the reason where it would be empty."""
     try:
         return PICTURES[name](run)
     except NothingToShow as reason:
@@ -37,8 +38,7 @@ def picture_of_run(name: str, run: RunFolder) -> Picture:
 
 
 def read_parts(run: RunFolder, *parts: str) -> list[Any]:
-    """Read named parts of a run's folder; raises an error that names a missing part. Raises
-    `NothingToDraw` where it lacks one."""
+    """Read named parts of a run's folder. Raises `NothingToDraw` that names a missing part."""
     values = [getattr(run, part) for part in parts]
     missing = [part for part, value in zip(parts, values, strict=True) if value is None]
     if missing:
@@ -54,13 +54,13 @@ def show_margin(run: RunFolder) -> Picture:
 
 
 def show_nyquist(run: RunFolder) -> Picture:
-    """Picture of the Nyquist curve with the measured mismatch."""
+    """Picture of the Nyquist curve, with discs for the measured model error."""
     model, gains = read_parts(run, "any_model", "gains")
     return nyquist_picture(model, gains, run.mismatch)
 
 
 def show_coverage(run: RunFolder) -> Picture:
-    """Picture of the coverage by band."""
+    """Picture of the coverage by frequency band."""
     model, design, mismatch = read_parts(run, "any_model", "design", "mismatch")
     premise = measure_premise(
         model, run.validation_records, mismatch, run.start_up_samples, run.trials
@@ -69,7 +69,7 @@ def show_coverage(run: RunFolder) -> Picture:
 
 
 def show_bode(run: RunFolder) -> Picture:
-    """Picture of the frequency response beside the record's own estimate."""
+    """Picture of the frequency response, beside an estimate from the record."""
     model, record = read_parts(run, "any_model", "validation")
     units = (record.unit("measured"), record.unit("input"))
     return bode_picture(model, record.records[0], certified_balls(model).input, units)
@@ -125,7 +125,7 @@ def show_set_point(run: RunFolder) -> Picture:
 
 
 def _identified_plant(model: Any, record: RecordedCases) -> IdentifiedPlant:
-    """Make a plant of the model, with the channels of a record."""
+    """Make a plant from the model, with the channels of a record."""
     inputs = record.signals("input")[0].channels
     outputs = record.signals("measured")[0].channels
     return IdentifiedPlant.from_model(model, inputs, outputs)

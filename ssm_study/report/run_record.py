@@ -1,5 +1,5 @@
-"""One run in full on the terminal: its outcome, then every value of its record by the part of the
-study that it describes."""
+"""Printing of one whole run on the terminal: its outcome, then every value of its record, sorted by
+the part of the study that it describes."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,7 +16,7 @@ from ssm_study.table.columns import group_by_part
 
 
 def print_run(run_folder: Path, console: Console) -> None:
-    """Print a run's outcome and below it the whole record."""
+    """Print a run's outcome, and below it the whole record."""
     record = read_record(run_folder) or {}
     print_outcome(record, (), console)
     console.print()
@@ -24,8 +24,7 @@ def print_run(run_folder: Path, console: Console) -> None:
 
 
 def record_table(record: Mapping[str, Any]) -> Table:
-    """Table of every recorded value with its printed name, in blocks; what is missing is left
-    out."""
+    """Table of every recorded value with its printed name, in blocks and without missing values."""
     table = Table(show_header=False, box=None, pad_edge=False, width=WIDTH)
     table.add_column(ratio=3)
     table.add_column(ratio=2, overflow="fold")
@@ -39,7 +38,7 @@ def record_table(record: Mapping[str, Any]) -> Table:
 
 
 def format_value(value: Any) -> str:
-    """Text of a recorded value; a number is never rounded across one."""
+    """Text of a recorded value, where a number is never rounded to the other side of one."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     return digits_beside_bound(value) if isinstance(value, float) else str(value)

@@ -30,19 +30,20 @@ from ssm_study.table.rank import best_first
 
 
 class NothingToDraw(Exception):
-    """Error that says in a sentence why a figure would be empty. That sentence is drawn."""
+    """Error that says in one sentence why a figure would be empty. The sentence is drawn
+    instead."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunFolder:
-    """Files of one run, read when asked for. A file that is not there reads as None (a failed run
-    leaves few)."""
+    """Files of one run, each read when it is first needed. A missing file reads as None (a failed
+    run has few)."""
 
     path: Path
 
     def _parse_file(self, name: str, parse: Callable[[str], Any] = json.loads) -> Any:
         """Content of a file of the run after parsing; None if there is no such file. Raises
-        `BadRequest` that names a damaged one."""
+        `BadRequest` that names a damaged file."""
         path = self.path / name
         try:
             return parse(read_limited_bytes(path).decode()) if path.is_file() else None
@@ -72,48 +73,49 @@ class RunFolder:
 
     @cached_property
     def model(self) -> SSM | None:
-        """Identified model. None for a baseline too: it is identified and scored, but nothing can
-        be certified of it."""
+        """Identified model that can be certified; None for a baseline or a model with neurons."""
         data = self._parse_file("model.json")
         found = None if data is None else read_model_json(data)
         return found if isinstance(found, SSM) else None
 
     @cached_property
     def any_model(self) -> Model | None:
-        """Identified model, with or without neurons. None for a baseline."""
+        """Identified model, with or without neurons; None for a baseline."""
         data = self._parse_file("model.json")
         found = None if data is None else read_model_json(data)
         return found if isinstance(found, SSM | StructuredSSM) else None
 
     @cached_property
     def design(self) -> Design | None:
-        """Controller and observer with their certificates. None where the run stored none."""
+        """Controller and observer with their certificates; None if the run stored none."""
         return None if self.certificate is None else Design.from_json(self.certificate)
 
     @property
     def gains(self) -> Gains | None:
-        """Gains of controller and observer. None where one of them is missing."""
+        """Gains of controller and observer; None if one of them is missing."""
         return self.design.pair if self.design is not None and self.design.feasible else None
 
     @property
     def start_up_samples(self) -> int:
-        """Samples of each record that estimate the initial state."""
+        """Number of samples at the beginning of each record by which the initial state is
+        estimated."""
         return int(self.record.get("start_up_samples") or 0)
 
     @cached_property
     def trials(self) -> Trajectories:
-        """Records that are used only to measure the mismatch between plant and model."""
+        """Records that only serve to measure the model error."""
         return read_trials(self.path)
 
     @cached_property
     def validation_records(self) -> Trajectories:
-        """All validation records. None where the run left no recording."""
+        """All validation records; empty if the run left no recording."""
         path = self.path / "validation.mcap"
         return RecordedCases.of(path).records if path.is_file() else ()
 
     @cached_property
     def mismatch(self) -> Mismatch | None:
-        """Model error by frequency and amplitude, measured from the recordings again."""
+        """Model error by frequency and amplitude, measured again from the recordings; None if
+        something for it is missing."""
         if self.any_model is None or not self.validation_records:
             return None
         return measure_mismatch(
@@ -122,12 +124,12 @@ class RunFolder:
 
     @property
     def comparison(self) -> pd.DataFrame | None:
-        """Table that compares controllers on this run's plant; None where there is none."""
+        """Table that compares controllers on this run's plant; None if there is none."""
         return self._parse_file("comparison.csv", lambda content: pd.read_csv(io.StringIO(content)))
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """Resolved configuration of the run."""
+        """Configuration of the run, with all values resolved."""
         path = self.path / ".hydra" / "config.yaml"
         return (yaml.safe_load(read_stored_yaml(path)) if path.is_file() else None) or {}
 
@@ -154,14 +156,14 @@ class RunFolder:
 
     @cached_property
     def closed_loop(self) -> RecordedCases | None:
-        """Recording of the closed loop; None where no loop was closed."""
+        """Recording of the closed loop; None if no loop was closed."""
         return self._read_recording("closed_loop")
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyFolder:
-    """Study folder with `runs.parquet` as `table`, and its run folders by name. `others` are shown
-    beside it.
+    """Files of a study: its table and its run folders by name. `others` are studies shown beside
+    it.
 
     A run of another study is named by its path from `folder`; `shown` names a run to take for the
     best. Raises `BadRequest` where a table is missing.
@@ -188,7 +190,7 @@ class StudyFolder:
 
     @cached_property
     def comparison(self) -> pd.DataFrame:
-        """Comparison tables of all runs, one below the other."""
+        """Comparison tables of all runs, one below another."""
         found = {name: self.run(name).comparison for name in text_column(self.table, "run") if name}
         tables = [table.assign(run=name) for name, table in found.items() if table is not None]
         return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
@@ -212,7 +214,7 @@ class StudyFolder:
 
     def read_from_best(self, *parts: str, otherwise: str) -> list[Any]:
         """Read named parts of the study's best run, such as `model` or `closed_loop`. Raises
-        `NothingToDraw` where it lacks one. Raises `NothingToDraw` where it lacks one."""
+        `NothingToDraw` that names a missing part."""
         found = [getattr(self.best, part, None) for part in parts]
         if any(part is None for part in found):
             raise NothingToDraw(otherwise)
@@ -220,8 +222,8 @@ class StudyFolder:
 
 
 def gather_table(folder: Path) -> pd.DataFrame:
-    """Gather and return the table of a study. Raises `BadRequest` where nobody gathered it, and for
-    a damaged one."""
+    """Gather and return the table of a study. Raises `BadRequest` for a folder without runs or with
+    a damaged table."""
     path = folder / "runs.parquet"
     require(
         path.is_file(),

@@ -36,14 +36,14 @@ def choice_label(choice: object) -> str:
 
 
 def column_words(name: object) -> str:
-    """Printed name of a column in words, with its unit."""
+    """Printed name of a column, with its unit."""
     return DERIVED.get(str(name)) or column_label(str(name))
 
 
 def prediction_grounds(
     margin: float | None, radius: float | None, noise: float | None = None
 ) -> str:
-    """Words on the numbers that decide a prediction, each beside its bound.
+    """Text with the numbers that decide a prediction, each beside its bound.
 
     `stability margin 2.03 > 1, spectral radius of the controller 0.892 < 1`; noise where it counts.
     """
@@ -61,7 +61,7 @@ def prediction_grounds(
 
 
 def digits_beside_bound(value: float, bound: float = 1.0) -> str:
-    """Number as text with enough digits to show on which side of a bound it lies."""
+    """Number as text, with enough digits to show on which side of a bound it lies."""
     for digits in range(3, 17):
         text = f"{value:.{digits}g}"
         if (float(text) < bound) == (value < bound) and (float(text) > bound) == (value > bound):
@@ -71,8 +71,8 @@ def digits_beside_bound(value: float, bound: float = 1.0) -> str:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Word for a run's outcome with its sentence, colour and marker. Colour and mark differ both,
-    so that either alone tells them apart.
+    """Word for a run's outcome, with its sentence, colour and marker. Colours and markers all
+    differ, so that either is enough to tell verdicts apart.
 
     The mark is `marker` in a figure and `shape` on the page; `style` is for the terminal.
     """
@@ -145,20 +145,20 @@ VERDICTS = (SETTLED, NO_FASTER, LOST, UNTRIED, *BY_CLASS[3:])
 
 
 def verdict_per_run(table: pd.DataFrame) -> pd.Series:
-    """Verdict of every run in a table. A `Verdict` per row: its outcome class, where a run that
-    is certified alone may have closed no loop."""
+    """Verdict of every run in a table: its outcome class, where a run that is only certified may
+    have closed no loop."""
     found = outcome_class(table).map(lambda place: BY_CLASS[place]).astype(object)
     return found.mask((found == LOST) & numeric_column(table, "stable_fraction").isna(), UNTRIED)
 
 
 def verdicts(table: pd.DataFrame) -> pd.Series:
-    """Verdict of each row, as one word."""
+    """Verdict of every run in a table, as one word."""
     return verdict_per_run(table).map(lambda verdict: verdict.word).astype(object).rename("verdict")
 
 
 def verdict_counts(table: pd.DataFrame) -> str:
-    """Text line with the number of runs of each verdict. A line such as `12 runs: 9 certified,
-    settles; 2 infeasible; 1 failed`."""
+    """Line with the number of runs of each verdict. `12 runs: 9 certified, settles; 2 infeasible; 1
+    failed`."""
     tally = verdicts(table).value_counts()
     parts = [
         f"{tally[verdict.word]} {verdict.word}" for verdict in VERDICTS if verdict.word in tally
@@ -171,8 +171,8 @@ def verdict_counts(table: pd.DataFrame) -> str:
 def draw_verdict_points(
     axes: "Axes", table: pd.DataFrame, x: pd.Series, y: pd.Series, dodge: float = 0.0
 ) -> None:
-    """Draw one point per run in the colour and marker of its verdict. Only verdicts that occur
-    enter the legend.
+    """Draw one point per run in the colour and marker of its verdict. The legend has only verdicts
+    that occur.
 
     `dodge` moves each verdict sideways by that much, so that runs at one setting do not hide each
     other.

@@ -1,1 +1,1 @@
-"""Mismatch between plant and model, measured from records, and the stability of a loop under it."""
+"""Model error of a plant, measured from records, and the stability of a loop in spite of it."""

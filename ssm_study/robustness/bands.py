@@ -1,4 +1,4 @@
-"""Power of signals in bands of frequency, from single periods or by Welch's averages."""
+"""Power of signals in frequency bands, from single periods or by Welch's averages."""
 
 import numpy as np
 import scipy
@@ -18,12 +18,12 @@ def total_power(spectrum: Complex[np.ndarray, "K c"]) -> Float[np.ndarray, "K"]:
 def safe_ratio(
     values: Inexact[np.ndarray, "F"], by: Float[np.ndarray, "F"]
 ) -> Inexact[np.ndarray, "F"]:
-    """Divide values by a power that may vanish."""
+    """Divide values by a power that may be zero."""
     return values / np.maximum(by, np.finfo(float).tiny)
 
 
 def sort_lines_into_bands(lines: int) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "F"]]:
-    """Band of each spectral line, and the number of lines in each band, the mean left out."""
+    """Band of each spectral line except the mean, and the number of lines in each band."""
     bands = np.rint(np.linspace(0, len(ANGLES) - 1, lines)).astype(int)[1:]
     return bands, np.maximum(np.bincount(bands, minlength=len(ANGLES)), 1).astype(float)
 

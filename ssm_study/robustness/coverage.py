@@ -1,4 +1,5 @@
-"""Measured premise of `measured_discs`, the distance of the plant from its model by frequency.
+"""Distance of the plant from its model by frequency, measured as the premise of the certificate
+`measured_discs`.
 
 A disc with two references bounds the mismatch `e = y - m` of the model's output m for the input u:
 
@@ -52,8 +53,9 @@ NO_MISMATCH = "the records show no mismatch at all, so there is nothing to compa
 
 @dataclass(frozen=True, kw_only=True)
 class Weights:
-    """Weights of the measured disc: how large a model error each frequency may have. `floor`, `W =
-    [A_W, B_W; C_W, D_W]` on the model's output and V likewise on the input, one channel each.
+    """Weights of the measured disc, which say how large a model error is allowed at each frequency.
+    `floor`, `W = [A_W, B_W; C_W, D_W]` on the model's output and V likewise on the input, one
+    channel each.
 
     Stable, with poles and zeros inside the circle.
     """
@@ -72,8 +74,7 @@ class Weights:
 
     def need(self, items: Sequence[Item]) -> tuple[float, str]:
         """Smallest disc radius at which every requirement of the records is met, and the
-        requirement that decides it. The least kappa at which every item holds, and where it is
-        needed; infinite where a reference vanishes."""
+        requirement that decides it. It is infinite where a reference signal vanishes."""
         needs = [(self.required_radius(item), item.where) for item in items]
         return max(needs, default=(0.0, ""))
 
@@ -85,15 +86,15 @@ class Weights:
         return float(np.sqrt(item.seen / reference)) if reference > 0 else float("inf")
 
     def reference_power(self, item: Item) -> float:
-        """Weighted power of output and input, to which the power of the error is compared. `sum
+        """Weighted power of output and input, with which the power of the error is compared. `sum
         over the item's lines of (X model + Y input)`."""
         of_output = self.output_weight(item.angles) @ item.model_power
         return float(of_output + self.input_weight(item.angles) @ item.input_power)
 
 
 def squared_gain(weight: Float[np.ndarray, "v v"], angles: Powers) -> Powers:
-    """Squared gain of a weighting filter at each angle. `|C (e^{jw} - A)^{-1} B + D|^2` of a
-    filter of one channel, `[A, B; C, D]`."""
+    """Squared gain of a single-channel weighting filter at each frequency. `|C (e^{jw} - A)^{-1} B
+    + D|^2` of `[A, B; C, D]`."""
     order = len(weight) - 1
     b = weight[:order, order:]
     c = weight[order:, :order]
@@ -105,9 +106,9 @@ def squared_gain(weight: Float[np.ndarray, "v v"], angles: Powers) -> Powers:
 
 @dataclass(frozen=True, kw_only=True)
 class Premise:
-    """Measured premise of a proof about the plant. Mismatch spectra of all records, `sines` those
-    of a single sine; `reason` is the sentence that says why nothing can be covered, None where it
-    can."""
+    """Measured premise of a proof about the plant: spectra of the model error in all records.
+    `sines` are those of single sines; `reason` says why nothing can be covered, and is None where
+    it can."""
 
     repeating: tuple[MismatchSpectrum, ...]
     averaged: tuple[AveragedSpectrum, ...]
@@ -115,8 +116,8 @@ class Premise:
     reason: str | None = None
 
     def items(self, centre: float) -> list[Item]:
-        """Requirements that all records put on the weights of a disc around this centre. The
-        largest repeating record counts without doubt."""
+        """Requirements that all records put on the weights of a disc with a given centre. The
+        repeating record with the largest amplitude counts without doubt."""
         largest = max((record.amplitude for record in self.repeating), default=0.0)
         items = list[Item]()
         for record in self.repeating:
@@ -127,8 +128,8 @@ class Premise:
         return items
 
     def missing(self, centre: float) -> str | None:
-        """Reason why the records cannot serve as a premise around a disc centre; None if they can.
-        None where they can."""
+        """Reason why the records cannot be the premise of a proof with a given disc centre; None if
+        they can."""
         if self.reason is not None:
             return self.reason
         items = self.items(centre)
@@ -144,8 +145,8 @@ def measure_premise(
     start_up_samples: int = 0,
     trials: Trajectories = (),
 ) -> Premise:
-    """Requirements that the records put on a proof about the plant, or the reason why there are
-    none."""
+    """Measure the premise of a proof about the plant from the records. Where they are not enough,
+    its `reason` says why."""
     reason = None
     if not mismatch.comes_to_rest:
         reason = NOT_AT_REST
@@ -190,7 +191,7 @@ def running_constraint_sum(
 def apply_channel_filter(
     weight: Float[np.ndarray, "v v"], signal: Float[np.ndarray, "T c"]
 ) -> Float[np.ndarray, "T c"]:
-    """Filter each channel of a signal with the same single-channel filter."""
+    """Filter each channel of a signal by the same single-channel filter."""
     order = len(weight) - 1
     system = StateSpace(
         a=weight[:order, :order],

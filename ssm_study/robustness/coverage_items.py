@@ -1,5 +1,5 @@
-"""Requirements on the weights of a disc, from bands of a record's spectrum, groups of bands, and
-its total power.
+"""Requirements on the weights of a disc, from bands of a record's spectrum, from groups of bands,
+and from its total power.
 
 Below the largest amplitude only what exceeds `SURE` standard errors counts, in totals whatever
 repeats; where nothing repeats, noise counts as mismatch. Source: docs/trust.md, "Covered".
@@ -26,8 +26,8 @@ TOTAL = "in total"
 
 @dataclass(frozen=True, kw_only=True)
 class Item:
-    """Requirement on the disc's weights from one part of a record's spectrum. It is `seen <= sum
-    over lines of (X model + Y input)` at its angles.
+    """Requirement on the disc's weights that one part of a record's spectrum makes. It is `seen <=
+    sum over lines of (X model + Y input)` at its angles.
 
     X is `floor^2 + |W|^2` and Y `|V|^2`. `dark`: its input has next to no power here, so noise is
     part of what is seen. `is_band`: one band of the record, no group of bands, mean or total.
@@ -44,14 +44,14 @@ class Item:
 
     @property
     def where(self) -> str:
-        """Text that names the record and the part of its spectrum."""
+        """Label that names a record and the frequency range of its spectrum."""
         return f"{self.record}, {self.place}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RepeatingPower:
-    """Spectral powers of the model error in a record with two periods. Powers of `e - c m` in the
-    lines of a record with two periods.
+    """Spectral powers of the model error, minus the disc's centre, in a record with two periods.
+    Powers of `e - c m` in its lines.
 
     `repeats` is the product of both periods, `measured` their mean power, noise included,
     `variance` that of `repeats`. `bands` holds the band of each line; `dark` says of each band
@@ -69,8 +69,8 @@ class RepeatingPower:
 
     @classmethod
     def from_record(cls, record: MismatchSpectrum, centre: float) -> "RepeatingPower":
-        """Power of mismatch and noise in each spectral line of a record with two periods. It
-        belongs to no band: friction leaves an offset that no disc bounds, since it stays where
+        """Power of model error and noise in each spectral line of a record with two periods. The
+        mean belongs to no band: friction leaves an offset that no disc bounds, since it stays where
         model and input have come to rest. Source: docs/trust.md, "Covered"."""
         first, second = record.deviation(centre)
         sides = record.sides
@@ -95,7 +95,8 @@ class RepeatingPower:
     def mismatch_power(
         self, lines: Bool[np.ndarray, "L"], *, is_doubtful: bool, is_dark: bool = False
     ) -> float:
-        """Power of the given lines that counts as mismatch, after the noise is subtracted."""
+        """Power of given spectral lines that counts as model error, after the noise is
+        subtracted."""
         if is_dark:
             return float(self.measured[lines].sum())
         error = SURE * np.sqrt(self.variance[lines].sum()) if is_doubtful else 0.0
@@ -110,7 +111,7 @@ class RepeatingPower:
         is_dark: bool = False,
         is_band: bool = False,
     ) -> Item:
-        """Combine spectral lines into one requirement on the weights."""
+        """Combine spectral lines to one requirement on the weights."""
         record = self.record
         return Item(
             record=record.name,
@@ -125,8 +126,8 @@ class RepeatingPower:
 
 
 def requirements_from_periods(record: MismatchSpectrum, centre: float, *, sure: bool) -> list[Item]:
-    """Requirements on the weights from the bands, groups of bands and total power of a record with
-    two periods. In one that is `sure` whatever repeats counts."""
+    """Requirements on the weights from a record with two periods: from its bands, groups of bands
+    and total power. In a `sure` record everything that repeats counts."""
     powers = RepeatingPower.from_record(record, centre)
     items = list[Item]()
     for band in np.flatnonzero(powers.has_lines):
@@ -143,7 +144,7 @@ def requirements_from_periods(record: MismatchSpectrum, centre: float, *, sure: 
 
 
 def _group_items(powers: RepeatingPower, size: int, *, is_doubtful: bool) -> list[Item]:
-    """Requirements of groups of `size` neighbouring bands."""
+    """Requirements from groups of neighbouring frequency bands, each of `size` bands."""
     items = list[Item]()
     for start in range(0, len(ANGLES), size):
         lines = (powers.bands >= start) & (powers.bands < start + size)
@@ -157,7 +158,7 @@ def _group_items(powers: RepeatingPower, size: int, *, is_doubtful: bool) -> lis
 
 
 def requirement_from_sine(record: MismatchSpectrum, centre: float) -> Item:
-    """Requirement on the weights from a single sine, at its line alone: all others are dark."""
+    """Requirement on the weights from a record of a single sine, at the line of the sine only."""
     powers = RepeatingPower.from_record(record, centre)
     line = np.arange(len(record.angles)) == 1 + int(record.input_power[1:].argmax())
     place = f"one sine at {float(record.angles[line][0]):.2f} rad/sample"
@@ -165,8 +166,8 @@ def requirement_from_sine(record: MismatchSpectrum, centre: float) -> Item:
 
 
 def requirements_from_average(record: AveragedSpectrum, centre: float) -> list[Item]:
-    """Requirements on the weights from each frequency bin of a record that does not repeat, and
-    from its total power."""
+    """Requirements on the weights from a record that does not repeat, one for each frequency bin
+    and one for the total power."""
     seen = record.deviation_power(centre)
     dark = record.input_power < EXCITED * record.input_power.mean()
     items = list[Item]()

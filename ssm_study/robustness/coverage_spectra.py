@@ -1,5 +1,5 @@
-"""Spectra of the mismatch in one record, from both periods where the input repeats, else by Welch's
-averages.
+"""Spectra of the model error in one record, from two periods where the input repeats, else by
+Welch's averages.
 
 `m` is the model's output for the record's input, `e = y - m` what it misses, all scaled. Source:
 docs/theory.md, "Measured discs".
@@ -39,7 +39,7 @@ class MismatchSpectrum:
     noise: Powers
 
     def deviation(self, centre: float) -> Complex[np.ndarray, "2 L p"]:
-        """Spectrum of the model error less the centre of the disc, in both periods."""
+        """Spectrum of the model error minus the centre of the disc, in both periods."""
         return self.error - centre * self.model
 
     @property
@@ -50,8 +50,8 @@ class MismatchSpectrum:
 
 @dataclass(frozen=True, kw_only=True)
 class AveragedSpectrum:
-    """Welch's powers of a record that does not repeat. `cross` is that of e with the model's
-    output, real part.
+    """Power spectra, by Welch's averages, of a record that does not repeat. `cross` is that of e
+    with the model's output, real part.
 
     `drawn` is the noise's share of e's power, and `sure` the factor by which an average may be off:
     zero and one in open loop, where noise counts as mismatch.
@@ -68,7 +68,8 @@ class AveragedSpectrum:
     sure: Powers
 
     def deviation_power(self, centre: float) -> Powers:
-        """Power of the model error less the centre of the disc in each bin, noise subtracted."""
+        """Power of the model error minus the centre of the disc in each frequency bin, with noise
+        subtracted."""
         power = self.error_power - 2 * centre * self.cross + centre**2 * self.model_power
         return self.sure * np.maximum(power - self.sure * self.drawn, 0.0)
 
@@ -96,7 +97,8 @@ def line_spectrum(run: RecordErrors, noise: Float[np.ndarray, "F"]) -> MismatchS
 
 
 def averaged_spectrum(run: RecordErrors) -> AveragedSpectrum:
-    """Welch's power spectra of a record in open loop. Its noise counts as mismatch."""
+    """Power spectra of a record in open loop, by Welch's averages. Its noise counts as model
+    error."""
     powers = _welch_powers(run)
     count = len(powers["angles"])
     return AveragedSpectrum(
@@ -107,9 +109,9 @@ def averaged_spectrum(run: RecordErrors) -> AveragedSpectrum:
 def averaged_spectrum_in_loop(
     run: RecordErrors, noise: Float[np.ndarray, "F"] | None
 ) -> AveragedSpectrum:
-    """Welch's power spectra of a record in closed loop, which the noise drives too. It is as
-    `noise` says, which records in open loop show; without any it is taken for white, as strong as e
-    in its quietest bands."""
+    """Power spectra of a record in closed loop, by Welch's averages, with the noise taken into
+    account. The noise is `noise` from records in open loop, else white and as strong as e in its
+    quietest bands."""
     powers = _welch_powers(run)
     angles = powers["angles"]
     samples = len(run.u)
@@ -129,7 +131,8 @@ def averaged_spectrum_in_loop(
 
 
 def _welch_powers(run: RecordErrors) -> dict[str, Powers]:
-    """Welch's power spectra of model, error and input of a record, and their cross powers."""
+    """Power spectra of model output, error and input of a record by Welch's averages, with their
+    cross powers."""
     segment = 2 * (len(ANGLES) - 1)
     even = max(min(segment, len(run.u)) // 2 * 2, 2)
     pairs = {

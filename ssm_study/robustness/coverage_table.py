@@ -1,5 +1,5 @@
-"""Coverage by frequency as a table: the radius that each band of the records needs, and the radius
-that is proved.
+"""Table of the coverage by frequency: the disc radius that each band of the records needs, and the
+radius that is proved.
 
 `coverage_table(premise, weights, centre, kappa)` has one row for every band of every record. Of a
 run, `measured_premise` (`study/stages/synthesis.py`) gives the premise and the certificate the
@@ -18,8 +18,8 @@ from ssm_study.robustness.coverage_items import Item
 
 @dataclass(frozen=True, kw_only=True)
 class CoverageBand:
-    """Row of the coverage table: measured and proved disc radius in one band of one record. One
-    band of one record beside the disc around `c m` that the proof allows there.
+    """Row of the coverage table: measured and proved disc radius in one frequency band of one
+    record. The disc is around `c m`.
 
     `record` names the record by its input's rms; `frequency` is the band's middle in rad/sample.
     `measured` is the deviation `|e - c m|` that the record shows and `proved_radius` the largest
@@ -41,8 +41,8 @@ class CoverageBand:
 def coverage_table(
     premise: Premise, weights: Weights, centre: float, kappa: float
 ) -> list[CoverageBand]:
-    """Tabulate the proved and the needed radius of the disc in every band of every record. Rows of
-    all bands, record by record, in the order of frequency.
+    """Rows with the proved and the needed disc radius in every frequency band of every record, in
+    the order of frequency.
 
     Groups of bands, means and totals have no row, so the largest `need` of the rows may be smaller
     than the need that `coverage` is taken over.
@@ -59,7 +59,7 @@ def coverage_table(
 def _band_row(
     band: Item, weights: Weights, kappa: float, need: float, *, decides: bool
 ) -> CoverageBand:
-    """Table row of one band, with its measured and its proved disc radius."""
+    """Row of the coverage table for one frequency band."""
     model_power = float(band.model_power.sum())
     measured = None
     proved_radius = None

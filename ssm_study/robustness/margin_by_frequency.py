@@ -1,4 +1,4 @@
-"""Stability margin at each frequency and amplitude, and the frequency that decides.
+"""Stability margin at each frequency and amplitude, and the frequency at which it is smallest.
 
 At one amplitude the smaller of two numbers counts, `max_w g |T_ue|` or `max_w g_r |T_ue| / |1 - M
 Q|` (`robustness.prediction`). The curve is the inverse of what stands below the maximum, for the
@@ -35,7 +35,8 @@ class MarginCurve:
 
 
 def margin_curves(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> list[MarginCurve]:
-    """Stability margin over frequency, one curve for each recorded amplitude, the smallest first.
+    """Stability margin over frequency, one curve for each recorded amplitude, the smallest
+    amplitude first.
 
     None where a loop of constant slopes is unstable: no frequency is to blame for a margin of zero.
     """
@@ -57,7 +58,7 @@ def margin_curves(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -
 def _counted_gain(
     condition: AmplitudeCondition, by_frequency: Float[np.ndarray, "F"], loop: LoopResponse
 ) -> Float[np.ndarray, "K"]:
-    """Loop gain of one amplitude at each angle, by the less conservative of the two stability
+    """Loop gain of one amplitude at each frequency, by the less conservative of two stability
     conditions."""
     plain = np.interp(loop.angles, ANGLES, by_frequency) * loop.size
     if condition.is_exempt:
@@ -71,8 +72,8 @@ def _counted_gain(
 
 
 class _WorstCurve:
-    """Largest loop gain over the slopes at each grid angle, and the largest of all with its
-    angle."""
+    """Largest loop gain over the slopes at each frequency of a grid, and the largest of all with
+    its frequency."""
 
     def __init__(self) -> None:
         self.gain = np.zeros(len(FINE_ANGLES))
@@ -80,7 +81,8 @@ class _WorstCurve:
         self.angle = float(FINE_ANGLES[0])
 
     def include_gain(self, angles: Float[np.ndarray, "K"], gain: Float[np.ndarray, "K"]) -> None:
-        """Update the worst loop gain at each frequency with that of one combination of slopes."""
+        """Include the loop gain of one combination of slopes in the largest loop gain at each
+        frequency."""
         on_grid = gain[np.searchsorted(angles, FINE_ANGLES)]
         self.gain = np.maximum(self.gain, on_grid)
         peak = int(np.argmax(gain))
@@ -89,7 +91,7 @@ class _WorstCurve:
             self.angle = float(angles[peak])
 
     def as_margin(self, amplitude: float | None) -> MarginCurve:
-        """Stability margin over frequency from the largest loop gain. The inverse: infinite
+        """Stability margin over frequency as the inverse of the largest loop gain. It is infinite
         where nothing was measured."""
         with np.errstate(divide="ignore"):
             margin = 1 / self.gain

@@ -1,5 +1,5 @@
-"""Mismatch between a plant and its model, `e = y - y_model`, as records show it at each amplitude,
-noise removed.
+"""Error between a plant and its model, `e = y - y_model`, as records show it at each amplitude,
+with noise removed.
 
 A closed loop maps `e` back to `u`; what it tolerates is `synthesis.prediction`. What a record shows
 of `e` holds where it has been, so there is one `View` for each amplitude:
@@ -103,26 +103,24 @@ class Mismatch:
 
     @property
     def seen(self) -> float:
-        """Largest gain from input to model error in any record. It bounds the incremental gain of
-        the mismatch from below."""
+        """Largest gain from input to model error in any record. It is a lower bound on the
+        incremental gain of the model error."""
         return max(view.gain for view in self.all_views) if self.comes_to_rest else float("inf")
 
     @property
     def all_views(self) -> tuple[View, ...]:
-        """Mismatch between plant and model at each recorded amplitude, and in closed loop.
-        The views, and what the trials in
-        closed loop show."""
+        """Model error at each recorded amplitude, and in closed loop."""
         return self.views if self.loop is None else (*self.views, self.loop)
 
     @property
     def by_frequency(self) -> Float[np.ndarray, "F"]:
-        """Gain of the mismatch in each frequency band, the larger of the largest amplitude and the
-        closed loop."""
+        """Gain of the model error in each frequency band, the larger of that at the largest
+        amplitude and that in closed loop."""
         largest = self.views[-1].by_frequency
         return largest if self.loop is None else np.maximum(largest, self.loop.by_frequency)
 
     def gain_at(self, angles: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
-        """Gain of the mismatch at given frequencies, interpolated between the bands."""
+        """Gain of the model error at given frequencies, interpolated between the bands."""
         return np.interp(angles, ANGLES, self.by_frequency)
 
 
@@ -132,7 +130,8 @@ def measure_mismatch(
     start_up_samples: int = 0,
     mismatch_records: Trajectories = (),
 ) -> Mismatch:
-    """Measure `e = y - y_model` in free run, scaled, on the validation and the mismatch records.
+    """Measure the model error, `e = y - y_model` in free run and scaled, on the validation and the
+    mismatch records.
 
     A single sine, of `excite --after`, raises the mismatch at its frequency alone (`single_sines`).
     With `start_up_samples` the initial state is estimated from them (`models.metrics`), and they do
@@ -180,9 +179,9 @@ def measure_mismatch(
 def _offsets_and_swings_at_rest(
     moving: list[RecordErrors], response: int
 ) -> tuple[list[float], list[float]]:
-    """Remaining offsets and oscillations of the output after the input has come to a constant
-    value. Offsets count above `AT_REST`, oscillations above `FAINT`: a decay may not show these,
-    since it starts elsewhere."""
+    """Offsets and oscillations of the output that remain after the input has become constant.
+    Offsets count above `AT_REST`, oscillations above `FAINT`: a decay may not show these, since it
+    starts elsewhere."""
     offsets = []
     swings = []
     for errors in moving:
@@ -197,12 +196,12 @@ def _offsets_and_swings_at_rest(
 
 
 def _larger_offsets(first: list[float], second: list[float]) -> list[float]:
-    """Choose, of two lists of measured offsets, the one with the larger maximum."""
+    """Choose the one of two lists of measured offsets that has the larger maximum."""
     return max(first, second, key=lambda offsets: max(offsets, default=0.0))
 
 
 def _unexcited_bands(errors: RecordErrors) -> tuple[float, ...]:
-    """Frequencies of the bands in which a record has no input power."""
+    """Frequencies of the bands in which the input of a record has no power."""
     power_u = welch_power_density([errors.u])
     is_dark = power_u < EXCITED * power_u.mean()
     return tuple(float(angle) for angle in ANGLES[: len(power_u)][is_dark])

@@ -1,5 +1,5 @@
-"""Prediction whether a certified design is stable on the plant, from the mismatch that the records
-show.
+"""Prediction of whether a certified design is stable on the plant, from the model error that the
+records show.
 
 Write the true output as `y = y_model + e`; the closed loop maps `e` back to `u` by `T_ue`
 (`robustness.sensitivity`). At each amplitude on record (`robustness.mismatch`) one of the first two
@@ -57,7 +57,8 @@ PEAK = 4.5  # standard deviations, which normal noise exceeds once in 150,000 sa
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
-    """Prediction of how a design behaves on the plant. Every table names its columns so (all -)."""
+    """Prediction of how a design behaves on the plant. Tables use the names of its fields as
+    columns (all -)."""
 
     mismatch_margin: float
     resolved_margin: float
@@ -65,14 +66,14 @@ class Prediction:
     noise_peak: float = 0.0
 
     def predicts_stability(self, margin: float = 1.0) -> bool:
-        """Whether every condition for stability on the plant holds, with a stability margin above a
-        given one."""
+        """Whether every condition for stability on the plant holds, with more than a given
+        stability margin."""
         return self.resolved_margin > margin and self.controller_radius < 1 and self.noise_peak < 1
 
 
 def predict(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> Prediction:
     """Predict the stability margins of one controller and observer on the plant. They are zero if
-    the loop is unstable at a slope, infinite without any mismatch."""
+    the loop is unstable at a slope, infinite without any model error."""
     peak = sensitivity_peak(model.system, pair, balls)
     total_gain = mismatch.gain * peak if np.isfinite(peak) else np.inf
     measure = robustness_measure(model, pair, balls, mismatch)
@@ -92,9 +93,9 @@ def robustness_measure(
     shared: Responses | None = None,
     refused: float = float("inf"),
 ) -> float:
-    """Robust-stability measure of a loop under the measured mismatch. The largest number that must
-    stay below one, over amplitudes, mixtures and slopes; infinite for an unstable loop. Its inverse
-    is the stability margin.
+    """Robust-stability measure of a loop under the measured model error, whose inverse is the
+    stability margin. The largest number that must stay below one, over amplitudes, mixtures and
+    slopes; infinite for an unstable loop.
 
     It is taken on `FINE_ANGLES`, or those of `shared`, where what pairs share is computed once (the
     same but for rounding), and at the angles of the loop's own modes, where it is sharpest. The
@@ -117,8 +118,8 @@ def robustness_measure(
 def loops_to_test(
     model: Model, pair: Gains, balls: Balls, mismatch: Mismatch
 ) -> Iterator[tuple[StateSpace, Gains, tuple[float, float], Mismatch]]:
-    """Closed loops at every combination of constant slopes, each with the mismatch that applies to
-    it."""
+    """Closed loops at every combination of constant slopes, each with the model error that applies
+    to it."""
     for met_balls, records in _group_by_amplitude(model, balls, mismatch):
         for linear, own_gains, slope_in, slope_out in slope_combinations(
             model.system, pair, met_balls
@@ -129,8 +130,8 @@ def loops_to_test(
 def _group_by_amplitude(
     model: Model, balls: Balls, mismatch: Mismatch
 ) -> list[tuple[Balls, Mismatch]]:
-    """Group the records by amplitude, each with the balls of slopes that its loops reach. The two
-    largest amplitudes and what was recorded in closed loop meet all slopes.
+    """Group the records by amplitude, each group with the balls of slopes that its loops reach. The
+    two largest amplitudes and closed-loop records are combined with all slopes.
 
     The smaller amplitudes, up to the second largest, speak of loops that swing no wider than its
     sinusoid, whose peak is `sqrt(2)` times its root mean square: of one S_u they meet the slopes
@@ -153,8 +154,8 @@ def _group_by_amplitude(
 
 @dataclass(frozen=True, kw_only=True)
 class LoopResponse:
-    """Closed-loop response from an output error to the input. `|T_ue|` at `angles (K,)` of one loop
-    of constant slopes, and `M` where there is one input and one output.
+    """Frequency response of a closed loop from an output error to the input. `|T_ue|` at `angles
+    (K,)` of one loop of constant slopes, and `M` where there is one input and one output.
 
     `gain_of_constants` is `sigma_max(I + M)` at rest.
     """
@@ -173,8 +174,8 @@ class LoopResponse:
         slopes: tuple[float, float],
         shared: Responses | None = None,
     ) -> "LoopResponse | None":
-        """Frequency responses of a closed loop for given gains and slopes; None if the loop is
-        unstable. None if the loop is unstable."""
+        """Frequency response of a closed loop for given gains and slopes; None if the loop is
+        unstable."""
         loop = sensitivity(linear, pair, *slopes)
         modes = np.linalg.eigvals(loop.a)
         if np.abs(modes).max() >= 1:
@@ -203,12 +204,12 @@ class LoopResponse:
         )
 
     def small_gain(self, by_frequency: Float[np.ndarray, "F"]) -> float:
-        """Small-gain product of the loop and a mismatch, the largest over frequency."""
+        """Small-gain product of the loop and a model error, the largest over frequency."""
         return float((np.interp(self.angles, ANGLES, by_frequency) * self.size).max())
 
     def return_difference(self, linear_part: Complex[np.ndarray, "F"]) -> Complex[np.ndarray, "K"]:
-        """Return difference of the loop when the linear part of the mismatch is closed into it. `1
-        - M Q`: the return difference of the linear part, closed into the loop."""
+        """Return difference of the loop after the linear part of the model error is closed into it,
+        `1 - M Q`."""
         real = np.interp(self.angles, ANGLES, linear_part.real)
         imaginary = np.interp(self.angles, ANGLES, linear_part.imag)
         assert self.through is not None
@@ -217,8 +218,8 @@ class LoopResponse:
     def gain_with_phase(
         self, linear_part: Complex[np.ndarray, "F"], remainder: Float[np.ndarray, "F"]
     ) -> float:
-        """Small-gain product of the nonlinear remainder, after the linear part of the mismatch is
-        closed into the loop. Infinite if `1 - M Q` winds around zero, so that its phase at pi is
+        """Small-gain product of the nonlinear remainder, after the linear part of the model error
+        is closed into the loop. Infinite if `1 - M Q` winds around zero, so that its phase at pi is
         not the one at 0."""
         if self.through is None:
             return float("inf")
@@ -232,7 +233,7 @@ class LoopResponse:
 
 @dataclass(frozen=True, kw_only=True)
 class AmplitudeCondition:
-    """Mismatch recorded at one input amplitude, and the gain of its small-gain condition."""
+    """Small-gain condition for the model error at one input amplitude, with its loop gain."""
 
     linear_part: Complex[np.ndarray, "F"]
     remainder: Float[np.ndarray, "F"]
@@ -243,8 +244,8 @@ class AmplitudeCondition:
 
     @classmethod
     def from_view(cls, view: View, loop: LoopResponse) -> "AmplitudeCondition":
-        """Evaluate the stability conditions of a loop for the mismatch at one amplitude. The
-        condition of one amplitude; where the plant held still no remainder counts."""
+        """Evaluate the stability conditions of a loop for the model error at one amplitude. Where
+        the plant did not move, no remainder counts."""
         held_still = view.response < HOLDS
         return cls(
             linear_part=view.linear,
@@ -254,13 +255,13 @@ class AmplitudeCondition:
         )
 
     def loop_gain(self, loop: LoopResponse) -> float:
-        """Loop gain of the mismatch at one amplitude, below one if stability is proved. The
-        smaller of two sufficient conditions: plain small gain, and small gain with a phase."""
+        """Loop gain of the model error at one amplitude, below one if stability is proved. It is
+        the smaller of two sufficient conditions: plain small gain, and small gain with a phase."""
         return min(self.small_gain, loop.gain_with_phase(self.linear_part, self.remainder))
 
 
 def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
-    """Largest loop gain of the mismatch over all recorded amplitudes. Below one the loop is
+    """Largest loop gain of the model error over all recorded amplitudes. Below one, the loop is
     predicted to be stable.
 
     At one amplitude the smaller of two sufficient conditions counts. A loop may also swing between
@@ -281,8 +282,8 @@ def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
 
 
 def _needs_mixtures(smaller: AmplitudeCondition, larger: AmplitudeCondition, gain: float) -> bool:
-    """Whether a limit cycle may lie between two amplitudes. They do not both pass by small gain,
-    and an infinite gain has not decided already."""
+    """Whether a limit cycle may exist between two recorded amplitudes. This is open where not both
+    pass by small gain and no infinite gain has decided already."""
     pass_by_small_gain = max(smaller.small_gain, larger.small_gain) < max(gain, 1.0)
     both_exempt = smaller.is_exempt and larger.is_exempt
     return bool(not pass_by_small_gain and np.isfinite(gain) and not both_exempt)
@@ -291,7 +292,7 @@ def _needs_mixtures(smaller: AmplitudeCondition, larger: AmplitudeCondition, gai
 def _largest_interpolated_gain(
     smaller: AmplitudeCondition, larger: AmplitudeCondition, loop: LoopResponse
 ) -> float:
-    """Largest small-gain bound over mixtures of the mismatch at two neighbouring amplitudes."""
+    """Largest small-gain bound over mixtures of the model error at two neighbouring amplitudes."""
     gains = []
     for share in MIXTURES:
         linear_part = (1 - share) * smaller.linear_part + share * larger.linear_part
@@ -301,9 +302,9 @@ def _largest_interpolated_gain(
 
 
 def noise_peak(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> float:
-    """Largest output amplitude that the measured sensor noise causes around the equilibrium. The
-    peak of what the noise does to the output at rest, in bands of settling; zero where the noise
-    was not measured, or the plant holds still under that input."""
+    """Largest output amplitude that the measured sensor noise causes around the equilibrium. It is
+    in units of the settling band; zero if the noise was not measured, or the plant does not move
+    under that input."""
     if not mismatch.noise:
         return 0.0
     linear, own_gains = _at_equilibrium_slopes(model, pair, balls)
@@ -322,7 +323,7 @@ def noise_peak(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> f
 
 
 def _at_equilibrium_slopes(model: Model, pair: Gains, balls: Balls) -> tuple[StateSpace, Gains]:
-    """Linear recurrence and gains that result with the neurons' slopes at the equilibrium."""
+    """Linear recurrence and gains at the neurons' slopes in the equilibrium."""
     slopes = None
     if isinstance(model, StructuredSSM):
         slopes = evaluate_activations(model.neurons, model.bias, "slope")[None]

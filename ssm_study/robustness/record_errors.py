@@ -1,4 +1,5 @@
-"""Errors of the model in one record, and the mismatch that they show at one amplitude of the input.
+"""Errors of the model in one record, and the model error that they show at one amplitude of the
+input.
 
 Two periods of one input tell what repeats from noise; of an input that does not repeat there are
 Welch's averages, in which noise counts as mismatch; a trial in closed loop has its own rule.
@@ -43,8 +44,8 @@ Spectra = tuple[
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """Mismatch between plant and model in the records of one input amplitude. See the module for
-    `linear` (Q) and `rest`, both at `ANGLES`.
+    """Model error in the records of one input amplitude. See the module for `linear` (Q) and
+    `rest`, both at `ANGLES`.
 
     `amplitude` is the input's rms; `response` the output's power over the model's, one where they
     agree, zero where the plant holds still.
@@ -60,9 +61,9 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordErrors:
-    """Free-run errors of the model on one record. One record: scaled input, the model's output,
-    what it misses; `period` samples repeat from `start`, twice. `moving`: the input, and
-    measured disturbances beside it; `name` tells the record by its input's rms."""
+    """Free-run errors of the model on one record: scaled input, model output and error. `period`
+    samples repeat from `start`, twice. `moving`: the input, and measured disturbances beside it;
+    `name` tells the record by its input's rms."""
 
     name: str
     moving: Float[np.ndarray, "T j"]
@@ -108,8 +109,8 @@ class RecordErrors:
         return float((self.u**2).mean())
 
     def spread(self) -> float:
-        """Standard error of the logarithm of a record's gain from input to model error. It follows
-        from the deviation among `BLOCKS` pieces."""
+        """Standard error of the logarithm of a record's gain from input to model error, from the
+        deviation among `BLOCKS` pieces."""
         errors = np.array_split(self.e, BLOCKS)
         inputs = np.array_split(self.u, BLOCKS)
         ratios = []
@@ -128,15 +129,16 @@ class RecordErrors:
         return np.asarray(np.fft.rfft(pieces.reshape(2, self.period, -1), axis=1))
 
     def spectra(self) -> Spectra:
-        """Fourier transforms of both periods of e, and of input and model over the second."""
+        """Fourier transforms of both periods of the error, and of input and model output in the
+        second period."""
         return self.periods(self.e), self.periods(self.u)[1], self.periods(self.model)[1]
 
 
 def open_loop_errors(
     model: Model, validation: Trajectories, trials: Trajectories, start_up_samples: int
 ) -> list[RecordErrors]:
-    """Errors of the model in every record in open loop. Returns to a constant input are not among
-    them."""
+    """Errors of the model in every record in open loop, except records that return to a constant
+    input."""
     records = [*validation]
     for trial in trials:
         if not trial.closed_loop and not is_return_to_rest(trial):
@@ -147,8 +149,8 @@ def open_loop_errors(
 def moving_loop_errors(
     model: Model, trials: Trajectories, start_up_samples: int
 ) -> list[RecordErrors]:
-    """Model errors in closed-loop trials that keep moving, without the samples that estimate the
-    initial state."""
+    """Errors of the model in closed-loop records that keep moving, without the samples that
+    estimate the initial state."""
     loops = []
     for trial in trials:
         if trial.closed_loop:
@@ -161,14 +163,14 @@ def moving_loop_errors(
 
 
 def unscored_samples(trial: Trajectory, start_up_samples: int) -> int:
-    """Number of first samples of a closed-loop record that serve to estimate its initial state. It
-    is a third, `IN_LOOP` at most."""
+    """Number of samples at the beginning of a closed-loop record by which its initial state is
+    estimated. It is a third, `IN_LOOP` at most."""
     return max(start_up_samples, min(int(IN_LOOP[0] * len(trial)), IN_LOOP[1]))
 
 
 def mismatch_from_averages(records: list[RecordErrors]) -> View:
-    """Mismatch from records whose input does not repeat, by averaged spectra. Noise counts as
-    mismatch, and nothing is split off."""
+    """Model error from records whose input does not repeat, by averaged spectra. Noise counts as
+    model error, and no linear part is separated."""
     inputs = [record.u for record in records]
     errors = [record.e for record in records]
     input_energy = float(sum((u**2).sum() for u in inputs))
@@ -187,7 +189,7 @@ def mismatch_from_averages(records: list[RecordErrors]) -> View:
 def _mismatch_from_total_gain(
     records: list[RecordErrors], resolved: Float[np.ndarray, "F"], gain: float
 ) -> View:
-    """Mismatch from records for which only the total gain of the error is known."""
+    """Model error from records that only show the total gain of the error."""
     amplitude = float(np.sqrt(np.mean(np.concatenate([r.u for r in records]) ** 2)))
     linear = np.zeros(len(ANGLES), dtype=complex)
     return View(amplitude=amplitude, gain=gain, by_frequency=resolved, linear=linear, rest=resolved)
@@ -196,8 +198,8 @@ def _mismatch_from_total_gain(
 def mismatch_in_closed_loop(
     records: list[RecordErrors], noise: Float[np.ndarray, "F"] | None
 ) -> View:
-    """Largest mismatch in any trial in closed loop. A large swing would hide a small one in their
-    mean."""
+    """Largest model error in any closed-loop record. A mean would hide a small one behind a large
+    one."""
     gains = [_closed_loop_gains(record, noise) for record in records]
     by_frequency = np.max([resolved for resolved, _ in gains], axis=0)
     total = max(gain for _, gain in gains)
@@ -234,7 +236,7 @@ def _closed_loop_gains(
 
 def estimate_noise(records: list[RecordErrors]) -> Float[np.ndarray, "F"]:
     """Noise power in each frequency band, from the difference of repeated periods. It is the same
-    at all amplitudes, so the median of the records serves all."""
+    at all amplitudes, so that the median over the records is used."""
     powers = []
     for record in records:
         first, second = record.spectra()[0]
@@ -243,7 +245,7 @@ def estimate_noise(records: list[RecordErrors]) -> Float[np.ndarray, "F"]:
 
 
 def mismatch_from_periods(record: RecordErrors, sure: bool, noise: Float[np.ndarray, "F"]) -> View:
-    """Mismatch from a record with two equal periods, whose difference is noise. With two periods
+    """Model error from a record with two equal periods, whose difference is noise. With two periods
     `E_1, E_2`, `Re(E_1 conj E_2)` is the power that repeats, without bias: noise is independent.
 
     In a band that the input does not excite nothing is subtracted: the gain is the one measured,
@@ -289,8 +291,8 @@ def mismatch_from_periods(record: RecordErrors, sure: bool, noise: Float[np.ndar
 def _linear_part(
     error: Complex[np.ndarray, "K p"], model: Complex[np.ndarray, "K p"]
 ) -> Complex[np.ndarray, "F"]:
-    """Linear part of the mismatch in each band, `S_(e, y_model) / S_(y_model)`. The error e is the
-    mean of both periods, which halves the noise's variance."""
+    """Linear part of the model error in each band, `S_(e, y_model) / S_(y_model)`. The error e is
+    the mean of both periods, which halves the noise's variance."""
     cross = (error * model.conj()).sum(axis=1)
     banded_cross = band_means(cross.real) + 1j * band_means(cross.imag)
     return safe_ratio(banded_cross, band_means(total_power(model)))

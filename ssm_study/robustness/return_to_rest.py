@@ -1,4 +1,4 @@
-"""Remaining offset and oscillation of the output after the input has become constant.
+"""Offset and oscillation of the output that remain after the input has become constant.
 
 Returns on which the model was trained count too: nothing here asks it. At the equilibrium's input
 an output should rest at the equilibrium; at another, each return is compared with the mean of the
@@ -26,8 +26,8 @@ SAME_INPUT = 6  # digits of the scaled input in which two rests agree
 
 
 def is_return_to_rest(record: Trajectory) -> bool:
-    """Whether a record's input moves once at the beginning and is constant from then on. Measured
-    disturbances are, too (`data.splits.rest_segments`)."""
+    """Whether a record's input moves once at the beginning and is constant from then on. The same
+    holds for measured disturbances (`data.splits.rest_segments`)."""
     if len(record) <= FEWEST:
         return False
     moving = record.inputs_and_disturbances
@@ -39,7 +39,7 @@ def is_return_to_rest(record: Trajectory) -> bool:
 def offsets_after_returns(
     scale: Scale, records: list[Trajectory], response: int
 ) -> tuple[list[float], list[float]]:
-    """Oscillations and offsets of the output that remain after the input has returned to a constant
+    """Offsets and oscillations of the output that remain after the input has returned to a constant
     value.
 
     Returns count that outlast the model's response; without any, all that came to rest from `FAR`
@@ -65,8 +65,8 @@ def offsets_after_returns(
 
 
 def equilibrium_spread(scale: Scale, records: list[Trajectory]) -> float:
-    """Largest distance between the final outputs of records that return to the same constant input.
-    It is zero if one still moves there."""
+    """Largest distance between the final outputs of records that return to the same constant input;
+    zero if one is still moving."""
     offsets = list[float]()
     for outputs in _group_by_input(scale, records).values():
         if max(map(oscillation_amplitude, outputs)) < AT_REST:
@@ -88,15 +88,15 @@ def _group_by_input(
 
 
 def _starts_far_from_rest(outputs: list[Float[np.ndarray, "T p"]]) -> bool:
-    """Whether an output starts far from where it ends."""
+    """Whether an output begins far from its final value."""
     ends = [_last_quarter(y)[0].mean(axis=0) for y in outputs]
     distances = [np.abs(y[0] - end).max() for y, end in zip(outputs, ends, strict=True)]
     return any(distance >= FAR for distance in distances)
 
 
 def _distances_from_rest(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[float]:
-    """Distance of each final output from the equilibrium, or from the mean of the others, noise
-    removed."""
+    """Distance of each final output from the equilibrium, or from the mean of the others, with
+    noise removed."""
     tails = [_last_quarter(y) for y in outputs]
     means = np.stack([tail.mean(axis=0) for tail, _ in tails])
     spread = np.stack([noise / len(tail) for tail, noise in tails])
@@ -114,8 +114,8 @@ def _distances_from_rest(outputs: list[Float[np.ndarray, "T p"]], *, centred: bo
 def output_after_motion(
     u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int
 ) -> Float[np.ndarray, "K p"]:
-    """Part of an output after the last motion of the input has died out. Empty unless that outlasts
-    the response."""
+    """Part of an output after the effect of the input's last motion has died out; empty unless the
+    record is that long."""
     nothing = y[:0]
     if not u.any():
         return nothing
@@ -127,7 +127,7 @@ def output_after_motion(
 
 def remaining_offset(y: Float[np.ndarray, "T p"]) -> float:
     """Larger of offset and oscillation of an output in the last quarter of a record at constant
-    input, noise removed."""
+    input, with noise removed."""
     tail, noise = _last_quarter(y)
     standard_error = np.sqrt(noise / len(tail))
     offset = np.abs(tail.mean(axis=0)) - SURE * standard_error
@@ -146,8 +146,8 @@ def oscillation_amplitude(y: Float[np.ndarray, "T p"]) -> float:
 def _last_quarter(
     y: Float[np.ndarray, "T p"],
 ) -> tuple[Float[np.ndarray, "K p"], Float[np.ndarray, "p"]]:
-    """Last quarter of an output at constant input, and the variance of its noise. It is the mean of
-    `median(S) / ln 2`, each over `NEIGHBOURS` lines.
+    """Last quarter of an output at constant input, and the variance of its noise. The variance is
+    the mean of `median(S) / ln 2`, each over `NEIGHBOURS` lines.
 
     A swing, of any frequency, is a line of the periodogram S, and moves no median; noise that a
     loop has fed back and coloured is broad, and does. The relative variance is about 6/T, that of

@@ -1,5 +1,5 @@
-"""Response of the closed loop to an output error: transfer function, its peaks, and the poles of
-the controller alone.
+"""Response of a closed loop to an output error: transfer function, its peaks, and the poles of the
+controller alone.
 
 With `y = y_model + e` and `u = K xh`, `J_u` and `J_y` in the balls of Jacobians (D cancels),
 
@@ -41,7 +41,7 @@ def slopes_to_test(ball: JacobianBall) -> tuple[float, ...]:
 def slope_combinations(
     system: System, pair: Gains, balls: Balls, at: Float[np.ndarray, "k q"] | None = None
 ) -> Iterator[End]:
-    """Linear systems and gains at all combinations of extreme slopes of maps and neurons. Those of
+    """Linear systems and gains at all combinations of extreme slopes of maps and neurons. Slopes of
     neurons are at the corners unless given (`at`), where L is `L + E S L_z`."""
     slopes_in = slopes_to_test(balls.input)
     slopes_out = slopes_to_test(balls.output)
@@ -68,7 +68,7 @@ def _freeze_neurons(
 
 def sensitivity(linear: StateSpace, pair: Gains, slope_in: float, slope_out: float) -> StateSpace:
     """Closed-loop transfer function from an output error to the input at constant slopes. `T_ue`
-    at constant slopes, from `e (p)` to `u (m)`, state `(x, eps, z)`, z of the internal model."""
+    from `e (p)` to `u (m)`, state `(x, eps, z)`, z of the internal model."""
     order, outputs = pair.l.shape
     modes = pair.modes
     on_state = pair.k[:, :order]
@@ -93,7 +93,7 @@ def sensitivity(linear: StateSpace, pair: Gains, slope_in: float, slope_out: flo
 def noise_response(
     linear: StateSpace, pair: Gains, slope_in: float, slope_out: float
 ) -> StateSpace:
-    """Transfer function at constant slopes from a sensor's noise to the model's true output."""
+    """Transfer function from a sensor's noise to the model's true output, at constant slopes."""
     loop = sensitivity(linear, pair, slope_in, slope_out)
     outputs = len(linear.c)
     of_errors = np.zeros((outputs, loop.order - linear.order))
@@ -105,7 +105,7 @@ def noise_response(
 
 def noise_gain(system: System, pair: Gains, balls: Balls) -> float:
     """Largest gain from a sensor's noise to the model's output, over all frequencies and constant
-    slopes. Infinite if one of these loops is unstable.
+    slopes; infinite if one of these loops is unstable.
 
     A number of the model, not a claim: slopes that vary may do more, and white noise does less.
     """
@@ -113,14 +113,14 @@ def noise_gain(system: System, pair: Gains, balls: Balls) -> float:
 
 
 def sensitivity_peak(system: System, pair: Gains, balls: Balls) -> float:
-    """Largest gain of the closed loop from an output error to the input. `max ||T_ue||_inf` over
-    the slopes of balls and neurons; infinite if one of these loops is unstable."""
+    """Largest gain of the closed loop from an output error to the input, over frequency and
+    constant slopes. `max ||T_ue||_inf`; infinite if one of these loops is unstable."""
     return max(hinf_norm(sensitivity(*end)) for end in slope_combinations(system, pair, balls))
 
 
 def controller_radius(system: System, pair: Gains, balls: Balls) -> Float[np.ndarray, "*pairs"]:
-    """Largest spectral radius of each controller by itself, over the slopes. Its internal model is
-    left out.
+    """Spectral radius of each controller alone, the largest over constant slopes. The internal
+    model is left out.
 
     While the plant holds still (friction holds it, its actuator saturates), `y = y*` and the
     controller runs alone: `xh+ = (A + B J_u K_x + L J_y (C + D J_u K_x)) xh`. At or above one, rest
@@ -141,8 +141,8 @@ def controller_radius(system: System, pair: Gains, balls: Balls) -> Float[np.nda
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Responses:
-    """Cached frequency responses for many pairs of controllers and observers. `T_ue` of pairs of
-    many controllers and observers at `angles`; what pairs share is computed once.
+    """Cached frequency responses for many pairs of controllers and observers, at `angles`. What
+    pairs share is computed once.
 
     `T_ue = (I - J_u F G)^{-1} (K_z Z - K_x (z I - A - L J_y C)^{-1} L)`, `F = K_x + K_z Z J_y C`,
     `G = (z I - A)^{-1} B`, `Z = (z I - A_z)^{-1} E` (integrators: `1 / (z - 1)`), separates a pair
@@ -155,7 +155,7 @@ class Responses:
     def state_response(
         self, a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n k"]
     ) -> Complex[np.ndarray, "F n k"]:
-        """Frequency response from input to state, cached for the next pair of gains."""
+        """Frequency response from input to state, cached for further pairs of gains."""
         key = a.tobytes() + b.tobytes()
         if key not in self.known:
             system = StateSpace(a=a, b=b, c=np.eye(len(a)), d=np.zeros_like(b))
@@ -170,7 +170,7 @@ class Responses:
         ls: list[Float[np.ndarray, "n p"]],
         *slope: float,
     ) -> Complex[np.ndarray, "O F m p"]:
-        """Frequency response of the loop with one controller and each of several observers."""
+        """Frequency responses of the loops of one controller with each of several observers."""
         slope_in, slope_out = slope
         order = linear.order
         outputs = ls[0].shape[1]
@@ -197,9 +197,9 @@ def peaks_on_grid(
     l_zs: Float[np.ndarray, "O q p"] | None = None,
     internal: Float[np.ndarray, "z z"] | None = None,
 ) -> Float[np.ndarray, "C O"]:
-    """Peak sensitivity of every pair of controller and observer on a frequency grid. The largest
-    `weight sigma_max(T_ue)` on a grid, for every pair, over the neurons' slopes 0, 1/2 and 1, all
-    alike.
+    """Largest gain from an output error to the input on a frequency grid, for every pair of
+    controller and observer. It is `weight sigma_max(T_ue)`, over the neurons' slopes 0, 1/2 and 1,
+    all alike.
 
     From below: a peak between two frequencies is missed, an unstable loop is not seen.
     """
@@ -222,7 +222,7 @@ def peaks_on_grid(
 def largest_singular_values(
     response: Complex[np.ndarray, "*many m p"],
 ) -> Float[np.ndarray, "*many"]:
-    """Largest singular value of each matrix of a stack."""
+    """Largest singular value of each matrix in a stack."""
     if response.shape[-1] == response.shape[-2] == 1:
         return np.asarray(np.abs(response[..., 0, 0]))  # one channel needs no singular values
     return np.linalg.norm(response, ord=2, axis=(-2, -1))

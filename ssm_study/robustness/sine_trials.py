@@ -1,5 +1,5 @@
-"""Single-sine experiments where a loop is most sensitive, for a mismatch that a broadband record
-hides.
+"""Single-sine experiments at frequencies where a loop is most sensitive, for model errors that a
+broadband record hides.
 
 A loop that swings does so at one frequency, near a peak of `|T_ue|`, at an amplitude of its own. A
 broadband record spreads its power over all lines and jitters a steep static curve, so the gain that
@@ -30,8 +30,8 @@ FEWEST_LINES = 4  # periods of the sine in one period of the record, at least
 
 
 def peak_angles(model: Model, pair: Gains, balls: Balls) -> list[float]:
-    """Frequencies (rad/sample) of the local peaks of `|T_ue|` over all frozen slopes, the largest
-    first."""
+    """Frequencies (rad/sample) of the local peaks of the loop's sensitivity over all constant
+    slopes, the largest first. The sensitivity is `|T_ue|`."""
     size = np.zeros(len(FINE_ANGLES))
     for end in slope_combinations(model.system, pair, balls):
         response = frequency_response(sensitivity(*end), FINE_ANGLES)
@@ -43,8 +43,8 @@ def peak_angles(model: Model, pair: Gains, balls: Balls) -> list[float]:
 
 
 def peak_lines(model: Model, pair: Gains, balls: Balls, period: int) -> list[int]:
-    """Frequencies for single-sine experiments, as lines of a period: the largest peaks of
-    `|T_ue|`."""
+    """Frequencies for single-sine experiments, where the loop's sensitivity is largest. They are
+    lines of a period, at peaks of `|T_ue|`."""
     lines: list[int] = []
     for angle in peak_angles(model, pair, balls):
         line = int(np.rint(angle * period / (2 * np.pi)))
@@ -57,7 +57,7 @@ def peak_lines(model: Model, pair: Gains, balls: Balls, period: int) -> list[int
 def measure_sine_mismatch(
     model: Model, records: Trajectories, mismatch: Mismatch, period: int
 ) -> list[SineMismatch]:
-    """Measure the mismatch at the sine's frequency in each single-sine record."""
+    """Measure the model error in each single-sine record, at the frequency of its sine."""
     noise = np.array(mismatch.noise)
     sines = []
     for record in records:
@@ -68,5 +68,5 @@ def measure_sine_mismatch(
 
 
 def add_sines(mismatch: Mismatch, sines: Sequence[SineMismatch]) -> Mismatch:
-    """Add the mismatch measured with single sines to that of the broadband records."""
+    """Add the model errors measured with single sines to that of the broadband records."""
     return replace(mismatch, views=views_with_sines(mismatch.views, sines))

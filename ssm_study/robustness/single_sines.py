@@ -1,4 +1,4 @@
-"""Mismatch measured with a single sine, one line of a record that has the whole power.
+"""Model error measured with a single sine, which has the whole power of a record at one frequency.
 
 Of two periods `E_1, E_2` at that line
 
@@ -25,8 +25,8 @@ SAME = 1e-9  # of a sine's range, by which two of its cycles may differ
 
 @dataclass(frozen=True, kw_only=True)
 class SineMismatch:
-    """Mismatch measured with a single sine. Upper limit `gain` of the mismatch over the input at
-    one `angle` (rad/sample) and one `amplitude`, the input's rms (scaled)."""
+    """Model error measured with a single sine. `gain` is an upper limit of error over input at one
+    `angle` (rad/sample) and one `amplitude`, the input's rms (scaled)."""
 
     angle: float
     amplitude: float
@@ -34,7 +34,8 @@ class SineMismatch:
 
 
 def repeats_one_line(errors: RecordErrors) -> bool:
-    """Whether one line holds nearly all the power with which a record's input repeats."""
+    """Whether the part of a record's input that repeats has nearly all its power at one
+    frequency."""
     if errors.period is None:
         return False
     drive = (np.abs(errors.periods(errors.u)[1][1:]) ** 2).sum(axis=1)
@@ -42,8 +43,8 @@ def repeats_one_line(errors: RecordErrors) -> bool:
 
 
 def steady_sines(records: Sequence[RecordErrors]) -> list[RecordErrors]:
-    """Errors in those records that move by a single sine alone, cut where it ends; their period is
-    as long as leaves a third of the sine to settle."""
+    """Model errors in those records whose input is a single sine, cut at its end. Their period is
+    such that a third of the sine remains for settling."""
     sines = []
     for errors in records:
         if not repeats_one_line(errors):
@@ -64,8 +65,8 @@ def steady_sines(records: Sequence[RecordErrors]) -> list[RecordErrors]:
 
 
 def measure_sine(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> SineMismatch:
-    """Mismatch at the strongest line of the two periods of a record. `noise` is a sample's power in
-    each band."""
+    """Model error at the strongest frequency of the two periods of a record. `noise` is a sample's
+    power in each band."""
     assert errors.period is not None
     drive = (np.abs(errors.periods(errors.u)[1]) ** 2).sum(axis=1)
     line = 1 + int(drive[1:].argmax())
@@ -82,8 +83,9 @@ def measure_sine(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> SineMis
 
 
 def views_with_sines(views: Sequence[View], sines: Sequence[SineMismatch]) -> tuple[View, ...]:
-    """Add the mismatch measured with single sines to the views of the nearest amplitude. Sines well
-    below the smallest amplitude get a view of their own, which else equals the smallest one's."""
+    """Add the model errors measured with single sines to those of the nearest amplitude. Sines well
+    below the smallest amplitude get an entry of their own, which otherwise equals the smallest
+    amplitude's."""
     raised = list(views)
     smallest = raised[0]
     below = [sine for sine in sines if sine.amplitude < smallest.amplitude / 2]
@@ -98,7 +100,8 @@ def views_with_sines(views: Sequence[View], sines: Sequence[SineMismatch]) -> tu
 
 
 def with_sine(view: View, sine: SineMismatch) -> View:
-    """Raise the gain of a mismatch near the frequency of one sine, where the sine shows more."""
+    """Raise the gain of a model error near the frequency of a single sine where the sine shows a
+    larger one."""
     above = int(np.searchsorted(ANGLES, sine.angle))
     bands = [max(above - 1, 0), min(above, len(ANGLES) - 1)]
     recorded_gain = float(np.interp(sine.angle, ANGLES, view.by_frequency))

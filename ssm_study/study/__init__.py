@@ -1,5 +1,5 @@
-"""Stages of a study from data to record, and the checks of finished runs; called as a function, the
-module is `cli.from_python.study`."""
+"""Stages of a study from data to record, and the checks of finished runs. Called as a function, the
+module runs a study (`cli.from_python.study`)."""
 
 import sys
 from importlib import import_module
@@ -8,8 +8,8 @@ from typing import Any
 
 
 class _Room(ModuleType):
-    """Module type whose instances can be called as a function, so that `st.study(...)` works beside
-    the package `st.study`."""
+    """Module type whose instances can be called as a function, so that `st.study(...)` works
+    although `st.study` is a package."""
 
     def __call__(self, *overrides: str) -> Any:
         """Run a study with these overrides, as `cli.from_python.study` does."""

@@ -1,5 +1,5 @@
-"""Allow list of classes that a configuration may instantiate, so that a stranger's configuration
-cannot run a program."""
+"""List of the classes that a configuration may construct, so that a stranger's configuration cannot
+run a program."""
 
 import re
 from importlib.util import find_spec
@@ -70,7 +70,7 @@ def refuse_foreign_targets(config: DictConfig) -> None:
 
 
 def _refuse_in_task(tree: Any) -> None:
-    """Raise `BadRequest` for a forbidden target in the settings of the task."""
+    """Raise `BadRequest` for a forbidden class in the settings of the task."""
     problem = "this interpolation reads the environment or builds configuration from text"
     for path, key, value in walk_nodes(tree):
         if key == "_target_" and (gone := withdrawn_target(value)):

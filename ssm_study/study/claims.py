@@ -1,4 +1,4 @@
-"""Checks of a run's claims, section by section: columns and findings derived again from its files
+"""Checks of a run's claims, section by section. Columns and findings are recomputed from its files
 and its configuration.
 
 Each section is a function of the run that yields `Checked` (a claim that holds or does not),
@@ -86,7 +86,7 @@ def check_files(run: RunFiles) -> Claims:
 
 
 def find_foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Checked]:
-    """Findings on files of the run that are missing, unsealed or written by no stage."""
+    """Findings on files of the run that are missing, not sealed, or written by no stage."""
     needed = {CONFIGURATION, "model.json", "validation.mcap", "test.mcap", "excitation.mcap"}
     stages: tuple[Stage[Any], ...] = STAGES_OF_A_BASELINE
     if run.claims_certificate:
@@ -111,7 +111,7 @@ def find_foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Ch
 
 
 def list_files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
-    """Files and entries that no check derives again, each with the reason."""
+    """Files and entries that no check recomputes, each with the reason."""
     yield NotChecked({"runs.parquet, runs.csv, report.html, figures and exports": MADE_OF_RUNS})
     repeated = ("training_curve.json, choice.json", "certificate.json seconds, solver_status")
     reasons = dict.fromkeys(repeated, NOT_REPEATED)
@@ -124,8 +124,8 @@ def list_files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
 
 
 def check_settings(run: RunFiles) -> Claims:
-    """Check that the recorded settings are those of the configuration, and that the run's name is
-    their hash."""
+    """Check that the recorded settings are those of the configuration, and that the run's name
+    contains their hash."""
     name = str(run.config.run)
     hashed = run_name(run.config)  # what a name shows before its hash is the user's choice
     expected = name if name.endswith(hashed) else f"...-{hashed}"
@@ -151,8 +151,8 @@ def check_settings(run: RunFiles) -> Claims:
 
 
 def check_folder_name(folder: Path, name: str) -> Checked:
-    """Check that the run's folder has the name that its record gives, so that a run counts once in
-    its study."""
+    """Check that the run's folder has the name in its record, so that each run counts once in its
+    study."""
     study = folder.parent
     is_in_a_study = (study / PARQUET).exists() or (study / name).exists()
     if folder.name == name or not is_in_a_study:
@@ -168,7 +168,7 @@ def check_status(run: RunFiles) -> Claims:
 
 
 def check_records(run: RunFiles) -> Claims:
-    """Check that the records are those of the configuration, simulated or read again.
+    """Check that the records are those of the configuration, by simulating or reading them again.
 
     A recording of somebody else's may be elsewhere by now: then what follows from it is not
     checked.
@@ -191,7 +191,7 @@ def check_records(run: RunFiles) -> Claims:
 
 
 def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
-    """Check the columns and recordings that follow from the records of the data set."""
+    """Check the columns and recordings that are computed from the records of the data set."""
     with warnings.catch_warnings(action="ignore"):  # the warning is a column
         yield Derived(data_metrics.data_columns(records))
     yield Derived({"fit_train_percent": records_fit_percent(run.model, records.training, records)})
@@ -227,7 +227,8 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
 
 
 def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, Any]]:
-    """Stored inputs and disturbances of the training records, each with the recomputed ones."""
+    """Stored inputs and disturbances of the training records, each paired with the recomputed
+    one."""
     inputs = [record.u for record in records.training]
     pairs = label_pairs(run.inputs, inputs, "u ")
     made = [record.d for record in records.training if record.d is not None]
@@ -240,14 +241,14 @@ def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, An
 def label_pairs(
     stored: Sequence[Any], made: Sequence[Any], word: str = ""
 ) -> dict[str, tuple[Any, Any]]:
-    """Label pairs of stored and recomputed values by a word and their number."""
+    """Name each pair of a stored and a recomputed value by a common word and a running number."""
     pairs = zip(stored, made, strict=True)
     return {f"{word}{number}": pair for number, pair in enumerate(pairs)}
 
 
 def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checked]:
-    """Check that the free runs of a split start from the kind of initial state that the record says
-    was chosen.
+    """Check that the free runs of one part of the data begin with the kind of initial state that
+    the record names.
 
     Records of 0.1 know no choice: they begin with the first samples.
     """
@@ -270,7 +271,7 @@ def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[
 
 
 def check_model(run: RunFiles) -> Claims:
-    """Check the proved properties of the stored model, and that its sampling time is that of the
+    """Check the proved properties of the stored model, and that its sampling time agrees with the
     records."""
     if run.claims_certificate:
         yield Derived(model_bound_columns(run.model) | size_columns(run.model))
@@ -330,7 +331,7 @@ def check_loops(run: RunFiles) -> Claims:
 
 
 def check_textbook_pi(run: RunFiles) -> Claims:
-    """Check the PI controller that the textbook's rule tunes on the stored model, by running it
+    """Check the PI controller that a textbook rule gives for the stored model, by simulating it
     again on the configured plant."""
     specification = run.specification
     fitted = specification.loop.with_default_horizon(run.model)
@@ -340,7 +341,7 @@ def check_textbook_pi(run: RunFiles) -> Claims:
 
 
 def check_loop_files(run: RunFiles) -> Iterator[Checked]:
-    """Check that the recordings of loops exist where a loop was closed, and only there."""
+    """Check that recordings of closed loops exist if and only if a loop was closed."""
     present = {name for name in LOOPS if (run.path / name).is_file()}
     if not run.closes_loop:
         for name in sorted(present):
@@ -356,8 +357,8 @@ def check_loop_files(run: RunFiles) -> Iterator[Checked]:
 def check_loop_signals(
     run: RunFiles, controller: ObserverFeedback, stored: LoopRuns, loop_on: str
 ) -> Iterator[Checked]:
-    """Check that the recorded input is the controller's response to the recorded output. Also check
-    what the loop was closed on."""
+    """Check that the controller computes the recorded input from the recorded output. What the loop
+    was closed on is checked, too."""
     error = replay_error(controller, stored.controlled, run.loop.limits)
     found = f"the certified gains give it from the measured output to {error:.1e}"
     yield Checked(claim="closed_loop.mcap input", holds=error <= ITERATED, found=found)
@@ -367,8 +368,8 @@ def check_loop_signals(
 
 
 def check_loop_on_plant(stored: LoopRuns, again: LoopRuns) -> Checked:
-    """Check that the configured plant with the certified gains reproduces the recorded closed
-    loops."""
+    """Check that the configured plant with the certified gains gives the recorded closed loops
+    again."""
     pairs = loop_signal_pairs(stored.controlled, again.controlled)
     for name in ("settling_band", "input_equilibrium"):
         pairs[name] = getattr(stored, name), getattr(again, name)

@@ -1,5 +1,5 @@
 """Checks of the claims in `certificate.json`, decided again in exact arithmetic, and of the columns
-that follow from them."""
+computed from them."""
 
 import re
 from collections.abc import Iterator
@@ -61,7 +61,7 @@ from ssm_study.systems import Balls, System
 
 
 def check_certificate(run: RunFiles) -> Claims:
-    """Check every certificate of the run in exact arithmetic, and the columns that follow from
+    """Check every certificate of the run in exact arithmetic, and the columns computed from
     them."""
     design = run.design
     balls = certified_balls(run.model)
@@ -92,8 +92,7 @@ def check_certificate(run: RunFiles) -> Claims:
 def check_part(
     run: RunFiles, label: str, part: Theorem | Infeasible, sentences: list[str]
 ) -> Checked:
-    """Check that exact arithmetic confirms one certificate, and that the requested method found
-    it."""
+    """Check one certificate in exact arithmetic, and that the requested method made it."""
     wrong = [sentence for sentence in sentences if re.match(rf"{label}\b", sentence)]
     wrong += information_errors(part)
     if label in SIDES and part.method != run.record.get("synthesis_method"):
@@ -119,7 +118,7 @@ def check_internal_model(run: RunFiles) -> Iterator[Checked]:
 
 
 def check_input_limits(run: RunFiles) -> Iterator[Checked]:
-    """Check that the input limits in the certificates are those of the loop or of the records."""
+    """Check that the certificates use the input limits of the loop or of the records."""
     loop = run.specification.loop
     physical = np.stack(input_limits(loop.input_lower, loop.input_upper, run.training_inputs))
     limits = run.model.scale.scaled_input(physical).T
@@ -133,8 +132,8 @@ def check_input_limits(run: RunFiles) -> Iterator[Checked]:
 
 
 def check_unlimited_starts(run: RunFiles) -> Iterator[Checked]:
-    """Check that the stored initial states are equilibria at the corners of a box of outputs, from
-    which no input limit becomes active."""
+    """Check that the stored initial states are equilibria with outputs at the corners of a box,
+    from which no input limit is reached."""
     model = run.model
     for part in run.design.extra_certificates.values():
         if isinstance(part, UnlimitedStart) and isinstance(model, SSM):
@@ -142,7 +141,7 @@ def check_unlimited_starts(run: RunFiles) -> Iterator[Checked]:
 
 
 def check_stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None) -> Checked:
-    """Check that the stored initial states of one certificate are those derived from the model."""
+    """Check that the initial states in one certificate are those computed from the model."""
     claim = "certificate starts"
     if starts is None or starts.shape != part.starts.shape:
         found = "the outputs at rest do not tell the states of this model"
@@ -157,14 +156,14 @@ def check_stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] |
 
 
 def remeasure_mismatch(run: RunFiles) -> Any:
-    """Measure the mismatch again from the run's own recordings."""
+    """Measure the model error again from the run's own recordings."""
     validation = run.simulated.validation
     measure = mismatch_behind_map if run.design.inverts_input_map else measure_mismatch
     return measure(run.model, validation.records, validation.start_up_samples, run.trials)
 
 
 def rederive_coverage(run: RunFiles) -> dict[str, Any]:
-    """Derive again, from the run's recordings, the columns that say how much model error the
+    """Recompute, from the run's recordings, the columns that say how much model error the
     certificate covers."""
     columns = ("coverage", "coverage_reason")
     is_claimed = any(run.record.get(name) is not None for name in columns)
@@ -183,7 +182,7 @@ def rederive_coverage(run: RunFiles) -> dict[str, Any]:
 
 
 def rederive_fresh_data(run: RunFiles, premise: Premise, mismatch: Mismatch) -> dict[str, Any]:
-    """Derive the column of the fresh data sets again by simulating them."""
+    """Recompute the column on fresh data sets by simulating them again."""
     specification = run.specification
     if not specification.has_fresh_sets:
         return {}
@@ -197,8 +196,8 @@ def rederive_fresh_data(run: RunFiles, premise: Premise, mismatch: Mismatch) -> 
 
 
 def rederive_sines(run: RunFiles, balls: Balls, mismatch: Mismatch) -> dict[str, Any]:
-    """Derive the columns of the single sines again by simulating them. None for a run made before
-    they existed."""
+    """Recompute the columns of the single-sine tests by simulating the tests again. The result is
+    None for a run made before such tests existed."""
     specification = run.specification
     if "sine_margin" not in run.record or not specification.has_sine_trials:
         return {}
@@ -215,8 +214,8 @@ def rederive_sines(run: RunFiles, balls: Balls, mismatch: Mismatch) -> dict[str,
 
 
 def requested_system(run: RunFiles) -> System:
-    """System for which the state feedback is to be certified: the model with its internal model, if
-    any.
+    """System for which the state feedback is to be certified: the model, joined with its internal
+    model if it has one.
 
     A design without a state feedback states none, so the one that was requested counts.
     """
@@ -231,8 +230,8 @@ def requested_system(run: RunFiles) -> System:
 
 
 def information_errors(part: Theorem | Infeasible) -> list[str]:
-    """Sentences on stored numbers beside the proof, such as margin and condition number, that are
-    wrong."""
+    """Sentences on wrong numbers that a certificate stores beside its proof, such as margin and
+    condition number."""
     if isinstance(part, Infeasible):
         return []
     again = smallest_eigenvalue(next(iter(part.as_floats(**part.variables).values())))

@@ -1,5 +1,5 @@
-"""Kinds of findings of `verify`: a claim that holds or does not, columns derived again, claims that
-are not checked."""
+"""Kinds of findings of `verify`: claims that hold or fail, recomputed columns, claims that are not
+checked."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -11,20 +11,20 @@ from ssm_study.study.run_files import RunFiles, find_unknown_entries
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """Claim that was checked, with the verdict and what was found."""
+    """Claim that was checked, with its verdict and the observation."""
 
     claim: str
     holds: bool
     found: str
 
     def __str__(self) -> str:
-        """The verdict, the claim and what was found, in one line."""
+        """Verdict, claim and observation in one line."""
         return f"{'holds' if self.holds else 'FAILS'}  {self.claim}: {self.found}"
 
 
 @dataclass(frozen=True)
 class Derived:
-    """Columns of the record with the values derived again from the run's files."""
+    """Columns of the record, with the values recomputed from the run's files."""
 
     columns: Mapping[str, Any]
 
@@ -42,7 +42,7 @@ Claims = Iterator[Checked | Derived | NotChecked]
 def check_agreement(
     claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, source: str
 ) -> Checked:
-    """Finding on whether stored values equal recomputed ones within a tolerance.
+    """Finding on whether stored values equal recomputed ones up to a tolerance.
 
     `source` says in words what gives the value.
     """

@@ -1,4 +1,4 @@
-"""Checks of the form of a run's files, independent of the numbers in them."""
+"""Checks of the form of a run's files, apart from the numbers in them."""
 
 import codecs
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ TYPES: dict[str, tuple[type, ...]] = {
 
 
 def check_form(run: RunFiles) -> Claims:
-    """Check the form of the run's files: kinds of recorded values, unknown entries, links."""
+    """Check the form of the run's files: types of recorded values, unknown entries, links."""
     yield from _report_links(run.path)
     yield from _report_byte_order_marks(run.path)
     for name in ERRORS:
@@ -51,7 +51,7 @@ def check_form(run: RunFiles) -> Claims:
 
 
 def has_declared_kind(column: Column, value: Any) -> bool:
-    """Whether a value of a record is null or of the kind that its column declares."""
+    """Whether a value of a record is null or of the type that its column declares."""
     if value is None or column.kind is None:
         return True
     if column.kind == "Float64" and value in INFINITIES:
@@ -61,7 +61,7 @@ def has_declared_kind(column: Column, value: Any) -> bool:
 
 
 def _report_links(folder: Path) -> Iterator[Checked]:
-    """Failed findings, one for every symbolic link in the run folder."""
+    """Failed findings on symbolic links in the run folder, one for each."""
     links = [path for path in sorted(folder.rglob("*")) if path.is_symlink()]
     for path in links:
         name = path.relative_to(folder).as_posix()
@@ -69,7 +69,7 @@ def _report_links(folder: Path) -> Iterator[Checked]:
 
 
 def _report_byte_order_marks(folder: Path) -> Iterator[Checked]:
-    """Failed findings, one for every text file of the run that begins with a byte order mark."""
+    """Failed findings on text files of the run that begin with a byte order mark, one for each."""
     for path in sorted(folder.rglob("*")):
         if path.suffix not in TEXTS or path.is_symlink() or not path.is_file():
             continue
@@ -81,8 +81,7 @@ def _report_byte_order_marks(folder: Path) -> Iterator[Checked]:
 
 
 def _check_unreduced_fit(run: RunFiles) -> Iterator[Checked]:
-    """Check that the fit before model reduction equals the fit after it where no state was
-    dropped."""
+    """Check that the fits before and after model reduction are equal where no state was dropped."""
     before = run.record.get(BEFORE)
     requested = run.specification.configuration["model"].get("order")
     if not run.claims_certificate or run.model.order != requested or before is None:
@@ -95,7 +94,7 @@ def _check_unreduced_fit(run: RunFiles) -> Iterator[Checked]:
 
 
 def _check_reasons(run: RunFiles) -> Claims:
-    """Check that the reason for a missing certificate is one short line."""
+    """Check that the reason for a missing certificate is a single short line."""
     for label, part in run.design.parts_by_name.items():
         if not isinstance(part, Infeasible):
             continue
@@ -108,7 +107,7 @@ def _check_reasons(run: RunFiles) -> Claims:
 
 
 def _check_settling_bands(run: RunFiles) -> Iterator[Checked]:
-    """Check that the settling band in each recording of a loop is that of its plant."""
+    """Check that each recording of a loop has the settling band of its plant."""
     twin = IdentifiedPlant.from_model(run.model, run.data.inputs, run.data.outputs)
     for name in ("closed_loop.mcap", NOISE_FREE, "closed_loop_model.mcap"):
         path = run.path / name

@@ -1,4 +1,4 @@
-"""Stages of one run in their order: data -> model -> bounds -> synthesis -> closed loop.
+"""Stages of one run in their order: data, model, bounds, synthesis, closed loop.
 
 Each stage is a pure function of its part of the configuration and of the stages before it. It is
 computed into a folder of the store, so that what is computed and what is reused are the same bits.
@@ -33,7 +33,7 @@ LOCAL = ("ProcessesLauncher", "BasicLauncher", "JoblibLauncher")  # these run jo
 
 
 class Study(Task["Specification"]):
-    """Task of the engine that computes one run, from data to closed loop."""
+    """Task that computes one run of a study, from data to closed loop."""
 
     libraries = (
         "torch",
@@ -201,7 +201,7 @@ class Study(Task["Specification"]):
         return data, model, bounded
 
     def run(self, request: "Specification", run: Run) -> Facts:
-        """Final columns of a run: its status, infeasible where controller or observer is
+        """Final columns of a run, with its status, which is infeasible if controller or observer is
         missing."""
         del request
         sides = ("controller_feasible", "observer_feasible")
@@ -240,7 +240,8 @@ class Study(Task["Specification"]):
         )
 
     def preload(self, again: Set[str]) -> None:
-        """Import what all jobs of a sweep use, except what only other stages need."""
+        """Import modules that all jobs of a sweep use, except those that only the given stages
+        need."""
         from ssm_study.study.preload import preload
 
         preload(again)
@@ -259,7 +260,7 @@ def study_folder(config: DictConfig) -> Path:
 
 
 def check_retry(config: DictConfig, run: str = "*") -> None:
-    """Raise `BadRequest` if failed runs are to be repeated in a study that has no run yet."""
+    """Raise `BadRequest` if failed runs are to be repeated in a study that has no runs yet."""
     study = study_folder(config)
     has_runs = any(study.glob(f"{run}/{RECORD}"))
     problem = f"there is nothing in {study} to run again"
@@ -269,7 +270,7 @@ def check_retry(config: DictConfig, run: str = "*") -> None:
 
 
 def undeclared_settings(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
-    """Columns for numbers of the configuration that have no declared column.
+    """Columns for those numbers of the configuration that have no declared column.
 
     A part, as `training/optimiser` or `peer@loop.peer`, is named by its kind.
     """
@@ -292,7 +293,7 @@ def is_number_or_none(value: Any) -> bool:
 
 
 def sides_with_chosen_rate(values: Mapping[str, Any]) -> str:
-    """Text that names the parts, controller and observer, whose rate `auto` chooses."""
+    """Text that names the sides, controller or observer, whose rate is chosen automatically."""
     if values["rates_chosen"] != "auto":
         return "neither"
     sides = [side for side in ("controller", "observer") if values[f"rate_{side}"] == "auto"]
@@ -300,7 +301,7 @@ def sides_with_chosen_rate(values: Mapping[str, Any]) -> str:
 
 
 def kind_of_part(part: Any) -> str | None:
-    """Kind of a part in the configuration, such as `monotone` for the class
+    """Short name of the class of a part, such as `monotone` for
     `...scaffolds.monotone.Monotone`."""
     target = str(part.get("_target_", "")) if isinstance(part, dict) else ""
     return target.rsplit(".", 1)[-1].lower() or None

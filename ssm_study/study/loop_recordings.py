@@ -1,4 +1,4 @@
-"""Recordings of closed loops in a run folder, written and read back."""
+"""Recordings of closed loops in a run folder, and how they are written and read."""
 
 import json
 from dataclasses import replace
@@ -82,7 +82,7 @@ def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
 
 
 def loop_subject(plant: Plant | None) -> str:
-    """Text for a recording that says whether the loop was closed on a plant or on the identified
+    """Text that says, in a recording, whether the loop was closed on a plant or on the identified
     model."""
     if plant is None:
         return "identified model"
@@ -105,7 +105,8 @@ def write_experiment(
 
 
 def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
-    """Read all closed-loop simulations of a run, and what the loop was closed on.
+    """Read all closed-loop simulations of a run, and whether they are of a plant or of the
+    identified model.
 
     Raises `BadRequest` if a file lacks a topic.
     """
@@ -125,13 +126,12 @@ def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
 
 
 def _read_existing_rollouts(path: Path) -> Rollouts | None:
-    """Closed-loop simulations of a recording; None if there is no such file. None where there is no
-    such file."""
+    """Closed-loop simulations of a recording; None if there is no such file."""
     return read_rollouts(path)[0] if path.is_file() else None
 
 
 def loop_signal_pairs(stored: Rollouts | None, made: Rollouts | None) -> dict[str, tuple[Any, Any]]:
-    """Signals of stored closed-loop simulations, each with the recomputed one.
+    """Signals of stored closed-loop simulations, each paired with the recomputed one.
 
     Those that left their bound count up to there.
     """

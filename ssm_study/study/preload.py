@@ -1,5 +1,4 @@
-"""Imports that every job of a sweep needs, done once by the server from which its processes are
-forked.
+"""Imports that every job of a sweep needs, made once by the server from which the jobs are forked.
 
 The code versions are those of the modules as they are in memory now: a file edited while a sweep
 runs changes neither what its jobs compute nor the keys under which they keep it.
@@ -42,8 +41,8 @@ def modules_to_preload(again: Set[str]) -> Iterator[str]:
 
 
 def preload(again: Set[str]) -> None:
-    """Import what all jobs of a sweep use, in the process from which they are forked. `again` is as
-    in `Task.preload`."""
+    """Import the modules that all jobs of a sweep use, in the process from which the jobs are
+    forked. `again` is as in `Task.preload`."""
     for name in modules_to_preload(again):
         with suppress(
             Exception

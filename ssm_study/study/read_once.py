@@ -1,4 +1,4 @@
-"""Cache of data sets read from logs, each read once in a process.
+"""Cache of data sets from logs, which are read only once in a process.
 
 A run asks for its log when it is checked, and again when its first stage is computed; to verify it
 in the same process asks once more. A long log takes seconds to read, so the last data sets are
@@ -22,8 +22,7 @@ _DATA_SETS: "OrderedDict[Key, DataSet]" = OrderedDict()
 
 
 def read_data_set(source: "RecordedSource", seed: int) -> "DataSet":
-    """Data set of a recorded source, read once in a process. It is read anew only if a file has
-    changed."""
+    """Data set of a recorded source, read again only if a file has changed."""
     key = (repr(source), seed, *_file_checksums(source.files()))
     if key not in _DATA_SETS:
         _DATA_SETS[key] = source.build(seed)

@@ -1,4 +1,4 @@
-"""Labels that accompany the numbers of a recording: names of channels, units, times and
+"""Labels in a recording that say what its numbers are: names of channels, units, times and
 descriptions."""
 
 from collections.abc import Iterator, Mapping
@@ -40,7 +40,7 @@ class Labels:
 
 
 def expected_labels(run: RunFiles, data: DataSet) -> Iterator[Labels]:
-    """Labels that the recordings in a run's folder should have."""
+    """Labels that the recordings in a run's folder should have, from its data and plants."""
     expected = record_labels(data)
     if run.closes_loop:
         expected += loop_labels(run, data)
@@ -50,7 +50,7 @@ def expected_labels(run: RunFiles, data: DataSet) -> Iterator[Labels]:
 
 
 def record_labels(data: DataSet) -> list[Labels]:
-    """Labels of the recorded measurements and of the model's simulations."""
+    """Expected labels of the recorded measurements and of the model's simulations."""
     files = ("excitation.mcap", "validation.mcap", "test.mcap", TRIALS, LOOPS)
     channels = {"input": data.inputs, "measured": data.outputs, "simulated": data.outputs}
     channels["disturbance"] = data.disturbances
@@ -58,7 +58,7 @@ def record_labels(data: DataSet) -> list[Labels]:
 
 
 def loop_labels(run: RunFiles, data: DataSet) -> list[Labels]:
-    """Labels of the recordings of closed loops."""
+    """Expected labels of the recordings of closed loops."""
     spec = run.specification
     twin = IdentifiedPlant.from_model(run.model, data.inputs, data.outputs)
     plant = spec.plant or twin
@@ -82,7 +82,8 @@ def loop_channels(plant: Plant) -> Channels:
 
 
 def find_wrong_labels(run: RunFiles, data: DataSet) -> Iterator[tuple[str, list[str]]]:
-    """Recordings whose labels contradict the run's data and plants, with the wrong labels."""
+    """Recordings with labels that contradict the run's data and plants, each with its wrong
+    labels."""
     for labels in expected_labels(run, data):
         recording = RecordedCases.of(run.path / labels.file)
         about = recording.about

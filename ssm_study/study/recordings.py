@@ -1,4 +1,5 @@
-"""Recordings in a run folder, written and read: simulations with measured outputs, and trials."""
+"""Recordings in a run folder, and how they are written and read: simulations, measurements and
+closed-loop trials."""
 
 import json
 import re
@@ -28,7 +29,8 @@ Pairs = dict[str, tuple[Any, Any]]
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedCases:
-    """Content of a recording by case and signal. `loop["output"]` is `(N, T, c)` over its N cases.
+    """Signals of a recording by name, each for all cases. `loop["output"]` is `(N, T, c)` for N
+    cases.
 
     `about` is its metadata. Cases are named by what stands before the last `/` of their topics, in
     the order of its number: `/case_3/output` is the signal `output` of the case `/case_3`; `/input`
@@ -43,7 +45,7 @@ class RecordedCases:
 
     @classmethod
     def of(cls, path: Path) -> "RecordedCases":
-        """Read a recording. Raises `BadRequest` for a damaged one."""
+        """Read the signals of a recording from its file. Raises `BadRequest` for a damaged file."""
         groups, about = read_mcap(path)
         cases: dict[str, Case] = defaultdict(dict)
         for group in groups:
@@ -54,7 +56,7 @@ class RecordedCases:
         return cls(path=path, cases={name: cases[name] for name in prefixes}, about=about)
 
     def signals(self, name: str) -> list[SignalGroup]:
-        """One recorded signal in all simulated cases."""
+        """One recorded signal in all cases."""
         is_there = all(name in case for case in self.cases.values())
         require(is_there, "topic", name, f"{self.path.name} lacks it", "run the study again")
         return [case[name] for case in self.cases.values()]
@@ -96,7 +98,7 @@ class RecordedCases:
 
     @property
     def settled_time_s(self) -> float:
-        """Time shortly after the last response of a closed loop has settled, in seconds.
+        """Time shortly after the last case of a closed loop has settled, in seconds.
 
         The whole horizon where one does not.
         """
@@ -124,7 +126,7 @@ class RecordedCases:
 
 
 def _case_number(prefix: str) -> int:
-    """Number at the end of a case's name; 0 if there is none."""
+    """Number at the end of a case's name; 0 if it has none."""
     number = NUMBER_AT_END.search(prefix)
     return int(number[0]) if number else 0
 
@@ -132,8 +134,7 @@ def _case_number(prefix: str) -> int:
 def signal_groups(
     prefix: str, time_s: Float[np.ndarray, "T"], signals: Signals
 ) -> list[SignalGroup]:
-    """Groups of signals with the same times, each under a topic of its own, as the writer of
-    recordings takes them."""
+    """Groups of signals that share their times, each under its own topic of a recording."""
     made = []
     for name, (channels, values) in signals.items():
         topic = f"{prefix}/{name}"
@@ -170,7 +171,8 @@ def write_records(
 
 
 def read_trials(folder: Path) -> Trajectories:
-    """Records used only for the mismatch, open loop first. None where the run has no such file."""
+    """Records that only serve to measure the model error, open loop first; empty if the run has no
+    such file."""
     records: list[Trajectory] = []
     for path in (folder / TRIALS, folder / LOOPS):
         if path.is_file():
@@ -198,13 +200,13 @@ def read_simulation(path: Path) -> Simulation:
 
 
 def states_to_text(states: Sequence[Any]) -> str:
-    """Initial states as a JSON text. Null stands for a record that starts from its first
-    samples."""
+    """Write initial states as a JSON text. Null stands for a record whose initial state is
+    estimated from its first samples."""
     return json.dumps([None if state is None else np.asarray(state).tolist() for state in states])
 
 
 def states_from_text(text: str, records: int) -> tuple[Any, ...]:
-    """Read initial states from a JSON text. None for each where the text is empty.
+    """Read initial states from a JSON text. An empty text gives None for each record.
 
     Raises `BadRequest` for what is no list of them.
     """
@@ -222,7 +224,7 @@ def states_from_text(text: str, records: int) -> tuple[Any, ...]:
 
 
 def record_signal_pairs(stored: Trajectories, made: Trajectories) -> Pairs:
-    """Signals and sampling times of stored records, each with the recomputed one."""
+    """Signals and sampling times of stored records, each paired with the recomputed one."""
     pairs: Pairs = {"records": (len(stored), len(made))}
     for i, (before, now) in enumerate(zip(stored, made, strict=False)):
         for name in ("u", "y", "d", "step_s", "closed_loop"):
@@ -231,7 +233,7 @@ def record_signal_pairs(stored: Trajectories, made: Trajectories) -> Pairs:
 
 
 def relative_distance(stored: Any, made: Any) -> float:
-    """Largest difference of two arrays relative to the largest entry.
+    """Largest difference of two arrays, relative to the largest entry.
 
     Infinite for another shape or a missing side; NaN where a number is none, which agrees with
     nothing.

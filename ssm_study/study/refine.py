@@ -1,5 +1,5 @@
-"""Refinement of a run by trials of its closed loop, until the proof covers records and trial or the
-loop comes to rest. Each trial closes the loop, measures the mismatch from it, and designs again.
+"""Refinement of a run by closed-loop trials, until the proof covers records and trial or the loop
+comes to rest. Each trial closes the loop, measures the mismatch from it, and designs again.
 
 Each iteration is a run of the study: the configuration of the one before with one trial more
 (`study.trials`).
@@ -32,15 +32,15 @@ TIMES = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One iteration of the refinement, or its end: a sentence, and the configuration of the run if
-    it is a new one."""
+    """One iteration of the refinement, or its end: a sentence, with the configuration of the new
+    run if there is one."""
 
     said: str
     config: DictConfig | None = None
 
 
 def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[Step]:
-    """Refine a run repeatedly, and yield a sentence for each new run and for the end.
+    """Refine a run repeatedly, and yield a sentence on each new run and on the end.
 
     `log` is the record of a trial of the run's controller: one iteration. Without it the trials are
     the closed loops on the run's own plant. Raises `BadRequest` for a run that is not ok, has no
@@ -71,7 +71,7 @@ def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[S
 
 
 def _has_same_gains(files: RunFiles, child: RunFiles) -> bool:
-    """Whether two runs have the same gains, to the last bit."""
+    """Whether two runs have exactly the same gains."""
     before = files.design.gains
     after = child.design.gains
     if before.keys() != after.keys():
@@ -80,8 +80,8 @@ def _has_same_gains(files: RunFiles, child: RunFiles) -> bool:
 
 
 def _check_refinable_run(run: Path, log: Path | None) -> RunFiles:
-    """Files of a run after a check that it can be refined. Raises `BadRequest` for one that cannot
-    be refined."""
+    """Files of a run, after a check that the run can be refined. Raises `BadRequest` for any other
+    run."""
     files = RunFiles(path=run, record=read_record(run) or {})
     status = files.record.get("status")
     remedy = "give the folder of a run in its study"
@@ -108,20 +108,20 @@ def _check_refinable_run(run: Path, log: Path | None) -> RunFiles:
 
 @dataclass(frozen=True, kw_only=True)
 class TrialMismatch:
-    """Largest mismatch gain in a trial of the loop, zero where it comes to rest. Beside it stands
-    the coverage of records and trial together by the run's own proof (None without one)."""
+    """Largest gain of the model error in a closed-loop trial, zero if the loop comes to rest. With
+    it goes the coverage of records and trial together by the run's own proof (None without one)."""
 
     gain: float
     coverage: float | None
 
     @property
     def ends_refinement(self) -> bool:
-        """Whether the refinement ends here: the loop comes to rest, or the proof covers it."""
+        """Whether the refinement ends, because the loop comes to rest or the proof covers it."""
         return self.gain == 0 or (self.coverage is not None and self.coverage >= 1)
 
     @property
     def end_sentence(self) -> str:
-        """Sentence on why the refinement stops here."""
+        """Sentence on why the refinement ends."""
         if self.gain and self.coverage is not None:
             times = math.floor(100 * self.coverage) / 100
             return (
@@ -133,7 +133,8 @@ class TrialMismatch:
 
 
 def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
-    """Measure the mismatch in the trial, given the noise that the run's records show."""
+    """Measure the model error in the closed-loop trial, with the noise estimated from the run's
+    records."""
     if log is None:
         closed, _ = read_experiment(files.path)
         trial = records_of_loops(closed.controlled)
@@ -153,7 +154,7 @@ def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
 
 
 def _next_configuration(files: RunFiles, log: Path | None) -> DictConfig:
-    """Configuration of the next run, with one more trial, in the same study."""
+    """Configuration of the next run of a refinement, with one more trial, in the same study."""
     config = files.config.copy()
     before = files.specification.refine
     logs = before if isinstance(before, list) else []
@@ -167,7 +168,7 @@ def _next_configuration(files: RunFiles, log: Path | None) -> DictConfig:
 
 
 def _outcome_sentence(child: RunFiles, trial: TrialMismatch, outcome: Outcome) -> str:
-    """Sentence on one iteration: why it was made, and its result."""
+    """Sentence on one iteration of the refinement: its reason and its result."""
     name = child.path.name
     if outcome.status == FAILED:
         return f"{name}: failed: {outcome.message}"

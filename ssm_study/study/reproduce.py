@@ -1,5 +1,5 @@
-"""Reproduction of a run: the same configuration with an empty store, and every number of the two
-records compared."""
+"""Reproduction of a run with the same configuration and an empty store, and comparison of all
+numbers of the two records."""
 
 import math
 import tempfile
@@ -43,7 +43,7 @@ def reproduce(run: Path, job: Callable[[DictConfig], object]) -> tuple[list[str]
 
 
 def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str], bool]:
-    """Findings on the differences between two records of one configuration.
+    """Findings on the differences between two records of the same configuration.
 
     Returns lines with every column of the line that differs and what was different around them,
     and whether all columns agree.
@@ -70,7 +70,8 @@ def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[li
 
 
 def _is_equal_to_rounding(then: Any, now: Any) -> bool:
-    """Whether two values are equal, or numbers that differ only by rounding between machines."""
+    """Whether two values are equal, or are numbers that differ only by rounding between
+    machines."""
     if then == now:
         return True
     are_numbers = {type(then), type(now)} <= {int, float}

@@ -1,5 +1,5 @@
-"""Files of a run folder that `verify` reads, each once, and the parts that its configuration
-describes."""
+"""Files of a run folder that `verify` reads, each only once, and the parts that the run's
+configuration describes."""
 
 import json
 from contextlib import chdir
@@ -61,8 +61,8 @@ class RunFiles:
 
     @cached_property
     def specification(self) -> Specification:
-        """Parts of the run, built from its configuration. Targets that are not allowed are refused
-        first, and old names are read."""
+        """Parts of the run, built from its configuration. Raises `BadRequest` for classes that are
+        not allowed; old names are understood."""
         config = self.config.copy()
         rename_old_settings(config)
         refuse_foreign_targets(config)
@@ -70,8 +70,8 @@ class RunFiles:
 
     @cached_property
     def data(self) -> DataSet:
-        """Data set of the run, simulated or read again from its logs. Relative paths start where
-        the run was made, or in the present folder."""
+        """Data set of the run, simulated again or read again from its logs. Relative paths begin
+        where the run was made, or in the present folder."""
         try:
             with chdir(self.working_folder):
                 return self._data()
@@ -80,15 +80,15 @@ class RunFiles:
 
     @property
     def working_folder(self) -> Path:
-        """Folder to which the relative paths of the run's configuration refer. It is the present
-        one if the run lies elsewhere."""
+        """Folder to which relative paths in the run's configuration refer. It is the present folder
+        if the run has been moved."""
         below = Path(str(self.config.results_dir), str(self.config.study), str(self.config.run))
         whole, _, after = str(self.path.absolute()).rpartition(f"/{below}")
         return Path(whole) if whole and not after else Path()
 
     def _data(self) -> DataSet:
-        """Data set of the run, simulated or read again, with the trials it was refined with.
-        Refuses a real device."""
+        """Data set of the run, simulated or read again, with the closed-loop trials of its
+        refinement. Raises `BadRequest` for a real device."""
         spec = self.specification
         real = getattr(self.specification.plant, "real", False)
         problem = "is a device, which is not run again"
@@ -103,7 +103,7 @@ class RunFiles:
 
     @cached_property
     def simulated(self) -> ModelRun:
-        """Stored model with its stored free runs, each read when first asked for."""
+        """Stored model with its stored free runs, each read when it is first needed."""
         return ModelRun(self.path)
 
     @property
@@ -113,12 +113,12 @@ class RunFiles:
 
     @cached_property
     def trials(self) -> Trajectories:
-        """Records that serve only to measure the mismatch."""
+        """Records that only serve to measure the model error."""
         return read_trials(self.path)
 
     @cached_property
     def judgement(self) -> Judgement:
-        """Judgement of the evidence, derived again from data and model."""
+        """Judgement of the evidence, made again from data and model."""
         data = self.data
         runs = self.simulated
         mismatch = measure_mismatch(
@@ -127,7 +127,7 @@ class RunFiles:
         return collect_findings(data, self.model, runs.validation, runs.test, mismatch)
 
     def stored(self, name: str) -> dict[str, Any]:
-        """Object in a JSON file of the run. Refuses one that repeats a key."""
+        """Object in a JSON file of the run. Raises `BadRequest` for a file that repeats a key."""
         as_object = partial(refuse_repeated_keys, name)
         content = json.loads(read_limited_bytes(self.path / name), object_pairs_hook=as_object)
         is_object = isinstance(content, dict)
@@ -147,14 +147,14 @@ class RunFiles:
 
     @cached_property
     def inputs(self) -> list[Float[np.ndarray, "_ m"]]:
-        """Inputs applied in the training records, as `excitation.mcap` stores them."""
+        """Inputs of the training records, as stored in `excitation.mcap`."""
         recording = RecordedCases.of(self.path / "excitation.mcap")
         return [signal.values for signal in recording.signals("input")]
 
     @cached_property
     def disturbances(self) -> list[Float[np.ndarray, "_ k"]]:
-        """Measured disturbances of the training records, as `excitation.mcap` stores them. None
-        where there are none."""
+        """Measured disturbances of the training records, as stored in `excitation.mcap`; empty if
+        there are none."""
         cases = RecordedCases.of(self.path / "excitation.mcap").cases.values()
         return [case["disturbance"].values for case in cases if "disturbance" in case]
 
@@ -165,8 +165,8 @@ class RunFiles:
 
     @property
     def excitation(self) -> dict[str, float]:
-        """Settings of a next excitation of the plant (`OwnPlantRecord`), from this run's input
-        range, equilibrium input and sampling and response times."""
+        """Settings of a next excitation signal for the plant (`OwnPlantRecord`), from this run's
+        input range, equilibrium input, sampling time and response time."""
         problem = "has several inputs"
         remedy = "give --lower and the others for each"
         require(self.model.scale.inputs == 1, "--after", self.path, problem, remedy)
@@ -183,8 +183,9 @@ class RunFiles:
 
     @property
     def sine_angles(self) -> tuple[float, ...]:
-        """Frequencies (rad/sample) of single sines for a next excitation, where this run's loop is
-        most sensitive to a mismatch. None without a design, or behind an inverted input map."""
+        """Frequencies (rad/sample) of single sines for a next excitation signal, where this run's
+        loop is most sensitive to model errors. Empty without a design, or behind an inverted input
+        map."""
         from ssm_study.robustness.sine_trials import PEAKS, peak_angles
 
         if not self.claims_certificate:
@@ -196,8 +197,8 @@ class RunFiles:
 
     @property
     def loop(self) -> Loop:
-        """Closed-loop experiment of the run. Without a plant its limits are the input range of the
-        log."""
+        """Closed-loop experiment of the run. Without a plant, its input limits are the input range
+        of the log."""
         loop = self.specification.loop
         if self.specification.plant and not self.design.inverts_input_map:
             return loop
@@ -210,19 +211,21 @@ class RunFiles:
 
     @property
     def claims_certificate(self) -> bool:
-        """Whether the run's kind of model can be certified, so that the run has a design."""
+        """Whether the run's model is of a kind that can be certified, so that the run has a
+        design."""
         return self.specification.model.gives_ssm
 
     @property
     def closes_loop(self) -> bool:
-        """Whether the run has a controller, an observer and something to close the loop on."""
+        """Whether the run has a controller, an observer, and a plant or model to close the loop
+        on."""
         if not self.claims_certificate or not self.design.feasible:
             return False
         return self.specification.plant is not None or not has_direct_feedthrough(self.model)
 
 
 def refuse_repeated_keys(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Object from the pairs of a JSON file; raises `BadRequest` for a repeated key.
+    """Dictionary from the keys and values of a JSON object. Raises `BadRequest` for a repeated key.
 
     Raises `BadRequest` where a key stands twice, for one reader takes the first and another the
     last.
@@ -253,6 +256,6 @@ def find_unknown_entries(stored: Any, written: Any, at: str = "") -> list[str]:
 
 
 def error_text(error: BaseException) -> str:
-    """Text of an error in one line of at most 300 characters."""
+    """Text of an error in a single line of at most 300 characters."""
     text = " ".join(str(error).split())
     return (text or type(error).__name__)[:300]

@@ -1,5 +1,5 @@
-"""Frozen parts of one run, built from a composed configuration; every mistake in it is refused
-here, before any work."""
+"""Parts of one run, built from a composed configuration. Every mistake in it is refused here,
+before any work."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -34,7 +34,7 @@ NONE: Mapping[str, Any] = MappingProxyType({})
 
 @dataclass(frozen=True, kw_only=True)
 class Specification:
-    """All parts and settings on which one run depends.
+    """All parts and settings that determine one run.
 
     `plant` is None when the data are recorded: the loop then runs on the model.
     """
@@ -55,7 +55,8 @@ class Specification:
 
     @classmethod
     def from_config(cls, config: DictConfig | Settings) -> "Specification":
-        """Build and check every part of a run. Raises `BadRequest` for the first that is wrong."""
+        """Build and check every part of a run. Raises `BadRequest` for the first part that is
+        wrong."""
         settings = plain_settings(config)
         # OmegaConf's own search resolves every name, which takes 15 ms a run.
         missing = next((path for path, _, value in walk_nodes(settings) if value == "???"), "")
@@ -84,7 +85,8 @@ class Specification:
         return specification
 
     def refuse_feedthrough(self) -> None:
-        """Raise `BadRequest` for a model with direct feedthrough, which no loop on a plant can use.
+        """Raise `BadRequest` for a model with direct feedthrough, with which no loop on a plant can
+        be closed.
 
         This is said before the model is trained. Without a plant it is scored and certified, and no
         loop is closed.
@@ -97,7 +99,7 @@ class Specification:
         require(not is_refused, "model.feedthrough", feedthrough, problem, remedy)
 
     def refuse_fast_modes(self) -> None:
-        """Raise `BadRequest` for an internal model beyond half the sampling rate.
+        """Raise `BadRequest` for an internal model with frequencies beyond half the sampling rate.
 
         Only where the sampling rate is known beforehand.
         """
@@ -109,8 +111,8 @@ class Specification:
             internal_model(words, step_s, outputs=1)
 
     def refuse_sizes(self) -> None:
-        """Raise `BadRequest` for a reduction to more states than the model has, or for data beyond
-        the memory."""
+        """Raise `BadRequest` for a reduction to more states than the model has, or for more data
+        than the memory can hold."""
         order = self.configuration["model"].get("order")
         states = self.reduction.truncate_to
         fits = states is None or not isinstance(order, int) or states <= order
@@ -161,8 +163,8 @@ class Specification:
     def select(
         self, *names: str, computed: Mapping[str, Any] = NONE, unkeyed: Mapping[str, Any] = NONE
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings and arguments of a stage, built together so that its key and its arguments
-        cannot differ.
+        """Named settings and call arguments of a stage, built together so that its key and its
+        arguments cannot disagree.
 
         The settings, of which its key is made, are those of the named parts and the `computed`
         values; the arguments the parts themselves, the same values, and those that are `unkeyed`.
@@ -175,18 +177,18 @@ class Specification:
         return Settings({**settings, **checksums, **computed}), arguments
 
     def dataset_inputs(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings and arguments of the stage that makes or reads the records."""
+        """Settings and call arguments of the stage that simulates or reads the records."""
         plant = ("plant", "excitation") if self.plant else ()
         return self._select_with_data("seed", *plant)
 
     def sine_inputs(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings and arguments of the stage that tests a design with single sines on a simulated
-        plant."""
+        """Settings and call arguments of the stage that tests a design with single sines on a
+        simulated plant."""
         return self._select_with_data("seed", "plant")
 
     def _select_with_data(self, *names: str) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings and arguments of a stage that also uses the data source, without the count of
-        fresh data sets."""
+        """Named settings, and call arguments, of a stage that also reads the data source. The
+        number of fresh data sets is left out."""
         settings, arguments = self.select("data", *names)
         if isinstance(self.data, SimulatedData):
             own = {name: value for name, value in settings["data"].items() if name != "fresh_sets"}
@@ -196,19 +198,20 @@ class Specification:
 
     @property
     def has_sine_trials(self) -> bool:
-        """Whether a chosen design is tested with single sines: on a simulated plant with trials."""
+        """Whether a chosen design is tested with single sines, which needs a simulated plant and
+        trials."""
         simulated = isinstance(self.data, SimulatedData) and self.data.trials
         return simulated and self.plant is not None and not self.plant.real
 
     @property
     def has_fresh_sets(self) -> bool:
-        """Whether fresh data sets of the plant are simulated."""
+        """Whether fresh data sets of the plant are to be simulated."""
         simulated = isinstance(self.data, SimulatedData) and self.data.fresh_sets > 0
         return simulated and self.plant is not None and not self.plant.real
 
 
 def input_files(settings: Mapping[str, Any]) -> list[Path]:
-    """Files named in the settings, on whose content the results depend.
+    """Files that the settings name and on whose content the results depend.
 
     Raises `BadRequest` for data that cannot be described.
     """
@@ -226,7 +229,7 @@ def input_files(settings: Mapping[str, Any]) -> list[Path]:
 
 
 def _checked_refine(requested: Any, is_recorded: bool) -> int | list[str] | None:
-    """Value of the setting `refine` after a check: logs of trials, or a number of iterations."""
+    """Checked value of the setting `refine`: a list of trial logs, or a number of iterations."""
     if is_recorded and requested is not None:
         logs = [requested] if isinstance(requested, str) else requested
         is_list = isinstance(logs, list) and bool(logs)

@@ -1,4 +1,4 @@
-"""Trials in closed loop whose records serve to measure the mismatch between plant and model again.
+"""Closed-loop trials whose records serve to measure the error between plant and model again.
 
 With `refine=2` the choice runs on the plant, its records join those for the mismatch, and it is
 made again; twice. With `refine=[first.csv,second.csv]` the records are the user's logs of trials,
@@ -38,7 +38,7 @@ FEWEST = 30  # samples of a trial: a third of them tell its initial state
 def compute_with_tried_loops(
     folder: Path, data: DataSet, *tried: "Design | Experiment | None"
 ) -> None:
-    """Write the data set extended by the records of all closed loops that were tried.
+    """Write the data set, extended by the records of all closed loops that were tried.
 
     `tried` is a design, its loops, the next design, its loops, ...
     """
@@ -55,21 +55,22 @@ def compute_with_tried_loops(
 def compute_with_logged_trials(
     folder: Path, records: DataSet, *, refine: list[str], data: "RecordedSource"
 ) -> None:
-    """Write the data set extended by the user's logs of closed-loop trials."""
+    """Write the data set, extended by the user's logs of closed-loop trials."""
     trials = read_logs(refine, data, records.step_s)
     _write_data_and_trials(folder, records, trials)
 
 
 def _write_data_and_trials(folder: Path, data: DataSet, trials: Trajectories) -> None:
-    """Write the data set with the trials added to the records that measure the mismatch, and write
-    the trials as a recording."""
+    """Write the data set with closed-loop trials added to the records that measure the model error,
+    and write the trials as a recording."""
     mismatch_records = (*data.mismatch_records, *trials)
     write_dataset(folder, replace(data, mismatch_records=mismatch_records))
     write_records(folder / LOOPS, data, trials)
 
 
 def records_of_loops(run: Rollouts) -> Trajectories:
-    """Input and output records of closed-loop simulations, each up to where it left its bound.
+    """Input and output records of closed-loop simulations, each up to the sample at which it left
+    its bound.
 
     Cases with fewer than `FEWEST` samples are left out.
     """
@@ -85,7 +86,7 @@ def records_of_loops(run: Rollouts) -> Trajectories:
 
 
 def read_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Trajectories:
-    """Read the user's logs of trials in the form of the run's data.
+    """Read the user's logs of closed-loop trials with the same columns and units as the run's data.
 
     Raises `BadRequest` as they do, and for another sampling time.
     """
@@ -104,8 +105,8 @@ def read_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Tr
 
 
 def _check_trial(record: Trajectory, path: str, step_s: float) -> None:
-    """Raise `BadRequest` for a trial that is short, has another sampling time, or whose input never
-    moves."""
+    """Raise `BadRequest` for a trial that is too short, has another sampling time, or has a
+    constant input."""
     is_in_step = abs(record.step_s - step_s) <= AGREEMENT * step_s
     problem = f"the model's sampling time is {step_s:g} s"
     remedy = "log the trial at that sampling time"
@@ -118,7 +119,7 @@ def _check_trial(record: Trajectory, path: str, step_s: float) -> None:
 
 
 def repeat_trials(request: "Specification", run: Path) -> Trajectories:
-    """Make the closed-loop trials of a finished run again, from its logs or by simulation."""
+    """Closed-loop trials of a finished run, read again from its logs or simulated again."""
     if request.refine is None:
         return ()
     model = read_model(run)
@@ -137,7 +138,8 @@ def repeat_trials(request: "Specification", run: Path) -> Trajectories:
 
 
 def lineage_columns(settings: Any) -> Facts:
-    """Columns on the history of a run: how many refinements led to it, and the run that it refines.
+    """Columns on the history of a run: the number of refinements that led to it, and the run that
+    it refines.
 
     That is the same run with one iteration, or one log, less.
     """
@@ -154,7 +156,7 @@ def lineage_columns(settings: Any) -> Facts:
 
 
 def refined_run_name(settings: Any, refine: int | list[str] | None) -> str:
-    """Name of the run that has these settings but another value of `refine`. The part before the
+    """Name of the run with the same settings except another value of `refine`. The part before the
     hash stays the same."""
     prefix = str(settings["run"]).removesuffix(run_name(settings))
     changed = type(settings)({**settings, "refine": refine})

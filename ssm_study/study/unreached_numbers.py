@@ -1,4 +1,4 @@
-"""Numbers of a model that no record of its run reaches, so that another value gives the same
+"""Numbers of a model that its run's records cannot check, because other values would give the same
 run."""
 
 from collections.abc import Iterator
@@ -17,8 +17,8 @@ UNREACHED = "no record reaches this part of the map, and training is not repeate
 
 
 def unreached_numbers(run: RunFiles) -> dict[str, str]:
-    """Entries of `model.json` that no record of the run reaches, each with the reason why it is not
-    checked.
+    """Entries of `model.json` that cannot be checked against the run's records, each with the
+    reason.
 
     A monotone map is written by break points and slopes. Beyond the inputs (or outputs) of all
     records they change no signal; what is proved holds for every break point, and the smallest and
@@ -81,14 +81,14 @@ def leaky_rectifier(
     negative: Float[np.ndarray, "h"],
     positive: Float[np.ndarray, "h"],
 ) -> Float[np.ndarray, "*batch h"]:
-    """Leaky rectifier with two slopes for each neuron."""
+    """Leaky rectifier, piecewise linear with two slopes for each neuron."""
     return np.where(z < 0, negative * z, positive * z)
 
 
 def unreached_places(
     name: str, bends: Float[np.ndarray, "m h"], signal: Float[np.ndarray, "T m"]
 ) -> Iterator[str]:
-    """Parts of a piecewise-linear map that a recorded signal does not reach.
+    """Texts on those parts of a piecewise-linear map that a recorded signal does not reach.
 
     Of each row of numbers one place: `model.json scaffold_in.slopes.0: 0, 1, 16`.
     """

@@ -1,5 +1,5 @@
-"""The command `verify`: derive every claim of a run again from its files, and judge every column of
-its record.
+"""Check of every claim of a run, recomputed from its files, with a judgement of every column of its
+record.
 
 A column of the record is derived and compared, or listed as not checked with its reason; one that
 nothing gives is a claim that does not hold. What is derived from what: `study.claims`.
@@ -36,7 +36,7 @@ UNGIVEN = "nothing in the run's files gives it"
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """Verdict on every claim of a run. Iterating gives the findings."""
+    """Verdict on every claim of a run, with the findings on which it rests."""
 
     findings: tuple[Checked, ...]
     unchecked: Mapping[str, str]
@@ -73,7 +73,8 @@ class Verification:
         return f"{holding} of {len(self.findings)} claims hold; {unchecked}"
 
     def lines(self) -> list[str]:
-        """Text lines, one per claim, one per cause of a failure, one per reason for not checking.
+        """Text lines, one for each claim, each cause of a failure, and each reason for not
+        checking.
 
         The summary comes last.
         """
@@ -86,7 +87,7 @@ class Verification:
         return [*finding_lines(self.findings), *skipped, self.summary()]
 
     def to_json(self) -> str:
-        """Verdict as a JSON object: `holds`, `claims`, `not_checked`."""
+        """Verdict as a text of JSON with the keys `holds`, `claims` and `not_checked`."""
         verdict = {
             "holds": self.holds,
             "claims": [asdict(finding) for finding in self.findings],
@@ -96,7 +97,7 @@ class Verification:
 
 
 def finding_lines(findings: Sequence[Checked]) -> list[str]:
-    """Text lines: one per claim that holds, and one per cause for those that do not."""
+    """Text lines, one for each claim that holds, and one for each cause of failed claims."""
     failing: dict[str, list[str]] = {}
     for finding in findings:
         if not finding.holds:
@@ -113,13 +114,13 @@ def finding_lines(findings: Sequence[Checked]) -> list[str]:
 
 
 def _finding_text(finding: Checked) -> str:
-    """Reason that a failed finding gives, by which failures are grouped. Where no file derives the
+    """Reason that a failed finding states, by which failures are grouped. If no file determines the
     column, the stored value is left out."""
     return UNGIVEN if finding.found.endswith(UNGIVEN) else finding.found
 
 
 def verify(run: Path) -> Verification:
-    """Check every claim of a run again from its files alone.
+    """Check every claim of a run again, from its files alone.
 
     Raises `BadRequest` if `run` is no finished run folder, or is made of parts that are not trusted
     here.
@@ -139,7 +140,7 @@ def verify(run: Path) -> Verification:
 
 
 def verify_files(run: RunFiles) -> Verification:
-    """Check every claim of a finished run whose files are opened."""
+    """Check every claim of a finished run whose folder has been opened."""
     findings: list[Checked] = []
     derived: dict[str, Any] = {}
     unchecked: dict[str, str] = {}
@@ -161,7 +162,7 @@ def verify_files(run: RunFiles) -> Verification:
 
 
 def _findings_of_sections(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
-    """Findings of all sections of the check; an error in a section becomes a failed claim."""
+    """Findings of all sections of the check. An error in a section becomes a failed claim."""
     for section in (check_form, *_sections(run)):
         try:
             yield from section(run)
@@ -171,7 +172,8 @@ def _findings_of_sections(run: RunFiles) -> Iterator[Checked | Derived | NotChec
 
 
 def section_claim(function: str) -> str:
-    """Name of the claim that a section could not derive, from the name of its function."""
+    """Words for the claim of a section that could not be checked, from the name of the section's
+    function."""
     subject = function.removeprefix("check_")
     return SECTION_CLAIMS.get(subject, subject)
 
@@ -189,7 +191,7 @@ def _sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
 def judge_column(
     name: str, record: Mapping[str, Any], derived: Mapping[str, Any], unchecked: Mapping[str, str]
 ) -> Checked | str:
-    """Finding on one column of the record, or the reason why it is not checked. Empty where the
+    """Finding on one column of the record, or the reason why it is not checked. It is empty if the
     record claims nothing."""
     column = find_declaration(name)
     stored = record.get(name)
@@ -209,7 +211,7 @@ def judge_column(
 
 
 def compare_column(name: str, stored: Any, value: Any) -> Checked:
-    """Finding on whether a stored column equals the derived one."""
+    """Finding on whether a stored column equals the recomputed one."""
     column = find_declaration(name) or Column(name, "Float64")
     value = storable_value(
         name, value
@@ -232,6 +234,6 @@ def _is_equal_to_rounding(stored: Any, value: Any, column: Column) -> bool:
 
 
 def _short_text(value: Any) -> str:
-    """Value as a short text for a finding."""
+    """Short text of a value for a finding."""
     text = escape_control_characters(" ".join(str(value).split()))
     return text if len(text) <= 80 else f"{text[:77]}..."

@@ -47,8 +47,8 @@ LEAST_RATE = 1e-3  # the least demanding request, where a side is left to `auto`
 
 @dataclass(frozen=True, kw_only=True)
 class Auto:
-    """Synthesis that chooses the certified design with the best expected response. Its stability
-    margin exceeds `margin`.
+    """Synthesis that chooses the certified design with the best expected response, with a stability
+    margin above `margin`.
 
     Grids, steps and the choice where no candidate passes: docs/closed_loop.md, "Rates chosen for
     you". With an `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the weights of its states are one
@@ -93,7 +93,7 @@ class Auto:
             require_positive("synthesis.cover", self.cover, "use 1, or 1.5 for more")
 
     def _check_grid(self, name: str, below: float, allowed: str) -> None:
-        """Raise `BadRequest` for a grid of rates or weights that is empty or holds a value out of
+        """Raise `BadRequest` for a grid of rates or weights that is empty or has a value out of
         range."""
         grid = getattr(self, name)
         may_be_empty = name == "integral_weights"
@@ -109,7 +109,7 @@ class Auto:
     @property
     def grid(self) -> CandidateGrid:
         """Grid of rates and weights over which gains are computed. A controller or observer without
-        a rate of its own takes `rate`."""
+        its own rate takes `rate`."""
         return CandidateGrid(
             rate_controller=self._rate_or_common(self.rate_controller),
             rate_observer=self._rate_or_common(self.rate_observer),
@@ -122,12 +122,12 @@ class Auto:
         )
 
     def _rate_or_common(self, rate: float | str) -> float | str:
-        """Rate of controller or observer, or the common rate where its own is not given."""
+        """Rate of controller or observer, or the common rate if it has none of its own."""
         return self.rate if rate == "auto" else rate
 
     def candidates(self, model: Model, balls: Balls) -> Candidates | None:
-        """Gains at all grid points where the Riccati equation has a solution; None if there are
-        none. None if controller or observer has none."""
+        """Gains at all grid points where the Riccati equation has a solution; None if controller or
+        observer has none."""
         return self.grid.candidates(model, balls)
 
     def design(
@@ -137,8 +137,8 @@ class Auto:
         validation: Trajectories = (),
         mismatch: Mismatch | None = None,
     ) -> Design:
-        """Choose the gains of controller and observer and verify them in exact arithmetic. Where no
-        design exists, the result carries the Riccati route's reason.
+        """Choose the gains of controller and observer, and verify them in exact arithmetic. If no
+        design exists, the result has the reason.
 
         The mismatch is that of the validation records unless given.
         """
@@ -178,8 +178,9 @@ class Auto:
     def _search_covered_gains(
         self, response: ExpectedResponse, premise: Premise, validation: Trajectories
     ) -> Search:
-        """Search, around the gains of the grid, for gains whose proof covers the records. The
-        search is longer, and accepts slower gains, where a coverage is requested."""
+        """Make the function that searches, around the gains of the grid, for gains whose proof
+        covers the records. The search is longer, and accepts slower gains, if a coverage is
+        requested."""
         search = GainSearch(
             model=response.model,
             balls=response.balls,
@@ -204,8 +205,8 @@ class Auto:
     def _largest_margin_design(
         self, model: Model, balls: Balls, candidates: Candidates, peaks: Float[np.ndarray, "C O"]
     ) -> Design:
-        """Design the controller and observer with the largest coarse stability margin, and note why
-        no other is taken."""
+        """Choose the design with the largest stability margin on a coarse grid, and note why the
+        other candidates were dropped."""
         best = np.array(np.unravel_index(np.argmin(peaks), peaks.shape))
         design = candidates.specification(best).design(model, balls)
         status = f"no stable controller with margin above {self.margin:g}; largest margin taken"
@@ -216,8 +217,8 @@ class Auto:
     def with_input_limits(
         self, lower: Float[np.ndarray, "m"], upper: Float[np.ndarray, "m"]
     ) -> "Auto":
-        """Copy of this synthesis that scores responses with the input limited to these scaled
-        deviations.
+        """Copy of this synthesis that compares responses under given input limits, as scaled
+        deviations from the equilibrium.
 
         Limits without room around rest are not applied.
         """
@@ -225,13 +226,12 @@ class Auto:
         return replace(self, limits=(lower, upper)) if has_room else self
 
     def prefer_covered_designs(self, premise: Premise) -> "Auto":
-        """Copy of this synthesis that prefers designs whose proof covers the mismatch in the
+        """Copy of this synthesis that prefers designs whose proof covers the model error in the
         records."""
         return replace(self, premise=premise)
 
     def prefer_faster_than_decays(self, decays: Float[np.ndarray, "N T p"]) -> "Auto":
-        """Copy of this synthesis that prefers designs which settle faster than the recorded
-        decays."""
+        """Copy of this synthesis that prefers designs that settle faster than recorded decays."""
         return replace(self, decays=decays)
 
     def with_largest_margin(self) -> "Auto":
@@ -239,7 +239,8 @@ class Auto:
         return replace(self, margin=float("inf"))
 
     def _slowest_design(self, model: Model, balls: Balls) -> Design:
-        """Design at the slowest rates and smallest weights, made to report why none succeeds."""
+        """Design at the slowest rates and smallest weights, made to learn the reason why no design
+        succeeds."""
         grid = self.grid
         rates = {"rate_controller": grid.rate_controller, "rate_observer": grid.rate_observer}
         least: Any = {
@@ -248,7 +249,8 @@ class Auto:
         return replace(grid.specifications()[0], **least).design(model, balls)
 
     def _with_search_outcome(self, design: Design, status: str) -> Design:
-        """Copy of a design under this method's name, with the search's outcome in its status."""
+        """Copy of a design with the name of this method and with the outcome of the search in its
+        status."""
         feedback = design.state_feedback
         observer = design.observer
         return Design(
@@ -263,16 +265,16 @@ class Auto:
 
 @dataclass(kw_only=True)
 class CertifiedDesigns:
-    """Lazily made certified designs of ranked gains. Once one is faster than the open loop, slower
-    ones are left out."""
+    """Certified designs of ranked gains, each made when it is first needed. Once one is faster than
+    the open loop, slower ones are left out."""
 
     response: ExpectedResponse
     has_faster: bool = False
 
     def certified_and_predicted(self, ranked: RankedPair) -> Design | None:
-        """Certified design of one controller and observer, or None if it is not certified or not
-        predicted to be stable. None unless it is predicted to be stable, and for a controller that
-        is no faster than none while a faster one is predicted."""
+        """Certified design of one controller and observer; None if it is not certified or not
+        predicted to be stable. A controller that is no faster than none is left out while a faster
+        one is predicted."""
         if self.has_faster and not ranked.is_faster:
             return None
         known = self.response
@@ -289,8 +291,8 @@ class CertifiedDesigns:
 def coarse_peaks(
     model: Model, balls: Balls, candidates: Candidates, mismatch: Mismatch
 ) -> Float[np.ndarray, "C O"]:
-    """Largest loop gain of every pair of controller and observer on a coarse frequency grid.
-    Infinite where the loop is unstable."""
+    """Largest loop gain of every pair of controller and observer on a coarse frequency grid;
+    infinite if the loop is unstable."""
     weights = mismatch.gain_at(GRID_ANGLES)
     return peaks_on_grid(
         model.system,
@@ -305,7 +307,7 @@ def coarse_peaks(
 
 
 def describe_unsolved_points(candidates: Candidates) -> str:
-    """Text on the grid points at which no gain could be computed. Empty if all have one."""
+    """Text on the grid points for which no gain could be computed; empty if there are none."""
     count = candidates.unsolved
     return f" ({count} of the grid have no solution)" if count else ""
 

@@ -1,4 +1,4 @@
-"""Grid of rates and weights over which `auto` solves for gains.
+"""Grid of rates and weights for which gains are computed, as candidates of `auto`.
 
 Source: docs/theory.md, "The frontier"; docs/closed_loop.md, "Rates chosen for you".
 """
@@ -29,8 +29,8 @@ HALF_SLOPE = 0.5
 
 
 class SolvedSide(NamedTuple):
-    """Gains of all controllers, or of all observers, of a grid, and the number of grid points
-    without a solution."""
+    """Gains of all controllers, or of all observers, of a grid, with the number of grid points that
+    have no solution."""
 
     candidates: list[GainCandidate]
     unsolved: int
@@ -38,8 +38,8 @@ class SolvedSide(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class CandidateGrid:
-    """Rates and weights of controllers and observers for which gains are computed. `auto` explains
-    each field."""
+    """Rates and weights of controllers and observers for which gains are computed. The fields are
+    explained in `auto`."""
 
     rate_controller: float | str
     rate_observer: float | str
@@ -51,7 +51,7 @@ class CandidateGrid:
     modes: tuple[str, ...]
 
     def specifications(self) -> list[RiccatiSynthesis]:
-        """Riccati synthesis specifications of the grid, one for each weight of the internal
+        """Settings of the Riccati syntheses on the grid, one for each weight of the internal
         model."""
         weights: Sequence[float] = INTEGRAL_WEIGHTS[:1]
         if self.modes:
@@ -68,8 +68,8 @@ class CandidateGrid:
         ]
 
     def candidates(self, model: Model, balls: Balls) -> Candidates | None:
-        """Gains at all grid points where the Riccati equation has a solution; None if there are
-        none. None if controller or observer has none."""
+        """Gains at all grid points where the Riccati equation has a solution; None if controller or
+        observer has none."""
         if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
             return None
         rest = equilibrium_slopes(model)
@@ -151,8 +151,8 @@ class CandidateGrid:
     def _rates_below_limit(
         self, specification: RiccatiSynthesis, system: System, ball: JacobianBall, observes: bool
     ) -> tuple[list[float], Solution | None]:
-        """Rates of the grid below the exact limit for controller or observer, the fastest first.
-        Also a solution to start the search from."""
+        """Rates of the grid below the exact limit for controller or observer, the fastest first. A
+        solution from which the search starts is returned, too."""
         own = 0.0  # with neurons the spectral radius proves nothing
         fastest = None
         if isinstance(system, StateSpace):
@@ -172,9 +172,8 @@ class CandidateGrid:
     def _requested_rates(
         self, observes: bool, linear: bool, own: float, limit: float
     ) -> list[float]:
-        """Contraction rates to try for controller or observer, as numbers.
-        Without one, rates from half of
-        the model's own to near the limit."""
+        """Contraction rates to try for controller or observer, as numbers. If none is requested
+        they go from half of the model's own to near the limit."""
         requested = self.rate_observer if observes else self.rate_controller
         if requested != "auto":
             return [float(requested)]
@@ -194,9 +193,8 @@ class CandidateGrid:
         rest: Slopes,
         rate: float,
     ) -> list[GainCandidate]:
-        """Static gains from input to output of the linear models that frozen slopes of the neurons
-        give. They are
-        certified for all slopes.
+        """Gains of the linear models in which the neurons' slopes are constant. They are certified
+        for all slopes.
 
         A cost for the worst slopes guards against what the model may never do; the certificate does
         not need that guard.
@@ -222,16 +220,15 @@ class CandidateGrid:
 
 
 def equilibrium_slopes(model: Model) -> Slopes | None:
-    """Slopes of a model's neurons at the equilibrium; None for a model without neurons. None for a
-    model without neurons."""
+    """Slopes of a model's neurons at the equilibrium; None for a model without neurons."""
     if isinstance(model, SSM) or not model.neurons:
         return None
     return evaluate_activations(model.neurons, model.bias, "slope")
 
 
 def stack_neuron_injections(observers: list[GainCandidate]) -> Float[np.ndarray, "O q p"] | None:
-    """Stack the gains by which each observer corrects the neurons; None without neurons. None where
-    the first observer has none."""
+    """Gains by which several observers correct the neurons, as one array; None if the first
+    observer has none."""
     gains = [solution.k_w for _, solution in observers]
     if gains[0] is None:
         return None

@@ -1,4 +1,4 @@
-"""Candidate gains from which `auto` chooses, each with its specification. Source:
+"""Candidate gains from which a design is chosen, each with the settings that give it. Source:
 docs/theory.md."""
 
 from dataclasses import dataclass, replace
@@ -16,7 +16,8 @@ GainCandidate = tuple[RiccatiSynthesis, Solution]
 
 @dataclass(frozen=True, kw_only=True)
 class Candidates:
-    """Controller and observer gains on a grid, each with the specification that gives it."""
+    """Controller and observer gains on a grid, each with the settings of the synthesis that gives
+    it."""
 
     feedback: tuple[RiccatiSynthesis, ...]
     ks: Float[np.ndarray, "C m s"]
@@ -27,13 +28,13 @@ class Candidates:
     unsolved: int = 0
 
     def gains(self, pairs: Int[np.ndarray, "*pairs 2"]) -> Gains:
-        """Gains of one controller with its observer, or of many."""
+        """Gains of one controller with one observer, or of many such pairs."""
         l_zs = None if self.l_zs is None else self.l_zs[pairs[..., 1]]
         k = self.ks[pairs[..., 0]]
         return Gains(k=k, l=self.ls[pairs[..., 1]], l_z=l_zs, internal=self.internal)
 
     def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis:
-        """Specification of the synthesis whose solutions are these gains."""
+        """Settings of the synthesis that gives one pair of gains."""
         feedback = self.feedback[pair[0]]
         observing = self.observing[pair[1]]
         names = ("rate_observer", "input_noise", "state_noise", "output_noise")

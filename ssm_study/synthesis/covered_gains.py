@@ -1,5 +1,4 @@
-"""Random search around given gains for gains whose proof covers more of the records than those of a
-grid.
+"""Random search around given gains for gains whose proof covers more of the records.
 
 Each round scales every entry of K and L at random (`exp(step * normal)`), drops what is slower than
 allowed, and keeps the best of the rest: the largest coverage until the target is met, then the
@@ -47,15 +46,15 @@ SEED = 0
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredGains:
-    """Gains of controller and observer with their response area on the model, relative to the open
-    loop, and their coverage."""
+    """Gains of controller and observer with two scores: their response area on the model, relative
+    to the open loop, and their coverage."""
 
     gains: Gains
     area: float
     coverage: float
 
     def is_better_than(self, other: "ScoredGains", target: float) -> bool:
-        """Whether these gains cover more than the others or, where both cover the target, are
+        """Whether these gains cover more than other gains or, if both cover the target, are
         faster."""
         if min(self.coverage, other.coverage) >= target:
             return self.area < other.area
@@ -64,8 +63,7 @@ class ScoredGains:
 
 @dataclass(frozen=True, kw_only=True)
 class GainSearch:
-    """Random search around a design, with the model and the records by which each proposal is
-    judged.
+    """Random search around a design, with the model and the records by which proposals are judged.
 
     `largest_area` is the slowest response allowed, in areas of the open loop on the model; `margin`
     the stability margin that the prediction must exceed.
@@ -83,8 +81,8 @@ class GainSearch:
     def improve(
         self, start: Design, target: float, rounds: int, largest_area: float
     ) -> Design | None:
-        """Fastest certified design found by the search whose certificate covers the target. None if
-        there is none.
+        """Fastest certified design that the search finds and whose certificate covers the target;
+        None if there is none.
 
         A proof keeps a little less than its frequencies promise: where it keeps too little, the
         search goes on for as much more.
@@ -103,7 +101,7 @@ class GainSearch:
         return None
 
     def proved_coverage(self, design: Design) -> float:
-        """Coverage that the certificate of a design proves, decided exactly. Zero without a
+        """Coverage that the certificate of a design proves, decided exactly; zero without a
         certificate."""
         proved = add_coverage_certificate(design, self.model, self.balls, self.premise)
         return coverage_columns(proved, self.model, self.premise).get("coverage") or 0.0
@@ -142,7 +140,7 @@ class GainSearch:
         target: float,
         largest_area: float,
     ) -> list[ScoredGains]:
-        """Score the proposed gains that are fast enough and whose controller itself is stable."""
+        """Score those proposed gains that are fast enough and whose controller alone is stable."""
         if not proposals:
             return []
         allowed = best.area if best.coverage >= target else max(largest_area, best.area)
@@ -157,7 +155,8 @@ class GainSearch:
     def _best_predicted(
         self, trials: list[ScoredGains], best: ScoredGains, target: float
     ) -> ScoredGains | None:
-        """Best proposal that is better than the best so far and predicted to be stable."""
+        """Best of the proposed gains that are predicted to be stable and improve on the best so
+        far; None if there are none."""
         leader: ScoredGains | None = None
         for trial in trials:
             if not trial.is_better_than(leader or best, target):
@@ -168,27 +167,27 @@ class GainSearch:
         return leader
 
     def _faster_proposals(self, proposals: list[Gains], slowest: float) -> list[Gains]:
-        """Proposed gains that settle the recorded decays in less than a given share of the decays'
-        own time."""
+        """Proposed gains with which the loop settles in less than a given share of the time of
+        recorded decays."""
         ratios = self._decay_ratios(proposals)
         return [gains for gains, ratio in zip(proposals, ratios, strict=True) if ratio < slowest]
 
     def _decay_ratios(self, proposals: list[Gains]) -> list[float]:
-        """Settling time of each proposal relative to that of the recorded decays."""
+        """Settling time with each of the proposed gains, relative to that of the recorded
+        decays."""
         ratios = largest_decay_ratios(
             self.model, stack_gains(proposals), self.decays, self.mismatch.band, self.limits
         )
         return [float(ratio) for ratio in ratios]
 
     def _response_areas(self, proposals: list[Gains]) -> list[float]:
-        """Response area of each proposal on the model, relative to the open loop."""
+        """Response area of each of the proposed gains on the model, relative to the open loop."""
         areas = relative_areas(self.model, stack_gains(proposals), self.validation, self.limits)
         return [float(area) for area in areas]
 
     def certify_gains(self, start: Design, gains: Gains) -> Design | None:
-        """Design with these gains and certificates at the largest rates proved for them; None if
-        one is missing. None where there are none, or where the loop is not predicted to be
-        stable."""
+        """Design with given gains and certificates at the largest rates proved for them. None if a
+        certificate is missing, or the loop is not predicted to be stable."""
         feedback, observer = start.parts()
         new_feedback = certify_other_gains(feedback, k=gains.k)
         injected: dict[str, Any] = {"l": gains.l}
@@ -201,8 +200,8 @@ class GainSearch:
 
 
 def certify_other_gains(part: Any, **gains: Any) -> Any:
-    """Certificate of other gains by the theorem of a given certificate, at the largest rate it
-    proves for them. None if no rate is."""
+    """Certificate of other gains by the theorem of a given certificate, at the largest rate that it
+    proves; None if it proves none."""
     try:
         with linear_algebra_failures_as_no_solution():
             return at_largest_rate(replace(part, rate=LEAST_RATE, **gains))
@@ -211,10 +210,10 @@ def certify_other_gains(part: Any, **gains: Any) -> Any:
 
 
 def scale_at_random(gains: Gains, step: float, random: np.random.Generator) -> Gains:
-    """Multiply every entry of the gains by a random factor of its own."""
+    """Multiply every entry of the gains by its own random factor."""
 
     def scaled(matrix: Any) -> Any:
-        """Matrix with every entry multiplied by a random factor."""
+        """Multiply every entry of a matrix by its own random factor."""
         return matrix * np.exp(step * random.standard_normal(matrix.shape))
 
     l_z = None if gains.l_z is None else scaled(gains.l_z)
@@ -222,7 +221,7 @@ def scale_at_random(gains: Gains, step: float, random: np.random.Generator) -> G
 
 
 def stack_gains(proposals: list[Gains]) -> Gains:
-    """Stack the gains of several controllers and observers into one batch."""
+    """Gains of several controllers and observers as one batch."""
     injections = [gains.l_z for gains in proposals if gains.l_z is not None]
     k = np.stack([gains.k for gains in proposals])
     l_ = np.stack([gains.l for gains in proposals])
@@ -231,6 +230,6 @@ def stack_gains(proposals: list[Gains]) -> Gains:
 
 
 def gain_fields(gains: Gains) -> dict[str, Any]:
-    """Gain matrices by their letters, without those that are absent."""
+    """Gain matrices keyed by symbol, without those that are absent."""
     matrices = {"k": gains.k, "l": gains.l, "l_z": gains.l_z}
     return {letter: matrix for letter, matrix in matrices.items() if matrix is not None}

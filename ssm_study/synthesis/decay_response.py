@@ -1,4 +1,4 @@
-"""Response of a loop from the initial states of recorded decays, compared with the decays
+"""Response of a closed loop from the initial states of recorded decays, compared with the decays
 themselves.
 
 A decay is a record at rest input that starts away from rest. Its output is what the plant does
@@ -28,8 +28,8 @@ BANDS = (1.0, 2.0)  # bands of settling in which a response is judged
 def simulate_decays(
     model: Model, trials: Trajectories, validation: Trajectories
 ) -> Float[np.ndarray, "N T p"]:
-    """Decays of the model without control from the states at which recorded decays start, scaled
-    and free of noise.
+    """Decays of the model without control from the initial states of recorded decays, scaled and
+    free of noise.
 
     Decays at rest input count that start beyond the band of settling and that the model follows;
     none with measured disturbances, which push an output without a start.
@@ -62,9 +62,9 @@ def largest_decay_ratios(
     band: float,
     limits: Ends | None = None,
 ) -> Float[np.ndarray, "P"]:
-    """Settling time of each loop relative to the decays without control, the larger ratio of two
-    settling bands. Zero without decays, and with an internal model, which settles at its own
-    pace."""
+    """Settling time of each loop relative to the decays without control, for the settling band (of
+    two) with the larger ratio. Zero without decays, and with an internal model, which settles at
+    its own pace."""
     if gains.modes.size:
         return np.zeros(len(gains.k))
     ratios = [decay_ratios(model, gains, decays, size * band, limits) for size in BANDS]
@@ -78,8 +78,8 @@ def decay_ratios(
     band: float,
     limits: Ends | None = None,
 ) -> Float[np.ndarray, "P"]:
-    """Settling time of the loop relative to that of the decay without control, mean over the
-    decays. It is computed for many gains at once; zero without decays."""
+    """Settling time of each loop relative to that of the decays without control, averaged over the
+    decays. Zero without decays."""
     pairs = len(gains.k)
     if not len(decays):
         return np.zeros(pairs)
@@ -93,7 +93,7 @@ def decay_ratios(
 def _settled_sample(
     sizes: Float[np.ndarray, "*pairs T"], band: float
 ) -> Float[np.ndarray, "*pairs"]:
-    """First sample from which a signal's size stays within a band."""
+    """First sample from which on the size of a signal stays within a band."""
     outside = sizes > band
     samples = np.arange(1, sizes.shape[-1] + 1)
     return np.asarray((outside * samples).max(axis=-1).astype(float))
@@ -105,8 +105,8 @@ def _closed_loop_outputs(
     decays: Float[np.ndarray, "N T p"],
     limits: Ends | tuple[float, float],
 ) -> Float[np.ndarray, "P N T p"]:
-    """Outputs of the closed loop with each controller and observer, started from the initial state
-    of each recorded decay."""
+    """Outputs of the closed loop with each controller and observer, from the initial state of each
+    recorded decay."""
     k = gains.k.transpose(0, 2, 1)[:, : model.order]
     l_ = gains.l.transpose(0, 2, 1)
     l_z = None if gains.l_z is None else gains.l_z.transpose(0, 2, 1)

@@ -1,5 +1,5 @@
-"""Certificates for the chosen gains of controller and observer: largest rates, tolerated mismatch,
-limited inputs.
+"""Certificates for the chosen gains of controller and observer: largest rates, tolerated model
+error, limited inputs.
 
 All are about the very gains that are deployed: `theorems/deployed_rate.py`, `measured_discs.py`,
 `limited_input.py`, `unlimited_start.py`; docs/theory.md, "The gains that are deployed".
@@ -47,8 +47,8 @@ EVERYWHERE, SETS = OF_LIMITS  # as `certificate.json` names them
 def with_gain_certificates(
     design: Design, model: Model, balls: Balls, limits: tuple[Inputs, Inputs] | None = None
 ) -> Design:
-    """Add to a design all further certificates that its gains have, each verified exactly. They are
-    largest rates, tolerance, and the effect of physical input `limits`.
+    """Add to a design all further certificates that can be proved for its gains, each verified
+    exactly. They are largest rates, tolerance, and the effect of physical input `limits`.
 
     For a law that undoes the input map nothing is proved with limits: they are not those of what
     it commands.
@@ -70,8 +70,8 @@ def with_gain_certificates(
 
 
 def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem | None:
-    """Certificate of the largest gain from the input to the mismatch for which the loop comes to
-    rest. None for gains certified by another class, and where none is proved."""
+    """Certificate of the largest gain from the input to the model error with which the loop comes
+    to rest. None for gains certified by another class, and if none is proved."""
     feedback = design.state_feedback
     observer = design.observer
     if isinstance(observer, ObserverOfBall):
@@ -91,8 +91,8 @@ def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem
 
 
 def at_largest_rate(part: Side) -> Side | None:
-    """Certificate of the same gain at the largest rate that is proved for it. None where that is no
-    larger than certified already.
+    """Certificate of the same gain at the largest rate that is proved for it; None if the certified
+    rate is already that large.
 
     A plug-in's theorem says itself how (`Side.at_largest_rate`).
     """
@@ -108,8 +108,8 @@ def at_largest_rate(part: Side) -> Side | None:
 def certify_input_limits(
     model: Model, design: Design, lower: Inputs, upper: Inputs
 ) -> dict[str, Any]:
-    """Certificates of a design's gains for limited inputs, by name. Unchanged for neurons, without
-    a certificate, or for limits that do not enclose the equilibrium."""
+    """Certificates of a design's gains under input limits, by name. Empty for neurons, without a
+    certificate, or for limits that do not enclose the equilibrium."""
     extra = design.extra_certificates
     parts = (
         design.state_feedback,
@@ -139,7 +139,8 @@ def certify_input_limits(
 
 
 def equilibrium_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
-    """Equilibrium states at the corners of a box of outputs, one of each pair of mirror images.
+    """Equilibrium states with outputs at the corners of a box, one of each pair of mirror images;
+    None if there is no such box.
 
     Their hull with the mirror images holds every rest point whose outputs lie in the box. With
     outputs that answer at once (D), several rest points of one output, or outputs that a nonlinear
@@ -165,8 +166,8 @@ def equilibrium_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
 def equilibrium_starts(
     model: SSM, starts: Float[np.ndarray, "s j"]
 ) -> Float[np.ndarray, "s j"] | None:
-    """Equilibrium states nearest to stored initial states, each scaled to the same share of its
-    corner. None if there are none."""
+    """Equilibrium states nearest to the stored initial states, each at the same fraction of the
+    distance to its corner of the box of outputs; None if there are none."""
     corners = equilibrium_corners(model)
     if corners is None or not corners.any() or len(starts) < len(corners):
         return None
@@ -178,8 +179,8 @@ def equilibrium_starts(
 
 @dataclass(frozen=True, kw_only=True)
 class WithinLimits:
-    """Proof that no input limit acts from equilibria with outputs between `lower, upper (p,)`.
-    `everywhere` is the proof with inputs cut at the limits, or None."""
+    """Proof that no input limit is reached from equilibria whose outputs lie in a range, `lower,
+    upper (p,)`. `everywhere` is the proof with inputs cut at the limits, or None."""
 
     lower: Outputs
     upper: Outputs
@@ -187,8 +188,8 @@ class WithinLimits:
 
     @classmethod
     def from_certificate(cls, model: Model, parts: Mapping[str, Any]) -> "WithinLimits | None":
-        """Limits and proved outputs, read from the parts of a certificate; None where it has no
-        such part. None where they have no set of initial states."""
+        """Limits and proved outputs, from the parts of a certificate; None if it has no set of
+        initial states."""
         if SETS not in parts or not isinstance(model, SSM):
             return None
         starts = equilibrium_starts(model, parts[SETS].starts)
@@ -200,8 +201,8 @@ class WithinLimits:
 
 
 def limits_proof(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> WithinLimits:
-    """Proof of what a design achieves within physical input limits. Raises `BadRequest` where
-    nothing can be proved."""
+    """Proof of what a design achieves under physical input limits. Raises `BadRequest` if nothing
+    can be proved."""
     design.parts()
     rest = model.scale.input_equilibrium
     limits = (lower.tolist(), upper.tolist())
@@ -217,7 +218,7 @@ def limits_proof(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> Wi
 
 
 def output_range(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs, Outputs]:
-    """Smallest and largest output between the initial states and their mirror images, in physical
+    """Smallest and largest output among given initial states and their mirror images, in physical
     units."""
     linear_c = model.linear.c
     read = (linear_c @ starts[: model.order]).T
@@ -226,8 +227,8 @@ def output_range(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs,
 
 
 def none_if_unsolved(find: Callable[[], Theorem | None]) -> Theorem | None:
-    """Certificate that a search returns; None if the search ends without a solution. None where its
-    numbers exceed floating point, so that nothing is claimed and the design remains."""
+    """Certificate that a search returns; None if the search ends without a solution. Numbers that
+    exceed floating point end it, too; the design remains."""
     try:
         with linear_algebra_failures_as_no_solution():
             return find()

@@ -1,4 +1,4 @@
-"""Design of controller and observer from a model and its Jacobian balls, each with an exact
+"""Design of controller and observer from a model and its balls of Jacobians, each with an exact
 verdict.
 
 The theorems are 1 and 2 of [Z26]; how one problem serves both: docs/theory.md.
@@ -55,8 +55,8 @@ FRONTIER_ROUNDING = (
 
 @dataclass(frozen=True, kw_only=True)
 class DesignAttempt:
-    """Attempt to design a controller or observer, with its request, theoretical limit, method and
-    start time."""
+    """Attempt to design a controller or an observer: its request, the theoretical limit, the method
+    and the time at which it began."""
 
     theorem: type[Side]
     rate: float
@@ -66,8 +66,8 @@ class DesignAttempt:
     started: float
 
     def refuse_beyond_limit(self) -> Infeasible | None:
-        """Result for a requested rate beyond the theoretical limit; None for one within it. None if
-        the request lies within it."""
+        """Result of an attempt whose requested rate exceeds the theoretical limit; None if it does
+        not."""
         ball = self.ball
         limit = self.frontier.rate_limit
         if abs(ball.alpha) <= ball.beta:
@@ -83,7 +83,8 @@ class DesignAttempt:
         return None
 
     def _excess_words(self) -> str:
-        """Words on a requested rate beyond the limit: what allows how much, and the remedies."""
+        """Text on a requested rate beyond the limit: the largest possible rates, and the
+        remedies."""
         limit = self.frontier.rate_limit
         by = self.frontier.decided_by
         slopes = by == "the slopes"
@@ -96,7 +97,7 @@ class DesignAttempt:
         return f"{said} only rates below {limit:.6g}; {remedy} or {remedies[-1]}"
 
     def without_certificate(self, reason: str, status: str, proved: bool = False) -> Infeasible:
-        """Result of an attempt that gave no certificate, with its reason. `reason` says why."""
+        """Result of an attempt that gave no certificate, with the reason."""
         theorem = self.theorem.name()
         rate_limit = self.frontier.rate_limit
         asked: Any = {"theorem": theorem, "rate": self.rate, "rate_limit": rate_limit}
@@ -109,16 +110,16 @@ class DesignAttempt:
         )
 
     def certify_solution(self, problem: Problem, solution: Solution) -> Any:
-        """Certificate built from a solution and decided in exact arithmetic. `problem` is in
-        Theorem 1's form, transposed for an observer."""
+        """Certificate made from a solution and decided in exact arithmetic. `problem` has the form
+        of Theorem 1, transposed for an observer."""
         numbers = self.theorem.numbers_of(problem, solution)
         told: dict[str, Any] = {"method": self.method, "started": self.started}
         rate_limit = self.frontier.rate_limit
         return self.theorem.proved(numbers, rate_limit=rate_limit, status=solution.status, **told)
 
     def first_certified(self, problem: Problem, attempts: Iterable[Callable[[], Solution]]) -> Any:
-        """First solution that is certified, else the last one's certificate or the reason why there
-        is none.
+        """First certified solution; otherwise the result of the last attempt: its rejected
+        certificate, or the reason that there is none.
 
         Matrices that floats could have held are handed on as found, not certified; hopeless ones
         are refused.
@@ -156,8 +157,8 @@ class DesignAttempt:
 def failed_checks(
     content: dict[str, Any], linear: Any, balls: Balls, controlled: Any = None
 ) -> list[str]:
-    """One sentence for each claim of a stored `certificate.json` that does not hold for the model.
-    Empty when all hold.
+    """Sentences on those claims in a stored `certificate.json` that do not hold for the model;
+    empty if all hold.
 
     `linear` is the recurrence, `balls` those of `model.json`, `controlled` what the state feedback
     acts on where that is not the model itself (integral action). Claims are each part's digest, the
@@ -202,7 +203,7 @@ def failed_checks(
 
 
 def _failed_checks_of_part(part: Theorem | Infeasible, context: VerificationContext) -> list[str]:
-    """One sentence for each claim of one certificate that does not hold."""
+    """Sentences on those claims of one certificate that do not hold for the model."""
     theorem = find_theorem(part.theorem) if isinstance(part, Infeasible) else type(part)
     ball = theorem.ball(context)
     limit = theorem.rate_limit_of(context)
@@ -239,7 +240,8 @@ FASTEST = 1 - 1e-13  # of the rates: faster ones, as repairs try, must still be 
 
 
 def require_contraction_rate(field: str, rate: Any, remedy: str) -> None:
-    """Raise `BadRequest` unless a value is a contraction rate between 0 and 1, not too near 1."""
+    """Raise `BadRequest` unless a value is a contraction rate between 0 and 1 and not too close to
+    1."""
     fits = isinstance(rate, int | float) and 0 < rate <= FASTEST
     require(fits, field, rate, "a contraction rate lies in (0, 1), at least 1e-13 below 1", remedy)
 
@@ -294,8 +296,8 @@ class Synthesis(ABC):
 
     @abstractmethod
     def solve(self, problem: Problem) -> Solution:
-        """Solve the synthesis problem for a gain and its contraction metric. Raises `NoSolution`
-        when the method finds none."""
+        """Solve the synthesis problem for a gain and its contraction metric. Raises `NoSolution` if
+        the method finds none."""
 
     def design(
         self, model: Any, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None
@@ -313,14 +315,13 @@ class Synthesis(ABC):
         return Design(state_feedback=feedback, observer=observer)
 
     def state_feedback(self, system: System, ball: JacobianBall) -> StateFeedback | Infeasible:
-        """Design the certified state feedback for a system, or give the reason why there is
-        none."""
+        """Certified state feedback for a system, or the reason why there is none."""
         neurons = isinstance(system, StructuredSystem)
         theorem = StructuredStateFeedback if neurons else self.feedback_theorem
         return self._design_part(theorem, system, ball)
 
     def observer(self, system: System, ball: JacobianBall) -> Observer | Infeasible:
-        """Design the certified observer for a system, or give the reason why there is none."""
+        """Certified observer for a system, or the reason why there is none."""
         neurons = isinstance(system, StructuredSystem)
         theorem = StructuredObserver if neurons else self.observer_theorem
         return self._design_part(theorem, system, ball)
@@ -344,8 +345,8 @@ class Synthesis(ABC):
         return request.first_certified(problem, self.attempts(problem, limit))
 
     def problem(self, system: System, ball: JacobianBall, observes: bool = False) -> Problem:
-        """Synthesis problem of the controller, or of the observer on the dual system. With
-        `observes` it is that of the observer on the dual system."""
+        """Synthesis problem of the controller; with `observes`, that of the observer on the dual
+        system."""
         weights = (self.output_weight, self.state_weight, self.input_weight, self.rate_controller)
         if observes:
             weights = (self.input_noise, self.state_noise, self.output_noise, self.rate_observer)
@@ -360,8 +361,8 @@ class Synthesis(ABC):
         return Problem(**data, ball=ball, rate=rate)
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
-        """Functions that solve the problem at the requested rate, then at faster rates, which leave
-        a larger margin."""
+        """Functions that solve the problem at the requested rate, then at larger rates, which leave
+        more margin."""
         r = problem.contraction
         floor = max(frontier.contraction_limit, REPAIR_FLOOR * problem.contraction)
         rates = [problem.rate, *(1 - (r * (floor / r) ** share) ** 2 for share in REPAIRS)]

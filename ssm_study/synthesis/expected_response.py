@@ -1,4 +1,4 @@
-"""Ranking of certified gains by the response that is expected of them on the plant.
+"""Ranking of certified gains by their expected response on the plant.
 
     P area + (1 - P) LOSS,        P = Phi(ln(margin) / spread)
 
@@ -52,7 +52,7 @@ def expected_area(area: float, loop_gain: float, spread: float) -> float:
 
 
 class RankedPair(NamedTuple):
-    """Gains of one controller and observer with their rank and whether they are faster than the
+    """Gains of one controller and observer, with their rank and whether they are faster than the
     open loop."""
 
     pair: Pair
@@ -61,7 +61,7 @@ class RankedPair(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ExpectedResponse:
-    """Scores of the designs of one grid, from the model, the gains and the records."""
+    """Scores of all designs on a grid, from the model, the gains and the records."""
 
     model: Model
     balls: Balls
@@ -71,25 +71,25 @@ class ExpectedResponse:
     decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS)
 
     def loop_gain(self, pair: Pair, shared: Responses) -> float:
-        """Loop gain of a design under the measured mismatch, the inverse of its stability margin.
-        The computation stops early from `1 / margin` on."""
+        """Loop gain of a design under the measured model error, the inverse of its stability
+        margin. The computation stops early from `1 / margin` on."""
         gains = self.candidates.gains(pair)
         refused = 1 / self.margin
         return robustness_measure(self.model, gains, self.balls, self.mismatch, shared, refused)
 
     def expected_area_of(self, pair: Pair, area: float, shared: Responses) -> float:
-        """Expected response area of one design, its loop gain taken on a coarse frequency grid."""
+        """Expected response area of one design, with its loop gain on a coarse frequency grid."""
         loop_gain = self.loop_gain(pair, shared)
         spread = self.mismatch.spread
         return expected_area(float(area), loop_gain, spread)
 
     def resists_noise(self, pair: Pair) -> bool:
-        """Whether sensor noise alone keeps the output within the settling band."""
+        """Whether the output stays within the settling band if only sensor noise acts."""
         gains = self.candidates.gains(pair)
         return noise_peak(self.model, gains, self.balls, self.mismatch) < 1
 
     def stable_pairs(self, peaks: Float[np.ndarray, "C O"]) -> Int[np.ndarray, "N 2"]:
-        """Designs with a large enough stability margin whose controller itself is stable."""
+        """Designs with a large enough stability margin whose controller alone is stable."""
         if np.isinf(self.margin):  # no pair has it (and times a peak of zero it is no number)
             return np.empty((0, 2), dtype=int)
         pairs = np.argwhere(self.margin * peaks < 1)
@@ -100,7 +100,8 @@ class ExpectedResponse:
     def ordered_pairs(
         self, peaks: Float[np.ndarray, "C O"], validation: Trajectories, limits: Ends | None
     ) -> Iterator[RankedPair]:
-        """Designs that pass all tests, by expected response, those faster than the open loop first.
+        """Designs that pass all tests, sorted by expected response, those faster than the open loop
+        first.
 
         An expected area is never below the area, so the search ends where the areas exceed the
         expected ones of the passing pairs, and goes on only where none of those is taken (the gains
@@ -142,8 +143,8 @@ class ExpectedResponse:
 
 
 def compared_indices(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"]) -> list[int]:
-    """Indices of the designs to compare: those with the smallest response areas, and as many spread
-    over the others."""
+    """Indices of the designs that are compared: those with the smallest response areas, and as many
+    spread over the others."""
     order = np.lexsort((areas, slow))
     step = max(len(order) // COMPARED, 1)
     return [*order[:COMPARED].tolist(), *order[COMPARED::step].tolist()]
@@ -152,7 +153,7 @@ def compared_indices(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"])
 def predicts_faster_response(
     model: Model, pair: Gains, mismatch: Mismatch, validation: Trajectories, trials: Trajectories
 ) -> bool:
-    """Whether a design is clearly faster than the open loop, on the model and from the initial
+    """Whether a design is clearly faster than the open loop, both on the model and from the initial
     states of recorded decays. Input limits are not considered."""
     l_z = None if pair.l_z is None else pair.l_z[None]
     k = pair.k[None]
@@ -164,7 +165,7 @@ def predicts_faster_response(
 
 
 def response_columns(design: Any, model: Model, mismatch: Mismatch, *records: Trajectories) -> Any:
-    """Column that says whether the design is predicted to be faster than the open loop. None
+    """Column that says whether the design is predicted to be faster than the open loop. It is null
     without a design, and for a law that inverts the input map."""
     if not design.feasible or design.inverts_input_map:
         return {}

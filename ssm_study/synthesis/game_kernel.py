@@ -1,4 +1,5 @@
-"""Compiled solver of the game Riccati equation: its saddle point and the gradient there.
+"""Compiled solver of the game Riccati equation, which gives its saddle point and the gradient
+there.
 
 Everything is a matrix of floats with its rows in sequence and every product a loop of its own: one
 kind of array, few instances, a compiler that is done in seconds. A step that has no solution raises
@@ -70,8 +71,8 @@ def join_columns(a, b):
 @compile_with_numba
 @no_type_check
 def solve_linear(a, b):
-    """Solution `a^{-1} b` of a linear system by elimination with partial pivots. Raises for a
-    singular a, or NaN."""
+    """Solution `a^{-1} b` of a linear system by elimination with partial pivots. Raises an error if
+    a is singular or has NaN."""
     n = len(a)
     rows = join_columns(a, b)
     width = rows.shape[1]
@@ -95,8 +96,8 @@ def solve_linear(a, b):
 @compile_with_numba
 @no_type_check
 def log_det(a):
-    """Logarithm of the determinant of a positive definite matrix, by Cholesky's factor. Raises for
-    any other matrix."""
+    """Logarithm of the determinant of a positive definite matrix, by its Cholesky factor. Raises an
+    error for any other matrix."""
     n = len(a)
     total = 0.0
     lower = np.zeros(a.shape)
@@ -117,8 +118,8 @@ def log_det(a):
 @compile_with_numba
 @no_type_check
 def _add_step(total, step):
-    """Add a symmetrised matrix to a sum, in place. Returns 1 where the step no longer counts, -1
-    where the sum diverges (or is NaN), else 0."""
+    """Add a symmetrised matrix to a sum, in place. Returns 1 if the step is negligible, -1 if the
+    sum diverges (or is NaN), else 0."""
     largest = change = 0.0
     for i in range(len(total)):
         for j in range(i + 1):
@@ -134,8 +135,8 @@ def _add_step(total, step):
 @compile_with_numba
 @no_type_check
 def riccati_limit(a, g, h):
-    """Limit of the Riccati iteration `H <- H + A'H (I + G H)^{-1} A`, by doubling. Raises where
-    there is none. G and H are overwritten."""
+    """Limit of the Riccati iteration `H <- H + A'H (I + G H)^{-1} A`, by doubling. Raises an error
+    if there is none. G and H are overwritten."""
     n = len(a)
     ended = 0
     for _ in range(DOUBLINGS):
@@ -159,8 +160,8 @@ def riccati_limit(a, g, h):
 @compile_with_numba
 @no_type_check
 def solve_lyapunov(a, source):
-    """Solution of the Lyapunov equation `P = a P a' + source`. Raises unless a is stable. The
-    source is overwritten."""
+    """Solution of the Lyapunov equation `P = a P a' + source`. Raises an error unless a is stable.
+    The source is overwritten."""
     ended = 0
     for _ in range(DOUBLINGS):
         ended = _add_step(source, multiply(multiply(a, source), transpose(a)))
@@ -204,8 +205,8 @@ def _cost_matrices(f, moved, state_weight, input_weight, m, r, logs):
 @compile_with_numba
 @no_type_check
 def _constraint(h, m, inputs, injects):
-    """Matrix that selects the signals whose quadratic form has to be negative, by the order in
-    which the players move."""
+    """Matrix that selects the signals whose quadratic form has to be negative. It depends on the
+    order in which the players move."""
     size = len(h)
     t = np.zeros((size, size - m))
     for i in range(m, size):
@@ -222,7 +223,7 @@ def _constraint(h, m, inputs, injects):
 @compile_with_numba
 @no_type_check
 def _goal_gradient(f, moved, m, r, logs, barrier, saddle, reach, shadow):
-    """Gradient of the goal in the log multipliers, from the saddle point of the game.
+    """Gradient of the goal with respect to the log multipliers, from the saddle point of the game.
 
     At a saddle point the players' own changes count only in second order: the multipliers act on
     the cost alone.

@@ -1,5 +1,5 @@
-"""Guaranteed-cost gains from Riccati equations in O(n^3). Their weights select a good one among the
-certified gains.
+"""Gains with a guaranteed cost from Riccati equations, in O(n^3). Their weights select a good one
+among the certified gains.
 
 Problem. As in `state_feedback` (and, transposed, `observer`): among the certified gains, the one
 for which `sum r^{-2k} (x^T Q_x x + u^T R u)` is small whatever S_u does.
@@ -73,7 +73,8 @@ FAR = 1e300  # the cost of an inadmissible tau: finite, so that the line search 
 
 @dataclass(frozen=True, kw_only=True)
 class GuaranteedCost:
-    """Gain and Riccati solution divided by tau, at one point of the search over tau."""
+    """Gain and scaled Riccati solution at one point of the search over the multiplier tau. The
+    solution is divided by tau."""
 
     s_over_tau: Float[np.ndarray, "n n"]
     k: Float[np.ndarray, "m n"]
@@ -87,8 +88,8 @@ class GuaranteedCost:
 
 @linear_algebra_failures_as_no_solution()
 def guaranteed_cost(problem: Problem) -> Solution:
-    """Certified gain with the least guaranteed cost over the multiplier tau. Raises `NoSolution` if
-    no tau is admissible."""
+    """Certified gain with the smallest guaranteed cost over the multiplier tau. Raises `NoSolution`
+    if no tau is admissible."""
     alpha = problem.ball.alpha
     beta = problem.ball.beta
     if abs(alpha) <= beta:
@@ -105,8 +106,7 @@ def guaranteed_cost(problem: Problem) -> Solution:
 
 
 def solve_at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
-    """Riccati solution and gain at one value of the multiplier tau; None if there is none. None if
-    tau is inadmissible."""
+    """Riccati solution and gain at one value of the multiplier tau; None if tau is inadmissible."""
     ball = problem.ball
     ah = problem.a_hat
     bh = problem.b_hat
@@ -135,7 +135,7 @@ def _minimise_over_tau(problem: Problem, tau_min: float) -> GuaranteedCost:
     tried: list[tuple[float, GuaranteedCost | None]] = []
 
     def cost(log_step: float) -> float:
-        """Guaranteed cost at a value of the search variable, the logarithm of `tau / tau_min -
+        """Guaranteed cost as a function of the search variable, the logarithm of `tau / tau_min -
         1`."""
         tau = tau_min * (1 + np.exp(log_step))
         point = solve_at_tau(problem, tau)
@@ -157,7 +157,7 @@ def _minimise_over_tau(problem: Problem, tau_min: float) -> GuaranteedCost:
 
 @dataclass(frozen=True, kw_only=True)
 class RiccatiSynthesis(Synthesis):
-    """Synthesis of the certified gains with least guaranteed cost for the given weights.
+    """Synthesis of the certified gains with the smallest guaranteed cost for given weights.
 
     With neurons the search starts from what is `near`: a neighbour's solution for the controller
     (under False) or for the observer (under True).
@@ -179,7 +179,7 @@ class RiccatiSynthesis(Synthesis):
         return least_cost(problem, near)
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
-        """Functions that solve for the given weights; near the rate limit also for the
+        """Functions that solve the problem for the given weights; near the rate limit also by the
         minimum-energy gain."""
         weighted = super().attempts(problem, frontier)[:WEIGHTED_ATTEMPTS]
         if problem.neurons is not None:

@@ -1,5 +1,4 @@
-"""Control laws that invert the input map, `u = S_u^{-1}(K xh)`, which is possible where S_u is
-strictly monotone.
+"""Control laws that invert the input map, `u = S_u^{-1}(K xh)`, if the map is strictly monotone.
 
 A deviation from `v = S_u(u)`, at a limit of u, is known to the observer. Through a dead zone the
 law asks for several times the input. Source: docs/theory.md, "With neurons".
@@ -29,8 +28,8 @@ INVERTED = {
 
 
 def model_behind_map(model: Model) -> Model:
-    """Model without its input map, whose input is `v = S_u(u)`. Raises `BadRequest` where `S_u`
-    cannot be inverted channel by channel."""
+    """Model without its input map, with input `v = S_u(u)`. Raises `BadRequest` unless `S_u` can be
+    inverted channel by channel."""
     problem = "is not strictly monotone in each channel"
     remedy = "use scaffold@model.scaffold_in=monotone"
     kind = model.scaffold_in.kind
@@ -54,7 +53,7 @@ def records_behind_map(model: Model, records: Trajectories) -> Trajectories:
 def mismatch_behind_map(
     model: Model, records: Trajectories, start_up_samples: int, mismatch_records: Trajectories
 ) -> Mismatch:
-    """Mismatch between records and model relative to `v = S_u(u)`."""
+    """Model error of the records with `v = S_u(u)` as the input."""
     return measure_mismatch(
         model_behind_map(model),
         records_behind_map(model, records),
@@ -64,8 +63,8 @@ def mismatch_behind_map(
 
 
 def mismatch_for_law(law: Any, model: Model, data: DataSet, mismatch: Mismatch) -> Mismatch:
-    """Mismatch relative to the input that the control law computes: u, or v where it inverts the
-    input map. `mismatch` is relative to u."""
+    """Model error with the control law's computed input as the input. This is u, or v where the law
+    inverts the input map; `mismatch` is relative to u."""
     inverts = law.inverts_input_map if isinstance(law, Design) else law.invert_input
     if not inverts:
         return mismatch
@@ -92,8 +91,8 @@ def mark_as_inverting(design: Design) -> Design:
 
 
 def commanded_model_and_balls(design: Design, model: Model, balls: Balls) -> tuple[Model, Balls]:
-    """Model and Jacobian balls relative to the input that the control law computes. They are the
-    model itself, or the model with input v."""
+    """Model, and its balls of Jacobians, with the control law's computed input as the model input.
+    They are the model itself, or the model with input v."""
     if not design.inverts_input_map:
         return model, balls
     inner_model = model_behind_map(model)
@@ -103,7 +102,7 @@ def commanded_model_and_balls(design: Design, model: Model, balls: Balls) -> tup
 def design_with_inverted_input(
     plain: Any, model: Model, validation: Trajectories, shown: Mismatch | None
 ) -> Design:
-    """Design for the model without its input map, as a control law that inverts that map."""
+    """Design for the model without its input map, with a control law that inverts the map."""
     inner_model = model_behind_map(model)
     limits = getattr(plain, "limits", None)
     if limits is not None:

@@ -1,4 +1,4 @@
-"""Area under a design's response on the model and its settling time, for hundreds of designs at
+"""Area under a design's response on the model, and its settling time, for hundreds of designs at
 once.
 
 Used to choose among certified designs (docs/closed_loop.md); the separation it leans on is in
@@ -32,7 +32,7 @@ AT_ONCE = 256  # designs simulated together: as many as stay in the processor's 
 def comparison_scenario(
     model: Model, validation: Trajectories, loaded: bool
 ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N k"], int]:
-    """Initial states, loads and horizon of the simulations by which designs are compared.
+    """Initial states, loads and horizon of the simulations in which designs are compared.
 
     `CASES` states that the model passes through in the validation record; if `loaded`, also rest
     under loads. Not states in which a constant input would hold the model: a model may have a mode
@@ -65,8 +65,8 @@ def comparison_scenario(
 
 
 def _constant_loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, "L k"]:
-    """Constant loads at several levels for each input channel, scaled by their effect on the
-    output. Channels without effect are left out."""
+    """Constant loads at several levels for each input, scaled by their effect on the output. Inputs
+    without effect are left out."""
     if linear.integrates:  # a unit of each channel holds no state: the one that it reaches
         response = linear.simulate(np.eye(linear.b.shape[1])[:, None].repeat(horizon, axis=1))
         held = response[1]
@@ -98,7 +98,7 @@ def _load_time_course(
 def relative_areas(
     model: Model, gains: Gains, validation: Trajectories, limits: Ends | None = None
 ) -> Float[np.ndarray, "P"]:
-    """Response area of each design relative to the open loop, mean over the initial states.
+    """Response area of each design relative to the open loop, averaged over the initial states.
 
     `J = sum_k (||y[k]|| + [not settled at k])`, settled when `||y||` stays below `SETTLED`: the
     area hardly sees a faint tail, on which the time to settle turns; the time does not see what

@@ -37,7 +37,7 @@ Matrix = Float[np.ndarray, "_ _"]
 
 
 class CompiledLmi:
-    """Linear matrix inequality of Theorem 1, compiled once and solved at any rate and ball.
+    """Linear matrix inequality of Theorem 1, compiled once and solved for any rate and ball.
 
     `full` keeps the extra matrix Y; `Y = P` is lossless with a third of the unknowns. Weights
     matter for `guaranteed_cost` only, whose cost is that of the Riccati route.
@@ -76,7 +76,7 @@ class CompiledLmi:
 
     def solve(self, problem: Problem, solver: str = "CLARABEL") -> Solution:
         """Solve the linear matrix inequality for gain and metric. Raises `NoSolution` with the
-        solver's status when it returns none."""
+        solver's status if there is none."""
         parts = self.parts
         alpha = problem.ball.alpha
         beta = problem.ball.beta
@@ -117,7 +117,7 @@ def _compiled_inequality(
 
 @dataclass(frozen=True, kw_only=True)
 class LmiSynthesis(Synthesis):
-    """Synthesis by the paper's linear matrix inequalities. `objective` is one of `OBJECTIVES`,
+    """Synthesis by the linear matrix inequalities of the paper. `objective` is one of `OBJECTIVES`,
     `solver` CLARABEL or SCS."""
 
     objective: str = "guaranteed_cost"
@@ -152,7 +152,7 @@ def paper_lmi(
     linear: StateSpace, ball: JacobianBall, rate: float, theorem: type[Side] = StateFeedbackOfBall
 ) -> Any:
     """Certificate from the linear matrix inequality exactly as [Z26] prints it. Any solution with
-    the block matrix `>= I` serves. It is any with the block matrix `>= I`.
+    the block matrix `>= I` is taken.
 
     One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for
     every record. A certificate, certified or not; `Infeasible` without matrices.

@@ -1,5 +1,5 @@
-"""Choice of the fastest design whose proof covers the records, among those that are predicted to be
-stable.
+"""Choice of the fastest design whose proof covers the records, among designs that are predicted to
+be stable.
 
 Neighbours in the order of expected response are alike, so ever fewer of them are looked at: the
 first, second, third, fifth, ... . Coverage is that of the frequency inequality, without filters and
@@ -49,9 +49,9 @@ def prefer_covered(
     cover: float | None,
     search: Search | None = None,
 ) -> tuple[Design | None, str]:
-    """First design whose proof covers the records, else the best substitute, with a word for which
-    it is. Substitutes are the result of a search around the one that covers most, then the first
-    that is covered at all, then the first.
+    """First design whose proof covers the records, otherwise the best substitute, and which of
+    these it is. Substitutes are the result of a search around the design that covers most, then the
+    first that is covered at all, then the first.
 
     `search(first, most, cover)` is given the first design, the one that covers most, and the
     coverage wanted of its certificate; unasked only where that one nearly covers. With neurons,
@@ -84,8 +84,8 @@ def prefer_covered(
 
 @dataclass(kw_only=True)
 class SeenDesigns:
-    """Designs considered so far, whose proofs do not cover the records. Kept are the first, the
-    first that is covered at all, and the one with the `largest` coverage, `most`."""
+    """Designs considered so far, none of whose proofs covers the records. The first, the first that
+    is covered at all, and the one with the `largest` coverage, `most`."""
 
     first: Design | None = None
     barely: Design | None = None
@@ -93,7 +93,7 @@ class SeenDesigns:
     largest: float = 0.0
 
     def add_design(self, design: Design, coverage: float) -> None:
-        """Add a design with its coverage to those considered."""
+        """Add a design with its coverage to the designs considered."""
         self.first = self.first or design
         if self.barely is None and coverage >= LOST:
             self.barely = design
@@ -102,8 +102,8 @@ class SeenDesigns:
             self.largest = coverage
 
     def search_around(self, search: Search, target: float) -> Design | None:
-        """Design found by a random search around the one with the largest coverage. None without
-        any."""
+        """Design found by a random search around the one with the largest coverage; None if there
+        is none."""
         if self.first is None or self.most is None:
             return None
         return search(self.first, self.most, target)
@@ -111,7 +111,7 @@ class SeenDesigns:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopCoverage:
-    """Coverage by frequency of any gains of one loop, for the records of one premise."""
+    """Coverage of any gains of one loop, frequency by frequency, for the records of one premise."""
 
     context: VerificationContext
     items: dict[float, tuple[Item, ...]]
@@ -120,8 +120,8 @@ class LoopCoverage:
     def from_premise(
         cls, model: Model, controlled: Any, balls: Balls, premise: Premise
     ) -> "LoopCoverage":
-        """Prepare the coverage computation for one loop, with the requirements that the records put
-        on it."""
+        """Prepare the computation of the coverage for one loop, with the requirements that the
+        records make."""
         from ssm_study.synthesis.measured_discs_search import CENTRES
 
         context = VerificationContext(
@@ -133,8 +133,8 @@ class LoopCoverage:
         return cls(context=context, items=items)
 
     def largest_radius_around(self, gains: dict[str, Any], centre: float) -> float:
-        """Largest radius of the mismatch disc around one centre for given gains. Zero where there
-        is no solution."""
+        """Largest radius of a disc of model errors around one centre that given gains tolerate;
+        zero if there is none."""
         from ssm_study.synthesis.measured_discs_program import LoopForms
         from ssm_study.synthesis.measured_discs_search import select_theorem
         from ssm_study.synthesis.measured_discs_weights import WeightBasis, WeightProgram
@@ -153,8 +153,8 @@ class LoopCoverage:
             return 0.0
 
     def largest_radius(self, gains: dict[str, Any], enough: float = np.inf) -> tuple[float, float]:
-        """Largest radius of the mismatch disc over all centres for given gains, and the best
-        centre. The search ends at the first radius that is `enough`."""
+        """Largest radius of a disc of model errors that given gains tolerate, over all centres, and
+        the best centre. The search ends at the first radius that is `enough`."""
         best = (0.0, next(iter(self.items)))
         for centre in self.items:
             best = max(best, (self.largest_radius_around(gains, centre), centre))
@@ -166,8 +166,8 @@ class LoopCoverage:
 def coverage_by_frequency(
     design: Design, model: Model, balls: Balls, premise: Premise, enough: float = np.inf
 ) -> float:
-    """Largest radius of the mismatch disc that a design tolerates, computed frequency by frequency.
-    The search ends at the first radius that is `enough`."""
+    """Largest radius of a disc of model errors that a design tolerates, computed frequency by
+    frequency. The search ends at the first radius that is `enough`."""
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)
     system = controlled_system(model, feedback)

@@ -1,5 +1,5 @@
-"""Convex program behind `measured_discs`, which optimises weights, multipliers and disc radius
-together, at selected frequencies.
+"""Convex program behind the certificate `measured_discs`, which optimises weights, multipliers and
+disc radius together at selected frequencies.
 
 With every signal of the loop as a row over its free signals at `z = e^{jw}` the theorem's
 inequality is, by the Kalman-Yakubovich-Popov lemma, a Hermitian matrix that must be positive at
@@ -40,8 +40,8 @@ Forms = Complex[np.ndarray, "A F G G"]
 
 @dataclass(frozen=True, kw_only=True)
 class LoopForms:
-    """Quadratic forms of the loop over states and free signals: the disc's parts and one for each
-    multiplier."""
+    """Quadratic forms of the loop in its states and free signals: parts of the disc, and one form
+    for each multiplier."""
 
     a: Float[np.ndarray, "x x"]
     b: Float[np.ndarray, "x g"]
@@ -55,7 +55,7 @@ class LoopForms:
     def from_context(
         cls, theorem: type[MeasuredDiscs], context: VerificationContext, centres: Sequence[float]
     ) -> "LoopForms":
-        """Quadratic forms of a loop, from the model and its gains."""
+        """Compute the quadratic forms of a loop from the model and its gains."""
         of, counts = loop_without_filters(theorem, context)
         rows = theorem.signals(of)
         order = len(rows.xi)
@@ -81,7 +81,7 @@ class LoopForms:
         )
 
     def at_angles(self, angles: Float[np.ndarray, "F"]) -> "FormsAtAngles":
-        """Value of each quadratic form at each frequency, over the free signals alone."""
+        """Quadratic forms of the loop at each frequency, in the free signals alone."""
         order, free_signals = self.b.shape
         count = len(angles)
         z = np.exp(1j * angles)[:, None, None]
@@ -105,7 +105,7 @@ class LoopForms:
 
     @property
     def frequency_grid(self) -> Float[np.ndarray, "F"]:
-        """Frequency grid that includes the loop's own modes and their neighbourhoods."""
+        """Frequency grid that is fine around the loop's own modes."""
         modes = np.linalg.eigvals(self.a)
         own = np.abs(np.angle(modes))
         width = np.maximum(1 - np.abs(modes), 1e-4)
@@ -116,7 +116,7 @@ class LoopForms:
 
 @dataclass(frozen=True, kw_only=True)
 class FormsAtAngles:
-    """Quadratic forms of `LoopForms` at some angles, Hermitian over the free signals."""
+    """Quadratic forms of a loop at some frequencies, Hermitian in the free signals."""
 
     angles: Float[np.ndarray, "F"]
     model: Complex[np.ndarray, "F G G"]
@@ -125,7 +125,7 @@ class FormsAtAngles:
     multipliers: Forms
 
     def combine_with(self, other: "FormsAtAngles") -> "FormsAtAngles":
-        """Forms at the angles of this object and of another one."""
+        """Quadratic forms at the frequencies of this object and of another one."""
         angles = np.concatenate([self.angles, other.angles])
         model = np.concatenate([self.model, other.model])
         forms_at_angles_input = np.concatenate([self.input, other.input])
@@ -160,7 +160,7 @@ def loop_without_filters(
 def _multiplier_form(
     theorem: type[MeasuredDiscs], of: Any, counts: dict[str, int], name: str, index: int
 ) -> Float[np.ndarray, "N N"]:
-    """Quadratic form that belongs to one multiplier."""
+    """Quadratic form that one multiplier multiplies."""
     unit = np.zeros((1, counts[name]))
     unit[0, index] = 1.0
     alone = SimpleNamespace(**{**vars(of), name: unit})
@@ -197,7 +197,7 @@ class ConeProgram:
         self, cost: Float[np.ndarray, "n"], accuracy: float = 1e-8
     ) -> Float[np.ndarray, "n"]:
         """Minimise a linear cost under the constraints of the program. Raises `NoSolution` with the
-        solver's status where there is none."""
+        solver's status if there is no solution."""
         import clarabel  # slow to load
 
         rows = [-row for row in self.rows]
@@ -242,7 +242,7 @@ def _real_upper_triangles(hermitian: Complex[np.ndarray, "n G G"]) -> Float[np.n
 
 @dataclass(frozen=True, kw_only=True)
 class AngleProgram:
-    """Linear program whose matrix constraints must hold at every frequency of a grid."""
+    """Linear program with matrix constraints that must hold at every frequency of a grid."""
 
     constant: Complex[np.ndarray, "F G G"]
     linear: Complex[np.ndarray, "n F G G"]
@@ -250,7 +250,7 @@ class AngleProgram:
     bounds: Float[np.ndarray, "R"]
 
     def smallest_eigenvalues(self, x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "F"]:
-        """Smallest eigenvalue of the constrained matrix at each angle."""
+        """Smallest eigenvalue of the constrained matrix at each frequency."""
         whole = self.constant + np.tensordot(x, self.linear, axes=1)
         eigenvalues = np.linalg.eigvalsh(whole)
         return np.asarray(eigenvalues[:, 0])
@@ -258,8 +258,8 @@ class AngleProgram:
     def maximise(
         self, goal: Float[np.ndarray, "n"], accuracy: float = VIOLATED, first: Sequence[int] = ()
     ) -> tuple[Float[np.ndarray, "n"], list[int]]:
-        """Maximise a linear goal by cutting planes; returns the solution and the angles that
-        decided it. Raises `NoSolution`.
+        """Maximise a linear goal by cutting planes, and return the solution with the frequencies
+        that decided it. Raises `NoSolution`.
 
         The `first` angles, by default spread evenly, are solved first. Angles that are far from
         deciding leave again.

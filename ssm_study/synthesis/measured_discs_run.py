@@ -44,8 +44,8 @@ def is_coverage_sought(model: Model, synthesis: Any) -> bool:
 def add_coverage_certificate(
     design: Design, model: Model, balls: Balls, premise: Premise
 ) -> Design:
-    """Design with a certificate added that covers as much of the recorded mismatch as possible.
-    Unchanged where there is none."""
+    """Add to a design a certificate that covers as much of the recorded model error as possible.
+    Without such a certificate the design stays unchanged."""
     if not design.feasible or exclusion_reason(design, model) or premise.missing(0.0) is not None:
         return design
     from ssm_study.synthesis import measured_discs_search  # slow to load
@@ -69,8 +69,7 @@ def add_coverage_certificate(
 
 
 def exclusion_reason(design: Design, model: Model) -> str | None:
-    """Reason why the coverage theorem does not apply to a loop; None if it applies. None where it
-    does."""
+    """Reason why the coverage theorem does not apply to a loop; None if it applies."""
     if design.inverts_input_map:
         return INVERTS
     observer = design.observer
@@ -82,8 +81,8 @@ def exclusion_reason(design: Design, model: Model) -> str | None:
 def coverage_columns(
     design: Design, model: Model, premise: Premise, fresh: Premise | None = None
 ) -> dict[str, Any]:
-    """Columns that compare the proved mismatch with the recorded one. `coverage` is null, with its
-    reason, where nothing is covered."""
+    """Columns that compare the proved model error with the recorded one. `coverage` is null, with
+    its reason, if nothing is covered."""
     if not design.feasible:
         return {}
     part = design.extra_certificates.get(PART)
@@ -108,7 +107,7 @@ def coverage_columns(
 
 @runtime_checkable
 class MismatchRecords(Protocol):
-    """Records of a data set from which the mismatch is measured."""
+    """Records of a data set by which the model error is measured."""
 
     @property
     def validation(self) -> Trajectories: ...
@@ -126,7 +125,7 @@ def fresh_data_needs(
     start_up_samples: int,
 ) -> list[float]:
     """Disc radius that each fresh data set needs, relative to the radius that the run's own records
-    need. None without a coverage certificate from these records."""
+    need; empty without a coverage certificate from these records."""
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs) or premise.missing(part.centre) is not None:
         return []
@@ -149,7 +148,8 @@ def fresh_data_column(needs: Sequence[float]) -> dict[str, Any]:
 def null_coverage_of_unknown_band(
     kappa: float, weights: Weights, items: Sequence[Item]
 ) -> dict[str, Any]:
-    """Columns without a coverage value, and the name of the unexcited band that prevents one."""
+    """Columns without a coverage, and with the name of the frequency band without excitation that
+    prevents one."""
     lit = [item for item in items if not item.dark]
     if kappa < weights.need(lit)[0]:
         return {}
@@ -159,5 +159,5 @@ def null_coverage_of_unknown_band(
 
 
 def certificate_weights(part: MeasuredDiscs) -> Weights:
-    """Weights of the measured disc, as stored in a certificate."""
+    """Weights of the measured disc, as a certificate stores them."""
     return Weights(floor=part.floor, output=part.weight_output, input=part.weight_input)

@@ -1,5 +1,5 @@
-"""Search for the largest disc radius kappa that `measured_discs` proves for given gains, with its
-weights.
+"""Search for the largest disc radius that the theorem `measured_discs` proves for given gains, with
+its weights.
 
 One convex program gives weights, multipliers and kappa (`measured_discs_program`); kappa is then
 taken a little back and the weights widened where the loop does not mind, since weights that are
@@ -58,8 +58,8 @@ FLOOR = 1e-10  # directions of the loop that no signal reaches keep this share o
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """Coverage certificate with the ratio of proved to recorded mismatch, or the reason why there
-    is none."""
+    """Coverage certificate with the ratio of proved to recorded model error, or the reason why
+    there is none."""
 
     certificate: MeasuredDiscs | None
     coverage: float | None
@@ -68,7 +68,7 @@ class Coverage:
 
 
 def select_theorem(context: VerificationContext) -> type[MeasuredDiscs]:
-    """Coverage theorem for a model with or without neurons."""
+    """Coverage theorem that suits a model with or without neurons."""
     neurons = isinstance(context.system, StructuredSystem)
     return StructuredMeasuredDiscs if neurons else MeasuredDiscs
 
@@ -79,9 +79,8 @@ def largest_kappa(
     centre: float = 0.0,
     inside: Sequence[float] = CLOSE,
 ) -> MeasuredDiscs | None:
-    """Certificate with the largest radius kappa of the mismatch disc for given weights, by default
-    those of the tolerated gain. None where none is certified, and where no mismatch has an
-    effect."""
+    """Certificate with the largest disc radius for given weights; None if none is certified, and if
+    no model error has an effect. Default weights are those of the tolerated gain."""
     started = time.perf_counter()
     theorem = select_theorem(context)
     try:
@@ -107,8 +106,8 @@ def largest_kappa(
 def optimum_for_weights(
     theorem: type[MeasuredDiscs], context: VerificationContext, weights: Weights, centre: float
 ) -> tuple[float, Float[np.ndarray, "A"]]:
-    """Largest squared disc radius `kappa^2` for given weights, by frequency, and its multipliers.
-    Raises `NoSolution`."""
+    """Largest squared disc radius for given weights, frequency by frequency, and its multipliers.
+    `kappa^2`. Raises `NoSolution`."""
     nu, multipliers, _ = _deciding_optimum(theorem, context, weights, centre, VIOLATED)
     return nu, multipliers
 
@@ -120,7 +119,7 @@ def _deciding_optimum(
     centre: float,
     accuracy: float,
 ) -> tuple[float, Float[np.ndarray, "A"], list[int]]:
-    """Optimum of given weights with the angles of the first grid that decide it."""
+    """Optimum for given weights, with the frequencies of the first grid that decide it."""
     forms = LoopForms.from_context(theorem, context, (centre,))
     grid = forms.at_angles(forms.frequency_grid)
     coarse = len(grid.angles)
@@ -147,7 +146,7 @@ def _deciding_optimum(
 def angles_around(
     deciding: Float[np.ndarray, "D"], angles: Float[np.ndarray, "F"]
 ) -> Float[np.ndarray, "N"]:
-    """Finer grid between the neighbours of each deciding angle."""
+    """Finer frequency grid between the neighbours of each deciding frequency."""
     ascending = np.sort(angles)
     last = len(ascending) - 1
     fine = []
@@ -160,7 +159,7 @@ def angles_around(
 
 
 def _reference_at(grid: FormsAtAngles, weights: Weights) -> Any:
-    """Form of the disc's references, weighted, at each angle of a grid."""
+    """Weighted quadratic form of the disc's reference signals at each frequency of a grid."""
     on_model = weights.output_weight(grid.angles)[:, None, None]
     on_input = weights.input_weight(grid.angles)[:, None, None]
     return on_model * grid.model + on_input * grid.input
@@ -169,7 +168,7 @@ def _reference_at(grid: FormsAtAngles, weights: Weights) -> Any:
 def _program_in_box(
     constant: Any, linear: Any, scale: Float[np.ndarray, "n"], most: Float[np.ndarray, "n"]
 ) -> AngleProgram:
-    """Program whose scaled unknowns lie between zero and `most`."""
+    """Optimisation problem whose scaled unknowns lie between zero and given bounds."""
     one = np.eye(len(scale))
     rows = np.concatenate([one, -one])
     bounds = np.concatenate([np.zeros(len(scale)), -most])
@@ -180,7 +179,8 @@ def _program_in_box(
 def _fixed_program(
     grid: FormsAtAngles, weights: Weights, centre: float
 ) -> tuple[AngleProgram, Float[np.ndarray, "n"]]:
-    """Program at the angles of a grid with the weights fixed."""
+    """Optimisation problem with fixed weights, with its constraints imposed at the frequencies of a
+    grid."""
     reference = _reference_at(grid, weights)
     linear = np.concatenate([-reference[None], grid.multipliers])
     scale = form_sizes(linear)
@@ -197,8 +197,8 @@ def _largest_margin(
     multipliers: Float[np.ndarray, "A"],
     first: Sequence[int],
 ) -> tuple[Float[np.ndarray, "A"], float]:
-    """Multipliers with the largest margin at this disc radius. The margin is in units of each free
-    signal's own weight."""
+    """Multipliers that leave the largest margin at a given disc radius. The margin is in units of
+    each free signal's own weight."""
     grid = forms.at_angles(forms.frequency_grid)
     root = 1 / np.sqrt(initial_weights(forms, centre, multipliers))
     units = np.outer(root, root)  # each free signal in units of its own weight
@@ -221,7 +221,7 @@ def _theorem_variables(
     kappa: float,
     multipliers: Float[np.ndarray, "A"],
 ) -> dict[str, Any]:
-    """Stored variables of the theorem except its metric P."""
+    """Variables of the theorem as they are stored, except the metric P."""
     numbers: dict[str, Any] = {"centre": centre, "kappa": kappa, "floor": weights.floor}
     numbers |= {"weight_output": weights.output, "weight_input": weights.input}
     numbers["lambda_out"] = np.zeros(0)
@@ -241,8 +241,8 @@ def certify_numbers(
     margin: float,
     started: float,
 ) -> MeasuredDiscs | None:
-    """Certificate with the first metric P that exact arithmetic accepts; None if none is accepted.
-    None without any."""
+    """Certificate with the first metric P that exact arithmetic accepts; None if it accepts
+    none."""
     if margin <= 0:
         return None
     ball = context.balls.input
@@ -296,7 +296,7 @@ def metric_candidates(
 
 
 def theorem_margin(theorem: type[MeasuredDiscs], numbers: dict[str, Any]) -> float:
-    """Smallest eigenvalue in floats of the theorem's matrices, scaled to unit diagonals."""
+    """Smallest eigenvalue, in floats, of the theorem's matrices after scaling to unit diagonals."""
     matrices = theorem.as_floats(**numbers)
     names = ("inequality", "p")
     return min(float(np.linalg.eigvalsh(matrices[name])[0]) for name in names)
@@ -308,8 +308,8 @@ def largest_coverage(
     centres: Sequence[float] = CENTRES,
     basis: WeightBasis | None = None,
 ) -> Coverage:
-    """Certificate that covers most of the recorded mismatch, over all disc centres, or the reason
-    why there is none.
+    """Certificate that covers most of the recorded model error, over all disc centres, or the
+    reason why there is none.
 
     Where bands without excitation alone keep it from covering, the proof is that of the other
     bands: its need of all of them says so.
@@ -331,7 +331,8 @@ def largest_coverage(
 def _largest_coverage_around(
     context: VerificationContext, items: dict[float, list[Item]], basis: WeightBasis
 ) -> Coverage:
-    """Certificate that covers most of the recorded mismatch among discs around given centres."""
+    """Certificate that covers most of the recorded model error, among discs around given
+    centres."""
     started = time.perf_counter()
     theorem = select_theorem(context)
     forms = LoopForms.from_context(theorem, context, tuple(items))
@@ -366,7 +367,7 @@ def _certify_program(
     started: float,
 ) -> Coverage | None:
     """Certificate from a joint solution for weights and multipliers; None if exact arithmetic
-    refuses it. None if no attempt is accepted."""
+    refuses it."""
     coarse = program.constraint_tolerance == COARSE
     for inside in INSIDE[coarse:]:
         scaled = nu * inside**2

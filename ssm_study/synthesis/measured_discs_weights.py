@@ -1,5 +1,5 @@
-"""Weights of `measured_discs` as cosine polynomials over fixed poles, their optimisation with the
-multipliers, and filters from its solution.
+"""Weights of the measured disc as cosine polynomials over fixed poles, their optimisation with the
+multipliers, and the resulting filters.
 
 `WeightProgram` gives the largest kappa with its weights and multipliers, and widens the weights
 where the loop does not mind. Source: docs/theory.md, "Measured discs".
@@ -41,8 +41,8 @@ EVENLY = np.linspace(0, np.pi, 2001)
 def initial_weights(
     forms: LoopForms, centre: float, multipliers: Float[np.ndarray, "A"]
 ) -> Float[np.ndarray, "G"]:
-    """Weight of each free signal in the loop's quadratic form, taken by itself. It is one for
-    |e|^2, its multiplier for |p|^2, and so on."""
+    """Weight of each free signal in the loop's quadratic form, taken alone. It is one for |e|^2,
+    its multiplier for |p|^2, and so on."""
     order = len(forms.a)
     whole = forms.centred[centre] + np.tensordot(multipliers, forms.multipliers, axes=1)
     own = np.abs(np.diagonal(whole)[order:])
@@ -51,13 +51,13 @@ def initial_weights(
 
 @dataclass(frozen=True, kw_only=True)
 class WeightBasis:
-    """Basis of cosine functions in which the squared gains of the weights are expanded."""
+    """Cosine functions in which the squared gains of the weights are expanded."""
 
     poles: tuple[float, ...] = POLES
     order: int = ORDER
 
     def denominator(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
-        """Squared gain `|den|^2` of the denominator at each angle."""
+        """Squared gain `|den|^2` of the weights' denominator at each frequency."""
         if not self.poles:
             return np.ones(len(angles))
         delay = np.exp(-1j * angles)
@@ -69,7 +69,7 @@ class WeightBasis:
         return self.numerators(angles) / self.denominator(angles)
 
     def numerators(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "K F"]:
-        """Numerators of the basis functions at each angle: one, and `2 cos(j w)`."""
+        """Numerators of the basis functions at each frequency: one, and `2 cos(j w)`."""
         rows = [np.ones(len(angles))]
         for j in range(1, self.order + 1):
             rows.append(2 * np.cos(j * angles))
@@ -78,8 +78,8 @@ class WeightBasis:
     def filter_from_coefficients(
         self, coefficients: Float[np.ndarray, "K"]
     ) -> Float[np.ndarray, "v v"]:
-        """Minimum-phase filter whose squared gain has these basis coefficients, as `[A, B; C, D]`.
-        Raises `NoSolution` where there is none."""
+        """Minimum-phase filter whose squared gain has given basis coefficients. It is `[A, B; C,
+        D]`; raises `NoSolution` if there is none."""
         if coefficients[0] <= 0:
             return np.zeros((1, 1))
         if self.order == 0 and not self.poles:
@@ -118,7 +118,7 @@ def spectral_factor(coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "
 
 @dataclass(frozen=True, kw_only=True)
 class WeightProgram:
-    """Convex program that optimises weights, multipliers and disc radius together, around one
+    """Convex program that optimises weights, multipliers and disc radius together, for one disc
     centre.
 
     Unknowns: nu, x and y (the coefficients of X and Y), the multipliers; in stage two nu is fixed
@@ -133,8 +133,8 @@ class WeightProgram:
 
     @property
     def constraint_tolerance(self) -> float:
-        """Amount by which constraints between the grid frequencies may be violated. It is larger
-        where each is a large matrix."""
+        """Amount by which constraints between the frequencies of the grid may be violated. It is
+        larger where each constraint is a large matrix."""
         model = self.grid.model
         return COARSE if model.shape[1] > LARGE else JOINT
 
@@ -149,7 +149,8 @@ class WeightProgram:
         return np.concatenate([of_x, of_y, multipliers])
 
     def requirement_coefficients(self) -> Float[np.ndarray, "I n"]:
-        """Linear coefficients of the weights in each requirement that the records put on them."""
+        """Coefficients of the weights in each linear inequality that the records impose on the
+        weights."""
         rows = []
         for item in self.items:
             phi = self.basis.values_at(item.angles)
@@ -224,7 +225,7 @@ class WeightProgram:
     def widen_weights(
         self, nu: float, unknowns: Float[np.ndarray, "n"], room: float
     ) -> Float[np.ndarray, "n"]:
-        """Enlarge the weights in each frequency band as far as the loop stays proved at a fixed
+        """Enlarge the weights in each frequency band as far as the loop stays proved, at a fixed
         disc radius. A margin of `room` times each free signal's own weight is left in the loop."""
         multipliers = np.maximum(unknowns[self.weight_count :], 0.0)
         own = initial_weights(self.forms, self.centre, multipliers)
@@ -247,8 +248,8 @@ class WeightProgram:
     def _rows_with_bands(
         self, scale: Float[np.ndarray, "n"], nu: float
     ) -> tuple[Float[np.ndarray, "R N"], Float[np.ndarray, "R"], int]:
-        """Linear constraints on weights, multipliers and the widening of each band; their bounds;
-        the number of bands.
+        """Linear constraints on weights, multipliers and the widening of each band, with their
+        bounds and the number of bands.
 
         Each item needs its band's widening times nu at most; a widening lies between one and
         `WIDEST`.
@@ -272,7 +273,7 @@ class WeightProgram:
         return rows, bounds, len(bands)
 
     def weights_from_unknowns(self, nu: float, unknowns: Float[np.ndarray, "n"]) -> Weights:
-        """Weighting filters from the coefficients that the program found. Raises `NoSolution`."""
+        """Weighting filters from the program's solution. Raises `NoSolution`."""
         size = self.basis.order + 1
         x = unknowns[:size] / nu
         y = unknowns[size : 2 * size] / nu
@@ -287,12 +288,12 @@ class WeightProgram:
 
 
 def scale_unknowns(forms: Any, scale: Float[np.ndarray, "n"]) -> Any:
-    """Matrices of the unknowns, each divided by the unknown's size."""
+    """Matrices that multiply the unknowns, each divided by the size of its unknown."""
     return forms / scale[:, None, None, None]
 
 
 def denominator_coefficients(poles: Sequence[float], size: int) -> Float[np.ndarray, "K"]:
-    """Cosine coefficients of the squared denominator gain, from the poles."""
+    """Cosine coefficients of the squared gain of the weights' denominator, from its poles."""
     denominator = np.real(np.poly(poles)) if len(poles) else np.ones(1)
     whole = np.convolve(denominator, denominator[::-1])[len(denominator) - 1 :]
     return np.pad(whole, (0, size - len(whole)))

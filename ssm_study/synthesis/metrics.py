@@ -1,4 +1,4 @@
-"""Columns that describe the design: feasible, certified, distance from the limit, prediction.
+"""Columns that describe a design: feasible, certified, distance from the limit, prediction.
 
 Rates and limits: docs/theory.md, [Z26]; margins: `synthesis.mismatch`.
 """
@@ -50,7 +50,7 @@ def _side_columns(side: str, short: str, gain: str) -> tuple[Column, ...]:
 
 
 def _rate_column(name: str, word: str, setting: str = "") -> Column:
-    """Declaration of a rate of contraction, the larger the better."""
+    """Declaration of a column with a contraction rate, where larger is better."""
     return Column(name, "Float64", "high", "", word, "1/sample", ITERATED, setting=setting)
 
 
@@ -225,8 +225,8 @@ def design_columns(
 
 
 def proof_columns(design: Design) -> dict[str, Any]:
-    """Columns of a design that its certificates alone decide: rates, limits, gain sizes and
-    reasons."""
+    """Table columns of a design that follow from its certificates alone: rates, limits, gain sizes,
+    and reasons for a missing certificate."""
     feedback = design.state_feedback
     observer = design.observer
     facts = certificate_columns("controller", feedback) | certificate_columns("observer", observer)
@@ -246,7 +246,8 @@ def infeasible_reason(design: Design) -> str:
 
 
 def uncertified_reason(design: Design) -> str:
-    """Statuses of controller and observer that exact arithmetic does not confirm, as one text."""
+    """Text on controller and observer where exact arithmetic does not confirm their
+    certificates."""
     sides = {"controller": design.state_feedback, "observer": design.observer}
     missed = []
     for side, part in sides.items():
@@ -256,7 +257,7 @@ def uncertified_reason(design: Design) -> str:
 
 
 def mismatch_columns(mismatch: Mismatch) -> dict[str, Any]:
-    """Columns of the mismatch between records and model."""
+    """Columns of the model error that the records show."""
     facts: dict[str, Any] = {
         "mismatch_gain": mismatch.gain,
         "mismatch_seen": mismatch.seen,
@@ -268,7 +269,7 @@ def mismatch_columns(mismatch: Mismatch) -> dict[str, Any]:
 
 
 def limit_columns(design: Design, model: Model) -> dict[str, Any]:
-    """Columns of what is proved with limited inputs. Empty where nothing is proved."""
+    """Columns of what is proved under input limits; empty if nothing is proved."""
     within_limits = WithinLimits.from_certificate(model, design.extra_certificates)
     if within_limits is None:
         return {}
@@ -284,7 +285,7 @@ def limit_columns(design: Design, model: Model) -> dict[str, Any]:
 def shared_range(
     start: str, end: str, lower: Float[np.ndarray, "c"], upper: Float[np.ndarray, "c"]
 ) -> dict[str, float]:
-    """Columns with the range that all channels have in common. Empty where they share none."""
+    """Columns with the range that all channels share; empty if they share none."""
     shared_lower = float(lower.max())
     shared_upper = float(upper.min())
     if shared_lower < shared_upper:
@@ -293,8 +294,8 @@ def shared_range(
 
 
 def second_opinion_columns(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
-    """Columns with a second opinion on feasibility: the paper's matrix inequalities, solved at the
-    same rates."""
+    """Columns with a second opinion on feasibility, from the paper's matrix inequalities solved at
+    the same rates."""
     from ssm_study.synthesis.lmi import paper_lmi  # CVXPY takes half a second to import
 
     model, balls = commanded_model_and_balls(design, model, balls)
@@ -317,8 +318,7 @@ def second_opinion_columns(design: Design, model: Model, balls: Balls) -> dict[s
 
 
 def certificate_columns(side: str, part: StateFeedback | Observer | Infeasible) -> dict[str, Any]:
-    """Columns that describe the certificate of controller or observer. Null where there is no
-    certificate."""
+    """Columns that describe the certificate of controller or observer; null if there is none."""
     facts: dict[str, Any] = {
         f"rate_{side}": part.rate,
         f"{side}_feasible": not isinstance(part, Infeasible),

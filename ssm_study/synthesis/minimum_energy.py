@@ -1,5 +1,5 @@
-"""Minimum-energy gain, a certified controller for every rate inside the frontier, computed without
-iteration.
+"""Minimum-energy gain, a certified controller for every rate below the exact limit, computed
+without iteration.
 
 Problem. As in `state_feedback` (and, transposed, `observer`): a gain at the asked rate, with the
 least effort.
@@ -73,8 +73,8 @@ SCALES = (1.0, 1.1, 1.25, 1.4, 1.6, 1.8)
 def minimum_energy_gain(
     modes: Modes, ball: JacobianBall, contraction: float, widen: bool = True
 ) -> FastGain:
-    """Minimum-energy gain that moves the fast modes inside a circle of the given radius. Zero where
-    there is no such mode.
+    """Minimum-energy gain that moves the fast modes inside a circle of a given radius. It is zero
+    if there are none.
 
     `widen` designs for a ball between the asked one and the widest that is possible at this r.
     """
@@ -101,8 +101,8 @@ def minimum_energy_gain(
 
 
 def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:
-    """Functions that solve by minimum-energy gains at several rates up to the limit, cheap metrics
-    first."""
+    """Functions that solve the problem by minimum-energy gains at several rates up to the limit,
+    with metrics that are cheap to compute first."""
     attempts: list[Callable[[], Solution]] = []
     for share in SHARES:
         attempts.append(partial(minimum_energy_solution, problem, share))
@@ -112,8 +112,8 @@ def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:
 
 
 def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solution:
-    """Minimum-energy gain and metric of a problem at a rate between the requested one and the
-    limit.
+    """Minimum-energy gain with its contraction metric, at a rate between the requested rate and the
+    largest provable one.
 
     At the faster rate and wider ball the fast part of the inequality is an equality; the room in
     between makes it strict, and pays for the slow modes. Raises `NoSolution` near an eigenvalue
@@ -126,7 +126,7 @@ def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solut
 
 
 def solution_with_full_metric(problem: Problem, share: float, scale: float) -> Solution:
-    """Minimum-energy gain with a scaled least metric of the whole model."""
+    """Minimum-energy gain with a scaled copy of its smallest metric for the whole model."""
     modes, fast, faster = _gain_at_share(problem, share)
     p = scale * full_metric(problem, modes, fast, faster)
     status = f"minimum energy at rate {1 - faster**2:.6g}, metric of the whole model"
@@ -134,8 +134,8 @@ def solution_with_full_metric(problem: Problem, share: float, scale: float) -> S
 
 
 def _gain_at_share(problem: Problem, share: float) -> tuple[Modes, FastGain, float]:
-    """Modes, minimum-energy gain and contraction factor at a given share of the way to the rate
-    limit."""
+    """Modes, minimum-energy gain and contraction factor at a rate between the requested rate and
+    the limit, given by a share of the way."""
     ball = problem.ball
     r = problem.contraction
     contraction_limit = frontier(problem.a, problem.b, ball).contraction_limit
@@ -147,7 +147,7 @@ def _gain_at_share(problem: Problem, share: float) -> tuple[Modes, FastGain, flo
 
 @dataclass(frozen=True, kw_only=True)
 class ClosedFormSynthesis(Synthesis):
-    """Synthesis of minimum-energy gains, which reach the rate with the least effort and have no
+    """Synthesis of minimum-energy gains, which reach a rate with the least effort and need no
     weights."""
 
     method: ClassVar[str] = "closed_form"

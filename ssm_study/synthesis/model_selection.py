@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class LargestCertifiableRate:
-    """Selection of the model with the largest certifiable rate among those that fit about equally
+    """Selection of the model with the largest certifiable rate, among models that fit about equally
     well.
 
     One layer, and `rate_enough`: docs/models.md, "Structured models". Of the rate: docs/theory.md,
@@ -67,19 +67,20 @@ class LargestCertifiableRate:
         return near[int(np.argmax(rates))]
 
     def largest_rate(self, model: Any) -> float:
-        """Largest certifiable rate of any state feedback for a model. Zero where there is none."""
+        """Largest rate that any state feedback can be certified with for a model; zero if there is
+        none."""
         ball = certified_balls(model).input
         return max(0.0, largest_certifiable_rate(model.system, ball))
 
     def _within(self, model: Any) -> float:
-        """Difference in fit, in percentage points, that counts as equal for a kind of model."""
+        """Difference in fit, in percentage points, that counts as equal for models of one kind."""
         if isinstance(model.system, StateSpace):
             return self.one_layer_within_percent
         return self.within_percent
 
 
 def largest_certifiable_rate(system: System, ball: JacobianBall) -> float:
-    """Largest certifiable rate of any state feedback for a system."""
+    """Largest rate that any state feedback can be certified with for a system."""
     if isinstance(system, StateSpace):
         return controller_frontier(system, ball).rate_limit
     from ssm_study.synthesis.structured_lmi import (

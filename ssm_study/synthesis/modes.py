@@ -1,4 +1,5 @@
-"""Metrics of a minimum-energy gain, by fast and slow modes and for the whole model.
+"""Contraction metrics (matrices P) of a minimum-energy gain: for the fast modes, the slow modes and
+the whole model.
 
 Only the modes with `|lambda| > r` need the input; the slow ones, which contract already, join
 through a Lyapunov equation. Derivation: docs/theory.md, "The gain in closed form".
@@ -45,7 +46,7 @@ class Modes:
 
 @dataclass(frozen=True, kw_only=True)
 class FastGain:
-    """Minimum-energy gain of the fast modes, and its metric."""
+    """Minimum-energy gain of the fast modes, with its metric."""
 
     k: Float[np.ndarray, "m n"]
     p: Float[np.ndarray, "k k"]
@@ -54,7 +55,7 @@ class FastGain:
 def split_modes(
     a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float
 ) -> Modes:
-    """Separate the modes outside a circle (fast) from those inside (slow), in decoupled
+    """Separate the modes outside a circle (fast) from the modes inside it (slow), in decoupled
     coordinates.
 
     Raises `NoSolution` where an eigenvalue is so close to the circle of radius r that the parts
@@ -85,8 +86,8 @@ def split_modes(
 def weighted_block_metric(
     problem: Problem, modes: Modes, fast: FastGain
 ) -> Float[np.ndarray, "n n"]:
-    """Metric of the whole system from those of fast and slow modes, with the slow ones weighted as
-    much as the margin allows.
+    """Contraction metric of the whole system from those of fast and slow modes, with as much weight
+    on the slow ones as the margin allows.
 
     `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + I`.
     """
@@ -122,7 +123,7 @@ def weighted_block_metric(
 def full_metric(
     problem: Problem, modes: Modes, fast: FastGain, faster: float
 ) -> Float[np.ndarray, "n n"]:
-    """Least metric of a minimum-energy gain for fast and slow modes together.
+    """Smallest contraction metric P of a minimum-energy gain, over fast and slow modes together.
 
     The equation is that of `least_metric`; docs/theory.md, "When digits run out", says why. Raises
     `NoSolution` without fast modes, or without a solution in floats.

@@ -1,4 +1,4 @@
-"""Objectives for a linear matrix inequality: any solution, the largest margin, or the least
+"""Objectives for a linear matrix inequality: any solution, the largest margin, or the smallest
 guaranteed cost."""
 
 from typing import Any
@@ -14,8 +14,8 @@ Goal = tuple[cp.Expression, list[cp.Constraint]]
 def goal_and_constraints(
     objective: str, upper: Blocks, p: cp.Expression, at: int, performance: list[cp.Expression]
 ) -> Goal:
-    """Objective and constraints of a program that solves one matrix inequality. It is given by its
-    upper triangle, linear in P and other unknowns.
+    """Objective and constraints of a program that solves one matrix inequality. The inequality is
+    given by its upper triangle, linear in P and other unknowns.
 
     `feasibility`: any solution. `largest_margin`: `max t` with the matrix `>= t I` at fixed trace,
     deepest inside. `guaranteed_cost`: `min trace Z`, `Z >= P^{-1}`, with rows of `performance`
@@ -39,8 +39,8 @@ def goal_and_constraints(
 
 
 def _append_performance_rows(upper: Blocks, at: int, performance: list[cp.Expression]) -> Blocks:
-    """Extend a block matrix, given by its upper triangle, by the rows of a performance measure.
-    They are coupled to block `at`."""
+    """Extend a block matrix, given by its upper triangle, by the rows of a performance measure. The
+    rows are coupled to block `at`."""
     zeros: list[Any] = [0] * len(performance)
     bordered = [[*row, *zeros] for row in upper]
     bordered[at][-len(zeros) :] = [rows.T for rows in performance]

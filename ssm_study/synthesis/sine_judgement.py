@@ -1,4 +1,4 @@
-"""Judgement of a chosen design by single sines at the frequencies where its loop is most sensitive.
+"""Test of a chosen design by single sines at the frequencies where its loop is most sensitive.
 
 The prediction is made again with what the sines show beside the other records; it stands only where
 both predict stability. Source: docs/trust.md, "What is measured for it".
@@ -23,8 +23,8 @@ from ssm_study.systems import Balls
 def frequencies_to_test(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, period: int
 ) -> list[int]:
-    """Frequencies, as lines of a period, at which a design is to be tested with single sines.
-    Empty for a law that inverts the input map, and where the noise is unknown."""
+    """Frequencies, as lines of a period, at which a design is to be tested with single sines. Empty
+    for a law that inverts the input map, and if the noise is unknown."""
     if not design.feasible or design.inverts_input_map or not mismatch.noise:
         return []
     return peak_lines(model, design.pair, balls, period)
@@ -33,7 +33,7 @@ def frequencies_to_test(
 def simulated_sines(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, data: Any, plant: Any, seed: int
 ) -> list[SineMismatch]:
-    """Mismatch at the design's critical frequencies, measured with single sines on the simulated
+    """Model errors at a design's critical frequencies, measured with single sines on the simulated
     plant."""
     from ssm_study.data.simulated import PERIOD
 
@@ -45,8 +45,8 @@ def simulated_sines(
 def sine_columns(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, sines: Sequence[SineMismatch]
 ) -> dict[str, Any]:
-    """Columns of the stability margin with the single-sine tests included. Empty without
-    sines."""
+    """Columns of the stability margin with the single-sine tests included; empty if there were
+    none."""
     if not sines:
         return {}
     without = predict(model, design.pair, balls, mismatch)

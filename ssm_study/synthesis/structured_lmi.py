@@ -1,5 +1,5 @@
-"""Inequalities of a structured model, solved directly by CVXPY. They check the game Riccati route
-independently.
+"""Matrix inequalities of models with neurons, solved directly by CVXPY. They check the game Riccati
+route independently.
 
 Linear in `(P, X, T, sigma)` for a state feedback and in `(Q, V, Lambda, N, eta)` for an observer;
 `Y = P`, `U = Q`. For a ball without radius the rows of its multiplier are left out. Source:
@@ -33,7 +33,7 @@ RATE_STEPS = 12  # halvings of the interval of rates: to 1/4096
 
 
 class StructuredLmi:
-    """Matrix inequality of a problem with neurons, compiled once and solved at any rate.
+    """Matrix inequality of a problem with neurons, compiled once and solved for any rate.
 
     `objective` as in `objectives.goal_and_constraints`; a state feedback's cost stands beside the
     state, an observer's noise where the step arrives. With `fixed` the gains are that solution's,
@@ -60,7 +60,7 @@ class StructuredLmi:
         self.program = cp.Problem(a, constraints)
 
     def _unknowns(self, neurons: Neurons) -> SimpleNamespace:
-        """Variables and parameters of the program, by the letters of the theorem."""
+        """Variables and parameters of the program, keyed by the theorem's symbols."""
         n, m = self.problem.b.shape
         ball = self.problem.ball
         of = SimpleNamespace(alpha=ball.alpha, beta=ball.beta)
@@ -74,7 +74,8 @@ class StructuredLmi:
         return of
 
     def _inequality(self, of: Any, neurons: Neurons) -> tuple[Blocks, list[int]]:
-        """Block matrix of the theorem, and the indices of the rows of the ball's multiplier."""
+        """Blocks of the theorem's matrix, and the indices of the rows that belong to the multiplier
+        of the ball."""
         q, m = neurons.g.shape
         t = cp.diag(of.t)
         a = self.problem.a
@@ -95,7 +96,7 @@ class StructuredLmi:
 
     def solve(self, rate: float, solver: str = "CLARABEL") -> Solution:
         """Matrices that satisfy the inequality at a given rate. Raises `NoSolution` with the
-        solver's status when it returns none."""
+        solver's status if there are none."""
         of = self.of
         fixed = self.fixed
         neurons = self.problem.required_neurons
@@ -117,7 +118,7 @@ class StructuredLmi:
 
     @classmethod
     def for_fixed_gains(cls, problem: Problem) -> "StructuredLmi":
-        """Program that proves rates for fixed gains which do not act on the neurons."""
+        """Program that proves rates for fixed gains that do not act on the neurons."""
         n, m = problem.b.shape
         one = np.eye(n)
         required_neurons_e = problem.required_neurons.e
@@ -127,8 +128,8 @@ class StructuredLmi:
         return cls(problem=problem, objective="largest_margin", fixed=fixed)
 
     def prove_gain(self, k: Rows) -> Solution:
-        """Matrices that prove the problem's rate for a given gain. Raises `NoSolution` without
-        any."""
+        """Matrices that prove the problem's rate for a given gain. Raises `NoSolution` if there are
+        none."""
         self.of.k.value = k
         solution = self.solve(self.problem.rate)
         if not is_confirmed_exactly(self.problem, solution):
@@ -137,13 +138,13 @@ class StructuredLmi:
 
 
 def _without_rows(upper: Blocks, left_out: list[int]) -> Blocks:
-    """Upper triangle of a block matrix without some of its rows and columns."""
+    """Upper triangle of a block matrix, without some of its rows and columns."""
     rows = [i for i in range(len(upper)) if i not in left_out]
     return [[upper[i][j - i] for j in rows if j >= i] for i in rows]
 
 
 def is_confirmed_exactly(problem: Problem, solution: Solution) -> bool:
-    """Whether exact arithmetic confirms the theorem for this solution."""
+    """Whether exact arithmetic confirms the theorem for a solution."""
     theorem: type[Side] = structured_state_feedback.StructuredStateFeedback
     if problem.required_neurons.observes:
         theorem = structured_observer.StructuredObserver
@@ -151,7 +152,7 @@ def is_confirmed_exactly(problem: Problem, solution: Solution) -> bool:
 
 
 def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
-    """Largest contraction rate that the solver finds for a problem with neurons. 0 if there is
+    """Largest contraction rate that the solver finds for a problem with neurons; 0 if there is
     none."""
     return fastest_solution(problem, fixed)[0]
 
@@ -176,8 +177,7 @@ def fastest_solution(
 
 
 def _confirmed_solution(program: StructuredLmi, problem: Problem, rate: float) -> Solution | None:
-    """Matrices that prove a rate in exact arithmetic; None if the solver finds none. None where the
-    solver returns none that do."""
+    """Matrices that prove a rate in exact arithmetic; None if the solver finds none."""
     try:
         solution = program.solve(rate)
         return solution if is_confirmed_exactly(problem.at_rate(rate), solution) else None
@@ -186,8 +186,8 @@ def _confirmed_solution(program: StructuredLmi, problem: Problem, rate: float) -
 
 
 def certify_largest_rate(part: Any) -> Side | None:
-    """Certificate of the same gain of a model with neurons at the largest rate that is proved for
-    it. None where that is no larger than certified already."""
+    """Certificate of the same gain, for a model with neurons, at the largest rate that is proved
+    for it; None if the certified rate is already that large."""
     started = time.perf_counter()
     problem, gains = part.as_problem()
     rate = largest_rate(problem, gains) * (1 - INSIDE)

@@ -1,5 +1,5 @@
-"""Guaranteed-cost gains of a structured model from game Riccati equations, with multipliers found
-by a gradient search.
+"""Gains with a guaranteed cost for models with neurons, from game Riccati equations with
+multipliers found by a gradient search.
 
 With `w = (z + v) / 2`, `|v_i| <= |z_i|`, and `J = alpha I + beta Delta`, `p = Delta u`, the
 inequality of `theorems.structured_state_feedback` at given `Lambda` and `lambda_p = 1 / sigma` is
@@ -57,8 +57,8 @@ FLAT = 1e-3  # a descent ends when a step gains less of the logarithm of its goa
 
 @dataclass(frozen=True, kw_only=True)
 class Game:
-    """Game Riccati equation of a problem with neurons at one contraction factor. The search starts
-    from slower factors, also above one."""
+    """Game Riccati equation of a problem with neurons, for one contraction factor. The search
+    starts with slower factors, which may exceed one."""
 
     problem: Problem
     r: float
@@ -70,7 +70,7 @@ class Game:
 
     @cached_property
     def data(self) -> tuple[Any, ...]:
-        """Arguments of the compiled solver `saddle_point` except the multipliers.
+        """Arguments of the compiled solver `saddle_point`, without the multipliers.
 
         `w = (z + v) / 2`, so half of each neuron is linear; without a radius of the ball there is
         no p.
@@ -103,7 +103,7 @@ class Saddle(NamedTuple):
 
 
 def evaluate_saddle(game: Game, logs: Vector, barrier: float) -> Saddle:
-    """Saddle point of the game at given log multipliers. Its goal is infinite where they are
+    """Saddle point of the game at given log multipliers. Its goal is infinite if they are
     inadmissible.
 
     The goal is `log trace X - barrier log det(-T'H T / D)`, `D = diag(lambda_p, Lambda)`: the
@@ -152,8 +152,8 @@ def minimise_goal(game: Game, logs: Vector, barrier: float, evaluations: int) ->
 
 
 def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
-    """Gain with the least guaranteed cost, and the matrices that prove it. Raises `NoSolution`
-    where the search stops before the requested rate.
+    """Gain with the smallest guaranteed cost, and the matrices that prove it. Raises `NoSolution`
+    if the search stops before the requested rate.
 
     It starts from the multipliers of `near` where they hold: as they must, scaled up, if that is a
     solution at a faster rate, since smaller weights and a slower rate only relax the inequality.
@@ -177,7 +177,7 @@ def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
 def continue_to_rate(
     game: Game, centred: float, per_rate: int, shortest: float
 ) -> tuple[Vector, float]:
-    """Admissible log multipliers at the requested rate, by continuation from a slower one."""
+    """Admissible log multipliers at the requested rate, by continuation from a slower rate."""
     # a neuron counts as much as its step is worth in the state's weight; the ball as its centre's
     # step
     of = game.problem
@@ -207,7 +207,7 @@ def continue_to_rate(
 
 
 def least_cost_multipliers(game: Game, logs: Vector) -> Vector:
-    """Log multipliers with the least guaranteed cost, by a search from admissible ones."""
+    """Log multipliers with the smallest guaranteed cost, by a search from admissible ones."""
     for barrier, evaluations in LAST:
         logs = minimise_goal(game, logs, barrier, evaluations)
     return logs
@@ -226,13 +226,13 @@ def log_multipliers(problem: Problem, found: Solution) -> Vector:
 
 
 def _interpolate_games(game: Game, slow: Game, share: float) -> Game:
-    """Game at a contraction factor between those of two games."""
+    """Game whose contraction factor lies between those of two other games."""
     return game if share == 1.0 else replace(game, r=slow.r * (game.r / slow.r) ** share)
 
 
 def theorem_matrices(game: Game, logs: Vector) -> Solution:
-    """Gain and matrices of the theorem at given log multipliers. Raises `NoSolution` where they do
-    not hold."""
+    """Gain and matrices of the theorem at given log multipliers. Raises `NoSolution` if the
+    conditions do not hold there."""
     saddle = evaluate_saddle(game, logs, 0.0)
     problem = game.problem
     neurons = game.neurons
@@ -274,8 +274,8 @@ def theorem_matrices(game: Game, logs: Vector) -> Solution:
 def multiplier_without_ball(
     problem: Problem, p: Float[np.ndarray, "n n"], k: Float[np.ndarray, "m n"]
 ) -> float:
-    """Multiplier of the Jacobian ball when its radius is zero. It is so large (so small) that it
-    hardly reduces P.
+    """Multiplier of the ball of Jacobians for a ball of radius zero. It is so large (so small) that
+    it hardly reduces P.
 
     What it takes is `X^T X / sigma` of P, `eta C^T C` of Q.
     """

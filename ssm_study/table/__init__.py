@@ -1,1 +1,1 @@
-"""Table of a study: gathered from its runs, filtered, ranked, printed."""
+"""Table of a study, gathered from its runs, filtered, sorted and printed."""

@@ -43,8 +43,7 @@ PATTERNS = tuple(column for column in DECLARED if column.is_pattern)
 
 
 def find_declaration(name: str) -> Column | None:
-    """Declaration of the column with a given name; None for an undeclared one. None where no room
-    declares it."""
+    """Declaration of the column with a given name; None for an undeclared column."""
     if name in BY_NAME:
         return BY_NAME[name]
     return next((column for column in PATTERNS if column.matches_name(name)), None)
@@ -61,7 +60,7 @@ def column_label(name: str) -> str:
 
 
 def setting_path(name: str) -> str:
-    """Dotted path of the setting that a column holds, such as `plant.step_s`. Empty where it holds
+    """Dotted path of the setting that a column holds, such as `plant.step_s`; empty if it holds
     none."""
     if FURTHER.matches_name(name):
         return name.replace("__", ".")
@@ -69,8 +68,7 @@ def setting_path(name: str) -> str:
 
 
 def setting_columns(table: pd.DataFrame) -> list[str]:
-    """Names of the columns that hold settings of the configuration. `rates_chosen` is left out.
-    `rates_chosen` is left out."""
+    """Names of the columns that hold settings of the configuration, except `rates_chosen`."""
     declared_names = [column.name for column in SETTINGS]
     further = sorted(name for name in map(str, table) if FURTHER.matches_name(name))
     names = [*declared_names, *further]
@@ -94,7 +92,7 @@ def group_by_part(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 def suggest_column(name: str, names: Iterable[str]) -> str:
-    """Suggestion for a misspelt column name: the nearest names, or how to list all."""
+    """Suggestion for a misspelt column name: the nearest names, or how to list all of them."""
     half_of_the_letters = 0.5
     near = get_close_matches(name, list(names), n=3, cutoff=half_of_the_letters)
     if near:
@@ -121,7 +119,8 @@ def describe_columns(table: pd.DataFrame | None = None) -> Iterator[tuple[str, s
 
 
 def requested_values(table: pd.DataFrame, name: str) -> pd.Series:
-    """Requested value of a setting in each run. It is `auto` for a rate that `auto` chose."""
+    """Requested value of a setting in each run, which is `auto` for a rate that was chosen
+    automatically."""
     if not name.startswith("rate_"):
         return table[name]
     side = name.removeprefix("rate_")
@@ -130,7 +129,7 @@ def requested_values(table: pd.DataFrame, name: str) -> pd.Series:
 
 
 def swept_settings(table: pd.DataFrame) -> list[str]:
-    """Settings in which the runs differ, those with most values first, the seed last."""
+    """Settings in which the runs differ, sorted by their number of values, with the seed last."""
     names = [name for name in ("study", *setting_columns(table)) if name in table]
     counts = {name: requested_values(table, name).nunique() for name in names}
     varied = [name for name, count in counts.items() if count > 1]
@@ -148,8 +147,7 @@ def numeric_column(table: pd.DataFrame, name: str) -> pd.Series:
 
 
 def boolean_column(table: pd.DataFrame, name: str) -> pd.Series:
-    """Column of a table as truth values, false where values are missing. Missing counts as
-    false."""
+    """Column of a table as truth values, false where values are missing."""
     return numeric_column(table, name).fillna(0.0) > 0
 
 

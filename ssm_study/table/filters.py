@@ -1,4 +1,5 @@
-"""Selection of rows by an expression, as in `--where "order == 8 and fit_test_percent > 85"`.
+"""Selection of rows of a table by an expression, such as `--where "order == 8 and fit_test_percent
+> 85"`.
 
 `pandas.DataFrame.eval` evaluates the expression, as `DataFrame.query` does. It evaluates Python, so
 calls, attributes, subscripts and names that are no columns are refused before it sees them.
@@ -23,7 +24,7 @@ TEXT = pd.StringDtype("python", na_value=np.nan)  # a comparison with what is mi
 
 
 def filter_rows(table: pd.DataFrame, expression: str) -> pd.DataFrame:
-    """Rows of a table for which an expression such as `order == 8` holds. A comparison with a
+    """Rows of a table for which an expression such as `order == 8` is true. A comparison with a
     missing value is false.
 
     `null`, `true`, `false` and `inf` are constants; `x == null` selects what is missing. Raises
@@ -59,20 +60,20 @@ def _as_comparable(table: pd.DataFrame) -> pd.DataFrame:
 
 
 class _Prepared(ast.NodeTransformer):
-    """Checker of an expression against the table, which also rewrites what pandas would read
+    """Checker of filter expressions, which also rewrites the parts that pandas would read
     differently."""
 
     def __init__(self, table: pd.DataFrame) -> None:
         self.table = table
 
     def generic_visit(self, node: ast.AST) -> ast.AST:
-        """Refuse every kind of syntax that is not allowed in a filter."""
+        """Raise `BadRequest` for every kind of syntax that is not allowed in a filter."""
         if isinstance(node, REFUSED):
             raise BadRequest("where", ast.unparse(node), "not a comparison", REMEDY)
         return super().generic_visit(node)
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
-        """Replace the words for constants, and refuse names that are no columns."""
+        """Replace the words for constants, and raise `BadRequest` for names that are no columns."""
         if node.id.lower() in WORDS:
             return ast.Constant(WORDS[node.id.lower()])
         if node.id not in self.table.columns:
@@ -82,7 +83,8 @@ class _Prepared(ast.NodeTransformer):
         return node
 
     def visit_Compare(self, node: ast.Compare) -> ast.expr:
-        """Rewrite the comparisons of a chain one after the other, for missing values."""
+        """Rewrite a chain of comparisons as single comparisons that treat missing values as
+        false."""
         comparisons: list[ast.expr] = []
         left = node.left
         for operator, right in zip(node.ops, node.comparators, strict=True):
@@ -91,7 +93,8 @@ class _Prepared(ast.NodeTransformer):
         return comparisons[0] if len(comparisons) == 1 else ast.BoolOp(ast.And(), comparisons)
 
     def _compare(self, left: ast.expr, operator: ast.cmpop, right: ast.expr) -> ast.expr:
-        """Comparison of two sides, rewritten for missing values."""
+        """Filter expression that compares two operands and is false where one of them is
+        missing."""
         if _is_null(left):
             left, right = right, left  # so that null stands on the right
         if _is_null(right):
@@ -112,7 +115,7 @@ class _Prepared(ast.NodeTransformer):
         return ast.BoolOp(ast.And(), [comparison, *present])
 
     def _missing(self, side: ast.expr, operator: ast.cmpop) -> ast.expr:
-        """Expression that replaces `x == null` or `x != null`."""
+        """Filter expression that takes the place of `x == null` or `x != null`."""
         is_equality = isinstance(operator, ast.Eq | ast.Is)
         is_comparison = is_equality or isinstance(operator, ast.NotEq | ast.IsNot)
         if not isinstance(side, ast.Name) or not is_comparison:
@@ -122,8 +125,8 @@ class _Prepared(ast.NodeTransformer):
         return missing if is_equality else ast.UnaryOp(ast.Not(), missing)
 
     def _refuse_mixed(self, left: ast.expr, right: ast.expr) -> None:
-        """Raise `BadRequest` for a comparison of a number with a text, which would never select a
-        row."""
+        """Raise `BadRequest` for a comparison of a number with a text, which no row could
+        satisfy."""
         left_kind = self._kind(left)
         right_kind = self._kind(right)
         if left_kind and right_kind and left_kind != right_kind:
@@ -131,7 +134,7 @@ class _Prepared(ast.NodeTransformer):
             raise BadRequest("where", ast.unparse(right), problem, REMEDY)
 
     def _kind(self, side: ast.expr) -> str:
-        """Kind of one side of a comparison: text, number, or empty where it is not plain."""
+        """Type of an operand of a comparison: text, number, or empty if it is compound."""
         if isinstance(side, ast.Constant):
             return "text" if isinstance(side.value, str) else "number"
         if isinstance(side, ast.Name) and side.id in self.table.columns:
@@ -141,6 +144,6 @@ class _Prepared(ast.NodeTransformer):
 
 
 def _is_null(node: ast.expr) -> bool:
-    """Whether a side of a comparison is `null`, under any of its names."""
+    """Whether an operand of a comparison is `null`, under any of its names."""
     constant = isinstance(node, ast.Constant) and node.value is None
     return constant or (isinstance(node, ast.Name) and node.id.lower() in NULL)

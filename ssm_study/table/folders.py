@@ -1,4 +1,4 @@
-"""Lookup of the folders that a command means: a study by its path, a run by its path or a part of
+"""Search for the folder that a command means: a study by its path, a run by its path or a part of
 its name."""
 
 from difflib import get_close_matches
@@ -11,7 +11,7 @@ MANY = 8  # names in a sentence
 
 
 def check_study_folder(path: Path) -> Path:
-    """Return the folder of a study after a check that it may hold runs.
+    """Folder of a study, after a check that it may contain runs.
 
     Raises `BadRequest` that names the study nearby that may have been meant.
     """
@@ -28,7 +28,7 @@ def check_study_folder(path: Path) -> Path:
 
 
 def _remedy_for_no_folder(path: Path) -> str:
-    """Suggestion of a study nearby, below `results` or with a similar name."""
+    """Suggestion of an existing study: one below `results`, or one with a similar name."""
     in_results = Path("results") / path
     if in_results.is_dir():
         return f"did you mean {in_results}?"
@@ -41,7 +41,7 @@ def _remedy_for_no_folder(path: Path) -> str:
 
 
 def find_study_or_run(path: Path) -> Path:
-    """Folder of the study, or else of the run, that a path means.
+    """Folder of the study or run that a path stands for.
 
     Raises `BadRequest` where neither is there.
     """
@@ -51,8 +51,8 @@ def find_study_or_run(path: Path) -> Path:
 
 
 def find_run_folder(path: Path) -> Path:
-    """Folder of the single run that a path or part of a name means. It is the path itself, or a run
-    whose name, or the digits at its end, begin or end with it.
+    """Folder of the single run that a path or a part of its name stands for. The part may be the
+    beginning or end of the name, or of the digits at its end.
 
     `results/paper/1a2b3c4d5e`, `results/paper/1a2b`, or `results/paper/order8-width32-seed3`. The
     study itself stands for its only run. Raises `BadRequest` where no run or several are meant.
@@ -74,7 +74,8 @@ def find_run_folder(path: Path) -> Path:
 
 
 def _matching_names(names: list[str], part: str) -> list[str]:
-    """Names that end with a part, else those that begin with it, else those whose digits do."""
+    """Names that end with a given text; if none does, names that begin with it; then names whose
+    digits do."""
     ending = [name for name in names if name.endswith(part)]
     beginning = [name for name in names if name.startswith(part)]
     digits = [name for name in names if name.rpartition("-")[2].startswith(part)]
@@ -88,7 +89,7 @@ def _run_names(study: Path) -> list[str]:
 
 
 def _list_names(names: list[str]) -> str:
-    """First few names as text, with the count of the others."""
+    """First few names as text, with the number of the others."""
     words = ", ".join(names[:MANY])
     more = len(names) - MANY
     return f"{words} and {more} more" if more > 0 else words

@@ -1,5 +1,5 @@
-"""Gathering of run folders into one tidy table: `runs.parquet` and `runs.csv`, one row per run,
-missing is null."""
+"""Gathering of run folders into one table with one row per run: `runs.parquet` and `runs.csv`, one
+row per run, missing is null."""
 
 import io
 import os
@@ -75,7 +75,7 @@ def gather(study: Path, anew: bool = False) -> pd.DataFrame:
 
 
 def _write_table(study: Path, table: pd.DataFrame, marks: Marks) -> None:
-    """Write the table's files, then the marks by which they are recognised as up to date."""
+    """Write the table's files, then the file times by which they are recognised as up to date."""
     parquet = io.BytesIO()
     table.to_parquet(parquet, index=False)
     csv = _escape_formulas(table).to_csv(index=False)
@@ -88,7 +88,8 @@ def _write_table(study: Path, table: pd.DataFrame, marks: Marks) -> None:
 
 
 def record_marks(study: Path) -> Marks:
-    """Modification time, size and inode of every record of a study, by the name of its run."""
+    """Modification time, size and inode of every record of a study, keyed by the name of the
+    run."""
     with os.scandir(study) as entries:
         visible = [entry for entry in entries if not entry.name.startswith(".")]
         names = [entry.name for entry in visible if entry.is_dir()]
@@ -102,7 +103,7 @@ def record_marks(study: Path) -> Marks:
 
 
 def _read_last_table(study: Path) -> tuple[pd.DataFrame, Marks]:
-    """Table as it was last gathered, and the marks of its records; empty where its files were
+    """Table as it was last gathered, and the file times of its records; empty if its files were
     changed."""
     with suppress(OSError):
         index = read_sealed_json(read_limited_bytes(study / MARKS))
@@ -115,7 +116,7 @@ def _read_last_table(study: Path) -> tuple[pd.DataFrame, Marks]:
 
 
 def contradicts_records(study: Path, rows: pd.DataFrame) -> bool:
-    """Whether a declared column in one of these rows differs from the record of its run."""
+    """Whether a declared column in one of several rows differs from the record of its run."""
     for run, row in _records_by_run(rows).items():
         record = (read_record(study / run) or {}) | {"study": row["study"], "run": run}
         for name, shown_value in row.items():
@@ -129,7 +130,7 @@ def contradicts_records(study: Path, rows: pd.DataFrame) -> bool:
 
 
 def _records_by_run(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
-    """Rows of a table as records by run, with None for missing values."""
+    """Rows of a table as records, keyed by run, with None for missing values."""
     columns = [values.astype(object).where(values.notna(), None) for _, values in rows.items()]
     names = [str(name) for name in rows]
     records = {}
@@ -140,8 +141,7 @@ def _records_by_run(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
 
 
 def _escape_formulas(table: pd.DataFrame) -> pd.DataFrame:
-    """Copy of a table in which texts that a spreadsheet would run as formulas begin with an
-    apostrophe."""
+    """Copy of a table with an apostrophe before texts that a spreadsheet would run as formulas."""
     texts: pd.Index = table.select_dtypes("string").columns
     quoted = {}
     for name in texts:
@@ -152,7 +152,7 @@ def _escape_formulas(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def table_from_records(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    """Table with typed, nullable columns from the records of runs.
+    """Table with typed columns that allow missing values, from the records of runs.
 
     All declared columns, and the further ones that hold a value somewhere.
     """
@@ -167,7 +167,8 @@ def table_from_records(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def _typed_column(values: list[Any], column: Column | None) -> pd.Series:
-    """Values as a nullable column of the declared kind, else of the kind that they have."""
+    """Values as a column of the declared type, or else of their own type, in which values may be
+    missing."""
     kind = column.kind if column else None
     if kind is None:
         present = [INFINITE.get(value, value) for value in values if value is not None]
@@ -179,7 +180,7 @@ def _typed_column(values: list[Any], column: Column | None) -> pd.Series:
 
 
 def _value_of_kind(value: Any, kind: Kind) -> Any:
-    """Value converted to the type of its table column. None if it is of another kind.
+    """Value converted to the type of its table column; None if it is of another type.
 
     A text in a column of numbers is missing, not 0.
     """

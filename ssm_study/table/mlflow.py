@@ -1,4 +1,4 @@
-"""Export of a finished study to MLflow (extra `mlflow`).
+"""Export of a finished study to MLflow (optional package `mlflow`).
 
 Files come first, the tracker afterwards, as often as one likes.
 """
@@ -20,7 +20,7 @@ MOST = 50_000  # runs MLflow gives in one call
 
 
 def export_mlflow(study: Path, store: str | None = None) -> int:
-    """Write the finished runs of `study` that are not there yet into the MLflow store.
+    """Write the finished runs of a study into an MLflow store, except those that are there already.
 
     Returns how many were written. `store` is a tracking address, by default
     `sqlite:///STUDY/mlflow.db`. Numbers with a better direction become metrics, everything else
@@ -49,7 +49,7 @@ def export_mlflow(study: Path, store: str | None = None) -> int:
 
 
 def _experiment_id(client: Any, study: Path) -> str:
-    """Identifier of the study's experiment, which is made if it is not there."""
+    """Identifier of the study's experiment in MLflow, which is created if it does not exist."""
     name = study.resolve().name
     experiment = client.get_experiment_by_name(name)
     if experiment:
@@ -91,7 +91,7 @@ def _is_metric(name: str) -> bool:
 
 
 def _milliseconds(time: str | None) -> int | None:
-    """Milliseconds since 1970 of an ISO time. None for none."""
+    """Milliseconds since 1970 of a time in ISO format; None if there is no time."""
     if not time:
         return None
     return int(datetime.fromisoformat(time).timestamp() * 1000)

@@ -16,7 +16,7 @@ MOST = 200  # runs: a player lists every topic, and each run has ten cases
 
 
 def export_mcap(study: Path) -> Path:
-    """Write `closed_loops.mcap` into the study: the recordings of all its runs.
+    """Write the recordings of all runs of a study into one file, `closed_loops.mcap`.
 
     The topics of a run lie below `/run_` and the run's digits: those after the last dash of its
     name, or the whole name where two runs share them; the metadata says which name they stand for.
@@ -46,5 +46,5 @@ def export_mcap(study: Path) -> Path:
 
 
 def _belongs_to_run(recording: Path) -> bool:
-    """Whether a record lies beside the recording."""
+    """Whether a recording lies in the folder of a run with a record."""
     return (recording.parent / RECORD).is_file()

@@ -1,4 +1,4 @@
-"""Means and deviations over seeds, for each combination of the other settings."""
+"""Means and standard deviations over seeds, for each combination of the other settings."""
 
 from collections.abc import Iterator
 
@@ -12,7 +12,7 @@ FEWEST = 2  # seeds of one setting, below which there is no deviation
 
 
 def seed_statistics_lines(table: pd.DataFrame) -> list[str]:
-    """Text lines of a table with mean and deviation of each result over the seeds.
+    """Text lines of a table with mean and standard deviation of each result over the seeds.
 
     Empty where no setting has two seeds. Seeds without a result are left out of its mean.
     """
@@ -56,7 +56,7 @@ def setting_heading(name: str) -> str:
 
 
 def row_cells(label: str, runs: pd.DataFrame) -> Iterator[str]:
-    """Cells of the printed row of one combination of settings."""
+    """Cells of a printed row for one combination of settings."""
     yield label
     yield str(runs["seed"].nunique())
     for name in MEASURED:
@@ -65,8 +65,8 @@ def row_cells(label: str, runs: pd.DataFrame) -> Iterator[str]:
 
 
 def mean_and_deviation(values: pd.Series) -> str:
-    """Mean and deviation as text, `3.3 ± 0.26`, the deviation to two digits; a dash without
-    values."""
+    """Mean and standard deviation as text, such as `3.3 ± 0.26`, the deviation with two digits; a
+    dash without values."""
     if not len(values):
         return "-"
     if len(values) < FEWEST:

@@ -1,4 +1,4 @@
-"""Ranking of runs, the best first, as `show`, the page and the figures use it.
+"""Ranking of runs, the best first, for `show`, the page and the figures.
 
 It asks for a certificate first, then for the plant (did every start settle, and was that predicted
 without the plant?), then for time, and among equals for the fit.
@@ -45,13 +45,13 @@ def outcome_class(table: pd.DataFrame) -> pd.Series:
 
 
 def settling_ratio(table: pd.DataFrame) -> pd.Series:
-    """Mean settling time relative to the uncontrolled one; NaN where either is unknown."""
+    """Mean settling time relative to that without control; NaN if either is unknown."""
     open_loop_s = numeric_column(table, "settling_time_open_loop_s")
     return numeric_column(table, "settling_time_mean_s") / open_loop_s.where(open_loop_s > 0)
 
 
 def predicted_stable(table: pd.DataFrame) -> pd.Series:
-    """Whether each run's plant was predicted to be stable, from model and records alone.
+    """For each run, whether the plant was predicted to be stable, from model and records alone.
 
     False where nothing is said.
     """

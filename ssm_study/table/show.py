@@ -1,4 +1,5 @@
-"""Printed table of a study: best first, failures counted and explained, 80 columns wide."""
+"""Printing of the table of a study, 80 columns wide: best run first, failures counted and
+explained."""
 
 import re
 import textwrap
@@ -58,7 +59,7 @@ def show_table(
     cost: bool = False,
     columns: bool = False,
 ) -> pd.DataFrame:
-    """Gather a study and print its table, the best run first. Returns the whole table.
+    """Gather a study and print its table, the best run first. The whole table is returned.
 
     `where` filters, `by` sorts. With `cost`: instead of it what was computed and what reused, stage
     by stage. With `columns`: which columns hold values, what they are called, which way is better
@@ -92,7 +93,7 @@ def print_rows(rows: pd.DataFrame, by: str | None) -> None:
 def gathered_rows(
     study: Path, by: str | None, where: str | None, anew: bool = False
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Table of a study, and those of its rows that are to be shown.
+    """Table of a study, and those of its rows that are to be printed.
 
     A table whose first rows contradict the runs' records is made anew: its seal vouches for its
     bytes, not for who wrote them.
@@ -118,7 +119,7 @@ def column_lines(table: pd.DataFrame) -> list[str]:
 
 
 def stage_costs(table: pd.DataFrame) -> pd.DataFrame:
-    """Computing time of each stage in the records, the longest first.
+    """Computing time of each stage over all records, the longest first.
 
     Each distinct one counts once, here or in an earlier study: how many runs needed it, how many
     distinct ones, what these took, and what reuse saved.
@@ -159,7 +160,7 @@ def cost_lines(table: pd.DataFrame) -> list[str]:
 
 
 def short_names(names: pd.Series) -> pd.Series:
-    """Short name of each run: the digits at the end of its name, where they are unique.
+    """Short name of each run: the digits at the end of its name if they are unique.
 
     Every command takes them for the run.
     """
@@ -205,7 +206,7 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
 
 
 def certificate_words(table: pd.DataFrame) -> pd.Series:
-    """Verdict of both certificates of each run in one word; missing where there is neither."""
+    """Verdict on the certificates of each run, in one word; missing if the run has none."""
     controller = table["controller_certified"]
     observer = table["observer_certified"]
     pairs = zip(controller.fillna(False), observer.fillna(False), strict=True)
@@ -215,7 +216,7 @@ def certificate_words(table: pd.DataFrame) -> pd.Series:
 
 
 def column_head(name: str) -> str:
-    """Short heading of a column; for `plant__step_s` the last word."""
+    """Short heading of a column, which is the last word of a name such as `plant__step_s`."""
     short = "cert" if name == "certified" else ""
     if name in BY_NAME:
         short = BY_NAME[name].head
@@ -231,8 +232,8 @@ def prediction_words(table: pd.DataFrame) -> pd.Series:
 
 
 def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
-    """Settings in which the runs differ, and those that tell more runs apart than the ones
-    before."""
+    """Settings in which the runs differ, and those of them that distinguish more runs than the
+    settings before."""
     values = {name: requested_values(table, name) for name in setting_columns(table)}
     varied = [name for name in values if values[name].nunique(dropna=False) > 1]
     telling: list[str] = []
@@ -249,8 +250,8 @@ def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
 
 
 def format_cell(value: object) -> str:
-    """Text of a table's value: four digits for numbers, yes or no for truth values. `-` for what is
-    missing."""
+    """Text of a table's value: four digits for numbers, yes or no for truth values, `-` for a
+    missing value."""
     if value is None or value is pd.NA:
         return "-"
     if isinstance(value, (bool, np.bool_)):
@@ -283,8 +284,8 @@ def summary_lines(table: pd.DataFrame, shown: int) -> list[str]:
 
 
 def fold_statistics_lines(table: pd.DataFrame) -> list[str]:
-    """Text lines with mean and deviation of the fit on held-out folds, for each model's
-    settings."""
+    """Text lines with mean and standard deviation of the fit on held-out folds, for the settings of
+    each model."""
     if "fold" not in table or table["fold"].nunique() < 2:
         return []
     varied = []
@@ -305,8 +306,8 @@ def fold_statistics_lines(table: pd.DataFrame) -> list[str]:
 
 
 def _reason_lines(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
-    """Text lines with the reasons of unsuccessful runs; reasons that differ only in numbers are
-    merged."""
+    """Text lines with the reasons of unsuccessful runs, where reasons that differ only in numbers
+    are merged."""
     columns = [name for name in ("run", *REASONS) if name in rows]
     runs: dict[str, list[tuple[str, str]]] = {}
     for row in rows[columns].to_dict("records"):
@@ -330,7 +331,8 @@ def _reason_lines(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]
 
 
 def merge_with_ranges(sentences: list[str]) -> str:
-    """One sentence for several that differ in numbers alone, with ranges: `rate 0.4 to 0.9`."""
+    """Merge several sentences that differ only in numbers into one with ranges, such as `rate 0.4
+    to 0.9`."""
     numbers = [NUMBER.findall(sentence) for sentence in sentences]
     ranges = []
     for column in zip(*numbers, strict=True):

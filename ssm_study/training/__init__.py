@@ -1,2 +1,1 @@
-"""Training: how a model is fitted to data. Lightning lives
-here and nowhere else."""
+"""Training of models from data. Lightning lives here and nowhere else."""

@@ -30,7 +30,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """Model settings that were tried, with the free-run error on each held-out fold.
+    """Model settings that were tried, with their free-run error on each held-out fold.
 
     Errors are those of `relative_rms_error`. Folds that were left out, because the candidate was
     far behind, are missing at the end of `errors`. `best_start_kind` says from where the held-out
@@ -51,9 +51,9 @@ class Candidate:
         return float(self.errors.mean())
 
     def is_clearly_worse(self, other: "Candidate", by: float = NEARLY) -> bool:
-        """Whether a candidate's error is clearly larger than another's. Whether its error exceeds
-        the other's by that share of it, and that by one standard error or on all folds but one: a
-        single odd piece makes the standard error large."""
+        """Whether a candidate's error is clearly larger than another's. It exceeds the other's by
+        that share of it, and by one standard error or on all folds but one: a single odd piece
+        makes the standard error large."""
         if len(self.errors) < len(other.errors):
             return True
         excess = self.errors[: len(other.errors)] - other.errors
@@ -64,11 +64,12 @@ class Candidate:
         return is_large and (is_consistent or bool(excess.mean() > standard_error))
 
     def explains_less(self, other: "Candidate") -> bool:
-        """Whether another candidate explains the records that it was trained on far better."""
+        """Whether another candidate fits the records on which it was trained far better than this
+        one."""
         return self.training_error > EXPLAINS_LESS * other.training_error
 
     def table_row(self, *, chosen: bool, certified: bool | None) -> Row:
-        """Row of the table of candidates. `certified` is None where nobody looked."""
+        """Row of the table of candidates. `certified` is None if that was not examined."""
         fits = 100.0 - self.errors
         row: Row = {"question": self.question, "model": self.model, **self.settings}
         row["fit_held_out_percent"] = float(fits.mean())
@@ -87,13 +88,13 @@ class Candidate:
 
 
 def best_candidate(candidates: Iterable[Candidate]) -> Candidate:
-    """Candidate with the smallest mean error among those tried on most folds."""
+    """Candidate with the smallest mean error, among those that were tried on most folds."""
     return min(candidates, key=lambda candidate: (-len(candidate.errors), candidate.mean_error))
 
 
 def simplest_good_candidate(candidates: Sequence[Candidate], by: float = NEARLY) -> Candidate:
-    """The first candidate, in the order given, that is not clearly worse than the best of all, on
-    held-out pieces or on the records that it was trained on."""
+    """First candidate, in the given order, that is not clearly worse than the best of all. This
+    holds for held-out pieces and for the records on which it was trained."""
     best = best_candidate(candidates)
     return next(
         candidate
@@ -105,16 +106,16 @@ def simplest_good_candidate(candidates: Sequence[Candidate], by: float = NEARLY)
 
 @dataclass
 class Trial:
-    """Free-run errors of one candidate on the folds so far, for both kinds of initial state. They
-    come from its first samples, and from the log before it (`models.warm_start`)."""
+    """Free-run errors of one candidate on the folds so far, for both kinds of initial state. One is
+    estimated from the first samples, one simulated from the log before (`models.warm_start`)."""
 
     by_start: dict[str, list[float]] = field(default_factory=lambda: {SAMPLES: [], PAST: []})
     example: Any = None
     training_errors: list[float] = field(default_factory=list)
 
     def add_fold(self, model: Any, fold: DataSet, training_error: float = 0.0) -> None:
-        """Evaluate a model on one more fold. Simulate the held-out part of one more fold; None
-        of a model counts as a failed one."""
+        """Evaluate a model on the held-out part of one more fold. A model that is None counts as
+        failed."""
         self.example = model
         self.training_errors.append(training_error)
         states = () if model is None else states_from_past(model, fold, fold.test)
@@ -128,7 +129,7 @@ class Trial:
 
     @property
     def best_start_kind(self) -> str:
-        """Kind of initial state with the smaller mean error. It is the first samples where both are
+        """Kind of initial state with the smaller mean error, which is the first samples if both are
         equal."""
         return PAST if sum(self.by_start[PAST]) < sum(self.by_start[SAMPLES]) else SAMPLES
 
@@ -139,8 +140,8 @@ class Trial:
 
 
 def try_linear_model(folds: Sequence[DataSet], order: int, delay: int) -> Trial:
-    """Fit and score a linear output-error model on every fold. A linear output-error model on each
-    held-out fold; delay 1 is no dead time, 0 a direct path."""
+    """Fit a linear output-error model on every fold, and score it on the held-out part. A delay of
+    1 is no dead time, 0 a direct path."""
     trial = Trial()
     for fold in folds:
         part = fold.shift_out_dead_time(delay - 1) if delay > 1 else fold
@@ -186,14 +187,14 @@ def fit_linear_model(data: DataSet, order: int, *, direct: bool) -> SSM:
 
 
 def delay_disturbances(data: DataSet) -> DataSet:
-    """Training records with measured disturbances one sample later. What is within the sample for
-    the input is one sample before for them."""
+    """Training records in which measured disturbances come one sample later. An effect within the
+    sample for the input is then one of the sample before for them."""
     late = tuple(delay_disturbance(record) for record in data.training)
     return replace(data, training=late)
 
 
 def delay_disturbance(record: Trajectory) -> Trajectory:
-    """Record whose measured disturbances come one sample later, the first one twice."""
+    """Record in which measured disturbances come one sample later, with the first value twice."""
     if record.d is None:
         return record
     late = np.vstack([record.d[:1], record.d[:-1]])
@@ -203,8 +204,8 @@ def delay_disturbance(record: Trajectory) -> Trajectory:
 def try_structured_model(
     spec: StructuredSpec, folds: Sequence[DataSet], seed: int, best: Candidate | None
 ) -> Trial:
-    """Train and score a structured model briefly on every fold. A structured model trained for a
-    few steps without each fold; the last folds are left out where it is far behind `best`."""
+    """Train a structured model briefly on every fold, and score it on the held-out part. The last
+    folds are left out if it is far behind `best`."""
     brief = short_spec(spec)
     trial = Trial()
     for fold in folds:

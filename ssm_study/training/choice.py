@@ -1,5 +1,5 @@
-"""Choose the settings of a model by its error on held-out folds. The model that a log deserves:
-paths first, then sizes, by folds of training and validation.
+"""Choice of a model's settings by its error on held-out folds. The model that a log deserves: paths
+first, then sizes, by folds of training and validation.
 
 Cheap models decide cheap questions: linear ones the delay, and how many states a linear model
 needs; structured ones, trained for a few steps, decide the rest. Of candidates that are about as
@@ -33,7 +33,7 @@ def choose_model(
 def iterate_choices(
     spec: StructuredSpec, data: DataSet, seed: int, announce: Callable[[str], None]
 ) -> Iterator[Choice]:
-    """Iterate over the best choice of settings and further ones, for use if no model of the first
+    """Iterate over the best choice of settings and alternatives, for use if no model of the first
     can be certified. The paths are the same in all."""
     folds = make_folds(data) if spec.automatic_settings else ()
     if not folds:
@@ -56,7 +56,7 @@ def iterate_choices(
 
 
 def make_announcer(progress: bool) -> Callable[[str], None]:
-    """Function that prints progress lines, or nothing where nobody watches."""
+    """Function that prints progress lines, or does nothing if progress is switched off."""
     from rich.console import Console
 
     console = Console(stderr=True)

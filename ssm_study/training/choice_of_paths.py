@@ -42,7 +42,7 @@ def choose_delay(search: Search, data: DataSet) -> None:
 def choose_between_two(
     search: Search, question: str, name: str, values: Sequence[object], gain: float
 ) -> None:
-    """Choose the second value of a setting where it reduces the error by enough, else the first.
+    """Choose the second value of a setting if it reduces the error by enough, otherwise the first.
 
     Models of one size with and without it are compared; a single value is taken as it is.
     """
@@ -58,7 +58,7 @@ def choose_between_two(
 
 
 def response_lag(data: DataSet) -> int | None:
-    """Number of samples until the output first responds to any input. None where noise hides it."""
+    """Number of samples until the output first responds to an input; None if noise hides it."""
     record = max(join_training_and_validation(data).training, key=len)
     if len(record) <= SHORTEST:
         return None
@@ -70,7 +70,7 @@ def response_lag(data: DataSet) -> int | None:
 
 
 def choose_integrator(search: Search, data: DataSet) -> None:
-    """Choose whether the model's output is a running sum. It is tried where a linear model nearly
+    """Choose whether the model's output is a running sum. It is tried if a linear model nearly
     integrates."""
     if search.is_open("integrating_output"):
         tried = search.spec.neurons != 0 and nearly_integrates(data)
@@ -101,8 +101,8 @@ def nearly_integrates(data: DataSet) -> bool:
 
 
 def choose_input_path(search: Search) -> None:
-    """Choose whether the input reaches the neurons directly. With an integrator it never does:
-    neurons that can cut off the input leave nothing that could be certified."""
+    """Choose whether the input acts on the neurons directly. With an integrator it never does,
+    since neurons that can cut off the input prevent every certificate."""
     if not search.is_open("input_path"):
         return
     if search.has_integrator or search.spec.neurons == 0:

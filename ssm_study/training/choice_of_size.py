@@ -33,8 +33,8 @@ LARGER: tuple[Settings, ...] = (  # one by one, while all that are smaller are b
 
 
 def try_model_sizes(search: Search) -> list[Candidate]:
-    """Candidates of increasing order, number of neurons and number of break points. None where all
-    of them are given.
+    """Candidates of increasing order, number of neurons and number of break points; empty if all of
+    these are given.
 
     Linear models of growing order are tried by output error first.
     """
@@ -54,7 +54,7 @@ def try_model_sizes(search: Search) -> list[Candidate]:
 
 
 def free_candidates(search: Search, contracting: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates that need not contract in open loop, where all that do are far behind them.
+    """Candidates that need not contract in open loop, for use if all that do are far behind them.
 
     No metric common to all slopes of a spring that hardens exists where it is lightly damped.
     Feedback adds the damping, so that the closed loop can be certified all the same.
@@ -100,8 +100,8 @@ def choose_linear_order(search: Search) -> Candidate:
 
 
 def simplest_certifiable_candidate(search: Search, candidates: Sequence[Candidate]) -> Candidate:
-    """Smallest candidate that can be certified and is not clearly worse than the best of these.
-    Where none can, of all.
+    """Smallest candidate that can be certified and is not clearly worse than the best certifiable
+    one. If none can be certified, all count.
 
     Certificates are asked for as they are needed, of the model trained without the last fold.
     """

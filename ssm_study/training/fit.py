@@ -29,8 +29,8 @@ UNMOVED = (
 
 
 class TrainingBatch(nn.Module):
-    """Batch of scaled training records, cut into windows. Scaled records of equal length: shorter
-    ones are padded at the end and weigh nothing there.
+    """Batch of scaled training records of equal length, cut into windows. Shorter ones are padded
+    at the end, without weight.
 
     `u (e, T, m)`, with measured disturbances as further columns, `y (e, T, p)`, `weight (e, T,
     1)`: zero in the `unscored` samples of the cut and in the padding, and scaled so that
@@ -72,8 +72,8 @@ class TrainingBatch(nn.Module):
         return model(self.u, x0, **self._mapped_inputs(model))
 
     def advance(self, model: TorchModel, x0: States) -> tuple[Signals, States]:
-        """Simulate the model over all records, and return the final states too. Returns the outputs
-        and the states after the last sample, padding included."""
+        """Simulate the model over all records, and return the outputs and the final states. Padding
+        is simulated, too."""
         return model.advance(self.u, x0, **self._mapped_inputs(model))
 
     def _mapped_inputs(self, model: TorchModel) -> dict[str, Signals]:
@@ -83,8 +83,8 @@ class TrainingBatch(nn.Module):
         return {"lifted": model.driving_signals(self.u, self.lift(model.scaffold_in))}
 
     def squared_error(self, y_hat: Signals) -> Float[Tensor, ""]:
-        """Weighted squared error of simulated outputs. `sum weight |e|^2`: what the fit is made
-        of."""
+        """Weighted squared error of simulated outputs, `sum weight |e|^2`, from which the fit is
+        computed."""
         return (self.weight * (y_hat - self.y) ** 2).sum()
 
     def training_objective(self, y_hat: Signals) -> Float[Tensor, ""]:
@@ -104,8 +104,8 @@ class TrainingBatch(nn.Module):
 
 
 class InitialStates(nn.Module):
-    """Trainable initial states of the training windows. The states `(e, n)` that windows start
-    from: rest, but for the rows that are parameters."""
+    """Trainable initial states of the training windows. `(e, n)`: rest, except for the rows that
+    are parameters."""
 
     rows: Tensor
     later: Tensor
@@ -127,8 +127,8 @@ class InitialStates(nn.Module):
         )
 
     def shooting_defects(self, ends: States, starts: States) -> Float[Tensor, "k n"]:
-        """Differences between the end of a window and the start of the next, weighted for the
-        penalty."""
+        """Differences between the final state of a window and the initial state of the next,
+        weighted for the penalty."""
         reached = ends[self.later - 1]  # where the window before ends
         size = (reached.square().sum(0) + UNMOVED) * reached.shape[1] / self.weight
         return (reached - starts[self.later]) / torch.sqrt(size)
@@ -147,8 +147,8 @@ def roughness_penalty(model: TorchModel, weight: float) -> Float[Tensor, ""]:
 
 
 class Fit(pl.LightningModule):
-    """Lightning module that trains a torch model. Minimises the training loss of `model`, and with
-    it the states that windows start from where these are free.
+    """Lightning module that trains a torch model. It minimises the training loss over the model
+    and, where they are free, the initial states of windows.
 
     `whole` are the records that the windows were cut from: the training fit that is shown is always
     that of whole records. Raises `BadRequest` for settings that this model cannot have.
@@ -184,7 +184,7 @@ class Fit(pl.LightningModule):
         self.starts = self._trainable_starts(cut)
 
     def _trainable_starts(self, cut: RecordWindows) -> InitialStates | None:
-        """Initial states of the windows as trainable parameters. None where none is free."""
+        """Initial states of the windows as trainable parameters; None if none is free."""
         model = self.model
         weight = self.settings.windows.continuity_weight
         how = self.settings.initial_state
@@ -201,8 +201,8 @@ class Fit(pl.LightningModule):
         return None if values is None else InitialStates(cut, sorted(rows), values, weight)
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are the batch
-        """Train for one epoch. What Lightning does around each call costs more than a step of a
-        small model."""
+        """Train for one epoch. Lightning's work around each call costs more than a step of a small
+        model."""
         optimiser: Any = self.optimizers()
         for _ in range(self.settings.optimiser.calls_per_epoch):
             optimiser.step(self._loss_and_gradient)
@@ -218,14 +218,14 @@ class Fit(pl.LightningModule):
         return loss.detach()
 
     def training_loss(self) -> Tensor:
-        """Training loss of the current model. The objective that is minimised: simulation error,
-        defects of shooting, roughness."""
+        """Training loss of the current model: simulation error, shooting defects and roughness."""
         y_hat, defects = self.simulate_windows()
         added = roughness_penalty(self.model, self.settings.roughness_weight)
         return self.training_records.training_objective(y_hat) + defects.square().sum() + added
 
     def simulate_windows(self) -> tuple[Signals, Float[Tensor, "k n"]]:
-        """Simulated outputs of all windows, and the defects between them."""
+        """Simulated outputs of all windows, and the differences of state between successive
+        windows."""
         x0 = None if self.starts is None else self.starts()
         if self.starts is None or x0 is None or not self.starts.cut.continuing_windows:
             return self.training_records.simulate(
@@ -292,8 +292,8 @@ class Fit(pl.LightningModule):
         return self.settings.optimiser.build(self)
 
     def conclude(self) -> tuple[Simulator, str]:
-        """Trained model as explicit numbers, and a remark on it. Float32 is undone by a few L-BFGS
-        iterations in float64 if they end finite and lower."""
+        """Trained model as explicit numbers, and a remark on it. Rounding to float32 is removed by
+        a few L-BFGS iterations in float64, if they end finite and lower."""
         single = self.training_records.y.dtype == torch.float32
         self.to("cpu", torch.float64)
         if single and not isinstance(
@@ -312,7 +312,7 @@ class Fit(pl.LightningModule):
 
 @torch.no_grad()
 def simulate_window_starts(model: TorchModel, records: TrainingBatch, cut: RecordWindows) -> States:
-    """Initial state of each window from a simulation of the whole records. Shooting then begins
+    """Initial state of each window, from a simulation of the whole records. Shooting then begins
     without defects.
 
     Records start at rest too: an estimate by the untrained model is far off in slow modes, and

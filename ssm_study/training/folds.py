@@ -1,4 +1,4 @@
-"""Folds of the training and validation records, on which a choice of models is made."""
+"""Folds of the training and validation records, by which model settings are chosen."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,8 +14,8 @@ MOST_SAMPLES = 12_000  # of training and validation together: of longer records,
 
 
 def join_training_and_validation(data: DataSet) -> DataSet:
-    """Data set with training and validation records as one part. Pieces that follow each other in
-    the same log are joined."""
+    """Data set in which training and validation records are one part. Pieces that follow each other
+    in the same log are joined."""
     records = sorted(
         (*data.training, *data.validation), key=lambda record: (record.log, record.first)
     )
@@ -24,7 +24,7 @@ def join_training_and_validation(data: DataSet) -> DataSet:
 
 
 def join_consecutive_records(records: Sequence[Trajectory]) -> list[Trajectory]:
-    """Join records that follow one another in the same log."""
+    """Join records that follow each other in the same log."""
     joined: list[Trajectory] = []
     for record in records:
         before = joined[-1] if joined else None
@@ -41,7 +41,8 @@ def directly_follows(record: Trajectory, before: Trajectory) -> bool:
 
 
 def make_folds(data: DataSet) -> tuple[DataSet, ...]:
-    """Data sets for cross-validation, each with one fold as its test part. None for short records.
+    """Data sets for cross-validation, each with another fold as its test part; empty for short
+    records.
 
     Whole records are held out where there are enough, else pieces of the long ones. A piece starts
     in motion, so its first samples estimate its state and are not scored. No test record of `data`
@@ -68,7 +69,7 @@ def make_folds(data: DataSet) -> tuple[DataSet, ...]:
 
 
 def hold_out_records(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
-    """Training records without every fourth or so, and the held-out ones."""
+    """Training records without those of one fold (about every fourth), and the held-out records."""
     trained = tuple(record for k, record in enumerate(records) if k % FOLDS != fold)
     return trained, records[fold::FOLDS]
 
@@ -88,7 +89,7 @@ def hold_out_pieces(records: Trajectories, fold: int) -> tuple[Trajectories, Tra
 
 
 def shorten_records(records: Trajectories) -> Trajectories:
-    """Records cut at their ends to a total length."""
+    """Records that are cut at their ends, so that they have a given total length."""
     share = MOST_SAMPLES / sum(len(record) for record in records)
     if share >= 1.0:
         return records

@@ -1,4 +1,5 @@
-"""Penalty that leaves an integrating plant a gain of one sign at every slope of its neurons.
+"""Penalty by which a model of an integrating plant gets a gain of the same sign at every slope of
+its neurons.
 
 Behind an integrator the rate `y[k+1] - y[k]` has to answer the input with one sign at every slope,
 or no feedback stabilises all of them and nothing can be certified. A model of a motor that stands
@@ -24,7 +25,8 @@ DIFFERENCE = 1e-6  # of a parameter, for the derivatives of few residuals
 
 
 def corner_gains(matrices: KernelMatrices) -> Float[np.ndarray, "corners"]:
-    """Gain from the input to the output at each corner of the neurons' slopes, for one of each."""
+    """Gain from input to output at each corner of the neurons' slopes, for one input and one
+    output."""
     n = len(matrices.a)
     q = matrices.e.shape[1]
     slopes = np.array(list(product((0.0, 1.0), repeat=q))).reshape(2**q, q)
@@ -35,8 +37,8 @@ def corner_gains(matrices: KernelMatrices) -> Float[np.ndarray, "corners"]:
 
 
 def missing_gain(matrices: KernelMatrices, least_share: float) -> Float[np.ndarray, "corners"]:
-    """Weighted shortfall of each corner's gain to this share of the largest one; zero where it is
-    as large."""
+    """Weighted amount by which each corner's gain is below a given share of the largest one; zero
+    if it is not below."""
     with np.errstate(all="ignore"):
         gains = corner_gains(matrices)
     largest = gains[np.argmax(np.abs(gains))]
@@ -51,7 +53,8 @@ def slopes_by_differences(
     present: Float[np.ndarray, "V"],
     moving: Shaped[np.ndarray, "M"],
 ) -> Float[np.ndarray, "V P"]:
-    """Derivatives of residuals by those parameters that move them, by central differences."""
+    """Derivatives of residuals with respect to the parameters that affect them, by central
+    differences."""
     slopes = np.zeros((len(present), len(flat)))
     for i in moving:
         step = np.zeros(len(flat))

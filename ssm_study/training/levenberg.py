@@ -22,9 +22,9 @@ DAMPING_RANGE = (1e-12, 1e12)
 
 
 class DampingRule(NamedTuple):
-    """Settings of the Levenberg-Marquardt damping. `tries` dampings before a step counts as failed,
-    each `grow` times the last; curvatures below `weakest`, relative to the largest, are damped as
-    if they had it."""
+    """Settings of the damping in the Levenberg-Marquardt method. `tries` dampings before a step
+    counts as failed, each `grow` times the last; curvatures below `weakest`, relative to the
+    largest, are damped as if they had it."""
 
     tries: int
     grow: float
@@ -39,8 +39,8 @@ def levenberg_marquardt_step(
     rule: DampingRule, loss: float, gradient: Any, normal: Any, damping: float,
     solve_damped: Callable[[float], Any], loss_at: Callable[[Any], float],
 ) -> tuple[Any, float, float]:  # fmt: skip
-    """Take one accepted step of the Levenberg-Marquardt method. The first step that gains (None
-    where all fail), the loss there, and the damping of the next step.
+    """Take one accepted step of the Levenberg-Marquardt method. Returns the first step that gains
+    (None if all fail), the loss there, and the damping of the next step.
 
     The damping falls after a step that gains what the quadratic model expects, and grows after
     others. `solve_damped` gives the step of a damping, or None; arrays are NumPy's or torch's.
@@ -60,15 +60,16 @@ def levenberg_marquardt_step(
 
 
 def damping_factor(gained: float, expected: float) -> float:
-    """Factor on the damping after a step that gained so much of what was expected."""
+    """Factor by which the damping changes after a step, from the gained and the expected decrease
+    of the loss."""
     if gained > 0.75 * expected:
         return 0.3
     return 1.0 if gained > 0.25 * expected else 2.0
 
 
 class LevenbergMarquardt(torch.optim.Optimizer):
-    """Levenberg-Marquardt method as a torch optimiser. The optimiser of torch models: `step` takes
-    one accepted step, or none; there is no penalty.
+    """Levenberg-Marquardt method as a torch optimiser. `step` takes one accepted step, or none;
+    there is no penalty.
 
     Parameters that sit in exponentials (`nu`, `theta`) move by at most `longest_step` at once,
     where the linear model holds. `residual` takes all parameters in a row.
@@ -104,7 +105,7 @@ class LevenbergMarquardt(torch.optim.Optimizer):
         scale = normal.diagonal().clamp(min=FORWARD.weakest * float(normal.diagonal().max()))
 
         def solve_damped(damping: float) -> Tensor:
-            """Solve the damped normal equations, with the step limited."""
+            """Solve the damped normal equations, and limit the length of the step."""
             step = torch.linalg.solve(normal + torch.diag(damping * scale), -gradient)
             return torch.maximum(torch.minimum(step, self.limits), -self.limits)
 

@@ -1,5 +1,5 @@
-"""Optional loggers of the training curve. Each yaml of the group `training/logger` is one of
-these."""
+"""Loggers that may record the training curve in further formats. Each yaml of the group
+`training/logger` is one of these."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class NoLogger:
-    """Setting without a further logger of the training curve. Nothing besides our own record; the
-    others return Lightning's logger, writing below the training's own folder."""
+    """Setting without a further logger of the training curve. Other loggers are Lightning's and
+    write below the training's own folder."""
 
     def build(self, folder: Path) -> "Logger | None":  # noqa: ARG002 - nothing is written
-        """Build the logger; None for none."""
+        """Build the logger; None if there is none."""
         return None
 
 
@@ -33,8 +33,8 @@ class Csv(NoLogger):
 
 @dataclass(frozen=True, kw_only=True)
 class TensorBoard(NoLogger):
-    """Logger that writes the training curve for TensorBoard. Event files in `tensorboard/`;
-    extra `tensorboard`."""
+    """Logger that writes the training curve for TensorBoard. Event files in `tensorboard/`; needs
+    the extra `tensorboard`."""
 
     def build(self, folder: Path) -> "Logger":
         from lightning.pytorch.loggers import TensorBoardLogger

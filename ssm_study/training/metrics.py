@@ -1,4 +1,4 @@
-"""Result of identifying a model: the model, its validation fit and columns on the training."""
+"""Result of an identification: the model, its validation fit, and columns on the training."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -27,7 +27,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
-    """Identified model with its validation fit and how it was found.
+    """Identified model with its validation fit and a description of how it was identified.
 
     The fit is recomputed from `model` itself (float64, `free_run`), never taken from training.
     `curve` holds one row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`.
@@ -62,5 +62,5 @@ def records_fit_percent(model: Simulator, records: Trajectories, data: DataSet) 
 
 
 def training_columns(seconds: float, ended: str) -> dict[str, Any]:
-    """Columns on the duration and the end of a training."""
+    """Columns on how long a training took and why it ended."""
     return {"training_seconds": seconds, "training_ended": ended}

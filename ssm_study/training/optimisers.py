@@ -1,4 +1,5 @@
-"""Optimisers of a training. Each yaml of the group `training/optimiser` is one of these."""
+"""Optimisers that a training can use. Each yaml of the group `training/optimiser` is one of
+these."""
 
 import math
 from abc import ABC, abstractmethod
@@ -64,8 +65,7 @@ class Lbfgs(OptimiserSpec):
 
 @dataclass(frozen=True, kw_only=True)
 class Levenberg(OptimiserSpec):
-    """Settings of the Levenberg-Marquardt method. Penalties are left out: it sees the error
-    alone."""
+    """Settings of the Levenberg-Marquardt method, which minimises the error without penalties."""
 
     damping: float
     longest_step: float
@@ -85,8 +85,8 @@ class Levenberg(OptimiserSpec):
 
 @dataclass(frozen=True, kw_only=True)
 class Adam(OptimiserSpec):
-    """Settings of the Adam optimiser. The rate falls along half a cosine to `final_fraction` of
-    itself."""
+    """Settings of the Adam optimiser. Its rate falls along half a cosine to `final_fraction` of the
+    initial one."""
 
     learning_rate: float
     final_fraction: float
@@ -108,7 +108,7 @@ class Adam(OptimiserSpec):
         optimiser = torch.optim.Adam(trainable_parameters(fit), lr=self.learning_rate, fused=True)
 
         def decay_factor(epoch: int) -> float:
-            """Factor of the learning rate at an epoch."""
+            """Factor of the learning rate in an epoch."""
             along = epoch / fit.settings.max_epochs
             return (
                 self.final_fraction
@@ -122,5 +122,5 @@ class Adam(OptimiserSpec):
 
 
 def trainable_parameters(model: "nn.Module") -> "list[nn.Parameter]":
-    """Parameters of a model that an optimiser changes."""
+    """Parameters of a model that an optimiser may change."""
     return [parameter for parameter in model.parameters() if parameter.requires_grad]

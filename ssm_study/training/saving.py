@@ -1,5 +1,5 @@
-"""One training under Lightning with its checkpoints and progress. A checkpoint of something else is
-refused."""
+"""One training under Lightning, with its checkpoints and progress. A checkpoint of something else
+is refused."""
 
 import copy
 import hashlib
@@ -49,8 +49,8 @@ STILL_EPOCHS = 2
 
 
 class DurableCheckpointIO(CheckpointIO):
-    """Checkpoint writer whose files survive a crash. Write beside the target, fsync, rename, fsync
-    the folder; read tensors and plain containers only.
+    """Checkpoint writer whose files survive a crash. It writes beside the target, flushes and
+    renames; it reads tensors and plain containers only.
 
     The SHA-256 of the content follows it: torch does not notice a flipped bit (and reads past the
     sum without a word). Lightning's own writer goes through TMPDIR; with that on another file
@@ -102,8 +102,8 @@ def train_with_lightning(
     progress: bool,
     keep_on_interrupt: bool = False,
 ) -> Identification:
-    """Train a model under Lightning and return its best state. Epochs, checkpoints and early
-    stopping are the same around a step of torch and one that needs none of it.
+    """Train a model under Lightning, and return its best state. Epochs, checkpoints and early
+    stopping are the same for models with and without torch.
 
     With `keep_on_interrupt` Ctrl-C ends the training with the best state so far, once an epoch has
     ended; raises `KeyboardInterrupt` otherwise.
@@ -161,8 +161,8 @@ def train_with_lightning(
 
 @contextmanager
 def raise_on_interrupt() -> Iterator[None]:
-    """Context in which Ctrl-C raises `KeyboardInterrupt` as in plain Python. Lightning exits with
-    status 1, as if the training had failed, and ignores Ctrl-C from then on."""
+    """Context in which Ctrl-C raises `KeyboardInterrupt`, as in plain Python. Lightning would exit
+    with status 1, as if the training had failed, and ignore Ctrl-C from then on."""
     is_main = threading.current_thread() is threading.main_thread()
     handler = signal.getsignal(signal.SIGINT)
     try:
@@ -177,7 +177,7 @@ def raise_on_interrupt() -> Iterator[None]:
 
 
 class OriginalSignals(Callback):
-    """Callback that restores the handlers of system signals that were set before the training.
+    """Callback that restores the signal handlers that were set before the training.
 
     Lightning turns SIGTERM into an exception of its own, which looks like an error of the run, and
     stops where submitit has asked the process to continue. Without it the process ends at once: the
@@ -190,7 +190,7 @@ class OriginalSignals(Callback):
         self.handlers = {number: signal.getsignal(number) for number in self.numbers}
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
-        """Restore the signal handlers when the training starts."""
+        """Restore the earlier signal handlers when the training begins."""
         if threading.current_thread() is not threading.main_thread():
             return  # neither Lightning nor we may set a handler there
         for number, handler in self.handlers.items():
@@ -226,8 +226,8 @@ def build_trainer(settings: "Training", callbacks: list[Callback], folder: Path)
 
 
 def training_fingerprint(spec: object, settings: object, data: DataSet) -> str:
-    """Hash of settings and data that shows whether a checkpoint belongs to a training. Hash of what
-    a checkpoint belongs to: model, settings, and the records as they are scaled and scored."""
+    """Hash of model, settings and records, by which a checkpoint is recognised as one of the same
+    training."""
     digest = hashlib.sha256(
         f"{spec!r} {settings!r} {data.scale!r} {data.start_up_samples} {data.step_s}".encode()
     )
@@ -238,8 +238,8 @@ def training_fingerprint(spec: object, settings: object, data: DataSet) -> str:
 
 
 def find_resumable_checkpoint(folder: Path, expected: str) -> Path | None:
-    """Checkpoint from which an interrupted training can go on. `last.ckpt` of an interrupted
-    training of the same thing; raises `BadRequest` if it is of something else."""
+    """Checkpoint from which an interrupted training can continue; None if there is none. Raises
+    `BadRequest` for a checkpoint of another training."""
     path = folder / LAST
     if not path.exists():
         return None
@@ -281,7 +281,7 @@ class ProgressLine(Callback):
         self.task = self.progress.add_task("", total=max_epochs)
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
-        """Show the progress line when the training starts."""
+        """Show the progress line when the training begins."""
         self.progress.start()
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
@@ -297,8 +297,8 @@ class ProgressLine(Callback):
 
 
 class BestModelCheckpoint(Callback):
-    """Callback that keeps the best state of a training and stops it when its numbers are not finite
-    or no longer change.
+    """Callback that stores the best state of a training, and stops it when its numbers are not
+    finite or no longer change.
 
     Validation fits of noisy records differ by chance: among states within `tolerance` percent
     points of the best validation fit the one with the best training fit is kept. Epochs that leave
@@ -349,7 +349,7 @@ class BestModelCheckpoint(Callback):
 
     @property
     def seconds(self) -> float:
-        """Duration of the training in seconds, including the time before an interruption."""
+        """Duration of the training in seconds, with the time before an interruption."""
         return time.perf_counter() - self.began
 
     def on_save_checkpoint(
@@ -365,12 +365,12 @@ class BestModelCheckpoint(Callback):
             self.saved_at = time.monotonic()
 
     def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
-        """Keep the initial state of the model until an epoch has ended."""
+        """Store the initial state of the model until an epoch has ended."""
         if self.kept is None:  # until an epoch has ended, the starting point is the state to return
             self.kept = copy.deepcopy(pl_module.state_dict())
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Record the fits of the epoch, and keep the best state of the model."""
+        """Record the fits of the epoch, and store the best state of the model."""
         fits = {name: float(trainer.callback_metrics[name]) for name in FITS}
         self.record_epoch(trainer.current_epoch, fits[FITS[0]], fits[FITS[1]], pl_module)
         self.curve.append({"epoch": float(trainer.current_epoch), "seconds": self.seconds, **fits})
@@ -379,7 +379,7 @@ class BestModelCheckpoint(Callback):
     def record_epoch(
         self, epoch: int, training: float, validation: float, module: nn.Module
     ) -> None:
-        """Record the fits of one epoch, and keep the model's state if it is the best. `ended` says
+        """Record the fits of one epoch, and store the model's state if it is the best. `ended` says
         why to stop, if so."""
         if not (math.isfinite(training) and math.isfinite(validation)):
             remedy = "lower the learning rate, or start from modes further inside the unit circle"

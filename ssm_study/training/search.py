@@ -1,4 +1,4 @@
-"""Search over model settings: candidates tried so far, settings decided so far, and the resulting
+"""Search for model settings: candidates tried so far, settings decided so far, and the resulting
 choice."""
 
 from collections.abc import Callable, Sequence
@@ -26,8 +26,8 @@ STRUCTURED = "structured"
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """Model specification in which every setting is decided, with the table of candidates. Without
-    a table nothing was tried.
+    """Model settings that are all decided, with the table of candidates. The table is empty if
+    nothing was tried.
 
     `is_linear`: the output-error model itself is to be taken, of this order and delay.
     """
@@ -38,8 +38,8 @@ class Choice:
     is_linear: bool = False
 
     def describe(self, automatic: Sequence[str]) -> str:
-        """Words on the settings that were chosen from the records, and from how many candidates.
-        Empty if nothing was."""
+        """Text on the settings that the records chose, and from how many candidates; empty if they
+        chose none."""
         if not self.rows:
             return ""
         settings = ", ".join(
@@ -49,7 +49,7 @@ class Choice:
 
 
 def setting_words(value: object) -> str:
-    """A name or value of a setting in words: `dead_time`, true, 5."""
+    """Name or value of a setting in words, such as `dead time`, `yes` or `5`."""
     return {"True": "yes", "False": "no", "None": "none"}.get(
         str(value), str(value).replace("_", " ")
     )
@@ -69,7 +69,7 @@ class Search:
     certified: dict[int, bool] = field(default_factory=dict)  # by identity of the candidate
 
     def is_open(self, name: str) -> bool:
-        """Whether a setting was left to the records and is not decided yet."""
+        """Whether a setting is to be chosen from the records and is not decided yet."""
         return bool(getattr(self.spec, name) == AUTO) and name not in self.decided
 
     def score_structured_model(self, question: str, settings: Settings) -> Candidate:
@@ -85,7 +85,7 @@ class Search:
         )
 
     def complete_settings(self, settings: Settings) -> StructuredSpec:
-        """Specification with given settings, those decided, and defaults for the rest."""
+        """Model settings made from given ones, from those decided so far, and from defaults."""
         wanted = self.decided | settings
         if wanted.get("neurons") == 0:
             wanted["input_path"] = "none"  # there are no neurons for it to reach
@@ -105,7 +105,7 @@ class Search:
         )
 
     def setting_value(self, name: str) -> Any:
-        """Value of a setting as decided, or as the user set it."""
+        """Value of a setting as decided so far, or as the user set it."""
         return self.decided.get(name, getattr(self.spec, name))
 
     @property
@@ -115,14 +115,14 @@ class Search:
 
     @property
     def allows_linear_model(self) -> bool:
-        """Whether the user asked for neither neurons nor static maps."""
+        """Whether the user requested neither neurons nor static maps."""
         open_or_none = (AUTO, 0)
         sizes = (self.spec.neurons, self.spec.knots)
         return all(size in open_or_none for size in sizes) and self.spec.output_knots == 0
 
     def is_certifiable(self, candidate: Candidate) -> bool:
-        """Whether some contraction rate of a state feedback can be certified for the candidate's
-        model. True where the specification does not ask."""
+        """Whether a contraction rate can be certified for some state feedback of the candidate's
+        model. It is true if the settings do not ask for that."""
         largest_rate = getattr(self.spec.among_starts, "largest_rate", None)
         if largest_rate is None or candidate.example is None:
             return True
@@ -148,17 +148,17 @@ class Search:
         return candidate
 
     def find_candidate(self, model: str, settings: Settings) -> Candidate | None:
-        """Find the candidate with exactly the given settings; None if there is none."""
+        """Candidate with exactly the given settings; None if there is none."""
         alike = [one for one in self.tried if (one.model, one.settings) == (model, settings)]
         return alike[0] if alike else None
 
     def adopt_settings(self, candidate: Candidate, settings: Settings) -> None:
-        """Decide the open settings as a candidate has them."""
+        """Decide the undecided settings as a candidate has them."""
         self.chosen.append(candidate)
         self.decided |= {name: value for name, value in settings.items() if self.is_open(name)}
 
     def make_choice(self, candidate: Candidate | None) -> Choice:
-        """Make the choice of all decided settings and a candidate's sizes."""
+        """Make the choice of all decided settings, with the sizes of a candidate."""
         decided = dict(self.decided)
         is_linear = candidate is not None and candidate.model == LINEAR
         if candidate is not None:
@@ -175,7 +175,7 @@ class Search:
         )
 
     def candidate_rows(self, chosen: Sequence[Candidate]) -> tuple[Row, ...]:
-        """Rows of the table of candidates that were tried."""
+        """Rows of the table of the candidates that were tried."""
         return tuple(
             candidate.table_row(
                 chosen=any(candidate is one for one in chosen),
@@ -186,5 +186,5 @@ class Search:
 
 
 def fill_in_defaults(spec: StructuredSpec) -> StructuredSpec:
-    """Specification with the default value for each setting that is still open."""
+    """Model settings in which every undecided setting has its default value."""
     return replace(spec, **{name: AUTOMATIC[name] for name in spec.automatic_settings})

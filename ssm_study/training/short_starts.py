@@ -1,4 +1,4 @@
-"""Short trainings from many starts, of which the best are trained to their end.
+"""Short training runs from many initial parameters, of which the best are trained to their end.
 
 A training ends in one of many local minima. How low is mostly seen after a few steps.
 """
@@ -16,7 +16,8 @@ DRAWS = 3  # of several random neurons for such a training
 
 
 def short_spec(spec: StructuredSpec) -> StructuredSpec:
-    """Specification whose starts take less time, with few draws of random neurons each.
+    """Model settings with short training starts, each of which tries only few random draws of
+    neurons.
 
     A single neuron is drawn as often as ever: its draws are cheap, and more of them end badly.
     """
@@ -24,7 +25,7 @@ def short_spec(spec: StructuredSpec) -> StructuredSpec:
 
 
 def best_seeds(spec: StructuredSpec, data: DataSet, first: int, count: int, best: int) -> list[int]:
-    """Seeds of so many starts with the least loss after a few steps, the best first.
+    """Seeds of the initial parameters with the smallest loss after a few steps, the best first.
 
     Starts whose model has no certified state feedback come behind all that have one, where the
     specification asks for one.

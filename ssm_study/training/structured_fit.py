@@ -1,5 +1,5 @@
-"""Lightning module of a structured model. Its first epoch makes the initial parameters, each
-further one is a step."""
+"""Lightning module that trains a structured model. Its first epoch makes the initial parameters,
+each further one is a step."""
 
 from dataclasses import replace
 from typing import Any
@@ -41,8 +41,8 @@ TRUSTED = 0.5  # of its loss: a least-squares start is replaced where random pol
 
 
 class StructuredFit(pl.LightningModule):
-    """Lightning module that trains a structured model. Levenberg-Marquardt on the simulation error;
-    the parameters, the damping and the loss are buffers.
+    """Lightning module that trains a structured model by Levenberg-Marquardt. The parameters, the
+    damping and the loss are buffers.
 
     So a checkpoint is the whole state, and a training that was killed goes on where it was. There
     is nothing for an optimiser of torch to do: the Jacobian is written out
@@ -97,7 +97,7 @@ class StructuredFit(pl.LightningModule):
 
     @property
     def parameter_blocks(self) -> Theta:
-        """Trainable parameters as NumPy arrays by block."""
+        """Trainable parameters as NumPy arrays, keyed by block."""
         return {
             name: part.cpu().numpy()
             for name, part in self.named_buffers()
@@ -105,7 +105,7 @@ class StructuredFit(pl.LightningModule):
         }
 
     def take_steps(self, steps: int) -> None:
-        """Make the initial parameters and take at most so many steps, without what Lightning does
+        """Make the initial parameters and take a limited number of steps, without Lightning's work
         around each."""
         start = self._initial_parameters()
         if self.problem.gain_share:
@@ -115,14 +115,14 @@ class StructuredFit(pl.LightningModule):
         )
 
     def _without_gain_penalty(self, start: Theta) -> Theta:
-        """Parameters after steps without the penalty on the gain's sign. From the start on it would
-        lead into far worse local minima."""
+        """Parameters after some steps without the penalty on the gain's sign. With the penalty from
+        the beginning, the training would end in far worse local minima."""
         free = replace(self.problem, gain_share=0.0)
         return minimise_simulation_error(free, start, self._trained_blocks, UNPENALISED).theta
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are in the problem
-        """Take the training steps of one epoch. In each further epoch take one accepted step, or
-        none."""
+        """Make the initial parameters in the first epoch, and take one accepted step, or none, in
+        each further epoch."""
         if torch.isnan(self.loss):
             self.take_steps(0)
             return
@@ -133,7 +133,7 @@ class StructuredFit(pl.LightningModule):
 
     @property
     def _trained_blocks(self) -> tuple[str, ...]:
-        """Names of the parameter blocks that the training changes."""
+        """Names of the parameter blocks that training changes."""
         core = CORE if self.spec.rate is None else FREE_CORE
         return self._phase_blocks(core, self.spec.input_path != "none")
 
@@ -189,8 +189,8 @@ class StructuredFit(pl.LightningModule):
     def _draw_neurons(
         self, short: SimulationProblem, theta: Theta, rng: np.random.Generator
     ) -> Descent:
-        """Draw random initial parameters of the neurons. Random neurons, a few steps without the
-        constraint, the nearest contracting model, a few steps as one."""
+        """Draw random initial parameters of the neurons, and improve them. A few steps without the
+        constraint, the nearest contracting model, a few steps with the constraint."""
         spec = self.spec
         has_input_path = spec.input_path == "free"
         free = replace(short, rate=None)
@@ -217,8 +217,8 @@ class StructuredFit(pl.LightningModule):
         return (*core, "b", "c", "bias", "scaffold_in", "scaffold_out", *paths)
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
-        """Compute the training and validation fits of the current model. That of training is from
-        the states that were fitted, of validation as a score has them."""
+        """Compute the training and validation fits of the current model. That of training uses the
+        fitted initial states, that of validation those of a score."""
         r = self.problem.weighted_error(self.parameter_blocks)
         self.log("fit_training_percent", fit_from_relative_error(np.sqrt(r @ r)))
         self.log(
@@ -227,7 +227,7 @@ class StructuredFit(pl.LightningModule):
         )
 
     def configure_optimizers(self) -> None:
-        """Configure no optimiser: a step needs the Jacobian, not a gradient."""
+        """Return no optimiser, because a training step needs the Jacobian instead of a gradient."""
 
     def as_model(self) -> StructuredSSM:
         """Trained model as explicit numbers. The running sum of `integrating_output` is one more
@@ -264,8 +264,8 @@ class StructuredFit(pl.LightningModule):
 def append_integrator(
     parts: dict[str, Float[np.ndarray, "..."]],
 ) -> dict[str, Float[np.ndarray, "..."]]:
-    """Append an integrator at the output of a recurrence. Matrices of a recurrence whose output is
-    summed up: the sums are states, and the output."""
+    """Append an integrator to the output of a recurrence. The running sums are states, and the
+    output."""
     a = parts["a"]
     c = parts["c"]
     f = parts["f"]
@@ -285,13 +285,14 @@ def append_integrator(
 def split_disturbance_columns(
     parts: dict[str, Float[np.ndarray, "..."]], inputs: int
 ) -> dict[str, Float[np.ndarray, "..."]]:
-    """Split the input matrices into the columns of inputs and those of measured disturbances."""
+    """Split the input matrices into columns of inputs and columns of measured disturbances."""
     split = {name: parts[name][:, :inputs] for name in ("b", "d", "g")}
     return split | {"b_d": parts["b"][:, inputs:]}
 
 
 def prune_neurons(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
-    """Remove neurons whose linear replacement changes no output noticeably. `w_i = s_i z_i`.
+    """Remove neurons that can be replaced by a linear gain without a noticeable change of any
+    output. `w_i = s_i z_i`.
 
     A metric in which the model contracts is one of the pruned model too: `w_i = s_i z_i` satisfies
     the sector condition that the analysis LMI is about. A neuron between input and output is left

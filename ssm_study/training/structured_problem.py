@@ -39,8 +39,8 @@ SETTLED = 1e-4  # relative gain of a step below which a descent has ended
 
 
 class RecordBatch(NamedTuple):
-    """Scaled records of equal length, the shorter ones padded. `weight` is 0 where padded, and such
-    that `|r|^2 = (1 - fit / 100)^2`."""
+    """Scaled records of equal length, where shorter ones are padded. `weight` is 0 where padded,
+    and such that `|r|^2 = (1 - fit / 100)^2`."""
 
     u: Float[np.ndarray, "N T m"]
     y: Float[np.ndarray, "N T p"]
@@ -48,7 +48,7 @@ class RecordBatch(NamedTuple):
 
     @classmethod
     def from_pairs(cls, pairs: Pairs) -> "RecordBatch":
-        """Records as one batch, the shorter ones padded at their ends."""
+        """Records as one batch, where shorter ones are padded at their ends."""
         u, y = pad_records(pairs)
         outputs = np.concatenate([output for _, output in pairs])
         deviation = np.linalg.norm(outputs - outputs.mean(axis=0))
@@ -58,15 +58,15 @@ class RecordBatch(NamedTuple):
         return cls(u=u, y=y, weight=is_recorded / deviation)
 
     def take_whole_records(self, samples: int) -> "RecordBatch":
-        """First whole records with a given number of samples together. Of one that is longer, its
-        beginning."""
+        """First whole records that have a given number of samples together. If the first is longer,
+        its beginning is taken."""
         count = max(1, samples // self.u.shape[1])
         return RecordBatch(*(part[:count, :samples] for part in self))
 
     def find_moving_stretch(self, samples: int) -> "RecordBatch":
-        """Stretch of given length in which input and output move most. It is
-        `take_whole_records(samples)` if they move there, else the stretch of one record that moves
-        most. Raises `BadRequest` where none does."""
+        """Part of the records, of given length, in which input and output move. It is
+        `take_whole_records(samples)` if they move there, else the part of one record that moves
+        most. Raises `BadRequest` if none moves."""
         beginning = self.take_whole_records(samples)
         if self._relative_movement(beginning) >= STILL:
             return beginning
@@ -82,12 +82,12 @@ class RecordBatch(NamedTuple):
         return moving
 
     def _cut_stretch(self, record: int, first: int, samples: int) -> "RecordBatch":
-        """Cut a stretch of samples out of one record."""
+        """Cut a range of samples out of one record."""
         return RecordBatch(*(part[record : record + 1, first : first + samples] for part in self))
 
     def _relative_movement(self, stretch: "RecordBatch") -> float:
-        """Standard deviation within a stretch relative to that of all records. It is the smaller of
-        input and output."""
+        """Standard deviation of a part of the records relative to that of all records, the smaller
+        of input and output."""
         if not stretch.recorded_mask.any():
             return 0.0
         shares = []
@@ -101,7 +101,7 @@ class RecordBatch(NamedTuple):
 
     @property
     def recorded_mask(self) -> np.ndarray:
-        """Mask of the samples that were recorded and not padded. The others are padding."""
+        """For each sample, whether it was recorded rather than padded."""
         return self.weight[..., 0] > 0
 
 
@@ -138,7 +138,7 @@ class SimulationProblem:
     def initial_conditions(
         self, theta: Theta
     ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N p"]]:
-        """Initial states of the records, and initial outputs where the output is summed up."""
+        """Initial states of the records, and initial outputs where the output is a running sum."""
         n = len(theta["b"])
         return np.ascontiguousarray(theta["x0"][:, :n]), theta["x0"][:, n:]
 
@@ -165,8 +165,8 @@ class SimulationProblem:
             return (self.records.weight * error).ravel()
 
     def missing_gain(self, theta: Theta) -> Float[np.ndarray, "V"]:
-        """Residuals of the penalty on a gain that changes its sign with the neurons' slopes. None
-        where it is not asked for, or there are several inputs or outputs."""
+        """Residuals of the penalty on a gain that changes its sign with the neurons' slopes; empty
+        if the penalty is not requested, or there are several inputs or outputs."""
         inputs = self.lift.channels + self.lift.passed
         is_asked = self.gain_share > 0.0 and 0 < len(self.neurons) <= MOST_NEURONS
         if not is_asked or (inputs, self.read.channels) != (1, 1):
@@ -176,7 +176,8 @@ class SimulationProblem:
     def missing_gain_linearised(
         self, theta: Theta, free: tuple[str, ...]
     ) -> tuple[Float[np.ndarray, "V"], Float[np.ndarray, "V P"]]:
-        """Residuals of that penalty, and their derivatives by differences: they are few."""
+        """Residuals of the penalty on a gain that changes its sign, and their derivatives by
+        differences, since they are few."""
         missing = self.missing_gain(theta)
         flat = pack_parameters(theta, free)
         masks = [np.full(theta[name].size, name in GAIN_BLOCKS) for name in free]
@@ -190,7 +191,8 @@ class SimulationProblem:
     def residual_and_jacobian(
         self, theta: Theta, free: tuple[str, ...]
     ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R K"], Float[np.ndarray, "K P"]]:
-        """Weighted simulation error and its factored Jacobian by some blocks of parameters.
+        """Weighted simulation error, and its factored Jacobian with respect to some blocks of
+        parameters.
 
         `turn` is the chain rule through `contracting.matrices_from_parameters`: cheap behind `J'J`,
         not on every sample.
@@ -212,7 +214,7 @@ class SimulationProblem:
     def _output_and_derivatives(
         self, theta: Theta
     ) -> tuple[Float[np.ndarray, "N T p"], dict[str, Float[np.ndarray, "N T p _"]]]:
-        """Simulated output and its derivatives by the parameters of each block."""
+        """Simulated output, and its derivatives with respect to the parameters of each block."""
         u, target, _ = self.records
         v, _, by_input_map = self.lift.derivatives(theta["scaffold_in"], u)
         x0, begun = self.initial_conditions(theta)
@@ -237,7 +239,7 @@ class SimulationProblem:
     def _zero_disturbance_feedthrough(
         self, columns: dict[str, Float[np.ndarray, "N T p _"]]
     ) -> None:
-        """Set the derivatives to zero by which measured disturbances would reach the output
+        """Set the derivatives to zero through which measured disturbances would act on the output
         directly. These entries stay zero."""
         inputs = self.lift.channels + self.lift.passed
         for name in ("d", "g"):
@@ -247,7 +249,7 @@ class SimulationProblem:
             entries[..., self.lift.channels :] = 0.0
 
     def _derivatives_by_free_parameters(self, theta: Theta) -> Float[np.ndarray, "K F"]:
-        """Derivatives of the recurrence's matrices by its free parameters."""
+        """Derivatives of the recurrence's matrices with respect to its free parameters."""
         units = np.eye(pack_parameters(theta, FREE_CORE).size)
         directions = FreeParameters(**unpack_parameters(units, theta, FREE_CORE))
         changes = differentiate_matrices(free_parameters(theta), directions, self.rate or 1.0)
@@ -257,8 +259,8 @@ class SimulationProblem:
     def _derivatives_by_initial_states(
         self, own: Float[np.ndarray, "N T p n"]
     ) -> Float[np.ndarray, "N T p _"]:
-        """Derivatives of the output by the initial states of all records. Each moves its own
-        record, and with `integrating_output` the sum that it begins with does, too."""
+        """Derivatives of the output with respect to the initial states of all records. Each affects
+        its own record; with `integrating_output` the initial sum does, too."""
         count, samples, p, n = own.shape
         width = n + p * self.integrating_output
         whole = np.zeros((count, samples, p, count, width))
@@ -275,16 +277,16 @@ def free_parameters(theta: Theta) -> FreeParameters:
 
 
 def running_sum(y: Float[np.ndarray, "N T *rest"]) -> Float[np.ndarray, "N T *rest"]:
-    """Cumulative sum of a signal over the samples before each one. It is an integrator from zero,
-    read before it is driven."""
+    """Cumulative sum of a signal over the samples before each one, as an integrator from zero gives
+    it."""
     total = np.cumsum(y, axis=1)
     return np.concatenate([np.zeros_like(total[:, :1]), total[:, :-1]], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Descent:
-    """State of the minimisation of the simulation error. Where the descent of a structured model
-    stands: parameters, `|r|^2 + penalty` there, the next step's damping."""
+    """State of the minimisation of the simulation error: parameters, loss and the next step's
+    damping. The loss is `|r|^2 + penalty`."""
 
     theta: Theta
     loss: float
@@ -292,8 +294,8 @@ class Descent:
 
 
 def regularised_loss(problem: SimulationProblem, theta: Theta, free: tuple[str, ...]) -> float:
-    """Regularised squared simulation error. `|r|^2 + ridge sum |block|^2` over the blocks `free`,
-    infinite where the simulation is not finite."""
+    """Squared simulation error with a ridge penalty. `|r|^2 + ridge sum |block|^2` over the blocks
+    `free`, infinite if the simulation is not finite."""
     residual = problem.weighted_error(theta)
     with np.errstate(all="ignore"):
         penalties = [problem.ridge_weight(name) * float(np.sum(theta[name] ** 2)) for name in free]
@@ -345,8 +347,8 @@ def take_step(problem: SimulationProblem, at: Descent, free: tuple[str, ...]) ->
 def minimise_simulation_error(
     problem: SimulationProblem, theta: Theta, free: tuple[str, ...], most: int
 ) -> Descent:
-    """Minimise the simulation error by Levenberg-Marquardt. At most so many steps, until one has
-    `has_converged` the descent."""
+    """Minimise the simulation error by the Levenberg-Marquardt method. It takes a limited number of
+    steps, until `has_converged`."""
     at = Descent(theta=theta, loss=regularised_loss(problem, theta, free))
     for _ in range(most):
         before = at.loss
@@ -366,7 +368,7 @@ def has_converged(before: float, after: float, damping: float) -> bool:
 def solve_damped_equations(
     damped_normal: Float[np.ndarray, "P P"], gradient: Float[np.ndarray, "P"]
 ) -> Float[np.ndarray, "P"] | None:
-    """Solve the damped normal equations for a step. None where they have none."""
+    """Solve the damped normal equations for a step; None if they have no solution."""
     try:
         return -cho_solve(cho_factor(damped_normal), gradient)
     except (np.linalg.LinAlgError, ValueError):  # not positive definite; not finite
@@ -374,7 +376,7 @@ def solve_damped_equations(
 
 
 def pack_parameters(theta: Theta, names: tuple[str, ...]) -> Float[np.ndarray, "P"]:
-    """Flatten named blocks of parameters to one vector."""
+    """Join named blocks of parameters to one vector."""
     return np.concatenate([theta[name].ravel() for name in names])
 
 

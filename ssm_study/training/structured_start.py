@@ -28,7 +28,7 @@ RESTS_WITHIN = 1.0  # of the bias of a neuron whose argument has unit size
 def fit_initial_linear_model(
     problem: SimulationProblem, order: int, feedthrough: bool, rng: np.random.Generator
 ) -> Theta:
-    """Fit the linear model from which the training of a structured model starts. It is ARX by least
+    """Fit the linear model with which the training of a structured model begins. It is ARX by least
     squares, a balanced realisation of its impulse response, its poles inside the unit circle."""
     records = unpadded_records(problem)
     inputs, outputs = (np.concatenate(signals) for signals in zip(*records, strict=True))
@@ -102,8 +102,8 @@ def states_at_scored_samples(problem: SimulationProblem, theta: Theta) -> Float[
 def choose_random_poles(
     problem: SimulationProblem, begun: Theta, estimates: bool, rng: np.random.Generator
 ) -> Theta:
-    """Initial linear model with the best of several random sets of poles. The best set is that
-    whose residues explain the records best.
+    """Initial linear model with the best of several random sets of poles. The residues of the best
+    set explain the records best.
 
     With poles and B given the output is linear in C, and in C times the free decay of a record's
     unknown start: two least-squares problems. ARX weighs the next sample; where that hardly depends
@@ -118,7 +118,7 @@ def choose_random_poles(
 
 
 def draw_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
-    """Draw random real and complex poles with time constants spread evenly on a logarithmic
+    """Draw random real and complex poles whose time constants are spread evenly on a logarithmic
     scale."""
     blocks: list[np.ndarray] = []
     while (left := order - sum(map(len, blocks))) > 0:
@@ -140,8 +140,8 @@ def fit_model_with_poles(
     estimates: bool,
     rng: np.random.Generator,
 ) -> Theta:
-    """Fit a linear model with given poles by least squares. Linear model with these poles, states
-    of unit size, C and initial states by least squares."""
+    """Fit a linear model with given poles by least squares. States have unit size; C and initial
+    states are fitted."""
     _, outputs, weight = problem.records
     at_rest = begun | {"x0": 0.0 * begun["x0"], "d": 0.0 * begun["d"]}
     b = rng.normal(size=begun["b"].shape)
@@ -170,8 +170,8 @@ def least_squares_output_matrix(
     decay: Float[np.ndarray, "T n n"],
     estimates: bool,
 ) -> Float[np.ndarray, "p n"]:
-    """Output matrix that explains the outputs best by states driven from zero. Beside it stands a
-    free decay of each record where it may start in motion."""
+    """Output matrix that explains the outputs best, for states that the input drives from zero.
+    Each record may also have a free decay, if it may begin in motion."""
     count, samples, n = x.shape
     regressors = x
     if estimates:
@@ -190,7 +190,8 @@ def least_squares_initial_states(
     c: Float[np.ndarray, "p n"],
     decay: Float[np.ndarray, "T n n"],
 ) -> Float[np.ndarray, "N n"]:
-    """Initial states whose free decay explains best what the input leaves of the output."""
+    """Initial states whose free decay best explains the part of the output that the input does not
+    explain."""
     count = len(residual)
     n = c.shape[1]
     observed = (weight[..., None] * (c @ decay)).reshape(count, -1, n)
@@ -242,8 +243,8 @@ def add_random_neurons(
 
 
 def contracting_initial_parameters(problem: SimulationProblem, theta: Theta, rate: float) -> Theta:
-    """Initial parameters of a contracting model near a given one. It is the nearest on the path of
-    `contracting.project_to_contracting`."""
+    """Initial parameters of a contracting model close to a given one. It is the nearest on the path
+    of `contracting.project_to_contracting`."""
     v, _, states = problem.simulate_signals(theta)
     scored = problem.records.recorded_mask
     x = states[:, :-1][scored]

@@ -1,4 +1,4 @@
-"""Identification of a model from data, from the settings of `conf/training/*.yaml` to stored
+"""Identification of a model from data: from the settings of `conf/training/*.yaml` to stored
 numbers."""
 
 import math
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
-    """Settings of a training, and the identification that they run. Simulation error until
-    validation gains less than `min_gain_percent` in `patience` epochs.
+    """Settings of a training, and the identification that they run. It minimises the simulation
+    error until validation gains less than `min_gain_percent` in `patience` epochs.
 
     The settings: conf/training/default.yaml. `validation_tolerance_percent`: see
     `BestModelCheckpoint`; the weights: see `penalty`; `integrated_share`: see `Records`; `windows`:
@@ -78,8 +78,8 @@ class Training:
         progress: bool = False,
         keep_on_interrupt: bool = False,
     ) -> "Identification":
-        """Identify a model of given specification from a data set. `folder` receives `best.ckpt`
-        and, while running, `last.ckpt`.
+        """Identify a model with given settings from a data set. `folder` receives `best.ckpt` and,
+        while running, `last.ckpt`.
 
         With `keep_on_interrupt` Ctrl-C ends the training, and the best model so far is returned if
         there is one.
@@ -111,7 +111,8 @@ class Training:
     def _identify_chosen(
         self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Identify the model that the records choose, on training and validation records."""
+        """Identify a model whose settings the records choose, on training and validation
+        records."""
         from itertools import islice
 
         from ssm_study.training.choice import MOST_TRAINED, iterate_choices, make_announcer
@@ -133,7 +134,7 @@ class Training:
     def _identify_choice(
         self, choice: "Choice", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Train the chosen model. Where folds chose it, the validation records are trained on
+        """Train the chosen model. If folds chose it, the validation records are used for training,
         too."""
         from ssm_study.training.choice import REFIT_WORDS
         from ssm_study.training.folds import join_training_and_validation
@@ -172,7 +173,7 @@ class Training:
     def _train_from_best_starts(
         self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Train a chosen model from the best of many short starts."""
+        """Train a chosen model from the best of many short training runs."""
         from ssm_study.training.short_starts import best_seeds, short_spec
 
         brief = short_spec(spec)
@@ -191,7 +192,7 @@ class Training:
         only_certified: bool = False,
         seeds: Sequence[int] | None = None,
     ) -> "Identification":
-        """Best model of several trainings from different initial parameters.
+        """Best model of several training runs from different initial parameters.
 
         With `only_certified` those without a certified state feedback are dropped, if any has one.
         The `members` that fit the training records best predict together.
@@ -222,8 +223,8 @@ class Training:
         data: DataSet,
         session: "TrainingSession",
     ) -> list["Identification"]:
-        """Train several times, each with its own initial parameters. After Ctrl-C those that are
-        done remain."""
+        """Train several times, each time from other initial parameters. After Ctrl-C the finished
+        ones remain."""
         from ssm_study.training import saving  # loads torch's compiler, as any optimiser does
 
         identified: list[Identification] = []
@@ -246,7 +247,8 @@ class Training:
 def select_by_training_fit(
     identified: Sequence["Identification"], data: DataSet, count: int
 ) -> list[Any]:
-    """Models with the best fit to the training records, whose mean predicts. None for one model.
+    """Models with the best fits to the training records, whose mean is the prediction; empty for a
+    single model.
 
     A mean of models that were not ranked can be worse than one of them.
     """
@@ -261,14 +263,14 @@ def select_by_training_fit(
 
 
 def can_be_certified(spec: "ModelSpec", model: Any) -> bool:
-    """Whether some contraction rate of a state feedback can be certified for a model. True where
-    the specification does not ask."""
+    """Whether a contraction rate can be certified for some state feedback of a model. It is true if
+    the settings do not ask for that."""
     largest_rate = getattr(getattr(spec, "among_starts", None), "largest_rate", None)
     return largest_rate is None or largest_rate(model) > 0.0
 
 
 def refuse_disturbances_without_path(spec: "ModelSpec", data: DataSet) -> None:
-    """Refuse measured disturbances where the model has no path for them."""
+    """Raise `BadRequest` for measured disturbances if the model has no path for them."""
     from ssm_study.models.spec import SSMSpec
     from ssm_study.models.structured_spec import StructuredSpec
 
@@ -281,7 +283,7 @@ def refuse_disturbances_without_path(spec: "ModelSpec", data: DataSet) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingSession:
-    """Seed, folder and options that the trainings of one identification share."""
+    """Seed, folder and options that all training runs of one identification share."""
 
     seed: int
     folder: Path

@@ -1,4 +1,4 @@
-"""Windows that are cut from the training records."""
+"""Windows into which training records are cut."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Windows:
-    """Settings that cut training records into windows. Consecutive pieces of `samples` samples of
-    each record; `samples=None` leaves records whole.
+    """Settings that cut training records into windows of `samples` consecutive samples.
+    `samples=None` leaves records whole.
 
     Multiple shooting: the first window of a record starts as the record does, the state `s_i` at
     the start of each later window is a parameter, and the objective gains
@@ -36,8 +36,8 @@ class Windows:
             require_positive(f"{field}.continuity_weight", self.continuity_weight, "use 1")
 
     def cut_records(self, records: Sequence[Trajectory], start_up_samples: int) -> "RecordWindows":
-        """Cut the training records into windows. Raises `BadRequest` where a record is shorter than
-        a window, or its start-up samples fill one."""
+        """Cut the training records into windows. Raises `BadRequest` if a record is shorter than a
+        window, or its start-up samples fill one."""
         if self.samples is None:
             unscored = (start_up_samples,) * len(records)
             return RecordWindows(tuple(records), unscored, tuple(range(len(records))))
@@ -54,7 +54,7 @@ class Windows:
         return RecordWindows(tuple(pieces), tuple(unscored_samples), tuple(first))
 
     def _refuse_short_records(self, records: Sequence[Trajectory], start_up_samples: int) -> None:
-        """Refuse training records that are shorter than a window."""
+        """Raise `BadRequest` for training records that are shorter than a window."""
         assert self.samples is not None
         field = "training.windows.samples"
         shortest = min(records, key=len)
@@ -68,8 +68,8 @@ class Windows:
 
 @dataclass(frozen=True)
 class RecordWindows:
-    """Windows that were cut from the training records. Windows in order, the samples at the start
-    of each that are not scored, and which of them start a record."""
+    """Windows that were cut from the training records, in order. With the number of samples at the
+    beginning of each that are not scored, and which of them begin a record."""
 
     pieces: Trajectories
     unscored: tuple[int, ...]
@@ -77,12 +77,12 @@ class RecordWindows:
 
     @property
     def continuing_windows(self) -> list[int]:
-        """Indices of the windows that continue an earlier one of the same record."""
+        """Indices of the windows that continue an earlier window of the same record."""
         return sorted(set(range(len(self.pieces))) - set(self.first))
 
 
 def pad_records(pairs: "Pairs") -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray, "e T p"]]:
-    """Pad records with zeros at the end to one length."""
+    """Pad records with zeros at their ends to a common length."""
     longest = max(len(u) for u, _ in pairs)
     inputs = [pad_with_zeros(u, longest) for u, _ in pairs]
     outputs = [pad_with_zeros(y, longest) for _, y in pairs]

@@ -66,7 +66,7 @@ def bode_picture(
 
 
 def _gain_unit(units: tuple[str, str]) -> str:
-    """Unit of the gain in parentheses."""
+    """Unit of a gain, output unit per input unit, in parentheses."""
     return f" ({units[0] or '1'} per {units[1] or '1'})"
 
 

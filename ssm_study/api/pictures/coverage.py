@@ -1,4 +1,4 @@
-"""Picture of the coverage: how many times the measured model error the proof tolerates in each
+"""Picture of the coverage: how many times the measured model error a proof tolerates in each
 frequency band."""
 
 import numpy as np
@@ -15,8 +15,8 @@ HIGHEST = 100.0  # a band that is covered so often says no more than "far"
 
 
 def coverage_picture(design: Design, premise: Premise, step_s: float) -> Picture:
-    """Picture of the coverage: how many times the measured model error the proof tolerates in each
-    frequency band.
+    """Picture of a design's coverage: how many times the measured model error the proof tolerates
+    in each frequency band.
 
     Bands in which the record shows no error are left out; crosses are bands without excitation,
     where noise counts as error. Raises `NothingToShow` without a certificate or a premise.

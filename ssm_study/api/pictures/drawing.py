@@ -86,7 +86,8 @@ def draw_panel(axes: "Axes", panel: PicturePanel) -> None:
 
 
 def _thin_minor_labels(axes: "Axes") -> None:
-    """Label only 2 and 5 between powers of ten, where a logarithmic axis spans few of them."""
+    """Label only the multiples 2 and 5 of each power of ten on a logarithmic axis that spans few
+    powers."""
     from matplotlib.ticker import LogLocator, StrMethodFormatter
 
     low, high = axes.get_ylim()
@@ -99,7 +100,7 @@ def _thin_minor_labels(axes: "Axes") -> None:
 
 
 def _is_wide(axes: "Axes") -> bool:
-    """Whether the axes fill a page rather than a column."""
+    """Whether axes are as wide as a page rather than a column of text."""
     figure = axes.figure
     columns = axes.get_subplotspec()
     assert columns is not None

@@ -73,7 +73,8 @@ def _error_panel(errors: list[Series], label: str) -> PicturePanel:
 
 
 def _error_colour(i: int) -> str:
-    """Colour for the error of one of several models, that of the model's free run."""
+    """Colour of one of several models' error curves, the same as the colour of that model's free
+    run."""
     return style.CYCLE[i % len(style.CYCLE)]
 
 
@@ -90,7 +91,8 @@ def _label_unit(label: str) -> str:
 def _start_up_band(
     time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T"], samples: int
 ) -> tuple[Band, ...]:
-    """Shaded band over the samples that estimate the initial state and are not scored."""
+    """Shaded band over the first samples of a record, which serve to estimate the initial state and
+    are not scored."""
     if not samples:
         return ()
     ends = time_s[[0, min(samples, len(time_s) - 1)]]

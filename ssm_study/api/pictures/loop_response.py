@@ -36,8 +36,8 @@ Inputs = Sequence[Float[np.ndarray, "_ m"]]
 def initial_response_picture(
     controlled: Rollouts, uncontrolled: Rollouts, plant: Any, recorded: Inputs, place: str
 ) -> Picture:
-    """Picture of outputs and inputs of the closed loop from initial outputs, beside the open
-    loop."""
+    """Picture of the closed loop's outputs and inputs from given initial outputs, beside the
+    response without control."""
     columns = max(len(plant.outputs), len(plant.inputs))
     upper = []
     for j, channel in enumerate(plant.outputs):
@@ -129,7 +129,7 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
 
 
 def _drawn_time_range(run: Rollouts, settling_time_s: float | None) -> tuple[float, float]:
-    """Time range of a step response that is drawn, from before the first motion."""
+    """Time range of a step response that a picture shows, from shortly before the first motion."""
     end_s = float(run.time_s[-1])
     at_s = BEFORE * len(run.time_s) * run.step_s
     if settling_time_s is None:
@@ -140,15 +140,15 @@ def _drawn_time_range(run: Rollouts, settling_time_s: float | None) -> tuple[flo
 
 
 def _first_motion_s(run: Rollouts) -> float:
-    """Time at which the input first moves. On a planned trajectory that is before the step, which
-    is known in advance (`loop.trajectory.feasible_trajectory`)."""
+    """Time at which the input first moves. It is before the step where a trajectory is planned,
+    since the step is then known in advance (`loop.trajectory.feasible_trajectory`)."""
     away = np.abs(run.u[0] - run.u[0, :1]).max(axis=1)
     moved = away > MOTION * away.max()
     return float(run.time_s[int(moved.argmax()) if moved.any() else -1])
 
 
 def _case_curves(runs: Rollouts, signal: str, j: int, name: str, colour: str) -> tuple[Series, ...]:
-    """Curves of one signal in all cases, of which the first is named in the legend."""
+    """Curves of one signal for all simulated cases; the legend names the first one only."""
     values = getattr(runs, signal)
     mark: Any = "steps" if signal == "u" else "line"
     return tuple(
@@ -167,7 +167,7 @@ def _case_curves(runs: Rollouts, signal: str, j: int, name: str, colour: str) ->
 def _input_panels(
     runs: Rollouts, inputs: Sequence[Channel], recorded: Inputs
 ) -> list[PicturePanel]:
-    """Panels of the inputs, with the ends of their recorded range."""
+    """Panels of a picture that show the inputs, with lines at the ends of their recorded range."""
     panels = []
     for j, channel in enumerate(inputs):
         rules: tuple[GuideLine, ...] = ()

@@ -75,7 +75,8 @@ def loop_responses(
 
 
 def _nearest_discs(model: Model, pair: Gains, views: Sequence[View]) -> tuple[Series, float]:
-    """Discs of the recorded amplitude that come nearest to -1, and their distance from it.
+    """Discs of the measured model error at the recorded amplitude that comes nearest to the
+    critical point -1, and their distance from it.
 
     Of an amplitude's two descriptions, by size alone and with the phase of its linear part, the one
     that lies farther away counts: either is sufficient.
@@ -100,8 +101,8 @@ def _nyquist_discs(
     linear_part: Complex[np.ndarray, "F"],
     remainder: Float[np.ndarray, "F"],
 ) -> tuple[Series, float]:
-    """Discs around the loop gain for the measured model error, and their distance from -1. `L (1 +
-    Q)`."""
+    """Discs around the loop gain that contain the measured model error, and their distance from the
+    critical point -1. `L (1 + Q)`."""
     centres = -plant * controller * (1 + linear_part)
     radii = np.abs(controller) * remainder
     series = _disc_outlines(centres, radii)
@@ -116,7 +117,7 @@ def _visible_curve(values: Complex[np.ndarray, "F"], name: str, colour: str) -> 
 
 
 def _disc_outlines(centres: Complex[np.ndarray, "F"], radii: Float[np.ndarray, "F"]) -> Series:
-    """Outlines of all discs within the picture, as one broken line."""
+    """Outlines of all discs inside the visible range, joined to one line with gaps."""
     rims = []
     x, y = circle_points(points=25)
     for centre, radius in zip(centres, radii, strict=True):

@@ -14,7 +14,7 @@ Values = Float[np.ndarray, "N"]
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
-    """One curve or set of points of a picture. Without a name it has no legend."""
+    """One curve or one set of points in a picture, with a name for the legend if it has one."""
 
     x: Values
     y: Values
@@ -48,7 +48,7 @@ class Band:
 
 @dataclass(frozen=True, kw_only=True)
 class PicturePanel:
-    """One pair of axes with its series, guide lines and shaded areas. `equal` gives both axes the
+    """One pair of axes with its curves, guide lines and shaded areas. `equal` gives both axes the
     same scale; a range limits what is drawn."""
 
     x_label: str
@@ -76,4 +76,4 @@ class Picture:
 
 
 class NothingToShow(Exception):
-    """Error that says in one sentence why a picture would be empty."""
+    """Error raised where a picture would be empty, with the reason in one sentence."""

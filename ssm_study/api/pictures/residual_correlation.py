@@ -58,7 +58,7 @@ def _correlation_panel(
 def correlate_signals(
     first: Signals, second: Signals, i: int, j: int, lags: int, *, one_sided: bool
 ) -> tuple[Int[np.ndarray, "L"], Float[np.ndarray, "L"]]:
-    """Correlation of two signals over a range of lags, from all records together.
+    """Correlation of two signals over a range of lags, computed from all records together.
 
     Returns lags and coefficients; divided so that a signal with itself has one at lag zero.
     """

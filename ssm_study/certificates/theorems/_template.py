@@ -1,4 +1,5 @@
-"""An empty theorem to copy: what holds, in one sentence a control engineer would say.
+"""Empty theorem to copy: replace this line by the statement in one sentence that a control engineer
+would say.
 
 Problem. The system with its shapes, and what is sought.
 
@@ -41,7 +42,7 @@ from ssm_study.certificates.theorem import Blocks, VerificationContext
 
 @dataclass(frozen=True, kw_only=True)
 class NameOfTheTheorem(StateFeedback, abstract=True):
-    """Equation of the theorem in one line. Here stand the shapes of the fields of one's own (`y:
+    """Equation of the theorem in one line. State here the shapes of its own fields (`y:
     Float[np.ndarray, "n n"]`), beside `a, b, alpha, beta, rate, p, k` of the base."""
 
     products: ClassVar[
@@ -50,8 +51,8 @@ class NameOfTheTheorem(StateFeedback, abstract=True):
 
     @staticmethod
     def conditions(of: Any) -> dict[str, Blocks]:
-        """Upper triangles of symmetric block matrices, all of them positive definite; 0 stands for
-        a block of zeros."""
+        """Upper triangles of symmetric block matrices, all of which must be positive definite; 0
+        stands for a block of zeros."""
         return {
             "inequality": [[of.p]],
             "rate above 0": [[of.rate]],
@@ -64,11 +65,12 @@ class NameOfTheTheorem(StateFeedback, abstract=True):
 
     @classmethod
     def rate_limit_of(cls, context: VerificationContext) -> float | None:  # noqa: ARG003
-        """The exact limit of the rate for every gain, where there is a formula."""
+        """Largest rate that the theorem can prove for a model with any gain; None where no formula
+        is known."""
         return None
 
     @staticmethod
     def numbers_of(problem: Any, found: Any) -> dict[str, Any]:
-        """Collect every number that `conditions` uses."""
+        """Collect from a problem and its solution every number that `conditions` uses."""
         asked = {"alpha": problem.ball.alpha, "beta": problem.ball.beta, "rate": problem.rate}
         return asked | {"a": problem.a, "b": problem.b, "p": found.p, "k": found.k}

@@ -1,4 +1,4 @@
-"""The largest rate that one metric proves for a given gain, which is often faster than the rate it
+"""Largest rate that a single metric proves for a given gain, which is often larger than the rate it
 was designed for.
 
 Problem. A gain K is deployed with a certificate at the rate that was asked; find the largest rate
@@ -70,7 +70,8 @@ def largest_rate(
     ball: JacobianBall,
 ) -> float:
     """Largest contraction rate that a single metric proves for a given gain. `1 - r^2` at the
-    smallest such r, to a share of `RATE_TOLERANCE`; negative where even r = 1 is too small."""
+    smallest such r, up to the relative error `RATE_TOLERANCE`; negative where even r = 1 is not
+    proved."""
     closed = a + ball.alpha * b @ k
     radius = float(np.abs(np.linalg.eigvals(closed)).max())
     smallest = max(radius, np.finfo(float).eps)
@@ -78,8 +79,8 @@ def largest_rate(
         return 1 - smallest**2
 
     def excess(log_r: float) -> float:
-        """Contraction factor that a metric proves, minus the factor it was built for, at one
-        logarithm of that factor."""
+        """Contraction factor that a metric proves, minus the factor for which the metric was built,
+        as a function of the latter's logarithm."""
         r = float(np.exp(log_r))
         none = np.zeros((len(k), b.shape[1]))
         norm = (
@@ -103,8 +104,8 @@ def largest_rate(
 
 
 def at_largest_rate(part: Any) -> Side | None:
-    """Certificate of the same gain, with a new metric, at the largest rate that is proved for it.
-    None where that is no larger than certified already."""
+    """Certificate of the same gain at the largest rate that is proved for it, with a new metric;
+    None where the certified rate is already that large."""
     started, (problem, found) = time.perf_counter(), part.as_problem()
     limit = largest_rate(problem.a, problem.b, found.k, problem.ball)
     try:

@@ -1,5 +1,5 @@
-"""Internal models: the model with the modes of what shall be rejected or followed, under the same
-theorems.
+"""Internal models: the identified model joined with the modes of a disturbance to be rejected or a
+reference to be followed.
 
 Problem. Remove errors that constants, ramps or sines of known frequency cause, as disturbances or
 as references, with a certified rate. Integral action is the constant's case.
@@ -62,9 +62,8 @@ SINE = re.compile(r"sine\((\d+(?:\.\d*)?(?:e-?\d+)?) ?Hz\)")
 
 
 def parse_frequencies(words: Sequence[str]) -> dict[float, int]:
-    """Read the words `step`, `ramp` and `sine:f` as the number of modes at each frequency. How many
-    modes there are at each frequency (Hz): `step` one at zero, `ramp` two, `sine(0.5Hz)` one at
-    0.5.
+    """Number of modes at each frequency (Hz) that the words `step`, `ramp` and `sine(f)` stand for.
+    `step` is one at zero, `ramp` two, `sine(0.5Hz)` one at 0.5.
 
     Raises `BadRequest` for other words, and for the frequency zero.
     """
@@ -86,9 +85,9 @@ def parse_frequencies(words: Sequence[str]) -> dict[float, int]:
 
 
 def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Float[np.ndarray, "z z"]:
-    """State matrix of the internal model that generates the given references or disturbances.
-    `A_z`: the modes of one output, each state repeated for every output. Raises `BadRequest` for
-    too fast ones."""
+    """State matrix of the internal model that generates given references or disturbances. `A_z` has
+    the modes of one output, each state repeated for every output. Raises `BadRequest` for sines
+    faster than the sampling allows."""
     blocks = []
     nyquist = 0.5 / step_s
     for hertz, count in parse_frequencies(words).items():
@@ -146,8 +145,8 @@ def augmented_system(
     modes: Float[np.ndarray, "z z"],
     weight: float = 1.0,
 ) -> System:
-    """Recurrence of the model together with its internal model, whose output is what the cost
-    weighs. Neurons drive both and see x alone."""
+    """Recurrence of the model together with its internal model, whose output is the quantity that
+    the cost weighs. Neurons drive both but depend on x alone."""
     (n, m), p, z = system.b.shape, len(gain), len(modes)
     fed = error_input_matrix(modes, p) @ gain
     linear = {

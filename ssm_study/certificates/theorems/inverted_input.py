@@ -1,4 +1,4 @@
-"""A state feedback that undoes the input map: `u = S_u^{-1}(K xh)`, certified without a ball.
+"""State feedback that undoes the input map: `u = S_u^{-1}(K xh)`, certified without a ball.
 
 Problem. As in `state_feedback`, for a law that commands `v = S_u(u)` and not u.
 
@@ -33,5 +33,4 @@ from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 @dataclass(frozen=True, kw_only=True)
 class InvertedInput(StateFeedbackOfBall):
     """Certificate of a state feedback that inverts the input map, with the fields of
-    `state_feedback`. The verifier demands `alpha = 1, beta = 0`. `alpha = 1, beta = 0` is what the
-    verifier demands."""
+    `state_feedback`. The verifier demands `alpha = 1, beta = 0`."""

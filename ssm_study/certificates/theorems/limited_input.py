@@ -1,4 +1,5 @@
-"""With limited inputs the same gain contracts from everywhere, no faster than the model by itself.
+"""Contraction of the same gain under input limits, from all initial states, no faster than the
+model without control.
 
 Problem. `u = sat(K x)`, each input cut at its limits: what is certified from any start?
 
@@ -48,8 +49,8 @@ LEAST = 1e-6  # below it nothing is said to contract
 
 @dataclass(frozen=True, kw_only=True)
 class LimitedFeedback(StateFeedbackOfBall):
-    """Certificate of a state feedback under input limits. The fields of `state_feedback` at the
-    wider ball."""
+    """Certificate of a state feedback under input limits. It has the fields of `state_feedback`,
+    for a wider ball."""
 
     @classmethod
     def ball(cls, context: VerificationContext) -> JacobianBall:
@@ -57,8 +58,8 @@ class LimitedFeedback(StateFeedbackOfBall):
 
 
 def ball_behind_limits(ball: JacobianBall, inputs: int) -> JacobianBall:
-    """Ball of Jacobians of the input map behind a saturation. The ball of `S_u(sat(.))`, its
-    radius rounded up so that it holds zero and the ball of `S_u`."""
+    """Ball of Jacobians of the input map behind a saturation. It contains zero and the ball of
+    `S_u`; its radius is rounded up."""
     half = math.nextafter((abs(ball.alpha) + ball.beta) / 2, math.inf)
     if inputs == 1:
         return JacobianBall(alpha=math.copysign(half, ball.alpha), beta=half)
@@ -68,8 +69,8 @@ def ball_behind_limits(ball: JacobianBall, inputs: int) -> JacobianBall:
 
 
 def certify_under_limits(part: StateFeedbackOfBall) -> LimitedFeedback | None:
-    """Certificate of the same gain under input limits, from every initial state. The part's gain
-    near its largest rate with limits; None where none is proved."""
+    """Certificate that a gain contracts under input limits from every initial state; None where no
+    rate is proved. The rate is near the largest one with limits."""
     ball = ball_behind_limits(JacobianBall(alpha=part.alpha, beta=part.beta), part.b.shape[1])
     told = {"rate": LEAST, "rate_limit": frontier(part.a, part.b, ball).rate_limit}
     found = at_largest_rate(LimitedFeedback(**(vars(part) | vars(ball) | told)))

@@ -1,5 +1,5 @@
-"""Certificate that the closed loop comes to rest on every plant whose mismatch stays within a disc
-that records show.
+"""Certificate that the closed loop comes to rest on every plant whose deviation from the model
+stays within a measured disc.
 
 Problem. The loop `u = K xh` with its observer runs on a plant whose output is `y = m + e`, m the
 model's output for the same input. Records bound e in a disc around `c m`, by frequency, with two
@@ -87,7 +87,7 @@ OF_THE_OUTPUT = ("c", "d", "h")  # read from the model, the others from what is 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredDiscs(Theorem):
     """Certificate that the loop comes to rest on every plant within a measured disc. `kappa` and
-    its proof `p (n_xi, n_xi)`, `lambda_p`, `lambda_out (3,)`; empty for a linear S_y.
+    its proof `p (n_xi, n_xi)`, `lambda_p`, `lambda_out (3,)`, which is empty for a linear S_y.
 
     The disc is `centre, floor, weight_output, weight_input`: `[A, B; C, D]` of a filter of one
     channel, applied to each. The loop is `a, b, k` (controlled), `c, d, l, alpha_out, beta_out`
@@ -116,7 +116,8 @@ class MeasuredDiscs(Theorem):
 
     @property
     def tolerated_gain(self) -> float | None:
-        """Largest gain from the input to the mismatch that is proved to do no harm, `kappa |V|`.
+        """Largest gain from the input to the model error with which the loop is proved to come to
+        rest, `kappa |V|`.
 
         None where the disc is not centred on the model or V is no constant. A disc that also lets
         in model output holds all of the mismatch that this gain allows.
@@ -141,7 +142,7 @@ class MeasuredDiscs(Theorem):
 
     @staticmethod
     def disc_form(of: Any, signals: Any) -> Any:
-        """Quadratic form that is negative where the mismatch lies in the measured disc. `|e - c
+        """Quadratic form that is negative where the model error lies in the measured disc. `|e - c
         m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`."""
         deviation = signals.e - of.centre * signals.m
         reference = of.floor * of.floor * (signals.m.T @ signals.m)
@@ -150,9 +151,8 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def static_map_forms(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
-        """Quadratic forms of the static maps and the multipliers of each. Each multiplier with
-        the form of the static maps that it multiplies, which no signal of the loop makes
-        positive."""
+        """Quadratic forms of the static maps, which no signal of the loop makes positive, each with
+        its multiplier."""
         u = signals.u
         p = signals.p
         forms = [(of.lambda_p, p.T @ p - of.beta * of.beta * (u.T @ u))]
@@ -209,8 +209,8 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def neurons_at_states(cls, of: Any, rows: Any, moved: Any, error: Any) -> tuple[Any, Any]:
-        """Add the neurons' contribution to the next states of model and observer. The next states
-        with what neurons add to them; unchanged of one layer."""
+        """Add the neurons' contribution to the next states of model and observer. A model with one
+        layer has none, so that the states stay unchanged."""
         del of, rows
         return moved, error
 

@@ -1,5 +1,5 @@
-"""Certificate that the loop of a model with neurons comes to rest on every plant whose mismatch
-stays within a measured disc.
+"""Certificate that the loop of a model with neurons comes to rest on every plant whose deviation
+from the model stays within a measured disc.
 
 Problem. As in `measured_discs`, for the model and the observer of `structured_observer`.
 
@@ -88,8 +88,8 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
 
     @classmethod
     def neuron_pairs(cls, of: Any, rows: Any) -> list[tuple[Any, Any]]:
-        """Differences of the neurons' outputs and inputs, compared in three ways. They are model
-        against equilibrium, observer against model, observer against equilibrium."""
+        """Differences of the neurons' outputs and inputs between model, observer and equilibrium,
+        each compared with each."""
         n = of.c.shape[1]
         z = of.f @ rows.x + of.g @ rows.drive
         dz = of.f[:, :n] @ rows.eps + of.l_z @ rows.injected

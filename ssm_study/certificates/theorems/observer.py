@@ -1,4 +1,4 @@
-"""An observer with linear output injection contracts its error through a monotone output map.
+"""Observer with linear output injection whose error contracts in spite of a monotone output map.
 
 Problem. `x+ = A x + B S_u(u)`, `y = S_y(C x + D S_u(u))` with `A (n, n)`, `C (p, n)`: find `L` such
 that `xh+ = A xh + B S_u(u) + L (yh - y)`, `yh = S_y(C xh + D S_u(u))`, comes nearer to `x` by `r =

@@ -1,4 +1,4 @@
-"""A linear state feedback contracts a linear recurrence behind a monotone input map.
+"""Linear state feedback that makes a linear recurrence behind a monotone input map contract.
 
 Problem. `x+ = A x + B S_u(u)` with `A (n, n)`, `B (n, m)`: find `K` such that `u = K x` makes the
 distance of any two trajectories shrink by `r = sqrt(1 - rate)` or more in each sample.

@@ -1,4 +1,4 @@
-"""A state feedback that undoes the input map of a model with neurons, certified without a ball.
+"""State feedback that undoes the input map of a model with neurons, certified without a ball.
 
 Problem. As in `structured_state_feedback`, for the law `u = S_u^{-1}(K xh)`.
 
@@ -35,5 +35,4 @@ from ssm_study.certificates.theorems.structured_state_feedback import Structured
 @dataclass(frozen=True, kw_only=True)
 class StructuredInvertedInput(StructuredStateFeedback):
     """Certificate of a state feedback that inverts the input map of a model with neurons. It has
-    the fields of `structured_state_feedback`; the verifier demands `alpha = 1, beta = 0`. `alpha =
-    1, beta = 0` is what the verifier demands."""
+    the fields of `structured_state_feedback`; the verifier demands `alpha = 1, beta = 0`."""

@@ -1,4 +1,4 @@
-"""An observer of a model with neurons contracts its error, with injection also inside the neurons.
+"""Observer whose error contracts for a model with neurons, with injection also inside the neurons.
 
 Problem. For `x+ = A x + B v + E w`, `w = phi(F x + G v + bias) - phi(bias)`, `y = S_y(C x + D v + H
 w)`: find `L` and
@@ -48,8 +48,8 @@ from ssm_study.certificates.theorem import Blocks, VerificationContext, multipli
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredObserver(ProblemCertificate, Observer):
-    """Certificate of an observer for a model with neurons. The statement above: `e (n, q)`, `f
-    (q, n)`, `h (p, q)`, `u (n, n)`, `v (n, p)`, `l_z (q, p)`, `lambda_ (q,)`."""
+    """Certificate of an observer for a model with neurons. Shapes: `e (n, q)`, `f (q, n)`, `h (p,
+    q)`, `u (n, n)`, `v (n, p)`, `l_z (q, p)`, `lambda_ (q,)`."""
 
     e: Float[np.ndarray, "n q"]
     f: Float[np.ndarray, "q n"]
@@ -88,8 +88,8 @@ def _closes_algebraic_loop(h: Float[np.ndarray, "p q"], l_z: Float[np.ndarray, "
 
 
 def inequality(of: Any, weights: Any, n: Any) -> Blocks:
-    """Blocks of the theorem's inequality for given multipliers. The statement with `N = Lambda
-    L_z` as given; `weights` is the diagonal matrix Lambda."""
+    """Blocks of the theorem's inequality for given multipliers and injection into the neurons. `N =
+    Lambda L_z`; `weights` is the diagonal matrix Lambda."""
     neurons = -1.0 * (weights @ of.f + of.alpha * (n @ of.c)).T - of.eta * (of.c.T @ of.h)
     step = (of.u @ of.a + of.alpha * (of.v @ of.c)).T
     return [

@@ -1,5 +1,5 @@
-"""A linear state feedback contracts a model with neurons inside its recurrence, whatever their
-slopes.
+"""Linear state feedback that makes a model with neurons inside its recurrence contract, whatever
+the neurons' slopes.
 
 Problem. `x+ = A x + B v + E w`, `v = S_u(u)`, `w = phi(F x + G v + bias) - phi(bias)` with q
 neurons: find `K` such that `u = K x` makes the distance of any two trajectories shrink by `r =
@@ -53,8 +53,8 @@ from ssm_study.certificates.theorem import Blocks, multiplier_matrix
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredStateFeedback(ProblemCertificate, StateFeedback):
-    """Certificate of a state feedback for a model with neurons. The statement above: `e (n, q)`,
-    `f (q, n)`, `g (q, m)`, `y (n, n)`, `x (m, n)`, `lambda_ (q,)`, `sigma > 0`."""
+    """Certificate of a state feedback for a model with neurons. Shapes: `e (n, q)`, `f (q, n)`, `g
+    (q, m)`, `y (n, n)`, `x (m, n)`, `lambda_ (q,)`, `sigma > 0`."""
 
     e: Float[np.ndarray, "n q"]
     f: Float[np.ndarray, "q n"]
@@ -74,8 +74,8 @@ class StructuredStateFeedback(ProblemCertificate, StateFeedback):
 
 
 def inequality(of: Any, row: tuple[Any, Any, Any]) -> Blocks:
-    """Blocks of the theorem's inequality, the neurons' row scaled by a diagonal matrix. The
-    statement with the neurons' row scaled by any diagonal S: `row` is `(S, S T, S T S)`."""
+    """Blocks of the theorem's inequality, with the neurons' row scaled by a diagonal matrix. For
+    any diagonal S, `row` is `(S, S T, S T S)`."""
     scale, scaled_t, t = row
     one = np.eye(of.b.shape[1])
     step = (of.a @ of.y + of.alpha * (of.b @ of.x)).T

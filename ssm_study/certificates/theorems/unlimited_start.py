@@ -1,4 +1,4 @@
-"""Initial states from which no input limit ever acts, so that the full rates hold.
+"""Initial states from which no input limit is ever reached, so that the full rates hold.
 
 Problem. The input is limited: from which initial states does the loop never reach a limit?
 
@@ -59,8 +59,8 @@ FARTHEST = 1e6  # scaled: a gain that hardly moves an input reaches no limit fro
 
 @dataclass(frozen=True, kw_only=True)
 class UnlimitedStart(StateFeedbackOfBall):
-    """Certificate of initial outputs from which no input limit ever acts. Beside the fields of
-    `state_feedback` the limits `(m, 2)` and starts `(n, j)`, scaled, and the level."""
+    """Certificate of initial outputs from which no input limit is ever reached. Beside the fields
+    of `state_feedback` it has the limits `(m, 2)` and starts `(n, j)`, scaled, and the level."""
 
     limits: Float[np.ndarray, "m two"]
     starts: Float[np.ndarray, "n j"]
@@ -88,9 +88,9 @@ def certify_unlimited_start(
     corners: Float[np.ndarray, "n j"],
     limits: Float[np.ndarray, "m two"],
 ) -> UnlimitedStart | None:
-    """Certificate of the largest set of initial outputs from which no input limit acts. The
-    largest share of the `corners` that some part's metric proves; None without room, and for
-    corners at rest."""
+    """Certificate of the largest set of initial outputs from which no input limit is reached; None
+    where the proved set is empty. The set is the largest fraction of the `corners` that the metric
+    of one part proves."""
     started = time.perf_counter()
     room = np.minimum(-limits[:, 0], limits[:, 1])
     if not (room > 0).all() or not corners.any():

@@ -12,8 +12,8 @@ from ssm_study.refusal import require, require_at_least
 
 @dataclass(frozen=True, kw_only=True)
 class Chirp(Excitation):
-    """Excitation signal: a sine whose frequency rises linearly. `u = A sin(phi + 2 pi (f0 t + (f1 -
-    f0) t^2 / 2T))`: frequency rises linearly from f0 to f1 over the record.
+    """Excitation signal that is a sine with linearly rising frequency. `u = A sin(phi + 2 pi (f0 t
+    + (f1 - f0) t^2 / 2T))`: from f0 to f1 over the record.
 
     Random initial phase; every second channel sweeps downwards. `low_hz` None is one period per
     record, `high_hz` None is `0.5 / clock_s`.

@@ -30,7 +30,8 @@ class SignalRequest:
 
     @property
     def clock_samples(self) -> int:
-        """Clock period of the excitation in whole sampling periods. Refuses less than one."""
+        """Clock period of the excitation in whole sampling periods. Raises `BadRequest` for less
+        than one."""
         samples = round(self.clock_s / self.step_s)
         problem = f"shorter than half the sampling time of {self.step_s:g} s"
         require(
@@ -45,8 +46,8 @@ class SignalRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class Excitation(ABC):
-    """Base class of excitation signals around an equilibrium. `|u_i - u_eq,i| <= amplitude_i`:
-    offsets `(T, m)` in physical units; equal generators give equal signals.
+    """Base class of excitation signals around an equilibrium. Offsets `(T, m)` in physical units
+    with `|u_i - u_eq,i| <= amplitude_i`; equal generators give equal signals.
 
     `amplitude` and `clock_s` None take the plant's own. Every channel gets a signal of its own.
     """
@@ -67,8 +68,7 @@ class Excitation(ABC):
     def unit_signal(
         self, request: SignalRequest, rng: np.random.Generator
     ) -> Float[np.ndarray, "T m"]:
-        """Generate the excitation signal with amplitude one. The signal for amplitude one: values
-        in [-1, 1]."""
+        """Generate the excitation signal for an amplitude of one, with values in [-1, 1]."""
 
     def signal(self, request: SignalRequest, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
         """Generate the excitation signal in physical units."""
@@ -76,8 +76,8 @@ class Excitation(ABC):
         return self.unit_signal(own_request, rng) * np.array(own_request.amplitude)
 
     def _with_own_settings(self, request: SignalRequest) -> SignalRequest:
-        """Replace the plant's amplitude and clock period in a signal request by the excitation's
-        own, where it has them."""
+        """Replace the plant's amplitude and clock period in a request by the excitation's own
+        values, where it has any."""
         amplitude = request.amplitude if self.amplitude is None else self.amplitude
         amplitudes = (
             (float(amplitude),) * request.inputs
@@ -100,7 +100,8 @@ class Excitation(ABC):
 
 
 def check_frequency_band(low_hz: float | None, high_hz: float | None, name: str = "") -> None:
-    """Refuse a frequency band whose ends are not positive and in increasing order."""
+    """Raise `BadRequest` for a frequency band whose ends are not positive and in increasing
+    order."""
     require_positive(f"excitation.{name}low_hz", low_hz, "give hertz, or null")
     require_positive(f"excitation.{name}high_hz", high_hz, "give hertz, or null")
     ordered = low_hz is None or high_hz is None or low_hz < high_hz
@@ -155,8 +156,8 @@ class PRBS(Excitation):
 
 @dataclass(frozen=True, kw_only=True)
 class APRBS(Excitation):
-    """Amplitude-modulated pseudo-random excitation sequence of many levels. Levels uniform in `[-A,
-    A]`, each held for a whole number of clocks uniform in `1 .. longest_hold_clocks`.
+    """Pseudo-random excitation sequence of many levels (amplitude-modulated). Levels uniform in
+    `[-A, A]`, each held for a whole number of clocks uniform in `1 .. longest_hold_clocks`.
 
     A multilevel signal visits the whole input range, so the slopes of a static input nonlinearity
     can be identified.

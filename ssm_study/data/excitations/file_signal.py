@@ -14,8 +14,8 @@ from ssm_study.refusal import require
 
 @dataclass(frozen=True, kw_only=True)
 class OwnSignal(Excitation):
-    """Excitation signal that is read from the columns of a file. Columns of a file, one per input:
-    offsets from the equilibrium in the input's unit, one row per sampling period.
+    """Excitation signal that is read from the columns of a file. One column per input, with offsets
+    from the equilibrium in the input's unit; one row per sampling period.
 
     Records shorter than the file start at a random row of it. `amplitude` None takes the values as
     they are; a number scales each column to that peak.

@@ -16,9 +16,9 @@ CLIP_AT = 0.85
 
 @dataclass(frozen=True, kw_only=True)
 class Multisine(Excitation):
-    """Random-phase multisine excitation with equal power at all frequency lines of a band. `u(t) =
-    A sum_k cos(2 pi k t / T + phi_k) / peak`, all lines k of the band with equal power, T the
-    record.
+    """Excitation signal that sums sines of random phases, with equal power at all frequencies of a
+    band. `u(t) = A sum_k cos(2 pi k t / T + phi_k) / peak`, all lines k of the band, T the length
+    of the record.
 
     Random phases, then `crest_iterations` rounds of clipping in time and restoring the flat
     spectrum, which lowers the crest factor peak/rms (random phases: about 3; afterwards about 1.6).
@@ -64,8 +64,8 @@ class Multisine(Excitation):
     def _channel_signal(
         self, band: np.ndarray, samples: int, rng: np.random.Generator
     ) -> Float[np.ndarray, "T"]:
-        """Generate the multisine of one input channel, of the lowest crest factor among several
-        random phases."""
+        """Generate the multisine of one input channel: of several random choices of phases, the one
+        with the lowest crest factor."""
         phases = np.exp(2j * np.pi * rng.random(len(band)))
         best = np.fft.irfft(np.where(band, phases, 0.0), samples)
         for _ in range(self.crest_iterations):

@@ -1,4 +1,5 @@
-"""Excitation signal that a user applies to a plant of their own to record a log."""
+"""Excitation signal for a plant of the user's own, to be applied by the user and recorded as a
+log."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,9 +27,9 @@ PERIOD_IN_SETTLINGS = 20  # some seventy levels a period: S_u is seen all over t
 @dataclass(frozen=True, kw_only=True)
 class OwnPlantRecord:
     """Identification experiment for a user's own plant: the input signal that the user applies and
-    records. Rest, then for each amplitude two equal periods of random levels, then rest; then
-    likewise a single sine of each frequency in `sines` (rad/sample) at each amplitude; all within
-    `lower, upper`.
+    records. It rests, then has two equal periods of random levels at each amplitude, then rests;
+    then likewise a single sine of each frequency in `sines` (rad/sample) at each amplitude; all
+    within `lower, upper`.
 
     `settle_s` is how long the plant takes to come to rest, roughly: from a step by hand or a first
     log. `rest` must lie strictly inside the limits. Raises `BadRequest` for a settling time below
@@ -77,8 +78,8 @@ class OwnPlantRecord:
         return np.concatenate(parts)
 
     def sine(self, angle: float, amplitude: float, settling: int) -> Float[np.ndarray, "T"]:
-        """Generate a single sine of whole samples a cycle, three parts that are as long as the
-        plant takes to settle."""
+        """Generate a single-sine signal with a whole number of samples per cycle. It has three
+        parts, each as long as the plant takes to settle."""
         cycle = max(round(2 * np.pi / angle), 4)
         cycles = max(-(-settling // cycle), SINE_CYCLES)
         reach = amplitude * min(self.upper - self.rest, self.rest - self.lower)

@@ -1,5 +1,5 @@
-"""Reader of spreadsheets, by pandas where one of its engines is installed. The first sheet is read
-as text."""
+"""Reader of spreadsheets, by pandas if an engine for them is installed. The first sheet is read as
+text."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +12,8 @@ from ssm_study.refusal import BadRequest
 
 
 class ExcelReader(Reader, names=(".xlsx", ".xls", ".ods", ".xlsm")):
-    """Reader of the first sheet of a spreadsheet file. The first sheet, taken apart as a text with
-    tabs is: names, units, dates, missing values."""
+    """Reader of the first sheet of a spreadsheet file. Names, units, dates and missing values are
+    found as in a text with tabs."""
 
     def read(self, path: Path, names: list[str]) -> Table:
         return self._text_reader(path).read(path, names)

@@ -1,4 +1,4 @@
-"""Reader of MATLAB files of the formats 4 and 5 (to version 7), real matrices only.
+"""Reader of MATLAB files of the formats 4 and 5 (up to version 7), real matrices only.
 
 Format 5 is read in plain Python with every length checked: `scipy.io.loadmat` ends the whole
 process on some damaged files of it (2026-11, found by fuzzing); there it is the tests' oracle.
@@ -55,21 +55,20 @@ Value = np.ndarray | str  # a string says what it is instead of a real matrix
 
 
 class Text(str):
-    """Text in a MATLAB file, which messages show and no signal is read from. `content` is what it
-    says."""
+    """Text in a MATLAB file, which is no signal and only appears in messages."""
 
     content: str = ""
 
 
 def _require_intact(condition: bool, otherwise: str) -> None:
-    """Raise `ValueError` unless a condition that intact MATLAB files meet holds."""
+    """Raise `ValueError` if a condition that every intact MATLAB file meets does not hold."""
     if not condition:
         raise ValueError(otherwise)
 
 
 class MatReader(Reader, names=(".mat",)):
-    """Reader of MATLAB files. Vectors by name, columns of matrices as `data:1`, fields of structs
-    as `log.u`.
+    """Reader of MATLAB files. Vectors have their names, columns of matrices names such as `data:1`,
+    fields of structs `log.u`.
 
     Where the file has one matrix and nothing else, its columns also go by their numbers from 0. An
     object that is no real numbers is named in the refusal, and never makes the others unreadable;
@@ -110,8 +109,8 @@ class MatReader(Reader, names=(".mat",)):
 def stated_step_s(
     columns: dict[str, Float[np.ndarray, "_"]], texts: dict[str, str], owners: list[str]
 ) -> float | None:
-    """Sampling time in seconds that MATLAB objects state in their field `Ts`, as `iddata` does.
-    None where none does, or they differ."""
+    """Sampling time in seconds that MATLAB objects such as `iddata` state in their field `Ts`; None
+    if none does or they differ."""
     steps = set()
     for owner in owners:
         ts = columns.get(f"{owner}.Ts", np.empty(0))
@@ -132,8 +131,9 @@ def belong_to_one_matrix(columns: dict[str, Float[np.ndarray, "_"]]) -> bool:
 def read_numeric_variables(
     path: Path,
 ) -> tuple[dict[str, Float[np.ndarray, "_"]], dict[str, str], dict[str, str]]:
-    """Read all numeric variables of a MATLAB file. Vectors by name, matrices by columns, why other
-    objects were skipped, and texts; raises `BadRequest` where the file is not whole."""
+    """Read all numeric variables of a MATLAB file, with its texts and the reasons why other
+    variables are skipped. Vectors by name, matrices by columns; raises `BadRequest` for a file that
+    is not whole."""
     try:
         contents = parse_mat_file(path)
     except BadRequest:
@@ -161,8 +161,8 @@ def read_numeric_variables(
 
 
 def parse_mat_file(path: Path) -> dict[str, Value]:
-    """Parse the bytes of a MATLAB file to its variables. The variables of a file; raises, of
-    whatever type, what is wrong with its bytes."""
+    """Parse the bytes of a MATLAB file to its variables. Raises an exception of any type where the
+    bytes are wrong."""
     content = path.read_bytes()
     if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
         return parse_hdf5(path, MOST_BYTES)
@@ -193,8 +193,8 @@ def _parse_version_5(content: bytes) -> Iterator[tuple[str, Value]]:
 
 
 def _iterate_elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """Iterate over the tagged data elements of a MATLAB 5 file. Tagged elements: `(type, length)`
-    and the data, padded to 8 bytes; or both in 8 bytes when they fit."""
+    """Iterate over the tagged data elements of a MATLAB 5 file. `(type, length)` and the data,
+    padded to 8 bytes; or both in 8 bytes if they fit."""
     at = 0
     while at < len(content):
         first, length = struct.unpack_from(order + "II", content, at)
@@ -214,8 +214,8 @@ def _iterate_elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]
 
 
 def _parse_variable(data: bytes, order: str, owner: str = "") -> Iterator[tuple[str, Value]]:
-    """Iterate over the named values in one variable of a MATLAB 5 file, fields of structs included.
-    Fields of structs and cells of cell arrays have names of their own.
+    """Iterate over the named values in one variable of a MATLAB 5 file. Fields of structs and cells
+    of cell arrays have names of their own.
 
     What kind of object it is is looked at before its shape: objects of new classes have neither
     shape nor name where matrices have them.
@@ -264,7 +264,7 @@ def _parse_struct(
 
 
 def _parse_matrix(parts: list[tuple[int, bytes]], order: str, name: str) -> Value:
-    """Parse a MATLAB 5 matrix of real numbers; words describe any other kind of value."""
+    """Parse a MATLAB 5 matrix of real numbers; any other kind of value is described in words."""
     flags = struct.unpack_from(order + "I", parts[0][1])[0]
     shape = tuple(int(n) for n in np.frombuffer(parts[1][1], order + "i4"))
     kind = flags & 0xFF

@@ -1,4 +1,4 @@
-"""Reader of MAT files of version 7.3, which are HDF5, by h5py where it is installed.
+"""Reader of MATLAB files of version 7.3, which are HDF5 files, by h5py if it is installed.
 
 MATLAB stores a matrix by columns, HDF5 by rows, so each one is turned back; a struct is a group,
 and what a variable is stands in its attribute `MATLAB_class`.
@@ -21,8 +21,8 @@ OWN = "#"  # first letter of MATLAB's own groups
 
 
 def parse_hdf5(path: Path, most_bytes: int) -> dict[str, Shaped[np.ndarray, "..."] | str]:
-    """Read the variables of a MATLAB 7.3 file, which is an HDF5 file. Variables by name, fields of
-    structs as `log.u`; what is no real matrix, as a word.
+    """Read the variables of a MATLAB 7.3 file, which is an HDF5 file. Fields of structs have names
+    such as `log.u`; a word stands for a value that is no real matrix.
 
     Raises `BadRequest` where h5py is not installed, and whatever h5py raises of a damaged file.
     """
@@ -43,8 +43,8 @@ def parse_hdf5(path: Path, most_bytes: int) -> dict[str, Shaped[np.ndarray, "...
 
 
 def iterate_datasets(name: str, node: Any) -> Iterator[tuple[str, Any]]:
-    """Iterate over the numeric HDF5 data sets of one MATLAB variable, by name, without reading
-    them. Words stand for what holds no real numbers."""
+    """Iterate over the numeric HDF5 data sets of one MATLAB variable, without reading their
+    numbers. A word stands for a value without real numbers."""
     if name.startswith(OWN):
         return
     kind = matlab_class(node)
@@ -65,8 +65,7 @@ def iterate_datasets(name: str, node: Any) -> Iterator[tuple[str, Any]]:
 
 
 def matlab_class(node: Any) -> str:
-    """MATLAB class that the attributes of an HDF5 node state. Empty in a file of another
-    program."""
+    """MATLAB class that the attributes of an HDF5 node state; empty if none is stated."""
     stated = node.attrs.get("MATLAB_class", b"")
     return stated.decode("ascii", errors="replace") if isinstance(stated, bytes) else str(stated)
 

@@ -1,5 +1,5 @@
-"""Reader of MCAP recordings as columns, named `field`, or `topic.field` where several topics have a
-field of that name."""
+"""Reader of MCAP recordings. Columns are named `field`, or `topic.field` where several topics have
+a field of that name."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,8 @@ from ssm_study.refusal import require
 
 
 class McapReader(Reader, names=(".mcap",)):
-    """Reader of MCAP recordings. The named fields, their units, and the log times they share."""
+    """Reader of MCAP recordings, which takes the named fields, their units and their common log
+    times."""
 
     def read(self, path: Path, names: list[str]) -> Table:
         groups, _ = read_mcap(path)
@@ -54,7 +55,7 @@ class McapReader(Reader, names=(".mcap",)):
         return Table(columns=columns, units=units, time_s=time_s, row_word="message")
 
     def contents(self, path: Path) -> Table:
-        """Read every number field of each topic that has the times of the first."""
+        """Read every number field of all topics that share the times of the first topic."""
         groups, _ = read_mcap(path)
         first = groups[0].time_s
         columns = {}

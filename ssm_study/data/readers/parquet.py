@@ -14,8 +14,8 @@ MOST_BYTES = 1 << 28  # of the named columns, unpacked
 
 
 class ParquetReader(Reader, names=(".parquet",)):
-    """Reader of Parquet files. The named columns; page checksums are verified where the file has
-    them. Refuses a file that is not whole."""
+    """Reader of Parquet files. Page checksums are verified where the file has them; a file that is
+    not whole is refused."""
 
     def read(self, path: Path, names: list[str]) -> Table:
         where = f"{path.name} (column)"
@@ -50,7 +50,7 @@ class ParquetReader(Reader, names=(".parquet",)):
         return Table(columns=columns, units=units, row_word="row", dated=frozenset(dated))
 
     def contents(self, path: Path) -> Table:
-        """Read every column of numbers or times, and name the others as skipped."""
+        """Read every column of numbers or times, and list the other columns as skipped."""
         try:
             schema = parquet.read_schema(path)
         except (pa.ArrowException, OSError, ValueError) as error:
@@ -65,6 +65,6 @@ class ParquetReader(Reader, names=(".parquet",)):
 
 
 def is_numeric_type(kind: pa.DataType) -> bool:
-    """Whether a Parquet column's type is that of numbers or times."""
+    """Whether a Parquet column has a type of numbers or times."""
     tests = (pa.types.is_floating, pa.types.is_integer, pa.types.is_timestamp)
     return any(test(kind) for test in tests)

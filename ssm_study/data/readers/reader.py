@@ -32,7 +32,8 @@ FOREIGN = {
 @dataclass(frozen=True, kw_only=True)
 class Table:
     """Columns that a reader took from a log file, with their units and the clock that the file
-    states. Columns of one length; row k is `row_word` number `first_row + k`, or `row_numbers[k]`.
+    states. All columns have one length; row k is `row_word` number `first_row + k`, or
+    `row_numbers[k]`.
 
     `columns[name] (T,)`, NaN where a value is missing; `units[name]` where the file states one.
     `time_s` are the times the file itself gives its samples (MCAP), `step_s` the sampling time that
@@ -53,13 +54,13 @@ class Table:
     nameless: bool = False
 
     def row_name(self, row: int) -> str:
-        """Name that the file gives to a row, for use in messages."""
+        """Name of a row for messages, as the file itself counts its rows."""
         number = row + self.first_row if self.row_numbers is None else self.row_numbers[row]
         return f"{self.row_word} {number}"
 
 
 class Reader(Family):
-    """Base class of the readers of file formats. One file format; `names` are its suffixes."""
+    """Base class of the readers of file formats, one for each format. `names` are its suffixes."""
 
     settings: TextSettings = TextSettings()
 
@@ -76,7 +77,7 @@ class Reader(Family):
 
 
 def choose_reader(path: Path, settings: TextSettings | None = None) -> Reader:
-    """Choose the reader of a log file by its suffix. A suffix that no format has is tried as text.
+    """Choose the reader of a log file by its suffix. A file with an unknown suffix is read as text.
 
     Raises `BadRequest` for a missing file and for formats that are known and not read.
     """
@@ -98,8 +99,8 @@ def read_table(
     missing: bool = False,
     reader: "Reader | None" = None,
 ) -> Table:
-    """Read the requested columns of a log file, and check their lengths, values and units. The
-    wanted columns, of one length; each with the unit it is declared in, or "".
+    """Read the requested columns of a log file, and check their lengths, values and units. Each has
+    the unit in which it is declared, or "".
 
     `missing` allows NaN, where the file has no value. Raises `BadRequest` for a missing or
     malformed file, a missing column, values that are no finite numbers, unequal lengths, or a unit
@@ -120,8 +121,8 @@ def read_table(
 
 
 def refuse_unusable_values(path: Path, name: str, table: Table, missing: bool) -> None:
-    """Refuse a column whose values are not finite, or so large or so close together that squares
-    overflow or vanish."""
+    """Raise `BadRequest` for a column whose values are not finite, too large, or too close together
+    for squares of them."""
     values = table.columns[name]
     is_bad = np.isinf(values) if missing else ~np.isfinite(values)
     bad = np.flatnonzero(is_bad)
@@ -138,7 +139,8 @@ def refuse_unusable_values(path: Path, name: str, table: Table, missing: bool) -
 
 
 def refuse_equal_columns(table: Table, signals: list[str], file: Path) -> None:
-    """Refuse two signals that are the same column of a file, or hold the same numbers."""
+    """Raise `BadRequest` for two signals that are the same column of a file, or hold the same
+    numbers."""
     for k, name in enumerate(signals):
         for other in signals[:k]:
             equal = np.array_equal(table.columns[name], table.columns[other], equal_nan=True)
@@ -163,7 +165,8 @@ def check_column_names(
     whole: str = "file",
     remedy: str = "name one of these",
 ) -> None:
-    """Refuse a column name that is unknown or ambiguous. `whole` holds the known ones."""
+    """Raise `BadRequest` for a column name that is unknown or ambiguous. `whole` says what holds
+    the known ones."""
     for name in names:
         count = list(titles).count(name)
         named = [title for title in titles if title]
@@ -173,20 +176,20 @@ def check_column_names(
 
 
 def title_without_unit(title: str) -> str:
-    """Title of a column without its unit in brackets, `speed` of `speed [rad/s]` or `speed
-    (rad/s)`."""
+    """Title of a column without the unit in brackets behind it, such as `speed` for `speed
+    [rad/s]`."""
     return re.sub(r"\s*(\[[^\]]*\]|\([^()]*\))\s*$", "", title).strip()
 
 
 def fold_title(title: str) -> str:
-    """Reduce a column's title to its letters and digits in lower case, for comparison. Both micro
-    signs are `μ`."""
+    """Reduce a column's title to its letters and digits in lower case, for comparison. The two
+    micro signs count as the same letter."""
     return re.sub(r"[\W_]+", "", unicodedata.normalize("NFKC", title)).lower()
 
 
 def find_column(path: Path, name: str, titles: list[str], header: bool | None = None) -> int:
-    """Find the index of the column that a name, or a number, means. Which column a name means: as
-    written, without its unit, by letters alone, or by number.
+    """Find the index of the column that a name or a number stands for. The name may be exact,
+    without its unit, or agree in its letters alone.
 
     A number counts the columns from 0. Where it is a title too, and of another column, the request
     is refused with both readings; `header` true says that it is the title.
@@ -223,7 +226,8 @@ def find_column(path: Path, name: str, titles: list[str], header: bool | None = 
 def arrow_columns(
     path: Path, table: Any, names: dict[str, str], row_word: str, first_row: int
 ) -> dict[str, Any]:
-    """Columns of an Arrow table as float64 arrays, by name. `names` has what the file calls them.
+    """Columns of an Arrow table as float64 arrays, keyed by name. `names` has the file's own name
+    for each.
 
     Dates and times become seconds since the first; a missing value is NaN.
     """

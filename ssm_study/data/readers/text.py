@@ -1,5 +1,5 @@
-"""Reader of text files of any suffix. Separator, decimal mark, encoding, names and units are found
-in the file."""
+"""Reader of text files with any suffix. Separator, decimal mark, encoding, names and units are
+found in the file."""
 
 import re
 from pathlib import Path
@@ -27,8 +27,7 @@ INFINITE = r"^[-+]?(inf|infinity)$"
 
 
 class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".prn", "")):
-    """Reader of delimited text files. Columns by the names of the first line, or by their numbers
-    from 0.
+    """Reader of delimited text files. Columns have the names in the first line, or numbers from 0.
 
     A header cell `speed [rad/s]` or `speed (rad/s)` is also column `speed`, and states its unit; so
     does a row of units below the names. Dates and times become seconds since the first. An empty
@@ -39,7 +38,8 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
 
     @classmethod
     def from_text(cls, path: Path, text: str, settings: TextSettings) -> "TextReader":
-        """Make a reader of a text that stands for a file, such as a sheet of a spreadsheet."""
+        """Make a reader of a text that takes the place of a file, such as the sheet of a
+        spreadsheet."""
         reader = cls()
         reader.settings = settings
         layout = detect_layout(path, text.encode(), settings)
@@ -119,7 +119,7 @@ def blank_duplicate_titles(titles: list[str], table: pa.Table) -> list[str]:
 
 
 def drop_empty_last_column(columns: dict[str, Any], title: str, nameless: bool) -> None:
-    """Remove the empty last column that a separator at the end of every row makes."""
+    """Remove the empty last column that results from a separator at the end of every row."""
     is_last = (title == "" or nameless) and len(columns) > 1 and title in columns
     if is_last and not np.isfinite(columns[title]).any():
         del columns[title]
@@ -134,7 +134,7 @@ def column_titles(layout: TextLayout) -> list[str]:
 
 
 def column_units(layout: TextLayout) -> list[str]:
-    """Units of the columns of a text file, from their titles or from a row of units. Empty where
+    """Units of the columns of a text file, from their titles or from a row of units; empty where
     none is stated."""
     if layout.units:
         return (layout.units + [""] * layout.columns)[: layout.columns]
@@ -143,8 +143,8 @@ def column_units(layout: TextLayout) -> list[str]:
 
 
 def parse_rows(path: Path, layout: TextLayout) -> pa.Table:
-    """Parse the rows of a text file to columns of text. Raises `BadRequest` where a row has not as
-    many cells as the others."""
+    """Parse the rows of a text file to columns of text. Raises `BadRequest` if the rows have
+    different numbers of cells."""
     separator = layout.separator
     rows = layout.rows
     if separator == " ":
@@ -154,7 +154,7 @@ def parse_rows(path: Path, layout: TextLayout) -> pa.Table:
     misfits: list[arrow_csv.InvalidRow] = []
 
     def note_misfit_row(row: arrow_csv.InvalidRow) -> str:
-        """Note a row with a wrong number of cells, and skip it."""
+        """Note a row with a wrong number of cells, and tell the parser to skip it."""
         misfits.append(row)
         return "skip"
 
@@ -188,15 +188,15 @@ def strip_cells(column: pa.ChunkedArray) -> pa.ChunkedArray:
 
 
 def mark_missing_cells(cells: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Mark the cells of a column that stand for a missing value."""
+    """For each cell of a column, whether it stands for a missing value."""
     return pc.is_in(pc.utf8_lower(cells), value_set=pa.array(sorted(MISSING)))
 
 
 def parse_column(
     column: pa.ChunkedArray, layout: TextLayout
 ) -> tuple[Float[np.ndarray, "T"] | None, str]:
-    """Parse a column of text to numbers, or to seconds if it holds dates. For a column without
-    numbers, None and what it holds instead."""
+    """Parse a column of text to numbers, or dates to seconds. For a column of other texts, return
+    None and a description of the texts."""
     cells = strip_cells(column)
     missing = mark_missing_cells(cells)
     plain = pc.replace_substring(cells, ",", ".") if layout.decimal == "," else cells
@@ -224,7 +224,8 @@ def are_numbers(cells: pa.ChunkedArray, missing: pa.ChunkedArray) -> bool:
 def parse_dates(
     cells: pa.ChunkedArray, missing: pa.ChunkedArray
 ) -> tuple[Float[np.ndarray, "T"] | None, str]:
-    """Convert cells with dates to seconds since the first, or return None and the obstacle."""
+    """Convert cells with dates to seconds since the first date, or return None and the reason why
+    this is impossible."""
     first = pc.filter(cells, pc.invert(missing)).slice(0, 1).to_pylist()
     if not first or not is_date(first[0]):
         return None, "no number"
@@ -239,7 +240,7 @@ def parse_dates(
 
 
 def find_time_of_day_column(table: pa.Table) -> tuple[int, Float[np.ndarray, "T"]] | None:
-    """Find a column of times of day beside one of dates, and combine both to seconds since the
+    """Find a column of times of day beside a column of dates, and combine both to seconds since the
     first."""
     for place in range(table.num_columns):
         if not all_cells_match(table.column(place), TIME_ALONE):
@@ -273,7 +274,7 @@ def date_column_names(table: pa.Table, places: dict[str, int]) -> frozenset[str]
 
 
 def describe_first_unread_cell(column: pa.ChunkedArray, layout: TextLayout) -> str:
-    """Words on the first cell that is no number in a column of numbers."""
+    """Text on the first cell of a column that should hold a number but does not."""
     cells = strip_cells(column)
     plain = normalise_numbers(cells, mark_missing_cells(cells), layout.decimal)[0]
     is_number = pc.match_substring_regex(plain, NUMBER)
@@ -286,7 +287,7 @@ def describe_first_unread_cell(column: pa.ChunkedArray, layout: TextLayout) -> s
 def unreadable_cell_error(
     path: Path, name: str, column: pa.ChunkedArray, layout: TextLayout, problem: str
 ) -> BadRequest:
-    """Error that names the first cell of a column that is no number, or no date."""
+    """Error that names the first cell of a column that is neither a number nor a date."""
     cells = strip_cells(column)
     where = f"{path.name}, column {name}"
     texts = cells.to_pylist()

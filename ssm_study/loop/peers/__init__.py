@@ -1,1 +1,1 @@
-"""Standard control methods with which the project's own is compared."""
+"""Standard control methods with which the project's own method is compared."""

@@ -1,4 +1,4 @@
-"""Comparison methods that need no tuning, or use a certified design. They are no control, the
+"""Comparison methods that need no tuning or that use a certified design. They are no control, the
 paper's inequalities, guaranteed cost, and ours."""
 
 # ruff: noqa: ARG002 - every peer gets all arguments; these need less
@@ -19,8 +19,8 @@ class UncontrolledPeer(Peer, names=("uncontrolled",)):
 
 
 class PaperLmiPeer(Peer, names=("paper_lmi",)):
-    """Comparison method that takes any solution of the linear matrix inequalities of the paper's
-    theorems."""
+    """Comparison method that solves the linear matrix inequalities of the paper's theorems and
+    takes any solution."""
 
     def build(self, plant: Plant, identified: Identified, rate: float) -> Design:
         synthesis = LmiSynthesis(
@@ -30,7 +30,7 @@ class PaperLmiPeer(Peer, names=("paper_lmi",)):
 
 
 class GuaranteedCostPeer(Peer, names=("guaranteed_cost",)):
-    """Comparison method with the Riccati design of least guaranteed cost."""
+    """Comparison method that takes the Riccati design with the smallest guaranteed cost."""
 
     def build(self, plant: Plant, identified: Identified, rate: float) -> Design:
         synthesis = RiccatiSynthesis(rate_controller=rate, rate_observer=rate)
@@ -38,14 +38,14 @@ class GuaranteedCostPeer(Peer, names=("guaranteed_cost",)):
 
 
 class ChosenPeer(Peer, names=("auto",)):
-    """Comparison method with this project's automatic design, `synthesis=auto`."""
+    """Comparison method that uses this project's automatic design, `synthesis=auto`."""
 
     def build(self, plant: Plant, identified: Identified, rate: float) -> Design:
         return identified.auto_design(Auto())
 
 
 class ChosenIntegralPeer(Peer, names=("auto_integral",)):
-    """Comparison method with this project's automatic design and integral action."""
+    """Comparison method that uses this project's automatic design with integral action."""
 
     def build(self, plant: Plant, identified: Identified, rate: float) -> Design:
         integral_weights = (1e-4, 1e-3, 1e-2)

@@ -48,7 +48,7 @@ def _riccati_gain(problem: Problem) -> Float[np.ndarray, "m n"]:
 
 
 class LqgPeer(Peer, names=("lqg",)):
-    """Comparison method with an LQG controller."""
+    """Comparison method that uses an LQG controller."""
 
     def build(self, plant: Plant, identified: Identified, rate: float) -> ObserverFeedback:
         weights = lqg_weights(plant, identified, rate)

@@ -1,5 +1,5 @@
-"""Interface of the control methods that are compared on one plant, and the data that each may
-use."""
+"""Interface of the control methods that are compared on one plant, and the data that each method
+may use."""
 
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ UNSAID: Row = {"controller": "", "certified": False, **dict.fromkeys(PREDICTED),
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:
-    """Data that every compared controller may use: model, Jacobian balls and validation records."""
+    """Data that every compared method may use: model, Jacobian balls and validation records."""
 
     model: Model
     balls: Balls
@@ -39,8 +39,8 @@ class Identified:
 
     @classmethod
     def from_data_set(cls, model: Model, balls: Balls, data: DataSet) -> "Identified":
-        """Data that the compared controllers may use, from a model and the data set it was
-        identified from."""
+        """Data that the compared methods may use, from a model and the data set from which it was
+        identified."""
         return cls(
             model=model,
             balls=balls,
@@ -56,7 +56,7 @@ class Identified:
 
     @cached_property
     def mismatch(self) -> Mismatch:
-        """Model error that the records show."""
+        """Model error that the records show, by frequency and amplitude."""
         return measure_mismatch(
             self.model, self.validation, self.start_up_samples, self.mismatch_records
         )
@@ -81,8 +81,8 @@ def linearise_neurons(model: Model) -> SSM:
 
 
 class Peer(Family):
-    """Interface of a method that yields a controller for the comparison. `names` is what the
-    comparison calls it."""
+    """Interface of a method that yields a controller for the comparison. `names` are the method's
+    names there."""
 
     @abstractmethod
     def build(self, plant: Plant, identified: Identified, rate: float) -> Controller | Design:
@@ -95,8 +95,8 @@ class Peer(Family):
 def build_compared_controller(
     name: str, plant: Plant, identified: Identified, rate: float = 0.05
 ) -> tuple[Controller | None, Row]:
-    """Build the controller of one comparison method, with columns on what is proved and predicted
-    for it.
+    """Build the controller of one comparison method, with columns of its proved and predicted
+    properties.
 
     None, and a row with the reason, where the peer has no controller.
     """

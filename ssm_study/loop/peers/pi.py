@@ -1,4 +1,4 @@
-"""PI controller that a textbook rule tunes from the identified model."""
+"""PI controller that is tuned by a textbook rule from the identified model."""
 
 # ruff: noqa: ARG002 - every law gets all arguments; some need less
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ class PI(Controller):
 
 
 class UltimateGain(NamedTuple):
-    """Proportional gain at which a loop just oscillates (ultimate gain), and the period of the
+    """Proportional gain at which a loop just oscillates (ultimate gain), with the period of the
     oscillation.
 
     Physical units, seconds.
@@ -90,12 +90,12 @@ def ultimate_gain(model: SSM) -> UltimateGain:
     sign = float(np.sign(static_gain[0, 0]))
 
     def closed_loop_poles(gain: float) -> Complex[np.ndarray, "n"]:
-        """Poles of the loop with this proportional gain."""
+        """Poles of the loop with a given proportional gain."""
         eigenvalues = np.linalg.eigvals(a - sign * gain * b @ c)
         return eigenvalues.astype(complex)
 
     def instability_margin(gain: float) -> float:
-        """Spectral radius of the loop minus one."""
+        """Spectral radius of the loop with a given proportional gain, minus one."""
         return float(np.abs(closed_loop_poles(gain)).max() - 1)
 
     grid = np.geomspace(1e-3, 1e6, 2000)  # the first crossing, then bisection

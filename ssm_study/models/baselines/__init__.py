@@ -1,1 +1,1 @@
-"""Standard models with which the project's own model is compared."""
+"""Standard models with which the project's own models are compared."""

@@ -18,8 +18,8 @@ from ssm_study.signals import DataSet, Scale
 
 @dataclass(frozen=True, kw_only=True)
 class Recurrent(Simulator, names=("gru", "lstm")):
-    """Identified GRU or LSTM model, as explicit numbers. One layer of GRU or LSTM with a linear
-    output, stepped by torch's documented equations."""
+    """Identified GRU or LSTM model as explicit numbers. It has one layer with a linear output,
+    computed by torch's documented equations."""
 
     kind: str  # type: ignore[misc] # of either cell
     weight_ih: Float[np.ndarray, "g m"]
@@ -55,8 +55,8 @@ class Recurrent(Simulator, names=("gru", "lstm")):
 
 
 class TorchRecurrent(TorchModel):
-    """Trainable GRU or LSTM model in torch. `y = W h + b` of torch's GRU or LSTM cell, float64; its
-    state is h, and c of the LSTM."""
+    """Trainable GRU or LSTM model in torch. `y = W h + b` of torch's cell in float64; its state is
+    h, with c for the LSTM."""
 
     def __init__(self, kind: str, hidden: int, scale: Scale) -> None:
         super().__init__()
@@ -84,8 +84,8 @@ class TorchRecurrent(TorchModel):
 
 @dataclass(frozen=True, kw_only=True)
 class RecurrentSpec(ModelSpec):
-    """Settings of a GRU or LSTM model. `cell` is gru or lstm, `hidden` its states; identification
-    only."""
+    """Settings of a GRU or LSTM model, for identification only. `cell` is gru or lstm, `hidden` the
+    number of its states."""
 
     cell: str
     hidden: int

@@ -59,7 +59,7 @@ class Polynomial(Simulator, names=("narx",)):
         return self.simulate_from_outputs(u, np.zeros((*u.shape[:-2], 0, 1)))
 
     def simulate_from_outputs(self, u: Inputs, y_start: Measured) -> Outputs:
-        """Simulate the polynomial model in free run, with measured outputs as its first ones."""
+        """Simulate the polynomial model in free run after some measured outputs."""
         v = self.scale.scaled_input(u)
         measured = self.scale.scaled_output(y_start)[..., 0]
         by_input = _input_factors(self.codes, v)
@@ -81,7 +81,7 @@ class Polynomial(Simulator, names=("narx",)):
 
 
 def _input_factors(codes: Codes, v: Float[np.ndarray, "*batch T m"]) -> np.ndarray:
-    """Product of the input factors of each polynomial term at each sample."""
+    """Product of the input factors in each term of a polynomial model, at each sample."""
     product = np.ones((*v.shape[:-1], len(codes)))
     for term, row in enumerate(codes):
         for code in row[row >= INPUT]:
@@ -92,7 +92,7 @@ def _input_factors(codes: Codes, v: Float[np.ndarray, "*batch T m"]) -> np.ndarr
 
 
 def regressor_codes(lags: int, delay: int, inputs: int) -> list[int]:
-    """Integer codes of the past outputs and inputs that are regressors of the model."""
+    """Integer codes of the past outputs and inputs that are regressors of a polynomial model."""
     outputs = [OUTPUT + lag for lag in range(1, lags + 1)]
     starts = [INPUT + 1000 * channel + delay for channel in range(inputs)]
     return [*outputs, *(start + lag for start in starts for lag in range(lags))]
@@ -116,7 +116,8 @@ def regression_arrays(
 
 
 def _delayed_signal(u: np.ndarray, y: np.ndarray, code: int, first: int) -> Float[np.ndarray, "N"]:
-    """Samples of the delayed input or output, or the constant, that a regressor code names."""
+    """Samples of the delayed input or output, or of the constant one, that an integer code stands
+    for."""
     if code == CONSTANT:
         return np.ones(len(u) - first)
     lag = code % 1000
@@ -135,7 +136,7 @@ def fit_arx(data: DataSet, lags: int, delay: int) -> Polynomial:
 def fit_narx_models(
     data: DataSet, lags: int, degree: int, delay: int, counts: Sequence[int]
 ) -> Iterator[Polynomial]:
-    """Fit polynomial NARX models with increasing numbers of terms from one forward regression.
+    """Fit polynomial NARX models with increasing numbers of terms, all from one forward regression.
 
     Source: Billings (2013), Nonlinear System Identification, chapter 3 (error reduction ratio).
     """
@@ -156,7 +157,7 @@ def fit_narx_models(
 def select_regressors(
     candidates: Float[np.ndarray, "N M"], target: Float[np.ndarray, "N"], count: int
 ) -> list[int]:
-    """Order regressors by the share of the remaining residual that each explains."""
+    """Order regressors by the share of the remaining residual that each one explains."""
     left = candidates.copy()
     residual = target.copy()
     least_power = DEPENDENT * (left**2).sum(axis=0)
@@ -178,7 +179,7 @@ def select_regressors(
 
 def fit_output_error(data: DataSet, order: int, delay: int) -> Polynomial:
     """Fit a linear output-error model, which minimises the squared error of its free run. Each
-    record has an initial state of its own.
+    record has its own initial state.
 
     `y = (sum_j B_j u_j + decay) / F + offset`; Levenberg-Marquardt from ARX of as many lags, and
     from an ARX of many lags reduced to the order, which noise disturbs less. Source: Ljung (1999),
@@ -195,8 +196,8 @@ def fit_output_error(data: DataSet, order: int, delay: int) -> Polynomial:
 
 
 def _initial_denominators(data: DataSet, order: int, delay: int) -> list[Float[np.ndarray, "n"]]:
-    """Stable initial denominator polynomials for the fit of an output-error model. They are of ARX,
-    and of a long ARX cut down to the order by a balanced realisation of its impulse response."""
+    """Stable denominator polynomials from which the fit of an output-error model starts. One is of
+    ARX, one of a long ARX reduced by a balanced realisation of its impulse response."""
     short = fit_arx(data, order, delay)
     starts = [_stabilise_polynomial(-short.theta[1 : order + 1])]
     records = scale_records(data)
@@ -226,11 +227,11 @@ class _OutputErrorProblem:
 
     @property
     def extra_count(self) -> int:
-        """Number of parameters of the offset and of each record's free decay."""
+        """Number of parameters for the offset and for each record's free decay."""
         return 1 + self.order * len(self.records)
 
     def initial_parameters(self, f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "P"]:
-        """Initial parameters with a given denominator; all others follow by least squares."""
+        """Initial parameters with a given denominator; all others are found by least squares."""
         others = np.zeros(self.extra_count + self._input_coefficient_count)
         parameters = np.concatenate([f, others])
         residual, jacobian = self.residual_and_jacobian(parameters)
@@ -243,13 +244,13 @@ class _OutputErrorProblem:
         return self.order * self.records[0][0].shape[1]
 
     def squared_error(self, parameters: Float[np.ndarray, "P"]) -> float:
-        """Squared error of the free run over all records. Infinite where that is not finite."""
+        """Squared error of the free run over all records; infinite where the run is not finite."""
         residual, _ = self.residual_and_jacobian(parameters)
         value = float(residual @ residual)
         return value if np.isfinite(value) else np.inf
 
     def residual_and_jacobian(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Simulation error of all records, and its Jacobian by the parameters."""
+        """Simulation error of all records, and its Jacobian with respect to the parameters."""
         residuals = []
         jacobians = []
         for index, (u, y) in enumerate(self.records):
@@ -263,9 +264,8 @@ class _OutputErrorProblem:
         return np.concatenate(residuals), np.concatenate(jacobians)
 
     def _output_jacobian(self, index: int, u: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """Jacobian of one record's simulated output by the parameters in which it is linear.
-        Derivative of one record's output by every parameter that it is linear in; the columns of F
-        are left zero."""
+        """Jacobian of one record's simulated output with respect to the parameters in which it is
+        linear. The columns of the denominator F stay zero."""
         f = parameters[: self.order]
         n = self.order
         jacobian = np.zeros((len(u), len(parameters)))
@@ -281,8 +281,8 @@ class _OutputErrorProblem:
         return jacobian
 
     def minimise(self, parameters: np.ndarray) -> np.ndarray:
-        """Minimise the squared simulation error by Levenberg-Marquardt. At most
-        `OUTPUT_ERROR_STEPS` steps of Levenberg-Marquardt; F stays stable."""
+        """Minimise the squared simulation error by the Levenberg-Marquardt method. At most
+        `OUTPUT_ERROR_STEPS` steps; F stays stable."""
         residual, jacobian = self.residual_and_jacobian(parameters)
         damping = 1e-3
         for _ in range(OUTPUT_ERROR_STEPS):
@@ -326,7 +326,7 @@ def _delayed_copies(signal: np.ndarray, first: int, count: int) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class Baseline:
-    """Simple fitted model with a description and its validation fit."""
+    """Simple fitted model, with a description and its validation fit."""
 
     words: str
     model: Polynomial
@@ -395,6 +395,6 @@ def _validation_fit(baseline: Baseline) -> float:
 
 
 def _shortest_input_lag(model: Polynomial) -> int:
-    """Shortest input lag among the terms of a polynomial model."""
+    """Shortest lag of the input among the terms of a polynomial model."""
     inputs = model.codes[model.codes >= INPUT]
     return int((inputs % 1000).min())

@@ -28,22 +28,22 @@ MOST_TERMS = 20
 
 
 class SolvedSpec(ModelSpec, ABC):
-    """Base class of settings of models that are solved without iterative training. A model found
-    without training; `solve` returns its explicit numbers."""
+    """Base class of settings of models that are fitted by direct computation, without training in
+    torch. `solve` returns their explicit numbers."""
 
     @abstractmethod
     def solve(self, data: DataSet) -> Simulator:
-        """Solve for the model that fits the training records."""
+        """Fit the model to the training records by direct computation."""
 
     def build(self, data: DataSet, seed: int) -> Any:  # noqa: ARG002
-        """Refuse to build a torch model, as this model is solved without training."""
+        """Raise an error, because this model has no trainable form in torch."""
         raise TypeError("solved, which is a training of its own")
 
 
 @dataclass(frozen=True, kw_only=True)
 class N4SID(SolvedSpec):
-    """Settings of subspace identification by N4SID. Linear state space by subspace identification
-    with `block_rows` block rows; an SSM without nonlinearity.
+    """Settings of subspace identification by N4SID with `block_rows` block rows. The result is an
+    SSM without nonlinearity.
 
     A and C are N4SID's. Its D is left out, since the loop samples the output before the input acts,
     and B is fitted again without it. N4SID takes one record: several are joined end to end, and
@@ -88,8 +88,9 @@ class N4SID(SolvedSpec):
 def estimate_input_matrix(
     a: Float[np.ndarray, "n n"], c: Float[np.ndarray, "p n"], records: Pairs
 ) -> Float[np.ndarray, "n m"]:
-    """Estimate the input matrix for known system dynamics by least squares. `argmin over B and each
-    record's x0 of sum |y - C x|^2, x+ = A x + B u`: linear in both, so solved at once."""
+    """Estimate the input matrix of a linear model whose other matrices are known, by least squares.
+    `argmin over B and each record's x0 of sum |y - C x|^2, x+ = A x + B u`: linear in both, so
+    solved at once."""
     n = len(a)
     m = records[0][0].shape[1]
     count = len(records)
@@ -112,9 +113,9 @@ def estimate_input_matrix(
 
 @dataclass(frozen=True, kw_only=True)
 class NARX(SolvedSpec):
-    """Settings of a polynomial NARX model. Polynomial NARX of `degree` with `lags` past inputs and
-    outputs; `terms` chosen by forward regression. Of degree one with every term it is ARX; then
-    `terms` may be null."""
+    """Settings of a polynomial NARX model of `degree` with `lags` past inputs and outputs. `terms`
+    of them are chosen by forward regression. Of degree one with every term it is ARX; then `terms`
+    may be null."""
 
     sizes: ClassVar = ("lags", "degree")
 
@@ -141,7 +142,7 @@ class NARX(SolvedSpec):
 
 @dataclass(frozen=True, kw_only=True)
 class OutputError(SolvedSpec):
-    """Settings of an output-error model. Linear recursion of `order` whose free run, not its
+    """Settings of a linear output-error model of a given `order`. Its free run, not its one-step
     prediction, has the least error."""
 
     sizes: ClassVar = ("order",)
@@ -161,21 +162,21 @@ class OutputError(SolvedSpec):
 
 
 def _refuse_several_outputs(data: DataSet, model: str) -> None:
-    """Refuse records with several outputs for a model that has one."""
+    """Raise `BadRequest` for records with several outputs, which the model cannot have."""
     problem = f"takes one output, and there are {data.scale.outputs}"
     require(data.scale.outputs == 1, "model", model, problem, "choose another model")
 
 
 def _refuse_short_records(data: DataSet, lags: int) -> None:
-    """Refuse training records that are shorter than the model's lags."""
+    """Raise `BadRequest` for training records that are shorter than the model's lags."""
     longest = max(len(record) for record in data.training)
     problem = f"the longest training record has {longest} samples"
     require(lags < longest, "model.lags", lags, problem, "use fewer lags")
 
 
 def import_library(name: str) -> Any:
-    """Import an optional package, or refuse in one sentence where it is not installed. An optional
-    package; raises `BadRequest` with what to install where it is missing."""
+    """Import an optional package. Raises `BadRequest` that says what to install if it is
+    missing."""
     try:
         return import_module(name)
     except ImportError as error:

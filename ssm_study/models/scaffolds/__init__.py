@@ -1,1 +1,1 @@
-"""Static maps around the recurrence, with slopes that can be certified."""
+"""Static maps around the recurrence, whose slopes can be certified."""

@@ -20,8 +20,8 @@ from ssm_study.models.scaffolds.trainable import MapContext, Trainable
 
 @dataclass(frozen=True, kw_only=True)
 class LinearScaffold(Scaffold, names=("linear",)):
-    """Static map that is linear, `S(v) = gain v`. `S(v) = gain v`, `gain (k, m)`; the identity when
-    it stands for "no nonlinearity"."""
+    """Static map that is linear, `S(v) = gain v`. `gain (k, m)` is the identity where the model has
+    no nonlinearity."""
 
     gain: Float[np.ndarray, "k m"]
 
@@ -54,8 +54,8 @@ class LinearScaffold(Scaffold, names=("linear",)):
 
 @dataclass(frozen=True, kw_only=True)
 class Linear(Trainable):
-    """Identity as a trainable input or output map, without parameters. `S(v) = v`: nothing to
-    train, for a gain would only repeat what B or C already hold."""
+    """Identity as an input or output map, without parameters to train. A trainable gain would only
+    repeat what B or C already contain."""
 
     fixed = ("gain",)
 

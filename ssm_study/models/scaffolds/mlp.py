@@ -1,4 +1,5 @@
-"""Static map of the paper: a multilayer perceptron with leaky ReLU, minus its value at zero."""
+"""Static map of the paper: a multilayer perceptron with leaky ReLU, shifted so that it is zero at
+zero."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -24,8 +25,8 @@ StartingValues = dict[str, Float[np.ndarray, "..."]]
 
 @dataclass(frozen=True, kw_only=True)
 class MlpScaffold(Scaffold, names=("mlp",)):
-    """Static map that is a multilayer perceptron with leaky ReLU, zero at zero. `S(v) = N(v) -
-    N(0)`, N a perceptron of any depth and width with leaky ReLU.
+    """Static map that is a multilayer perceptron with leaky ReLU and is zero at zero. `S(v) = N(v)
+    - N(0)`, N of any depth and width.
 
     For one input and one hidden layer the slope is constant between the break points `-b_i / w_i`.
     Source: [Z26] section IV.
@@ -64,7 +65,7 @@ class MlpScaffold(Scaffold, names=("mlp",)):
 @dataclass(frozen=True, kw_only=True)
 class Mlp(Trainable):
     """Trainable multilayer perceptron of the paper. It has `depth` hidden layers of leaky ReLU,
-    slopes fixed at the sector's ends or trained in it.
+    whose slopes are fixed at the sector's ends or trained inside the sector.
 
     `certified` keeps every Jacobian in the sector by construction: of one channel the slopes of the
     whole map are trained, whatever `train_slopes` says (`OneChannel`); of several
@@ -122,8 +123,8 @@ class Mlp(Trainable):
     def _bounded_slopes(
         self, free: Free, layer: int, sector: Sector, like: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Negative-side and positive-side slopes of the neurons, within the sector. They are fixed
-        at its two ends, or trained inside by a logistic map."""
+        """Slopes of the neurons for negative and for positive arguments, within the sector. They
+        are fixed at its two ends, or trained inside by a logistic map."""
         lower, upper = sector
         if not self.train_slopes:
             return torch.full_like(like, lower), torch.full_like(like, upper)
@@ -141,7 +142,7 @@ class Mlp(Trainable):
         return v
 
     def pieces(self, explicit: list[Layer]) -> Pieces | None:
-        """Affine pieces of a one-channel perceptron between its sorted kinks. `sum_i last_i
+        """Affine pieces of a one-channel perceptron between its break points. `sum_i last_i
         phi_i(first_i v + b_i)`."""
         w, b, low, high, after = explicit[0]
         if after is None or w.shape[1] > 1:  # several inputs, or several layers of free weights
@@ -179,7 +180,8 @@ class Mlp(Trainable):
 def certified_initial_values(
     frame: MapContext, depth: int, rng: np.random.Generator
 ) -> StartingValues:
-    """Initial directions and kinks for each layer of a perceptron with certified slopes."""
+    """Initial weights and break points for each layer of a perceptron whose slopes are
+    certified."""
     layers = [draw_layer(frame.samples, frame.width, rng) for _ in range(depth)]
     directions = {f"direction_{i}": weights for i, (weights, _) in enumerate(layers)}
     kinks = {f"kink_{i}": values for i, (_, values) in enumerate(layers)}
@@ -205,8 +207,8 @@ def unconstrained_initial_values(
 
 @dataclass(frozen=True, kw_only=True)
 class OneChannel(Trainable):
-    """Trainable monotone perceptron of one channel. `S = S_L o ... o S_1`, any piecewise-linear
-    maps of one channel whose sectors multiply to the one asked for.
+    """Trainable monotone perceptron with one channel. `S = S_L o ... o S_1`, piecewise-linear maps
+    whose sectors multiply to the requested sector.
 
     `S_l(v) = int_0^v s(t) dt`, `s = lower + (upper - lower) sigmoid(base + sum of jumps passed)`:
     `width - 1` leaky ReLUs with slopes `lower, upper` and one linear neuron write every such map,
@@ -254,8 +256,8 @@ class OneChannel(Trainable):
         )
 
     def freeze(self, explicit: list[Pieces], slopes: Sector) -> MlpScaffold:
-        """Write the trained pieces of each layer as a leaky-ReLU network. First weights are one,
-        positive slopes `upper`; the last neuron is linear."""
+        """Rewrite the trained piecewise-linear map of each layer as a leaky-ReLU network. First
+        weights are one, positive slopes `upper`; the last neuron is linear."""
         lower, upper = layer_slope_bounds(*slopes, self.depth, channels=1)
         lasts = []
         biases = []
@@ -280,7 +282,7 @@ class OneChannel(Trainable):
 def layer_slope_bounds(
     lower: float, upper: float, depth: int, channels: int
 ) -> tuple[float, float]:
-    """Slope bounds for each layer, such that all layers together stay within given bounds.
+    """Slope bounds for each layer, such that the product over all layers stays within given bounds.
 
     One channel: slopes multiply, so the depth-th roots. More: with `J_l = a (I + E_l), |E_l| <= d`,
     the product lies in the ball of centre `a^L` and radius `a^L ((1 + d)^L - 1)`, so `d =
@@ -297,8 +299,8 @@ def layer_slope_bounds(
 def draw_layer(
     inputs: Float[np.ndarray, "N m"], width: int, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "h m"], Float[np.ndarray, "h"]]:
-    """Draw random initial weights and biases of a layer. Kinks lie at evenly ranked samples of the
-    training input, so that each can be learned.
+    """Draw random initial weights and biases of a layer. Break points lie at evenly ranked samples
+    of the training input, so that each can be learned.
 
     With one input, neighbouring kinks bend in opposite directions: any region can then be made
     steeper or flatter.

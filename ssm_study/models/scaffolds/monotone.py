@@ -1,5 +1,5 @@
-"""Static map that is piecewise linear and monotone, given by its slopes. It is piecewise linear in
-each channel, so the slope interval can be read off."""
+"""Static map that is piecewise linear and monotone, defined by its slopes. It is piecewise linear
+in each channel, so the slope interval can be read off."""
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -78,8 +78,8 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
         )
 
     def as_portable(self) -> PortableMap:
-        """The map as a network with one neuron per break point, `S_c(v) = s_0 v + sum_j (s_{j+1} -
-        s_j) (relu(v - t_j) - relu(-t_j))`."""
+        """Network with one neuron per break point that computes the same map. `S_c(v) = s_0 v +
+        sum_j (s_{j+1} - s_j) (relu(v - t_j) - relu(-t_j))`."""
         channels, breaks = self.breakpoints.shape
         if not breaks:
             return PortableMap(linear=np.diag(self.slopes[:, 0]), network=None)
@@ -97,8 +97,8 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
 def continuous_offsets(
     breakpoints: Float[np.ndarray, "h"], slopes: Float[np.ndarray, "h1"]
 ) -> Float[np.ndarray, "h1"]:
-    """Offsets of affine pieces that join continuously. Offsets of the pieces `slope v + offset`:
-    zero for the piece that holds v = 0, and such that the map is continuous."""
+    """Offsets with which affine pieces join continuously. The piece `slope v + offset` that
+    contains v = 0 has offset zero."""
     home = int(np.searchsorted(breakpoints, 0.0, side="right"))
     jumps = (slopes[:-1] - slopes[1:]) * breakpoints
     left = -np.cumsum(jumps[:home][::-1])[::-1]

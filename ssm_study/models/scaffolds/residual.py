@@ -1,4 +1,4 @@
-"""Static map whose Jacobians lie in a ball by construction, in any dimension."""
+"""Static map, in any dimension, whose Jacobians lie in a ball by construction."""
 
 import math
 from dataclasses import dataclass, replace
@@ -19,8 +19,9 @@ from ssm_study.systems import JacobianBall
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualScaffold(Scaffold, names=("residual",)):
-    """Static map whose Jacobians lie in a ball by construction, in any dimension. `S(v) = alpha v +
-    beta (G(v) - G(0))` with `|G(v) - G(w)| <= |v - w|`: exactly the ball `alpha I + beta Delta`.
+    """Static map, in any dimension, whose Jacobians lie in a ball by construction. `S(v) = alpha v
+    + beta (G(v) - G(0))` with `|G(v) - G(w)| <= |v - w|` gives exactly the ball `alpha I + beta
+    Delta`.
 
     `multipliers[l] (h_l,) > 0` are the diagonal multipliers of the Lipschitz certificate of G. It
     is decided exactly whenever the ball is asked for (`bounds.lipschitz`). Where they prove nothing
@@ -64,7 +65,7 @@ class ResidualScaffold(Scaffold, names=("residual",)):
         return bound_from_ball(JacobianBall(alpha=self.alpha, beta=self.beta), "construction")
 
     def jacobian_centre(self) -> None:
-        """No centre, since the Jacobians already lie around a multiple of the identity."""
+        """Return None, since the Jacobians already lie around a multiple of the identity."""
         return
 
     def as_portable(self) -> PortableMap:
@@ -75,8 +76,9 @@ class ResidualScaffold(Scaffold, names=("residual",)):
 
 @dataclass(frozen=True, kw_only=True)
 class Residual(Trainable):
-    """Trainable static map of 1-Lipschitz sandwich layers. G is a stack of `depth` sandwich layers
-    `h -> sqrt2 A^T Psi relu(sqrt2 Psi^-1 B h + b)` closed by a linear one.
+    """Trainable static map made of layers that are 1-Lipschitz by construction. G is a stack of
+    `depth` sandwich layers `h -> sqrt2 A^T Psi relu(sqrt2 Psi^-1 B h + b)`, followed by a linear
+    one.
 
     With `A A^T + B B^T = I` from a Cayley map every value of the free parameters is 1-Lipschitz;
     written out, G is a perceptron with Lipschitz multipliers `Psi^2`. It couples the channels.
@@ -143,8 +145,8 @@ Sandwich = tuple[tuple[float, float], list[Tensor], list[Tensor], list[Tensor]]
 def cayley_transform(
     skew: Float[Tensor, "h h"], tail: Float[Tensor, "m h"]
 ) -> tuple[Float[Tensor, "h h"], Float[Tensor, "h m"]]:
-    """Cayley transform of free matrices to a pair with orthonormal rows. `(A, B)` with `A A^T + B
-    B^T = I` for any real `skew, tail`.
+    """Cayley transform of free matrices to a pair of matrices with orthonormal rows. `(A, B)` with
+    `A A^T + B B^T = I` for any real `skew, tail`.
 
     `Z = X - X^T + Y^T Y`, `A^T = (I + Z)^-1 (I - Z)`, `B^T = -2 Y (I + Z)^-1`.
     """

@@ -25,15 +25,14 @@ FLAT = (Network, Scale, StateSpace)  # their entries stand beside those of what 
 
 
 class Explicit:
-    """Base class of objects whose numbers are written to JSON and read from it. A mixin of
-    dataclasses whose fields are arrays, numbers, words, `FLAT` nouns, others of its kind, or
-    tuples."""
+    """Base class of dataclasses that are written to JSON and read from it. Fields are arrays,
+    numbers, words, `FLAT` nouns, others of this kind, or tuples."""
 
     kind: ClassVar[str | None] = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers of the object for JSON. Floats read back to the same float64. An empty
-        array that a field has by default is left out."""
+        """Fields of the object as plain values for JSON. Floats are read back as the same float64.
+        An empty array that a field has by default is left out."""
         data = {} if self.kind is None else {"kind": self.kind}
         for field, value in _json_fields(self):
             nested = _json_fields(value) if isinstance(value, FLAT) else [(field, value)]
@@ -42,8 +41,8 @@ class Explicit:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Any:
-        """Build the object from its JSON form. The inverse of `to_json`; raises `BadRequest` naming
-        the entry that is missing or malformed."""
+        """Build the object from its JSON form. Raises `BadRequest` that names a missing or
+        malformed entry."""
         return _build_from_json(cls, data)
 
 
@@ -112,8 +111,8 @@ ROUNDING = (
 
 
 class Scaffold(Family, Explicit):
-    """Base class of static maps whose Jacobians lie in a known ball. A static map `S: R^m -> R^k`
-    with `S(0) = 0` exactly, held as explicit parameters only.
+    """Base class of static maps whose Jacobians lie in a known ball. `S: R^m -> R^k` with `S(0) =
+    0` exactly, as explicit parameters only.
 
     Scaled units on both sides. Every member is a frozen dataclass that is written to and read from
     JSON without loss.
@@ -150,27 +149,27 @@ class Scaffold(Family, Explicit):
 
     @abstractmethod
     def jacobian_centre(self) -> Square | None:
-        """Centre matrix of the map's Jacobians, which may be moved into the linear part. None if
+        """Centre matrix of the map's Jacobians, which may be moved into the linear part; None if
         there is none."""
 
     def compose_with_output_matrix(self, m: Square) -> "Scaffold":
         """Static map whose output is multiplied by a matrix. `v -> m S(v)`, m the inverse of
-        `jacobian_centre()`; asked of scaffoldings that have one."""
+        `jacobian_centre()`; only called where there is one."""
         raise NotImplementedError(f"{self.kind}: no centre, so nothing to move")
 
     def compose_with_input_matrix(self, m: Square) -> "Scaffold":
-        """Static map of a matrix times the input. `v -> S(m v)`, m the inverse of
+        """Static map whose input is first multiplied by a matrix. `v -> S(m v)`, m the inverse of
         `jacobian_centre()`."""
         return self.compose_with_output_matrix(m)
 
     @abstractmethod
     def as_portable(self) -> PortableMap:
-        """Same map as plain arrays: a matrix and a leaky-ReLU network."""
+        """The same map as plain arrays: a matrix and a leaky-ReLU network."""
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Any:
-        """Read a static map of any kind from its JSON form. Raises `BadRequest` for an unknown one,
-        and as `Explicit` does."""
+        """Read a static map of any kind from its JSON form. Raises `BadRequest` for an unknown
+        kind, and as `Explicit` does."""
         if "as_portable" not in cls.__abstractmethods__:
             return super().from_json(data)
         require_one_of(kinds := Scaffold.members(scaffolds), "kind", data.get("kind"))
@@ -185,8 +184,7 @@ def tensor_to_numpy(values: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
 def zero_preserving_offsets(
     points: Float[Tensor, "*c h"], slopes: Float[Tensor, "*c h1"]
 ) -> Float[Tensor, "*c h1"]:
-    """Offsets of continuous affine pieces for which the map is exactly zero at zero. Continuity
-    gives the others one by one."""
+    """Offsets of affine pieces that join continuously to a map that is exactly zero at zero."""
     jumps = (
         slopes[..., :-1] - slopes[..., 1:]
     ) * points  # what keeps the map continuous at each point
@@ -198,7 +196,7 @@ def zero_preserving_offsets(
 
 def evaluate_pieces(pieces: Pieces, v: Float[Tensor, "*batch c"]) -> Float[Tensor, "*batch c"]:
     """Evaluate a piecewise-linear map at every vector of a batch. Points, slopes and offsets have
-    one row a channel."""
+    one row per channel."""
     points, slopes, offsets = pieces
     flat = v.flatten(0, -2).mT.contiguous()  # searchsorted wants rows that lie in order
     piece = torch.searchsorted(points.detach(), flat.detach(), right=True)
@@ -206,8 +204,8 @@ def evaluate_pieces(pieces: Pieces, v: Float[Tensor, "*batch c"]) -> Float[Tenso
 
 
 def relative_roughness(slopes: Float[Tensor, "*c h1"]) -> Float[Tensor, "*c"]:
-    """Total variation of a map's slope, relative to its largest slope. It is rounded off at one
-    percent of it.
+    """Total variation of a map's slope, relative to its largest slope. The absolute value is
+    rounded off at one percent of that slope.
 
     A step from flat to steep costs the same however many pieces it takes; spikes between two levels
     of the data, which fit noise and widen the slope interval that a certificate must cover, cost

@@ -21,8 +21,8 @@ class MapContext:
 
 
 class Trainable(ABC):
-    """Base class of static maps that are trained. Free parameters -> explicit parameters -> `S(v)`:
-    the constraint lives in the first map, and only there.
+    """Base class of static maps that are trained. Free parameters give explicit parameters, which
+    give `S(v)`; the constraint is in the first step only.
 
     A choice of scaffolding: `build` returns a `TorchScaffold` with all slopes in the frame's
     sector. The paper's perceptron with free weights is the exception, and says so.
@@ -40,7 +40,8 @@ class Trainable(ABC):
 
     @abstractmethod
     def explicit(self, free: Free, slopes: tuple[float, float]) -> Any:
-        """Explicit parameters of the map, within its slope sector for any free parameters."""
+        """Explicit parameters of the map, which respect its slope sector for any free
+        parameters."""
 
     @abstractmethod
     def evaluate(self, explicit: Any, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch k"]:
@@ -51,12 +52,12 @@ class Trainable(ABC):
         """Trained static map as explicit float64 numbers."""
 
     def pieces(self, explicit: Any) -> Pieces | None:  # noqa: ARG002
-        """Affine pieces of a one-channel piecewise-linear map. None for others."""
+        """Affine pieces of a one-channel piecewise-linear map; None for any other map."""
         return None
 
     def roughness(self, explicit: Any) -> Float[Tensor, ""]:  # noqa: ARG002
-        """Total variation of the map's slopes, for the training penalty. Zero where slopes are not
-        explicit."""
+        """Total variation of the map's slopes, for the training penalty; zero for a map without
+        explicit slopes."""
         return torch.zeros((), dtype=torch.float64)
 
     def build(self, frame: MapContext, rng: np.random.Generator) -> Any:

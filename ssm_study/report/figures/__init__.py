@@ -1,5 +1,5 @@
-"""One file per figure, named as printed. Each has `draw(study) -> Figure` and a docstring that is
-its caption.
+"""Figures of a study, one file for each, named as the command prints it. Each has `draw(study) ->
+Figure` and a docstring that is its caption.
 
 A new figure is a new file here: `figure_names()` finds it, and every command and test with it.
 """
@@ -38,13 +38,13 @@ def _module(name: str) -> ModuleType:
 
 
 def caption(name: str) -> str:
-    """Caption of a figure, a sentence or two: the docstring of its file."""
+    """Caption of a figure in a sentence or two, taken from the docstring of its file."""
     return " ".join((_module(name).__doc__ or "").split())
 
 
 def draw_one_figure(name: str, study: StudyFolder, width: style.Width = "page") -> "Figure":
     """Draw a single figure of a study in the style of the paper. Raises `NothingToDraw` with the
-    reason."""
+    reason where it would be empty."""
     with style.paper_style(width):
         figure: Figure = _module(name).draw(study)
     return figure
@@ -52,7 +52,7 @@ def draw_one_figure(name: str, study: StudyFolder, width: style.Width = "page") 
 
 @dataclass(frozen=True)
 class CaptionedFigure:
-    """Figure with its caption, as a notebook shows it."""
+    """Figure with its caption, in the form that a notebook displays."""
 
     png: bytes
     caption: str
@@ -69,7 +69,8 @@ class CaptionedFigure:
 
 
 def captioned_figure(name: str, study: StudyFolder, width: style.Width = "page") -> CaptionedFigure:
-    """Draw a figure of a study for a notebook. Raises `NothingToDraw` with the reason."""
+    """Draw a figure of a study for a notebook, with its caption. Raises `NothingToDraw` with the
+    reason where it would be empty."""
     content = BytesIO()
     with style.paper_style(width):
         draw_one_figure(name, study, width).savefig(content, format="png")
@@ -83,7 +84,7 @@ def draw_figures(
     run: str | None = None,
     width: style.Width = "page",
 ) -> list[Path]:
-    """Draw and save several or all figures of a study.
+    """Draw and save several figures of a study, or all.
 
     Those of a single run show `run`, else the study's best. Pure functions of the gathered table
     and the run folders' files: the same files give the same bytes. A figure of what the study does

@@ -21,7 +21,8 @@ Step = Callable[[Float[np.ndarray, "N n"]], Float[np.ndarray, "N n"]]
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the decay of controller and of observer for the best run without neurons."""
+    """Draw the figure of certified against measured decay, for controller and observer of the best
+    run without neurons."""
     model, certificate = study.read_from_best(
         "model", "certificate", otherwise="No run left a certificate for a model without neurons."
     )
@@ -46,8 +47,8 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def certificate_part(certificate: Mapping[str, Any], side: str) -> dict[str, Any]:
-    """Stored certificate of controller or observer, that of the largest proved rate where there is
-    one."""
+    """Stored certificate of controller or observer, with the largest proved rate if there are
+    two."""
     deployed = certificate.get(f"{side}_deployed") or {}
     return (certificate.get(side) or {}) | deployed
 
@@ -83,8 +84,8 @@ def relative_distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np
 
 
 def draw_decay(axes: Axes, d: Float[np.ndarray, "N T"], part: Mapping[str, Any]) -> None:
-    """Draw the certified bound, and the worst and the median pair of trajectories, at each
-    sample."""
+    """Draw the certified bound at each sample, with the largest and the median distance over all
+    pairs of trajectories."""
     k = np.arange(d.shape[1])
     r = np.sqrt(1 - part["rate"])
     median = np.median(d, axis=0)

@@ -10,7 +10,8 @@ from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the closed loop, the uncontrolled plant and the input for every initial condition."""
+    """Draw the closed loop's outputs, the uncontrolled plant's outputs and the inputs, for every
+    initial condition."""
     (loop,) = study.read_from_best("closed_loop", otherwise="No run reached the closed loop.")
     if style.is_narrow():
         fig = style.new_figure(style.COLUMN_IN, 4.6)

@@ -18,8 +18,8 @@ LONGEST_SEGMENT = 256  # samples per periodogram: frequency resolution against a
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw coverage and spectrum of the first input channel. Coverage, order and warning are those
-    found when the data set was made."""
+    """Draw the amplitude histogram and the spectrum of the first input of the training records.
+    Coverage, order and warning are those found when the data set was made."""
     kept, record = study.read_from_best(
         "excitation", "record", otherwise="No run left an excitation to draw."
     )

@@ -9,5 +9,5 @@ from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the picture of the best run."""
+    """Draw the free run of the best run's model on the test record, beside the measured output."""
     return draw_unstyled(picture_of_best("free_run", study))

@@ -11,5 +11,6 @@ from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the picture of the best run."""
+    """Draw the frequency response of the best run's model at its equilibrium, beside an estimate
+    from the validation record."""
     return draw_unstyled(picture_of_best("frequency_response", study))

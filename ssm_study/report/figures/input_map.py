@@ -9,5 +9,5 @@ from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the picture of the best run."""
+    """Draw the learned input map of the best run and its slope."""
     return draw_unstyled(picture_of_best("input_map", study))

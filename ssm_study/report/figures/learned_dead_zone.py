@@ -1,7 +1,6 @@
 """Nonlinearity that the network learned of the motor: S_u scaled to volts over the true dead-zone
-(left), and
-its local slope inside the certified interval (right). Coulomb friction widens the dead-zone seen at
-rest; the dotted line includes it."""
+(left), and its local slope inside the certified interval (right). Coulomb friction widens the
+dead-zone seen at rest; the dotted line includes it."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -25,7 +24,7 @@ Range = Float[np.ndarray, "N"]
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the learned input map beside the motor's true dead-zone, and its slope."""
+    """Draw the learned input map beside the motor's true dead zone, and the slope of the map."""
     model, record, config = study.read_from_best(
         "model", "record", "config", otherwise="No run left a model without neurons."
     )
@@ -66,8 +65,8 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def known_dead_zone(config: Mapping[str, Any]) -> tuple[float | None, float]:
-    """Dead-zone of the plant that was simulated, V, and the voltage that both shafts' friction adds
-    at rest.
+    """Dead zone of the simulated plant, V, and the voltage by which the friction of both shafts
+    widens it at rest.
 
     None for a recording, beside which the group's default plant stands.
     """
@@ -83,12 +82,13 @@ def _voltage_range(model: SSM, reach: float) -> Range:
 
 
 def _mapped_voltage(model: SSM, voltage: Range) -> Range:
-    """Learned input map evaluated at physical voltages."""
+    """Values of the learned input map at given physical voltages."""
     return model.map_input(voltage[:, None])[:, 0]
 
 
 def _dead_zone_sentence(model: SSM, voltage: Range, threshold: float) -> str:
-    """Sentence on how much of the true dead-zone the input map has learned. Zero would be all."""
+    """Sentence on how much of the true dead zone the input map has learned. Zero would be all of
+    it."""
     rise = np.diff(_mapped_voltage(model, voltage)) / np.diff(voltage)  # per volt
     inside = np.abs(voltage[1:] + voltage[:-1]) / 2 < threshold
     share = float(rise[inside].mean() / rise[~inside].mean())
@@ -105,15 +105,15 @@ def _dead_zone_sentence(model: SSM, voltage: Range, threshold: float) -> str:
 
 
 def _gain_to_volts(model: SSM, threshold: float) -> float:
-    """Factor that brings S_u nearest to the dead-zone by least squares. S_u is free up to a factor
-    that B takes up."""
+    """Factor that brings the input map closest to the dead zone, by least squares. S_u is
+    determined only up to a factor, which B compensates."""
     voltage = _voltage_range(model, REACH_IN_SCALES * float(model.scale.input_scale[0]))
     learned = _mapped_voltage(model, voltage)
     return float(_dead_zone(voltage, threshold) @ learned / (learned @ learned))
 
 
 def _dead_zone(voltage: Range, threshold: float) -> Range:
-    """True dead-zone of the motor: zero inside, the voltage less the threshold outside."""
+    """True dead zone of the motor: zero inside, the voltage minus the threshold outside."""
     return np.sign(voltage) * np.maximum(np.abs(voltage) - threshold, 0.0)
 
 

@@ -10,5 +10,6 @@ from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the picture of the best run."""
+    """Draw the poles of the best run's model, of its controlled model and of its observer's
+    error."""
     return draw_unstyled(picture_of_best("loop_poles", study))

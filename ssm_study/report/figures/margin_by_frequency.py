@@ -10,5 +10,6 @@ from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the picture of the best run."""
+    """Draw the stability margin over frequency for the best run, with one line for each recorded
+    amplitude."""
     return draw_unstyled(picture_of_best("margin_by_frequency", study))

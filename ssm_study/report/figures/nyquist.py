@@ -10,5 +10,5 @@ from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the picture of the best run."""
+    """Draw the Nyquist curve of the best run's loop, with discs for the measured model error."""
     return draw_unstyled(picture_of_best("nyquist", study))

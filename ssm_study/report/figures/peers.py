@@ -18,7 +18,8 @@ from ssm_study.table.columns import numeric_column, text_column
 
 @dataclass(frozen=True, kw_only=True)
 class PeerPanel:
-    """One number by controller, with what its axis is set to."""
+    """Panel of a figure that shows one number for each controller, with the settings of its
+    axis."""
 
     values: pd.Series
     label: str
@@ -26,7 +27,7 @@ class PeerPanel:
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw a panel per number, a row per controller."""
+    """Draw a panel for each number, with a row for each controller."""
     compared = "controller" in study.comparison
     if compared:
         table = study.comparison[text_column(study.comparison, "situation") == "nominal"]
@@ -75,8 +76,8 @@ def create_panels(table: pd.DataFrame) -> list[PeerPanel]:
 
 
 def draw_row(axes: Axes, row: int, values: pd.Series) -> None:
-    """Draw one dot per run in a row. Of several runs a bar stands at the median, and dots are faint
-    enough to be seen through."""
+    """Draw one dot for each run in a row, and a bar at the median if there are several. Many dots
+    are faint, so that they can be seen through each other."""
     several = len(values) > 1
     look: dict[str, Any] = {"s": 16, "color": style.BLUE, "lw": 0, "zorder": 3, "clip_on": False}
     axes.scatter(values, [row] * len(values), alpha=0.5 if several else 1.0, **look)
@@ -86,7 +87,7 @@ def draw_row(axes: Axes, row: int, values: pd.Series) -> None:
 
 
 def label_decades(axes: Axes) -> None:
-    """Label a logarithmic axis at 1, 2 and 5 of each decade. With minor ones 3 x 10^-1 would stand
-    beside 0.5."""
+    """Label a logarithmic axis at 1, 2 and 5 of each decade. Minor labels such as 3 x 10^-1 would
+    overlap with 0.5."""
     major = LogLocator(subs=(1.0, 2.0, 5.0))
     axes.xaxis.set(major_formatter="{x:g}", major_locator=major, minor_formatter=NullFormatter())

@@ -56,7 +56,7 @@ def _write_cells(
     times: Float[np.ndarray, "R C"],
     shares: Float[np.ndarray, "R C"],
 ) -> None:
-    """Write the number into each cell. It is seconds, or the share that settles on red."""
+    """Write the number into each cell of the grid: seconds, or on red the share that settles."""
 
     for (i, j), share in np.ndenumerate(shares):
         if np.isnan(share):

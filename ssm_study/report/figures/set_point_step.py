@@ -10,5 +10,6 @@ from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the picture of the best run."""
+    """Draw the response of the best run's loop to a step of the set point, on the identified
+    model."""
     return draw_unstyled(picture_of_best("set_point_step", study))

@@ -10,8 +10,8 @@ from ssm_study.table.columns import numeric_column
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the columns of the curve that start with `fit_` (%), or else those of a loss, against
-    `epoch`."""
+    """Draw the training curves of the best run over the epochs: the fits (`fit_`, %), or else the
+    losses."""
     (curve,) = study.read_from_best("curve", otherwise="No run left a training curve.")
     fig = style.new_figure(style.COLUMN_IN, 2.3)
     axes = fig.add_subplot()

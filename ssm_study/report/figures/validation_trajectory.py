@@ -15,7 +15,7 @@ LONGEST = 1200  # samples; a longer record would be a solid block of ink in a co
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw both records of the best run in one column."""
+    """Draw the test record and the validation record of the best run in one column."""
     test, validation, record = study.read_from_best(
         "test", "validation", "record", otherwise="No run left a validation record."
     )
@@ -39,7 +39,7 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def first_channel(part: RecordedCases, name: str) -> Stretch:
-    """Beginning of a signal's first channel."""
+    """Beginning of a recorded signal's first channel."""
     signal: Stretch = part[name][0, :LONGEST, 0]
     return signal
 
@@ -51,7 +51,7 @@ def label_axes(axes: Axes, time_s: Stretch, label: str) -> None:
 
 
 def draw_free_run(axes: Axes, part: RecordedCases, name: str, fit: float | None) -> None:
-    """Draw the measured output as dots and the model on top."""
+    """Draw the measured output as dots, with the model's free run on top."""
     time_s = part.time_s("measured")[:LONGEST]
     label = "model" if fit is None else f"model (fit {fit:.1f} % on the whole record)"
     measured = first_channel(part, "measured")
@@ -62,7 +62,7 @@ def draw_free_run(axes: Axes, part: RecordedCases, name: str, fit: float | None)
 
 
 def draw_error(axes: Axes, part: RecordedCases) -> None:
-    """Draw the measured output less the model's, in the output's unit."""
+    """Draw the measured output minus the model's, in the output's unit."""
     time_s = part.time_s("measured")[:LONGEST]
     error = first_channel(part, "measured") - first_channel(part, "simulated")
     axes.axhline(0, color=style.PALE)

@@ -1,4 +1,4 @@
-"""Frame, axes and strokes that all charts of the page share."""
+"""Frame, axes and strokes that all charts of the report page share."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ LOOK = {
 
 
 def framed(spec: dict[str, Any], description: str, height: int = HEIGHT) -> dict[str, Any]:
-    """Vega-Lite specification with the page's frame and width."""
+    """Vega-Lite specification with the frame and the width of the report page."""
     frame = {"$schema": SCHEMA, "width": "container", "height": height, "config": LOOK}
     return frame | {"description": description} | spec
 

@@ -1,5 +1,5 @@
-"""The page's plots as Vega-Lite specifications: one point per run, brushed together, coloured by
-verdict."""
+"""Plots of the report page as Vega-Lite specifications, with one point per run, coloured by
+verdict. A selection in one plot applies to all."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -18,8 +18,8 @@ SAME_FIT = 0.1  # percent: below, what fits differ by is chance
 
 @dataclass(frozen=True)
 class Panel:
-    """Settings of one scatter plot of the page. One plot: what it asks, the two columns, where a
-    rule stands, and which axis is logarithmic if it can be."""
+    """Settings of one scatter plot of the report page: its question, its two columns, its reference
+    line, and which axis may be logarithmic."""
 
     question: str
     x: str
@@ -52,7 +52,7 @@ EXPLORER = Panel("Any column against any other", "across", "up")
 
 
 def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Plots for which this table has numbers, as question, columns used, and specification without
+    """Plots for which a study's table has numbers, as question, columns, and specification without
     data.
 
     Fits that all but agree say nothing.
@@ -69,9 +69,8 @@ def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _telling(table: pd.DataFrame, panel: Panel) -> Panel:
-    """Panel with the settling time in place of the share of settled starts where every start
-    settles. Where every start of every run settles, a share says nothing: then the plot shows how
-    fast they settle."""
+    """Replace the share of settled runs in a plot by the settling time where every run settles,
+    since a share then says nothing."""
     shares = numeric_column(table, panel.y).dropna()
     if panel.y != "stable_fraction" or len(shares) < 2 or (shares < 1).any():
         return panel
@@ -79,8 +78,8 @@ def _telling(table: pd.DataFrame, panel: Panel) -> Panel:
 
 
 def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
-    """Vega-Lite specification of one plot. The script sets the parameters `mask` (runs shown) and
-    `chosen` (run looked at), and hears `brush`.
+    """Vega-Lite specification of one plot. The page's script sets the parameters `mask` (runs
+    shown) and `chosen` (selected run), and reads `brush`.
 
     It also fills the data sets `runs` and `ticks`.
     """
@@ -107,7 +106,7 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
 
 
 def _bars() -> alt.Chart:
-    """Chart layer with one short bar per run for its stage times."""
+    """Layer of a chart with one short bar per run for its stage times."""
     look: dict[str, Any] = {
         "color": style.INK,
         "size": 16,
@@ -120,13 +119,13 @@ def _bars() -> alt.Chart:
 
 
 def _ring() -> alt.Chart:
-    """Layer that marks the best run with a ring, the run that the table has first."""
+    """Layer of a chart that marks the best run, the first of the table, with a ring."""
     best = alt.Chart().transform_filter("datum.i === 0")
     return best.mark_point(size=170, strokeWidth=1.3, color=style.INK, opacity=1, aria=False)
 
 
 def _dressed(chart: Any) -> dict[str, Any]:
-    """Vega-Lite specification with the page's fonts and colours."""
+    """Vega-Lite specification with the fonts and colours of the report page."""
     chart = chart.configure(font="system-ui, sans-serif", background="white").configure_view(
         stroke=None
     )
@@ -141,8 +140,8 @@ def _dressed(chart: Any) -> dict[str, Any]:
 
 
 def groups_specification() -> dict[str, Any]:
-    """Vega-Lite specification of a chart with a row per group. It has a point per run, a bar at the
-    mean of those shown, a ring around the best.
+    """Vega-Lite specification of a chart with one row per group. It has a point per run, a bar at
+    the mean of the visible ones, and a ring around the best.
 
     The script fills in the rows, the height, the name of the axis and whether it is logarithmic.
     """
@@ -157,7 +156,7 @@ def groups_specification() -> dict[str, Any]:
 
 
 def _points(*brushed: Literal["x", "y"]) -> alt.Chart:
-    """Layer that draws a point per run. A brush selects over both axes, or over those that are
+    """Layer of a chart with one point per run. A selection covers both axes, or those that are
     named."""
     mask = alt.param(name="mask", value=[])
     chosen = alt.param(name="chosen", value=-1)
@@ -179,23 +178,23 @@ def _points(*brushed: Literal["x", "y"]) -> alt.Chart:
 
 
 def _brush(*encodings: Literal["x", "y"]) -> alt.Parameter:
-    """Selection parameter of Vega-Lite, a rectangle that the reader drags."""
+    """Selection parameter of Vega-Lite: a rectangle that the reader of the page drags."""
     if encodings:
         return alt.selection_interval(name="brush", encodings=list(encodings))
     return alt.selection_interval(name="brush")
 
 
 def _rule() -> alt.Chart:
-    """Chart layer with a single reference line. On the data of the points it would be drawn once
-    per run."""
+    """Layer of a chart with a single reference line. With the data of the points, it would be drawn
+    once per run."""
     return alt.Chart(alt.InlineData([{}])).mark_rule(
         strokeDash=[4, 3], color=style.GREY, aria=False
     )
 
 
 def _scale(name: str, table: pd.DataFrame, log: bool, beside: list[float]) -> alt.Scale:
-    """Linear or logarithmic scale for a column. Logarithmic only if all values allow it and they
-    spread over more than a decade; a share from 0 to 1.
+    """Linear or logarithmic scale for a column. It is logarithmic only if all values allow it and
+    spread over more than a decade; a share goes from 0 to 1.
 
     `beside`: what else is drawn on this axis, so has to lie on it.
     """

@@ -1,4 +1,4 @@
-"""Comparisons of one run on its own model and plant: controllers by situation, or many certified
+"""Comparisons of controllers on the model and plant of one run: by situation, or of many certified
 designs."""
 
 from dataclasses import dataclass
@@ -20,7 +20,8 @@ MISSING = "–"
 
 @dataclass(frozen=True, kw_only=True)
 class ComparedTable:
-    """A table of controllers: its caption, headings, and cells with a background or none."""
+    """Table of compared controllers: its caption, headings, and cells with or without a
+    background."""
 
     caption: str
     heads: tuple[str, ...]
@@ -28,7 +29,7 @@ class ComparedTable:
 
 
 def comparison_json(rows: pd.DataFrame) -> dict[str, Any]:
-    """The comparison of a run as JSON values: a table or a chart."""
+    """Comparison of controllers in a run, as JSON values for a table or a chart."""
     rows = rows.dropna(axis="columns", how="all")
     if "controller" in rows:
         return {"table": table_html(controllers_table(rows))}
@@ -36,7 +37,7 @@ def comparison_json(rows: pd.DataFrame) -> dict[str, Any]:
 
 
 def controllers_table(rows: pd.DataFrame) -> ComparedTable:
-    """Table with a row per controller. Its columns are the numbers of the one situation, or all
+    """Table with one row per controller. Its columns are the numbers of a single situation, or all
     situations."""
     situations = list(dict.fromkeys(rows["situation"]))
     first = [
@@ -65,7 +66,7 @@ def controllers_table(rows: pd.DataFrame) -> ComparedTable:
 
 
 def number_cells(row: "pd.Series[Any]") -> list[tuple[str, str]]:
-    """The numbers of a controller in the one situation."""
+    """Table cells with the numbers of a controller in a single situation."""
     settled = percent(row.get("stable_fraction"))
     texts = [settled, *(number(row.get(name)) for name in NUMBERS)]
     certified = "yes" if row.get("certified") is True or row.get("certified") == 1 else MISSING
@@ -73,8 +74,8 @@ def number_cells(row: "pd.Series[Any]") -> list[tuple[str, str]]:
 
 
 def settled_cell(row: dict[str, Any]) -> tuple[str, str]:
-    """Table cell with the share settled and the mean time of those, and a shade where some do
-    not settle."""
+    """Table cell with the share that settles and the mean settling time, shaded where some do not
+    settle."""
     if pd.isna(row.get("stable_fraction", np.nan)):
         return MISSING, ""
     time_s = row.get("settling_time_mean_s")
@@ -94,7 +95,7 @@ def number(value: Any) -> str:
 
 
 def table_html(table: ComparedTable) -> str:
-    """HTML of the table. Whatever its texts contain is shown as text."""
+    """HTML of a table of compared controllers. All texts are escaped."""
     caption = escape(table.caption)
     heads = "".join(f'<th scope="col">{escape(head)}</th>' for head in table.heads)
     rows = "".join(row_html(name, cells) for name, cells in table.rows)
@@ -118,8 +119,8 @@ def row_html(name: str, cells: list[tuple[str, str]]) -> str:
 
 
 def designs_chart(rows: pd.DataFrame) -> dict[str, Any]:
-    """Chart of certified designs, a point each, with the margin against the behaviour on the
-    plant."""
+    """Chart of certified designs, one point for each, of the stability margin against the behaviour
+    on the plant."""
     share = rows.get("stable_fraction")
     if share is None:
         share = rows["stable_count"] / rows["initial_conditions"]

@@ -1,4 +1,4 @@
-"""Data that the report page carries: the table by columns, trajectories of the best runs, reasons,
+"""Data of the report page: the table by columns, trajectories of the best runs, reasons,
 provenance."""
 
 import base64
@@ -73,15 +73,15 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
 
 
 def first_columns(table: pd.DataFrame) -> list[str]:
-    """Columns that the page's table shows before the reader asks for all."""
+    """Columns that the page's table shows until the reader asks for all."""
     results = [result.name for result in RESULTS if result.shown]
     return ["run", "verdict", *swept_settings(table), "stable_count", *results, *ALSO_FIRST]
 
 
 def slider_settings(table: pd.DataFrame) -> dict[str, Any] | None:
-    """Settings of the page's slider over a swept number; None where nothing numeric was swept. The
-    swept number that a slider moves: the runs that share all other settings with the best, in its
-    order; a rate before other numbers. None where there is no such sweep."""
+    """Settings of the page's slider over a swept number; None where no number was swept. It moves
+    through the runs that share all other settings with the best, in order; a rate is preferred to
+    other numbers."""
     if not len(table):
         return None
     settings = swept_settings(table)
@@ -135,8 +135,7 @@ def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
 
 
 def provenance(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str, str]]:
-    """Text on the provenance of the runs. Where they disagree it gives several values, which a
-    reader should know."""
+    """Lines on the provenance of the runs, with several values where the runs disagree."""
     facts = []
     for name in PROVENANCE:
         if name not in table:
@@ -152,7 +151,7 @@ def provenance(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str, str]]
 
 
 def run_address(study: StudyFolder, name: str) -> tuple[str, str]:
-    """Study folder of a run, which may be another study's, and the run's digits."""
+    """Study folder of a run, which may be another study's, and the digits of the run's name."""
     other = re.match(r"\.\./([^/]+)/", name)
     folder = other[1] if other else study.folder.resolve().name
     return folder, name.rpartition("/")[2].rpartition("-")[2]
@@ -177,7 +176,7 @@ def page_title(table: pd.DataFrame) -> str:
 
 
 def sort_for_page(table: pd.DataFrame) -> pd.DataFrame:
-    """Table with the best run first and the columns that the plots need."""
+    """Table with the best run first and with all columns that the plots need."""
     table = best_first(table).reset_index(drop=True)
     table = table.assign(verdict=verdicts(table))
     ratio = numeric_column(table, "input_slope_lower") / numeric_column(table, "input_slope_upper")
@@ -185,9 +184,8 @@ def sort_for_page(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def encode_repeats(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
-    """Compact form of a column whose values repeat: the distinct values and an index for each row.
-    The plain values, or where few differ each once and which of them stands where; nowhere, if all
-    are the same."""
+    """Compact form of a column with repeated values: the distinct values, and an index for each
+    row. Without repeats it is the plain values."""
     at, distinct = pd.factorize(values, use_na_sentinel=False)
     shown = [_plain_json(value) for value in distinct]
     if 4 * len(shown) >= len(values):  # an index takes about a quarter of what a number takes
@@ -196,8 +194,8 @@ def encode_repeats(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
 
 
 def _plain_json(value: Any) -> Any:
-    """Value of the table as a plain JSON value. A number (to seven digits), a text, a truth value,
-    or None: JSON has no NaN."""
+    """Value of the table as a plain JSON value: a number (to seven digits), a text, a truth value,
+    or None."""
     value = value.item() if isinstance(value, np.generic) else value
     if pd.isna(value) or value in (np.inf, -np.inf):
         return None
@@ -207,23 +205,23 @@ def _plain_json(value: Any) -> Any:
 
 
 def trajectories(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
-    """Closed-loop trajectories of the best runs by run name. `{run: {...}}` for the best runs that
-    left recordings."""
+    """Closed-loop trajectories of the best runs, keyed by the name of the run. Only runs that left
+    recordings have them."""
     best = text_column(table, "run").head(MOST_TRAJECTORIES)
     return {name: found for name in best if name and (found := _run_recordings(study.run(name)))}
 
 
 def pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
-    """Pictures of the best runs. `{run: [picture, ...]}` for the best few runs: each takes 50 kB
-    and a second or two."""
+    """Pictures of the best few runs, keyed by the name of the run. Each picture takes 50 kB and a
+    second or two."""
     best = text_column(table, "run").head(MOST_PICTURED)
     drawn = {name: pictures_of_run(study.run(name)) for name in best if name}
     return {name: pictured for name, pictured in drawn.items() if pictured}
 
 
 def comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
-    """Comparisons of controllers for the runs that have one. `{run: table or chart}`:
-    controllers and situations, or certified designs, that the best runs tried."""
+    """Comparisons of controllers for the best runs that have one, keyed by the name of the run.
+    Each is a table or a chart."""
     best = set(text_column(table, "run").head(MOST_TRAJECTORIES))
     compared = study.comparison
     runs = compared.groupby("run") if len(compared) else ()
@@ -231,7 +229,7 @@ def comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
 
 
 def _run_recordings(run: RunFolder) -> dict[str, Any]:
-    """Closed loop and validation free run of one run, in the page's compact form."""
+    """Closed loop and validation free run of one run, in a compact form for the page."""
     found: dict[str, Any] = {}
     if (loop := run.closed_loop) is not None:
         until = int(np.searchsorted(loop.time_s("output"), loop.settled_time_s)) + 1
@@ -245,7 +243,7 @@ def _run_recordings(run: RunFolder) -> dict[str, Any]:
 
 
 def _encode_signals(recording: RecordedCases, until: int, **names: str) -> dict[str, Any]:
-    """First channel of several recorded signals with labels, compressed for the report page."""
+    """First channels of several recorded signals with labels, in a compact form for the page."""
     y = names["y"]
     about: dict[str, Any] = {"step_s": recording.step_s(y), "output": recording.label(y)}
     if "u" in names:
@@ -256,8 +254,8 @@ def _encode_signals(recording: RecordedCases, until: int, **names: str) -> dict[
 
 
 def encode_rows(rows: Float[np.ndarray, "N T"]) -> dict[str, Any]:
-    """Compact text form of rows of numbers for the page's script. 16-bit steps of the largest
-    value, base64: invisible in a plot, a tenth of the size of text."""
+    """Compact text form of rows of numbers for the page's script. 16-bit steps of the largest value
+    in base64: the error is invisible in a plot, the size a tenth of text."""
     step = float(np.abs(rows).max()) / 32767 or 1.0
     steps = np.rint(rows / step).astype("<i2")  # little endian, as the script reads it
     coded_steps = base64.b64encode(steps.tobytes()).decode()

@@ -1,4 +1,4 @@
-"""Runs without a certified loop that settles, grouped by their reason."""
+"""Runs without a certified loop that settles, grouped by reason."""
 
 import re
 from collections.abc import Sequence
@@ -28,8 +28,7 @@ class FailureGroup:
 
 
 def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
-    """Group the runs whose reasons for failing differ in their numbers alone, the worst group
-    first."""
+    """Groups of runs whose reasons for failing differ only in numbers, the worst group first."""
     groups: dict[str, list[tuple[int, str]]] = {}
     needed = table[[name for name in NEEDED if name in table]]
     for place, verdict in enumerate(table["verdict"]):
@@ -43,14 +42,15 @@ def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
 
 
 def group_of(runs: list[tuple[int, str]]) -> FailureGroup:
-    """Runs that failed for the same reason, each with its row of the table and its explanation."""
+    """Group of runs that failed for the same reason, each with its row of the table and its
+    explanation."""
     reason = merge_number_ranges([sentence for _, sentence in runs])
     places = tuple(place for place, _ in runs[:MOST_RUNS])
     return FailureGroup(reason=reason, count=len(runs), places=places)
 
 
 def severity(sentence: str) -> int:
-    """Rank of a sentence's outcome, by which groups of failures are ordered."""
+    """Severity of the outcome that a sentence states, by which groups of failures are sorted."""
     return next((k for k, word in enumerate(SEVERITY) if sentence.startswith(word)), -1)
 
 
@@ -66,13 +66,13 @@ def failure_reason(record: dict[str, Any]) -> str:
 
 
 def merge_number_ranges(sentences: Sequence[str]) -> str:
-    """Merge sentences that differ only in numbers into one, with ranges in place of the numbers.
-    Each number that varies becomes its range."""
+    """Merge sentences that differ only in numbers into one sentence. Each number that varies is
+    replaced by its range."""
     texts = [NUMBER.findall(sentence) for sentence in sentences]
     columns = iter(zip(*texts, strict=True))
 
     def spanned(match: re.Match[str]) -> str:
-        """Range that replaces one number in the merged sentence."""
+        """Range that takes the place of one number in the merged sentence."""
         column = next(columns)
         low = min(column, key=float)
         high = max(column, key=float)

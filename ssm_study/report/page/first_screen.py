@@ -1,4 +1,4 @@
-"""First screen of the report page, with the best run in four cards, and remarks below."""
+"""First screen of the report page, with the best run in four cards, and remarks below them."""
 
 import math
 import re
@@ -25,7 +25,7 @@ REASONS = ("infeasible_reason", "uncertified_reason", "error_message")
 
 @dataclass(frozen=True, kw_only=True)
 class Card:
-    """One block of the outcome, with a number and a sentence on it."""
+    """One block of a run's outcome, with a number and a sentence about it."""
 
     title: str
     number: str
@@ -34,7 +34,7 @@ class Card:
 
 @dataclass(frozen=True, kw_only=True)
 class Remark:
-    """Sentence below the cards. `notes` stand behind a fold, a warning stands out."""
+    """Sentence below the cards. `notes` are folded away, a warning stands out."""
 
     title: str
     text: str
@@ -48,7 +48,7 @@ def row_as_record(row: "pd.Series[Any]") -> dict[str, Any]:
 
 
 def introduction(table: pd.DataFrame) -> str:
-    """Text before the best run's name that states the rule by which it is the best."""
+    """Text that states, before the name of the best run, the rule by which it is the best."""
     record = row_as_record(table.iloc[0])
     if len(table) == 1:
         return "Run: "
@@ -59,7 +59,8 @@ def introduction(table: pd.DataFrame) -> str:
 
 
 def settings_line(table: pd.DataFrame) -> str:
-    """Sentence on the settings of the best run in which runs differ. Empty if they do not."""
+    """Sentence on those settings of the best run in which the runs differ; empty if they do not
+    differ."""
     record = row_as_record(table.iloc[0])
     parts = [
         f"{plain_setting_name(name)} {setting_text(record, name)}" for name in swept_settings(table)
@@ -68,12 +69,13 @@ def settings_line(table: pd.DataFrame) -> str:
 
 
 def plain_setting_name(name: str) -> str:
-    """Printed name of a setting without symbol and unit, in lower case."""
+    """Printed name of a setting in lower case, without symbol and unit."""
     return re.sub(r"[ ,]*[(,ρ].*", "", column_words(name)).lower()
 
 
 def setting_text(record: Record, name: str) -> str:
-    """Text of a setting as it was requested. It is `auto` for a rate that `auto` chose."""
+    """Text of a setting as it was requested, which is `auto` for a rate that was chosen
+    automatically."""
     chosen = str(record.get("rates_chosen") or "")
     if name.startswith("rate_") and name.removeprefix("rate_") in chosen:
         return "auto"
@@ -82,14 +84,15 @@ def setting_text(record: Record, name: str) -> str:
 
 
 def outcome_cards(record: Record) -> list[Card]:
-    """Cards on model, proof, prediction and closed loop that a run has."""
+    """Cards of a run on its model, its proof, its prediction and its closed loop, as far as it has
+    them."""
     builders = (model_card, proved_card, predicted_card, seen_card)
     built = [build(record) for build in builders]
     return [card for card in built if card is not None]
 
 
 def model_card(record: Record) -> Card | None:
-    """Card on how well the model predicts."""
+    """Card that says how well the model predicts."""
     fit = record.get("fit_test_percent")
     if fit is None:
         return None
@@ -101,7 +104,7 @@ def model_card(record: Record) -> Card | None:
 
 
 def proved_card(record: Record) -> Card | None:
-    """Card with the certified rates and what they cover, or the largest rate that could be
+    """Card with the certified rates and what they cover, or with the largest rate that could be
     certified."""
     rate = record.get("controller_certified_rate")
     requested = record.get("rate_controller")
@@ -127,7 +130,7 @@ def proved_card(record: Record) -> Card | None:
 
 
 def coverage_words(record: Record) -> str:
-    """Words on the model error that the proof covers. Below one it covers nothing."""
+    """Text on the model error that the proof covers. Below one it covers nothing."""
     coverage = record.get("coverage")
     if coverage is None:
         return ""
@@ -141,7 +144,7 @@ def coverage_words(record: Record) -> str:
 
 
 def predicted_card(record: Record) -> Card | None:
-    """Card with the prediction made before the loop is closed, and the numbers that it rests on."""
+    """Card with the prediction before the loop is closed, and the numbers on which it rests."""
     title = f"Predicted for the {'model' if is_on_model(record) else 'plant'}"
     evidence = record.get("evidence")
     if evidence == CANNOT_JUDGE:
@@ -163,7 +166,7 @@ def predicted_card(record: Record) -> Card | None:
 
 
 def seen_card(record: Record) -> Card | None:
-    """Card on how many initial states settled, how fast, and how a PI does."""
+    """Card that says how many initial states settled, how fast, and how a PI controller does."""
     count = record.get("stable_count")
     if count is None:
         return None
@@ -181,12 +184,12 @@ def seen_card(record: Record) -> Card | None:
 
 
 def seen_place(record: Record) -> str:
-    """Short words for where the loop was closed."""
+    """Short text that says where the loop was closed."""
     return loop_place(record).replace("identified model", "model")
 
 
 def is_on_model(record: Record) -> bool:
-    """Whether the loop was closed on the model, as a log has no plant."""
+    """Whether the loop was closed on the identified model, because a log has no plant."""
     return seen_place(record) == "model"
 
 
@@ -196,12 +199,13 @@ def record_verdict(record: Record) -> Verdict:
 
 
 def reasons(record: Record) -> list[str]:
-    """Reasons of a record why its run is infeasible, not certified or failed."""
+    """Reasons, taken from its record, why a run is infeasible, not certified or failed."""
     return [str(record[name]) for name in REASONS if record.get(name)]
 
 
 def remarks(record: Record) -> Iterator[Remark]:
-    """Remarks on an outcome that is no success, and on the evidence behind the prediction."""
+    """Remarks on an outcome that is no success, and on the evidence on which the prediction
+    rests."""
     verdict = record_verdict(record)
     if verdict != SETTLED:
         sentences = [f"{verdict.word}: {verdict.sentence}", *reasons(record)]
@@ -224,10 +228,10 @@ def remarks(record: Record) -> Iterator[Remark]:
 
 
 def join_sentences(parts: Sequence[str]) -> str:
-    """Join text parts to sentences with a capital letter first and a full stop last."""
+    """Join parts of text to sentences, each with a capital letter first and a full stop last."""
     return " ".join(f"{capitalise(part).rstrip('.')}." for part in parts)
 
 
 def capitalise(text: str) -> str:
-    """Text with its first letter capital and the others unchanged."""
+    """Text with a capital first letter and the other letters unchanged."""
     return text[:1].upper() + text[1:]

@@ -32,8 +32,8 @@ setInterval(async () => { try { const now = await (await fetch("/state")).json()
 
 
 class LivePage:
-    """Report page of a study that is written again when a record has changed. It is safe to ask
-    from several threads."""
+    """Report page of a study that is written again when a record has changed. Several threads may
+    ask for it."""
 
     def __init__(self, study: Path) -> None:
         require(
@@ -49,7 +49,7 @@ class LivePage:
         self.html = WAITING
 
     def page(self) -> str:
-        """HTML of the page with a script that asks for new state every two seconds."""
+        """HTML of the page, with a script that asks for the new state every two seconds."""
         with self.lock:
             mark = self.current_mark()
             if mark != self.mark and record_marks(self.study):
@@ -60,13 +60,13 @@ class LivePage:
             return allowed + SCRIPT
 
     def current_mark(self) -> str:
-        """Text that changes whenever a record of the study does."""
+        """Text that changes whenever a record of the study changes."""
         marks = sorted((name, *mark) for name, mark in record_marks(self.study).items())
         return str(hash(tuple(marks)))
 
     def state(self) -> dict[str, str]:
-        """State of the study for the page's script: a mark that changes with the records, and the
-        progress."""
+        """State of the study for the page's script: its progress, and a mark that changes with the
+        records."""
         records = (read_record(path.parent) for path in self.study.glob(f"*/{RECORD}"))
         counts = Counter(str(record["status"]) for record in records if record is not None)
         told = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
@@ -77,8 +77,8 @@ class LivePage:
 
 
 def start_server(study: Path, port: int, announce: Callable[[str], object]) -> ThreadingHTTPServer:
-    """Start a web server on a local port that shows a study's page. A server on the local port (0:
-    any free one) that is ready to serve; raises `BadRequest` if the port is taken."""
+    """Start a web server on a local port that shows a study's page. Port 0 stands for any free one;
+    raises `BadRequest` if the port is taken."""
     try:
         server = ThreadingHTTPServer(
             (LOCALHOST, port), _create_handler(LivePage(study))
@@ -91,8 +91,8 @@ def start_server(study: Path, port: int, announce: Callable[[str], object]) -> T
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a request's `Host` names this machine alone, as `localhost:8420` and `127.0.0.1`
-    do."""
+    """Whether the `Host` of a request names this machine, such as `localhost:8420` and
+    `127.0.0.1`."""
     return re.fullmatch(r"(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?", host.lower()) is not None
 
 
@@ -107,7 +107,7 @@ def _create_handler(live: LivePage) -> type[BaseHTTPRequestHandler]:
         """Handler of HTTP requests for the live page."""
 
         def do_GET(self) -> None:  # the name that http.server looks for
-            """Answer a request for the page or its state, and refuse every other."""
+            """Answer a request for the page or its state, and refuse every other request."""
             # A page of a stranger may give its own name our address, and read what we answer.
             if not is_loopback(self.headers.get("Host", "")):
                 self.send_error(403, "ask for localhost")

@@ -29,7 +29,7 @@ MOST_POINTS = 150  # of a line: more than a chart has pixels for
 
 
 def pictures_of_run(run: RunFolder) -> list[dict[str, Any]]:
-    """Pictures that the run's files allow, in the order of `PICTURES`."""
+    """Pictures that can be made from a run's files, in the order of `PICTURES`."""
     drawn = []
     for name in PICTURES:
         try:
@@ -40,7 +40,7 @@ def pictures_of_run(run: RunFolder) -> list[dict[str, Any]]:
 
 
 def picture_json(name: str, picture: Picture) -> dict[str, Any]:
-    """Picture as JSON values, with its name. Empty panels are left out."""
+    """Picture with its name as JSON values, without empty panels."""
     panels = [panel for panel in picture.panels if panel.series]
     charts = [
         {"title": panel.title, "spec": panel_spec(panel, f"{picture.title}: {axes_words(panel)}")}
@@ -50,12 +50,13 @@ def picture_json(name: str, picture: Picture) -> dict[str, Any]:
 
 
 def axes_words(panel: PicturePanel) -> str:
-    """Words on the two axes, `y against x`."""
+    """Text that names the two axes of a panel, such as `y against x`."""
     return f"{panel.y_label} against {panel.x_label}"
 
 
 def panel_spec(panel: PicturePanel, description: str) -> dict[str, Any]:
-    """Vega-Lite specification of one pair of axes. Series with a name are in the legend above."""
+    """Vega-Lite specification of one pair of axes. The legend above it has the series with a
+    name."""
     axes = {
         "x": quantitative("x", panel.x_label, **axis_scale(panel.log_x, panel.x_range)),
         "y": quantitative("y", panel.y_label, **axis_scale(panel.log_y, panel.y_range)),
@@ -72,7 +73,7 @@ def panel_spec(panel: PicturePanel, description: str) -> dict[str, Any]:
 
 
 def axis_scale(log: bool, limits: tuple[float, float] | None) -> dict[str, Any]:
-    """Vega-Lite scale of an axis, linear or logarithmic. Without limits it leaves a few pixels of
+    """Vega-Lite scale of an axis, linear or logarithmic. Without limits it has a few pixels of
     room."""
     room: dict[str, Any] = {"padding": 6} if limits is None else {"domain": list(limits)}
     kind: dict[str, Any] = {"type": "log"} if log else {"type": "linear", "zero": False}
@@ -91,8 +92,8 @@ def part_colour(name: str, colour: str, legend: dict[str, str]) -> dict[str, Any
 def series_layer(
     series: Series, panel: PicturePanel, axes: dict[str, Any], legend: dict[str, str]
 ) -> dict[str, Any]:
-    """Vega-Lite layer of one series. It is cut to what is seen, a long line thinned, gaps shortened
-    to one missing point."""
+    """Vega-Lite layer of one series. It is cut to the visible range, a long line is thinned, a gap
+    shortened to one missing point."""
     x, y = thin_line(*cut_to_range(series.x, series.y, panel.x_range))
     is_line = series.mark in ("line", "steps")
     transform: list[dict[str, Any]] = [{"flatten": ["x", "y"]}]
@@ -108,7 +109,7 @@ def series_layer(
 
 
 def rule_layer(rule: GuideLine, legend: dict[str, str]) -> dict[str, Any]:
-    """Vega-Lite layer of a line across the panel."""
+    """Vega-Lite layer of a guide line across the panel."""
     axis = "y" if rule.x is None else "x"
     place = rule.y if rule.x is None else rule.x
     encoding = {axis: {"datum": place}, "color": part_colour(rule.name, INK, legend)}
@@ -118,7 +119,7 @@ def rule_layer(rule: GuideLine, legend: dict[str, str]) -> dict[str, Any]:
 def band_layer(
     band: Band, panel: PicturePanel, axes: dict[str, Any], legend: dict[str, str]
 ) -> dict[str, Any]:
-    """Vega-Lite layer of a shaded area, cut and thinned like a line."""
+    """Vega-Lite layer of a shaded area, cut to the visible range and thinned like a line."""
     x, low = cut_to_range(band.x, band.low, panel.x_range)
     high = cut_to_range(band.x, band.high, panel.x_range)[1]
     every = _stride(len(x))
@@ -133,7 +134,7 @@ def band_layer(
 
 
 def cut_to_range(x: Values, y: Values, seen: tuple[float, float] | None) -> tuple[Stretch, Stretch]:
-    """Part of a signal over time that lies in a range. Other curves stay as they are."""
+    """Part of a curve over time that lies in a range. Curves of other kinds stay as they are."""
     rises = bool(np.all(np.diff(x) > 0))
     if seen is None or not rises:
         return x, y
@@ -143,8 +144,8 @@ def cut_to_range(x: Values, y: Values, seen: tuple[float, float] | None) -> tupl
 
 
 def thin_line(x: Values, y: Values) -> tuple[Stretch, Stretch]:
-    """Reduce the number of points of a long line for the page. At most about `MOST_POINTS` points;
-    of a gap one point stays, which breaks the line.
+    """Reduce the number of points of a long line for the page, to about `MOST_POINTS`. Of a gap one
+    missing point stays, which breaks the line.
 
     Closed curves with gaps (discs) are not thinned.
     """
@@ -157,10 +158,10 @@ def thin_line(x: Values, y: Values) -> tuple[Stretch, Stretch]:
 
 
 def _stride(points: int) -> int:
-    """Number of points per drawn point when a long line is thinned."""
+    """Number of points of a long line for each point that is drawn."""
     return max(1, -(-points // MOST_POINTS))
 
 
 def short_numbers(values: Values) -> list[float | None]:
-    """Round numbers to four significant digits for the page. None breaks a line."""
+    """Round numbers to four significant digits for the page; None breaks a line."""
     return [float(f"{value:.4g}") if np.isfinite(value) else None for value in values]

@@ -1,4 +1,4 @@
-"""Chart specifications of the report page whose data its script fills in when they are shown."""
+"""Chart specifications of the report page whose data are filled in by the page's script."""
 
 import json
 from typing import Any
@@ -31,8 +31,8 @@ BY_OUTCOME = {
 
 
 def chart_templates(table: pd.DataFrame) -> dict[str, Any]:
-    """Vega-Lite charts by name, whose data the page's script fills in. `parallel` is there only
-    where it has something to show."""
+    """Vega-Lite charts, keyed by name, whose data the page's script fills in. `parallel` is there
+    only if it has something to show."""
     found = {
         "responses": response_chart(),
         "signals": signal_chart(),
@@ -60,7 +60,7 @@ def response_chart() -> dict[str, Any]:
 
 
 def signal_chart() -> dict[str, Any]:
-    """Chart of several named signals in one axis."""
+    """Chart of several named signals on one pair of axes."""
     by_name: dict[str, Any] = {"field": "kind", "type": "nominal", "sort": None}
     by_name["scale"] = {"range": [GREY, *CYCLE]}  # what was measured first
     by_name["legend"] = {"title": None, "orient": "top", "columns": 3, "labelLimit": 220}
@@ -68,8 +68,8 @@ def signal_chart() -> dict[str, Any]:
 
 
 def played_response_chart() -> dict[str, Any]:
-    """Chart of a single response that the page can animate. One start under control up to a moment
-    that a slider or the button moves."""
+    """Chart of a single response that the page can animate. It shows one initial state under
+    control, up to a moment that a slider or the button moves."""
     one = {"filter": "datum.case === start"}
     until = {"filter": "datum.t <= moment"}
     at_moment = [one, until, {"joinaggregate": [{"op": "max", "field": "t", "as": "last"}]}]
@@ -94,8 +94,8 @@ def played_response_chart() -> dict[str, Any]:
 
 
 def parallel_coordinates(table: pd.DataFrame) -> dict[str, Any] | None:
-    """Chart with a line per run over the swept settings and four results. Each axis runs from its
-    smallest to its largest value; None where there is too little or too much to see."""
+    """Chart with one line per run over the swept settings and four results; None with too few or
+    too many runs. Each axis runs from its smallest to its largest value."""
     candidates = [name for name in (*swept_settings(table), *PARALLEL) if name in table]
     names = [name for name in candidates if numeric_column(table, name).nunique() > 1]
     if len(names) < 3 or len(table) > MOST_PARALLEL:
@@ -118,7 +118,7 @@ def parallel_coordinates(table: pd.DataFrame) -> dict[str, Any] | None:
 
 
 def parallel_axis(names: list[str]) -> dict[str, Any]:
-    """Axis with one place for each column, named as printed, without units."""
+    """Axis with one place for each column, which has its printed name without unit."""
     titles = {name: column_words(name).partition(" (")[0] for name in names}
     axis = {
         "labelExpr": f"({json.dumps(titles)})[datum.value]",
@@ -131,7 +131,7 @@ def parallel_axis(names: list[str]) -> dict[str, Any]:
 
 
 def end_label(op: str, fold: list[dict[str, Any]], x: dict[str, Any]) -> dict[str, Any]:
-    """Vega-Lite layer with the number at one end of each axis."""
+    """Vega-Lite layer with the number at one end of each axis of a parallel-coordinates chart."""
     aggregated = {"aggregate": [{"op": op, "field": "value", "as": op}], "groupby": ["key"]}
     mark = {"type": "text", "dx": 6, "align": "left", "fontSize": 10, "color": INK}
     y = {"datum": 1 if op == "max" else 0, "type": "quantitative"}

@@ -1,4 +1,5 @@
-"""The report page of a study: one HTML file that opens from disk, with no server and no network."""
+"""Writing of a study's report page as one HTML file that opens from disk, without server and
+network."""
 
 import json
 from pathlib import Path

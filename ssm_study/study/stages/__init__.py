@@ -1,4 +1,4 @@
-"""Stages of a run, one file each: what it computes, stores and measures.
+"""Stages of a run, one file for each: what it computes, stores and measures.
 
 To add a stage: a file with its three functions, as `engine.stages.Stage` says, and the `Stage` made
 of them; then take it in `study/line.py` with the parts of the configuration that it depends on, and

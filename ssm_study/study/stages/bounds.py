@@ -1,5 +1,5 @@
-"""Stage of the model in the coordinates in which it is certified, with what is proved of the model
-alone."""
+"""Stage that converts the model to the coordinates in which it is certified, and records its proved
+properties."""
 
 from ssm_study.bounds.metrics import model_bound_columns
 from ssm_study.engine.stages import Facts, Stage
@@ -10,7 +10,7 @@ from ssm_study.study.stages.model import Trained
 
 
 def measure_bounds(simulated: ModelRun, data: DataSet, trained: Trained) -> Facts:
-    """Columns of the certified model: fits, linear part, slopes."""
+    """Columns of the certified model: its fits, linear part and slopes."""
     facts = measure_score(simulated, data, trained)
     _, test_before_reduction = simulate_validation_and_test(trained.model, data)
     facts["fit_test_before_reduction_percent"] = test_before_reduction.fit_percent

@@ -1,4 +1,4 @@
-"""Stage of the records of a run: simulated, or read from the user's logs."""
+"""Stage that makes the records of a run, by simulation or from the user's logs."""
 
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ def compute_dataset(
 
 
 def write_dataset(folder: Path, records: DataSet) -> None:
-    """Write a data set as `read_dataset` reads it."""
+    """Write a data set in the form that `read_dataset` reads."""
     from safetensors.numpy import save_file
 
     from ssm_study.data.assembly import dataset_to_tensors
@@ -36,7 +36,7 @@ def write_dataset(folder: Path, records: DataSet) -> None:
 
 
 def read_dataset(folder: Path) -> DataSet:
-    """Read the records in physical units, with their splits."""
+    """Read a stored data set: training, validation and test records in physical units."""
     from safetensors.numpy import load_file
 
     from ssm_study.data.assembly import dataset_from_tensors

@@ -1,4 +1,4 @@
-"""Stage of the evidence: which statements about the plant the data and the model support."""
+"""Stage that judges which statements about the plant the data and the model support."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def compute_evidence(folder: Path, data: DataSet, bounded: ModelRun, shown: Mism
 
 
 def read_judgement(folder: Path) -> Judgement:
-    """Read the stored judgement of the plant."""
+    """Read the stored judgement of the evidence."""
     return Judgement.from_json(read_json(folder / "evidence.json"))
 
 

@@ -1,4 +1,4 @@
-"""Stage of the model's free run on the validation and test records, and its score."""
+"""Stage that simulates the model on the validation and test records, and scores it."""
 
 from functools import cached_property
 from pathlib import Path
@@ -21,14 +21,15 @@ SIMULATED = ("model.json", "validation.mcap", "test.mcap")
 
 
 class ModelRun:
-    """Model with its free runs on the validation and test records, read when first asked for."""
+    """Model with its free runs on the validation and test records, each read when it is first
+    needed."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     @cached_property
     def model(self) -> Any:
-        """The model, read from its file."""
+        """Identified model, read from its file."""
         return read_model(self.folder)
 
     @cached_property
@@ -62,7 +63,7 @@ def compute_simulated(
 
 
 def measure_score(simulated: ModelRun, data: DataSet, _: Trained) -> Facts:
-    """Columns of the free run: fits in percent, errors in the output's unit, a benchmark's
+    """Columns of the free runs: fits in percent, errors in the output's unit, and a benchmark's
     score."""
     scores = benchmark_rmse(data, simulated.test.simulated) if "benchmark" in data.metadata else ()
     train = {"fit_train_percent": records_fit_percent(simulated.model, data.training, data)}

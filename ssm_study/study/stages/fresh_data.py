@@ -1,5 +1,5 @@
-"""Stage of fresh data sets of a simulated plant, which measures how much of the proved disc each
-needs."""
+"""Stage that simulates fresh data sets of the plant, and measures how much of the proved disc each
+one needs."""
 
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,8 @@ def compute_fresh_data(
     seed: int,
     plant: Any,
 ) -> None:
-    """Simulate fresh data sets and measure the disc radius kappa that each needs, relative to that
-    of the run's own records. Nothing where the design has no coverage certificate."""
+    """Simulate fresh data sets, and measure the disc radius that each needs, relative to the run's
+    own records. Nothing is simulated without a coverage certificate."""
     model = bounded.model
     premise = measured_premise(model, records, mismatch)
     fresh = data.simulate_fresh_sets(plant, seed)
@@ -37,7 +37,7 @@ def compute_fresh_data(
 
 
 def read_fresh_data_needs(folder: Path) -> list[float]:
-    """Disc radius that each fresh data set needs, relative to that of the run's own records."""
+    """Disc radius that each fresh data set needs, relative to the run's own records."""
     return [float(need) for need in read_json(folder / FILE)["needs"]]
 
 

@@ -1,4 +1,5 @@
-"""Stage of the closed loop of the certified gains, on the plant or on the identified model."""
+"""Stage that simulates the closed loop of the certified gains, on the plant or on the identified
+model."""
 
 from pathlib import Path
 from typing import Any
@@ -34,8 +35,8 @@ def compute_loop(
     loop_seed: int,
     plant: Any = None,
 ) -> Experiment | None:
-    """Run the certified gains on the true plant, or on the identified model where there is no
-    plant.
+    """Simulate the loop of the certified gains on the true plant, or on the identified model if
+    there is no plant.
 
     None without gains, and where the model, in the place of a plant, answers its input at once: it
     is scored and certified.
@@ -64,14 +65,14 @@ def compute_loop(
 
 
 def read_loop(folder: Path) -> Experiment | None:
-    """Closed-loop experiment of the stage. None where there were no gains."""
+    """Closed-loop experiment that the stage stored; None if a gain was missing."""
     return read_experiment(folder) if (folder / ON_PLANT).is_file() else None
 
 
 def measure_loop(
     experiment: Experiment | None, _data: DataSet, _bounded: ModelRun, design: Design
 ) -> Facts:
-    """Columns of the closed loop. None without a loop."""
+    """Columns of the closed loop; empty without a loop."""
     if experiment is None:
         return {}
     closed, loop_on = experiment

@@ -1,4 +1,4 @@
-"""Stage of the mismatch between plant and model, measured from the records."""
+"""Stage that measures the error between plant and model from the records."""
 
 import json
 from dataclasses import asdict
@@ -17,7 +17,7 @@ FILE = "mismatch.json"
 
 
 def compute_mismatch(folder: Path, data: DataSet, bounded: ModelRun) -> Mismatch:
-    """Measure the mismatch between plant and model, which all designs for this model share."""
+    """Measure the error between plant and model, which serves all designs for this model."""
     records = data.mismatch_records
     mismatch = measure_mismatch(bounded.model, data.validation, data.start_up_samples, records)
     write_mismatch(folder, mismatch)
@@ -25,7 +25,7 @@ def compute_mismatch(folder: Path, data: DataSet, bounded: ModelRun) -> Mismatch
 
 
 def write_mismatch(folder: Path, mismatch: Mismatch) -> None:
-    """Write the mismatch as JSON without loss of digits."""
+    """Write a measured model error as JSON, with all digits."""
     text = json.dumps(asdict(mismatch), default=_as_floats)
     (folder / FILE).write_text(text, encoding="utf-8")
 
@@ -36,7 +36,7 @@ def _as_floats(array: Any) -> list[float]:
 
 
 def read_mismatch(folder: Path) -> Mismatch:
-    """Stored mismatch between plant and model, at every amplitude of the input."""
+    """Read the stored model error at every amplitude of the input."""
     content = json.loads((folder / FILE).read_text(encoding="utf-8"))
     views = tuple(_read_view(view) for view in content.pop("views"))
     loop = content.pop("loop")
@@ -47,7 +47,7 @@ def read_mismatch(folder: Path) -> Mismatch:
 
 
 def _read_view(content: dict[str, Any]) -> View:
-    """Read the mismatch at one amplitude from the lists of a file."""
+    """Read the model error at one amplitude from the lists in a file."""
     parts: dict[str, Any] = {}
     for name, value in content.items():
         parts[name] = np.array(value) if isinstance(value, list) else value

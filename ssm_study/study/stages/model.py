@@ -1,4 +1,4 @@
-"""Stage of the identified model: trained on the records, stored as explicit numbers."""
+"""Stage that identifies the model from the records, and stores it as explicit numbers."""
 
 import math
 from dataclasses import dataclass
@@ -23,8 +23,8 @@ MEMBERS = "members.json"
 
 @dataclass(frozen=True)
 class Trained:
-    """Identified model, the seconds its training took, and why it ended. `members` are the models
-    whose mean predicts, none for one model."""
+    """Identified model, with the duration of its training in seconds and the reason why the
+    training ended. `members` are the models whose mean predicts, empty for one model."""
 
     model: Any
     seconds: float
@@ -65,14 +65,14 @@ def compute_model(
 
 
 def read_trained_model(folder: Path) -> Trained:
-    """Read the model with the seconds its training took and why it ended."""
+    """Read the model, with the duration of its training and the reason why the training ended."""
     facts = read_json(folder / "training.json")
     return Trained(read_model(folder), members=read_members(folder), **facts)
 
 
 def measure_model(trained: Trained, data: DataSet) -> Facts:
-    """Columns of the training: its time, why it ended, the model's size, what the log chose, and a
-    baseline's fit."""
+    """Columns of the training: its duration, its end, the model's size, settings that the log
+    chose, and a baseline's fit."""
     facts = training_columns(trained.seconds, trained.ended) | size_columns(trained.model)
     if trained.chosen:
         facts["model_choice"] = trained.chosen
@@ -85,13 +85,13 @@ def read_model(folder: Path) -> Any:
 
 
 def read_members(folder: Path) -> tuple[Any, ...]:
-    """Models whose mean is the prediction. None where one model predicts."""
+    """Models whose mean is the prediction; empty if a single model predicts."""
     path = folder / MEMBERS
     return tuple(read_model_json(each) for each in read_json(path)) if path.exists() else ()
 
 
 def null_where_not_finite(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
-    """Training curve with None in place of infinite and undefined values."""
+    """Training curve in which None replaces infinite and undefined values."""
     rows: list[dict[str, float | None]] = []
     for row in curve:
         rows.append({name: finite_or_none(value) for name, value in row.items()})
@@ -99,7 +99,7 @@ def null_where_not_finite(curve: list[dict[str, float]]) -> list[dict[str, float
 
 
 def finite_or_none(value: float) -> float | None:
-    """Number, or None where it is infinite or undefined."""
+    """Number, or None if it is infinite or undefined."""
     return value if math.isfinite(value) else None
 
 

@@ -1,5 +1,5 @@
-"""Stage of single sines on a simulated plant, at frequencies where the chosen loop is most
-sensitive; the design is then judged again."""
+"""Stage that tests a chosen design with single sines on the simulated plant, at frequencies where
+its loop is most sensitive."""
 
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ def compute_sine_trials(
     seed: int,
     plant: Any,
 ) -> None:
-    """Simulate single sines and measure the mismatch at each."""
+    """Simulate single-sine experiments, and measure the model error in each."""
     del judged
     model = bounded.model
     balls = certified_balls(model)
@@ -39,7 +39,7 @@ def compute_sine_trials(
 
 
 def read_sine_trials(folder: Path) -> list[SineMismatch]:
-    """Mismatch at the single sines."""
+    """Model errors measured with single sines, as the stage stored them."""
     rows = read_json(folder / FILE)["sines"]
     return [SineMismatch(**{name: float(row[name]) for name in FIELDS}) for row in rows]
 
@@ -51,7 +51,8 @@ def measure_sine_trials(
     judged: Judgement,
     design: Design,
 ) -> Facts:
-    """Columns of the margin with the sines, and of the prediction, which the sines may refute."""
+    """Columns of the stability margin and the prediction with the single sines included, which may
+    refute the prediction."""
     model = bounded.model
     facts = sine_columns(design, model, certified_balls(model), mismatch, sines)
     return withhold_predictions(facts, judged.level)

@@ -1,4 +1,4 @@
-"""Stage of the design of controller and observer with their certificates."""
+"""Stage that designs controller and observer with their certificates."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -60,8 +60,8 @@ def compute_synthesis(
 
 
 def measured_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise":
-    """Mismatch by frequency, measured from the records meant for it, on which the proof of coverage
-    rests."""
+    """Model error by frequency, measured from the records that serve for it, on which the proof of
+    coverage rests."""
     from ssm_study.robustness.coverage import measure_premise
 
     records = data.mismatch_records
@@ -69,7 +69,8 @@ def measured_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise"
 
 
 def fresh_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise | None":
-    """Mismatch by frequency in the test record of a log, which neither fit nor design has used.
+    """Model error by frequency in the test record of a log, which neither fit nor design has used;
+    None for a simulated plant.
 
     None for a simulated plant.
     """
@@ -81,7 +82,7 @@ def fresh_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise | N
 
 
 def read_design(folder: Path) -> Design:
-    """Stored controller and observer, or the reason why there is none."""
+    """Stored controller and observer, or the reason why one is missing."""
     return Design.load(folder / "certificate.json")
 
 

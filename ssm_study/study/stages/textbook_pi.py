@@ -1,4 +1,4 @@
-"""Stage of a PI controller tuned by a textbook rule from the model, run on the simulated plant."""
+"""Stage that simulates a PI controller, tuned by a textbook rule from the model, on the plant."""
 
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,8 @@ FILE = "textbook_pi.json"
 def compute_textbook_pi(
     folder: Path, bounded: ModelRun, *, loop: Loop, loop_seed: int, plant: Any
 ) -> None:
-    """Run the PI controller from the same initial states as the certified design, and write its
-    columns."""
+    """Simulate the textbook PI controller from the same initial states as the certified design, and
+    write its columns."""
     facts = textbook_pi_columns(
         plant, bounded.model, loop.with_default_horizon(bounded.model), loop_seed
     )
@@ -24,12 +24,12 @@ def compute_textbook_pi(
 
 
 def read_textbook_pi(folder: Path) -> Facts:
-    """Stored columns of the PI controller."""
+    """Stored columns of the textbook PI controller."""
     return dict(read_json(folder / FILE))
 
 
 def measure_textbook_pi(facts: Facts, *_: Any) -> Facts:
-    """Columns of the PI controller, as they are stored."""
+    """Columns of the textbook PI controller, as they are stored."""
     return facts
 
 
