@@ -35,7 +35,7 @@ test: install
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2 --dist worksteal
+	$(BIN)/pytest -n logical --maxprocesses 8 --dist worksteal
 
 docs: install
 	$(BIN)/mkdocs build --strict
