@@ -7,8 +7,11 @@ copy of the folder writes beside the copy; what runs as `python -m benchmarks.NA
 """
 
 import csv
+import multiprocessing
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +62,25 @@ def study_of(*settings: str) -> Any:
 
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         return Specification.from_config(compose("study", ["study=s", *settings]))
+
+
+def finished_results(
+    work: Callable[[Any], Any], tasks: Sequence[Any], jobs: int = 1
+) -> Iterator[Any]:
+    """The result of each task as soon as it is there, with so many processes at once; the first
+    tasks begin first. A task that fails is printed with its error and left out."""
+    if jobs == 1:
+        for task in tasks:
+            yield work(task)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+        running = {pool.submit(work, task): task for task in tasks}
+        for future in as_completed(running):
+            try:
+                yield future.result()
+            except Exception:  # the other tasks go on
+                print(f"{running[future]} failed:", traceback.format_exc(), sep="\n", flush=True)
 
 
 def cpu_seconds(work: Callable[[], object], calls: int = 1) -> float:

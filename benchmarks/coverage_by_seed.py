@@ -7,9 +7,11 @@
 Per row, on one model of one data seed, as `ssm-study run plant=... seed=...` makes it: the choice
 of `auto` without the proof (`plain_`) and the one that prefers covered designs, each on the
 simulated plant from ten starts with noise; the coverage of the latter, decided exactly, and its
-reason where it is null; what fresh data sets need. Plants are those of the project and of
-`benchmarks/adversarial`. A row takes 20 to 60 s; rows that stand in the file are left as they are,
-unless `--again`.
+reason where it is null; what fresh data sets need, and in how many of them the disc holds in time,
+too. Plants are those of the project, of `benchmarks/adversarial` and of
+`benchmarks/aside_plants.py`. A row takes 20 to 60 s of one core (`--jobs` runs several at once);
+each is written when it is there, and rows that stand in the file are left as they are, unless
+`--again`.
 """
 
 import argparse
@@ -23,31 +25,75 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 
-from benchmarks.adversarial.__main__ import plant_of
-from benchmarks.common import keep, rows_of, study_of
+from benchmarks.adversarial import __main__ as adversarial
+from benchmarks.aside_plants import ASIDE
+from benchmarks.common import finished_results, keep, rows_of, study_of
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
+from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.metrics import collect_findings
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
-from ssm_study.robustness.coverage import Premise, measure_premise
+from ssm_study.robustness.coverage import Premise, measure_premise, running_constraint_sum
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.record_errors import RecordErrors, open_loop_errors
 from ssm_study.signals import DataSet
 from ssm_study.synthesis import auto
 from ssm_study.synthesis.decay_response import simulate_decays
 from ssm_study.synthesis.measured_discs_choice import prefer_covered
 from ssm_study.synthesis.measured_discs_run import (
     add_coverage_certificate,
+    certificate_weights,
     coverage_columns,
     fresh_data_column,
     fresh_data_needs,
 )
 
 KEY = ("plant", "model", "order", "seed", "cover")
+TRANSIENT = 0.1  # of the reference: a running sum may end as far above zero
+
+
+@dataclass(frozen=True, kw_only=True)
+class RowTask:
+    """What one row of the table is about."""
+
+    plant: str
+    model: str
+    seed: int
+    order: int | None
+    cover: float | None
+    fresh: int
+    settings: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> dict[str, Any]:
+        """The cells by which a row is told from others."""
+        return {
+            "plant": self.plant,
+            "model": self.model,
+            "seed": self.seed,
+            "order": self.order or "",
+            "cover": self.cover or "",
+        }
+
+    @property
+    def overrides(self) -> list[str]:
+        """The run's settings."""
+        settings = [f"model={self.model}", *self.settings]
+        if self.order is not None:
+            settings.append(f"model.order={self.order}")
+        if self.cover is not None:
+            settings.append(f"synthesis.cover={self.cover}")
+        return settings
+
+
+def plant_of(name: str) -> Plant:
+    """The plant of this name, of the project or of a benchmark."""
+    return ASIDE[name]() if name in ASIDE else adversarial.plant_of(name)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +163,19 @@ class IdentifiedCase:
         plain = certified[0] if certified else chosen
         return plain, add_coverage_certificate(chosen, self.model, balls, self.premise)
 
+    def holds_in_time(self, design: Design, records: Any) -> bool:
+        """Whether the disc of a design's proof holds along fresh records in open loop, as a running
+        sum: over the second of two equal periods it grows no more than the noise explains, or by
+        `TRANSIENT` of its reference."""
+        part = design.extra_certificates.get("coverage")
+        if not isinstance(part, MeasuredDiscs):
+            return False
+        trials = records.mismatch_records
+        start_up = self.data.start_up_samples
+        errors = open_loop_errors(self.model, records.validation, trials, start_up)
+        periodic = [error for error in errors if error.period is not None and error.u.any()]
+        return all(growth_of_sum(part, error) <= TRANSIENT for error in periodic)
+
     def columns(self, design: Design) -> dict[str, Any]:
         """Prediction and loop of one design."""
         facts: dict[str, Any] = {}
@@ -133,6 +192,29 @@ class IdentifiedCase:
         return facts | {name: loop_columns[name] for name in names}
 
 
+def growth_of_sum(part: MeasuredDiscs, record: RecordErrors) -> float:
+    """By how much the running sum of a disc's constraint grows over the second period of a record,
+    in shares of the reference there, beyond three standard errors of white noise.
+
+    The noise is the difference of both periods; the mean of e, an offset that no disc bounds, is
+    left out.
+    """
+    assert record.period is not None
+    period = record.period
+    second = slice(record.start + period, record.start + 2 * period)
+    first = slice(record.start, record.start + period)
+    e = record.e - record.e[second].mean(axis=0)
+    variance = float(((record.e[second] - record.e[first]) ** 2).sum()) / 2 / period
+    sums = running_constraint_sum(
+        certificate_weights(part), part.centre, part.kappa, record.u, record.model, e
+    )
+    deviation = float(((e - part.centre * record.model)[second] ** 2).sum())
+    growth = float(sums[second][-1] - sums[second.start - 1]) - period * variance
+    reference = deviation - float(sums[second][-1] - sums[second.start - 1])
+    error = 3 * np.sqrt(2 * period * variance**2 + 4 * variance * max(deviation, 0.0))
+    return (growth - error) / reference
+
+
 def have_same_gains(first: Design, second: Design) -> bool:
     """Whether two designs deploy the same gains."""
     if not (first.feasible and second.feasible):
@@ -141,23 +223,17 @@ def have_same_gains(first: Design, second: Design) -> bool:
     return all(np.array_equal(matrix, gains[name]) for name, matrix in first.gains.items())
 
 
-def row_of(arguments: argparse.Namespace, plant: str, seed: int) -> dict[str, Any]:
+def row_of(task: RowTask) -> dict[str, Any]:
     """One line of the table."""
-    settings = [f"model={arguments.model}", *arguments.set]
-    if arguments.order is not None:
-        settings.append(f"model.order={arguments.order}")
-    if arguments.cover is not None:
-        settings.append(f"synthesis.cover={arguments.cover}")
     started = time.process_time()
-    case = IdentifiedCase.of(plant, seed, settings, arguments.fresh)
+    case = IdentifiedCase.of(task.plant, task.seed, task.overrides, task.fresh)
     identified = time.process_time()
     plain, chosen = case.choose()
     designed = time.process_time()
-    fresh = case.parts.data.simulate_fresh_sets(case.plant, seed)
+    fresh = list(case.parts.data.simulate_fresh_sets(case.plant, task.seed))
     start_up = case.data.start_up_samples
     needs = fresh_data_needs(chosen, case.model, case.premise, case.mismatch, fresh, start_up)
-    row: dict[str, Any] = {"plant": plant, "model": arguments.model, "seed": seed}
-    row |= {"order": arguments.order or "", "cover": arguments.cover or ""}
+    row: dict[str, Any] = dict(task.key)
     row |= {
         "evidence": case.evidence,
         "rests": case.mismatch.comes_to_rest,
@@ -170,6 +246,8 @@ def row_of(arguments: argparse.Namespace, plant: str, seed: int) -> dict[str, An
     row["fresh_sets"] = len(needs)
     coverage = row.get("coverage")
     row["fresh_sets_covered"] = sum(coverage is not None and need <= coverage for need in needs)
+    row["fresh_sets_in_time"] = sum(case.holds_in_time(chosen, records) for records in fresh)
+    row["needs"] = " ".join(f"{need:.3f}" for need in needs)
     row["identify_s"] = round(identified - started, 1)
     row["design_s"] = round(designed - identified, 1)
     return {name: "" if value is None else value for name, value in row.items()}
@@ -209,24 +287,31 @@ def main() -> None:
     parser.add_argument("--to", type=Path)
     parser.add_argument("--table", type=Path)
     parser.add_argument("--again", action="store_true")
+    parser.add_argument("--jobs", type=int, default=1)
     arguments = parser.parse_args()
     if arguments.table is not None:
         print(summary(arguments.table).to_string(float_format=lambda value: f"{value:.3f}"))
         return
-    for seed in arguments.seed:
-        for plant in arguments.plant:
-            key = {"plant": plant, "model": arguments.model, "seed": seed}
-            key |= {"order": arguments.order or "", "cover": arguments.cover or ""}
-            there = any(
-                all(row[name] == str(key[name]) for name in KEY)
-                for row in rows_of(arguments.to or Path("none"))
+    file = arguments.to or Path("none")
+    there = [] if arguments.again else [[row[name] for name in KEY] for row in rows_of(file)]
+    tasks = []
+    for plant in arguments.plant:
+        for seed in arguments.seed:
+            task = RowTask(
+                plant=plant,
+                model=arguments.model,
+                seed=seed,
+                order=arguments.order,
+                cover=arguments.cover,
+                fresh=arguments.fresh,
+                settings=tuple(arguments.set),
             )
-            if there and not arguments.again:
-                continue
-            row = row_of(arguments, plant, seed)
-            print(row, flush=True)
-            if arguments.to is not None:
-                keep(arguments.to, [row], KEY, lambda one: [str(one[name]) for name in KEY])
+            if [str(task.key[name]) for name in KEY] not in there:
+                tasks.append(task)
+    for row in finished_results(row_of, tasks, arguments.jobs):
+        print(row, flush=True)
+        if arguments.to is not None:
+            keep(arguments.to, [row], KEY, lambda one: [str(one[name]) for name in KEY])
 
 
 if __name__ == "__main__":

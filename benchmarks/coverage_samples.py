@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common import finished_results
 from jaxtyping import Float
 
 from ssm_study.bounds.slopes import certified_balls
@@ -170,11 +171,22 @@ def of_random_model(seed: int) -> EdgeLoops | None:
     return None if proof is None else EdgeLoops(proof=proof, known=known)
 
 
+def lost_loops_of_model(seed: int) -> tuple[int, int, int]:
+    """Whether a random model has a certified kappa (1 or 0), and how many of its ten loops are lost
+    at the disc's edge and far beyond it."""
+    found = of_random_model(seed)
+    if found is None:
+        return 0, 0, 0
+    return 1, found.lost(10, seed, 1.0), found.lost(10, seed, 2 * BEYOND)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("run", nargs="?", type=Path)
     parser.add_argument("--samples", type=int, default=3000)
     parser.add_argument("--models", type=int, default=0)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first random model")
+    parser.add_argument("--jobs", type=int, default=1)
     asked = parser.parse_args()
     if asked.run is not None:
         loops = of_run(asked.run)
@@ -183,19 +195,18 @@ def main() -> None:
             print(
                 f"{distance:g} times the proved kappa: {lost} of {asked.samples} lost", flush=True
             )
-    certified = lost = beyond = 0
-    for seed in range(asked.models):
-        found = of_random_model(seed)
-        if found is None:
-            continue
-        certified += 1
-        lost += found.lost(10, seed, 1.0)
-        beyond += found.lost(10, seed, 2 * BEYOND)
-    if asked.models:
-        print(
-            f"{certified} of {asked.models} models certified, {10 * certified} loops: {lost} lost"
-        )
-        print(f"{2 * BEYOND:g} times as far out: {beyond} lost")
+    seeds = range(asked.first, asked.first + asked.models)
+    sums = np.zeros(3, dtype=int)
+    results = finished_results(lost_loops_of_model, seeds, asked.jobs)
+    for tried, counts in enumerate(results, start=1):
+        sums += counts
+        if tried % 50 == 0 or tried == asked.models:
+            certified, lost, beyond = sums
+            print(
+                f"{certified} of {tried} models certified, {10 * certified} loops: {lost} lost; "
+                f"{2 * BEYOND:g} times as far out: {beyond} lost",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

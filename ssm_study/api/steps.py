@@ -103,7 +103,7 @@ def design_controller(
         )
     design = synthesis.design(model, balls, data.validation, relevant_mismatch)
     design = with_gain_certificates(design, model, balls, (lower, upper))
-    if is_coverage_sought(model, synthesis):
+    if is_coverage_sought(model, getattr(synthesis, "cover", None), premise):
         design = add_coverage_certificate(design, model, balls, premise)
     return design
 

@@ -6,10 +6,11 @@ initial state included, the device keeps
 
     g  <-  max(0, g + |e - c m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2) - allowance)
 
-and raises a flag where g exceeds `limit`. Until then what was added since the start is at most
-`limit`, so the inequality of `measured_discs`, summed along the loop's own signals, bounds their
-energy, whatever the plant is: `delta sum |eta|^2 <= V(0) + limit + T allowance`. Scope: regulation
-to rest, while no input limit acts. Source: docs/trust.md, "Monitored".
+and raises a flag where g exceeds `limit`, which the first output fixes. Until then what was added
+since the start is at most `limit`, so the inequality of `measured_discs`, summed along the loop's
+own signals, bounds their energy, whatever the plant is: `delta sum |eta|^2 <= V(0) + limit + T
+allowance`. Scope: regulation to rest, while no input limit acts. Source: docs/trust.md,
+"Monitored".
 """
 
 from collections.abc import Mapping
@@ -32,6 +33,7 @@ from ssm_study.systems import StateSpace
 _WATCH = Path(__file__).with_name("monitor.h.txt")
 BAND = 0.05  # of the output's scale: an error that stays below it is no alarm
 START = 0.5  # of the output's scale: a decay from there is no alarm
+ROOM = 1.5  # times the first measured output, from where a decay is no alarm either
 UNMONITORED = "the certificate covers no mismatch, or not that of this kind of model"
 
 
@@ -78,7 +80,8 @@ class Monitor:
         with measured disturbances.
 
         The allowance is a standing error of the settling band in every output; the limit the energy
-        with which the model comes to rest from outputs half their scale away.
+        with which the model comes to rest from outputs half their scale away. A loop that starts
+        from afar has a larger one (`limit_from`).
         """
         part = design.extra_certificates.get(MeasuredDiscs.part)
         is_proved = isinstance(part, MeasuredDiscs) and part.certified
@@ -99,6 +102,12 @@ class Monitor:
             limit=START**2 * decay_energy(model.linear),
         )
 
+    def limit_from(self, first_output: Float[np.ndarray, "p"]) -> float:
+        """Limit of the sum for a loop whose first measured output, scaled, is given: the energy of
+        the decay from half a scale, or from `ROOM` times that output."""
+        farther = (ROOM / START) ** 2 * float((first_output**2).sum())
+        return self.limit * max(1.0, farther)
+
 
 def decay_energy(linear: StateSpace) -> float:
     """Energy of the free decay from equilibria with one output at one, for each output in turn.
@@ -111,7 +120,7 @@ def decay_energy(linear: StateSpace) -> float:
 
 MEMBERS = """
 #ifdef MONITOR
-    $real model[$states], of_output[$output_states], of_input[$input_states], excess;
+    $real model[$states], of_output[$output_states], of_input[$input_states], excess, limit;
     int flag; /* the plant has left what the certificate covers */
 #endif
 """
@@ -120,6 +129,7 @@ RESET = """#ifdef MONITOR
     for (int i = 0; i < $output_states; ++i) state->of_output[i] = 0;
     for (int i = 0; i < $input_states; ++i) state->of_input[i] = 0;
     state->excess = 0;
+    state->limit = 0;
     state->flag = 0;
 #endif
 """
@@ -151,6 +161,7 @@ def render_monitor(
     states = monitor.states
     tables = {"model_a": controller.a[:states, :states], "model_c": controller.c[:, :states]}
     texts: dict[str, object] = {"states": states, "beyond": render_number(1 + monitor.centre, real)}
+    texts["farther"] = render_number((ROOM / START) ** 2, real)
     for label in ("floor", "limit", "allowance"):
         texts[label] = render_number(getattr(monitor, label), real)
     channels = {"output": controller.scale.outputs, "input": controller.scale.inputs}

@@ -127,6 +127,11 @@ class Premise:
             items += requirements_from_average(averaged, centre)
         return items
 
+    @property
+    def separates_noise(self) -> bool:
+        """Whether an input repeats in any record, so that noise is told from mismatch."""
+        return bool(self.repeating)
+
     def missing(self, centre: float) -> str | None:
         """Reason why the records cannot be the premise of a proof with a given disc centre; None if
         they can."""

@@ -31,6 +31,7 @@ from ssm_study.synthesis.design import Synthesis, require_contraction_rate
 from ssm_study.synthesis.expected_response import ATTEMPTS, FASTER, ExpectedResponse, RankedPair
 from ssm_study.synthesis.input_inversion import design_with_inverted_input
 from ssm_study.synthesis.measured_discs_choice import Search, prefer_covered
+from ssm_study.synthesis.measured_discs_run import is_coverage_sought
 from ssm_study.systems import Balls
 
 # Frequencies (rad/sample) that rank the candidates; the chosen one is then judged on a finer grid.
@@ -40,6 +41,7 @@ WEIGHTS = ("input_weights", "output_noises", "integral_weights")
 # Rounds of the search for covered gains, and how much slower they may be on the model.
 ROUNDS = 8
 SLOWER = 1.15
+SLOWER_WITH_NEURONS = 1.6
 ROUNDS_ASKED = 40  # where a coverage is asked for
 SLOWER_ASKED = 2.5
 LEAST_RATE = 1e-3  # the least demanding request, where a side is left to `auto`
@@ -163,7 +165,7 @@ class Auto:
         )
         make = CertifiedDesigns(response=response)
         pairs = response.ordered_pairs(peaks, validation, self.limits)
-        if self.premise is None or not (self.cover or isinstance(model, SSM)):
+        if self.premise is None or not is_coverage_sought(model, self.cover, self.premise):
             pairs = islice(pairs, ATTEMPTS)
         search = None
         if self.premise is not None:
@@ -193,7 +195,8 @@ class Auto:
         )
         is_asked = self.cover is not None
         rounds = ROUNDS_ASKED if is_asked else ROUNDS
-        slower = SLOWER_ASKED if is_asked else SLOWER
+        unasked = SLOWER if isinstance(response.model, SSM) else SLOWER_WITH_NEURONS
+        slower = SLOWER_ASKED if is_asked else unasked
 
         def covered_gains(first: Design, most: Design, cover: float) -> Design | None:
             """Search around one design for gains whose proof covers the records."""

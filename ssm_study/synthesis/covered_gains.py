@@ -3,11 +3,13 @@
 Each round scales every entry of K and L at random (`exp(step * normal)`), drops what is slower than
 allowed, and keeps the best of the rest: the largest coverage until the target is met, then the
 smallest area at which it still is. The step grows where a round helps and shrinks where none does.
+Rounds beyond those planned follow while their pace would reach the target.
 Coverage is that of the frequency inequality around one centre; what comes out is certified exactly.
 Rounds and random numbers are fixed, so the outcome is the same on every run.
 Source: docs/closed_loop.md, "Rates chosen for you"; docs/theory.md, "Measured discs".
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -121,7 +123,8 @@ class GainSearch:
         random = np.random.default_rng(SEED)
         step = FIRST_STEP
         slowest = max(FASTER, self._decay_ratios([start.pair])[0])
-        for _ in range(rounds):
+        reached = [best.coverage]
+        while is_worth_another_round(reached, target, rounds):
             proposals = [scale_at_random(best.gains, step, random) for _ in range(PROPOSALS)]
             fast = self._faster_proposals(proposals, slowest)
             trials = self._score_proposals(fast, loop, centre, best, target, largest_area)
@@ -129,6 +132,7 @@ class GainSearch:
             step *= SHORTEN if better is None else LENGTHEN
             step = min(max(step, SMALLEST_STEP), LARGEST_STEP)
             best = better or best
+            reached.append(best.coverage)
         return best
 
     def _score_proposals(
@@ -144,11 +148,12 @@ class GainSearch:
         if not proposals:
             return []
         allowed = best.area if best.coverage >= target else max(largest_area, best.area)
+        least = min(best.coverage, target)
         trials = []
         for gains, area in zip(proposals, self._response_areas(proposals), strict=True):
             if area > allowed or controller_radius(self.model.system, gains, self.balls) >= 1:
                 continue
-            coverage = loop.largest_radius_around(gain_fields(gains), centre)
+            coverage = loop.largest_radius_around(gain_fields(gains), centre, least)
             trials.append(ScoredGains(gains=gains, area=area, coverage=coverage))
         return trials
 
@@ -197,6 +202,20 @@ class GainSearch:
         if not isinstance(new_feedback, StateFeedback) or not isinstance(new_observer, Observer):
             return None
         return Design(state_feedback=new_feedback, observer=new_observer)
+
+
+def is_worth_another_round(reached: Sequence[float], target: float, rounds: int) -> bool:
+    """Whether a search goes on, given the coverage before it and after each of its rounds.
+
+    The first `rounds` always do. Beyond them the search must earn its time: at the pace of the last
+    `rounds`, as many again would reach the target.
+    """
+    done = len(reached) - 1
+    if done < rounds:
+        return True
+    last = reached[-1]
+    earlier = reached[done - rounds]
+    return earlier > 0 and last < target <= last * (last / earlier)
 
 
 def certify_other_gains(part: Any, **gains: Any) -> Any:

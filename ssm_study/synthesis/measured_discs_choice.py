@@ -13,6 +13,7 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Design, StateFeedback
 from ssm_study.certificates.problem import NoSolution, linear_algebra_failures_as_no_solution
@@ -21,14 +22,13 @@ from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage import Premise
 from ssm_study.robustness.coverage_items import Item
-from ssm_study.synthesis.measured_discs_run import exclusion_reason
+from ssm_study.synthesis.measured_discs_run import exclusion_reason, is_coverage_sought
 from ssm_study.systems import Balls, StructuredSystem
 
 LOOKED_AT = (0, 1, 2, 4, 7, 11, 16, 23, 32, 45, 60)  # places in the order, of one layer
 FARTHER = (85, 120, 170, 240, 320)  # also, where more than one is asked for
 WITH_NEURONS = (0, 3, 10, 25)  # each takes seconds
 LOST = 1.02  # kappa by frequency over that of the certificate, at most (as a rule)
-NEARLY = 0.7  # of the coverage wanted: below, gains around the best pair are not searched unasked
 COVERED = "best expected response of those predicted to be stable and covered"
 SEARCHED = "gains searched around the grid's, predicted to be stable and covered"
 NOT_COVERED = (
@@ -54,13 +54,14 @@ def prefer_covered(
     first that is covered at all, then the first.
 
     `search(first, most, cover)` is given the first design, the one that covers most, and the
-    coverage wanted of its certificate; unasked only where that one nearly covers. With neurons,
-    where one look takes seconds, coverage counts only where it is asked for.
+    coverage wanted of its certificate. With neurons, where one look takes a second, fewer pairs
+    are looked at, and none where the records cannot tell noise from mismatch unless a coverage is
+    asked for.
     """
     neurons = isinstance(model.system, StructuredSystem)
     places = WITH_NEURONS if neurons else LOOKED_AT + (FARTHER if cover is not None else ())
-    looks = premise is not None and (cover is not None or not neurons)
-    judged = premise is not None and looks and premise.missing(0.0) is None
+    sought = premise is not None and is_coverage_sought(model, cover, premise)
+    judged = premise is not None and sought and premise.missing(0.0) is None
     target = LOST * (1.0 if cover is None else cover)
     seen = SeenDesigns()
     for place, pair in enumerate(islice(pairs, places[-1] + 1)):
@@ -71,11 +72,11 @@ def prefer_covered(
             continue
         if premise is None or not judged or exclusion_reason(design, model):
             return seen.first or design, PREDICTED
-        coverage = coverage_by_frequency(design, model, balls, premise, target)
+        coverage = coverage_by_frequency(design, model, balls, premise, target, seen.largest)
         if coverage >= target:
             return design, COVERED
         seen.add_design(design, coverage)
-    if search is not None and (cover is not None or seen.largest >= NEARLY * target):
+    if search is not None:
         searched = seen.search_around(search, target / LOST)
         if searched is not None:
             return searched, SEARCHED
@@ -111,10 +112,13 @@ class SeenDesigns:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopCoverage:
-    """Coverage of any gains of one loop, frequency by frequency, for the records of one premise."""
+    """Coverage of any gains of one loop, frequency by frequency, for the records of one premise.
+    `deciding` holds the angles around each centre that decided the last gains, where solving is
+    slow."""
 
     context: VerificationContext
     items: dict[float, tuple[Item, ...]]
+    deciding: dict[float, Float[np.ndarray, "D"]]
 
     @classmethod
     def from_premise(
@@ -130,11 +134,13 @@ class LoopCoverage:
         items = {}
         for centre in CENTRES:
             items[centre] = tuple(item for item in premise.items(centre) if item.seen > 0)
-        return cls(context=context, items=items)
+        return cls(context=context, items=items, deciding=dict.fromkeys(CENTRES, np.zeros(0)))
 
-    def largest_radius_around(self, gains: dict[str, Any], centre: float) -> float:
+    def largest_radius_around(
+        self, gains: dict[str, Any], centre: float, least: float = 0.0
+    ) -> float:
         """Largest radius of a disc of model errors around one centre that given gains tolerate;
-        zero if there is none."""
+        zero if there is none. Where it is below `least`, an upper bound that is, too."""
         from ssm_study.synthesis.measured_discs_program import LoopForms
         from ssm_study.synthesis.measured_discs_search import select_theorem
         from ssm_study.synthesis.measured_discs_weights import WeightBasis, WeightProgram
@@ -148,28 +154,41 @@ class LoopCoverage:
         )
         try:
             with linear_algebra_failures_as_no_solution():
-                return float(max(program.maximise_radius()[0], 0.0) ** 0.5)
+                nu, _, deciding = program.maximise_radius_from(self.deciding[centre], least**2)
         except NoSolution:
             return 0.0
+        if program.is_large:
+            self.deciding[centre] = deciding
+        return float(max(nu, 0.0) ** 0.5)
 
-    def largest_radius(self, gains: dict[str, Any], enough: float = np.inf) -> tuple[float, float]:
+    def largest_radius(
+        self, gains: dict[str, Any], enough: float = np.inf, least: float = 0.0
+    ) -> tuple[float, float]:
         """Largest radius of a disc of model errors that given gains tolerate, over all centres, and
-        the best centre. The search ends at the first radius that is `enough`."""
+        the best centre. The search ends at the first radius that is `enough`; below `least` the
+        radius may be an upper bound."""
         best = (0.0, next(iter(self.items)))
         for centre in self.items:
-            best = max(best, (self.largest_radius_around(gains, centre), centre))
+            radius = self.largest_radius_around(gains, centre, max(best[0], least))
+            best = max(best, (radius, centre))
             if best[0] >= enough:
                 break
         return best
 
 
 def coverage_by_frequency(
-    design: Design, model: Model, balls: Balls, premise: Premise, enough: float = np.inf
+    design: Design,
+    model: Model,
+    balls: Balls,
+    premise: Premise,
+    enough: float = np.inf,
+    least: float = 0.0,
 ) -> float:
     """Largest radius of a disc of model errors that a design tolerates, computed frequency by
-    frequency. The search ends at the first radius that is `enough`."""
+    frequency. The search ends at the first radius that is `enough`; below `least` the radius may be
+    an upper bound."""
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)
     system = controlled_system(model, feedback)
     loop = LoopCoverage.from_premise(model, system, balls, premise)
-    return loop.largest_radius(design.gains, enough)[0]
+    return loop.largest_radius(design.gains, enough, least)[0]

@@ -256,13 +256,18 @@ class AngleProgram:
         return np.asarray(eigenvalues[:, 0])
 
     def maximise(
-        self, goal: Float[np.ndarray, "n"], accuracy: float = VIOLATED, first: Sequence[int] = ()
+        self,
+        goal: Float[np.ndarray, "n"],
+        accuracy: float = VIOLATED,
+        first: Sequence[int] = (),
+        least: float = -np.inf,
     ) -> tuple[Float[np.ndarray, "n"], list[int]]:
         """Maximise a linear goal by cutting planes, and return the solution with the frequencies
         that decided it. Raises `NoSolution`.
 
         The `first` angles, by default spread evenly, are solved first. Angles that are far from
-        deciding leave again.
+        deciding leave again. Fewer angles give an upper bound of the goal: once it is below
+        `least`, it is returned in place of the optimum.
         """
         count = len(self.constant)
         chosen = list(first) or _spread_indices(count, FIRST)
@@ -273,6 +278,8 @@ class AngleProgram:
             for k in chosen:
                 program.add_semidefinite(self.constant[k], self.linear[:, k])
             x = program.minimise(-goal, SOLVED if accuracy > SOLVED else VIOLATED)
+            if goal @ x < least:
+                return x, chosen
             lowest = self.smallest_eigenvalues(x)
             violated = _local_minima(lowest, -accuracy)
             fresh = [k for k in violated if k not in chosen][:MORE]

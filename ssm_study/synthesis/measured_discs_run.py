@@ -30,15 +30,16 @@ INVERTS = "the law undoes the input map, and the theorem does not speak of such 
 INJECTED = "the observer injects into neurons that enter the output, and the theorem excludes that"
 UNPROVED = "no proof was found for these gains"
 UNSOUGHT = (
-    "a model with neurons: a proof takes 20 s and more, so it is looked for only where "
-    "synthesis.cover is given"
+    "a model with neurons: a proof takes a minute and more, so where no input repeats and noise "
+    "counts as mismatch it is looked for only if synthesis.cover is given"
 )
 UNKNOWN = "{} the input has next to no power, so nothing separates mismatch from noise there"
 
 
-def is_coverage_sought(model: Model, synthesis: Any) -> bool:
-    """Whether a run searches for a proof that covers the records."""
-    return isinstance(model, SSM) or getattr(synthesis, "cover", None) is not None
+def is_coverage_sought(model: Model, cover: float | None, premise: Premise) -> bool:
+    """Whether a run searches for a proof that covers the records: with neurons, where it takes a
+    minute, only where the records can tell noise from mismatch or a coverage is asked for."""
+    return isinstance(model, SSM) or cover is not None or premise.separates_noise
 
 
 def add_coverage_certificate(
@@ -87,7 +88,8 @@ def coverage_columns(
         return {}
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs):
-        unproved = UNPROVED if isinstance(model, SSM) else UNSOUGHT
+        sought = is_coverage_sought(model, None, premise)
+        unproved = UNPROVED if sought else UNSOUGHT
         reason = exclusion_reason(design, model) or premise.missing(0.0) or unproved
         return {"coverage": None, "coverage_reason": reason}
     missing = premise.missing(part.centre)

@@ -34,6 +34,8 @@ LARGEST = 1e6  # of nu = kappa^2: beyond it, nothing that e does matters
 JOINT = 3e-5  # by how much angles of the joint program may miss: far less than kappa is taken back
 COARSE = 1e-3
 LARGE = 4  # free signals
+DECIDING = 6  # angles that decide one program and are solved first in the next
+NO_ANGLES = np.zeros(0)
 CIRCLE = np.union1d(np.linspace(0, np.pi, 65), np.geomspace(1e-3, 0.1, 12))
 EVENLY = np.linspace(0, np.pi, 2001)
 
@@ -133,10 +135,14 @@ class WeightProgram:
 
     @property
     def constraint_tolerance(self) -> float:
-        """Amount by which constraints between the frequencies of the grid may be violated. It is
-        larger where each constraint is a large matrix."""
-        model = self.grid.model
-        return COARSE if model.shape[1] > LARGE else JOINT
+        """Amount by which constraints between the grid frequencies may be violated. It is larger
+        where each is a large matrix."""
+        return COARSE if self.is_large else JOINT
+
+    @property
+    def is_large(self) -> bool:
+        """Whether the matrix of each angle is large, so that solving takes seconds."""
+        return self.grid.model.shape[1] > LARGE
 
     @property
     def unknown_matrices(self) -> Any:
@@ -174,6 +180,18 @@ class WeightProgram:
     def maximise_radius(self) -> tuple[float, Float[np.ndarray, "n"]]:
         """Largest squared disc radius, with the weights and multipliers that reach it. Raises
         `NoSolution`."""
+        nu, unknowns, _ = self.maximise_radius_from()
+        return nu, unknowns
+
+    def maximise_radius_from(
+        self, angles: Float[np.ndarray, "D"] = NO_ANGLES, least: float = -np.inf
+    ) -> tuple[float, Float[np.ndarray, "n"], Float[np.ndarray, "D2"]]:
+        """Largest squared disc radius, with the weights and multipliers that reach it, and the
+        angles that decide it. Raises `NoSolution`.
+
+        The search begins at the given angles, such as those that decided similar gains. Where the
+        radius is below `least`, an upper bound that is below it, too, is returned.
+        """
         linear = self.unknown_matrices
         scale = form_sizes(linear)
         count = len(scale)
@@ -187,8 +205,12 @@ class WeightProgram:
         )
         goal = np.zeros(1 + count)
         goal[0] = 1.0
-        x, _ = program.maximise(goal, self.constraint_tolerance)
-        return float(x[0]), x[1:] / scale
+        distances = np.abs(self.grid.angles - angles[:, None])
+        first = np.unique(distances.argmin(axis=1)).tolist()
+        x, chosen = program.maximise(goal, self.constraint_tolerance, first, least)
+        lowest = program.smallest_eigenvalues(x)[chosen]
+        deciding = self.grid.angles[chosen][np.argsort(lowest)[:DECIDING]]
+        return float(x[0]), x[1:] / scale, deciding
 
     @property
     def weight_count(self) -> int:

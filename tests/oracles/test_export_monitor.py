@@ -13,7 +13,7 @@ from test_coverage import BALLS, MODEL, design, premise, scaled_model
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.export.c import render_c_files
-from ssm_study.export.c_monitor import Monitor
+from ssm_study.export.c_monitor import Monitor, decay_energy
 from ssm_study.export.device import Device
 from ssm_study.export.portable import convert_controller
 from ssm_study.models.identified import SSM
@@ -111,6 +111,7 @@ def test_the_sum_is_the_running_sum_of_the_premise_that_never_falls_below_zero(
     part = part_of(covered[1])
     rng = np.random.default_rng(0)
     y = np.repeat(rng.uniform(-1, 1, SAMPLES // 20), 20)
+    y[0] = 0.5
     u = rng.uniform(-1, 1, SAMPLES)
     m = MODEL.simulate(u[:, None])[0]
     e = y[:, None] - m
@@ -125,9 +126,10 @@ def test_the_sum_is_the_running_sum_of_the_premise_that_never_falls_below_zero(
         expected[k] = last
     sums, flags = watched(y, u)
     np.testing.assert_allclose(sums, expected, rtol=1e-9, atol=1e-12)
-    assert expected.max() > monitor.limit > 0
+    limit = monitor.limit_from(y[:1])
+    assert expected.max() > limit > monitor.limit > 0
     assert flags[-1]
-    np.testing.assert_array_equal(flags, np.maximum.accumulate(expected) > monitor.limit)
+    np.testing.assert_array_equal(flags, np.maximum.accumulate(expected) > limit)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -169,6 +171,14 @@ def test_a_plant_of_the_records_raises_no_flag(covered: tuple[SSM, Design], watc
         y, u, _, _ = loop(covered[1], plant, start / share)
         assert np.abs(y[-100:]).max() < 0.05
         assert not watched(y, u)[1].any()
+
+
+def test_a_decay_from_afar_raises_no_flag(covered: tuple[SSM, Design], watched) -> None:
+    """The plant is its model and starts three scales away, the monitor's model at rest."""
+    model = covered[0]
+    y, u, _, _ = loop(covered[1], lambda m, _: m, 3.0)
+    assert decay_energy(model.linear) * 3.0**2 > 30 * Monitor.of(*covered).limit
+    assert not watched(y, u)[1].any()
 
 
 @pytest.mark.parametrize("share", [-2.0, -6.0, 7.0, 12.0])

@@ -54,7 +54,7 @@ def compute_synthesis(
             method = method.with_input_limits(lower, upper)
     design = method.design(model, balls, data.validation, mismatch)
     design = with_gain_certificates(design, model, balls, ends)
-    if is_coverage_sought(model, synthesis):
+    if is_coverage_sought(model, getattr(synthesis, "cover", None), premise):
         design = add_coverage_certificate(design, model, balls, premise)
     design.save(folder / "certificate.json")
 

@@ -1,0 +1,158 @@
+"""Does any design that comes out covered lose its plant? Thousands of designs of many plants.
+
+    python -m benchmarks.coverage_designs --jobs 2 --to coverage_designs.csv
+    python -m benchmarks.coverage_designs --table coverage_designs.csv
+
+Per plant of `benchmarks/adversarial` and of `benchmarks/aside_plants.py` one model of order 4 is
+identified (seed 0) and 100 designs are drawn from a grid far wider than that of `auto`. Each has a
+line: its coverage by frequency (zero where the premise has a reason against it), for those of one
+and more the coverage that is decided exactly, what is predicted, and how many of ten starts settle
+on the simulated plant, with noise and without. Seeds are fixed. Half a minute of one core a plant.
+"""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from benchmarks.adversarial import __main__ as adversarial
+from benchmarks.aside_plants import ASIDE
+from benchmarks.common import finished_results, keep, rows_of
+from benchmarks.coverage_by_seed import IdentifiedCase
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.loop.design_grid import DesignGrid
+from ssm_study.loop.peers.peer import Identified
+from ssm_study.synthesis.candidates import Candidates
+from ssm_study.synthesis.measured_discs_choice import LOST, LoopCoverage
+from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
+
+KEY = ("plant", "seed", "design")
+ORDER = 4
+MADE = [path.stem for path in sorted((adversarial.HERE / "conf").glob("*.yaml"))]
+KEPT = (
+    "predicted_stable",
+    "model_area",
+    "stable_count",
+    "stable_count_noise_free",
+    "settling_time_mean_s",
+    "settling_time_open_loop_s",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridTask:
+    """One plant with its seed and the number of designs drawn."""
+
+    plant: str
+    seed: int
+    designs: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawnDesigns:
+    """Candidates of one identified plant, with the coverage of any pair of their gains."""
+
+    case: IdentifiedCase
+    candidates: Candidates
+
+    def by_frequency(self, pairs: Any) -> list[float]:
+        """Coverage by frequency of each pair; zero where the premise has a reason against any."""
+        case = self.case
+        if case.premise.missing(0.0) is not None:
+            return [0.0] * len(pairs)
+        system = case.model.system
+        balls = certified_balls(case.model)
+        loop = LoopCoverage.from_premise(case.model, system, balls, case.premise)
+        coverages = []
+        for pair in pairs:
+            gains = self.candidates.gains(pair)
+            coverages.append(loop.largest_radius({"k": gains.k, "l": gains.l})[0])
+        return coverages
+
+    def exact(self, pair: Any) -> Any:
+        """Coverage of one pair that is decided exactly; empty without one."""
+        case = self.case
+        balls = certified_balls(case.model)
+        design = self.candidates.specification(pair).design(case.model, balls)
+        proved = add_coverage_certificate(design, case.model, balls, case.premise)
+        return coverage_columns(proved, case.model, case.premise).get("coverage") or ""
+
+
+def rows_of_task(task: GridTask) -> list[dict[str, Any]]:
+    """The lines of one plant."""
+    case = IdentifiedCase.of(task.plant, task.seed, [f"model.order={ORDER}"], fresh=0)
+    balls = certified_balls(case.model)
+    known = Identified.from_data_set(case.model, balls, case.data)
+    grid = DesignGrid(designs=task.designs)
+    candidates = grid.auto.candidates(case.model, balls)
+    if candidates is None:
+        return []
+    pairs = grid.draw_gain_pairs(candidates, task.seed)
+    loop = case.parts.loop.with_default_horizon(case.model)
+    behaviour = [row for row in grid.rows(case.plant, known, loop, task.seed) if row["design"] > 0]
+    drawn = DrawnDesigns(case=case, candidates=candidates)
+    rows = []
+    for pair, coverage, behaved in zip(pairs, drawn.by_frequency(pairs), behaviour, strict=True):
+        row: dict[str, Any] = {"plant": task.plant, "seed": task.seed, "design": behaved["design"]}
+        row["coverage_by_frequency"] = coverage
+        row["coverage"] = drawn.exact(pair) if coverage >= LOST else ""
+        row |= {name: behaved[name] for name in KEPT}
+        rows.append(row)
+    return rows
+
+
+def summary(path: Path) -> pd.DataFrame:
+    """Per plant: designs, those that settle all ten starts without noise, covered and predicted
+    ones, and how many of these do not settle."""
+    table = pd.read_csv(path)
+    settles = table.stable_count_noise_free == 10
+    covered = table.coverage_by_frequency >= LOST
+    table["settle"] = settles
+    table["covered"] = covered
+    table["covered_lost"] = covered & ~settles
+    table["exactly"] = table.coverage >= 1
+    table["exactly_lost"] = table.exactly & ~settles
+    table["predicted"] = table.predicted_stable
+    table["predicted_lost"] = table.predicted_stable & ~settles
+    names = ["settle", "covered", "covered_lost", "exactly", "exactly_lost"]
+    groups = table.groupby("plant", sort=False)
+    result = groups[[*names, "predicted", "predicted_lost"]].sum()
+    result.insert(0, "designs", groups.size())
+    result.loc["all"] = result.sum()
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--plant", nargs="+", default=[*ASIDE, *MADE])
+    parser.add_argument("--seed", nargs="+", type=int, default=[0])
+    parser.add_argument("--designs", type=int, default=100)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--to", type=Path)
+    parser.add_argument("--table", type=Path)
+    arguments = parser.parse_args()
+    if arguments.table is not None:
+        print(summary(arguments.table).to_string())
+        return
+    file = arguments.to or Path("none")
+    there = {(row["plant"], row["seed"]) for row in rows_of(file)}
+    tasks = []
+    for plant in arguments.plant:
+        for seed in arguments.seed:
+            if (plant, str(seed)) not in there:
+                tasks.append(GridTask(plant=plant, seed=seed, designs=arguments.designs))
+    with np.errstate(all="ignore"):
+        for rows in finished_results(rows_of_task, tasks, arguments.jobs):
+            if not rows:
+                continue
+            lost = [row for row in rows if row["coverage"] and row["stable_count_noise_free"] < 10]
+            print(rows[0]["plant"], rows[0]["seed"], len(rows), "lost:", lost, flush=True)
+            if arguments.to is not None:
+                keep(arguments.to, rows, KEY, lambda one: [str(one[name]) for name in KEY])
+
+
+if __name__ == "__main__":
+    main()
