@@ -119,7 +119,9 @@ class GainSearch:
         controlled = controlled_system(self.model, feedback)
         loop = LoopCoverage.from_premise(self.model, controlled, self.balls, self.premise)
         coverage, centre = loop.largest_radius(gain_fields(start.pair))
-        best = ScoredGains(gains=start.pair, area=self.response_area(start.pair), coverage=coverage)
+        area = self.response_area(start.pair)
+        best = ScoredGains(gains=start.pair, area=area, coverage=coverage)
+        allowed = max(largest_area, area)
         random = np.random.default_rng(SEED)
         step = FIRST_STEP
         slowest = max(FASTER, self._decay_ratios([start.pair])[0])
@@ -127,7 +129,7 @@ class GainSearch:
         while is_worth_another_round(reached, target, rounds):
             proposals = [scale_at_random(best.gains, step, random) for _ in range(PROPOSALS)]
             fast = self._faster_proposals(proposals, slowest)
-            trials = self._score_proposals(fast, loop, centre, best, target, largest_area)
+            trials = self._score_proposals(fast, loop, centre, best, target, allowed)
             better = self._best_predicted(trials, best, target)
             step *= SHORTEN if better is None else LENGTHEN
             step = min(max(step, SMALLEST_STEP), LARGEST_STEP)
@@ -147,7 +149,7 @@ class GainSearch:
         """Score those proposed gains that are fast enough and whose controller alone is stable."""
         if not proposals:
             return []
-        allowed = best.area if best.coverage >= target else max(largest_area, best.area)
+        allowed = best.area if best.coverage >= target else largest_area
         least = min(best.coverage, target)
         trials = []
         for gains, area in zip(proposals, self._response_areas(proposals), strict=True):

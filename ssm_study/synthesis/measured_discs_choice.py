@@ -25,8 +25,8 @@ from ssm_study.robustness.coverage_items import Item
 from ssm_study.synthesis.measured_discs_run import exclusion_reason, is_coverage_sought
 from ssm_study.systems import Balls, StructuredSystem
 
-LOOKED_AT = (0, 1, 2, 4, 7, 11, 16, 23, 32, 45, 60)  # places in the order, of one layer
-FARTHER = (85, 120, 170, 240, 320)  # also, where more than one is asked for
+LOOKED_AT = (0, 1, 2, 4, 7, 11, 16, 23, 32, 45, 60, 85, 120, 170, 240, 320)  # of one layer
+NEAR = 60  # a covered pair from farther down the order is made faster by the search
 WITH_NEURONS = (0, 3, 10, 25)  # each takes seconds
 LOST = 1.02  # kappa by frequency over that of the certificate, at most (as a rule)
 COVERED = "best expected response of those predicted to be stable and covered"
@@ -59,7 +59,7 @@ def prefer_covered(
     asked for.
     """
     neurons = isinstance(model.system, StructuredSystem)
-    places = WITH_NEURONS if neurons else LOOKED_AT + (FARTHER if cover is not None else ())
+    places = WITH_NEURONS if neurons else LOOKED_AT
     sought = premise is not None and is_coverage_sought(model, cover, premise)
     judged = premise is not None and sought and premise.missing(0.0) is None
     target = LOST * (1.0 if cover is None else cover)
@@ -73,14 +73,16 @@ def prefer_covered(
         if premise is None or not judged or exclusion_reason(design, model):
             return seen.first or design, PREDICTED
         coverage = coverage_by_frequency(design, model, balls, premise, target, seen.largest)
-        if coverage >= target:
+        if coverage >= target and place <= NEAR:
             return design, COVERED
         seen.add_design(design, coverage)
+        if coverage >= target:
+            break
     if search is not None:
         searched = seen.search_around(search, target / LOST)
         if searched is not None:
             return searched, SEARCHED
-    return (seen.first, NOT_COVERED) if seen.barely is None else (seen.barely, LESS_COVERED)
+    return seen.best_substitute(target)
 
 
 @dataclass(kw_only=True)
@@ -101,6 +103,14 @@ class SeenDesigns:
         if self.most is None or coverage > self.largest:
             self.most = design
             self.largest = coverage
+
+    def best_substitute(self, target: float) -> tuple[Design | None, str]:
+        """Design to take where no search has led to another, and which one it is."""
+        if self.largest >= target:
+            return self.most, COVERED
+        if self.barely is not None:
+            return self.barely, LESS_COVERED
+        return self.first, NOT_COVERED
 
     def search_around(self, search: Search, target: float) -> Design | None:
         """Design found by a random search around the one with the largest coverage; None if there

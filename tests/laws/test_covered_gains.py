@@ -16,6 +16,7 @@ from ssm_study.synthesis.covered_gains import GainSearch, is_worth_another_round
 from ssm_study.synthesis.measured_discs_choice import (
     COVERED,
     LOST,
+    NEAR,
     NOT_COVERED,
     SEARCHED,
     coverage_by_frequency,
@@ -118,6 +119,29 @@ def test_the_choice_searches_only_where_the_grid_does_not_cover(
     else:
         assert chosen == (FAST, COVERED)
         assert not asked
+
+
+@pytest.mark.parametrize("searches", [True, False])
+def test_a_covered_pair_from_far_down_the_order_is_made_faster(monkeypatch, searches) -> None:
+    slow = design(input_weight=1.0)
+    monkeypatch.setattr(
+        "ssm_study.synthesis.measured_discs_choice.coverage_by_frequency",
+        lambda one, *_: 1.1 * LOST if one is slow else 0.5,
+    )
+    found = design(input_weight=0.1)
+    asked = []
+
+    def search(*words):
+        asked.append(words)
+        return found if searches else None
+
+    def make(place):
+        return slow if place > NEAR else FAST
+
+    pairs = iter(range(400))
+    chosen = prefer_covered(pairs, make, SSM_MODEL, BALLS, PREMISE, None, search)
+    assert chosen == ((found, SEARCHED) if searches else (slow, COVERED))
+    assert asked == [(FAST, slow, 1.0)]
 
 
 def test_a_search_without_a_design_leaves_the_first(monkeypatch) -> None:
