@@ -10,12 +10,21 @@ and polynomial NARX (`models.baselines.regression.fit_best_baseline`), the large
 certified state feedback, the processor seconds, and what was chosen. With `--plain` also those of
 `model=structured` with its own defaults, which chooses nothing. Rows that are there are not made
 again. One to three minutes a log on a busy core.
+
+    python benchmarks/log_choice.py kinds --seeds 0 1 2 3 4 --jobs 16 --table kinds.csv
+
+runs so many logs at a time, each in a process of one thread, the longest first. A row is written
+when its log is done, so that a run that is killed keeps what it has. `--real-logs FOLDER` (or
+`SSM_STUDY_REAL_LOGS`) says where the real logs lie.
 """
 
 import argparse
+import multiprocessing
+import os
 import subprocess
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -32,37 +41,44 @@ from ssm_study.training.metrics import Identification, records_fit_percent
 
 TARGET = REFERENCE / "training"
 REAL_LOGS = ROOT.parent / "shared" / "data" / "logs_real"
+FOLDER_VARIABLE = "SSM_STUDY_REAL_LOGS"
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+# The slowest logs, which begin first where several run at a time.
+SLOWEST = (
+    "heat_exchanger",
+    "propeller_bench",
+    "position_dead_zone",
+    "bilinear",
+    "hysteresis",
+    "tanker",
+)
 # Columns of each real log, and the settings that reading it needs (docs/data.md).
 REAL: dict[str, tuple[str, ...]] = {
     "heat_exchanger": (
-        f"data.path={REAL_LOGS / 'heat_exchanger.dat'}",
+        "data.path={folder}/heat_exchanger.dat",
         "data.input=1",
         "data.output=2",
         "data.time=0",
     ),
     "tanker": (
-        f"data.path=[{REAL_LOGS / 'tanker_zigzag_10.dat'}]",
-        f"data.test_path=[{REAL_LOGS / 'tanker_zigzag_minus20.dat'}]",
+        "data.path=[{folder}/tanker_zigzag_10.dat]",
+        "data.test_path=[{folder}/tanker_zigzag_minus20.dat]",
         "data.input=9",
         "data.output=8",
         "data.step_s=0.135",
         "data.decimate=10",
     ),
     "propeller_bench": (
-        f"data.path={REAL_LOGS / 'propeller_bench.csv'}",
+        "data.path={folder}/propeller_bench.csv",
         "data.input=Servo 3 (µs)",
         "data.output=Motor Optical Speed (RPM)",
     ),
     "servo_position": (
-        f"data.path={REAL_LOGS / 'servo_position.csv'}",
+        "data.path={folder}/servo_position.csv",
         "data.input=inputSignal(8bits)",
         "data.output=enconder(steps)",
     ),
-    "house": (
-        f"data.path={REAL_LOGS / 'house_heat_pump.csv'}",
-        "data.input=[Ph,Ta]",
-        "data.output=Ti",
-    ),
+    "house": ("data.path={folder}/house_heat_pump.csv", "data.input=[Ph,Ta]", "data.output=Ti"),
 }
 
 
@@ -88,9 +104,10 @@ def logs_of_kinds(folder: Path, names: Sequence[str], seeds: Sequence[int]) -> I
             yield Log(name=kind.name, seed=seed, settings=settings, training_seed=0)
 
 
-def real_logs(names: Sequence[str], seeds: Sequence[int]) -> Iterator[Log]:
-    """The real logs, trained from several seeds."""
-    for name, settings in REAL.items():
+def real_logs(folder: Path, names: Sequence[str], seeds: Sequence[int]) -> Iterator[Log]:
+    """The real logs of a folder, trained from several seeds."""
+    for name, templates in REAL.items():
+        settings = tuple(template.format(folder=folder) for template in templates)
         for seed in seeds if name in names or not names else ():
             yield Log(name=name, seed=seed, settings=settings, training_seed=seed)
 
@@ -136,7 +153,7 @@ def compare(log: Log, plain: bool = False) -> dict[str, object]:
 
 
 def commit() -> str:
-    """The commit of the code that is measured."""
+    """Commit of the code that is measured; empty in a folder without history."""
     words = ("git", "rev-parse", "--short", "HEAD")
     return subprocess.run(words, cwd=ROOT, capture_output=True, text=True).stdout.strip()
 
@@ -154,25 +171,50 @@ def largest_rate(model: object) -> float:
     return float(largest_certifiable_rate(model.system, balls.input))  # type: ignore[attr-defined]
 
 
+def compare_all(logs: Sequence[Log], jobs: int, plain: bool) -> Iterator[dict[str, object]]:
+    """Rows of several logs as they come, so many logs at a time; a log that fails is printed."""
+    if jobs == 1:
+        yield from (compare(log, plain) for log in logs)
+        return
+    os.environ.update(ONE_THREAD)  # read by the processes that are started now
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+        running = {pool.submit(compare, log, plain): log for log in logs}
+        for done in as_completed(running):
+            failure = done.exception()
+            if failure is None:
+                yield done.result()
+            else:
+                print(f"{running[done].name} {running[done].seed} failed: {failure!r}", flush=True)
+
+
+def place_in_queue(log: Log) -> int:
+    """Place of a log in the queue of several processes: the slowest ones come first."""
+    return SLOWEST.index(log.name) if log.name in SLOWEST else len(SLOWEST)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("logs", choices=("kinds", "real"))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0], metavar="N")
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME")
     parser.add_argument("--plain", action="store_true")
-    parser.add_argument("--to", type=Path, metavar="FILE")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N")
+    parser.add_argument("--table", "--to", type=Path, metavar="FILE")
+    folder_of_logs = Path(os.environ.get(FOLDER_VARIABLE, REAL_LOGS))
+    parser.add_argument("--real-logs", type=Path, default=folder_of_logs, metavar="FOLDER")
     options = parser.parse_args()
-    target = options.to or TARGET / f"log_choice_{options.logs}.csv"
+    target = options.table or TARGET / f"log_choice_{options.logs}.csv"
     done = {(row["log"], row["seed"]) for row in rows_of(target)}
     with TemporaryDirectory() as folder:
         if options.logs == "kinds":
             logs = logs_of_kinds(Path(folder), options.only, options.seeds)
         else:
-            logs = real_logs(options.only, options.seeds)
-        for log in logs:
-            if (log.name, str(log.seed)) in done:
-                continue
-            row = compare(log, options.plain)
+            logs = real_logs(options.real_logs.resolve(), options.only, options.seeds)
+        waiting = [log for log in logs if (log.name, str(log.seed)) not in done]
+        if options.jobs > 1:
+            waiting.sort(key=place_in_queue)
+        for row in compare_all(waiting, options.jobs, options.plain):
             print(row, flush=True)
             keep(target, [row], ("log", "seed"), lambda each: (each["log"], int(each["seed"])))
 

@@ -55,11 +55,11 @@ def iterate_choices(
         candidates.remove(chosen)
 
 
-def make_announcer(progress: bool) -> Callable[[str], None]:
-    """Function that prints progress lines, or does nothing if progress is switched off."""
+def make_announcer(progress: bool, task: str = "choice by folds") -> Callable[[str], None]:
+    """Function that prints progress lines of a task, or nothing where nobody watches."""
     from rich.console import Console
 
     console = Console(stderr=True)
     if not (progress and console.is_terminal):
         return lambda _: None
-    return lambda words: console.print(f"choice by folds: {words}", highlight=False)
+    return lambda words: console.print(f"{task}: {words}", highlight=False)

@@ -3,12 +3,13 @@
 A training ends in one of many local minima. How low is mostly seen after a few steps.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from ssm_study.models.structured_spec import StructuredSpec
-from ssm_study.signals import DataSet
+from ssm_study.signals import DataSet, fit_from_relative_error
 from ssm_study.training.structured_fit import StructuredFit
 
 STEPS = 20  # of a short training, inside the contracting set
@@ -24,26 +25,48 @@ def short_spec(spec: StructuredSpec) -> StructuredSpec:
     return spec if spec.neurons == 1 else replace(spec, draws=min(DRAWS, spec.draws))
 
 
-def best_seeds(spec: StructuredSpec, data: DataSet, first: int, count: int, best: int) -> list[int]:
-    """Seeds of the initial parameters with the smallest loss after a few steps, the best first.
+def best_seeds(
+    spec: StructuredSpec,
+    data: DataSet,
+    first: int,
+    count: int,
+    best: int,
+    announce: Callable[[str], object] = str,
+) -> list[int]:
+    """Seeds of so many starts with the least loss after a few steps, the best first.
 
     Starts whose model has no certified state feedback come behind all that have one, where the
-    specification asks for one.
+    specification asks for one. Each start is announced when it is done.
     """
     part = data.shift_out_dead_time(int(spec.dead_time)) if spec.dead_time else data
-    fits = {
-        seed: StructuredFit(spec, part, seed) for seed in range(first, first + 1000 * count, 1000)
-    }
-    for fit in fits.values():
-        fit.take_steps(STEPS)
+    fits: dict[int, StructuredFit] = {}
+    for done in range(1, count + 1):
+        seed = first + 1000 * (done - 1)
+        fits[seed] = StructuredFit(spec, part, seed)
+        fits[seed].take_steps(STEPS)
+        announce(f"{done} of {count}, {training_fit_words(float(fits[seed].loss))}")
     finite = [seed for seed, fit in fits.items() if np.isfinite(float(fit.loss))]
     by_loss = sorted(finite, key=lambda seed: float(fits[seed].loss))
-    largest_rate = getattr(spec.among_starts, "largest_rate", None)
-    certified: list[int] = []
-    for seed in by_loss:
-        if len(certified) == best:
-            break
-        if largest_rate is None or largest_rate(fits[seed].as_model()) > 0.0:
-            certified.append(seed)
+    certified = first_certified(spec, {seed: fits[seed] for seed in by_loss}, best)
     others = [seed for seed in by_loss if seed not in certified]
     return [*certified, *others][:best] or [first]
+
+
+def first_certified(spec: StructuredSpec, fits: dict[int, StructuredFit], most: int) -> list[int]:
+    """Seeds of the first starts, in the order given, whose models have a certified state feedback.
+    All have one where the specification does not ask."""
+    largest_rate = getattr(spec.among_starts, "largest_rate", None)
+    certified: list[int] = []
+    for seed, fit in fits.items():
+        if len(certified) == most:
+            break
+        if largest_rate is None or largest_rate(fit.as_model()) > 0.0:
+            certified.append(seed)
+    return certified
+
+
+def training_fit_words(loss: float) -> str:
+    """Words on the fit to the training records at a given loss."""
+    if not np.isfinite(loss):
+        return "the simulation diverges"
+    return f"fit to the training records {fit_from_relative_error(np.sqrt(loss)):.1f} %"

@@ -173,12 +173,14 @@ class Training:
     def _train_from_best_starts(
         self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Train a chosen model from the best of many short training runs."""
+        """Train a chosen model from the best of many short starts."""
+        from ssm_study.training.choice import make_announcer
         from ssm_study.training.short_starts import best_seeds, short_spec
 
         brief = short_spec(spec)
         count = max(math.ceil(spec.starts / 2), spec.members)
-        seeds = best_seeds(brief, data, session.seed, 2 * spec.starts, count)
+        announce = make_announcer(session.progress, "short starts")
+        seeds = best_seeds(brief, data, session.seed, 2 * spec.starts, count, announce)
         return self._train_best_of_several(
             [brief] * len(seeds), data, session, spec.members, only_certified=True, seeds=seeds
         )

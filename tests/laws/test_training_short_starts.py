@@ -13,7 +13,7 @@ from ssm_study.training.candidates import Candidate, simplest_good_candidate
 from ssm_study.training.choice_of_size import free_candidates
 from ssm_study.training.optimisers import Lbfgs
 from ssm_study.training.search import Search
-from ssm_study.training.short_starts import STEPS, best_seeds
+from ssm_study.training.short_starts import STEPS, best_seeds, training_fit_words
 from ssm_study.training.structured_fit import StructuredFit
 from ssm_study.training.training import Training
 
@@ -70,7 +70,11 @@ def test_what_folds_chose_is_trained_on_training_and_validation_records(tmp_path
 def test_the_best_of_short_starts_goes_on_and_certified_ones_come_first() -> None:
     data = data_set(noise=0.02, samples=300, records=2)
     spec = StructuredSpec(**FIXED | BRIEF)  # type: ignore[arg-type]
-    seeds = best_seeds(spec, data, 7, 3, best=3)
+    lines: list[str] = []
+    seeds = best_seeds(spec, data, 7, 3, best=3, announce=lines.append)
+    assert [line.split(",")[0] for line in lines] == ["1 of 3", "2 of 3", "3 of 3"]
+    assert all("fit to the training records" in line for line in lines)
+    assert training_fit_words(float("inf")) == "the simulation diverges"
     losses = []
     for seed in seeds:
         fit = StructuredFit(spec, data, seed)
