@@ -19,9 +19,8 @@ from jaxtyping import Float
 
 from ssm_study.refusal import BadRequest
 
-FREQUENCIES = np.exp(
-    1j * np.append(0.0, np.geomspace(1e-4, np.pi, 200))
-)  # the Riccati equation has the last word
+ANGLES = np.append(0.0, np.geomspace(1e-4, np.pi, 200))  # rad per sample
+FREQUENCIES = np.exp(1j * ANGLES)  # the Riccati equation has the last word
 INSIDE = 0.9
 PULLED = 0.99  # shares of the largest gain, and of the rate, that a projected model may have
 STRICT = 1e-2  # relative: what makes the Riccati equation's inequality strict
@@ -64,9 +63,10 @@ def matrices_from_parameters(free: FreeParameters, rate: float) -> RecurrenceMat
     e = np.sqrt(2.0) * _cayley_contraction(free.x_e)[0]
     stacked = rate * _cayley_contraction(free.x_g)[0]
     a = stacked[:n]
-    root = np.linalg.cholesky(2.0 * np.eye(e.shape[1]) - e.T @ e)  # R
+    root = _root_of_slack(e)  # R
+    f = root @ stacked[n:] - e.T @ a
     d = np.exp(free.log_d)  # positive, whatever the parameter
-    return RecurrenceMatrices(a=a, e=e / d, f=d[:, None] * (root @ stacked[n:] - e.T @ a))
+    return RecurrenceMatrices(a=a, e=e / d, f=d[:, None] * f)
 
 
 def differentiate_matrices(
@@ -86,21 +86,26 @@ def differentiate_matrices(
     e = root2 * con_e
     a = rate * con_g[:n]
     gh = rate * con_g[n:]
-    de = root2 * _differentiate_contraction(
-        free.x_e, change.x_e, con_e, low_e
-    )  # d con(X_E), times sqrt 2
-    stacked = rate * _differentiate_contraction(free.x_g, change.x_g, con_g, low_g)
+    dcon_e = _differentiate_contraction(free.x_e, change.x_e, con_e, low_e)
+    de = root2 * dcon_e
+    dcon_g = _differentiate_contraction(free.x_g, change.x_g, con_g, low_g)
+    stacked = rate * dcon_g
     da = stacked[:, :n]
     dgh = stacked[:, n:]
-    root = np.linalg.cholesky(2.0 * np.eye(e.shape[1]) - e.T @ e)
+    root = _root_of_slack(e)
     droot = _differentiate_cholesky(root, -(de.mT @ e + e.T @ de))  # of R R' = 2 I - E'E
     f = root @ gh - e.T @ a
     d = np.exp(free.log_d)
     dlog = change.log_d
     df = droot @ gh + root @ dgh - de.mT @ a - e.T @ da
-    return RecurrenceMatrices(
-        a=da, e=(de - e * dlog[:, None, :]) / d, f=d[:, None] * (df + dlog[:, :, None] * f)
-    )
+    de_scaled = (de - e * dlog[:, None, :]) / d
+    df_scaled = d[:, None] * (df + dlog[:, :, None] * f)
+    return RecurrenceMatrices(a=da, e=de_scaled, f=df_scaled)
+
+
+def _root_of_slack(e: Float[np.ndarray, "n q"]) -> Float[np.ndarray, "q q"]:
+    """Cholesky factor R of `R R' = 2 I - E'E`."""
+    return np.linalg.cholesky(2.0 * np.eye(e.shape[1]) - e.T @ e)
 
 
 def parameters_from_matrices(core: RecurrenceMatrices, rate: float) -> FreeParameters:
@@ -108,12 +113,12 @@ def parameters_from_matrices(core: RecurrenceMatrices, rate: float) -> FreeParam
     `matrices_from_parameters` with `d = 1`; `LinAlgError` where the LMI does not hold with `M = I,
     Lambda = I`."""
     e = core.e / np.sqrt(2.0)
-    root = np.linalg.cholesky(
-        2.0 * np.eye(e.shape[1]) - core.e.T @ core.e
-    )  # R of the module's equations
+    root = _root_of_slack(core.e)
     gh = np.linalg.solve(root, core.f + core.e.T @ core.a)  # from F = R Gh - E'A
-    x_g = _invert_cayley_contraction(np.vstack([core.a, gh]) / rate)
-    return FreeParameters(x_e=_invert_cayley_contraction(e), x_g=x_g, log_d=np.zeros(e.shape[1]))
+    stacked = np.vstack([core.a, gh])
+    x_e = _invert_cayley_contraction(e)
+    x_g = _invert_cayley_contraction(stacked / rate)
+    return FreeParameters(x_e=x_e, x_g=x_g, log_d=np.zeros(e.shape[1]))
 
 
 def project_to_contracting(
@@ -128,28 +133,29 @@ def project_to_contracting(
     """
     mean = (core.e * slope) @ core.f  # what the neurons add to A on average
     radius = float(np.abs(np.linalg.eigvals(core.a + mean)).max(initial=0.0))
-    average = min(1.0, PULLED * rate / max(radius, 1e-12)) * (core.a + mean)
+    pulled = min(1.0, PULLED * rate / max(radius, 1e-12))
+    average = pulled * (core.a + mean)
     low = 0.0
     high = 1.0
     share = 1.0
     contracting = None
     for _ in range(HALVINGS):
-        trial = find_contraction_metric(
-            RecurrenceMatrices(a=average - share * mean, e=share * core.e, f=core.f), rate
-        )
-        low, high, contracting = (
-            (low, share, contracting) if trial is None else (share, high, trial)
-        )
+        on_path = RecurrenceMatrices(a=average - share * mean, e=share * core.e, f=core.f)
+        trial = find_contraction_metric(on_path, rate)
+        if trial is None:
+            high = share
+        else:
+            low = share
+            contracting = trial
         if low == 1.0:
             break
         share = 0.5 * (low + high)
-    contracting = contracting or find_contraction_metric(
-        RecurrenceMatrices(a=average, e=0.0 * core.e, f=core.f), rate
-    )
     if contracting is None:
-        raise BadRequest(
-            "model", "no metric", "its linear part has none at this rate", "use a larger rate"
-        )
+        without_neurons = RecurrenceMatrices(a=average, e=0.0 * core.e, f=core.f)
+        contracting = find_contraction_metric(without_neurons, rate)
+    if contracting is None:
+        problem = "its linear part has none at this rate"
+        raise BadRequest("model", "no metric", problem, "use a larger rate")
     return contracting
 
 
@@ -166,13 +172,12 @@ def find_contraction_metric(core: RecurrenceMatrices, rate: float) -> Contractin
     c = core.f / rate
     if np.abs(np.linalg.eigvals(a)).max(initial=0.0) >= 1.0:
         return None
-    response = c @ np.linalg.solve(FREQUENCIES[:, None, None] * np.eye(len(a)) - a, b + 0j)
+    shifted = FREQUENCIES[:, None, None] * np.eye(len(a)) - a
+    response = c @ np.linalg.solve(shifted, b + 0j)
     d = _balancing_scales(np.abs(response).max(axis=0, initial=0.0))
-    b, c, q = (
-        b * d / INSIDE,
-        c / d[:, None],
-        b.shape[1],
-    )  # asks for a gain below INSIDE, not only below one
+    b = b * d / INSIDE  # asks for a gain below INSIDE, not only below one
+    c = c / d[:, None]
+    q = b.shape[1]
     weight = c.T @ c  # of the bounded-real lemma: |C x|^2
     weight += STRICT * max(1.0, np.trace(weight)) * np.eye(len(a))
     try:
@@ -190,9 +195,11 @@ def find_contraction_metric(core: RecurrenceMatrices, rate: float) -> Contractin
 def transform_to_metric(contracting: ContractingRecurrence) -> RecurrenceMatrices:
     """Transform a recurrence to coordinates in which its contraction metric is the identity. `xt =
     T x`, with Lambda moved into E and F: `M = I, Lambda = I`."""
-    back = np.linalg.inv(contracting.t)
     core, t, d = contracting
-    return RecurrenceMatrices(a=t @ core.a @ back, e=t @ core.e * d, f=(core.f @ back) / d[:, None])
+    back = np.linalg.inv(t)
+    a = t @ core.a @ back
+    f = core.f @ back
+    return RecurrenceMatrices(a=a, e=t @ core.e * d, f=f / d[:, None])
 
 
 def _balancing_scales(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]:
@@ -209,31 +216,29 @@ def _balancing_scales(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]
     return d
 
 
-def _cayley_contraction(x: Tall) -> tuple[Tall, Square]:  # con(X) and the L of L L' = I + X'X
-    """Convert any matrix to one of norm below one, by a Cayley transform. The Cholesky factor that
-    defines it is returned, too."""
+def _cayley_contraction(x: Tall) -> tuple[Tall, Square]:
+    """Matrix `con(X)` of norm below one from any matrix, and the Cholesky factor L that defines it:
+    `L L' = I + X'X`."""
     low = np.linalg.cholesky(np.eye(x.shape[1]) + x.T @ x)
     return np.linalg.solve(low, x.T).T, low
 
 
 def _invert_cayley_contraction(y: Tall) -> Tall:
-    """Matrix that the Cayley transform converts to a given matrix of norm below one. `con(X) = Y`.
-    `I - Y'Y = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its Cholesky factor as L."""
-    return y @ np.linalg.inv(np.linalg.cholesky(np.eye(y.shape[1]) - y.T @ y)).T
+    """Matrix whose contraction `con(X)` is a given matrix of norm below one. `con(X) = Y`. `I - Y'Y
+    = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its Cholesky factor as L."""
+    inverse = np.linalg.cholesky(np.eye(y.shape[1]) - y.T @ y)
+    return y @ np.linalg.inv(inverse).T
 
 
-def _differentiate_contraction(
-    x: Tall, dx: Moved, con: Tall, low: Square
-) -> Moved:  # d con(X) along dx
-    """Directional derivatives of the contraction `con(X)`."""
+def _differentiate_contraction(x: Tall, dx: Moved, con: Tall, low: Square) -> Moved:
+    """Directional derivatives of the contraction `con(X)` along dx."""
     dlow = _differentiate_cholesky(low, dx.mT @ x + x.T @ dx)
     return (dx - con @ dlow.mT) @ np.linalg.inv(low).T
 
 
-def _differentiate_cholesky(
-    low: Square, ds: Moved
-) -> Moved:  # dL = L low(L^{-1} dS L^{-T}) for L L' = S
-    """Directional derivatives of the Cholesky factor of a matrix."""
+def _differentiate_cholesky(low: Square, ds: Moved) -> Moved:
+    """Directional derivatives of the Cholesky factor of a matrix. `dL = L low(L^{-1} dS L^{-T})`
+    for `L L' = S`."""
     back = np.linalg.inv(low)
     inner = np.tril(back @ ds @ back.T)  # low() with its whole diagonal
     return low @ (inner - 0.5 * inner * np.eye(len(low)))

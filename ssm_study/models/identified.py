@@ -16,6 +16,7 @@ from ssm_study.refusal import require, require_positive
 from ssm_study.signals import Scale
 from ssm_study.systems import StateSpace, System
 
+LARGEST_CONDITION = 1e8  # of a matrix that is moved from a static map into the linear part
 Inputs = Float[np.ndarray, "*batch T m"]
 Outputs = Float[np.ndarray, "*batch T p"]
 Measured = Float[np.ndarray, "*batch S p"]
@@ -60,19 +61,12 @@ class ScaffoldedModel(Simulator):
         problem = f"the model needs a matrix of shape {shape}"
         require(self.b_d.shape == shape, "b_d", self.b_d.shape, problem, "write model.json again")
         wired = (*self.scaffold_in.shape[::-1], *self.scaffold_out.shape[::-1])
-        needed = (
-            self.scale.inputs,
-            self.linear.b.shape[1],
-            self.linear.c.shape[0],
-            self.scale.outputs,
-        )
-        require(
-            wired == needed,
-            "scaffold_in, scaffold_out",
-            wired,
-            f"the channels must be {needed}",
-            "rewire them",
-        )
+        mapped_inputs = self.linear.b.shape[1]
+        unmapped_outputs = len(self.linear.c)
+        needed = (self.scale.inputs, mapped_inputs, unmapped_outputs, self.scale.outputs)
+        name = "scaffold_in, scaffold_out"
+        problem = f"the channels must be {needed}"
+        require(wired == needed, name, wired, problem, "rewire them")
         require_positive("step_s", self.step_s, "give it in seconds")
 
     @property
@@ -99,8 +93,8 @@ class ScaffoldedModel(Simulator):
         lifted = self.map_input(u)
         if not self.scale.disturbances:
             return lifted
-        scaled = np.zeros((*u.shape[:-1], self.scale.disturbances))
-        scaled = scaled if d is None else self.scale.scaled_disturbance(d)
+        at_equilibrium = np.zeros((*u.shape[:-1], self.scale.disturbances))
+        scaled = at_equilibrium if d is None else self.scale.scaled_disturbance(d)
         return np.concatenate([lifted, scaled], axis=-1)
 
     def disturbance_contribution(
@@ -255,7 +249,8 @@ class SSM(ScaffoldedModel):
         """Simulate the linear recurrence `C x + D ubar` step by step. The last state is returned,
         too."""
         lifted = ubar.shape[-1] == self.linear.b.shape[1]
-        return (self.linear if lifted else self.driven_system).simulate(ubar, x0)
+        system = self.linear if lifted else self.driven_system
+        return system.simulate(ubar, x0)
 
     def with_linear(self, linear: StateSpace) -> "SSM":
         """Copy of the model with another linear part of as many states."""
@@ -270,17 +265,14 @@ class SSM(ScaffoldedModel):
         return replace(self, linear=linear, b_d=b_d)
 
     def with_dead_time(self, samples: int) -> "SSM":
-        """Copy of the model with a dead time at its input. `x+ = A x + B ub[k - samples]`; the
-        delayed inputs are states of the recurrence. Measured disturbances act without the dead
-        time."""
-        a, b, c, d = (vars(self.linear)[name] for name in "abcd")
-        line = DelayLine(states=len(a), channels=b.shape[1], samples=samples)
-        late = StateSpace(
-            a=line.state_matrix(a, b),
-            b=line.input_matrix(),
-            c=line.widen_rows(c, d),
-            d=np.zeros_like(d),
-        )
+        """Copy of the model with a dead time at its input. The model behind a dead time, `x+ = A x
+        + B ub[k - samples]`; what is under way are states of the recurrence. Measured disturbances
+        act without it."""
+        linear = self.linear
+        line = DelayLine(states=linear.order, channels=linear.b.shape[1], samples=samples)
+        a = line.state_matrix(linear.a, linear.b)
+        c = line.widen_rows(linear.c, linear.d)
+        late = StateSpace(a=a, b=line.input_matrix(), c=c, d=np.zeros_like(linear.d))
         return replace(self, linear=late, b_d=line.lengthen_columns(self.b_d))
 
     def absorb_map_centres(self) -> "SSM":
@@ -296,28 +288,28 @@ class SSM(ScaffoldedModel):
         linear = self.linear
         scaffold_in = self.scaffold_in
         scaffold_out = self.scaffold_out
-        if (found := _factor_out_centre(scaffold_in, "after")) is not None:
-            scaffold_in, m = found
+        inward = _factor_out_centre(scaffold_in, "compose_with_output_matrix")
+        if inward is not None:
+            scaffold_in, m = inward
             linear = replace(linear, b=linear.b @ m, d=linear.d @ m)
-        if (found := _factor_out_centre(scaffold_out, "before")) is not None:
-            scaffold_out, m = found
+        outward = _factor_out_centre(scaffold_out, "compose_with_input_matrix")
+        if outward is not None:
+            scaffold_out, m = outward
             linear = replace(linear, c=m @ linear.c, d=m @ linear.d)
         return replace(self, linear=linear, scaffold_in=scaffold_in, scaffold_out=scaffold_out)
 
 
 def _factor_out_centre(
-    scaffold: Scaffold, side: str
+    scaffold: Scaffold, method: str
 ) -> tuple[Scaffold, Float[np.ndarray, "m m"]] | None:
-    """Static map without the centre matrix of its Jacobians, and that matrix; None if this does not
-    make the ball of Jacobians smaller."""
-    if (
-        scaffold.inputs != scaffold.outputs
-        or scaffold.inputs == 1
-        or (m := scaffold.jacobian_centre()) is None
-    ):
+    """Static map without the centre matrix of its Jacobians, and that matrix, if this makes their
+    ball smaller."""
+    if scaffold.inputs != scaffold.outputs or scaffold.inputs == 1:
         return None
-    if not np.linalg.cond(m) < 1e8:
+    m = scaffold.jacobian_centre()
+    if m is None or not np.linalg.cond(m) < LARGEST_CONDITION:
         return None
-    straight = getattr(scaffold, side)(np.linalg.inv(m))
-    before, after = (jacobian_ball(each).ball.relative_radius for each in (scaffold, straight))
+    straight = getattr(scaffold, method)(np.linalg.inv(m))
+    before = jacobian_ball(scaffold).ball.relative_radius
+    after = jacobian_ball(straight).ball.relative_radius
     return (straight, m) if after < before else None

@@ -35,8 +35,7 @@ def simulate_with_mean(members: Sequence[Any], data: DataSet) -> tuple[Simulatio
     """Free runs of the validation and test records by the mean of several models. The kind of
     initial state is the one that predicts better."""
     runs = [simulate_validation_and_test(model, data) for model in members]
-    validation = [run for run, _ in runs]
-    test = [run for _, run in runs]
+    validation, test = zip(*runs, strict=True)
     return mean_of_runs(validation), mean_of_runs(test)
 
 

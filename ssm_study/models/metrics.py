@@ -134,8 +134,10 @@ class Simulation:
 
     def _scored_outputs(self) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
         """Measured and simulated outputs of all records, without start-up samples."""
-        measured = np.concatenate([record.y[self.start_up_samples :] for record in self.records])
-        return measured, np.concatenate([y[self.start_up_samples :] for y in self.simulated])
+        first = self.start_up_samples
+        measured = [record.y[first:] for record in self.records]
+        simulated = [y[first:] for y in self.simulated]
+        return np.concatenate(measured), np.concatenate(simulated)
 
 
 def size_columns(model: Simulator) -> dict[str, Any]:
@@ -149,19 +151,17 @@ def size_columns(model: Simulator) -> dict[str, Any]:
 def fit_columns(
     validation: Simulation, test: Simulation, scores: tuple[float, ...] = ()
 ) -> dict[str, Any]:
-    """Columns on the fits of a model's free runs and its test error. On a benchmark also its score,
-    in the unit of the publications."""
-    fits = {"fit_validation_percent": validation.fit_percent, "fit_test_percent": test.fit_percent}
-    return (
-        fits
-        | {"rmse_test": test.rmse}
-        | {f"score_test_{i + 1}": score for i, score in enumerate(scores)}
-    )
+    """Columns on the free-run fits and the test error of a model. On a benchmark also its score, in
+    the unit it is published in."""
+    columns = {"fit_validation_percent": validation.fit_percent}
+    columns["fit_test_percent"] = test.fit_percent
+    columns["rmse_test"] = test.rmse
+    numbered = {f"score_test_{i}": score for i, score in enumerate(scores, start=1)}
+    return columns | numbered
 
 
-START_UP_NOISE = (
-    1e-3  # variance of the output noise while estimating, scaled units: a few percent of the signal
-)
+# Variance of the output noise while estimating, scaled units: a few percent of the signal.
+START_UP_NOISE = 1e-3
 Lifted = Float[np.ndarray, "T m"]
 Gramian = Float[np.ndarray, "n n"]
 GAUSS_NEWTON_STEPS = 5  # for a nonlinear S_y; a linear one is solved by the first
@@ -207,18 +207,13 @@ def estimate_initial_state(
     x0 = np.zeros(model.order)  # W, and the mean of the prior: rest
     for _ in range(GAUSS_NEWTON_STEPS):
         ybar, by_state = _linearise_output(model, lifted[:samples], x0)
-        slopes = np.stack(
-            [model.scaffold_out.jacobian(y) for y in ybar]
-        )  # of S_y along this trajectory
-        o = (slopes @ by_state).reshape(
-            -1, model.order
-        )  # d y_hat / d x0, all samples below one another
-        missing = (target - model.scaffold_out(ybar)).ravel() + o @ x0
-        x0 = (
-            prior
-            @ o.T
-            @ np.linalg.solve(o @ prior @ o.T + START_UP_NOISE * np.eye(len(o)), missing)
-        )
+        slopes = np.stack([model.scaffold_out.jacobian(y) for y in ybar])  # of S_y on the way
+        # d y_hat / d x0, all samples below one another
+        o = (slopes @ by_state).reshape(-1, model.order)
+        error = target - model.scaffold_out(ybar)
+        missing = error.ravel() + o @ x0
+        covariance = o @ prior @ o.T + START_UP_NOISE * np.eye(len(o))
+        x0 = prior @ o.T @ np.linalg.solve(covariance, missing)
     return x0
 
 
@@ -227,7 +222,8 @@ def _record_gramian(model: Any, lifted: Lifted) -> Gramian:
     moment of the states that the inputs reach from rest."""
     if isinstance(model, SSM):
         system = model.driven_system
-        return reachability_gramian(system.a, system.b * lifted.std(axis=0), len(lifted))
+        b = system.b * lifted.std(axis=0)
+        return reachability_gramian(system.a, b, len(lifted))
     _, states = model.simulate_mapped(lifted)
     return states.T @ states / len(states)
 
@@ -240,10 +236,10 @@ def _linearise_output(
         powers = [model.linear.c]  # C A^k, k = 0 ... T - 1
         for _ in range(len(lifted) - 1):
             powers.append(powers[-1] @ model.linear.a)
-        return model.driven_system.simulate(lifted, x0)[0], np.stack(powers)
-    from ssm_study.models.structured_kernel import (
-        simulate_with_sensitivities,  # numba: only where it is needed
-    )
+        ybar, _ = model.driven_system.simulate(lifted, x0)
+        return ybar, np.stack(powers)
+    # Here, for it loads numba.
+    from ssm_study.models.structured_kernel import simulate_with_sensitivities
 
     nothing = np.zeros((1, len(lifted), 0))
     none = np.zeros(0, dtype=np.int64)

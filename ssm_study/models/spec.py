@@ -27,9 +27,8 @@ LEAST_SHARE = 0.5  # |y - ys| < |y| exactly where <y, ys> > <ys, ys> / 2
 SLOWEST = 0.9995
 
 Range = Sequence[float]  # from, to
-Pairs = Sequence[
-    tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]
-]  # records; their lengths may differ
+Record = tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]
+Pairs = Sequence[Record]  # their lengths may differ
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,9 +47,8 @@ class Initialisation:
         """Output of the initial linear system, simulated from the equilibrium."""
         # SciPy loads a part at its first use: this one takes half a second.
         lfilter = scipy.signal.lfilter
-        states = []
-        for mode, gain in zip(self.modes, self.b, strict=True):
-            states.append(lfilter([0.0, 1.0], [1.0, -mode], u @ gain))
+        gains = zip(self.modes, self.b, strict=True)
+        states = [lfilter([0.0, 1.0], [1.0, -mode], u @ gain) for mode, gain in gains]
         x = np.stack(states)
         twice = np.where(self.modes.imag == 0, 1.0, 2.0)
         return np.asarray((twice * self.c @ x).real.T + u @ self.d.T)
@@ -76,10 +74,10 @@ def draw_modes_on_ring(
     angles = rng.uniform(frequency[0], frequency[1], size=pairs)
     modes[real_modes:] *= np.exp(1j * angles)
     m, p = channels
-    b = draw_complex_normal(rng, (count, m)) * np.sqrt(1 - np.abs(modes[:, None]) ** 2)
-    c = draw_complex_normal(rng, (p, count)) / np.sqrt(
-        2 * count
-    )  # of like size at any radius and order
+    gains = np.sqrt(1 - np.abs(modes[:, None]) ** 2)
+    b = draw_complex_normal(rng, (count, m)) * gains
+    c = draw_complex_normal(rng, (p, count))
+    c = c / np.sqrt(2 * count)  # of like size at any radius and order
     b[:real_modes].imag = 0.0
     c[:, :real_modes].imag = 0.0
     return Initialisation(modes=modes, b=b, c=c, d=np.zeros((p, m)))
@@ -140,7 +138,8 @@ def fit_arx_matrices(
         driven = [u[lags - j : len(u) - j] for j in range(first, lags + 1)]
         rows.append(np.hstack([*past, *driven]))
         targets.append(y[lags:])
-    theta = np.linalg.lstsq(np.vstack(rows), np.vstack(targets), rcond=None)[0].T
+    solution = np.linalg.lstsq(np.vstack(rows), np.vstack(targets), rcond=None)
+    theta = solution[0].T
     inputs, outputs = records[0]
     p = outputs.shape[1]
     m = inputs.shape[1]
@@ -190,9 +189,12 @@ def realise_impulse_response(
 
     missing = order - rank
     fast_modes = rng.uniform(0.1, 0.4, size=missing)  # forgotten within a few samples
-    b = np.vstack([reachability[:, :m], 0.1 * rng.normal(size=(missing, m))])
-    c = np.hstack([observability[:p], 0.1 * rng.normal(size=(p, missing))])
-    return StateSpace(a=scipy.linalg.block_diag(a, np.diag(fast_modes)), b=b, c=c, d=h[0])
+    more_b = 0.1 * rng.normal(size=(missing, m))
+    more_c = 0.1 * rng.normal(size=(p, missing))
+    a = scipy.linalg.block_diag(a, np.diag(fast_modes))
+    b = np.vstack([reachability[:, :m], more_b])
+    c = np.hstack([observability[:p], more_c])
+    return StateSpace(a=a, b=b, c=c, d=h[0])
 
 
 def modal_initialisation(system: StateSpace) -> Initialisation:
@@ -205,9 +207,8 @@ def modal_initialisation(system: StateSpace) -> Initialisation:
     real = np.flatnonzero(np.isreal(values))
     upper = np.flatnonzero(values.imag > 0)
     indices = np.concatenate([real, upper])
-    return Initialisation(
-        modes=values[indices].astype(complex), b=b[indices], c=c[:, indices], d=system.d
-    )
+    modes = values[indices].astype(complex)
+    return Initialisation(modes=modes, b=b[indices], c=c[:, indices], d=system.d)
 
 
 def stabilise_eigenvalues(values: Inexact[np.ndarray, "n"]) -> Inexact[np.ndarray, "n"]:
@@ -277,58 +278,64 @@ class SSMSpec(ModelSpec):
         check_slope_bounds(self.slope_lower, self.slope_upper)
         require_one_of(("data", "ring"), "model.start", self.start)
         if self.start == "ring":
-            require_whole_number(0, "real_modes", self.real_modes, "use 2")
-            pairs = self.order - self.real_modes
-            remedy = "leave an even number of states for the pairs"
-            fits = pairs >= 0 and pairs % 2 == 0
-            problem = f"{self.order} states minus these must be pairs"
-            require(fits, "model.real_modes", self.real_modes, problem, remedy)
-            for name, most in (("ring_radius", 1.0), ("ring_frequency", np.pi)):
-                ends = getattr(self, name)
-                fits = len(ends) == 2 and 0 <= ends[0] < ends[1] <= most
-                problem = f"needs two increasing numbers in [0, {most:g}]"
-                require(fits, f"model.{name}", ends, problem, "correct the range")
+            self._check_ring()
+
+    def _check_ring(self) -> None:
+        """Refuse numbers of random modes that no draw can have."""
+        require_whole_number(0, "real_modes", self.real_modes, "use 2")
+        pairs = self.order - self.real_modes
+        remedy = "leave an even number of states for the pairs"
+        fits = pairs >= 0 and pairs % 2 == 0
+        problem = f"{self.order} states minus these must be pairs"
+        require(fits, "model.real_modes", self.real_modes, problem, remedy)
+        for name, most in (("ring_radius", 1.0), ("ring_frequency", np.pi)):
+            ends = getattr(self, name)
+            fits = len(ends) == 2 and 0 <= ends[0] < ends[1] <= most
+            problem = f"needs two increasing numbers in [0, {most:g}]"
+            require(fits, f"model.{name}", ends, problem, "correct the range")
 
     def for_training_run(self, start: int) -> "SSMSpec":
-        """Settings for one of several training runs, given by its number. The first begins with an
-        estimated system, the others with random modes."""
-        return (
-            replace(self, start="ring", real_modes=self.order - 2 * ((self.order - 1) // 2))
-            if start
-            else self
-        )
+        """Settings for training number `start` of several. From the second on it begins with random
+        modes, real ones only to make pairs."""
+        if not start:
+            return self
+        pairs = (self.order - 1) // 2
+        return replace(self, start="ring", real_modes=self.order - 2 * pairs)
 
     def build(self, data: DataSet, seed: int) -> "TorchSSM":
         """Build the trainable linear recurrence between static maps."""
         from ssm_study.models.torch_ssm import LRU, TorchSSM
 
         rng = np.random.default_rng(seed)
-        records = scale_records_with_disturbances(data)
-        slopes = (self.slope_lower, self.slope_upper)
-        seen = [np.concatenate(parts) for parts in zip(*scale_records(data), strict=True)]
-        frames = [
-            MapContext(width=self.hidden_width, slopes=slopes, samples=samples) for samples in seen
-        ]
-        scaffold_in = self.scaffold_in.build(frames[0], rng)
-        scaffold_out = self.scaffold_out.build(frames[1], rng)
-        if self.start == "data":
-            start = estimate_initial_system(records, self.order, rng, self.feedthrough)
-        else:
-            channels = (records[0][0].shape[1], seen[1].shape[1])
-            start = draw_modes_on_ring(
-                self.order, self.real_modes, self.ring_radius, self.ring_frequency, channels, rng
-            )
+        inputs, outputs = (np.concatenate(part) for part in zip(*scale_records(data), strict=True))
+        scaffold_in = self.scaffold_in.build(self._map_context(inputs), rng)
+        scaffold_out = self.scaffold_out.build(self._map_context(outputs), rng)
+        start = self._initial_system(scale_records_with_disturbances(data), rng)
         lru = LRU(start, self.feedthrough, data.scale.disturbances)
         return TorchSSM(scaffold_in, lru, scaffold_out)
 
+    def _map_context(self, samples: Float[np.ndarray, "N c"]) -> MapContext:
+        """Width, slopes and samples for the static map of these signals."""
+        slopes = (self.slope_lower, self.slope_upper)
+        return MapContext(width=self.hidden_width, slopes=slopes, samples=samples)
+
+    def _initial_system(self, records: Pairs, rng: np.random.Generator) -> Initialisation:
+        """Linear system from which the training starts, estimated or drawn."""
+        if self.start == "data":
+            return estimate_initial_system(records, self.order, rng, self.feedthrough)
+        u, y = records[0]
+        channels = (u.shape[1], y.shape[1])
+        sizes = (self.order, self.real_modes)
+        return draw_modes_on_ring(*sizes, self.ring_radius, self.ring_frequency, channels, rng)
+
 
 def scale_records(data: DataSet) -> Pairs:
-    """Training records converted to scaled units. `(u - u_eq) / input_scale`, `(y - y_eq) /
-    output_scale`."""
-    return [
-        (data.scale.scaled_input(record.u), data.scale.scaled_output(record.y))
-        for record in data.training
-    ]
+    """Convert training records to scaled units. Training records in scaled units: `(u - u_eq) /
+    input_scale`, `(y - y_eq) / output_scale`."""
+    scale = data.scale
+    inputs = [scale.scaled_input(record.u) for record in data.training]
+    outputs = [scale.scaled_output(record.y) for record in data.training]
+    return list(zip(inputs, outputs, strict=True))
 
 
 def scale_records_with_disturbances(data: DataSet) -> Pairs:
@@ -346,11 +353,6 @@ def check_slope_bounds(lower: float, upper: float) -> None:
     """Raise `BadRequest` for slope bounds that are empty or include zero."""
     require_positive("model.slope_lower", lower, "use 0.01 or so")
     fits = lower < upper < np.inf
+    names = "model.slope_lower, model.slope_upper"
     problem = "the lower slope must lie below the upper one"
-    require(
-        fits,
-        "model.slope_lower, model.slope_upper",
-        (lower, upper),
-        problem,
-        "swap or separate them",
-    )
+    require(fits, names, (lower, upper), problem, "swap or separate them")

@@ -35,27 +35,62 @@ class Activation(NamedTuple):
     c: str
 
 
-NEURONS = {  # in the order of the compiled form's codes (`structured_kernel.activation_and_slope`)
-    "tanh": Activation(np.tanh, lambda z: 1.0 - np.tanh(z) ** 2, "tanh(z)"),
-    "softplus": Activation(
-        lambda z: np.logaddexp(0.0, z),
-        lambda z: 0.5 * (1.0 + np.tanh(0.5 * z)),
-        "(z > 0.0 ? z : 0.0) + log1p(exp(-fabs(z)))",
-    ),
-    "clipped_cubic": Activation(
-        lambda z: np.where(np.abs(z) < 1.0, z**3 / 3.0, z - np.copysign(2.0 / 3.0, z)),
-        lambda z: np.minimum(z * z, 1.0),
-        "(fabs(z) < 1.0 ? z * z * z / 3.0 : z - copysign(2.0 / 3.0, z))",
-    ),
-    "relu": Activation(
-        lambda z: np.maximum(z, 0.0), lambda z: (z >= 0.0).astype(float), "(z > 0.0 ? z : 0.0)"
-    ),
-    "saturation": Activation(
-        lambda z: np.clip(z, -1.0, 1.0),
-        lambda z: ((z >= -1.0) & (z < 1.0)).astype(float),
-        "fmin(fmax(z, -1.0), 1.0)",
-    ),
-}
+def tanh_slope(z: Values) -> Values:
+    """Slope of the hyperbolic tangent."""
+    return 1.0 - np.tanh(z) ** 2
+
+
+def softplus(z: Values) -> Values:
+    """Logarithm of `1 + exp(z)`, without overflow."""
+    return np.logaddexp(0.0, z)
+
+
+def softplus_slope(z: Values) -> Values:
+    """Slope of the softplus: the logistic function."""
+    return 0.5 * (1.0 + np.tanh(0.5 * z))
+
+
+def clipped_cubic(z: Values) -> Values:
+    """Third of a cube up to one, a line of slope one beyond."""
+    inside = z**3 / 3.0
+    beyond = z - np.copysign(2.0 / 3.0, z)
+    return np.where(np.abs(z) < 1.0, inside, beyond)
+
+
+def clipped_cubic_slope(z: Values) -> Values:
+    """Slope of the clipped cubic."""
+    return np.minimum(z * z, 1.0)
+
+
+def relu(z: Values) -> Values:
+    """Positive part of a number."""
+    return np.maximum(z, 0.0)
+
+
+def relu_slope(z: Values) -> Values:
+    """Slope of the positive part; one at zero."""
+    return (z >= 0.0).astype(float)
+
+
+def saturation(z: Values) -> Values:
+    """Number limited to -1 ... 1."""
+    return np.clip(z, -1.0, 1.0)
+
+
+def saturation_slope(z: Values) -> Values:
+    """Slope of the saturation; that to the right of a kink."""
+    return ((z >= -1.0) & (z < 1.0)).astype(float)
+
+
+SOFTPLUS_IN_C = "(z > 0.0 ? z : 0.0) + log1p(exp(-fabs(z)))"
+CUBIC_IN_C = "(fabs(z) < 1.0 ? z * z * z / 3.0 : z - copysign(2.0 / 3.0, z))"
+# In the order of the compiled form's codes (`structured_kernel.activation_and_slope`).
+NEURONS: dict[str, Activation] = {}
+NEURONS["tanh"] = Activation(np.tanh, tanh_slope, "tanh(z)")
+NEURONS["softplus"] = Activation(softplus, softplus_slope, SOFTPLUS_IN_C)
+NEURONS["clipped_cubic"] = Activation(clipped_cubic, clipped_cubic_slope, CUBIC_IN_C)
+NEURONS["relu"] = Activation(relu, relu_slope, "(z > 0.0 ? z : 0.0)")
+NEURONS["saturation"] = Activation(saturation, saturation_slope, "fmin(fmax(z, -1.0), 1.0)")
 
 
 def activation_codes(kinds: tuple[str, ...]) -> Int[np.ndarray, "q"]:
@@ -139,19 +174,19 @@ class StructuredSSM(ScaffoldedModel):
 
     @property
     def _structured_system(self) -> StructuredSystem:
-        """Recurrence with its neurons, in the form that certificates use."""
-        return StructuredSystem(
-            **{block.name: getattr(self, block.name) for block in fields(StructuredSystem)}
-        )
+        """Recurrence with its neurons as a structured system."""
+        names = [block.name for block in fields(StructuredSystem)]
+        blocks = {name: getattr(self, name) for name in names}
+        return StructuredSystem(**blocks)
 
     @cached_property
     def matrices(self) -> "KernelMatrices":
         """Matrices of the recurrence for compiled code."""
-        from ssm_study.models.structured_kernel import (
-            KernelMatrices,
-        )  # numba: reading a model does without
+        # Here, for it loads numba: reading a model does without.
+        from ssm_study.models.structured_kernel import KernelMatrices
 
-        return KernelMatrices.from_parts(vars(self), activation_codes(self.neurons))
+        codes = activation_codes(self.neurons)
+        return KernelMatrices.from_parts(vars(self), codes)
 
     @cached_property
     def driven_matrices(self) -> "KernelMatrices":
@@ -160,19 +195,20 @@ class StructuredSSM(ScaffoldedModel):
         from ssm_study.models.structured_kernel import KernelMatrices
 
         system = self.driven_system
-        g = np.pad(self.g, ((0, 0), (0, self.scale.disturbances)))
-        return KernelMatrices.from_parts(
-            vars(self) | {"b": system.b, "d": system.d, "g": g}, activation_codes(self.neurons)
-        )
+        columns = (0, self.scale.disturbances)
+        driven = {"b": system.b, "d": system.d}
+        driven["g"] = np.pad(self.g, ((0, 0), columns))
+        codes = activation_codes(self.neurons)
+        return KernelMatrices.from_parts(vars(self) | driven, codes)
 
     def linearise_at(
         self, x: Float[np.ndarray, "n"], ubar: Float[np.ndarray, "mbar"]
     ) -> StateSpace:
-        """Linearise the recurrence at one state and mapped input. Neurons are replaced by their
-        slopes there."""
-        return self._structured_system.linearise_at_slopes(
-            evaluate_activations(self.neurons, self.f @ x + self.g @ ubar + self.bias, "slope")
-        )
+        """Linearise the recurrence at one state and mapped input. The recurrence's derivative at
+        one state and lifted input: neurons replaced by their slopes there."""
+        z = self.f @ x + self.g @ ubar + self.bias
+        slopes = evaluate_activations(self.neurons, z, "slope")
+        return self._structured_system.linearise_at_slopes(slopes)
 
     def neuron_outputs(
         self, x: State, ubar: Lifted, injected: Injected = 0.0
@@ -180,17 +216,19 @@ class StructuredSSM(ScaffoldedModel):
         """Outputs of the neurons for a state and a mapped input. `w = phi(F x + G v + b + injected)
         - phi(b)`; an observer injects `L_z (yh - y)`."""
         z = x @ self.f.T + ubar @ self.g.T + self.bias + injected  # what the neurons see
-        return evaluate_activations(self.neurons, z) - evaluate_activations(self.neurons, self.bias)
+        at_rest = evaluate_activations(self.neurons, self.bias)
+        return evaluate_activations(self.neurons, z) - at_rest
 
     def advance(self, x: State, ubar: Lifted, injected: Injected = 0.0) -> State:
         """Next state `x+ = A x + B v + E w`. `injected` is as in `neuron_outputs`."""
-        return x @ self.a.T + ubar @ self.b.T + self.neuron_outputs(x, ubar, injected) @ self.e.T
+        w = self.neuron_outputs(x, ubar, injected)
+        return x @ self.a.T + ubar @ self.b.T + w @ self.e.T
 
     def scaled_output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
         """Scaled output `S_y(C x + D v + H w)`."""
-        return self.scaffold_out(
-            x @ self.c.T + ubar @ self.d.T + self.neuron_outputs(x, ubar) @ self.h.T
-        )
+        w = self.neuron_outputs(x, ubar)
+        ybar = x @ self.c.T + ubar @ self.d.T + w @ self.h.T
+        return self.scaffold_out(ybar)
 
     def simulate_mapped(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
@@ -201,14 +239,18 @@ class StructuredSSM(ScaffoldedModel):
 
         batch = ubar.shape[:-2]
         samples = ubar.shape[-2]
+        inputs = ubar.shape[-1]
+        # No broadcast view: numba compiles anew for what is read-only.
         start = np.zeros((*batch, self.order))
-        start[...] = (
-            0.0 if x0 is None else x0
-        )  # no broadcast view: numba compiles anew for what is read-only
-        v = np.ascontiguousarray(ubar.reshape(-1, samples, ubar.shape[-1]), dtype=np.float64)
-        matrices = self.matrices if ubar.shape[-1] == self.b.shape[1] else self.driven_matrices
+        if x0 is not None:
+            start[...] = x0
+        records = ubar.reshape(-1, samples, inputs)
+        v = np.ascontiguousarray(records, dtype=np.float64)
+        has_disturbances = inputs != self.b.shape[1]
+        matrices = self.driven_matrices if has_disturbances else self.matrices
         ybar, states = simulate_compiled(matrices, v, start.reshape(-1, self.order))
-        return ybar.reshape(*batch, samples, -1), states.reshape(*batch, samples + 1, -1)
+        outputs = ybar.reshape(*batch, samples, -1)
+        return outputs, states.reshape(*batch, samples + 1, -1)
 
     def with_dead_time(self, samples: int) -> "StructuredSSM":
         """Copy of the model with a dead time at its input. The neurons see the input as many
@@ -236,8 +278,10 @@ class StructuredSSM(ScaffoldedModel):
             return super().from_json(data)
         plain = vars(SSM.from_json(data))
         parts = vars(plain.pop("linear"))
-        (n, m), p = parts["b"].shape, len(parts["c"])
-        none: Any = {name: np.zeros(shape) for name, shape in matrix_shapes(n, m, p, 0).items()}
+        n, m = parts["b"].shape
+        p = len(parts["c"])
+        shapes = matrix_shapes(n, m, p, 0)
+        none: Any = {name: np.zeros(shape) for name, shape in shapes.items()}
         return cls(**none | parts, **plain, neurons=())
 
 

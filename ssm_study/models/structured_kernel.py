@@ -67,10 +67,9 @@ def activation_and_slope(code, z):
 
 @compile_with_numba
 @no_type_check
-def _evaluate_neurons(
-    k, still, x, v, w, slope
-):  # Fill w and the slopes at state x and lifted input v; still is phi(b)
-    """Compute the outputs and slopes of all neurons at one sample, in place."""
+def _evaluate_neurons(k, still, x, v, w, slope):
+    """Compute the outputs `w` and slopes of all neurons at one sample, in place. `still` is
+    `phi(b)`."""
     for i in range(w.shape[0]):
         z = k.bias[i]
         for j in range(x.shape[0]):
@@ -83,8 +82,9 @@ def _evaluate_neurons(
 
 @compile_with_numba
 @no_type_check
-def _apply_matrices(state, through, inner, x, v, w, out):  # out = state x + through v + inner w
-    """Compute the next state or the output from state, input and neuron outputs, in place."""
+def _apply_matrices(state, through, inner, x, v, w, out):
+    """Compute the next state or the output from state, input and neuron outputs, in place. `out =
+    state x + through v + inner w`."""
     for i in range(out.shape[0]):
         total = 0.0
         for j in range(x.shape[0]):
@@ -109,17 +109,15 @@ def simulate_compiled(k, v, x0):
     w = np.empty(q)
     slope = np.empty(q)
     still = np.zeros(q)
-    _evaluate_neurons(
-        k, still, np.zeros(k.a.shape[0]), np.zeros(v.shape[2]), still, slope
-    )  # phi(b): at rest
+    at_rest = np.zeros(k.a.shape[0])
+    _evaluate_neurons(k, still, at_rest, np.zeros(v.shape[2]), still, slope)  # phi(b)
     for r in range(records):
         states[r, 0] = x0[r]
         for t in range(samples):
-            _evaluate_neurons(
-                k, still, states[r, t], v[r, t], w, slope
-            )  # w[t] first: output and next state share it
-            _apply_matrices(k.c, k.d, k.h, states[r, t], v[r, t], w, ybar[r, t])
-            _apply_matrices(k.a, k.b, k.e, states[r, t], v[r, t], w, states[r, t + 1])
+            x = states[r, t]
+            _evaluate_neurons(k, still, x, v[r, t], w, slope)
+            _apply_matrices(k.c, k.d, k.h, x, v[r, t], w, ybar[r, t])
+            _apply_matrices(k.a, k.b, k.e, x, v[r, t], w, states[r, t + 1])
     return ybar, states
 
 
@@ -159,19 +157,16 @@ def _add_sample_sensitivity(row, weights, s, inner, scaled, through, here, basis
         row[at[3] + j] += through[channel[j]] * basis[j]
 
 
-BLOCKS = (
-    "a",
-    "b",
-    "e",
-    "f",
-    "g",
-    "bias",
-    "scaffold_in",
-    "x0",
-    "c",
-    "d",
-    "h",
-)  # what moves the states first
+# What moves the states comes first.
+BLOCKS = ("a", "b", "e", "f", "g", "bias", "scaffold_in", "x0", "c", "d", "h")
+# Where in the tuple of first columns those of a block stand.
+AT_B = BLOCKS.index("b")
+AT_E = BLOCKS.index("e")
+AT_F = BLOCKS.index("f")
+AT_X0 = BLOCKS.index("x0")
+AT_C = BLOCKS.index("c")
+AT_D = BLOCKS.index("d")
+AT_H = BLOCKS.index("h")
 
 
 def simulate_with_sensitivities(
@@ -188,94 +183,109 @@ def simulate_with_sensitivities(
     unit; `x0` is the own record's.
     """
     n, m = k.b.shape
-    sizes = matrix_shapes(n, m, len(k.c), len(k.bias)) | {"scaffold_in": channel.shape, "x0": (n,)}
-    sizes = {name: sizes[name] for name in BLOCKS}
+    shapes = matrix_shapes(n, m, len(k.c), len(k.bias))
+    shapes |= {"scaffold_in": channel.shape, "x0": (n,)}
+    sizes = {name: shapes[name] for name in BLOCKS}
     places = tuple(accumulate(map(prod, sizes.values()), initial=0))
-    ybar, j = _sensitivity_loop(
-        k, np.ascontiguousarray(v), x0, np.ascontiguousarray(moved), channel, places
-    )
+    inputs = np.ascontiguousarray(v)
+    basis = np.ascontiguousarray(moved)
+    ybar, j = _sensitivity_loop(k, inputs, x0, basis, channel, places)
     return ybar, split_blocks(sizes, j)
 
 
 @compile_with_numba
 @no_type_check
 def _sensitivity_loop(k, v, x0, basis, channel, places):
-    """Compiled loop over records and samples for the output's derivatives with respect to the
-    parameters. `dx` of a state parameter is one row of `s`; what drives it is sparse and is added
-    by its place."""
+    """Compiled loop over records for the output's derivatives by the parameters."""
     records, samples, m = v.shape
     n = k.a.shape[0]
     p = k.c.shape[0]
     q = k.e.shape[1]
-    _, at_b, at_e, _, _, _, _, at_x0, at_c, at_d, at_h, width = places
-    at = places[3:7]
-    out = np.zeros((records, samples, p, width))
+    out = np.zeros((records, samples, p, places[-1]))
     ybar = np.empty((records, samples, p))
-    w = np.empty(q)
-    slope = np.empty(q)
     still = np.zeros(q)
     rest = np.empty(q)
     _evaluate_neurons(k, still, np.zeros(n), np.zeros(m), still, rest)
-    es = np.empty((n, q))
-    hs = np.empty((p, q))
-    turn = np.empty((n, n))
-    read = np.empty((p, n))
-    push = np.empty((n, m))
-    through = np.empty((p, m))
     for r in range(records):
-        x = x0[r].copy()
-        ahead = np.empty(n)
-        s = np.zeros((n, at_c))
-        moved = np.empty((n, at_c))
-        s[:, at_x0:at_c] = np.eye(n)  # dx / dx0 at the first sample
-        for t in range(samples):
-            _evaluate_neurons(k, still, x, v[r, t], w, slope)
-            _apply_matrices(k.c, k.d, k.h, x, v[r, t], w, ybar[r, t])
-            _linearise_at_slopes(k.a, k.b, k.e, k.f, k.g, slope, es, turn, push)
-            _linearise_at_slopes(k.c, k.d, k.h, k.f, k.g, slope, hs, read, through)
-            here = (x, v[r, t], w, slope, rest)
-            for o in range(p):
-                own = (at_c + o * n, at_d + o * m, at_h + o * q)
-                _add_sample_sensitivity(
-                    out[r, t, o],
-                    read[o],
-                    s,
-                    k.h[o],
-                    hs[o],
-                    through[o],
-                    here,
-                    basis[r, t],
-                    channel,
-                    own,
-                    at,
-                )
-            moved[:] = 0.0
-            for i in range(n):
-                own = (i * n, at_b + i * m, at_e + i * q)
-                _add_sample_sensitivity(
-                    moved[i],
-                    turn[i],
-                    s,
-                    k.e[i],
-                    es[i],
-                    push[i],
-                    here,
-                    basis[r, t],
-                    channel,
-                    own,
-                    at,
-                )
-            s, moved = moved, s  # two buffers, swapped: no allocation in the loop
-            _apply_matrices(k.a, k.b, k.e, x, v[r, t], w, ahead)
-            x, ahead = ahead, x
+        moved = (basis[r], channel)
+        _differentiate_record(k, (still, rest), v[r], x0[r], moved, places, ybar[r], out[r])
     return ybar, out
 
 
 @compile_with_numba
 @no_type_check
-def _linearise_at_slopes(state, through, inner, f, g, slope, scaled, by_state, by_input):
-    """Linearise the recurrence at given slopes of its neurons, in place. `scaled = inner S,
-    by_state = state + inner S f, by_input = through + inner S g`."""
+def _differentiate_record(k, at_rest, v, x0, moved, places, ybar, out):
+    """Fill in one record's output and derivatives, sample by sample. A state parameter keeps `dx`
+    in one row of `s`; what drives it is sparse and is added by its place."""
+    samples, m = v.shape
+    n = k.a.shape[0]
+    p = k.c.shape[0]
+    still, _ = at_rest
+    q = len(still)
+    w = np.empty(q)
+    slope = np.empty(q)
+    for_state = (np.empty((n, q)), np.empty((n, n)), np.empty((n, m)))
+    for_output = (np.empty((p, q)), np.empty((p, n)), np.empty((p, m)))
+    x = x0.copy()
+    ahead = np.empty(n)
+    states = places[AT_C]
+    s = np.zeros((n, states))
+    s_ahead = np.empty((n, states))
+    s[:, places[AT_X0] : states] = np.eye(n)  # dx / dx0 at the first sample
+    for t in range(samples):
+        _evaluate_neurons(k, still, x, v[t], w, slope)
+        _apply_matrices(k.c, k.d, k.h, x, v[t], w, ybar[t])
+        _linearise_at_slopes(k.a, k.b, k.e, k.f, k.g, slope, for_state)
+        _linearise_at_slopes(k.c, k.d, k.h, k.f, k.g, slope, for_output)
+        here = (x, v[t], w, slope, at_rest[1])
+        _add_output_sensitivities(k, s, here, for_output, moved, t, places, out[t])
+        _advance_sensitivities(k, s, here, for_state, moved, t, places, s_ahead)
+        s, s_ahead = s_ahead, s  # two buffers, swapped: no allocation in the loop
+        _apply_matrices(k.a, k.b, k.e, x, v[t], w, ahead)
+        x, ahead = ahead, x
+
+
+@compile_with_numba
+@no_type_check
+def _add_output_sensitivities(k, s, here, linearised, moved, t, places, out):
+    """Add the derivatives of every output at one sample, in place."""
+    n = s.shape[0]
+    m = len(here[1])
+    q = len(here[2])
+    hs, read, through = linearised
+    basis, channel = moved
+    at = places[AT_F:AT_X0]
+    for o in range(out.shape[0]):
+        own = (places[AT_C] + o * n, places[AT_D] + o * m, places[AT_H] + o * q)
+        _add_sample_sensitivity(
+            out[o], read[o], s, k.h[o], hs[o], through[o], here, basis[t], channel, own, at
+        )
+
+
+@compile_with_numba
+@no_type_check
+def _advance_sensitivities(k, s, here, linearised, moved, t, places, s_ahead):
+    """Compute the derivatives of the next state from those of this one, in place."""
+    n = s.shape[0]
+    m = len(here[1])
+    q = len(here[2])
+    es, turn, push = linearised
+    basis, channel = moved
+    at = places[AT_F:AT_X0]
+    s_ahead[:] = 0.0
+    for i in range(n):
+        own = (i * n, places[AT_B] + i * m, places[AT_E] + i * q)
+        _add_sample_sensitivity(
+            s_ahead[i], turn[i], s, k.e[i], es[i], push[i], here, basis[t], channel, own, at
+        )
+
+
+@compile_with_numba
+@no_type_check
+def _linearise_at_slopes(state, through, inner, f, g, slope, linearised):
+    """Linearise the recurrence at given slopes of its neurons, in place. `linearised = (inner S,
+    state + inner S f, through + inner S g)`."""
+    scaled, by_state, by_input = linearised
     for i in range(state.shape[0]):
         for u in range(slope.shape[0]):
             scaled[i, u] = inner[i, u] * slope[u]

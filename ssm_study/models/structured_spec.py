@@ -63,36 +63,36 @@ class TrainablePieces:
     def parameter_channels(self) -> Int[np.ndarray, "P"]:
         """Index of the channel to which each parameter of the map belongs."""
         each = np.arange(self.channels)
-        knots = self.knots
-        return (
-            np.concatenate([np.repeat(each, knots + 1), np.repeat(each, knots)])
-            if knots
-            else each[:0]
-        )
+        if not self.knots:
+            return each[:0]
+        of_slopes = np.repeat(each, self.knots + 1)
+        of_points = np.repeat(each, self.knots)
+        return np.concatenate([of_slopes, of_points])
 
     def initial_parameters(self, samples: Float[np.ndarray, "N c"]) -> Free:
         """Initial parameters of the map, with equal slopes and evenly spaced break points. None of
         them is near the ends, which are rarely visited."""
         if not self.knots:
             return np.zeros(0)
-        low = samples[:, : self.channels].min(axis=0)
-        high = samples[:, : self.channels].max(axis=0)
-        points = low + (high - low) * (np.arange(self.knots) + 0.5)[:, None] / self.knots
-        return np.concatenate([np.zeros(self.channels * (self.knots + 1)), points.T.ravel()])
+        mapped = samples[:, : self.channels]
+        low = mapped.min(axis=0)
+        high = mapped.max(axis=0)
+        middles = np.arange(self.knots) + 0.5
+        points = low + (high - low) * middles[:, None] / self.knots
+        slopes = np.zeros(self.channels * (self.knots + 1))
+        return np.concatenate([slopes, points.T.ravel()])
 
     def _slopes_and_points(self, theta: Free) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Slopes, their derivatives with respect to the free parameters, and the sorted break
         points. Each has one row per channel."""
         split = self.channels * (self.knots + 1)
-        share = 1.0 / (
-            1.0 + np.exp(-theta[:split].reshape(self.channels, -1))
-        )  # the logistic function
+        free = theta[:split].reshape(self.channels, -1)
+        points = theta[split:].reshape(self.channels, -1)
+        share = 1.0 / (1.0 + np.exp(-free))  # the logistic function
         width = self.upper - self.lower
-        return (
-            self.lower + width * share,
-            width * share * (1.0 - share),
-            theta[split:].reshape(self.channels, -1),
-        )
+        slopes = self.lower + width * share
+        by_free = width * share * (1.0 - share)
+        return slopes, by_free, points
 
     def derivatives(
         self, theta: Free, v: Signals
@@ -109,28 +109,32 @@ class TrainablePieces:
         at = np.ones_like(v)
         frees = []
         moves = []
-        for c, (slopes, by_free, points) in enumerate(
-            zip(*self._slopes_and_points(theta), strict=True)
-        ):
+        channels = zip(*self._slopes_and_points(theta), strict=True)
+        for c, (slopes, by_free, points) in enumerate(channels):
             order = np.argsort(points, kind="stable")
-            ends = np.concatenate([[-np.inf], points[order], [np.inf]])
+            inner = points[order]
+            lower = np.concatenate([[-np.inf], inner])
+            upper = np.concatenate([inner, [np.inf]])
             x = v[..., c, None]
-            inside = np.clip(x, ends[:-1], ends[1:]) - np.clip(0.0, ends[:-1], ends[1:])
+            inside = np.clip(x, lower, upper) - np.clip(0.0, lower, upper)
             values[..., c] = inside @ slopes
-            at[..., c] = slopes[np.searchsorted(ends[1:-1], v[..., c], side="right")]
+            piece = np.searchsorted(inner, v[..., c], side="right")
+            at[..., c] = slopes[piece]
             frees.append(inside * by_free)
-            passed = (x > ends[1:-1]).astype(float) - (
-                ends[1:-1] < 0.0
-            )  # which break points lie between 0 and v
-            moves.append(
-                (passed * -np.diff(slopes))[..., np.argsort(order)]
-            )  # back in the order of the parameters
+            # Which break points lie between 0 and v.
+            passed = (x > inner).astype(float) - (inner < 0.0)
+            by_points = passed * -np.diff(slopes)
+            in_order_of_parameters = np.argsort(order)
+            moves.append(by_points[..., in_order_of_parameters])
         return values, at, np.concatenate([*frees, *moves], axis=-1)
 
     def values(self, theta: Free, v: Signals) -> Signals:
         """Values of the map, followed by the channels that it leaves unchanged."""
         mapped = self.freeze(theta)(v[..., : self.channels])
-        return np.concatenate([mapped, v[..., self.channels :]], axis=-1) if self.passed else mapped
+        if not self.passed:
+            return mapped
+        unchanged = v[..., self.channels :]
+        return np.concatenate([mapped, unchanged], axis=-1)
 
     def freeze(self, theta: Free) -> Scaffold:
         """Trained map as explicit numbers, without the channels that it leaves unchanged."""
@@ -175,59 +179,54 @@ class StructuredSpec(ModelSpec):
     refit: bool = True
 
     def __post_init__(self) -> None:
+        self._check_sizes()
+        self._check_options()
+        self._check_numbers()
+        self._check_integrator()
+
+    def _check_sizes(self) -> None:
+        """Refuse settings that are to be whole numbers and are none."""
         for name, least in LEAST.items():
-            if name in AUTOMATIC and getattr(self, name) == AUTO:
+            value = getattr(self, name)
+            may_be_chosen = name in AUTOMATIC
+            if may_be_chosen and value == AUTO:
                 continue
-            alternative = f", or {AUTO}" if name in AUTOMATIC else ""
-            require_whole_number(least, name, getattr(self, name), f"use 4 or so{alternative}")
-        require_one_of((True, False, AUTO), "model.feedthrough", self.feedthrough)
-        require_one_of((True, False, AUTO), "model.integrating_output", self.integrating_output)
+            alternative = f", or {AUTO}" if may_be_chosen else ""
+            require_whole_number(least, name, value, f"use 4 or so{alternative}")
+
+    def _check_options(self) -> None:
+        """Refuse unknown words where a setting has a few values."""
+        flags = (True, False, AUTO)
+        require_one_of(flags, "model.feedthrough", self.feedthrough)
+        require_one_of(flags, "model.integrating_output", self.integrating_output)
         if self.neurons != AUTO:
             activation_codes(self.neuron_kinds)
         require_one_of(("none", "staged", "free", AUTO), "model.input_path", self.input_path)
         require_one_of(("none", "free"), "model.output_path", self.output_path)
+
+    def _check_numbers(self) -> None:
+        """Refuse numbers outside their ranges."""
         check_slope_bounds(self.slope_lower, self.slope_upper)
         inside = self.rate is None or self.rate == AUTO or 0 < float(self.rate) <= 1
-        require(
-            inside,
-            "model.rate",
-            self.rate,
-            "must lie in (0, 1]",
-            "use 0.999, or null for a free model",
-        )
+        remedy = "use 0.999, or null for a free model"
+        require(inside, "model.rate", self.rate, "must lie in (0, 1]", remedy)
         require_at_least(0, "model.ridge", self.ridge, "use 1e-6")
-        require(
-            0 <= self.gain_share < 1,
-            "model.gain_share",
-            self.gain_share,
-            "is a share of the largest gain",
-            "use 0.05, or 0 for none",
-        )
-        three = len(self.start_steps) == 3 and min(self.start_steps) >= 1
-        require(
-            three,
-            "model.start_steps",
-            self.start_steps,
-            "needs three numbers, at least 1",
-            "use [15, 20, 10]",
-        )
-        integrates = self.integrating_output is True
+        share = self.gain_share
+        problem = "is a share of the largest gain"
+        require(0 <= share < 1, "model.gain_share", share, problem, "use 0.05, or 0 for none")
+        steps = self.start_steps
+        fits = len(steps) == 3 and min(steps) >= 1
+        problem = "needs three numbers, at least 1"
+        require(fits, "model.start_steps", steps, problem, "use [15, 20, 10]")
+
+    def _check_integrator(self) -> None:
+        """Refuse what does not go together with an integrator."""
+        if self.integrating_output is not True:
+            return
         problem = "without neurons no integrator is set apart: a mode comes near one by itself"
-        require(
-            not (integrates and self.neurons == 0),
-            "model.neurons",
-            self.neurons,
-            problem,
-            "use 1 or more",
-        )
-        plain = not (integrates and self.output_knots)
-        require(
-            plain,
-            "model.output_knots",
-            self.output_knots,
-            "an integrating output has a linear S_y",
-            "use 0",
-        )
+        require(self.neurons != 0, "model.neurons", self.neurons, problem, "use 1 or more")
+        problem = "an integrating output has a linear S_y"
+        require(not self.output_knots, "model.output_knots", self.output_knots, problem, "use 0")
 
     @property
     def neuron_kinds(self) -> tuple[str, ...]:
@@ -255,9 +254,10 @@ class StructuredSpec(ModelSpec):
         """
         if self.among_starts is None:
             return self
-        last = start == self.training_count - 1
-        smaller = replace(self, order=(int(self.order) + 1) // 2) if start % 2 or last else self
-        return replace(smaller, neurons=0, integrating_output=False) if last else smaller
+        half = replace(self, order=(int(self.order) + 1) // 2)
+        if start == self.training_count - 1:
+            return replace(half, neurons=0, integrating_output=False)
+        return half if start % 2 else self
 
     def build_maps(
         self, channels: tuple[int, int], disturbances: int = 0
@@ -271,14 +271,19 @@ class StructuredSpec(ModelSpec):
         return lift, read
 
     def without_neurons(self) -> SSMSpec:
-        """Settings of the same model without neurons, which is trained as `model=ssm` is."""
-        inward, outward = (
-            Monotone() if knots else Linear() for knots in (self.knots, self.output_knots)
-        )
-        shared = {name: getattr(self, name) for name in ("order", "slope_lower", "slope_upper")}
-        shared["feedthrough"] = self.feedthrough is True  # `auto` is decided before
+        """Settings of the same model without neurons, trained as `model=ssm` is."""
+        inward = Monotone() if self.knots else Linear()
+        outward = Monotone() if self.output_knots else Linear()
         width = max(int(self.knots), self.output_knots, 1)  # of both maps: one number in SSMSpec
-        return SSMSpec(hidden_width=width, scaffold_in=inward, scaffold_out=outward, **shared)
+        return SSMSpec(
+            order=self.order,  # type: ignore[arg-type] # decided before
+            hidden_width=width,
+            slope_lower=self.slope_lower,
+            slope_upper=self.slope_upper,
+            feedthrough=self.feedthrough is True,
+            scaffold_in=inward,
+            scaffold_out=outward,
+        )
 
     def build(self, data: Any, seed: int) -> Any:  # noqa: ARG002
         """Raise an error, since a structured model is trained without torch

@@ -45,24 +45,22 @@ class ChunkedRecurrence(torch.autograd.Function):
     def forward(
         ctx: Any, decay: Tensor, b: Tensor, c: Tensor, d: Tensor, u: Tensor, x0: Tensor | None
     ) -> Tensor:
-        """Simulate the recurrence block by block, and store the values that the gradient needs."""
-        rate = decay.to(
-            torch.complex128
-        )  # in which powers are taken: a phase grows with its sample
+        """Simulate the recurrence block by block, and store what the gradient needs."""
+        rate = decay.to(torch.complex128)  # powers are taken in it: a phase grows with its sample
         power = torch.exp(_AGES.to(u.device) * rate).to(decay.dtype)  # lambda^k, k = 0 ... 64
-        lift = _as_real((power[:-1].flip(0)[:, None] * b.mT).flatten(0, 1))
-        read = _as_real((power[:-1, None] * c).flatten(0, 1).conj_physical())
+        lift_by_sample = power[:-1].flip(0)[:, None] * b.mT
+        lift = _as_real(lift_by_sample.flatten(0, 1))
+        read_by_sample = power[:-1, None] * c
+        read = _as_real(read_by_sample.flatten(0, 1).conj_physical())
         within = _toeplitz_table(d, read, _as_real(b.mT.contiguous()))
         blocks = _split_into_blocks(u)
-        members = (
-            math.isqrt(len(blocks) - 1) + 1
-        )  # as many powers of lambda^64 as a group of the scan has
+        members = math.isqrt(len(blocks) - 1) + 1  # of a group of the scan, and powers of lambda^64
         steps = torch.arange(1, members + 1, device=u.device)[:, None, None]
         turns = torch.exp(steps * (rate * CHUNK)).to(decay.dtype)
-        x = _scan_blocks(
-            turns, _as_complex(blocks @ lift), x0
-        )  # the state at the start of each block
-        y = (blocks @ within).view(-1, within.shape[1]).addmm_(_as_real(x).flatten(0, 1), read.mT)
+        rise = _as_complex(blocks @ lift)
+        x = _scan_blocks(turns, rise, x0)  # the state at the start of each block
+        y = (blocks @ within).view(-1, within.shape[1])
+        y = y.addmm_(_as_real(x).flatten(0, 1), read.mT)
         ctx.save_for_backward(turns, power, b, c, lift, read, within, blocks, x)
         ctx.samples = u.shape[1]
         ctx.starts_moving = x0 is not None
@@ -75,49 +73,41 @@ class ChunkedRecurrence(torch.autograd.Function):
         turns, power, b, c, lift, read, within, blocks, x = ctx.saved_tensors
         m = b.shape[1]
         p = len(c)
-        errors = _split_into_blocks(upstream[0])
-        inputs = blocks.flatten(0, 1)
-        states = _as_real(x).flatten(0, 1)
-        reached = _as_complex(errors @ read)
-        later = _scan_blocks(turns.conj_physical(), reached.flip(0), None).flip(
-            0
-        )  # the loss by the inputs to the states
+        error_blocks = _split_into_blocks(upstream[0])
+        reached = _as_complex(error_blocks @ read)
+        later = _scan_blocks(turns.conj_physical(), reached.flip(0), None)
+        later = later.flip(0)  # the loss by the inputs to the states
         pushed = _as_real(later).flatten(0, 1)
-        errors = errors.flatten(0, 1)  # adjoint of the states, rows by block
-        d_u = (
-            (errors @ within.mT).addmm_(pushed, lift.mT).view(blocks.shape)
-            if ctx.needs_input_grad[4]
-            else None
-        )
+        errors = error_blocks.flatten(0, 1)  # adjoint of the states, rows by block
+        d_u = None
+        if ctx.needs_input_grad[4]:
+            d_blocks = (errors @ within.mT).addmm_(pushed, lift.mT)
+            d_u = _join_blocks(d_blocks.view(blocks.shape), ctx.samples, m)
+
+        inputs = blocks.flatten(0, 1)
         d_g = _diagonal_sums(inputs.mT @ errors, p, m)  # by the impulse response g
         tail = d_g[1:].reshape(-1, m)  # g[0] = D alone, g[k] = Re(C lambda^(k-1) B)
-        d_lift = _as_complex((inputs.mT @ pushed).view(CHUNK, m, -1)).flip(0)
-        d_read = errors.mT @ states
-        d_read[:-p].addmm_(tail, _as_real(b.mT.contiguous()))
-        d_read = _as_complex(d_read.view(CHUNK, p, -1)).conj_physical()
+        by_lift = (inputs.mT @ pushed).view(CHUNK, m, -1)
+        d_lift = _as_complex(by_lift).flip(0)
+        by_read = errors.mT @ _as_real(x).flatten(0, 1)
+        by_read[:-p].addmm_(tail, _as_real(b.mT.contiguous()))
+        d_read = _as_complex(by_read.view(CHUNK, p, -1)).conj_physical()
+
         power_conj = power.conj_physical()
-        d_turn = (x.conj() * later).sum((0, 1))
-        d_b = (power_conj[:-1, None] * d_lift).sum(0) + _as_complex(tail.mT @ read[:-p])
+        through_tail = _as_complex(tail.mT @ read[:-p])
+        d_b = (power_conj[:-1, None] * d_lift).sum(0) + through_tail
         d_c = (power_conj[:-1, None] * d_read).sum(0)
-        d_power = torch.cat(
-            [(d_lift * b.mT.conj()).sum(1) + (d_read * c.conj()).sum(1), d_turn[None]]
-        )
-        d_decay = (_AGES.to(d_read.real) * (power_conj * d_power)).sum(
-            0
-        )  # d lambda^k = k lambda^k d decay
+        d_turn = (x.conj() * later).sum((0, 1))
+        d_inside = (d_lift * b.mT.conj()).sum(1) + (d_read * c.conj()).sum(1)
+        d_power = torch.cat([d_inside, d_turn[None]])
+        weighted = _AGES.to(d_read.real) * (power_conj * d_power)
+        d_decay = weighted.sum(0)  # d lambda^k = k lambda^k d decay
         d_x0 = torch.addcmul(reached[0], power_conj[-1], later[0]) if ctx.starts_moving else None
-        return (
-            d_decay,
-            d_b.mT,
-            d_c,
-            d_g[0],
-            None if d_u is None else _join_blocks(d_u, ctx.samples, m),
-            d_x0,
-        )
+        return d_decay, d_b.mT, d_c, d_g[0], d_u, d_x0
 
 
-def _as_real(table: Complex2) -> Real2:  # Real and imaginary parts side by side, without a copy
-    """View complex numbers as pairs of real and imaginary parts."""
+def _as_real(table: Complex2) -> Real2:
+    """View complex numbers as real and imaginary parts side by side, without a copy."""
     return torch.view_as_real(table).flatten(-2)
 
 
@@ -132,22 +122,25 @@ def _toeplitz_table(
     """Block Toeplitz matrix of an impulse response. `T[(j, input), (k, output)] = g[output, input,
     k - j]`."""
     p, m = d.shape
-    g = torch.cat([d.new_zeros(CHUNK - 1, p, m), d[None], (read[:-p] @ b.mT).view(-1, p, m)])
-    return g.unfold(0, CHUNK, 1).flip(0).permute(0, 2, 3, 1).reshape(CHUNK * m, CHUNK * p)
+    before = d.new_zeros(CHUNK - 1, p, m)
+    after = (read[:-p] @ b.mT).view(-1, p, m)
+    g = torch.cat([before, d[None], after])
+    shifted = g.unfold(0, CHUNK, 1).flip(0)
+    return shifted.permute(0, 2, 3, 1).reshape(CHUNK * m, CHUNK * p)
 
 
 def _diagonal_sums(table: Float[Tensor, "sm sp"], p: int, m: int) -> Float[Tensor, "s p m"]:
     """Sums along the diagonals of a block Toeplitz matrix. With rows of length 2 s - 1 instead of 2
     s, a diagonal becomes a column."""
     flipped = table.view(CHUNK, m, CHUNK, p).permute(1, 3, 0, 2).flip(2)
-    skewed = torch.nn.functional.pad(flipped, (0, CHUNK)).flatten(2)[..., :-CHUNK]
-    return skewed.unflatten(2, (CHUNK, -1)).sum(2)[..., CHUNK - 1 :].permute(2, 1, 0)
+    widened = torch.nn.functional.pad(flipped, (0, CHUNK)).flatten(2)
+    skewed = widened[..., :-CHUNK].unflatten(2, (CHUNK, -1))
+    sums = skewed.sum(2)[..., CHUNK - 1 :]
+    return sums.permute(2, 1, 0)
 
 
-def _split_into_blocks(
-    signal: Float[Tensor, "e T m"],
-) -> Float[Tensor, "q e sm"]:  # Blocks of samples first, filled up with zeros
-    """Split a signal into blocks of samples, padded with zeros."""
+def _split_into_blocks(signal: Float[Tensor, "e T m"]) -> Float[Tensor, "q e sm"]:
+    """Split a signal into blocks of samples, padded with zeros. Blocks come first."""
     filled = torch.nn.functional.pad(signal, (0, 0, 0, -signal.shape[1] % CHUNK))
     return filled.unflatten(1, (-1, CHUNK)).transpose(0, 1).flatten(2).contiguous()
 
@@ -178,9 +171,7 @@ def _scan_blocks(
     return x[: len(rise)]
 
 
-FEW_POWERS = (
-    4096  # below this the many small operations of doubling cost more than the exponentials
-)
+FEW_POWERS = 4096  # of fewer, doubling's many small operations cost more than the exponentials
 CHUNKS_UP_TO_MODES = 16
 # Measured in benchmarks/models_recurrence.py: chunks win where their products are small against the
 # transforms.
@@ -208,27 +199,34 @@ def final_state(modes: ModalForm, u: Input, x0: Modal | None = None) -> Modal:
     samples = u.shape[1]
     rate = modes.decay.to(torch.complex128)
     ages = mode_powers(rate, samples).flip(0).to(modes.b.dtype)
-    moments = torch.complex(u.transpose(1, 2) @ ages.real, u.transpose(1, 2) @ ages.imag)
+    real = u.transpose(1, 2) @ ages.real
+    imaginary = u.transpose(1, 2) @ ages.imag
+    moments = torch.complex(real, imaginary)
     x = (moments * modes.b.T).sum(1)
-    return x if x0 is None else x + torch.exp(rate * samples).to(x.dtype) * x0
+    if x0 is None:
+        return x
+    decay = torch.exp(rate * samples).to(x.dtype)
+    return x + decay * x0
 
 
 def simulate_by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
     """Simulate a linear recurrence by FFT convolution. `y = g * u` by real transforms of a fast
-    length; it can be differentiated forward, vectorised, and any number of times."""
-    (p, m), samples = modes.d.shape, u.shape[1]
+    length; differentiable forward, vectorised and any number of times."""
+    p, m = modes.d.shape
+    samples = u.shape[1]
     both = power_tables(modes.decay, samples)
     length = next_fast_len(2 * samples - 1, real=True)
-    weights = (modes.c[:, None] * modes.b.mT).flatten(
-        0, 1
-    )  # C_i B_i, one row per pair of output and input
+    by_pair = modes.c[:, None] * modes.b.mT
+    weights = by_pair.flatten(0, 1)  # C_i B_i, one row per pair of output and input
     tail = modal_impulse_response(weights, both)[:, : samples - 1]
     g = torch.cat([modes.d.flatten()[:, None], tail], 1).view(p, m, -1)
     spectrum = torch.fft.rfft(g, n=length)
     lifted = torch.fft.rfft(u.mT, n=length)
-    y = torch.fft.irfft(torch.einsum("pmf,emf->epf", spectrum, lifted), n=length)[..., :samples]
+    product = torch.einsum("pmf,emf->epf", spectrum, lifted)
+    y = torch.fft.irfft(product, n=length)[..., :samples]
     if x0 is not None:
-        free = modal_impulse_response((x0[:, None] * modes.c).flatten(0, 1), both)[:, :samples]
+        free_weights = (x0[:, None] * modes.c).flatten(0, 1)
+        free = modal_impulse_response(free_weights, both)[:, :samples]
         y = y + free.unflatten(0, (len(x0), -1))
     return y.mT
 
@@ -247,16 +245,17 @@ def power_tables(decay: Complex[Tensor, "n"], samples: int) -> Tables:
     """
     short = math.isqrt(samples - 1) + 1
     rate = decay.to(torch.complex128)
-    return mode_powers(rate, short).to(decay.dtype), mode_powers(
-        rate * short, -(-samples // short)
-    ).to(decay.dtype)
+    fine = mode_powers(rate, short)
+    coarse = mode_powers(rate * short, -(-samples // short))
+    return fine.to(decay.dtype), coarse.to(decay.dtype)
 
 
 def mode_powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "count n"]:
-    """Powers of the modes, one row for each exponent from 0 to `count - 1`. Large tables are made
-    by doubling, nine times cheaper than exponentials."""
+    """Powers of the modes, one row for each exponent below `count`. Large tables are made by
+    doubling, nine times cheaper than the exponentials."""
     if count * len(rate) <= FEW_POWERS:
-        return torch.exp(torch.arange(count, device=rate.device)[:, None] * rate)
+        exponents = torch.arange(count, device=rate.device)
+        return torch.exp(exponents[:, None] * rate)
     step = torch.exp(rate)[None]
     table = torch.ones_like(step)
     while len(table) < count:
@@ -270,7 +269,8 @@ def modal_impulse_response(weights: Complex[Tensor, "r n"], both: Tables) -> Flo
     weights_i lambda_i^k`, as one real product of two tables, without a table of samples x n."""
     fine, coarse = both
     left = torch.view_as_real(weights[:, None, :] * coarse).flatten(-2)
-    return (left @ torch.view_as_real(fine.conj().resolve_conj()).flatten(-2).mT).flatten(-2)
+    right = torch.view_as_real(fine.conj().resolve_conj()).flatten(-2)
+    return (left @ right.mT).flatten(-2)
 
 
 _FORWARD = ContextVar("derivatives are taken forward", default=False)
@@ -290,6 +290,5 @@ def simulate_modal_form(modes: ModalForm, u: Input, x0: Modal | None = None) -> 
     """Simulate a linear recurrence by the fastest available method. Convolution and blocks give the
     same result; their speed depends on length and order."""
     few = len(modes.decay) <= CHUNKS_UP_TO_MODES and u.shape[1] >= CHUNKS_FROM_SAMPLES
-    return (simulate_in_chunks if few and not _FORWARD.get() else simulate_by_convolution)(
-        modes, u, x0
-    )
+    simulate = simulate_in_chunks if few and not _FORWARD.get() else simulate_by_convolution
+    return simulate(modes, u, x0)

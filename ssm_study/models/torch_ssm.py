@@ -58,15 +58,12 @@ class InputMapping(nn.Module):
         if pieces is None:
             return scaffold(self.u)
         points, slopes, offsets = pieces
-        inner = torch.searchsorted(
-            self.values, points.detach()
-        )  # where the runs of one slope begin
-        cuts = torch.nn.functional.pad(
-            torch.nn.functional.pad(inner, (1, 0)), (0, 1), value=len(self.values)
-        )
-        return _PiecewiseEvaluation.apply(
-            slopes, offsets, cuts.diff(), self.values, self.order, self.back
-        ).view(self.u.shape)
+        inner = torch.searchsorted(self.values, points.detach())  # where the runs of a slope begin
+        from_zero = torch.nn.functional.pad(inner, (1, 0))
+        cuts = torch.nn.functional.pad(from_zero, (0, 1), value=len(self.values))
+        sorting = (self.values, self.order, self.back)
+        mapped = _PiecewiseEvaluation.apply(slopes, offsets, cuts.diff(), *sorting)
+        return mapped.view(self.u.shape)
 
 
 Run = Float[Tensor, "h1"]
@@ -90,28 +87,25 @@ class _PiecewiseEvaluation(torch.autograd.Function):
     ) -> Sample:
         """Evaluate the piecewise-linear map at sorted inputs."""
         ctx.save_for_backward(counts, ranked, order)
-        slope, offset = (
-            torch.repeat_interleave(part, counts, output_size=len(ranked))
-            for part in (slopes, offsets)
-        )
+        slope = torch.repeat_interleave(slopes, counts, output_size=len(ranked))
+        offset = torch.repeat_interleave(offsets, counts, output_size=len(ranked))
         return torch.addcmul(offset, slope, ranked).index_select(0, back)
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         """Gradients of the loss with respect to the slopes and offsets of the map's pieces."""
         counts, ranked, order = ctx.saved_tensors
-        sorted_upstream = upstream[0].index_select(0, order)
-        parts = (sorted_upstream * ranked, sorted_upstream)  # by the slopes, by the offsets
-        sums = (torch.segment_reduce(part, "sum", lengths=counts, initial=0.0) for part in parts)
-        return (*sums, None, None, None, None)
+        by_sample = upstream[0].index_select(0, order)
+        pieces = {"lengths": counts, "initial": 0.0}
+        by_slopes = torch.segment_reduce(by_sample * ranked, "sum", **pieces)
+        by_offsets = torch.segment_reduce(by_sample, "sum", **pieces)
+        return by_slopes, by_offsets, None, None, None, None
 
 
 Signals = Float[Tensor, "e T _"]
 States = Float[Tensor, "e n"]
 Modal = Complex[Tensor, "e modes"]
-LEAST_DAMPING = (
-    1e-8  # per sample: below it the radius rounds to one, and what is stored is not stable
-)
+LEAST_DAMPING = 1e-8  # per sample: below it the radius rounds to one, and is stored as unstable
 
 
 class LRU(nn.Module):
@@ -134,13 +128,12 @@ class LRU(nn.Module):
         self.reals = int((modes.imag == 0).sum())
         self.nu = nn.Parameter(torch.log(-torch.log(radius)))  # inverse of |lambda| = exp(-exp(nu))
         self.theta = nn.Parameter(modes[self.reals :].angle())  # one of each pair
-        self.register_buffer(
-            "flip", torch.where(modes[: self.reals].real < 0, torch.pi, 0.0).to(torch.float64)
-        )
-        self.register_buffer(
-            "pairs", torch.where(modes.imag == 0, 1.0, 2.0).to(torch.float64), persistent=False
-        )
-        self.single = single = start.b.shape[1] == 1
+        flip = torch.where(modes[: self.reals].real < 0, torch.pi, 0.0)
+        pairs = torch.where(modes.imag == 0, 1.0, 2.0)
+        self.register_buffer("flip", flip.to(torch.float64))
+        self.register_buffer("pairs", pairs.to(torch.float64), persistent=False)
+        single = start.b.shape[1] == 1
+        self.single = single
         b = torch.from_numpy(start.b)
         c = torch.from_numpy(start.c)
         gain = torch.sqrt(1 - radius**2)[:, None]
@@ -163,26 +156,23 @@ class LRU(nn.Module):
     def forward(self, u: Signals, x0: States | None = None) -> Signals:
         """Output of the linear recurrence for an input. The order of states is that of
         `to_state_space`."""
-        return simulate_modal_form(
-            self.modal_form(), u, None if x0 is None else self.to_modal_state(x0)
-        )
+        modal = None if x0 is None else self.to_modal_state(x0)
+        return simulate_modal_form(self.modal_form(), u, modal)
 
     def modal_form(self) -> ModalForm:
         """Explicit modal form of the recurrence from its free parameters."""
         damping = torch.exp(self.nu).clamp(min=LEAST_DAMPING)
         angle = torch.cat([self.flip, self.theta])  # 0 or pi for real modes
-        gain = torch.sqrt(-torch.expm1(-2 * damping))[
-            :, None
-        ]  # sqrt(1 - |lambda|^2), without cancellation near one
+        # sqrt(1 - |lambda|^2), without cancellation near one
+        gain = torch.sqrt(-torch.expm1(-2 * damping))[:, None]
         if self.single:
             b = torch.complex(gain, torch.zeros_like(gain))
         else:
             b = _join_parameters(gain * self.b_real, gain[self.reals :] * self.b_imag)
-        c = _join_parameters(
-            self.pairs[:, None] * self.c_real, 2.0 * self.c_imag
-        ).mT  # y = Re(c_r x_r) + 2 Re(c_c x_c)
+        c = _join_parameters(self.pairs[:, None] * self.c_real, 2.0 * self.c_imag)
         d = torch.nn.functional.pad(self.d, (0, self.disturbances)) if self.disturbances else self.d
-        return ModalForm(decay=torch.complex(-damping, angle), b=b, c=c, d=d)
+        decay = torch.complex(-damping, angle)
+        return ModalForm(decay=decay, b=b, c=c.mT, d=d)  # y = Re(c_r x_r) + 2 Re(c_c x_c)
 
     def to_state_space(self) -> StateSpace:
         """Real state-space matrices of the recurrence. A has a number on the diagonal for each real
@@ -194,33 +184,34 @@ class LRU(nn.Module):
             modes = self.modal_form()
         parts = (modes.decay, modes.b, modes.c.mT)
         decay, b, c = (part.cpu().numpy().astype(np.complex128) for part in parts)
-        turn, reals, pairs = np.exp(decay), self.reals, slice(self.reals, None)
-        blocks = [np.array([[z.real, -z.imag], [z.imag, z.real]]) for z in turn[pairs]]
-        b2, c2 = (
-            np.stack([part[pairs].real, sign * part[pairs].imag], 1)
-            for part, sign in ((b, 1), (c, -1))
-        )
-        return StateSpace(
-            a=block_diag(np.diag(turn[:reals].real), *blocks),
-            b=np.vstack([b[:reals].real, b2.reshape(-1, b.shape[1])]),
-            c=np.vstack([c[:reals].real, c2.reshape(-1, c.shape[1])]).T.copy(),
-            d=modes.d.detach().cpu().numpy().astype(np.float64),
-        )
+        reals = self.reals
+        turn = np.exp(decay)
+        rotations = [np.array([[z.real, -z.imag], [z.imag, z.real]]) for z in turn[reals:]]
+        a = block_diag(np.diag(turn[:reals].real), *rotations)
+        c_rows = _real_rows(c.conj(), reals)
+        d = modes.d.detach().cpu().numpy().astype(np.float64)
+        return StateSpace(a=a, b=_real_rows(b, reals), c=c_rows.T.copy(), d=d)
 
     def to_modal_state(self, free: States) -> Modal:
         """Convert real states to modal states."""
         real = free[:, : self.reals]
         pairs = free[:, self.reals :].unflatten(1, (-1, 2))
-        return torch.complex(
-            torch.cat([real, pairs[..., 0]], 1),
-            torch.cat([torch.zeros_like(real), pairs[..., 1]], 1),
-        )
+        real_part = torch.cat([real, pairs[..., 0]], 1)
+        imaginary_part = torch.cat([torch.zeros_like(real), pairs[..., 1]], 1)
+        return torch.complex(real_part, imaginary_part)
 
     def to_real_state(self, modal: Modal) -> States:
         """Convert modal states to real states."""
-        return torch.cat(
-            [modal[:, : self.reals].real, torch.view_as_real(modal[:, self.reals :]).flatten(1)], 1
-        )
+        real = modal[:, : self.reals].real
+        pairs = torch.view_as_real(modal[:, self.reals :])
+        return torch.cat([real, pairs.flatten(1)], 1)
+
+
+def _real_rows(rows: Complex[np.ndarray, "modes k"], reals: int) -> Float[np.ndarray, "n k"]:
+    """Real rows of modal ones: the real part of a real mode, both parts of a pair."""
+    of_pairs = rows[reals:]
+    parts = np.stack([of_pairs.real, of_pairs.imag], 1)
+    return np.vstack([rows[:reals].real, parts.reshape(-1, rows.shape[1])])
 
 
 def _split_parameters(
@@ -282,14 +273,14 @@ class TorchSSM(TorchModel):
     def forward(
         self, u: Signals, x0: States | None = None, lifted: Signals | None = None
     ) -> Signals:
-        return self.scaffold_out(
-            self.lru(self.driving_signals(u) if lifted is None else lifted, x0)
-        )
+        lifted = self.driving_signals(u) if lifted is None else lifted
+        return self.scaffold_out(self.lru(lifted, x0))
 
     def driving_signals(self, u: Signals, lifted: Signals | None = None) -> Signals:
         """Signals that drive the recurrence: mapped inputs and measured disturbances."""
         inputs = u.shape[2] - self.lru.disturbances
-        lifted = self.scaffold_in(u[..., :inputs]) if lifted is None else lifted
+        if lifted is None:
+            lifted = self.scaffold_in(u[..., :inputs])
         return torch.cat([lifted, u[..., inputs:]], -1) if self.lru.disturbances else lifted
 
     def advance(

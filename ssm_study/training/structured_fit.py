@@ -23,6 +23,7 @@ from ssm_study.training.structured_problem import (
     RecordBatch,
     SimulationProblem,
     Theta,
+    has_converged,
     minimise_simulation_error,
     take_step,
 )
@@ -59,10 +60,21 @@ class StructuredFit(pl.LightningModule):
         self.data = data
         self.seed = seed
         self.integrates = bool(spec.integrating_output)
-        channels = (data.scale.inputs, data.scale.outputs)
-        lift, read = spec.build_maps(channels, data.scale.disturbances)
-        self.problem = SimulationProblem(
-            records=RecordBatch.from_pairs(scale_records_with_disturbances(data)),
+        self.problem = self._simulation_problem()
+        self.estimates = data.start_up_samples > 0
+        self.register_buffer("damping", torch.zeros((), dtype=torch.float64))
+        self.register_buffer("loss", torch.full((), torch.nan, dtype=torch.float64))
+        for name, shape in self._parameter_shapes().items():
+            self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
+
+    def _simulation_problem(self) -> SimulationProblem:
+        """Least-squares problem of the training records."""
+        spec = self.spec
+        scale = self.data.scale
+        lift, read = spec.build_maps((scale.inputs, scale.outputs), scale.disturbances)
+        records = RecordBatch.from_pairs(scale_records_with_disturbances(self.data))
+        return SimulationProblem(
+            records=records,
             neurons=spec.neuron_kinds,
             lift=lift,
             read=read,
@@ -71,19 +83,15 @@ class StructuredFit(pl.LightningModule):
             ridge=spec.ridge,
             gain_share=spec.gain_share if self.integrates else 0.0,
         )
-        self.estimates = data.start_up_samples > 0
-        self.register_buffer("damping", torch.zeros((), dtype=torch.float64))
-        self.register_buffer("loss", torch.full((), torch.nan, dtype=torch.float64))
-        for name, shape in self._parameter_shapes().items():
-            self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
 
     def _parameter_shapes(self) -> dict[str, tuple[int, ...]]:
         """Shape of each block of trainable parameters."""
         spec = self.spec
+        scale = self.data.scale
         n = int(spec.order)
         q = int(spec.neurons)
-        p = self.data.scale.outputs
-        drives = self.data.scale.inputs + self.data.scale.disturbances
+        p = scale.outputs
+        drives = scale.inputs + scale.disturbances
         sizes: dict[str, tuple[int, ...]] = matrix_shapes(n, drives, p, q)
         if spec.rate is not None:
             sizes = {name: shape for name, shape in sizes.items() if name not in CORE}
@@ -110,9 +118,25 @@ class StructuredFit(pl.LightningModule):
         start = self._initial_parameters()
         if self.problem.gain_share:
             start = self._without_gain_penalty(start)
-        self._store_descent(
-            minimise_simulation_error(self.problem, start, self._trained_blocks, steps)
-        )
+        at = minimise_simulation_error(self.problem, start, self._trained_blocks, steps)
+        self._store_descent(at)
+
+    def take_further_steps(self, steps: int) -> None:
+        """Take at most so many steps more from the present parameters."""
+        at = self._descent
+        before = np.inf
+        for _ in range(steps):
+            if has_converged(before, at.loss, at.damping):
+                break
+            before = at.loss
+            at = take_step(self.problem, at, self._trained_blocks)
+        self._store_descent(at)
+
+    @property
+    def _descent(self) -> Descent:
+        """State of the minimisation as the module's buffers hold it."""
+        theta = {name: part.copy() for name, part in self.parameter_blocks.items()}
+        return Descent(theta=theta, loss=float(self.loss), damping=float(self.damping))
 
     def _without_gain_penalty(self, start: Theta) -> Theta:
         """Parameters after some steps without the penalty on the gain's sign. With the penalty from
@@ -126,10 +150,7 @@ class StructuredFit(pl.LightningModule):
         if torch.isnan(self.loss):
             self.take_steps(0)
             return
-        at = Descent(
-            theta=self.parameter_blocks, loss=float(self.loss), damping=float(self.damping)
-        )
-        self._store_descent(take_step(self.problem, at, self._trained_blocks))
+        self._store_descent(take_step(self.problem, self._descent, self._trained_blocks))
 
     @property
     def _trained_blocks(self) -> tuple[str, ...]:
@@ -158,12 +179,12 @@ class StructuredFit(pl.LightningModule):
             maps = (*moving, "scaffold_in", "scaffold_out")
             theta = minimise_simulation_error(linear, theta, maps, spec.start_steps[1]).theta
         draws = [self._draw_neurons(short, theta, rng) for _ in range(spec.draws)]
-        best = min(draws, key=lambda draw: draw.loss)
+        best = min(draws, key=lambda draw: draw.loss).theta
         # Records that the start has not seen begin at rest.
         x0 = np.zeros_like(self.parameter_blocks["x0"])
         if np.shares_memory(stretch.u[:1, :1], self.problem.records.u[:1, :1]):
-            x0[: len(best.theta["x0"])] = best.theta["x0"]
-        return best.theta | {"x0": x0}
+            x0[: len(best["x0"])] = best["x0"]
+        return best | {"x0": x0}
 
     def _linear_block_names(self) -> tuple[str, ...]:
         """Names of the parameter blocks of the linear model."""
@@ -200,9 +221,8 @@ class StructuredFit(pl.LightningModule):
         if spec.rate is None:
             return drawn
         theta = contracting_initial_parameters(free, drawn.theta, float(spec.rate))
-        return minimise_simulation_error(
-            short, theta, self._phase_blocks(FREE_CORE, has_input_path), RACE
-        )
+        constrained = self._phase_blocks(FREE_CORE, has_input_path)
+        return minimise_simulation_error(short, theta, constrained, RACE)
 
     def _phase_blocks(self, core: tuple[str, ...], input_path: bool) -> tuple[str, ...]:
         """Names of the parameter blocks that one phase of the training changes."""
@@ -220,11 +240,10 @@ class StructuredFit(pl.LightningModule):
         """Compute the training and validation fits of the current model. That of training uses the
         fitted initial states, that of validation those of a score."""
         r = self.problem.weighted_error(self.parameter_blocks)
-        self.log("fit_training_percent", fit_from_relative_error(np.sqrt(r @ r)))
-        self.log(
-            "fit_validation_percent",
-            records_fit_percent(self.as_model(), self.data.validation, self.data),
-        )
+        fit_training = fit_from_relative_error(np.sqrt(r @ r))
+        fit_validation = records_fit_percent(self.as_model(), self.data.validation, self.data)
+        self.log("fit_training_percent", fit_training)
+        self.log("fit_validation_percent", fit_validation)
 
     def configure_optimizers(self) -> None:
         """Return no optimiser, because a training step needs the Jacobian instead of a gradient."""
@@ -272,10 +291,11 @@ def append_integrator(
     n = len(a)
     p = len(c)
     none = np.zeros((n, p))
+    unseen = np.zeros((len(f), p))
     integrating = {"a": np.block([[a, none], [c, np.eye(p)]])}
     integrating["b"] = np.vstack([parts["b"], parts["d"]])
     integrating["e"] = np.vstack([parts["e"], parts["h"]])
-    integrating["f"] = np.hstack([f, np.zeros((len(f), p))])
+    integrating["f"] = np.hstack([f, unseen])
     integrating["c"] = np.eye(p, n + p, n)
     integrating["d"] = np.zeros_like(parts["d"])
     integrating["h"] = np.zeros_like(parts["h"])
@@ -302,22 +322,29 @@ def prune_neurons(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
         if np.any(model.h[:, i] != 0) and np.any(model.g[i] != 0):
             continue
         candidate = linearise_neuron(model, i, records)
-        output = np.concatenate([model.simulate(one.u, d=one.d) for one in records])
-        moved = np.concatenate([candidate.simulate(one.u, d=one.d) for one in records])
+        output = simulate_all(model, records)
+        change = np.linalg.norm(simulate_all(candidate, records) - output)
         deviation = np.linalg.norm(output - output.mean(axis=0))
-        if np.linalg.norm(moved - output) / deviation < IDLE:
+        if change / deviation < IDLE:
             model = candidate
     return model
+
+
+def simulate_all(model: StructuredSSM, records: Trajectories) -> Float[np.ndarray, "T p"]:
+    """Simulated outputs of several records from the equilibrium, one below another."""
+    return np.concatenate([model.simulate(record.u, d=record.d) for record in records])
 
 
 def linearise_neuron(model: StructuredSSM, i: int, records: Trajectories) -> StructuredSSM:
     """Model in which one neuron is replaced by its mean slope over the records."""
     slopes = []
     for record in records:
-        states = model.simulate_mapped(model.driving_signals(record.u, record.d))[1][:-1]
+        driving = model.driving_signals(record.u, record.d)
+        _, states = model.simulate_mapped(driving)
         v = model.map_input(record.u)
-        z = states @ model.f.T + v @ model.g.T + model.bias
-        slopes.append(evaluate_activations(model.neurons, z, "slope")[:, i])
+        z = states[:-1] @ model.f.T + v @ model.g.T + model.bias
+        by_neuron = evaluate_activations(model.neurons, z, "slope")
+        slopes.append(by_neuron[:, i])
     slope = float(np.concatenate(slopes).mean())
     e = model.e[:, [i]]
     f = model.f[[i]]

@@ -71,10 +71,8 @@ class RecordBatch(NamedTuple):
         if self._relative_movement(beginning) >= STILL:
             return beginning
         firsts = range(0, self.u.shape[1], max(1, samples // 2))
-        stretches = [
-            self._cut_stretch(record, first, samples)
-            for record, first in product(range(len(self.u)), firsts)
-        ]
+        places = product(range(len(self.u)), firsts)
+        stretches = [self._cut_stretch(*place, samples) for place in places]
         moving = max(stretches, key=self._relative_movement)
         problem = "no stretch of the training records moves in input and output"
         remedy = "log an experiment in which the input moves the output"
@@ -90,13 +88,13 @@ class RecordBatch(NamedTuple):
         of input and output."""
         if not stretch.recorded_mask.any():
             return 0.0
+        pairs = ((stretch.u, self.u), (stretch.y, self.y))
         shares = []
-        for name in ("u", "y"):
-            inside = getattr(stretch, name)[stretch.recorded_mask]
-            everywhere = getattr(self, name)[self.recorded_mask]
-            deviation = float(np.linalg.norm(everywhere.std(axis=0)))
-            deviation_inside = float(np.linalg.norm(inside.std(axis=0)))
-            shares.append(deviation_inside / max(deviation, 1e-300))
+        for signal_inside, signal in pairs:
+            inside = signal_inside[stretch.recorded_mask].std(axis=0)
+            everywhere = signal[self.recorded_mask].std(axis=0)
+            deviation = float(np.linalg.norm(everywhere))
+            shares.append(float(np.linalg.norm(inside)) / max(deviation, 1e-300))
         return min(shares)
 
     @property
@@ -180,8 +178,9 @@ class SimulationProblem:
         differences, since they are few."""
         missing = self.missing_gain(theta)
         flat = pack_parameters(theta, free)
-        masks = [np.full(theta[name].size, name in GAIN_BLOCKS) for name in free]
-        moving = np.flatnonzero(np.concatenate(masks)) if missing.any() else masks[0][:0]
+        moves_gain = [np.full(theta[name].size, name in GAIN_BLOCKS) for name in free]
+        moving = np.flatnonzero(np.concatenate(moves_gain))
+        moving = moving if missing.any() else moving[:0]
 
         def missing_at(moved: Float[np.ndarray, "P"]) -> Float[np.ndarray, "V"]:
             return self.missing_gain(theta | unpack_parameters(moved, theta, free))
@@ -231,9 +230,8 @@ class SimulationProblem:
         y, slope, by_output_map = self.read.derivatives(theta["scaffold_out"], y)
         columns = {name: slope[..., None] * part for name, part in columns.items()}
         outputs = np.arange(target.shape[-1])[:, None]
-        columns["scaffold_out"] = by_output_map[..., None, :] * (
-            self.read.parameter_channels == outputs
-        )
+        is_own = self.read.parameter_channels == outputs
+        columns["scaffold_out"] = by_output_map[..., None, :] * is_own
         return y, columns
 
     def _zero_disturbance_feedthrough(
@@ -243,9 +241,10 @@ class SimulationProblem:
         directly. These entries stay zero."""
         inputs = self.lift.channels + self.lift.passed
         for name in ("d", "g"):
-            if not self.lift.passed or not columns[name].size:
+            column = columns[name]
+            if not self.lift.passed or not column.size:
                 continue
-            entries = columns[name].reshape(*columns[name].shape[:-1], -1, inputs)
+            entries = column.reshape(*column.shape[:-1], -1, inputs)
             entries[..., self.lift.channels :] = 0.0
 
     def _derivatives_by_free_parameters(self, theta: Theta) -> Float[np.ndarray, "K F"]:
@@ -308,17 +307,8 @@ def regularised_loss(problem: SimulationProblem, theta: Theta, free: tuple[str, 
 
 def take_step(problem: SimulationProblem, at: Descent, free: tuple[str, ...]) -> Descent:
     """Take one accepted Levenberg-Marquardt step in some blocks of parameters."""
-    residual, j, turn = problem.residual_and_jacobian(at.theta, free)
+    gradient, normal = linearise_loss(problem, at.theta, free)
     flat = pack_parameters(at.theta, free)
-    ridges = [np.full(at.theta[name].size, problem.ridge_weight(name)) for name in free]
-    weights = np.concatenate(ridges)  # R, its diagonal
-    with np.errstate(all="ignore"):  # Gauss-Newton: second derivatives of r are left out
-        normal = turn.T @ (j.T @ j) @ turn
-        gradient = turn.T @ (j.T @ residual) + weights * flat
-    normal[np.diag_indices_from(normal)] += weights  # J'J + R
-    missing, slopes = problem.missing_gain_linearised(at.theta, free)
-    normal += slopes.T @ slopes
-    gradient += slopes.T @ missing
     if not np.isfinite(normal).all():
         return replace(at, damping=np.inf)
     diagonal = np.diagonal(normal)
@@ -342,6 +332,24 @@ def take_step(problem: SimulationProblem, at: Descent, free: tuple[str, ...]) ->
         )
     theta = at.theta if by is None else parameters_after(by)
     return Descent(theta=theta, loss=value, damping=damping)
+
+
+def linearise_loss(
+    problem: SimulationProblem, theta: Theta, free: tuple[str, ...]
+) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P P"]]:
+    """Half the gradient of the regularised loss and its Gauss-Newton matrix `J'J + R`, with the
+    penalty on the gain's sign. Second derivatives of the residual are left out."""
+    residual, j, turn = problem.residual_and_jacobian(theta, free)
+    ridges = [np.full(theta[name].size, problem.ridge_weight(name)) for name in free]
+    weights = np.concatenate(ridges)  # R, its diagonal
+    with np.errstate(all="ignore"):
+        normal = turn.T @ (j.T @ j) @ turn
+        gradient = turn.T @ (j.T @ residual) + weights * pack_parameters(theta, free)
+    normal[np.diag_indices_from(normal)] += weights
+    missing, slopes = problem.missing_gain_linearised(theta, free)
+    normal += slopes.T @ slopes
+    gradient += slopes.T @ missing
+    return gradient, normal
 
 
 def minimise_simulation_error(

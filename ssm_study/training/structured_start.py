@@ -41,9 +41,10 @@ def fit_initial_linear_model(
 
     n, m = system.b.shape
     p = len(system.c)
-    spectral_radius = max(float(np.abs(np.linalg.eigvals(system.a)).max()), 1e-9)
-    start = {name: np.zeros(shape) for name, shape in matrix_shapes(n, m, p, 0).items()}
-    start["a"] = system.a * min(1.0, SLOWEST / spectral_radius)
+    radius = float(np.abs(np.linalg.eigvals(system.a)).max())
+    shapes = matrix_shapes(n, m, p, 0)
+    start = {name: np.zeros(shape) for name, shape in shapes.items()}
+    start["a"] = system.a * min(1.0, SLOWEST / max(radius, 1e-9))
     start["b"] = system.b
     start["c"] = system.c
     if feedthrough:
@@ -64,8 +65,9 @@ def unpadded_records(
 ) -> list[tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]]:
     """Inputs and outputs of each record, without padding."""
     inputs, outputs, _ = problem.records
-    scored = problem.records.recorded_mask
-    return [(u[there], y[there]) for u, y, there in zip(inputs, outputs, scored, strict=True)]
+    masks = problem.records.recorded_mask
+    records = zip(inputs, outputs, masks, strict=True)
+    return [(u[recorded], y[recorded]) for u, y, recorded in records]
 
 
 def remove_disturbance_feedthrough(
@@ -122,7 +124,8 @@ def draw_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]
     scale."""
     blocks: list[np.ndarray] = []
     while (left := order - sum(map(len, blocks))) > 0:
-        radius = np.exp(-1.0 / np.exp(rng.uniform(0.0, np.log(LONGEST))))
+        time_constant = np.exp(rng.uniform(0.0, np.log(LONGEST)))
+        radius = np.exp(-1.0 / time_constant)
         turn = np.eye(1)
         if left > 1 and rng.uniform() < 0.5:
             angle = rng.uniform(0.0, 0.5 * np.pi) * rng.uniform() ** 2
@@ -153,7 +156,8 @@ def fit_model_with_poles(
     b = b / size[:, None]
 
     # All slopes of S_y are equal here.
-    output_slope = problem.read.freeze(begun["scaffold_out"])(np.ones_like(outputs))
+    output_map = problem.read.freeze(begun["scaffold_out"])
+    output_slope = output_map(np.ones_like(outputs))
     y = outputs / output_slope
     decay = matrix_powers(a, outputs.shape[1])
     c = least_squares_output_matrix(x, y, weight, decay, estimates)
@@ -236,22 +240,22 @@ def add_random_neurons(
     f *= sizes / np.linalg.norm(f, axis=1, keepdims=True)
     e = SMALL * rng.normal(size=(n, count))
     bias = RESTS_WITHIN * rng.uniform(-1.0, 1.0, count)
-    e *= np.linalg.norm(theta["b"])
-    g = np.zeros((count, m))
-    h = np.zeros((p, count))
-    return theta | {"e": e, "f": f, "g": g, "h": h, "bias": bias}
+    neurons = {"e": e * np.linalg.norm(theta["b"]), "f": f, "bias": bias}
+    neurons["g"] = np.zeros((count, m))
+    neurons["h"] = np.zeros((p, count))
+    return theta | neurons
 
 
 def contracting_initial_parameters(problem: SimulationProblem, theta: Theta, rate: float) -> Theta:
     """Initial parameters of a contracting model close to a given one. It is the nearest on the path
     of `contracting.project_to_contracting`."""
     v, _, states = problem.simulate_signals(theta)
-    scored = problem.records.recorded_mask
-    x = states[:, :-1][scored]
-    z = x @ theta["f"].T + v[scored] @ theta["g"].T + theta["bias"]
-    mean_slope = evaluate_activations(problem.neurons, z, "slope").mean(axis=0)
+    recorded = problem.records.recorded_mask
+    x = states[:, :-1][recorded]
+    z = x @ theta["f"].T + v[recorded] @ theta["g"].T + theta["bias"]
+    slopes = evaluate_activations(problem.neurons, z, "slope")
     core = RecurrenceMatrices(*(theta[name] for name in CORE))
-    contracting = project_to_contracting(core, mean_slope, rate)
+    contracting = project_to_contracting(core, slopes.mean(axis=0), rate)
     t = contracting.t
     free = parameters_from_matrices(transform_to_metric(contracting), rate)
 

@@ -40,10 +40,8 @@ class Recurrent(Simulator, names=("gru", "lstm")):
             gates = scaled[..., k, :] @ self.weight_ih.T + self.bias_ih
             fed_back = h @ self.weight_hh.T + self.bias_hh
             if self.kind == "gru":
-                (r, z, n), (hr, hz, hn) = (
-                    np.split(gates, 3, axis=-1),
-                    np.split(fed_back, 3, axis=-1),
-                )
+                r, z, n = np.split(gates, 3, axis=-1)
+                hr, hz, hn = np.split(fed_back, 3, axis=-1)
                 update = expit(z + hz)  # share of the old state that stays
                 h = (1 - update) * np.tanh(n + expit(r + hr) * hn) + update * h
             else:
@@ -68,17 +66,18 @@ class TorchRecurrent(TorchModel):
 
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
         start = [part.contiguous() for part in x0[None].split(self.cell.hidden_size, dim=-1)]
-        y, end = self.cell(u, start[0] if self.kind == "gru" else tuple(start))
-        return self.read(y), (end if self.kind == "gru" else torch.cat(end, -1))[0]
+        if self.kind == "gru":
+            y, h = self.cell(u, start[0])
+            return self.read(y), h[0]
+        y, both = self.cell(u, tuple(start))
+        return self.read(y), torch.cat(both, -1)[0]
 
     def freeze(self, data: DataSet) -> Recurrent:
         """Trained recurrent model as explicit numbers, with its scales."""
         names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
         weights = {name: tensor_to_numpy(getattr(self.cell, f"{name}_l0")) for name in names}
-        weights |= {
-            "read": tensor_to_numpy(self.read.weight),
-            "offset": tensor_to_numpy(self.read.bias),
-        }
+        weights["read"] = tensor_to_numpy(self.read.weight)
+        weights["offset"] = tensor_to_numpy(self.read.bias)
         return Recurrent(kind=self.kind, **weights, scale=data.scale)
 
 

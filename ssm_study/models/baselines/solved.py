@@ -57,32 +57,27 @@ class N4SID(SolvedSpec):
 
     def __post_init__(self) -> None:
         require_at_least(1, "model.order", self.order, "use 8 or so")
-        fits = self.block_rows > self.order
-        require(
-            fits,
-            "model.block_rows",
-            self.block_rows,
-            "must exceed the order",
-            "use twice the order",
-        )
+        rows = self.block_rows
+        problem = "must exceed the order"
+        require(rows > self.order, "model.block_rows", rows, problem, "use twice the order")
 
     def solve(self, data: DataSet) -> SSM:
         """Identify a linear state-space model by subspace identification."""
         nfoursid = import_library("nfoursid.nfoursid")
         pandas = import_library("pandas")
         u, y = (np.concatenate(parts) for parts in zip(*scale_records(data), strict=True))
-        names = [f"u{i}" for i in range(u.shape[1])], [f"y{i}" for i in range(y.shape[1])]
-        table = pandas.DataFrame(np.hstack([u, y]), columns=[*names[0], *names[1]])
-        method = nfoursid.NFourSID(
-            table, output_columns=names[1], input_columns=names[0], num_block_rows=self.block_rows
-        )
+        inputs = [f"u{i}" for i in range(u.shape[1])]
+        outputs = [f"y{i}" for i in range(y.shape[1])]
+        table = pandas.DataFrame(np.hstack([u, y]), columns=[*inputs, *outputs])
+        columns = {"output_columns": outputs, "input_columns": inputs}
+        method = nfoursid.NFourSID(table, num_block_rows=self.block_rows, **columns)
         method.subspace_identification()
         found, _ = method.system_identification(rank=self.order)
-        a = found.a * min(1.0, SLOWEST / float(np.abs(np.linalg.eigvals(found.a)).max()))
+        radius = float(np.abs(np.linalg.eigvals(found.a)).max())
+        a = found.a * min(1.0, SLOWEST / radius)
         b = estimate_input_matrix(a, found.c, scale_records(data))
-        return SSM.from_linear(
-            StateSpace(a=a, b=b, c=found.c, d=np.zeros_like(found.d)), data.step_s, data.scale
-        )
+        system = StateSpace(a=a, b=b, c=found.c, d=np.zeros_like(found.d))
+        return SSM.from_linear(system, data.step_s, data.scale)
 
 
 def estimate_input_matrix(
@@ -98,14 +93,17 @@ def estimate_input_matrix(
     rows = []
     targets = []
     for i, (u, y) in enumerate(records):
-        pushes = (
-            np.eye(n)[:, None, None, :] * u.T[None, :, :, None]
-        )  # (n, m, T, n): input j drives state i alone
-        driven = each.simulate(pushes.reshape(n * m, len(u), n))[0].reshape(n * m, -1)
-        free = each.simulate(np.zeros((n, len(u), n)), np.eye(n))[0].reshape(n, -1)
+        samples = len(u)
+        # (n, m, T, n): input j drives state i alone
+        pushes = np.eye(n)[:, None, None, :] * u.T[None, :, :, None]
+        by_push, _ = each.simulate(pushes.reshape(n * m, samples, n))
+        by_start, _ = each.simulate(np.zeros((n, samples, n)), np.eye(n))
+        driven = by_push.reshape(n * m, -1)
+        free = by_start.reshape(n, -1)
         starts = np.zeros((count, n, free.shape[1]))
         starts[i] = free
-        rows.append(np.concatenate([driven, starts.reshape(count * n, -1)]).T)
+        columns = np.concatenate([driven, starts.reshape(count * n, -1)])
+        rows.append(columns.T)
         targets.append(y.reshape(-1))
     solved = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)[0]
     return solved[: n * m].reshape(n, m)

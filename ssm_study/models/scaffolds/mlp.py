@@ -57,9 +57,8 @@ class MlpScaffold(Scaffold, names=("mlp",)):
         return MlpScaffold(network=replace(self.network, weights=(first @ m, *inner)))
 
     def as_portable(self) -> PortableMap:
-        return PortableMap(
-            linear=np.zeros((self.network.outputs, self.network.inputs)), network=self.network
-        )
+        linear = np.zeros((self.network.outputs, self.network.inputs))
+        return PortableMap(linear=linear, network=self.network)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,20 +158,23 @@ class Mlp(Trainable):
 
     def freeze(self, explicit: list[Layer], slopes: Sector) -> MlpScaffold:  # noqa: ARG002
         weights = []
+        biases = []
+        negative = []
+        positive = []
         before = None  # what comes after the layer before
-        for w, _, _, _, after in explicit:
-            weights.append(
-                tensor_to_numpy(w)
-                if before is None
-                else tensor_to_numpy(w) @ tensor_to_numpy(before)
-            )
+        for w, bias, low, high, after in explicit:
+            weight = tensor_to_numpy(w)
+            weights.append(weight if before is None else weight @ tensor_to_numpy(before))
+            biases.append(tensor_to_numpy(bias))
+            negative.append(tensor_to_numpy(low))
+            positive.append(tensor_to_numpy(high))
             before = after
         assert before is not None  # nothing but weights comes after the last layer
         network = Network(
             weights=(*weights, tensor_to_numpy(before)),
-            biases=tuple(tensor_to_numpy(bias) for _, bias, _, _, _ in explicit),
-            negative_slopes=tuple(tensor_to_numpy(low) for _, _, low, _, _ in explicit),
-            positive_slopes=tuple(tensor_to_numpy(high) for _, _, _, high, _ in explicit),
+            biases=tuple(biases),
+            negative_slopes=tuple(negative),
+            positive_slopes=tuple(positive),
         )
         return MlpScaffold(network=network)
 
@@ -251,9 +253,8 @@ class OneChannel(Trainable):
         return explicit[0] if self.depth == 1 else None
 
     def roughness(self, explicit: list[Pieces]) -> Float[Tensor, ""]:
-        return torch.stack([scaffold.relative_roughness(slopes) for _, slopes, _ in explicit]).sum(
-            0
-        )
+        by_layer = [scaffold.relative_roughness(slopes) for _, slopes, _ in explicit]
+        return torch.stack(by_layer).sum(0)
 
     def freeze(self, explicit: list[Pieces], slopes: Sector) -> MlpScaffold:
         """Rewrite the trained piecewise-linear map of each layer as a leaky-ReLU network. First

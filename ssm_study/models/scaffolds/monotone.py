@@ -72,26 +72,27 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
         breakpoints = self.breakpoints / gains
         slopes = gains * self.slopes
         turned = gains < 0  # a negative gain runs through the pieces from the other end
-        return MonotoneScaffold(
-            breakpoints=np.where(turned, breakpoints[:, ::-1], breakpoints),
-            slopes=np.where(turned, slopes[:, ::-1], slopes),
-        )
+        breakpoints = np.where(turned, breakpoints[:, ::-1], breakpoints)
+        slopes = np.where(turned, slopes[:, ::-1], slopes)
+        return MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
 
     def as_portable(self) -> PortableMap:
         """Network with one neuron per break point that computes the same map. `S_c(v) = s_0 v +
         sum_j (s_{j+1} - s_j) (relu(v - t_j) - relu(-t_j))`."""
         channels, breaks = self.breakpoints.shape
+        linear = np.diag(self.slopes[:, 0])
         if not breaks:
-            return PortableMap(linear=np.diag(self.slopes[:, 0]), network=None)
+            return PortableMap(linear=linear, network=None)
         neurons = np.repeat(np.eye(channels), breaks, axis=0)
         bends = np.diff(self.slopes, axis=1).ravel()
+        count = channels * breaks
         network = Network(
             weights=(neurons, neurons.T * bends),
             biases=(-self.breakpoints.ravel(),),
-            negative_slopes=(np.zeros(channels * breaks),),
-            positive_slopes=(np.ones(channels * breaks),),
+            negative_slopes=(np.zeros(count),),
+            positive_slopes=(np.ones(count),),
         )
-        return PortableMap(linear=np.diag(self.slopes[:, 0]), network=network)
+        return PortableMap(linear=linear, network=network)
 
 
 def continuous_offsets(
@@ -122,7 +123,8 @@ class Monotone(Trainable):
     ) -> dict[str, Float[np.ndarray, "..."]]:
         ranks = (np.arange(frame.width) + 0.5) / frame.width
         points = np.quantile(frame.samples, ranks, axis=0).T
-        return {"points": points, "free": np.zeros((len(points), frame.width + 1))}
+        free = np.zeros((len(points), frame.width + 1))
+        return {"points": points, "free": free}
 
     def explicit(self, free: Free, slopes: tuple[float, float]) -> Pieces:
         lower, upper = slopes

@@ -34,24 +34,15 @@ class ResidualScaffold(Scaffold, names=("residual",)):
     network: Network
 
     def __post_init__(self) -> None:
-        fits = self.network.inputs == self.network.outputs
-        require(
-            fits,
-            "weights",
-            self.network.outputs,
-            "as many outputs as inputs are needed",
-            "use kind mlp",
-        )
-        require_at_least(0, "beta", self.beta, "write model.json again")
-        fits = [t.shape for t in self.multipliers] == [b.shape for b in self.network.biases]
-        fits = fits and all(bool((t > 0).all()) for t in self.multipliers)
-        require(
-            fits,
-            "multipliers",
-            len(self.multipliers),
-            "need one per neuron, positive",
-            "write model.json again",
-        )
+        outputs = self.network.outputs
+        problem = "as many outputs as inputs are needed"
+        require(self.network.inputs == outputs, "weights", outputs, problem, "use kind mlp")
+        remedy = "write model.json again"
+        require_at_least(0, "beta", self.beta, remedy)
+        shapes = [t.shape for t in self.multipliers]
+        needed = [b.shape for b in self.network.biases]
+        fits = shapes == needed and all(bool((t > 0).all()) for t in self.multipliers)
+        require(fits, "multipliers", len(shapes), "need one per neuron, positive", remedy)
 
     def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch m"]:
         return self.alpha * v + self.beta * self.network(v)
@@ -96,13 +87,16 @@ class Residual(Trainable):
         m = frame.samples.shape[1]
         h = frame.width
         layers = range(self.depth)
-        free = {f"skew_{i}": rng.normal(size=(h, h)) / np.sqrt(h) for i in layers}
-        free |= {f"tail_{i}": rng.normal(size=(h if i else m, h)) / np.sqrt(h) for i in layers}
-        last = rng.normal(size=(m, h)) / np.sqrt(h)
-        free |= {f"scale_{i}": np.zeros(h) for i in layers} | {
-            f"bias_{i}": rng.normal(size=h) for i in layers
-        }
-        return free | {"last_skew": rng.normal(size=(m, m)) * 0.1, "last_tail": last.T}
+        shrink = np.sqrt(h)
+        free = {f"skew_{i}": rng.normal(size=(h, h)) / shrink for i in layers}
+        for i in layers:
+            widths = (h if i else m, h)
+            free[f"tail_{i}"] = rng.normal(size=widths) / shrink
+        last = rng.normal(size=(m, h)) / shrink
+        free |= {f"scale_{i}": np.zeros(h) for i in layers}
+        free |= {f"bias_{i}": rng.normal(size=h) for i in layers}
+        free["last_skew"] = rng.normal(size=(m, m)) * 0.1
+        return free | {"last_tail": last.T}
 
     def explicit(self, free: Free, slopes: tuple[float, float]) -> "Sandwich":
         weights: list[Tensor] = []
