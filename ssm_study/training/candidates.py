@@ -44,6 +44,7 @@ class Candidate:
     start: str = SAMPLES
     example: Any = field(default=None, repr=False, compare=False)
     training_error: float = 0.0  # median over the folds, percent
+    fits: tuple[Any, ...] = field(default=(), repr=False, compare=False)  # of the folds
 
     @property
     def mean_error(self) -> float:
@@ -112,6 +113,7 @@ class Trial:
     by_start: dict[str, list[float]] = field(default_factory=lambda: {SAMPLES: [], PAST: []})
     example: Any = None
     training_errors: list[float] = field(default_factory=list)
+    fits: list[StructuredFit] = field(default_factory=list)
 
     def add_fold(self, model: Any, fold: DataSet, training_error: float = 0.0) -> None:
         """Evaluate a model on the held-out part of one more fold. A model that is None counts as
@@ -126,6 +128,13 @@ class Trial:
                 continue
             run = Simulation.simulate_records(model, fold.test, fold.start_up_samples, starts[name])
             errors.append(relative_rms_error(run, fold))
+
+    def add_fit(self, fit: StructuredFit, fold: DataSet) -> None:
+        """Evaluate a structured model on the fold that it was trained without."""
+        loss = float(fit.loss)
+        self.fits.append(fit)
+        model = fit.as_model() if np.isfinite(loss) else None
+        self.add_fold(model, fold, 100.0 * np.sqrt(loss))
 
     @property
     def best_start_kind(self) -> str:
@@ -214,9 +223,17 @@ def try_structured_model(
         part = fold.shift_out_dead_time(int(spec.dead_time)) if spec.dead_time else fold
         fit = StructuredFit(brief, part, seed)
         fit.take_steps(STEPS)
-        loss = float(fit.loss)
-        model = fit.as_model() if np.isfinite(loss) else None
-        trial.add_fold(model, part, 100.0 * np.sqrt(loss))
+        trial.add_fit(fit, part)
+    return trial
+
+
+def train_further(fits: Sequence[StructuredFit], folds: Sequence[DataSet], steps: int) -> Trial:
+    """Train the models of a candidate further on each fold, and score them again."""
+    trial = Trial()
+    for fit, fold in zip(fits, folds, strict=True):
+        dead_time = int(fit.spec.dead_time)
+        fit.take_further_steps(steps)
+        trial.add_fit(fit, fold.shift_out_dead_time(dead_time) if dead_time else fold)
     return trial
 
 

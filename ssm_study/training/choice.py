@@ -12,7 +12,11 @@ from collections.abc import Callable, Iterator
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet
 from ssm_study.training.choice_of_paths import choose_delay, choose_input_path, choose_integrator
-from ssm_study.training.choice_of_size import simplest_certifiable_candidate, try_model_sizes
+from ssm_study.training.choice_of_size import (
+    drop_needless_integrator,
+    simplest_certifiable_candidate,
+    try_model_sizes,
+)
 from ssm_study.training.folds import make_folds
 from ssm_study.training.search import Choice, Search, fill_in_defaults
 
@@ -42,6 +46,7 @@ def iterate_choices(
     search = Search(spec=spec, folds=folds, seed=seed, announce=announce)
     choose_delay(search, data)
     choose_integrator(search, data)
+    drop_needless_integrator(search)
     choose_input_path(search)
     candidates = try_model_sizes(search)
     if not candidates:

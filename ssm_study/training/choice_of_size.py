@@ -3,8 +3,14 @@ linear models of growing order, one layer, few neurons, many."""
 
 from collections.abc import Sequence
 
-from ssm_study.training.candidates import Candidate, Settings, simplest_good_candidate
-from ssm_study.training.choice_of_paths import TRIED_SIZE
+from ssm_study.models.structured_spec import AUTO
+from ssm_study.training.candidates import (
+    Candidate,
+    Settings,
+    best_candidate,
+    simplest_good_candidate,
+)
+from ssm_study.training.choice_of_paths import DELAY_GAIN, TRIED_SIZE
 from ssm_study.training.search import Search
 
 LINEAR_ORDERS = (1, 2, 3, 4, 6, 8, 10)
@@ -26,10 +32,30 @@ FREE_SIZES: tuple[Settings, ...] = (  # not contracting by construction
     {"order": 3, "neurons": 5, "knots": 0, "rate": None},
 )
 FREE_GAIN = 0.25  # of the error that a model must remove that need not contract in open loop
+FINALIST = 1.5  # times the best error: candidates nearer than this are trained further
+MOST_FINALISTS = 3
+FURTHER_STEPS = 40  # of their training on each fold
 LARGER: tuple[Settings, ...] = (  # one by one, while all that are smaller are behind
     {"order": 5, "neurons": 5, "knots": 16},
     {"order": 8, "neurons": 5, "knots": 16},
 )
+
+
+def drop_needless_integrator(search: Search) -> None:
+    """Decide against an integrator where a model without neurons predicts about as well.
+
+    The two models that were compared have neurons. Where something acts that is not in the log,
+    both follow it in the records that they are trained on, and are wrong elsewhere.
+    """
+    if not (search.has_integrator and search.spec.integrating_output == AUTO):
+        return
+    with_integrator = search.chosen[-1]
+    search.decided["integrating_output"] = False
+    simple = try_sizes_without_neurons(search)
+    if all(each.is_clearly_worse(with_integrator, DELAY_GAIN) for each in simple):
+        search.decided["integrating_output"] = True
+    else:
+        search.chosen.pop()
 
 
 def try_model_sizes(search: Search) -> list[Candidate]:
@@ -50,22 +76,69 @@ def try_model_sizes(search: Search) -> list[Candidate]:
             break
         needs_order = False
         candidates.append(search.score_structured_model("size", larger))
-    return [*candidates, *free_candidates(search, candidates)]
+    free = try_free_models(search)
+    contracting = train_finalists(search, with_other_input_path(search, candidates))
+    return [*contracting, *candidates_far_ahead(free, contracting)]
 
 
-def free_candidates(search: Search, contracting: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates that need not contract in open loop, for use if all that do are far behind them.
+def try_free_models(search: Search) -> list[Candidate]:
+    """Candidates that need not contract in open loop.
 
     No metric common to all slopes of a spring that hardens exists where it is lightly damped.
     Feedback adds the damping, so that the closed loop can be certified all the same.
     """
     if not search.is_open("rate") or search.has_integrator:
         return []
-    free = [search.score_structured_model("no contraction", size) for size in FREE_SIZES]
+    return [search.score_structured_model("no contraction", size) for size in FREE_SIZES]
+
+
+def candidates_far_ahead(
+    free: Sequence[Candidate], contracting: Sequence[Candidate]
+) -> list[Candidate]:
+    """Candidates behind which all that contract in open loop are far."""
     return [
         candidate
         for candidate in free
         if all(other.is_clearly_worse(candidate, FREE_GAIN) for other in contracting)
+    ]
+
+
+def with_other_input_path(search: Search, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates with the input path that was not chosen beside that of the same size: a few steps
+    of training may have decided for the wrong one."""
+    by_path = [candidate for candidate in search.tried if candidate.question == "input path"]
+    rejected = [each for each in by_path if all(each is not one for one in candidates)]
+    pool: list[Candidate] = []
+    for candidate in candidates:
+        pair = [candidate]
+        if any(candidate is one for one in by_path):
+            pair = sorted([candidate, *rejected], key=has_free_path)
+        pool += pair
+    return pool
+
+
+def has_free_path(candidate: Candidate) -> bool:
+    """Whether the input reaches the neurons of a candidate directly."""
+    return bool(candidate.settings["input_path"] == "free")
+
+
+def train_finalists(search: Search, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates of which the best structured ones are trained further on the folds.
+
+    After a few steps large models are less trained than small ones.
+    """
+    best = best_candidate(candidates)
+    near = [
+        candidate
+        for candidate in candidates
+        if len(candidate.fits) == len(best.errors)
+        and candidate.mean_error <= FINALIST * best.mean_error
+    ]
+    by_error = sorted(near, key=lambda candidate: candidate.mean_error)
+    finalists = [id(candidate) for candidate in by_error[:MOST_FINALISTS]]
+    return [
+        search.train_further(candidate, FURTHER_STEPS) if id(candidate) in finalists else candidate
+        for candidate in candidates
     ]
 
 

@@ -15,6 +15,7 @@ from ssm_study.training.candidates import (
     Settings,
     Trial,
     best_candidate,
+    train_further,
     try_linear_model,
     try_structured_model,
 )
@@ -130,6 +131,11 @@ class Search:
             self.certified[id(candidate)] = largest_rate(candidate.example) > 0.0
         return self.certified[id(candidate)]
 
+    def train_further(self, candidate: Candidate, steps: int) -> Candidate:
+        """Train a candidate's models further on the folds; a new row of the table."""
+        trial = train_further(candidate.fits, self.folds, steps)
+        return self.add_candidate("longer training", STRUCTURED, candidate.settings, trial)
+
     def add_candidate(
         self, question: str, model: str, settings: Settings, trial: Trial
     ) -> Candidate:
@@ -142,6 +148,7 @@ class Search:
             start=trial.best_start_kind,
             example=trial.example,
             training_error=float(np.median(trial.training_errors)),
+            fits=tuple(trial.fits),
         )
         self.tried.append(candidate)
         self.announce(candidate.describe)

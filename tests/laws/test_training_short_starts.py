@@ -10,7 +10,13 @@ from models_cases import data_set
 
 from ssm_study.models.structured_spec import AUTO, StructuredSpec
 from ssm_study.training.candidates import Candidate, simplest_good_candidate
-from ssm_study.training.choice_of_size import free_candidates
+from ssm_study.training.choice_of_size import (
+    candidates_far_ahead,
+    drop_needless_integrator,
+    train_finalists,
+    try_free_models,
+)
+from ssm_study.training.folds import make_folds
 from ssm_study.training.optimisers import Lbfgs
 from ssm_study.training.search import Search
 from ssm_study.training.short_starts import STEPS, best_seeds, training_fit_words
@@ -106,7 +112,34 @@ def test_a_model_that_need_not_contract_has_to_gain_a_quarter() -> None:
     for order, error in ((2, 7.0), (3, 9.0)):
         free = candidate("structured", *[error] * 4)
         search.tried.append(replace(free, settings={"order": order, "rate": None}))
-    taken = free_candidates(search, contracting)
+    taken = candidates_far_ahead(try_free_models(search), contracting)
     assert [one.settings["order"] for one in taken] == [2]
     search.decided["integrating_output"] = True
-    assert free_candidates(search, contracting) == []
+    assert try_free_models(search) == []
+
+
+def test_finalists_are_trained_further_and_nothing_else() -> None:
+    """After a few steps a large model is less trained than a small one."""
+    spec = StructuredSpec(**FIXED | BRIEF | {"order": AUTO})  # type: ignore[arg-type]
+    data = data_set(noise=0.02, samples=250, records=4)
+    search = Search(spec=spec, folds=make_folds(data)[:2], seed=0, announce=quiet)
+    tried = [search.score_structured_model("size", {"order": order}) for order in (1, 2)]
+    small, large = tried
+    hopeless = replace(small, errors=3.0 * large.errors)
+    first, second = train_finalists(search, [hopeless, large])
+    assert first is hopeless
+    assert second.question == "longer training"
+    assert second.training_error < large.training_error
+    assert second.settings == large.settings
+
+
+def test_an_integrator_has_to_beat_models_without_neurons() -> None:
+    """A load that is not in the log drifts: both models with neurons follow it where they train."""
+    spec = StructuredSpec(order=AUTO, neurons=AUTO, knots=0, integrating_output=AUTO)
+    folds = make_folds(data_set(noise=0.02, samples=250, records=4))
+    for error, is_needed in ((50.0, False), (0.1, True)):
+        search = Search(spec=spec, folds=folds, seed=0, announce=quiet)
+        search.adopt_settings(candidate("with", *[error] * 4), {"integrating_output": True})
+        drop_needless_integrator(search)
+        assert search.has_integrator is is_needed
+        assert len(search.chosen) == int(is_needed)
