@@ -28,6 +28,8 @@ INTEGRATING_SIZES: tuple[Settings, ...] = (
     *SIZES,
 )
 FREE_SIZES: tuple[Settings, ...] = (  # not contracting by construction
+    {"order": 2, "neurons": 2, "knots": 0, "rate": None},
+    {"order": 3, "neurons": 3, "knots": 0, "rate": None},
     {"order": 2, "neurons": 5, "knots": 0, "rate": None},
     {"order": 3, "neurons": 5, "knots": 0, "rate": None},
 )
@@ -176,7 +178,7 @@ def simplest_certifiable_candidate(search: Search, candidates: Sequence[Candidat
     """Smallest candidate that can be certified and is not clearly worse than the best certifiable
     one. If none can be certified, all count.
 
-    Certificates are asked for as they are needed, of the model trained without the last fold.
+    Certificates are asked for as they are needed, of the models trained on the folds.
     """
     left = list(candidates)
     while left:

@@ -5,6 +5,7 @@ A training ends in one of many local minima. How low is mostly seen after a few 
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import ceil
 
 import numpy as np
 
@@ -23,6 +24,17 @@ def short_spec(spec: StructuredSpec) -> StructuredSpec:
     A single neuron is drawn as often as ever: its draws are cheap, and more of them end badly.
     """
     return spec if spec.neurons == 1 else replace(spec, draws=min(DRAWS, spec.draws))
+
+
+def count_starts(spec: StructuredSpec) -> tuple[int, int]:
+    """Numbers of short trainings, and of those that are trained to their end.
+
+    A model that need not contract has twice as many: fewer of its trainings end where a state
+    feedback can be certified, and each takes less time.
+    """
+    more = 2 if spec.rate is None else 1
+    ended = max(ceil(more * spec.starts / 2), spec.members)
+    return more * 2 * spec.starts, ended
 
 
 def best_seeds(

@@ -1,7 +1,6 @@
 """Identification of a model from data: from the settings of `conf/training/*.yaml` to stored
 numbers."""
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -175,12 +174,11 @@ class Training:
     ) -> "Identification":
         """Train a chosen model from the best of many short starts."""
         from ssm_study.training.choice import make_announcer
-        from ssm_study.training.short_starts import best_seeds, short_spec
+        from ssm_study.training.short_starts import best_seeds, count_starts, short_spec
 
         brief = short_spec(spec)
-        count = max(math.ceil(spec.starts / 2), spec.members)
         announce = make_announcer(session.progress, "short starts")
-        seeds = best_seeds(brief, data, session.seed, 2 * spec.starts, count, announce)
+        seeds = best_seeds(brief, data, session.seed, *count_starts(spec), announce)
         return self._train_best_of_several(
             [brief] * len(seeds), data, session, spec.members, only_certified=True, seeds=seeds
         )
