@@ -217,17 +217,19 @@ def _sensitivity_loop(k, v, x0, basis, channel, places):
 def _differentiate_record(k, at_rest, v, x0, moved, places, ybar, out):
     """Fill in one record's output and derivatives, sample by sample. A state parameter keeps `dx`
     in one row of `s`; what drives it is sparse and is added by its place."""
+    still, rest = at_rest
+    basis, channel = moved
     samples, m = v.shape
     n = k.a.shape[0]
     p = k.c.shape[0]
-    still, _ = at_rest
     q = len(still)
     w = np.empty(q)
     slope = np.empty(q)
-    for_state = (np.empty((n, q)), np.empty((n, n)), np.empty((n, m)))
-    for_output = (np.empty((p, q)), np.empty((p, n)), np.empty((p, m)))
+    es, turn, push = _unset_linearisation(n, n, m, q)
+    hs, read, through = _unset_linearisation(p, n, m, q)
     x = x0.copy()
     ahead = np.empty(n)
+    at = places[AT_F:AT_X0]
     states = places[AT_C]
     s = np.zeros((n, states))
     s_ahead = np.empty((n, states))
@@ -235,11 +237,20 @@ def _differentiate_record(k, at_rest, v, x0, moved, places, ybar, out):
     for t in range(samples):
         _evaluate_neurons(k, still, x, v[t], w, slope)
         _apply_matrices(k.c, k.d, k.h, x, v[t], w, ybar[t])
-        _linearise_at_slopes(k.a, k.b, k.e, k.f, k.g, slope, for_state)
-        _linearise_at_slopes(k.c, k.d, k.h, k.f, k.g, slope, for_output)
-        here = (x, v[t], w, slope, at_rest[1])
-        _add_output_sensitivities(k, s, here, for_output, moved, t, places, out[t])
-        _advance_sensitivities(k, s, here, for_state, moved, t, places, s_ahead)
+        _linearise_at_slopes(k.a, k.b, k.e, k.f, k.g, slope, es, turn, push)
+        _linearise_at_slopes(k.c, k.d, k.h, k.f, k.g, slope, hs, read, through)
+        here = (x, v[t], w, slope, rest)
+        for o in range(p):
+            own = (places[AT_C] + o * n, places[AT_D] + o * m, places[AT_H] + o * q)
+            _add_sample_sensitivity(
+                out[t, o], read[o], s, k.h[o], hs[o], through[o], here, basis[t], channel, own, at
+            )
+        s_ahead[:] = 0.0
+        for i in range(n):
+            own = (i * n, places[AT_B] + i * m, places[AT_E] + i * q)
+            _add_sample_sensitivity(
+                s_ahead[i], turn[i], s, k.e[i], es[i], push[i], here, basis[t], channel, own, at
+            )
         s, s_ahead = s_ahead, s  # two buffers, swapped: no allocation in the loop
         _apply_matrices(k.a, k.b, k.e, x, v[t], w, ahead)
         x, ahead = ahead, x
@@ -247,45 +258,16 @@ def _differentiate_record(k, at_rest, v, x0, moved, places, ybar, out):
 
 @compile_with_numba
 @no_type_check
-def _add_output_sensitivities(k, s, here, linearised, moved, t, places, out):
-    """Add the derivatives of every output at one sample, in place."""
-    n = s.shape[0]
-    m = len(here[1])
-    q = len(here[2])
-    hs, read, through = linearised
-    basis, channel = moved
-    at = places[AT_F:AT_X0]
-    for o in range(out.shape[0]):
-        own = (places[AT_C] + o * n, places[AT_D] + o * m, places[AT_H] + o * q)
-        _add_sample_sensitivity(
-            out[o], read[o], s, k.h[o], hs[o], through[o], here, basis[t], channel, own, at
-        )
+def _unset_linearisation(rows, n, m, q):
+    """Arrays that `_linearise_at_slopes` fills for so many rows."""
+    return np.empty((rows, q)), np.empty((rows, n)), np.empty((rows, m))
 
 
 @compile_with_numba
 @no_type_check
-def _advance_sensitivities(k, s, here, linearised, moved, t, places, s_ahead):
-    """Compute the derivatives of the next state from those of this one, in place."""
-    n = s.shape[0]
-    m = len(here[1])
-    q = len(here[2])
-    es, turn, push = linearised
-    basis, channel = moved
-    at = places[AT_F:AT_X0]
-    s_ahead[:] = 0.0
-    for i in range(n):
-        own = (i * n, places[AT_B] + i * m, places[AT_E] + i * q)
-        _add_sample_sensitivity(
-            s_ahead[i], turn[i], s, k.e[i], es[i], push[i], here, basis[t], channel, own, at
-        )
-
-
-@compile_with_numba
-@no_type_check
-def _linearise_at_slopes(state, through, inner, f, g, slope, linearised):
-    """Linearise the recurrence at given slopes of its neurons, in place. `linearised = (inner S,
-    state + inner S f, through + inner S g)`."""
-    scaled, by_state, by_input = linearised
+def _linearise_at_slopes(state, through, inner, f, g, slope, scaled, by_state, by_input):
+    """Linearise the recurrence at given slopes of its neurons, in place. `scaled = inner S,
+    by_state = state + inner S f, by_input = through + inner S g`."""
     for i in range(state.shape[0]):
         for u in range(slope.shape[0]):
             scaled[i, u] = inner[i, u] * slope[u]

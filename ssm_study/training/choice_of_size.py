@@ -18,6 +18,8 @@ HIGH_LINEAR_ORDERS = (14, 20)  # one by one, while all that are smaller are behi
 ONE_LAYER_ORDERS = (3, 8)  # least and most
 SIZES: tuple[Settings, ...] = (  # the smallest first; with one layer before them
     {"order": 3, "neurons": 1, "knots": 0},
+    {"order": 2, "neurons": 2, "knots": 0},
+    {"order": 2, "neurons": 5, "knots": 16},
     TRIED_SIZE,
 )
 INTEGRATING_SIZES: tuple[Settings, ...] = (
@@ -25,7 +27,8 @@ INTEGRATING_SIZES: tuple[Settings, ...] = (
     {"order": 1, "neurons": 2, "knots": 0},
     {"order": 2, "neurons": 1, "knots": 0},
     {"order": 2, "neurons": 1, "knots": 16},
-    *SIZES,
+    {"order": 3, "neurons": 1, "knots": 0},
+    TRIED_SIZE,
 )
 FREE_SIZES: tuple[Settings, ...] = (  # not contracting by construction
     {"order": 2, "neurons": 2, "knots": 0, "rate": None},
@@ -70,7 +73,7 @@ def try_model_sizes(search: Search) -> list[Candidate]:
         return []
     candidates = [] if search.has_integrator else try_sizes_without_neurons(search)
     sizes = INTEGRATING_SIZES if search.has_integrator else SIZES
-    candidates += [search.score_structured_model("size", size) for size in sizes]
+    candidates += score_sizes(search, "size", sizes)
     first_order = candidates[0].settings.get("order")  # None where the order is given
     needs_order = first_order is not None and int(first_order) > int(TRIED_SIZE["order"])
     for larger in LARGER:
@@ -91,7 +94,13 @@ def try_free_models(search: Search) -> list[Candidate]:
     """
     if not search.is_open("rate") or search.has_integrator:
         return []
-    return [search.score_structured_model("no contraction", size) for size in FREE_SIZES]
+    return score_sizes(search, "no contraction", FREE_SIZES)
+
+
+def score_sizes(search: Search, question: str, sizes: Sequence[Settings]) -> list[Candidate]:
+    """Candidates of several sizes, each once: with given settings two sizes may be the same."""
+    scored = [search.score_structured_model(question, size) for size in sizes]
+    return list({id(candidate): candidate for candidate in scored}.values())
 
 
 def candidates_far_ahead(
