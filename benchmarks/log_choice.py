@@ -15,7 +15,7 @@ again. One to three minutes a log on a busy core.
 
 runs so many logs at a time, each in a process of one thread, the longest first. A row is written
 when its log is done, so that a run that is killed keeps what it has. `--real-logs FOLDER` (or
-`SSM_STUDY_REAL_LOGS`) says where the real logs lie.
+`SSM_STUDY_REAL_LOGS`) says where the real logs lie, `--candidates FOLDER` receives what was tried.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from common import REFERENCE, ROOT, keep, rows_of, study_of
+from common import REFERENCE, ROOT, keep, rows_of, study_of, write
 from log_kinds import KINDS
 
 from ssm_study.bounds.slopes import certified_balls
@@ -123,9 +123,14 @@ def fit_log(log: Log, *settings: str) -> tuple[DataSet, Identification, float]:
     return data, found, time.process_time() - began
 
 
-def compare(log: Log, plain: bool = False) -> dict[str, object]:
-    """Fit a log by default and by the best baseline; return the row of the table."""
+def compare(log: Log, plain: bool = False, candidates: Path | None = None) -> dict[str, object]:
+    """Fit a log by default and by the best baseline; return the row of the table.
+
+    A folder for `candidates` receives the table of what was tried.
+    """
     data, found, seconds = fit_log(log)
+    if candidates is not None:
+        write(candidates / f"{log.name}_{log.seed}.csv", found.choice)
     seconds_plain = round(fit_log(log, "model=structured")[2], 1) if plain else ""
     baseline = fit_best_baseline(data)
     _, test = simulate_validation_and_test(
@@ -171,15 +176,17 @@ def largest_rate(model: object) -> float:
     return float(largest_certifiable_rate(model.system, balls.input))  # type: ignore[attr-defined]
 
 
-def compare_all(logs: Sequence[Log], jobs: int, plain: bool) -> Iterator[dict[str, object]]:
+def compare_all(
+    logs: Sequence[Log], jobs: int, plain: bool, candidates: Path | None
+) -> Iterator[dict[str, object]]:
     """Rows of several logs as they come, so many logs at a time; a log that fails is printed."""
     if jobs == 1:
-        yield from (compare(log, plain) for log in logs)
+        yield from (compare(log, plain, candidates) for log in logs)
         return
     os.environ.update(ONE_THREAD)  # read by the processes that are started now
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        running = {pool.submit(compare, log, plain): log for log in logs}
+        running = {pool.submit(compare, log, plain, candidates): log for log in logs}
         for done in as_completed(running):
             failure = done.exception()
             if failure is None:
@@ -201,6 +208,7 @@ def main() -> None:
     parser.add_argument("--plain", action="store_true")
     parser.add_argument("--jobs", type=int, default=1, metavar="N")
     parser.add_argument("--table", "--to", type=Path, metavar="FILE")
+    parser.add_argument("--candidates", type=Path, metavar="FOLDER")
     folder_of_logs = Path(os.environ.get(FOLDER_VARIABLE, REAL_LOGS))
     parser.add_argument("--real-logs", type=Path, default=folder_of_logs, metavar="FOLDER")
     options = parser.parse_args()
@@ -214,7 +222,7 @@ def main() -> None:
         waiting = [log for log in logs if (log.name, str(log.seed)) not in done]
         if options.jobs > 1:
             waiting.sort(key=place_in_queue)
-        for row in compare_all(waiting, options.jobs, options.plain):
+        for row in compare_all(waiting, options.jobs, options.plain, options.candidates):
             print(row, flush=True)
             keep(target, [row], ("log", "seed"), lambda each: (each["log"], int(each["seed"])))
 

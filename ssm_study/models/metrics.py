@@ -198,7 +198,7 @@ def estimate_initial_state(
     of its own), over its length, so a state that the input
     cannot reach is not invented to fit the noise; a mode near the unit circle, whose Gramian over
     all time is singular, does no harm. The current sample's output error is linearised through the
-    model and solved by Gauss-Newton.
+    model and solved by Gauss-Newton. Rest where an unstable model leaves no finite solution.
     """
     lifted = model.driving_signals(record.u, record.d)
     target = model.scale.scaled_output(record.y[:samples])
@@ -212,9 +212,13 @@ def estimate_initial_state(
         o = (slopes @ by_state).reshape(-1, model.order)
         error = target - model.scaffold_out(ybar)
         missing = error.ravel() + o @ x0
-        covariance = o @ prior @ o.T + START_UP_NOISE * np.eye(len(o))
-        x0 = prior @ o.T @ np.linalg.solve(covariance, missing)
-    return x0
+        with np.errstate(all="ignore"):
+            covariance = o @ prior @ o.T + START_UP_NOISE * np.eye(len(o))
+        try:
+            x0 = prior @ o.T @ np.linalg.solve(covariance, missing)
+        except np.linalg.LinAlgError:  # the model is unstable, and its numbers overflow
+            break
+    return x0 if np.isfinite(x0).all() else np.zeros(model.order)
 
 
 def _record_gramian(model: Any, lifted: Lifted) -> Gramian:

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from ssm_study.training.metrics import Identification
 
 
+SLOW = 1e-3  # a rate at which an observer is asked for: hardly more than that it converges
+
+
 @dataclass(frozen=True, kw_only=True)
 class LargestCertifiableRate:
     """Selection of the model with the largest certifiable rate, among models that fit about equally
@@ -72,11 +75,28 @@ class LargestCertifiableRate:
         ball = certified_balls(model).input
         return max(0.0, largest_certifiable_rate(model.system, ball))
 
+    def has_certificates(self, model: Any) -> bool:
+        """Whether a state feedback and an observer of a model can be certified at some rate."""
+        return self.largest_rate(model) > 0.0 and has_certified_observer(model)
+
     def _within(self, model: Any) -> float:
         """Difference in fit, in percentage points, that counts as equal for models of one kind."""
         if isinstance(model.system, StateSpace):
             return self.one_layer_within_percent
         return self.within_percent
+
+
+def has_certified_observer(model: Any) -> bool:
+    """Whether an observer of a model can be certified at some rate. It can for one layer: its modes
+    lie inside the unit circle, so that no injection is needed."""
+    system = model.system
+    if isinstance(system, StateSpace):
+        return True
+    from ssm_study.synthesis.structured_lmi import finds_certificate  # CVXPY, as below
+
+    synthesis = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5)
+    ball = certified_balls(model).output
+    return finds_certificate(synthesis.problem(system, ball, observes=True), SLOW)
 
 
 def largest_certifiable_rate(system: System, ball: JacobianBall) -> float:

@@ -176,6 +176,12 @@ def fastest_solution(
     return low, best and replace(best, logs=log_multipliers(problem.at_rate(low), best))
 
 
+def finds_certificate(problem: Problem, rate: float) -> bool:
+    """Whether the solver finds matrices that prove a rate in exact arithmetic."""
+    program = StructuredLmi(problem=problem, objective="largest_margin")
+    return _confirmed_solution(program, problem, rate) is not None
+
+
 def _confirmed_solution(program: StructuredLmi, problem: Problem, rate: float) -> Solution | None:
     """Matrices that prove a rate in exact arithmetic; None if the solver finds none."""
     try:

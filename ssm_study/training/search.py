@@ -122,19 +122,19 @@ class Search:
         return all(size in open_or_none for size in sizes) and self.spec.output_knots == 0
 
     def is_certifiable(self, candidate: Candidate) -> bool:
-        """Whether some contraction rate of a state feedback can be certified for one of the
-        candidate's models. True where the specification does not ask.
+        """Whether a state feedback and an observer can be certified for one of the candidate's
+        models. True where the specification does not ask.
 
         One of the models that were trained on the folds is enough: the chosen candidate is trained
         from many starts, of which those with a certificate come first.
         """
-        largest_rate = getattr(self.spec.among_starts, "largest_rate", None)
-        if largest_rate is None or candidate.example is None:
+        has_certificates = getattr(self.spec.among_starts, "has_certificates", None)
+        if has_certificates is None or candidate.example is None:
             return True
         if id(candidate) not in self.certified:
             finite = [fit for fit in candidate.fits if np.isfinite(float(fit.loss))]
             models = [fit.as_model() for fit in finite] or [candidate.example]
-            self.certified[id(candidate)] = any(largest_rate(model) > 0.0 for model in models)
+            self.certified[id(candidate)] = any(has_certificates(model) for model in models)
         return self.certified[id(candidate)]
 
     def train_further(self, candidate: Candidate, steps: int) -> Candidate:

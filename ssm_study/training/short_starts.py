@@ -47,8 +47,8 @@ def best_seeds(
 ) -> list[int]:
     """Seeds of so many starts with the least loss after a few steps, the best first.
 
-    Starts whose model has no certified state feedback come behind all that have one, where the
-    specification asks for one. Each start is announced when it is done.
+    Starts whose model has no certified state feedback and observer come behind all that have, where
+    the specification asks for them. Each start is announced when it is done.
     """
     part = data.shift_out_dead_time(int(spec.dead_time)) if spec.dead_time else data
     fits: dict[int, StructuredFit] = {}
@@ -65,14 +65,14 @@ def best_seeds(
 
 
 def first_certified(spec: StructuredSpec, fits: dict[int, StructuredFit], most: int) -> list[int]:
-    """Seeds of the first starts, in the order given, whose models have a certified state feedback.
-    All have one where the specification does not ask."""
-    largest_rate = getattr(spec.among_starts, "largest_rate", None)
+    """Seeds of the first starts, in the order given, whose models have certificates. All count as
+    having them where the specification does not ask."""
+    has_certificates = getattr(spec.among_starts, "has_certificates", None)
     certified: list[int] = []
     for seed, fit in fits.items():
         if len(certified) == most:
             break
-        if largest_rate is None or largest_rate(fit.as_model()) > 0.0:
+        if has_certificates is None or has_certificates(fit.as_model()):
             certified.append(seed)
     return certified
 

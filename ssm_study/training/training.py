@@ -194,7 +194,8 @@ class Training:
     ) -> "Identification":
         """Best model of several training runs from different initial parameters.
 
-        With `only_certified` those without a certified state feedback are dropped, if any has one.
+        With `only_certified` those without a certified state feedback and observer are dropped, if
+        any has both.
         The `members` that fit the training records best predict together.
         """
         dead_time = int(getattr(starts[0], "dead_time", 0))
@@ -263,10 +264,11 @@ def select_by_training_fit(
 
 
 def can_be_certified(spec: "ModelSpec", model: Any) -> bool:
-    """Whether a contraction rate can be certified for some state feedback of a model. It is true if
-    the settings do not ask for that."""
-    largest_rate = getattr(getattr(spec, "among_starts", None), "largest_rate", None)
-    return largest_rate is None or largest_rate(model) > 0.0
+    """Whether a state feedback and an observer of a model can be certified. True where the
+    specification does not ask."""
+    rule = getattr(spec, "among_starts", None)
+    has_certificates = getattr(rule, "has_certificates", None)
+    return has_certificates is None or bool(has_certificates(model))
 
 
 def refuse_disturbances_without_path(spec: "ModelSpec", data: DataSet) -> None:

@@ -1,6 +1,8 @@
 """A record that starts anywhere: the estimated state replays it; a record that starts at rest stays
 as it is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
@@ -76,6 +78,14 @@ def test_a_state_the_input_never_reaches_is_not_invented(model: SSM) -> None:
     still = Trajectory(u=u, y=y, step_s=0.1)
     largest = np.abs(estimate_initial_state(model, still, 10)).max()
     assert largest < 1e-12
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_an_unstable_model_of_which_numbers_overflow_starts_at_rest(model: SSM) -> None:
+    seen = record(model, np.array([1.5, -0.4]))
+    unstable = model.with_linear(replace(model.linear, a=1e3 * model.linear.a))
+    assert np.array_equal(estimate_initial_state(unstable, seen, 200), np.zeros(2))
+    assert estimate_initial_state(model, seen, 200).any()
 
 
 def test_the_gramian_of_a_record_is_the_sum_over_it() -> None:
