@@ -1,12 +1,14 @@
 """The model that a log chooses beside the best baseline, on logs of known kind and on real ones.
 
     python benchmarks/log_choice.py kinds --seeds 0
+    python benchmarks/log_choice.py aside --seeds 0
     python benchmarks/log_choice.py real --only heat_exchanger servo_position --seeds 0
 
 Every log is read and fitted as the plain command does (`data=recorded`, all else at its default).
-One row a log and seed goes into `results/reference/training/log_choice_kinds.csv` or
-`log_choice_real.csv`: the fit to the test part of the model and of the best of ARX, output error
-and polynomial NARX (`models.baselines.regression.fit_best_baseline`), the largest rate of a
+`aside` are the kinds of `log_kinds_aside.py`. One row a log and seed goes into
+`log_choice_kinds.csv`, `log_choice_aside.csv` or `log_choice_real.csv` of
+`results/reference/training`: the fit to the test part of the model and of the best of ARX, output
+error and polynomial NARX (`models.baselines.regression.fit_best_baseline`), the largest rate of a
 certified state feedback, the processor seconds, and what was chosen. With `--plain` also those of
 `model=structured` with its own defaults, which chooses nothing. Rows that are there are not made
 again. One to three minutes a log on a busy core.
@@ -30,7 +32,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from common import REFERENCE, ROOT, keep, rows_of, study_of, write
-from log_kinds import KINDS
+from log_kinds import KINDS, LogKind
+from log_kinds_aside import KINDS as KINDS_ASIDE
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.models.baselines.regression import fit_best_baseline
@@ -92,9 +95,11 @@ class Log:
     training_seed: int
 
 
-def logs_of_kinds(folder: Path, names: Sequence[str], seeds: Sequence[int]) -> Iterator[Log]:
+def logs_of_kinds(
+    folder: Path, names: Sequence[str], seeds: Sequence[int], kinds: Sequence[LogKind] = KINDS
+) -> Iterator[Log]:
     """The synthetic logs, written to a folder."""
-    for kind in KINDS:
+    for kind in kinds:
         for seed in seeds if kind.name in names or not names else ():
             table = kind.log(seed)
             path = folder / f"{kind.name}_{seed}.csv"
@@ -202,7 +207,7 @@ def place_in_queue(log: Log) -> int:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("logs", choices=("kinds", "real"))
+    parser.add_argument("logs", choices=("kinds", "aside", "real"))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0], metavar="N")
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME")
     parser.add_argument("--plain", action="store_true")
@@ -215,8 +220,9 @@ def main() -> None:
     target = options.table or TARGET / f"log_choice_{options.logs}.csv"
     done = {(row["log"], row["seed"]) for row in rows_of(target)}
     with TemporaryDirectory() as folder:
-        if options.logs == "kinds":
-            logs = logs_of_kinds(Path(folder), options.only, options.seeds)
+        if options.logs != "real":
+            kinds = KINDS if options.logs == "kinds" else KINDS_ASIDE
+            logs = logs_of_kinds(Path(folder), options.only, options.seeds, kinds)
         else:
             logs = real_logs(options.real_logs.resolve(), options.only, options.seeds)
         waiting = [log for log in logs if (log.name, str(log.seed)) not in done]

@@ -1,0 +1,79 @@
+"""Four further kinds of logs, on which the choice of models is judged and never made.
+
+The generators were written before the choice was changed for the last time, and no log of theirs
+was looked at while it was. Same form as `log_kinds.py`.
+"""
+
+import numpy as np
+from log_kinds import LogKind, Rng, column, random_levels, with_noise
+
+
+def two_tanks(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Two tanks in a row, each with an outflow that grows with the root of its level."""
+    u = random_levels(rng, samples, 10, 60)
+    size = rng.uniform(0.08, 0.15)
+    y = np.zeros(samples)
+    level = np.array([0.5, 0.5])
+    for k in range(samples):
+        y[k] = level[1]
+        inflow = size * (1.0 + 0.9 * u[k])
+        out = size * np.sqrt(level + 1e-4)
+        change = np.array([inflow - out[0], out[0] - out[1]])
+        level = np.maximum(level + 0.6 * change, 0.0)
+    return column(u), with_noise(rng, y)
+
+
+def mass_with_friction(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """A mass on a spring, with viscous damping and dry friction."""
+    u = random_levels(rng, samples, 5, 30)
+    damping = rng.uniform(0.1, 0.2)
+    stiffness = rng.uniform(0.03, 0.06)
+    dry = rng.uniform(0.01, 0.03)
+    h = 0.2
+    y = np.zeros(samples)
+    position = 0.0
+    velocity = 0.0
+    for k in range(samples):
+        y[k] = position
+        for _ in range(5):
+            friction = damping * velocity + dry * np.tanh(velocity / 0.02)
+            velocity += h * (0.1 * u[k] - friction - stiffness * position)
+            position += h * velocity
+    return column(u), with_noise(rng, y)
+
+
+def heated_flow(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """A vessel that a flow cools: the input multiplies the temperature; a sensor with a lag."""
+    u = random_levels(rng, samples, 6, 40)
+    share = rng.uniform(0.05, 0.1)
+    y = np.zeros(samples)
+    temperature = 1.0
+    sensor = 0.0
+    for k in range(samples):
+        flow = 1.0 + 0.7 * u[k]
+        temperature += share * (1.0 - flow * temperature)
+        sensor += 0.3 * (temperature - sensor)
+        y[k] = sensor
+    return column(u), with_noise(rng, y)
+
+
+def two_inputs_one_late(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Two inputs in the log, one of them six samples late; their sum saturates."""
+    first = random_levels(rng, samples, 5, 40)
+    second = random_levels(rng, samples, 20, 90)
+    late = np.concatenate([np.zeros(6), second])[:samples]
+    y = np.zeros(samples)
+    x = np.zeros(2)
+    for k in range(samples):
+        y[k] = x[1]
+        x[1] = 0.93 * x[1] + 0.07 * x[0]
+        x[0] = 0.6 * x[0] + 0.4 * np.tanh(1.2 * first[k] + 0.8 * late[k])
+    return np.stack([first, second], axis=1), with_noise(rng, y)
+
+
+KINDS = (
+    LogKind(name="tanks", describes="two tanks", step_s=1.0, make=two_tanks),
+    LogKind(name="friction", describes="dry friction", step_s=0.05, make=mass_with_friction),
+    LogKind(name="flow", describes="flow times temperature", step_s=0.1, make=heated_flow),
+    LogKind(name="two_inputs", describes="two inputs", step_s=0.1, make=two_inputs_one_late),
+)
