@@ -224,8 +224,8 @@ def _cayley_contraction(x: Tall) -> tuple[Tall, Square]:
 
 
 def _invert_cayley_contraction(y: Tall) -> Tall:
-    """Matrix whose contraction `con(X)` is a given matrix of norm below one. `con(X) = Y`. `I - Y'Y
-    = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its Cholesky factor as L."""
+    """Matrix that the Cayley transform converts to a given matrix of norm below one. `con(X) = Y`.
+    `I - Y'Y = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its Cholesky factor as L."""
     inverse = np.linalg.cholesky(np.eye(y.shape[1]) - y.T @ y)
     return y @ np.linalg.inv(inverse).T
 

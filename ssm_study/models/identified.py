@@ -265,9 +265,9 @@ class SSM(ScaffoldedModel):
         return replace(self, linear=linear, b_d=b_d)
 
     def with_dead_time(self, samples: int) -> "SSM":
-        """Copy of the model with a dead time at its input. The model behind a dead time, `x+ = A x
-        + B ub[k - samples]`; what is under way are states of the recurrence. Measured disturbances
-        act without it."""
+        """Copy of the model with a dead time at its input. `x+ = A x + B ub[k - samples]`; the
+        delayed inputs are states of the recurrence. Measured disturbances act without the dead
+        time."""
         linear = self.linear
         line = DelayLine(states=linear.order, channels=linear.b.shape[1], samples=samples)
         a = line.state_matrix(linear.a, linear.b)
@@ -302,8 +302,8 @@ class SSM(ScaffoldedModel):
 def _factor_out_centre(
     scaffold: Scaffold, method: str
 ) -> tuple[Scaffold, Float[np.ndarray, "m m"]] | None:
-    """Static map without the centre matrix of its Jacobians, and that matrix, if this makes their
-    ball smaller."""
+    """Static map without the centre matrix of its Jacobians, and that matrix; None if this does not
+    make the ball of Jacobians smaller."""
     if scaffold.inputs != scaffold.outputs or scaffold.inputs == 1:
         return None
     m = scaffold.jacobian_centre()

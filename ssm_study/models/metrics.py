@@ -151,8 +151,8 @@ def size_columns(model: Simulator) -> dict[str, Any]:
 def fit_columns(
     validation: Simulation, test: Simulation, scores: tuple[float, ...] = ()
 ) -> dict[str, Any]:
-    """Columns on the free-run fits and the test error of a model. On a benchmark also its score, in
-    the unit it is published in."""
+    """Columns on the fits of a model's free runs and its test error. On a benchmark also its score,
+    in the unit of the publications."""
     columns = {"fit_validation_percent": validation.fit_percent}
     columns["fit_test_percent"] = test.fit_percent
     columns["rmse_test"] = test.rmse

@@ -295,8 +295,8 @@ class SSMSpec(ModelSpec):
             require(fits, f"model.{name}", ends, problem, "correct the range")
 
     def for_training_run(self, start: int) -> "SSMSpec":
-        """Settings for training number `start` of several. From the second on it begins with random
-        modes, real ones only to make pairs."""
+        """Settings for one of several training runs, given by its number. The first begins with an
+        estimated system, the others with random modes."""
         if not start:
             return self
         pairs = (self.order - 1) // 2
@@ -330,8 +330,8 @@ class SSMSpec(ModelSpec):
 
 
 def scale_records(data: DataSet) -> Pairs:
-    """Convert training records to scaled units. Training records in scaled units: `(u - u_eq) /
-    input_scale`, `(y - y_eq) / output_scale`."""
+    """Training records converted to scaled units. `(u - u_eq) / input_scale`, `(y - y_eq) /
+    output_scale`."""
     scale = data.scale
     inputs = [scale.scaled_input(record.u) for record in data.training]
     outputs = [scale.scaled_output(record.y) for record in data.training]

@@ -174,7 +174,7 @@ class StructuredSSM(ScaffoldedModel):
 
     @property
     def _structured_system(self) -> StructuredSystem:
-        """Recurrence with its neurons as a structured system."""
+        """Recurrence with its neurons, in the form that certificates use."""
         names = [block.name for block in fields(StructuredSystem)]
         blocks = {name: getattr(self, name) for name in names}
         return StructuredSystem(**blocks)
@@ -204,8 +204,8 @@ class StructuredSSM(ScaffoldedModel):
     def linearise_at(
         self, x: Float[np.ndarray, "n"], ubar: Float[np.ndarray, "mbar"]
     ) -> StateSpace:
-        """Linearise the recurrence at one state and mapped input. The recurrence's derivative at
-        one state and lifted input: neurons replaced by their slopes there."""
+        """Linearise the recurrence at one state and mapped input. Neurons are replaced by their
+        slopes there."""
         z = self.f @ x + self.g @ ubar + self.bias
         slopes = evaluate_activations(self.neurons, z, "slope")
         return self._structured_system.linearise_at_slopes(slopes)

@@ -271,7 +271,7 @@ class StructuredSpec(ModelSpec):
         return lift, read
 
     def without_neurons(self) -> SSMSpec:
-        """Settings of the same model without neurons, trained as `model=ssm` is."""
+        """Settings of the same model without neurons, which is trained as `model=ssm` is."""
         inward = Monotone() if self.knots else Linear()
         outward = Monotone() if self.output_knots else Linear()
         width = max(int(self.knots), self.output_knots, 1)  # of both maps: one number in SSMSpec

@@ -45,7 +45,7 @@ class ChunkedRecurrence(torch.autograd.Function):
     def forward(
         ctx: Any, decay: Tensor, b: Tensor, c: Tensor, d: Tensor, u: Tensor, x0: Tensor | None
     ) -> Tensor:
-        """Simulate the recurrence block by block, and store what the gradient needs."""
+        """Simulate the recurrence block by block, and store the values that the gradient needs."""
         rate = decay.to(torch.complex128)  # powers are taken in it: a phase grows with its sample
         power = torch.exp(_AGES.to(u.device) * rate).to(decay.dtype)  # lambda^k, k = 0 ... 64
         lift_by_sample = power[:-1].flip(0)[:, None] * b.mT
@@ -211,7 +211,7 @@ def final_state(modes: ModalForm, u: Input, x0: Modal | None = None) -> Modal:
 
 def simulate_by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
     """Simulate a linear recurrence by FFT convolution. `y = g * u` by real transforms of a fast
-    length; differentiable forward, vectorised and any number of times."""
+    length; it can be differentiated forward, vectorised, and any number of times."""
     p, m = modes.d.shape
     samples = u.shape[1]
     both = power_tables(modes.decay, samples)

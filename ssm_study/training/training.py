@@ -172,7 +172,7 @@ class Training:
     def _train_from_best_starts(
         self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Train a chosen model from the best of many short starts."""
+        """Train a chosen model from the best of many short training runs."""
         from ssm_study.training.choice import make_announcer
         from ssm_study.training.short_starts import best_seeds, count_starts, short_spec
 
