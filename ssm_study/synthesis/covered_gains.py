@@ -29,7 +29,7 @@ from ssm_study.synthesis.decay_response import NO_DECAYS, largest_decay_ratios
 from ssm_study.synthesis.deployed import at_largest_rate
 from ssm_study.synthesis.expected_response import FASTER
 from ssm_study.synthesis.integrated_error import relative_areas
-from ssm_study.synthesis.measured_discs_choice import LOST, LoopCoverage
+from ssm_study.synthesis.measured_discs_choice import LoopCoverage, proof_loss
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
 from ssm_study.systems import Balls, Gains
 
@@ -89,7 +89,7 @@ class GainSearch:
         A proof keeps a little less than its frequencies promise: where it keeps too little, the
         search goes on for as much more.
         """
-        wanted = LOST * target
+        wanted = proof_loss(self.model) * target
         for _ in range(CERTIFICATES):
             best = self.search(start, wanted, rounds, largest_area)
             design = self.certify_gains(start, best.gains)

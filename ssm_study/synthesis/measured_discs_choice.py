@@ -29,6 +29,7 @@ LOOKED_AT = (0, 1, 2, 4, 7, 11, 16, 23, 32, 45, 60, 85, 120, 170, 240, 320)  # o
 NEAR = 60  # a covered pair from farther down the order is made faster by the search
 WITH_NEURONS = (0, 3, 10, 25)  # each takes seconds
 LOST = 1.02  # kappa by frequency over that of the certificate, at most (as a rule)
+LOST_WITH_NEURONS = 1.03  # their larger programs are solved less exactly
 COVERED = "best expected response of those predicted to be stable and covered"
 SEARCHED = "gains searched around the grid's, predicted to be stable and covered"
 NOT_COVERED = (
@@ -62,8 +63,9 @@ def prefer_covered(
     places = WITH_NEURONS if neurons else LOOKED_AT
     sought = premise is not None and is_coverage_sought(model, cover, premise)
     judged = premise is not None and sought and premise.missing(0.0) is None
-    target = LOST * (1.0 if cover is None else cover)
-    seen = SeenDesigns()
+    lost = proof_loss(model)
+    target = lost * (1.0 if cover is None else cover)
+    seen = SeenDesigns(lost=lost)
     for place, pair in enumerate(islice(pairs, places[-1] + 1)):
         if seen.first is not None and place not in places:
             continue
@@ -79,17 +81,23 @@ def prefer_covered(
         if coverage >= target:
             break
     if search is not None:
-        searched = seen.search_around(search, target / LOST)
+        searched = seen.search_around(search, target / lost)
         if searched is not None:
             return searched, SEARCHED
     return seen.best_substitute(target)
 
 
+def proof_loss(model: Model) -> float:
+    """Coverage by frequency over that of its certificate, at most (as a rule)."""
+    return LOST_WITH_NEURONS if isinstance(model.system, StructuredSystem) else LOST
+
+
 @dataclass(kw_only=True)
 class SeenDesigns:
-    """Designs considered so far, none of whose proofs covers the records. The first, the first that
-    is covered at all, and the one with the `largest` coverage, `most`."""
+    """Designs considered so far: the first, the first that is covered at all, and the one with the
+    `largest` coverage, `most`. `lost` is the loss of a proof."""
 
+    lost: float = LOST
     first: Design | None = None
     barely: Design | None = None
     most: Design | None = None
@@ -98,7 +106,7 @@ class SeenDesigns:
     def add_design(self, design: Design, coverage: float) -> None:
         """Add a design with its coverage to the designs considered."""
         self.first = self.first or design
-        if self.barely is None and coverage >= LOST:
+        if self.barely is None and coverage >= self.lost:
             self.barely = design
         if self.most is None or coverage > self.largest:
             self.most = design
@@ -153,21 +161,31 @@ class LoopCoverage:
         zero if there is none. Where it is below `least`, an upper bound that is, too."""
         from ssm_study.synthesis.measured_discs_program import LoopForms
         from ssm_study.synthesis.measured_discs_search import select_theorem
-        from ssm_study.synthesis.measured_discs_weights import WeightBasis, WeightProgram
+        from ssm_study.synthesis.measured_discs_weights import (
+            COARSE,
+            JOINT,
+            WeightBasis,
+            WeightProgram,
+        )
 
         context = replace(self.context, gains=gains)
         forms = LoopForms.from_context(select_theorem(context), context, (centre,))
         grid = forms.at_angles(forms.frequency_grid)
-        weight_program_items = self.items[centre]
+        is_large = isinstance(self.context.system, StructuredSystem)
         program = WeightProgram(
-            forms=forms, grid=grid, centre=centre, items=weight_program_items, basis=WeightBasis()
+            forms=forms,
+            grid=grid,
+            centre=centre,
+            items=self.items[centre],
+            basis=WeightBasis(),
+            tolerance=COARSE if is_large else JOINT,
         )
         try:
             with linear_algebra_failures_as_no_solution():
                 nu, _, deciding = program.maximise_radius_from(self.deciding[centre], least**2)
         except NoSolution:
             return 0.0
-        if program.is_large:
+        if is_large:
             self.deciding[centre] = deciding
         return float(max(nu, 0.0) ** 0.5)
 

@@ -32,7 +32,6 @@ from ssm_study.synthesis.measured_discs_program import (
     form_sizes,
 )
 from ssm_study.synthesis.measured_discs_weights import (
-    COARSE,
     LARGEST,
     WeightBasis,
     WeightProgram,
@@ -368,10 +367,9 @@ def _certify_program(
 ) -> Coverage | None:
     """Certificate from a joint solution for weights and multipliers; None if exact arithmetic
     refuses it."""
-    coarse = program.constraint_tolerance == COARSE
-    for inside in INSIDE[coarse:]:
+    for inside in INSIDE:
         scaled = nu * inside**2
-        for room in ROOMS[coarse:]:
+        for room in ROOMS:
             try:
                 chosen = program.widen_weights(scaled, unknowns, room)
                 weights = program.weights_from_unknowns(scaled, chosen)

@@ -32,8 +32,7 @@ NEAR_ZERO = 1e-2  # share of its mean over the circle below which a squared gain
 CEPSTRUM = 2**15  # points of the circle for a spectral factor
 LARGEST = 1e6  # of nu = kappa^2: beyond it, nothing that e does matters
 JOINT = 3e-5  # by how much angles of the joint program may miss: far less than kappa is taken back
-COARSE = 1e-3
-LARGE = 4  # free signals
+COARSE = 1e-3  # likewise, where many gains with neurons are compared
 DECIDING = 6  # angles that decide one program and are solved first in the next
 NO_ANGLES = np.zeros(0)
 CIRCLE = np.union1d(np.linspace(0, np.pi, 65), np.geomspace(1e-3, 0.1, 12))
@@ -123,6 +122,8 @@ class WeightProgram:
     """Convex program that optimises weights, multipliers and disc radius together, for one disc
     centre.
 
+    Angles may miss the inequality by `tolerance`.
+
     Unknowns: nu, x and y (the coefficients of X and Y), the multipliers; in stage two nu is fixed
     and each band has a `widening` of its own.
     """
@@ -132,17 +133,7 @@ class WeightProgram:
     centre: float
     items: tuple[Item, ...]
     basis: WeightBasis
-
-    @property
-    def constraint_tolerance(self) -> float:
-        """Amount by which constraints between the grid frequencies may be violated. It is larger
-        where each is a large matrix."""
-        return COARSE if self.is_large else JOINT
-
-    @property
-    def is_large(self) -> bool:
-        """Whether the matrix of each angle is large, so that solving takes seconds."""
-        return self.grid.model.shape[1] > LARGE
+    tolerance: float = JOINT
 
     @property
     def unknown_matrices(self) -> Any:
@@ -207,7 +198,7 @@ class WeightProgram:
         goal[0] = 1.0
         distances = np.abs(self.grid.angles - angles[:, None])
         first = np.unique(distances.argmin(axis=1)).tolist()
-        x, chosen = program.maximise(goal, self.constraint_tolerance, first, least)
+        x, chosen = program.maximise(goal, self.tolerance, first, least)
         lowest = program.smallest_eigenvalues(x)[chosen]
         deciding = self.grid.angles[chosen][np.argsort(lowest)[:DECIDING]]
         return float(x[0]), x[1:] / scale, deciding
@@ -264,7 +255,7 @@ class WeightProgram:
             constant=constant, linear=angle_program_linear, rows=rows, bounds=bounds
         )
         goal = np.concatenate([np.zeros(len(scale)), np.ones(bands)])
-        x, _ = program.maximise(goal, self.constraint_tolerance)
+        x, _ = program.maximise(goal, self.tolerance)
         return np.asarray(x[: len(scale)] / scale)
 
     def _rows_with_bands(
