@@ -5,6 +5,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+# Errors that NumPy raises of values that are no numbers, or no floats.
+NO_NUMBERS = (TypeError, ValueError, OverflowError, RuntimeError)
+
 
 class BadRequest(ValueError):
     """Error that names the field, the value, the problem and the remedy of a bad input. `<field> =

@@ -67,6 +67,7 @@ WHOLE_RUNS = {
     "test_verify_damage",
     "test_verify_form",
     "test_verify_lies",
+    "test_wrong_kinds",
 }
 # Of these, whose tests look at the figures that a run draws.
 DRAWING = {"test_api", "test_docs_notebooks", "test_overlay", "test_study_line"}

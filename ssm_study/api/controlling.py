@@ -3,14 +3,12 @@
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
-
 from ssm_study.api.arguments import Slopes
 from ssm_study.api.design import Design
 from ssm_study.api.model import Model
 from ssm_study.api.parts import Parts, part_name
 from ssm_study.api.steps import design_controller
-from ssm_study.api.systems import read_linear_system, read_numbers
+from ssm_study.api.systems import read_linear_system, read_numbers, read_slopes
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import SIDES, Infeasible
 from ssm_study.certificates.certificate import Design as Certificates
@@ -65,17 +63,16 @@ def control(
     >>> design.certified
     True
     """
-    for name, limit in zip(("lower", "upper"), input_limits, strict=True):
-        if limit is not None:
-            read_numbers(f"input_limits ({name})", limit)
+    check_input_limits(input_limits)
     for name, asked in (("rate", rate), ("observer_rate", observer_rate)):
         if asked is not None:
             require_contraction_rate(name, asked, "try 0.1")
     identified = isinstance(model, Model)
-    chosen = method or ("auto" if identified else "riccati")
+    default = "auto" if identified else "riccati"
+    chosen = default if method is None else method
     refuse_model_settings(overrides)
     earlier = model.later_words if isinstance(model, Model) else ()
-    words = (*earlier, *((f"synthesis={method}",) if method else ()), *overrides)
+    words = (*earlier, *(() if method is None else (f"synthesis={method}",)), *overrides)
     choices = LOOP | {"synthesis": chosen}
     parts = Parts(choices, words)
     if not identified:
@@ -83,10 +80,20 @@ def control(
     parts.set_fields("synthesis", rate_controller=rate, rate_observer=observer_rate, **settings)
     if isinstance(model, Model):
         problem = "are bounds of a bare system's maps; this model has its own"
-        settings_given = slopes or output_slopes
+        settings_given = output_slopes if slopes is None else slopes
         require(settings_given is None, "slopes", settings_given, problem, "leave them out")
         return _design_for_model(model, parts, input_limits)
     return _design_for_system(model, parts, slopes, output_slopes, overrides)
+
+
+def check_input_limits(limits: Any) -> None:
+    """Refuse what is no pair of the lowest and the highest input, each None or numbers."""
+    is_pair = isinstance(limits, tuple | list) and len(limits) == 2
+    remedy = "give (lowest, highest); None is what the records visited"
+    require(is_pair, "input_limits", limits, "is no pair", remedy)
+    for name, limit in zip(("lower", "upper"), limits, strict=True):
+        if limit is not None:
+            read_numbers(f"input_limits ({name})", limit)
 
 
 def refuse_model_settings(overrides: tuple[str, ...]) -> None:
@@ -179,11 +186,7 @@ def without_settings_of_a_study(certificate: Certificates) -> Certificates:
 
 def slope_ball(name: str, slopes: Slopes) -> JacobianBall:
     """Ball of Jacobians of a static map with a given smallest and largest slope."""
-    pair = read_numbers(name, slopes)
-    usable = pair.shape == (2,) and bool(np.isfinite(pair).all())
+    lower, upper = read_slopes(name, slopes)
     remedy = "give (lowest, highest), as in (0.8, 1.2)"
-    require(usable, name, slopes, "are no two numbers", remedy)
-    require(bool(0 < pair[0] <= pair[1]), name, slopes, "are not positive and ascending", remedy)
-    lower = float(pair[0])
-    upper = float(pair[1])
+    require(0 < lower <= upper, name, slopes, "are not positive and ascending", remedy)
     return JacobianBall.from_slopes(lower, upper)

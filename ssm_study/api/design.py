@@ -241,7 +241,7 @@ class Design:
         controller = Uncontrolled.for_plant(on)
         uncontrolled = simulate_loop(self, y0, on, controller=controller)
         picture = initial_response_picture(
-            controlled, uncontrolled, on, self._recorded_inputs, _loop_place_words(plant)
+            controlled, uncontrolled, on, self._recorded_inputs, self._loop_place_words(plant)
         )
         return draw_picture(picture)
 
@@ -264,10 +264,11 @@ class Design:
         if recorded:
             scale = self.model.scale
             loop = loop.with_default_limits(scale.append_equilibrium_input(recorded))
+        place = self._loop_place_words(plant)
         return draw_or_refuse(
             "step",
             lambda: set_point_picture(
-                on, self.certificate, self.model, loop, recorded, _loop_place_words(plant), size
+                on, self.certificate, self.model, loop, recorded, place, size
             ),
         )
 
@@ -335,6 +336,13 @@ class Design:
         """Inputs of the training records, if the design has any."""
         return [] if self.origin is None else [record.u for record in self.origin.data.training]
 
+    def _loop_place_words(self, plant: "Plant | None") -> str:
+        """Words that say whether a loop was closed on a plant, or on a model and on which."""
+        if plant is not None:
+            return "the simulated plant"
+        is_identified = self.origin is not None or bool(self.stored_record)
+        return "the identified model" if is_identified else "the given model"
+
     def _model_with_records(self) -> Model:
         """Identified model of the design; raises `BadRequest` if it has no records."""
         origin = self.origin
@@ -343,8 +351,3 @@ class Design:
         )
         assert origin is not None
         return origin
-
-
-def _loop_place_words(plant: "Plant | None") -> str:
-    """Text that says whether a loop was closed on a plant or on the model."""
-    return "the simulated plant" if plant else "the identified model"

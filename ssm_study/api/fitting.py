@@ -12,9 +12,9 @@ from ssm_study.api.model import Model
 from ssm_study.api.parts import Parts
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.steps import identify_model
-from ssm_study.api.systems import read_numbers
+from ssm_study.api.systems import read_slopes
 from ssm_study.data.arrays import write_log_files
-from ssm_study.refusal import BadRequest, require, require_positive
+from ssm_study.refusal import NO_NUMBERS, BadRequest, require, require_positive
 
 CHOICES = {
     "data": "recorded",
@@ -84,9 +84,7 @@ def fit(
     parts = Parts(CHOICES | {"model": model}, overrides)
     parts.set_fields("model", order=order, neurons=neurons, feedthrough=feedthrough, **settings)
     if slopes is not None:
-        pair = read_numbers("slopes", slopes)
-        slope_lower = float(pair[0])
-        slope_upper = float(pair[1])
+        slope_lower, slope_upper = read_slopes("slopes", slopes)
         parts.set_fields("model", slope_lower=slope_lower, slope_upper=slope_upper)
     if seed is not None:
         parts.numbers["seed"] = seed
@@ -127,10 +125,12 @@ def sampling_time_s(step_s: Any) -> float:
     remedy = "give it in seconds"
     if isinstance(step_s, timedelta | np.timedelta64):
         step_s = pd.Timedelta(step_s).total_seconds()
-    require(not np.iscomplexobj(step_s), "step_s", step_s, "is no sampling time", remedy)
     try:
+        require(not np.iscomplexobj(step_s), "step_s", step_s, "is no sampling time", remedy)
         seconds = float(step_s)
-    except (TypeError, ValueError) as error:
+    except BadRequest:
+        raise
+    except NO_NUMBERS as error:
         raise BadRequest("step_s", step_s, "is no sampling time", remedy) from error
     require_positive("step_s", seconds, remedy)
     return seconds

@@ -21,6 +21,7 @@ from ssm_study.refusal import BadRequest, require
 Tree = dict[str, Any]
 SELF = "_self_"
 MISSING = "???"
+NAME = re.compile(r"[\w./+-]{1,100}")  # of a choice, as a file can have it
 PACKAGE = "_global_"
 GROUPS = ("data", "model", "training", "reduction", "synthesis", "loop")
 NUMBERS = ("seed", "loop_seed")
@@ -44,7 +45,9 @@ def load_choice(group: str, choice: str) -> Tree:
     Raises `BadRequest` for a choice that no yaml file describes.
     """
     folders = [folder / group for folder in configuration_folders()]
-    path = next((f / f"{choice}.yaml" for f in folders if (f / f"{choice}.yaml").is_file()), None)
+    is_name = isinstance(choice, str) and NAME.fullmatch(choice) is not None
+    candidates = [folder / f"{choice}.yaml" for folder in folders] if is_name else []
+    path = next((candidate for candidate in candidates if candidate.is_file()), None)
     if path is None:
         files = [file for folder in folders if folder.is_dir() for file in folder.glob("*.yaml")]
         names = ", ".join(sorted(file.stem for file in files))
@@ -150,7 +153,7 @@ def split_words(words: Iterable[str]) -> list[tuple[str, str]]:
 
 def part_name(word: str) -> str:
     """Name of the part of a study that a word such as `model.order=4` sets."""
-    key = word.partition("=")[0].lstrip("+").rpartition("@")[2]
+    key = str(word).partition("=")[0].lstrip("+").rpartition("@")[2]
     return key.replace("/", ".").partition(".")[0]
 
 
@@ -231,7 +234,8 @@ class Parts:
         """Build the object that the settings of one part describe. Raises `BadRequest` for missing,
         unknown or unusable settings."""
         tree = self.trees[part]
-        missing = next((key for key, value in tree.items() if value == MISSING), None)
+        texts = {key: value for key, value in tree.items() if isinstance(value, str)}
+        missing = next((key for key, value in texts.items() if value == MISSING), None)
         require(missing is None, f"{part}.{missing}", MISSING, "is missing", "give it a value")
         return construct_part(part, tree)
 

@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.refusal import BadRequest, require
+from ssm_study.refusal import NO_NUMBERS, BadRequest, require
 from ssm_study.systems import StateSpace
 
+LARGEST_FLOAT = float(np.finfo(float).max)
 FORMS = "give control.StateSpace, control.TransferFunction, or (A, B, C, D, step_s)"
 
 
@@ -31,9 +32,9 @@ def read_sampling_time(step_s: Any) -> float:
     """Check the sampling time of a discrete-time system and convert it to a number. Raises
     `BadRequest` for any other value."""
     is_number = isinstance(step_s, float | int) and not isinstance(step_s, bool)
-    discrete = is_number and 0 < float(step_s) < np.inf
+    discrete = is_number and 0 < step_s <= LARGEST_FLOAT
     remedy = "give the sampling period: control.StateSpace(P.A, P.B, P.C, P.D, step_s)"
-    if is_number and float(step_s) == 0:  # python-control's word for continuous time
+    if is_number and step_s == 0:  # python-control's word for continuous time
         remedy = "sample it: control.c2d(system, step_s)"
     require(discrete, "system.dt", step_s, "not a sampling time", remedy)
     return float(step_s)
@@ -71,10 +72,22 @@ def read_numbers(
         require(raw.dtype.kind != "c", name, kind, "is complex", "give real numbers")
         require(not np.ma.is_masked(values), name, kind, "has masked entries", "fill them in")
         return np.asarray(raw, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        if isinstance(error, BadRequest):
-            raise
+    except BadRequest:
+        raise
+    except NO_NUMBERS as error:
         raise BadRequest(name, kind, problem, remedy) from error
+
+
+def read_slopes(name: str, slopes: Any) -> tuple[float, float]:
+    """Read the smallest and the largest slope of a static map. Raises `BadRequest` for what is no
+    pair of finite numbers."""
+    pair = read_numbers(name, slopes)
+    usable = pair.shape == (2,) and bool(np.isfinite(pair).all())
+    remedy = "give (lowest, highest), as in (0.8, 1.2)"
+    require(usable, name, slopes, "are no two numbers", remedy)
+    lower = float(pair[0])
+    upper = float(pair[1])
+    return lower, upper
 
 
 def _read_matrices(system: tuple[Any, ...]) -> tuple[StateSpace, float]:
@@ -96,11 +109,31 @@ def _build_state_space(matrices: list[Any]) -> StateSpace:
 
 
 def _realise_transfer_function(transfer_function: Any) -> Any:
-    """State-space realisation of a transfer function, by python-control."""
+    """State-space realisation of a transfer function of python-control or SciPy, by
+    python-control. Raises `BadRequest` for complex coefficients, and where there is none."""
+    kind = type(transfer_function).__name__
     try:
-        from control import tf2ss
+        import control as python_control
     except ImportError as error:
-        kind = type(transfer_function).__name__
         remedy = "pip install 'ssm-study[export]'"
         raise BadRequest("model", kind, "python-control is not installed", remedy) from error
-    return tf2ss(transfer_function)
+    polynomials = (transfer_function.num, transfer_function.den)
+    is_complex = has_complex_numbers(polynomials)
+    require(not is_complex, "model", kind, "has complex coefficients", "give real ones")
+    try:
+        if not isinstance(transfer_function, python_control.TransferFunction):  # SciPy's
+            step_s = read_sampling_time(transfer_function.dt)
+            transfer_function = python_control.tf(*polynomials, step_s)
+        return python_control.tf2ss(transfer_function)
+    except BadRequest:
+        raise
+    except (TypeError, ValueError, python_control.ControlMIMONotImplemented) as error:
+        problem = f"has no realisation ({error})"
+        raise BadRequest("model", kind, problem, FORMS) from error
+
+
+def has_complex_numbers(values: Any) -> bool:
+    """Whether any number of nested sequences and arrays is complex."""
+    if isinstance(values, list | tuple):
+        return any(map(has_complex_numbers, values))
+    return np.iscomplexobj(values)

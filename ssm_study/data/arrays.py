@@ -13,7 +13,7 @@ from jaxtyping import Float
 from ssm_study.data.clock import AGREEMENT, HOLE
 from ssm_study.data.clock_column import is_clock_name
 from ssm_study.data.plain_names import plain_name
-from ssm_study.refusal import BadRequest, require
+from ssm_study.refusal import NO_NUMBERS, BadRequest, require
 
 ARRAYS = "logs"  # folder of the files that arrays become
 INTERPOLATE_OR_CUT = "interpolate it, or give the stretches around it as a list of experiments"
@@ -156,14 +156,17 @@ def as_real_matrix(values: Any, name: str) -> Float[np.ndarray, "T c"]:
     masked = np.ma.isMaskedArray(values) and bool(np.ma.getmaskarray(values).any())
     first = int(np.argwhere(np.ma.getmaskarray(values))[0][0]) if masked else 0
     require(not masked, f"{name}[{first}]", "masked", "no number", INTERPOLATE_OR_CUT)
-    raw = np.asarray(values)
+    try:
+        raw = np.asarray(values)
+    except NO_NUMBERS as error:
+        raise BadRequest(name, type(values).__name__, "not a table of numbers", remedy) from error
     problem = "are complex; a signal is real"
     require(raw.dtype.kind != "c", name, "numbers", problem, "give the real part")
     is_time = raw.dtype.kind in "mM"
     require(not is_time, name, str(raw.dtype), "holds times, not a signal", "name another column")
     try:
         table = np.asarray(raw, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except NO_NUMBERS as error:
         raise BadRequest(name, type(values).__name__, "not a table of numbers", remedy) from error
     is_table = table.ndim in (1, 2) and table.size > 0
     require(is_table, name, f"shape {table.shape}", "not a signal", remedy)

@@ -1,9 +1,11 @@
 """Free runs of several runs' models on a test record that the runs share."""
 
 from collections.abc import Sequence
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from ssm_study.api.comparing import ModelComparison, compare_simulations
 from ssm_study.refusal import require
@@ -29,16 +31,15 @@ def overlay(folders: Sequence[Path]) -> ModelComparison:
     first = recordings[0]
     for folder, recording in zip(folders[1:], recordings[1:], strict=True):
         _require_same_record(folders[0], first, folder, recording)
+    simulated = {}
+    for name, recording in zip(names, recordings, strict=True):
+        simulated[name] = _signal_values(recording, "simulated")
     runs = [RunFolder(path=folder) for folder in folders]
-    simulated = {
-        name: [case.values for case in recording.signals("simulated")]
-        for name, recording in zip(names, recordings, strict=True)
-    }
-    states = {
-        name: None if run.any_model is None else run.any_model.order
-        for name, run in zip(names, runs, strict=True)
-    }
-    measured = [case.values for case in first.signals("measured")]
+    states = {}
+    for name, run in zip(names, runs, strict=True):
+        model = run.any_model
+        states[name] = None if model is None else model.order
+    measured = _signal_values(first, "measured")
     start_up_samples = max(run.start_up_samples for run in runs)
     return compare_simulations(
         measured,
@@ -54,13 +55,12 @@ def short_names(folders: Sequence[Path]) -> list[str]:
     """Names of runs without the parts that all runs share. Equal names are preceded by the
     study."""
     parts = [folder.name.split("-") for folder in folders]
-    if len({len(one) for one in parts}) == 1:
-        differs = [len(set(column)) > 1 for column in zip(*parts, strict=True)]
-        parts = [
-            [part for part, is_telling in zip(one, differs, strict=True) if is_telling]
-            for one in parts
-        ]
-    names = ["-".join(one) for one in parts]
+    counts = set(map(len, parts))
+    if len(counts) == 1:
+        columns = zip(*parts, strict=True)
+        differs = [len(set(column)) > 1 for column in columns]
+        parts = [list(compress(own, differs)) for own in parts]
+    names = ["-".join(own) for own in parts]
     if len(set(names)) == len(names):
         return names
     return [f"{folder.parent.name}/{folder.name}" for folder in folders]
@@ -74,14 +74,19 @@ def _read_test_free_run(folder: Path) -> RecordedCases:
     return RecordedCases.of(path)
 
 
+def _signal_values(recording: RecordedCases, name: str) -> list[Float[np.ndarray, "T c"]]:
+    """Values of a signal in each case of a recording."""
+    return [case.values for case in recording.signals(name)]
+
+
 def _require_same_record(
     first_folder: Path, first: RecordedCases, folder: Path, other: RecordedCases
 ) -> None:
     """Raise `BadRequest` for a run whose test record differs from that of the first run."""
     remedy = "name runs of the same data and the same test part"
     for name in ("input", "measured"):
-        ours = [case.values for case in first.signals(name)]
-        theirs = [case.values for case in other.signals(name)]
+        ours = _signal_values(first, name)
+        theirs = _signal_values(other, name)
         alike = len(ours) == len(theirs) and all(map(np.array_equal, ours, theirs))
         problem = f"its test record is not that of {first_folder} ({name} differs)"
         require(alike, "run", folder, problem, remedy)

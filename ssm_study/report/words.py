@@ -64,7 +64,10 @@ def digits_beside_bound(value: float, bound: float = 1.0) -> str:
     """Number as text, with enough digits to show on which side of a bound it lies."""
     for digits in range(3, 17):
         text = f"{value:.{digits}g}"
-        if (float(text) < bound) == (value < bound) and (float(text) > bound) == (value > bound):
+        rounded = float(text)
+        is_below = rounded < bound
+        is_above = rounded > bound
+        if is_below == (value < bound) and is_above == (value > bound):
             return text
     return repr(float(value))
 
@@ -147,25 +150,27 @@ VERDICTS = (SETTLED, NO_FASTER, LOST, UNTRIED, *BY_CLASS[3:])
 def verdict_per_run(table: pd.DataFrame) -> pd.Series:
     """Verdict of every run in a table: its outcome class, where a run that is only certified may
     have closed no loop."""
-    found = outcome_class(table).map(lambda place: BY_CLASS[place]).astype(object)
-    return found.mask((found == LOST) & numeric_column(table, "stable_fraction").isna(), UNTRIED)
+    classes = outcome_class(table)
+    found = classes.map(lambda place: BY_CLASS[place]).astype(object)
+    is_untried = numeric_column(table, "stable_fraction").isna()
+    return found.mask((found == LOST) & is_untried, UNTRIED)
 
 
 def verdicts(table: pd.DataFrame) -> pd.Series:
     """Verdict of every run in a table, as one word."""
-    return verdict_per_run(table).map(lambda verdict: verdict.word).astype(object).rename("verdict")
+    words = verdict_per_run(table).map(lambda verdict: verdict.word)
+    return words.astype(object).rename("verdict")
 
 
 def verdict_counts(table: pd.DataFrame) -> str:
     """Line with the number of runs of each verdict. `12 runs: 9 certified, settles; 2 infeasible; 1
     failed`."""
     tally = verdicts(table).value_counts()
-    parts = [
-        f"{tally[verdict.word]} {verdict.word}" for verdict in VERDICTS if verdict.word in tally
-    ]
-    return f"{len(table)} run{'s' if len(table) != 1 else ''}" + (
-        ": " + "; ".join(parts) if parts else ""
-    )
+    words = [verdict.word for verdict in VERDICTS if verdict.word in tally]
+    parts = [f"{tally[word]} {word}" for word in words]
+    plural = "" if len(table) == 1 else "s"
+    runs = f"{len(table)} run{plural}"
+    return f"{runs}: {'; '.join(parts)}" if parts else runs
 
 
 def draw_verdict_points(
@@ -178,13 +183,15 @@ def draw_verdict_points(
     other.
     """
     word = verdicts(table)
+    is_known = x.notna() & y.notna()
     for k, verdict in enumerate(VERDICTS):
-        here = (word == verdict.word) & x.notna() & y.notna()
+        here = (word == verdict.word) & is_known
         if not here.any():
             continue
-        edge, width = (
-            (verdict.colour, 0.9) if verdict.marker == "x" else ("white", 0.3)
-        )  # a cross is all edge
-        look: dict[str, Any] = {"s": 18, "c": verdict.colour, "marker": verdict.marker}
-        look |= {"edgecolors": edge, "linewidths": width, "zorder": 3}
-        axes.scatter(x[here] + k * dodge, y[here], label=verdict.word, **look)
+        look: dict[str, Any] = {"s": 18, "c": verdict.colour, "zorder": 3}
+        look["marker"] = verdict.marker
+        is_cross = verdict.marker == "x"  # all edge
+        look["edgecolors"] = verdict.colour if is_cross else "white"
+        look["linewidths"] = 0.9 if is_cross else 0.3
+        across = x[here] + k * dodge
+        axes.scatter(across, y[here], label=verdict.word, **look)

@@ -151,7 +151,8 @@ def _minimise_over_tau(problem: Problem, tau_min: float) -> GuaranteedCost:
         cost, bounds=span, method="bounded", options={"xatol": LOG_TAU_TOLERANCE}
     )
     best = min(tried, key=lambda point: point[0])[1]
-    assert best is not None  # one of the grid is
+    if best is None:  # costs beyond floats, which no comparison orders
+        raise NoSolution("no admissible tau")
     return best
 
 

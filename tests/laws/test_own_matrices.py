@@ -174,3 +174,10 @@ def test_the_step_picture_shows_the_motion_ahead_of_the_step(design: Design) -> 
     before = u[np.asarray(time_s) <= first_s]
     assert np.abs(before).max(initial=0.0) < 0.02 * np.abs(u).max()
     assert "set point, known in advance" in [line.get_label() for line in output.lines]
+
+
+def test_pictures_of_given_matrices_speak_of_no_identified_model(design: Design) -> None:
+    for figure in (design.plot(), design.step()):
+        title = figure.get_suptitle()
+        assert "the given model" in title
+        assert "identified" not in title

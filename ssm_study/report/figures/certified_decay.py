@@ -23,9 +23,8 @@ Step = Callable[[Float[np.ndarray, "N n"]], Float[np.ndarray, "N n"]]
 def draw(study: StudyFolder) -> Figure:
     """Draw the figure of certified against measured decay, for controller and observer of the best
     run without neurons."""
-    model, certificate = study.read_from_best(
-        "model", "certificate", otherwise="No run left a certificate for a model without neurons."
-    )
+    reason = "No run left a certificate for a model without neurons."
+    model, certificate = study.read_from_best("model", "certificate", otherwise=reason)
     fig = style.new_figure(style.PAGE_IN, 2.3)
     control, observe = fig.subplots(1, 2)
     feedback = certificate_part(certificate, "state_feedback")
@@ -33,15 +32,14 @@ def draw(study: StudyFolder) -> Figure:
     if "k" in feedback:
         a, b, k, p = (np.array(feedback[name]) for name in ("a", "b", "k", "p"))
         metric = np.linalg.inv(p)  # the dual form: M = P^-1
-        draw_decay(control, relative_distances(controlled_step(model, a, b, k), metric), feedback)
+        distances = relative_distances(controlled_step(model, a, b, k), metric)
+        draw_decay(control, distances, feedback)
         label_axes(control, "State feedback")
     if "l" in observer:
+        gain = np.array(observer["l"])
         metric = np.array(observer["q"])  # the primal form: M = Q
-        draw_decay(
-            observe,
-            relative_distances(observer_step(model, np.array(observer["l"])), metric),
-            observer,
-        )
+        distances = relative_distances(observer_step(model, gain), metric)
+        draw_decay(observe, distances, observer)
         label_axes(observe, "Observer error")
     return fig
 
@@ -49,8 +47,9 @@ def draw(study: StudyFolder) -> Figure:
 def certificate_part(certificate: Mapping[str, Any], side: str) -> dict[str, Any]:
     """Stored certificate of controller or observer, with the largest proved rate if there are
     two."""
+    designed = certificate.get(side) or {}
     deployed = certificate.get(f"{side}_deployed") or {}
-    return (certificate.get(side) or {}) | deployed
+    return designed | deployed
 
 
 def controlled_step(
@@ -72,12 +71,14 @@ def observer_step(model: SSM, l: Float[np.ndarray, "n p"]) -> Step:  # noqa: E74
 def relative_distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "N T"]:
     """Distances of random pairs of trajectories over time, relative to their initial distances."""
     rng = np.random.default_rng(SEED)
-    sizes = 10 ** rng.uniform(-2, 2, (2, PAIRS, 1))
-    x, z = sizes * rng.standard_normal((2, PAIRS, len(metric)))
+    exponents = rng.uniform(-2, 2, (2, PAIRS, 1))
+    directions = rng.standard_normal((2, PAIRS, len(metric)))
+    x, z = 10**exponents * directions
     d = np.empty((PAIRS, SAMPLES))
     for k in range(SAMPLES):
         gap = x - z
-        d[:, k] = np.sqrt(np.einsum("ni,ij,nj->n", gap, metric, gap))
+        squares = np.einsum("ni,ij,nj->n", gap, metric, gap)
+        d[:, k] = np.sqrt(squares)
         x = step(x)
         z = step(z)
     return d / d[:, :1]
@@ -92,7 +93,8 @@ def draw_decay(axes: Axes, d: Float[np.ndarray, "N T"], part: Mapping[str, Any])
     word = "bound" if part["certified"] else "not certified"
     bound: dict[str, Any] = {"color": style.VERMILLION, "ls": "--", "zorder": 3}
     axes.plot(k, r**k, label=f"{word}, r = {r:.3f}", **bound)
-    axes.plot(k, d.max(axis=0), color=style.BLUE, label="worst pair")
+    worst = d.max(axis=0)
+    axes.plot(k, worst, color=style.BLUE, label="worst pair")
     axes.plot(k, median, color=style.SKY, label="median pair")
     lowest = max(1e-12, 0.3 * float(np.nanmin(median)))  # below lies only rounding
     axes.set(yscale="log", ylim=(lowest, 3))

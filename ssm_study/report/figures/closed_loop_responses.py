@@ -3,10 +3,13 @@ the input that the controller applied (right): on the true plant, or on the iden
 there is none. A response has settled when it stays in the grey band."""
 
 import matplotlib as mpl
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ssm_study import style
-from ssm_study.report.study_folder import StudyFolder
+from ssm_study.report.study_folder import RecordedCases, StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
@@ -19,25 +22,40 @@ def draw(study: StudyFolder) -> Figure:
     else:
         fig = style.new_figure(style.PAGE_IN, 2.2)
         controlled, alone, given = fig.subplots(1, 3)
-    rank = (
-        loop["output"][:, 0, 0].argsort().argsort()
-    )  # from dark (lowest start) to light, the same in every panel
-    colours = [mpl.colormaps[style.SEQUENCE](0.9 * value / max(len(rank) - 1, 1)) for value in rank]
-    goal = loop["reference"][0, -1, 0]
-    band = loop.settling_band
-    time_s = loop.time_s("output")
-    for axes, name, title in (
-        (controlled, "output", "Controlled"),
-        (alone, "uncontrolled", "Uncontrolled"),
-    ):
-        for response, colour in zip(loop[name][:, :, 0], colours, strict=True):
-            axes.plot(time_s, response, color=colour, lw=0.9)
-        axes.axhspan(goal - band, goal + band, color=style.PALE, lw=0, zorder=0)
-        axes.set(title=title, xlabel="Time (s)", ylabel=loop.label("output"))
+    starts = loop["output"][:, 0, 0]
+    colours = colours_by_start(starts)
+    draw_responses(controlled, loop, "output", colours)
+    controlled.set_title("Controlled")
+    draw_responses(alone, loop, "uncontrolled", colours)
+    alone.set_title("Uncontrolled")
     alone.sharey(controlled)
-    for u, colour in zip(loop["input"][:, :, 0], colours, strict=True):
+    time_s = loop.time_s("output")
+    inputs = loop["input"][:, :, 0]
+    for u, colour in zip(inputs, colours, strict=True):
         given.step(time_s, u, where="post", color=colour, lw=0.8)
     given.set(title="Input of the controlled runs", xlabel="Time (s)", ylabel=loop.label("input"))
     for axes in (controlled, alone, given):
         axes.set_xlim(0, loop.settled_time_s)
     return fig
+
+
+def colours_by_start(starts: Float[np.ndarray, "N"]) -> list[tuple[float, ...]]:
+    """Colours from dark (lowest start) to light, the same in every panel."""
+    colour_map = mpl.colormaps[style.SEQUENCE]
+    rank = starts.argsort().argsort()
+    highest = max(len(rank) - 1, 1)
+    return [colour_map(0.9 * place / highest) for place in rank]
+
+
+def draw_responses(
+    axes: Axes, loop: RecordedCases, name: str, colours: list[tuple[float, ...]]
+) -> None:
+    """Draw one output over time for every start, with the settling band."""
+    time_s = loop.time_s("output")
+    responses = loop[name][:, :, 0]
+    for response, colour in zip(responses, colours, strict=True):
+        axes.plot(time_s, response, color=colour, lw=0.9)
+    goal = loop["reference"][0, -1, 0]
+    band = loop.settling_band
+    axes.axhspan(goal - band, goal + band, color=style.PALE, lw=0, zorder=0)
+    axes.set(xlabel="Time (s)", ylabel=loop.label("output"))

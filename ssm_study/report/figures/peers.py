@@ -15,6 +15,9 @@ from ssm_study.report.study_folder import NothingToDraw, StudyFolder
 from ssm_study.report.words import choice_label, column_words, verdict_counts
 from ssm_study.table.columns import numeric_column, text_column
 
+DOT: dict[str, Any] = {"s": 16, "color": style.BLUE, "lw": 0, "zorder": 3, "clip_on": False}
+BAR: dict[str, Any] = {"color": style.VERMILLION, "lw": 1.6, "zorder": 4}
+
 
 @dataclass(frozen=True, kw_only=True)
 class PeerPanel:
@@ -30,28 +33,34 @@ def draw(study: StudyFolder) -> Figure:
     """Draw a panel for each number, with a row for each controller."""
     compared = "controller" in study.comparison
     if compared:
-        table = study.comparison[text_column(study.comparison, "situation") == "nominal"]
+        situation = text_column(study.comparison, "situation")
+        table = study.comparison[situation == "nominal"]
+        method = text_column(table, "controller")
     else:
         table = study.table
-    method = text_column(table, "controller" if compared else "synthesis_method")
+        method = text_column(table, "synthesis_method")
     panels = create_panels(table)
-    measured = pd.concat([panel.values for panel in panels], axis=1).notna().any(axis=1)
-    known = method.ne("") & measured
+    numbers = pd.concat([panel.values for panel in panels], axis=1)
+    is_measured = numbers.notna().any(axis=1)
+    known = method.ne("") & is_measured
     if method[known].nunique() < 2:
-        raise NothingToDraw(
-            f"It takes two controllers in the closed loop ({verdict_counts(study.table)})."
-        )
+        counts = verdict_counts(study.table)
+        raise NothingToDraw(f"It takes two controllers in the closed loop ({counts}).")
     methods = list(dict.fromkeys(method[known]))  # in the order of the table, which tells a story
     if panels[0].values[known].nunique() < 2:  # the share that settles is the same for all
         panels = panels[1:]
-    fig = style.new_figure(style.PAGE_IN, 0.9 + 0.2 * len(methods))
-    for axes, panel in zip(fig.subplots(1, len(panels), sharey=True), panels, strict=True):
+    rows = len(methods)
+    labels = list(map(choice_label, methods))
+    fig = style.new_figure(style.PAGE_IN, 0.9 + 0.2 * rows)
+    places = fig.subplots(1, len(panels), sharey=True)
+    for axes, panel in zip(places, panels, strict=True):
         for row, name in enumerate(methods):
-            draw_row(axes, row, panel.values[method == name].dropna())
-        axes.set(xlabel=panel.label, ylim=(len(methods) - 0.5, -0.5), **panel.scale)
+            values = panel.values[method == name]
+            draw_row(axes, row, values.dropna())
+        axes.set(xlabel=panel.label, ylim=(rows - 0.5, -0.5), **panel.scale)
         if axes.get_xscale() == "log":
             label_decades(axes)
-        axes.set_yticks(range(len(methods)), [choice_label(name) for name in methods])
+        axes.set_yticks(range(rows), labels)
         axes.grid(axis="y", visible=False)
     return fig
 
@@ -59,31 +68,35 @@ def draw(study: StudyFolder) -> Figure:
 def create_panels(table: pd.DataFrame) -> list[PeerPanel]:
     """Panels of the figure: share settled, relative settling time and peak input of each
     controller."""
-    ratio = numeric_column(table, "settling_time_mean_s") / numeric_column(
-        table, "settling_time_open_loop_s"
-    )
+    share = create_panel(table, "stable_fraction", (-0.05, 1.05))
+    peak = create_panel(table, "input_peak_v", (0, None))
+    time_s = numeric_column(table, "settling_time_mean_s")
+    open_loop_s = numeric_column(table, "settling_time_open_loop_s")
+    ratio = time_s / open_loop_s
     ratio = ratio.where(ratio > 0)  # without: starts that were at rest
     logarithmic = {"xscale": "log"} if ratio.notna().any() else {}
-    share = numeric_column(table, "stable_fraction")
-    peak = numeric_column(table, "input_peak_v")
-    return [
-        PeerPanel(
-            values=share, label=column_words("stable_fraction"), scale={"xlim": (-0.05, 1.05)}
-        ),
-        PeerPanel(values=ratio, label="Settling time / uncontrolled (–)", scale=logarithmic),
-        PeerPanel(values=peak, label=column_words("input_peak_v"), scale={"xlim": (0, None)}),
-    ]
+    label = "Settling time / uncontrolled (–)"
+    relative_time = PeerPanel(values=ratio, label=label, scale=logarithmic)
+    return [share, relative_time, peak]
+
+
+def create_panel(table: pd.DataFrame, name: str, limits: tuple[float, float | None]) -> PeerPanel:
+    """Panel of one column, named and scaled as given."""
+    values = numeric_column(table, name)
+    label = column_words(name)
+    return PeerPanel(values=values, label=label, scale={"xlim": limits})
 
 
 def draw_row(axes: Axes, row: int, values: pd.Series) -> None:
     """Draw one dot for each run in a row, and a bar at the median if there are several. Many dots
     are faint, so that they can be seen through each other."""
     several = len(values) > 1
-    look: dict[str, Any] = {"s": 16, "color": style.BLUE, "lw": 0, "zorder": 3, "clip_on": False}
-    axes.scatter(values, [row] * len(values), alpha=0.5 if several else 1.0, **look)
+    opacity = 0.5 if several else 1.0
+    heights = [row] * len(values)
+    axes.scatter(values, heights, alpha=opacity, **DOT)
     if several:
-        bar: dict[str, Any] = {"color": style.VERMILLION, "lw": 1.6, "zorder": 4}
-        axes.plot([values.median()] * 2, [row - 0.3, row + 0.3], **bar)
+        median = values.median()
+        axes.plot([median, median], [row - 0.3, row + 0.3], **BAR)
 
 
 def label_decades(axes: Axes) -> None:

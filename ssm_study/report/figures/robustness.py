@@ -3,6 +3,8 @@ starts that settle, its ratio to the uncontrolled plant in the nominal situation
 slow as no control). Where some start does not settle, the share that does stands there instead, on
 red. Mean over the runs that compared them."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
@@ -19,6 +21,8 @@ from ssm_study.table.columns import numeric_column
 DARK = 0.45  # ratio below which a cell is so dark that its number is white
 FASTEST = 0.2  # ratio at the dark end of the colours
 TICKS = (0.2, 0.3, 0.5, 0.7, 1.0)
+NOT_COMPARED = "No run compared controllers in several situations (experiment=robustness does)."
+CENTRED: dict[str, Any] = {"ha": "center", "va": "center", "size": 6.5}
 WHOLE = 1 - 1e-9  # share of starts above which all of them settle
 
 
@@ -27,27 +31,32 @@ def draw(study: StudyFolder) -> Figure:
     compared = study.comparison
     several = "situation" in compared and compared["situation"].nunique() > 1
     if not several or numeric_column(compared, "stable_fraction").isna().all():
-        raise NothingToDraw(
-            "No run compared controllers in several situations (experiment=robustness does)."
-        )
+        raise NothingToDraw(NOT_COMPARED)
     shares = _table(compared, "stable_fraction")
     times = _table(compared, "settling_time_mean_s")
-    alone_s = float(numeric_column(compared, "settling_time_open_loop_s").dropna().iloc[0])
-    ratios = (times / alone_s).where(shares > WHOLE)
+    open_loop_s = numeric_column(compared, "settling_time_open_loop_s").dropna()
+    ratios = times / float(open_loop_s.iloc[0])
+    ratios = ratios.where(shares > WHOLE)
     fig = style.new_figure(style.PAGE_IN, 1.1 + 0.3 * len(shares))
     axes = fig.add_subplot()
-    axes.grid(False)
-    norm = LogNorm(vmin=FASTEST, vmax=1.0, clip=True)
-    axes.set_facecolor(style.PALE)
-    image = axes.imshow(ratios.to_numpy(), cmap="Blues_r", norm=norm, aspect="auto")
-    bar = fig.colorbar(image, ax=axes, label="Settling time / uncontrolled (–)", extend="both")
-    bar.set_ticks(list(TICKS), labels=[f"{tick:g}" for tick in TICKS])
-    bar.minorticks_off()
+    _draw_colours(fig, axes, ratios)
     _write_cells(axes, ratios.to_numpy(), times.to_numpy(), shares.to_numpy())
     axes.set_xticks(range(len(shares.columns)), shares.columns, rotation=35, ha="right")
     axes.set_yticks(range(len(shares)), shares.index)
     axes.set(xlabel="Situation", ylabel="Controller")
     return fig
+
+
+def _draw_colours(fig: Figure, axes: Axes, ratios: pd.DataFrame) -> None:
+    """Colour each cell by its relative settling time, with a colour bar."""
+    axes.grid(False)
+    axes.set_facecolor(style.PALE)
+    norm = LogNorm(vmin=FASTEST, vmax=1.0, clip=True)
+    image = axes.imshow(ratios.to_numpy(), cmap="Blues_r", norm=norm, aspect="auto")
+    bar = fig.colorbar(image, ax=axes, label="Settling time / uncontrolled (–)", extend="both")
+    labels = [f"{tick:g}" for tick in TICKS]
+    bar.set_ticks(list(TICKS), labels=labels)
+    bar.minorticks_off()
 
 
 def _write_cells(
@@ -57,17 +66,19 @@ def _write_cells(
     shares: Float[np.ndarray, "R C"],
 ) -> None:
     """Write the number into each cell of the grid: seconds, or on red the share that settles."""
-
     for (i, j), share in np.ndenumerate(shares):
         if np.isnan(share):
             continue
+        colour = "white"
         if share > WHOLE:
-            colour = "white" if ratios[i, j] < DARK else style.INK
-            axes.text(j, i, f"{times[i, j]:.2g}", ha="center", va="center", size=6.5, color=colour)
-            continue
-        axes.add_patch(Rectangle((j - 0.5, i - 0.5), 1, 1, color=style.VERMILLION, lw=0))
-        text = f"{100 * share:.0f} %"
-        axes.text(j, i, text, ha="center", va="center", size=6.5, color="white")
+            text = f"{times[i, j]:.2g}"
+            if not ratios[i, j] < DARK:  # also where there is no ratio
+                colour = style.INK
+        else:
+            text = f"{100 * share:.0f} %"
+            corner = (j - 0.5, i - 0.5)
+            axes.add_patch(Rectangle(corner, 1, 1, color=style.VERMILLION, lw=0))
+        axes.text(j, i, text, color=colour, **CENTRED)
 
 
 def _table(compared: pd.DataFrame, name: str) -> pd.DataFrame:
@@ -77,5 +88,7 @@ def _table(compared: pd.DataFrame, name: str) -> pd.DataFrame:
     means = rows.pivot_table(
         index="controller", columns="situation", values="value", aggfunc="mean", dropna=False
     )
-    means = means.reindex(index=rows["controller"].unique(), columns=rows["situation"].unique())
+    controllers = rows["controller"].unique()
+    situations = rows["situation"].unique()
+    means = means.reindex(index=controllers, columns=situations)
     return means.rename(index=choice_label, columns=choice_label)

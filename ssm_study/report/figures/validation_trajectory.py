@@ -16,19 +16,26 @@ LONGEST = 1200  # samples; a longer record would be a solid block of ink in a co
 
 def draw(study: StudyFolder) -> Figure:
     """Draw the test record and the validation record of the best run in one column."""
+    reason = "No run left a validation record."
     test, validation, record = study.read_from_best(
-        "test", "validation", "record", otherwise="No run left a validation record."
+        "test", "validation", "record", otherwise=reason
     )
-    has_disturbance = all("disturbance" in case for case in validation.cases.values())
-    heights = [1.6, 0.8, 1.6, 1.1, *([1.1] if has_disturbance else [])]
-    fig = style.new_figure(style.COLUMN_IN, 6.0 if has_disturbance else 5.0)
+    cases = validation.cases.values()
+    has_disturbance = all("disturbance" in case for case in cases)
+    heights = [1.6, 0.8, 1.6, 1.1]
+    height_inches = 5.0
+    if has_disturbance:
+        heights.append(1.1)
+        height_inches = 6.0
+    fig = style.new_figure(style.COLUMN_IN, height_inches)
     panels = fig.subplots(len(heights), 1, height_ratios=heights)
     free_run, error, other_run, applied = panels[:4]
     draw_free_run(free_run, test, "test", record.get("fit_test_percent"))
     draw_error(error, test)
     draw_free_run(other_run, validation, "validation", record.get("fit_validation_percent"))
     time_s = validation.time_s("measured")[:LONGEST]
-    applied.step(time_s, first_channel(validation, "input"), where="post", color=style.INK, lw=0.7)
+    u = first_channel(validation, "input")
+    applied.step(time_s, u, where="post", color=style.INK, lw=0.7)
     label_axes(applied, time_s, validation.label("input"))
     if has_disturbance:
         measured = first_channel(validation, "disturbance")
@@ -56,7 +63,8 @@ def draw_free_run(axes: Axes, part: RecordedCases, name: str, fit: float | None)
     label = "model" if fit is None else f"model (fit {fit:.1f} % on the whole record)"
     measured = first_channel(part, "measured")
     axes.plot(time_s, measured, ".", ms=1.5, color=style.GREY, label=f"{name} record")
-    axes.plot(time_s, first_channel(part, "simulated"), color=style.BLUE, lw=1.0, label=label)
+    simulated = first_channel(part, "simulated")
+    axes.plot(time_s, simulated, color=style.BLUE, lw=1.0, label=label)
     style.place_legend_above(axes, columns=2)
     label_axes(axes, time_s, part.label("measured"))
 

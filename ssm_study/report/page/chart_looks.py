@@ -4,29 +4,44 @@ from typing import Any
 
 from ssm_study.style import GREY
 
+Spec = dict[str, Any]
+
 SCHEMA = "https://vega.github.io/schema/vega-lite/v6.json"
 HEIGHT = 150  # pixels
-STROKES = {"type": "rule", "strokeDash": [4, 3], "color": GREY, "clip": True}
+DASH = [4, 3]
+STROKES = {"type": "rule", "strokeDash": DASH, "color": GREY, "clip": True}
+NO_FRAME = {"stroke": None}
 # Labels stand under their ticks and apart: neighbours must not read as one number ("0.550.60").
-LOOK = {
-    "font": "system-ui, sans-serif",
-    "view": {"stroke": None},
-    "axis": {
-        "gridColor": "#E6E6E6",
-        "titleFontWeight": "normal",
-        "labelFlush": False,
-        "labelSeparation": 8,
-    },
+AXIS = {
+    "gridColor": "#E6E6E6",
+    "titleFontWeight": "normal",
+    "labelFlush": False,
+    "labelSeparation": 8,
 }
+LOOK = {"font": "system-ui, sans-serif", "view": NO_FRAME, "axis": AXIS}
 
 
-def framed(spec: dict[str, Any], description: str, height: int = HEIGHT) -> dict[str, Any]:
+def framed(spec: Spec, description: str, height: int = HEIGHT) -> Spec:
     """Vega-Lite specification with the frame and the width of the report page."""
-    frame = {"$schema": SCHEMA, "width": "container", "height": height, "config": LOOK}
-    return frame | {"description": description} | spec
+    frame = {"$schema": SCHEMA, "width": "container", "height": height}
+    frame["config"] = LOOK
+    frame["description"] = description
+    return frame | spec
 
 
-def quantitative(field: str, title: str | None, **scale: Any) -> dict[str, Any]:
+def quantitative(field: str, title: str | None, **scale: Any) -> Spec:
     """Vega-Lite axis for a numeric field."""
-    shown: dict[str, Any] = {"field": field, "type": "quantitative", "title": title}
-    return shown | ({"scale": scale} if scale else {})
+    axis: Spec = {"field": field}
+    axis["type"] = "quantitative"
+    axis["title"] = title
+    if scale:
+        axis["scale"] = scale
+    return axis
+
+
+def horizontal_legend(columns: int, widest_px: int) -> Spec:
+    """Vega-Lite legend above a chart, without a title."""
+    legend: Spec = {"title": None, "orient": "top"}
+    legend["columns"] = columns
+    legend["labelLimit"] = widest_px
+    return legend

@@ -13,6 +13,7 @@ from ssm_study.report.words import VERDICTS, column_words
 from ssm_study.table.columns import numeric_column
 
 HEIGHT = 250  # pixels
+Axis = Literal["x", "y"]
 SAME_FIT = 0.1  # percent: below, what fits differ by is chance
 
 
@@ -35,20 +36,65 @@ ABOVE_ONE = "Dashed: margin one; to its right every start should settle."
 ALL_SETTLE = "All starts settle, so the plot shows how fast."
 OWN_LIMIT = "Bars: the exact rate limit of each model; nothing above its own bar can be certified."
 ALONE = "Dashed: the uncontrolled plant."
-PANELS = (
-    Panel("Does a better fit mean a better loop?", "fit_test_percent", "stable_fraction"),
-    Panel("What does a faster rate buy?", "rate_controller", "settling_time_mean_s", ALONE,
-          rule_y="settling_time_open_loop_s"),
-    Panel("Where does feasibility end?", "slope_ratio", "rate_controller", OWN_LIMIT, log="x",
-          tick="controller_rate_limit"),
-    Panel("Does the prediction hold on the plant?", "resolved_margin", "stable_fraction", ABOVE_ONE,
-          log="x", rule_x=1.0),
-    Panel("What does a faster rate cost?", "rate_controller", "controller_gain_norm", log="y"),
-)  # fmt: skip
+FIT_AND_LOOP = Panel("Does a better fit mean a better loop?", "fit_test_percent", "stable_fraction")
+RATE_BUYS = Panel(
+    "What does a faster rate buy?",
+    "rate_controller",
+    "settling_time_mean_s",
+    ALONE,
+    rule_y="settling_time_open_loop_s",
+)
+FEASIBILITY = Panel(
+    "Where does feasibility end?",
+    "slope_ratio",
+    "rate_controller",
+    OWN_LIMIT,
+    log="x",
+    tick="controller_rate_limit",
+)
+PREDICTION = Panel(
+    "Does the prediction hold on the plant?",
+    "resolved_margin",
+    "stable_fraction",
+    ABOVE_ONE,
+    log="x",
+    rule_x=1.0,
+)
+RATE_COSTS = Panel(
+    "What does a faster rate cost?", "rate_controller", "controller_gain_norm", log="y"
+)
+PANELS = (FIT_AND_LOOP, RATE_BUYS, FEASIBILITY, PREDICTION, RATE_COSTS)
 
 # The script fills these two fields with any columns. (Not x and y: Vega names a brush's own signals
 # so.)
 EXPLORER = Panel("Any column against any other", "across", "up")
+
+
+RUNS = alt.NamedData("runs")
+SHOWN = "!length(mask) || mask[datum.i]"  # Vega's words for: the run is among those shown
+CHOSEN = "datum.i === chosen"
+BEST = "datum.i === 0"
+EDGE = 1.3  # factor: room beside the values on a logarithmic axis
+AXIS_LOOK: dict[str, Any] = {
+    "labelColor": style.INK,
+    "titleColor": style.INK,
+    "titleFontWeight": "normal",
+    "titleFontSize": 12,
+    "labelFontSize": 11,
+    # pixels: else neighbours read as one number ("1.82.0")
+    "labelFlush": False,
+    "labelSeparation": 8,
+    "gridColor": "#E6E6E6",
+    "domainColor": style.GREY,
+    "tickColor": style.GREY,
+}
+BAR_LOOK: dict[str, Any] = {"color": style.INK, "size": 16, "thickness": 1}
+BAR_LOOK |= {"opacity": 0.8, "aria": False}
+MEAN_LOOK: dict[str, Any] = {"color": style.INK, "size": 20, "thickness": 2}
+MEAN_LOOK |= {"opacity": 1, "aria": False}
+RING_LOOK: dict[str, Any] = {"size": 170, "strokeWidth": 1.3, "color": style.INK}
+RING_LOOK |= {"opacity": 1, "aria": False}
+RULE_LOOK: dict[str, Any] = {"strokeDash": [4, 3], "color": style.GREY, "aria": False}
 
 
 def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
@@ -59,22 +105,34 @@ def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
     """
     fits = numeric_column(table, "fit_test_percent")
     alike = fits.max() - fits.min() < SAME_FIT
-    drawn = [_telling(table, panel) for panel in PANELS if not (alike and panel.x == fits.name)]
-    usable = [
-        panel
-        for panel in drawn
-        if (numeric_column(table, panel.x) * numeric_column(table, panel.y)).notna().any()
-    ]
-    return [vars(panel) | {"spec": specification(panel, table)} for panel in usable]
+    drawn = []
+    for candidate in PANELS:
+        if alike and candidate.x == fits.name:
+            continue
+        panel = _telling(table, candidate)
+        if _has_numbers(table, panel):
+            spec = specification(panel, table)
+            drawn.append(vars(panel) | {"spec": spec})
+    return drawn
+
+
+def _has_numbers(table: pd.DataFrame, panel: Panel) -> bool:
+    """Whether some run has a number in both columns of a plot."""
+    across = numeric_column(table, panel.x)
+    up = numeric_column(table, panel.y)
+    return bool((across * up).notna().any())
 
 
 def _telling(table: pd.DataFrame, panel: Panel) -> Panel:
     """Replace the share of settled runs in a plot by the settling time where every run settles,
     since a share then says nothing."""
-    shares = numeric_column(table, panel.y).dropna()
-    if panel.y != "stable_fraction" or len(shares) < 2 or (shares < 1).any():
+    if panel.y != "stable_fraction":
         return panel
-    return replace(panel, y="settling_time_mean_s", note=f"{panel.note} {ALL_SETTLE}".strip())
+    shares = numeric_column(table, panel.y).dropna()
+    if len(shares) < 2 or (shares < 1).any():
+        return panel
+    note = f"{panel.note} {ALL_SETTLE}".strip()
+    return replace(panel, y="settling_time_mean_s", note=note)
 
 
 def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
@@ -84,58 +142,55 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
     It also fills the data sets `runs` and `ticks`.
     """
     upright = [] if panel.rule_x is None else [panel.rule_x]
-    median = float(numeric_column(table, panel.rule_y).median())
-    level = [] if np.isnan(median) else [median]
+    level = _median_of_rule(panel, table)
     ticks = numeric_column(table, panel.tick).dropna().tolist()
     across = _scale(panel.x, table, panel.log == "x", upright)
     up = _scale(panel.y, table, panel.log == "y", level + ticks)
-    x = alt.X(f"{panel.x}:Q", title=column_words(panel.x), scale=across)
-    y = alt.Y(f"{panel.y}:Q", title=column_words(panel.y), scale=up)
+    x_words = column_words(panel.x)
+    y_words = column_words(panel.y)
+    x = alt.X(f"{panel.x}:Q", title=x_words, scale=across)
+    y = alt.Y(f"{panel.y}:Q", title=y_words, scale=up)
     layers = [_rule().encode(x=alt.datum(value)) for value in upright]
     layers += [_rule().encode(y=alt.datum(value)) for value in level]
     if panel.tick:  # on the points' scale: one of its own would include zero
-        layers.append(_bars().encode(x=x, y=alt.Y(f"{panel.tick}:Q", scale=up)))
-    at_x = alt.X(f"{panel.x}:Q", scale=across)
-    layers.append(_ring().encode(x=at_x, y=alt.Y(f"{panel.y}:Q", scale=up)))
-    points = _points().encode(x=x, y=y)
-    chart = alt.layer(*layers, points, data=alt.NamedData("runs"))
-    axes = f"{column_words(panel.y)} against {column_words(panel.x)}"
-    description = f"{panel.question} {axes}, one point per run"
-    sized = chart.properties(width="container", height=HEIGHT, description=description)
-    return _dressed(sized)
+        bar_height = alt.Y(f"{panel.tick}:Q", scale=up)
+        layers.append(_bars().encode(x=x, y=bar_height))
+    ring_x = alt.X(f"{panel.x}:Q", scale=across)
+    ring_y = alt.Y(f"{panel.y}:Q", scale=up)
+    layers.append(_ring().encode(x=ring_x, y=ring_y))
+    layers.append(_points().encode(x=x, y=y))
+    chart = alt.layer(*layers, data=RUNS)
+    description = f"{panel.question} {y_words} against {x_words}, one point per run"
+    return _dressed(chart, description=description)
+
+
+def _median_of_rule(panel: Panel, table: pd.DataFrame) -> list[float]:
+    """Height of a plot's horizontal rule, where it has one."""
+    values = numeric_column(table, panel.rule_y)
+    median = float(values.median())
+    return [] if np.isnan(median) else [median]
 
 
 def _bars() -> alt.Chart:
     """Layer of a chart with one short bar per run for its stage times."""
-    look: dict[str, Any] = {
-        "color": style.INK,
-        "size": 16,
-        "thickness": 1,
-        "opacity": 0.8,
-        "aria": False,
-    }
     hint = alt.TooltipContent("data")
-    return alt.Chart(alt.NamedData("ticks")).mark_tick(orient="horizontal", tooltip=hint, **look)
+    chart = alt.Chart(alt.NamedData("ticks"))
+    return chart.mark_tick(orient="horizontal", tooltip=hint, **BAR_LOOK)
 
 
 def _ring() -> alt.Chart:
     """Layer of a chart that marks the best run, the first of the table, with a ring."""
-    best = alt.Chart().transform_filter("datum.i === 0")
-    return best.mark_point(size=170, strokeWidth=1.3, color=style.INK, opacity=1, aria=False)
+    best = alt.Chart().transform_filter(BEST)
+    return best.mark_point(**RING_LOOK)
 
 
-def _dressed(chart: Any) -> dict[str, Any]:
+def _dressed(chart: Any, **properties: Any) -> dict[str, Any]:
     """Vega-Lite specification with the fonts and colours of the report page."""
-    chart = chart.configure(font="system-ui, sans-serif", background="white").configure_view(
-        stroke=None
-    )
-    spec: dict[str, Any] = chart.configure_axis(
-        labelColor=style.INK, titleColor=style.INK, titleFontWeight="normal", titleFontSize=12,
-        labelFontSize=11,
-        # pixels: else neighbours read as one number ("1.82.0")
-        labelFlush=False, labelSeparation=8,
-        gridColor="#E6E6E6", domainColor=style.GREY, tickColor=style.GREY,
-    ).to_dict(validate=True)  # fmt: skip
+    sized = chart.properties(width="container", height=HEIGHT, **properties)
+    plain = sized.configure(font="system-ui, sans-serif", background="white")
+    frameless = plain.configure_view(stroke=None)
+    dressed = frameless.configure_axis(**AXIS_LOOK)
+    spec: dict[str, Any] = dressed.to_dict(validate=True)
     return spec
 
 
@@ -145,39 +200,51 @@ def groups_specification() -> dict[str, Any]:
 
     The script fills in the rows, the height, the name of the axis and whether it is logarithmic.
     """
-    x = alt.X("value:Q", title="", scale=alt.Scale(zero=False, padding=12))
-    y = alt.Y("label:N", title=None, sort=None, axis=alt.Axis(labelLimit=220, grid=True))
-    shown = alt.Chart().transform_filter("!length(mask) || mask[datum.i]")
+    scale = alt.Scale(zero=False, padding=12)
+    axis = alt.Axis(labelLimit=220, grid=True)
+    x = alt.X("value:Q", title="", scale=scale)
+    y = alt.Y("label:N", title=None, sort=None, axis=axis)
+    shown = alt.Chart().transform_filter(SHOWN)
     grouped = shown.transform_aggregate(value="mean(value)", groupby=["label"])
-    means = grouped.mark_tick(color=style.INK, size=20, thickness=2, opacity=1, aria=False)
-    layers = [layer.encode(x=x, y=y) for layer in (means, _ring(), _points("x"))]
-    chart = alt.layer(*layers, data=alt.NamedData("runs"))
-    return _dressed(chart.properties(width="container", height=HEIGHT))
+    means = grouped.mark_tick(**MEAN_LOOK)
+    parts = (means, _ring(), _points("x"))
+    layers = [part.encode(x=x, y=y) for part in parts]
+    chart = alt.layer(*layers, data=RUNS)
+    return _dressed(chart)
 
 
-def _points(*brushed: Literal["x", "y"]) -> alt.Chart:
+def _points(*brushed: Axis) -> alt.Chart:
     """Layer of a chart with one point per run. A selection covers both axes, or those that are
     named."""
     mask = alt.param(name="mask", value=[])
     chosen = alt.param(name="chosen", value=-1)
-    known = "!length(mask) || mask[datum.i]"
-    here = "datum.i === chosen"
-    names = [v.word for v in VERDICTS]
-    colours = alt.Scale(domain=names, range=[v.colour for v in VERDICTS])
-    shapes = alt.Scale(domain=names, range=[v.shape for v in VERDICTS])
-    points = alt.Chart().mark_point(
-        filled=True, strokeWidth=2, aria=False, tooltip=alt.TooltipContent("data")
-    )
-    color = alt.Color("verdict:N", scale=colours, legend=None)
-    shape = alt.Shape("verdict:N", scale=shapes, legend=None)
-    opacity = alt.condition(known, alt.value(0.85), alt.value(0.06))
-    size = alt.condition(here, alt.value(220), alt.value(45))
-    stroke = alt.condition(here, alt.value(style.INK), alt.value(None))
-    looks = {"color": color, "shape": shape, "opacity": opacity, "size": size, "stroke": stroke}
-    return points.encode(**looks).add_params(_brush(*brushed), mask, chosen)
+    hint = alt.TooltipContent("data")
+    points = alt.Chart().mark_point(filled=True, strokeWidth=2, aria=False, tooltip=hint)
+    encodings = _encode_verdicts() | _encode_choice()
+    return points.encode(**encodings).add_params(_brush(*brushed), mask, chosen)
 
 
-def _brush(*encodings: Literal["x", "y"]) -> alt.Parameter:
+def _encode_verdicts() -> dict[str, Any]:
+    """Colour and shape of a point by the verdict of its run."""
+    names = [verdict.word for verdict in VERDICTS]
+    colours = [verdict.colour for verdict in VERDICTS]
+    shapes = [verdict.shape for verdict in VERDICTS]
+    colour_scale = alt.Scale(domain=names, range=colours)
+    shape_scale = alt.Scale(domain=names, range=shapes)
+    color = alt.Color("verdict:N", scale=colour_scale, legend=None)
+    shape = alt.Shape("verdict:N", scale=shape_scale, legend=None)
+    return {"color": color, "shape": shape}
+
+
+def _encode_choice() -> dict[str, Any]:
+    """Opacity of a point by whether its run is shown, size and edge by whether it is chosen."""
+    opacity = alt.condition(SHOWN, alt.value(0.85), alt.value(0.06))
+    size = alt.condition(CHOSEN, alt.value(220), alt.value(45))
+    stroke = alt.condition(CHOSEN, alt.value(style.INK), alt.value(None))
+    return {"opacity": opacity, "size": size, "stroke": stroke}
+
+
+def _brush(*encodings: Axis) -> alt.Parameter:
     """Selection parameter of Vega-Lite: a rectangle that the reader of the page drags."""
     if encodings:
         return alt.selection_interval(name="brush", encodings=list(encodings))
@@ -187,9 +254,8 @@ def _brush(*encodings: Literal["x", "y"]) -> alt.Parameter:
 def _rule() -> alt.Chart:
     """Layer of a chart with a single reference line. With the data of the points, it would be drawn
     once per run."""
-    return alt.Chart(alt.InlineData([{}])).mark_rule(
-        strokeDash=[4, 3], color=style.GREY, aria=False
-    )
+    chart = alt.Chart(alt.InlineData([{}]))
+    return chart.mark_rule(**RULE_LOOK)
 
 
 def _scale(name: str, table: pd.DataFrame, log: bool, beside: list[float]) -> alt.Scale:
@@ -200,12 +266,16 @@ def _scale(name: str, table: pd.DataFrame, log: bool, beside: list[float]) -> al
     """
     if name == "stable_fraction":
         return alt.Scale(domain=[-0.05, 1.05], nice=False)  # points at 0 and 1 are drawn whole
-    values = pd.concat([numeric_column(table, name).dropna(), pd.Series(beside, dtype=float)])
+    own = numeric_column(table, name).dropna()
+    others = pd.Series(beside, dtype=float)
+    values = pd.concat([own, others])
     if values.empty:  # the explorer: the script fills in the column
         return alt.Scale(zero=False, padding=8)
     low = float(values.min())
     high = float(values.max())
     if log and low > 0 and high > 10 * low:
-        return alt.Scale(type="log", domain=[low / 1.3, high * 1.3], nice=False)
+        return alt.Scale(type="log", domain=[low / EDGE, high * EDGE], nice=False)
     room = 0.05 * (high - low) or 0.1 * abs(low) or 1.0  # an axis of one value would have none
-    return alt.Scale(domain=[low - room if low < 0 or low > room else 0.0, high + room], nice=False)
+    reaches_zero = 0 <= low <= room
+    lowest = 0.0 if reaches_zero else low - room
+    return alt.Scale(domain=[lowest, high + room], nice=False)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ssm_study.report.page.chart_looks import STROKES, framed, quantitative
+from ssm_study.report.page.chart_looks import STROKES, Spec, framed, quantitative
 from ssm_study.report.words import choice_label
 from ssm_study.style import BLUE
 
@@ -16,6 +16,11 @@ HEADS = ("Settled", "Mean settling (s)", "Worst (s)", "Peak input", "Mismatch ma
 NUMBERS = ("settling_time_mean_s", "settling_time_worst_s", "input_peak_v", "mismatch_margin")
 NOT_SETTLED = "rgb(179 89 0 / {:.0f}%)"  # the fewer settle the darker; the number says it too
 MISSING = "–"
+OF_ONE_SITUATION = "Controllers on this run's plant, from the same starts"
+OF_SITUATIONS = "Controllers on this run's plant: share settled, mean settling time of those"
+DESIGNS = (
+    "Share of starts settled on the plant against mismatch margin, one point per certified design"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +33,7 @@ class ComparedTable:
     rows: list[tuple[str, list[tuple[str, str]]]]
 
 
-def comparison_json(rows: pd.DataFrame) -> dict[str, Any]:
+def comparison_json(rows: pd.DataFrame) -> Spec:
     """Comparison of controllers in a run, as JSON values for a table or a chart."""
     rows = rows.dropna(axis="columns", how="all")
     if "controller" in rows:
@@ -40,48 +45,56 @@ def controllers_table(rows: pd.DataFrame) -> ComparedTable:
     """Table with one row per controller. Its columns are the numbers of a single situation, or all
     situations."""
     situations = list(dict.fromkeys(rows["situation"]))
-    first = [
-        (choice_label(name), own.iloc[0]) for name, own in rows.groupby("controller", sort=False)
-    ]
     if len(situations) == 1:
-        return ComparedTable(
-            caption="Controllers on this run's plant, from the same starts",
-            heads=HEADS,
-            rows=[(name, number_cells(row)) for name, row in first],
-        )
-    controllers = list(dict.fromkeys(rows["controller"]))
+        return numbers_table(rows)
+    return situations_table(rows, situations)
+
+
+def numbers_table(rows: pd.DataFrame) -> ComparedTable:
+    """Table with the numbers of each controller in the one situation."""
+    cells = []
+    for name, own in rows.groupby("controller", sort=False):
+        first = own.iloc[0]
+        cells.append((choice_label(name), number_cells(first)))
+    return ComparedTable(caption=OF_ONE_SITUATION, heads=HEADS, rows=cells)
+
+
+def situations_table(rows: pd.DataFrame, situations: list[str]) -> ComparedTable:
+    """Table with a column per situation: share settled, and the mean time of those."""
     tried: dict[tuple[str, str], dict[str, Any]] = {}
     for row in rows.to_dict("records"):
+        named = {str(name): value for name, value in row.items()}
         key = (str(row["controller"]), str(row["situation"]))
-        tried.setdefault(key, {str(name): value for name, value in row.items()})
-    cells = {
-        name: [settled_cell(tried.get((name, situation), {})) for situation in situations]
-        for name in controllers
-    }
-    return ComparedTable(
-        caption="Controllers on this run's plant: share settled, mean settling time of those",
-        heads=tuple(choice_label(situation) for situation in situations),
-        rows=[(choice_label(name), own) for name, own in cells.items()],
-    )
+        tried.setdefault(key, named)
+    cells = []
+    for name in dict.fromkeys(rows["controller"]):
+        own = [tried.get((name, situation), {}) for situation in situations]
+        cells.append((choice_label(name), list(map(settled_cell, own))))
+    heads = tuple(map(choice_label, situations))
+    return ComparedTable(caption=OF_SITUATIONS, heads=heads, rows=cells)
 
 
 def number_cells(row: "pd.Series[Any]") -> list[tuple[str, str]]:
     """Table cells with the numbers of a controller in a single situation."""
-    settled = percent(row.get("stable_fraction"))
-    texts = [settled, *(number(row.get(name)) for name in NUMBERS)]
-    certified = "yes" if row.get("certified") is True or row.get("certified") == 1 else MISSING
-    return [(text, "") for text in [*texts, certified]]
+    texts = [percent(row.get("stable_fraction"))]
+    texts += [number(row.get(name)) for name in NUMBERS]
+    is_certified = row.get("certified") == 1  # True, or what a table of numbers makes of it
+    texts.append("yes" if is_certified else MISSING)
+    return [(text, "") for text in texts]
 
 
 def settled_cell(row: dict[str, Any]) -> tuple[str, str]:
     """Table cell with the share that settles and the mean settling time, shaded where some do not
     settle."""
-    if pd.isna(row.get("stable_fraction", np.nan)):
+    share = row.get("stable_fraction", np.nan)
+    if pd.isna(share):
         return MISSING, ""
+    words = percent(share)
     time_s = row.get("settling_time_mean_s")
-    words = "" if time_s is None or pd.isna(time_s) else f" {time_s:.3g} s"
-    share = float(row["stable_fraction"])
-    return f"{percent(share)}{words}", NOT_SETTLED.format(45 * (1 - share))
+    if time_s is not None and not pd.isna(time_s):
+        words += f" {time_s:.3g} s"
+    shade = NOT_SETTLED.format(45 * (1 - float(share)))
+    return words, shade
 
 
 def percent(share: Any) -> str:
@@ -99,50 +112,58 @@ def table_html(table: ComparedTable) -> str:
     caption = escape(table.caption)
     heads = "".join(f'<th scope="col">{escape(head)}</th>' for head in table.heads)
     rows = "".join(row_html(name, cells) for name, cells in table.rows)
-    return (
-        f"<figure><figcaption>{caption}</figcaption>"
-        f'<div class="scroll compared" tabindex="0" role="region" aria-label="{caption}"><table>'
-        f'<thead><tr><th scope="col" class="text">Controller</th>{heads}</tr></thead>'
-        f"<tbody>{rows}</tbody></table></div></figure>"
-    )
+    place = f'class="scroll compared" tabindex="0" role="region" aria-label="{caption}"'
+    head = f'<thead><tr><th scope="col" class="text">Controller</th>{heads}</tr></thead>'
+    body = f"<tbody>{rows}</tbody>"
+    figcaption = f"<figcaption>{caption}</figcaption>"
+    return f"<figure>{figcaption}<div {place}><table>{head}{body}</table></div></figure>"
 
 
 def row_html(name: str, cells: list[tuple[str, str]]) -> str:
     """Row of an HTML table."""
-    printed = "".join(
-        f'<td style="background: {shade}">{escape(text)}</td>'
-        if shade
-        else f"<td>{escape(text)}</td>"
-        for text, shade in cells
-    )
-    return f'<tr><th scope="row">{escape(name)}</th>{printed}</tr>'
+    title = f'<th scope="row">{escape(name)}</th>'
+    printed = "".join(cell_html(text, shade) for text, shade in cells)
+    return f"<tr>{title}{printed}</tr>"
 
 
-def designs_chart(rows: pd.DataFrame) -> dict[str, Any]:
+def cell_html(text: str, shade: str) -> str:
+    """Cell of an HTML table, shaded or not."""
+    background = f' style="background: {shade}"' if shade else ""
+    return f"<td{background}>{escape(text)}</td>"
+
+
+def designs_chart(rows: pd.DataFrame) -> Spec:
     """Chart of certified designs, one point for each, of the stability margin against the behaviour
     on the plant."""
+    points = margins_and_shares(rows)
+    values = []
+    for _, row in points.iterrows():
+        values.append({name: float(f"{value:.4g}") for name, value in row.items()})
+    x = quantitative("margin", "Mismatch margin (–)", type="log")
+    y = quantitative("share", "Starts settled (share)", domain=[-0.05, 1.05], nice=False)
+    mark = {"type": "point", "filled": True, "size": 25, "opacity": 0.5, "color": BLUE}
+    dots: Spec = {"data": {"values": values}, "mark": mark}
+    dots["encoding"] = {"x": x, "y": y}
+    rule: Spec = {"data": {"values": [{}]}, "mark": STROKES}
+    rule["encoding"] = {"x": {"datum": 1}}
+    spec = framed({"layer": [rule, dots]}, DESIGNS)
+    title = f"{len(points)} certified designs for this model"
+    return {"title": title, "note": settled_sentence(points), "spec": spec}
+
+
+def margins_and_shares(rows: pd.DataFrame) -> pd.DataFrame:
+    """Mismatch margin and share of settled starts of each design that has both."""
     share = rows.get("stable_fraction")
     if share is None:
         share = rows["stable_count"] / rows["initial_conditions"]
     points = pd.DataFrame({"margin": rows["mismatch_margin"], "share": share}).dropna()
-    points = points[points["margin"] > 0]
-    above = points["margin"] > 1
+    return points[points["margin"] > 0]
+
+
+def settled_sentence(points: pd.DataFrame) -> str:
+    """Sentence on how many designs above and below margin one bring every start to rest."""
+    is_above = points["margin"] > 1
     settles = points["share"] >= 1
-    note = (
-        f"Above margin one {int((above & settles).sum())} of {int(above.sum())} bring every start "
-        f"to rest, at or below it {int((~above & settles).sum())} of {int((~above).sum())}."
-    )
-    values = [{name: float(f"{v:.4g}") for name, v in row.items()} for _, row in points.iterrows()]
-    encoding = {
-        "x": quantitative("margin", "Mismatch margin (–)", type="log"),
-        "y": quantitative("share", "Starts settled (share)", domain=[-0.05, 1.05], nice=False),
-    }
-    mark = {"type": "point", "filled": True, "size": 25, "opacity": 0.5, "color": BLUE}
-    rule = {"data": {"values": [{}]}, "mark": STROKES, "encoding": {"x": {"datum": 1}}}
-    layer = [rule, {"data": {"values": values}, "mark": mark, "encoding": encoding}]
-    words = (
-        "Share of starts settled on the plant against mismatch margin, one point per certified "
-        "design"
-    )
-    title = f"{len(points)} certified designs for this model"
-    return {"title": title, "note": note, "spec": framed({"layer": layer}, words)}
+    above = f"{int((is_above & settles).sum())} of {int(is_above.sum())}"
+    below = f"{int((~is_above & settles).sum())} of {int((~is_above).sum())}"
+    return f"Above margin one {above} bring every start to rest, at or below it {below}."

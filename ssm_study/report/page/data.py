@@ -36,11 +36,12 @@ from ssm_study.table.rank import best_first
 
 MOST_TRAJECTORIES = 200  # best runs whose trajectories are embedded: about 10 kB each
 MOST_PICTURED = 3  # best runs whose pictures are embedded
+LARGEST_STEP = 32767  # of 16-bit steps
 LONGEST = 400  # samples of a validation record shown: more than a phone has pixels
-PROVENANCE = ("git_commit", "git_dirty", "machine", "machine_processor", "machine_cores",
-              "version_python",
-              "version_ssm_study", "version_torch", "version_cvxpy",
-              "version_clarabel")  # fmt: skip
+MACHINE = ("machine", "machine_processor", "machine_cores")
+PACKAGES = ("ssm_study", "torch", "cvxpy", "clarabel")
+VERSIONS = tuple(f"version_{name}" for name in ("python", *PACKAGES))
+PROVENANCE = ("git_commit", "git_dirty", *MACHINE, *VERSIONS)
 TREE = {
     "False": "clean",
     "True": "with uncommitted changes",
@@ -85,42 +86,46 @@ def slider_settings(table: pd.DataFrame) -> dict[str, Any] | None:
     if not len(table):
         return None
     settings = swept_settings(table)
-    rated = sorted(settings, key=lambda name: not name.startswith("rate_"))
-    for name in rated:
+    rates_first = sorted(settings, key=lambda name: not name.startswith("rate_"))
+    for name in rates_first:
         if name == "seed" or not pd.api.types.is_numeric_dtype(table[name]):
             continue
-        alike = pd.Series(True, index=table.index)
-        for other in settings:
-            own = requested_values(table, other).astype("string").fillna("")
-            if other != name:
-                alike &= (own == own.iloc[0]).astype(bool)
-        numbers = pd.to_numeric(requested_values(table, name)[alike], errors="coerce").dropna()
-        numbers = numbers[~numbers.duplicated()].sort_values()
+        others = [other for other in settings if other != name]
+        numbers = swept_numbers(table[runs_like_the_best(table, others)], name)
         if len(numbers) > 1:
             title = column_words(name).partition(" (")[0]
-            return {"title": title, "runs": numbers.index.tolist(), "values": numbers.tolist()}
+            runs = numbers.index.tolist()
+            return {"title": title, "runs": runs, "values": numbers.tolist()}
     return None
+
+
+def runs_like_the_best(table: pd.DataFrame, settings: list[str]) -> "pd.Series[bool]":
+    """Mark the runs that share these settings with the first run."""
+    alike = pd.Series(True, index=table.index)
+    for name in settings:
+        values = requested_values(table, name).astype("string").fillna("")
+        alike &= (values == values.iloc[0]).astype(bool)
+    return alike
+
+
+def swept_numbers(table: pd.DataFrame, name: str) -> pd.Series:
+    """Requested numbers of a column in ascending order, of equal ones the first."""
+    requested = requested_values(table, name)
+    numbers = pd.to_numeric(requested, errors="coerce").dropna()
+    is_repeated = numbers.duplicated()
+    return numbers[~is_repeated].sort_values()
 
 
 def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """Text blocks of the page's HTML."""
-    best = study.best
-    config = best.path / ".hydra" / "config.yaml" if best else None
-    on = {
-        "Plant": text_column(table, "plant").map(choice_label),
-        "Data": text_column(table, "data_source"),
-    }
-    subject = "".join(
-        f"{word}: {', '.join(names)}. "
-        for word, said in on.items()
-        if (names := sorted({*said} - {""}))
-    )
-    parts: dict[str, Any] = {"title": study.name, "question": page_title(table)}
-    parts["swept"] = f"{subject}{verdict_counts(table)}. {parameters_line(table)}"
+    parts: dict[str, Any] = {"title": study.name}
+    parts["question"] = page_title(table)
+    counts = verdict_counts(table)
+    parts["swept"] = f"{subject_words(table)}{counts}. {parameters_line(table)}"
     parts["several"] = len(table) > 1
     parts["answers"] = answers(table)
     parts["provenance"] = provenance(study, table)
-    parts["configuration"] = config.read_text() if config and config.is_file() else ""
+    parts["configuration"] = configuration_text(study)
     parts["failures"] = failure_groups(table)
     parts["most_reasons"] = MOST_REASONS
     parts["most_runs"] = MOST_RUNS
@@ -134,19 +139,42 @@ def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     return parts
 
 
+def subject_words(table: pd.DataFrame) -> str:
+    """Words on the plants and the data of a study, such as `Plant: DC motor. Data: simulated. `."""
+    plants = text_column(table, "plant").map(choice_label)
+    sources = text_column(table, "data_source")
+    words = ""
+    for title, values in (("Plant", plants), ("Data", sources)):
+        names = sorted({*values} - {""})
+        if names:
+            words += f"{title}: {', '.join(names)}. "
+    return words
+
+
+def configuration_text(study: StudyFolder) -> str:
+    """Configuration of the best run, or nothing where it left none."""
+    if study.best is None:
+        return ""
+    config = study.best.path / ".hydra" / "config.yaml"
+    return config.read_text() if config.is_file() else ""
+
+
 def provenance(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str, str]]:
     """Lines on the provenance of the runs, with several values where the runs disagree."""
     facts = []
     for name in PROVENANCE:
         if name not in table:
             continue
-        values = sorted({TREE.get(value, value) for value in text_column(table, name)} - {""})
+        words = {TREE.get(value, value) for value in text_column(table, name)}
+        values = sorted(words - {""})
         if values:
             title = name.replace("git_dirty", "working tree").replace("_", " ")
             facts.append((title, " or ".join(values)))
     if len(table):
-        folder, run = run_address(study, text_column(table, "run").iloc[0])
-        facts.append(("to check the best run", f"ssm-study verify results/{folder}/{run}"))
+        best = text_column(table, "run").iloc[0]
+        folder, run = run_address(study, best)
+        command = f"ssm-study verify results/{folder}/{run}"
+        facts.append(("to check the best run", command))
     return facts
 
 
@@ -154,32 +182,36 @@ def run_address(study: StudyFolder, name: str) -> tuple[str, str]:
     """Study folder of a run, which may be another study's, and the digits of the run's name."""
     other = re.match(r"\.\./([^/]+)/", name)
     folder = other[1] if other else study.folder.resolve().name
-    return folder, name.rpartition("/")[2].rpartition("-")[2]
+    run = name.rpartition("/")[2]
+    digits = run.rpartition("-")[2]
+    return folder, digits
 
 
 def page_title(table: pd.DataFrame) -> str:
     """Title of the page as a question, such as `What changes with the model order?`."""
-    said = (
-        (name, column_words(name).partition(" (")[0].partition(",")[0].lower())
-        for name in swept_settings(table)
-    )
-    varied = [
-        word if FURTHER.matches_name(name) else f"the {word}" for name, word in said
-    ]  # a setting's key is a name
-    varied = (
-        varied[:-1] if len(varied) > 1 and varied[-1] == "the seed" else varied
-    )  # what the mean is taken over
-    return (
-        "What changes with "
-        f"{' and '.join([', '.join(varied[:-1])] * (len(varied) > 1) + varied[-1:])}?"
-    )
+    varied = [setting_words(name) for name in swept_settings(table)]
+    if len(varied) > 1 and varied[-1] == "the seed":  # what the mean is taken over
+        varied = varied[:-1]
+    words = varied[-1] if varied else ""
+    if len(varied) > 1:
+        words = f"{', '.join(varied[:-1])} and {words}"
+    return f"What changes with {words}?"
+
+
+def setting_words(name: str) -> str:
+    """Words for a swept setting in a sentence, without its unit. A setting's key is a name."""
+    without_unit = column_words(name).partition(" (")[0]
+    word = without_unit.partition(",")[0].lower()
+    return word if FURTHER.matches_name(name) else f"the {word}"
 
 
 def sort_for_page(table: pd.DataFrame) -> pd.DataFrame:
     """Table with the best run first and with all columns that the plots need."""
     table = best_first(table).reset_index(drop=True)
     table = table.assign(verdict=verdicts(table))
-    ratio = numeric_column(table, "input_slope_lower") / numeric_column(table, "input_slope_upper")
+    lower = numeric_column(table, "input_slope_lower")
+    upper = numeric_column(table, "input_slope_upper")
+    ratio = lower / upper
     return table.assign(slope_ratio=ratio) if ratio.notna().any() else table
 
 
@@ -190,7 +222,8 @@ def encode_repeats(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
     shown = [_plain_json(value) for value in distinct]
     if 4 * len(shown) >= len(values):  # an index takes about a quarter of what a number takes
         return [shown[k] for k in at]
-    return {"values": shown, "at": at.tolist() if len(shown) > 1 else []}
+    places = at.tolist() if len(shown) > 1 else []
+    return {"values": shown, "at": places}
 
 
 def _plain_json(value: Any) -> Any:
@@ -207,16 +240,23 @@ def _plain_json(value: Any) -> Any:
 def trajectories(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """Closed-loop trajectories of the best runs, keyed by the name of the run. Only runs that left
     recordings have them."""
-    best = text_column(table, "run").head(MOST_TRAJECTORIES)
-    return {name: found for name in best if name and (found := _run_recordings(study.run(name)))}
+    found = {}
+    for name in text_column(table, "run").head(MOST_TRAJECTORIES):
+        recordings = _run_recordings(study.run(name)) if name else {}
+        if recordings:
+            found[name] = recordings
+    return found
 
 
 def pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """Pictures of the best few runs, keyed by the name of the run. Each picture takes 50 kB and a
     second or two."""
-    best = text_column(table, "run").head(MOST_PICTURED)
-    drawn = {name: pictures_of_run(study.run(name)) for name in best if name}
-    return {name: pictured for name, pictured in drawn.items() if pictured}
+    found = {}
+    for name in text_column(table, "run").head(MOST_PICTURED):
+        pictured = pictures_of_run(study.run(name)) if name else []
+        if pictured:
+            found[name] = pictured
+    return found
 
 
 def comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
@@ -231,32 +271,39 @@ def comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
 def _run_recordings(run: RunFolder) -> dict[str, Any]:
     """Closed loop and validation free run of one run, in a compact form for the page."""
     found: dict[str, Any] = {}
-    if (loop := run.closed_loop) is not None:
-        until = int(np.searchsorted(loop.time_s("output"), loop.settled_time_s)) + 1
+    loop = run.closed_loop
+    if loop is not None:
+        time_s = loop.time_s("output")
+        until = int(np.searchsorted(time_s, loop.settled_time_s)) + 1
         packed_loop = _encode_signals(loop, until, y="output", u="input", alone="uncontrolled")
         packed_loop["band"] = loop.settling_band
-        packed_loop["goal"] = float(loop["reference"][0, -1, 0])
+        reference = loop["reference"]
+        packed_loop["goal"] = float(reference[0, -1, 0])
         found["loop"] = packed_loop
-    if (record := run.validation) is not None:
+    record = run.validation
+    if record is not None:
         found["validation"] = _encode_signals(record, LONGEST, y="measured", model="simulated")
     return found
 
 
 def _encode_signals(recording: RecordedCases, until: int, **names: str) -> dict[str, Any]:
     """First channels of several recorded signals with labels, in a compact form for the page."""
-    y = names["y"]
-    about: dict[str, Any] = {"step_s": recording.step_s(y), "output": recording.label(y)}
+    output = names["y"]
+    about: dict[str, Any] = {"step_s": recording.step_s(output)}
+    about["output"] = recording.label(output)
     if "u" in names:
         about["input"] = recording.label(names["u"])
     for short, name in names.items():
-        about[short] = encode_rows(recording[name][:, :until, 0])
+        values = recording[name]
+        about[short] = encode_rows(values[:, :until, 0])
     return about
 
 
 def encode_rows(rows: Float[np.ndarray, "N T"]) -> dict[str, Any]:
     """Compact text form of rows of numbers for the page's script. 16-bit steps of the largest value
     in base64: the error is invisible in a plot, the size a tenth of text."""
-    step = float(np.abs(rows).max()) / 32767 or 1.0
+    largest = float(np.abs(rows).max())
+    step = largest / LARGEST_STEP or 1.0
     steps = np.rint(rows / step).astype("<i2")  # little endian, as the script reads it
     coded_steps = base64.b64encode(steps.tobytes()).decode()
     return {"step": step, "rows": len(rows), "steps": coded_steps}

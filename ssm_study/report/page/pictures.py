@@ -1,52 +1,62 @@
 """Pictures of the best runs as plain values, which the page's script draws as charts."""
 
-from typing import Any
+import math
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ssm_study.api.pictures.picture import Band, GuideLine, Picture, PicturePanel, Series, Values
-from ssm_study.report.page.chart_looks import STROKES, framed, quantitative
+from ssm_study.report.figures import caption
+from ssm_study.report.page.chart_looks import STROKES, Spec, framed, horizontal_legend, quantitative
 from ssm_study.report.run_pictures import PICTURES, picture_of_run
 from ssm_study.report.study_folder import NothingToDraw, RunFolder
 from ssm_study.style import INK
 
 Stretch = Float[np.ndarray, "_"]
+Range = tuple[float, float]
+Legend = dict[str, str]
+
 PANEL_HEIGHT = 170  # pixels
 SQUARE = 280  # pixels, where both axes have one scale
+WIDEST_LABEL = 260  # pixels
+LEGEND_COLUMNS = 2
 LINE = {"type": "line", "strokeWidth": 1.4}
-MARKS: dict[str, dict[str, Any]] = {
-    "line": LINE,
-    "steps": {**LINE, "interpolate": "step-after"},
-    "stems": {"type": "bar", "width": 3},
-    "dots": {"type": "point", "shape": "circle", "filled": True, "size": 8, "opacity": 1},
-    "point": {"type": "point", "shape": "circle", "filled": True, "size": 70, "opacity": 1},
-    "circles": {"type": "point", "shape": "circle", "size": 40},
-    "triangles": {"type": "point", "shape": "triangle-up", "size": 40},
-    "crosses": {"type": "point", "shape": "M-1,-1L1,1M1,-1L-1,1", "size": 30},
-}
+STEPS = {**LINE, "interpolate": "step-after"}
+STEMS = {"type": "bar", "width": 3}
+DOT = {"type": "point", "shape": "circle", "filled": True}
+CROSS = "M-1,-1L1,1M1,-1L-1,1"
+MARKS: dict[str, Spec] = {"line": LINE, "steps": STEPS, "stems": STEMS}
+MARKS["dots"] = {**DOT, "size": 8, "opacity": 1}
+MARKS["point"] = {**DOT, "size": 70, "opacity": 1}
+MARKS["circles"] = {"type": "point", "shape": "circle", "size": 40}
+MARKS["triangles"] = {"type": "point", "shape": "triangle-up", "size": 40}
+MARKS["crosses"] = {"type": "point", "shape": CROSS, "size": 30}
+JOINED = ("line", "steps")  # marks that join one point to the next
 MOST_POINTS = 150  # of a line: more than a chart has pixels for
 
 
-def pictures_of_run(run: RunFolder) -> list[dict[str, Any]]:
+def pictures_of_run(run: RunFolder) -> list[Spec]:
     """Pictures that can be made from a run's files, in the order of `PICTURES`."""
     drawn = []
     for name in PICTURES:
         try:
-            drawn.append(picture_json(name, picture_of_run(name, run)))
+            picture = picture_of_run(name, run)
         except NothingToDraw:
             continue
+        drawn.append(picture_json(name, picture))
     return drawn
 
 
-def picture_json(name: str, picture: Picture) -> dict[str, Any]:
+def picture_json(name: str, picture: Picture) -> Spec:
     """Picture with its name as JSON values, without empty panels."""
-    panels = [panel for panel in picture.panels if panel.series]
-    charts = [
-        {"title": panel.title, "spec": panel_spec(panel, f"{picture.title}: {axes_words(panel)}")}
-        for panel in panels
-    ]
-    return {"name": name, "title": picture.title, "charts": charts}
+    charts = []
+    for panel in picture.panels:
+        if panel.series:
+            description = f"{picture.title}: {axes_words(panel)}"
+            charts.append({"title": panel.title, "spec": panel_spec(panel, description)})
+    content = {"name": name, "title": picture.title, "charts": charts}
+    content["caption"] = caption(name)
+    return content
 
 
 def axes_words(panel: PicturePanel) -> str:
@@ -54,92 +64,124 @@ def axes_words(panel: PicturePanel) -> str:
     return f"{panel.y_label} against {panel.x_label}"
 
 
-def panel_spec(panel: PicturePanel, description: str) -> dict[str, Any]:
+def panel_spec(panel: PicturePanel, description: str) -> Spec:
     """Vega-Lite specification of one pair of axes. The legend above it has the series with a
     name."""
-    axes = {
-        "x": quantitative("x", panel.x_label, **axis_scale(panel.log_x, panel.x_range)),
-        "y": quantitative("y", panel.y_label, **axis_scale(panel.log_y, panel.y_range)),
-    }
+    axes = panel_axes(panel)
+    legend = panel_legend(panel)
+    layers = [band_layer(band, panel, axes, legend) for band in panel.bands]
+    layers += [rule_layer(rule, legend) for rule in panel.rules]
+    layers += [series_layer(series, panel, axes, legend) for series in panel.series]
+    spec: Spec = {"layer": layers, "height": PANEL_HEIGHT}
+    if panel.equal:
+        spec["width"] = SQUARE
+        spec["height"] = SQUARE
+    return framed(spec, description)
+
+
+def panel_axes(panel: PicturePanel) -> Spec:
+    """Both axes of a panel with their scales."""
+    x_scale = axis_scale(panel.log_x, panel.x_range)
+    y_scale = axis_scale(panel.log_y, panel.y_range)
+    x = quantitative("x", panel.x_label, **x_scale)
+    y = quantitative("y", panel.y_label, **y_scale)
+    return {"x": x, "y": y}
+
+
+def panel_legend(panel: PicturePanel) -> Legend:
+    """Colour of each named part of a panel: bands, then lines across it, then series."""
     coloured = [(band.name, band.colour) for band in panel.bands]
     coloured += [(rule.name, INK) for rule in panel.rules]
     coloured += [(series.name, series.colour) for series in panel.series]
-    legend = {name: colour for name, colour in coloured if name}
-    layer = [band_layer(band, panel, axes, legend) for band in panel.bands]
-    layer += [rule_layer(rule, legend) for rule in panel.rules]
-    layer += [series_layer(series, panel, axes, legend) for series in panel.series]
-    size = {"width": SQUARE, "height": SQUARE} if panel.equal else {"height": PANEL_HEIGHT}
-    return framed({"layer": layer, **size}, description)
+    return {name: colour for name, colour in coloured if name}
 
 
-def axis_scale(log: bool, limits: tuple[float, float] | None) -> dict[str, Any]:
+def axis_scale(log: bool, limits: Range | None) -> Spec:
     """Vega-Lite scale of an axis, linear or logarithmic. Without limits it has a few pixels of
     room."""
-    room: dict[str, Any] = {"padding": 6} if limits is None else {"domain": list(limits)}
-    kind: dict[str, Any] = {"type": "log"} if log else {"type": "linear", "zero": False}
-    return kind | room | {"nice": False}
+    scale: Spec = {"type": "log"} if log else {"type": "linear", "zero": False}
+    if limits is None:
+        scale["padding"] = 6
+    else:
+        scale["domain"] = list(limits)
+    scale["nice"] = False
+    return scale
 
 
-def part_colour(name: str, colour: str, legend: dict[str, str]) -> dict[str, Any]:
+def part_colour(name: str, colour: str, legend: Legend) -> Spec:
     """Vega-Lite colour of a part of a picture, with its legend entry."""
     if not name:
         return {"value": colour}
-    shown = {"title": None, "orient": "top", "columns": 2, "labelLimit": 260}
-    entries = {"domain": list(legend), "range": list(legend.values())}
-    return {"datum": name, "type": "nominal", "scale": entries, "legend": shown}
+    names = list(legend)
+    colours = list(legend.values())
+    part: Spec = {"datum": name, "type": "nominal"}
+    part["scale"] = {"domain": names, "range": colours}
+    part["legend"] = horizontal_legend(LEGEND_COLUMNS, WIDEST_LABEL)
+    return part
 
 
-def series_layer(
-    series: Series, panel: PicturePanel, axes: dict[str, Any], legend: dict[str, str]
-) -> dict[str, Any]:
+def series_layer(series: Series, panel: PicturePanel, axes: Spec, legend: Legend) -> Spec:
     """Vega-Lite layer of one series. It is cut to the visible range, a long line is thinned, a gap
     shortened to one missing point."""
-    x, y = thin_line(*cut_to_range(series.x, series.y, panel.x_range))
-    is_line = series.mark in ("line", "steps")
-    transform: list[dict[str, Any]] = [{"flatten": ["x", "y"]}]
-    encoding = {**axes, "color": part_colour(series.name, series.colour, legend)}
-    if is_line:  # curves may turn back: the points follow one another as computed
-        transform.append({"window": [{"op": "row_number", "as": "k"}]})
+    x, y = cut_to_range(series.x, series.y, panel.x_range)
+    x, y = thin_line(x, y)
+    numbers = {"x": short_numbers(x), "y": short_numbers(y)}
+    transform: list[Spec] = [{"flatten": ["x", "y"]}]
+    encoding = dict(axes)
+    encoding["color"] = part_colour(series.name, series.colour, legend)
+    if series.mark in JOINED:  # curves may turn back: the points follow one another as computed
+        row_number = {"op": "row_number", "as": "k"}
+        transform.append({"window": [row_number]})
         encoding["order"] = {"field": "k"}
-    dash = {"strokeDash": [5, 3]} if series.dashed else {}
-    values = [{"x": short_numbers(x), "y": short_numbers(y)}]
-    mark = {**MARKS[series.mark], **dash, "clip": True}
-    data = {"values": values}
-    return {"data": data, "transform": transform, "mark": mark, "encoding": encoding}
-
-
-def rule_layer(rule: GuideLine, legend: dict[str, str]) -> dict[str, Any]:
-    """Vega-Lite layer of a guide line across the panel."""
-    axis = "y" if rule.x is None else "x"
-    place = rule.y if rule.x is None else rule.x
-    encoding = {axis: {"datum": place}, "color": part_colour(rule.name, INK, legend)}
-    return {"data": {"values": [{}]}, "mark": STROKES, "encoding": encoding}
-
-
-def band_layer(
-    band: Band, panel: PicturePanel, axes: dict[str, Any], legend: dict[str, str]
-) -> dict[str, Any]:
-    """Vega-Lite layer of a shaded area, cut to the visible range and thinned like a line."""
-    x, low = cut_to_range(band.x, band.low, panel.x_range)
-    high = cut_to_range(band.x, band.high, panel.x_range)[1]
-    every = _stride(len(x))
-    edges = {"x": x, "y": low, "y2": high}
-    values = {name: short_numbers(edge[::every]) for name, edge in edges.items()}
-    layer: dict[str, Any] = {"data": {"values": [values]}}
-    layer["transform"] = [{"flatten": ["x", "y", "y2"]}]
-    layer["mark"] = {"type": "area", "opacity": 0.5, "clip": True}
-    colour = part_colour(band.name, band.colour, legend)
-    layer["encoding"] = {**axes, "y2": {"field": "y2"}, "color": colour}
+    mark = dict(MARKS[series.mark])
+    if series.dashed:
+        mark["strokeDash"] = [5, 3]
+    mark["clip"] = True
+    layer: Spec = {"data": {"values": [numbers]}}
+    layer["transform"] = transform
+    layer["mark"] = mark
+    layer["encoding"] = encoding
     return layer
 
 
-def cut_to_range(x: Values, y: Values, seen: tuple[float, float] | None) -> tuple[Stretch, Stretch]:
+def rule_layer(rule: GuideLine, legend: Legend) -> Spec:
+    """Vega-Lite layer of a guide line across the panel."""
+    axis = "x"
+    place = rule.x
+    if place is None:
+        axis = "y"
+        place = rule.y
+    colour = part_colour(rule.name, INK, legend)
+    encoding = {axis: {"datum": place}, "color": colour}
+    return {"data": {"values": [{}]}, "mark": STROKES, "encoding": encoding}
+
+
+def band_layer(band: Band, panel: PicturePanel, axes: Spec, legend: Legend) -> Spec:
+    """Vega-Lite layer of a shaded area, cut to the visible range and thinned like a line."""
+    x, low = cut_to_range(band.x, band.low, panel.x_range)
+    _, high = cut_to_range(band.x, band.high, panel.x_range)
+    every = _stride(len(x))
+    values = {"x": short_numbers(x[::every])}
+    values["y"] = short_numbers(low[::every])
+    values["y2"] = short_numbers(high[::every])
+    encoding = dict(axes)
+    encoding["y2"] = {"field": "y2"}
+    encoding["color"] = part_colour(band.name, band.colour, legend)
+    layer: Spec = {"data": {"values": [values]}}
+    layer["transform"] = [{"flatten": ["x", "y", "y2"]}]
+    layer["mark"] = {"type": "area", "opacity": 0.5, "clip": True}
+    layer["encoding"] = encoding
+    return layer
+
+
+def cut_to_range(x: Values, y: Values, seen: Range | None) -> tuple[Stretch, Stretch]:
     """Part of a curve over time that lies in a range. Curves of other kinds stay as they are."""
     rises = bool(np.all(np.diff(x) > 0))
     if seen is None or not rises:
         return x, y
     first, last = np.searchsorted(x, seen)
-    stretch = slice(max(int(first) - 1, 0), int(last) + 1)
+    start = max(int(first) - 1, 0)
+    stretch = slice(start, int(last) + 1)
     return x[stretch], y[stretch]
 
 
@@ -149,17 +191,24 @@ def thin_line(x: Values, y: Values) -> tuple[Stretch, Stretch]:
 
     Closed curves with gaps (discs) are not thinned.
     """
-    seen = np.isfinite(x) & np.isfinite(y)
-    starts_gap = ~seen & np.r_[True, seen[:-1]]
-    kept = np.flatnonzero(seen | starts_gap)
+    is_seen = np.isfinite(x) & np.isfinite(y)
+    drawn = np.flatnonzero(is_seen | starts_of_gaps(is_seen))
     if np.isfinite(x).all():
-        kept = kept[:: _stride(len(kept))]
-    return x[kept], y[kept]
+        drawn = drawn[:: _stride(len(drawn))]
+    return x[drawn], y[drawn]
+
+
+def starts_of_gaps(is_seen: Bool[np.ndarray, "T"]) -> Bool[np.ndarray, "T"]:
+    """Mark the first missing point of each gap."""
+    previous = np.ones_like(is_seen)
+    previous[1:] = is_seen[:-1]
+    return previous & ~is_seen
 
 
 def _stride(points: int) -> int:
     """Number of points of a long line for each point that is drawn."""
-    return max(1, -(-points // MOST_POINTS))
+    stride = math.ceil(points / MOST_POINTS)
+    return max(1, stride)
 
 
 def short_numbers(values: Values) -> list[float | None]:

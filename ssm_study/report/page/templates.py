@@ -1,139 +1,189 @@
 """Chart specifications of the report page whose data are filled in by the page's script."""
 
 import json
-from typing import Any
 
 import pandas as pd
 
-from ssm_study.report.page.chart_looks import framed, quantitative
+from ssm_study.report.page.chart_looks import Spec, framed, horizontal_legend, quantitative
 from ssm_study.report.words import VERDICTS, column_words
 from ssm_study.style import BLUE, CYCLE, GREY, INK, PALE
 from ssm_study.table.columns import numeric_column, swept_settings
 
 TIME = "Time (s)"
 MOST_PARALLEL = 500  # runs: more lines are no picture
+FEWEST_AXES = 3
+PARALLEL_HEIGHT = 230  # pixels
 PALE_FROM = 200  # runs: from here on lines are nearly transparent
+PALE_OPACITY = 0.15
+OPACITY = 0.6
 PARALLEL = ("fit_test_percent", "resolved_margin", "settling_time_mean_s", "stable_fraction")
-BAND = {
-    "data": {"name": "band"},
-    "mark": {"type": "rect", "color": PALE},
-    "encoding": {"y": {"field": "low", "type": "quantitative"}, "y2": {"field": "high"}},
-}
-BY_OUTCOME = {
-    "field": "verdict",
-    "type": "nominal",
-    "legend": None,
-    "scale": {
-        "domain": [verdict.word for verdict in VERDICTS],
-        "range": [verdict.colour for verdict in VERDICTS],
-    },
-}
+ENDS = ("min", "max")
+ROWS = {"name": "rows"}
+BAND_MARK = {"type": "rect", "color": PALE}
+BAND_LOW = {"field": "low", "type": "quantitative"}
+BAND_HIGH = {"field": "high"}
+BAND_ENCODING = {"y": BAND_LOW, "y2": BAND_HIGH}
+BAND = {"data": {"name": "band"}, "mark": BAND_MARK, "encoding": BAND_ENCODING}
+OUTCOME_NAMES = [verdict.word for verdict in VERDICTS]
+OUTCOME_COLOURS = [verdict.colour for verdict in VERDICTS]
+OUTCOME_SCALE = {"domain": OUTCOME_NAMES, "range": OUTCOME_COLOURS}
+BY_OUTCOME = {"field": "verdict", "type": "nominal", "legend": None, "scale": OUTCOME_SCALE}
 
 
-def chart_templates(table: pd.DataFrame) -> dict[str, Any]:
+def chart_templates(table: pd.DataFrame) -> Spec:
     """Vega-Lite charts, keyed by name, whose data the page's script fills in. `parallel` is there
     only if it has something to show."""
-    found = {
-        "responses": response_chart(),
-        "signals": signal_chart(),
-        "played": played_response_chart(),
-    }
+    charts = {"responses": response_chart()}
+    charts["signals"] = signal_chart()
+    charts["played"] = played_response_chart()
     parallel = parallel_coordinates(table)
-    return found | ({} if parallel is None else {"parallel": parallel})
+    if parallel is not None:
+        charts["parallel"] = parallel
+    return charts
 
 
-def line_layer(colour: dict[str, Any], **mark: Any) -> dict[str, Any]:
+def time_axes() -> Spec:
+    """Vega-Lite axes of values over time; the values need not include zero."""
+    x = quantitative("t", TIME)
+    y = quantitative("value", None, zero=False, nice=False)
+    return {"x": x, "y": y}
+
+
+def line_layer(colour: Spec) -> Spec:
     """Layer that draws lines over time from the data set `rows`."""
-    line = {"type": "line", "strokeWidth": 1.4, "clip": True, **mark}
-    encoding: dict[str, Any] = {"x": quantitative("t", TIME)}
-    encoding["y"] = quantitative("value", None, zero=False, nice=False)
+    line = {"type": "line", "strokeWidth": 1.4, "clip": True}
+    encoding = time_axes()
     encoding["color"] = colour
     encoding["detail"] = {"field": "case"}
-    return {"data": {"name": "rows"}, "mark": line, "encoding": encoding}
+    return {"data": ROWS, "mark": line, "encoding": encoding}
 
 
-def response_chart() -> dict[str, Any]:
+def response_chart() -> Spec:
     """Chart of closed-loop responses, one line per initial state. Colours follow the order of their
     first values."""
-    by_rank = {"field": "rank", "type": "ordinal", "legend": None, "scale": {"scheme": "viridis"}}
-    return framed({"layer": [BAND, line_layer(by_rank)]}, "")
+    by_rank: Spec = {"field": "rank", "type": "ordinal", "legend": None}
+    by_rank["scale"] = {"scheme": "viridis"}
+    lines = line_layer(by_rank)
+    return framed({"layer": [BAND, lines]}, "")
 
 
-def signal_chart() -> dict[str, Any]:
+def signal_chart() -> Spec:
     """Chart of several named signals on one pair of axes."""
-    by_name: dict[str, Any] = {"field": "kind", "type": "nominal", "sort": None}
+    by_name: Spec = {"field": "kind", "type": "nominal", "sort": None}
     by_name["scale"] = {"range": [GREY, *CYCLE]}  # what was measured first
-    by_name["legend"] = {"title": None, "orient": "top", "columns": 3, "labelLimit": 220}
-    return framed({"layer": [BAND, line_layer(by_name)]}, "")
+    by_name["legend"] = horizontal_legend(3, 220)
+    lines = line_layer(by_name)
+    return framed({"layer": [BAND, lines]}, "")
 
 
-def played_response_chart() -> dict[str, Any]:
+def played_response_chart() -> Spec:
     """Chart of a single response that the page can animate. It shows one initial state under
     control, up to a moment that a slider or the button moves."""
-    one = {"filter": "datum.case === start"}
-    until = {"filter": "datum.t <= moment"}
-    at_moment = [one, until, {"joinaggregate": [{"op": "max", "field": "t", "as": "last"}]}]
-    last = [*at_moment, {"filter": "datum.t === datum.last"}]
-    dot = {"type": "point", "filled": True, "size": 80, "color": INK, "opacity": 1}
-    point = {"transform": last, "mark": dot}
+    params = [slider_parameter("start", "Start "), slider_parameter("moment", "Time (s) ")]
+    layers = [layer_over_time(part) for part in played_parts()]
+    chart = {"params": params, "layer": [BAND, *layers]}
+    return framed(chart, "One start under control, played")
+
+
+def slider_parameter(name: str, words: str) -> Spec:
+    """Vega-Lite parameter that a slider of the page moves."""
+    slider = {"input": "range", "min": 0, "name": words}
+    return {"name": name, "value": 0, "bind": slider}
+
+
+def played_parts() -> list[Spec]:
+    """Parts of the played response: the whole line, the line so far, and the point of the
+    moment."""
+    of_start = {"filter": "datum.case === start"}
+    until_moment = {"filter": "datum.t <= moment"}
+    latest_time = {"op": "max", "field": "t", "as": "last"}
+    add_latest = {"joinaggregate": [latest_time]}
+    at_latest = {"filter": "datum.t === datum.last"}
     faint = {"type": "line", "color": GREY, "opacity": 0.45, "strokeWidth": 1.2}
-    whole = {"transform": [one], "mark": faint}
     strong = {"type": "line", "color": BLUE, "strokeWidth": 2}
-    past = {"transform": [one, until], "mark": strong}
-    drawn: list[dict[str, Any]] = [whole, past, point]
-    y = quantitative("value", None, zero=False, nice=False)
-    encoding = {"x": quantitative("t", TIME), "y": y}
-    layer = [{"data": {"name": "rows"}, "encoding": encoding, **part} for part in drawn]
-    start = {"input": "range", "min": 0, "name": "Start "}
-    moment = {"input": "range", "min": 0, "name": "Time (s) "}
-    params = [
-        {"name": "start", "value": 0, "bind": start},
-        {"name": "moment", "value": 0, "bind": moment},
-    ]
-    return framed({"params": params, "layer": [BAND, *layer]}, "One start under control, played")
+    dot = {"type": "point", "filled": True, "size": 80, "color": INK, "opacity": 1}
+    whole = {"transform": [of_start], "mark": faint}
+    past = {"transform": [of_start, until_moment], "mark": strong}
+    point = {"transform": [of_start, until_moment, add_latest, at_latest], "mark": dot}
+    return [whole, past, point]
 
 
-def parallel_coordinates(table: pd.DataFrame) -> dict[str, Any] | None:
+def layer_over_time(part: Spec) -> Spec:
+    """Layer of the data set `rows` over time, with the marks of a part."""
+    return {"data": ROWS, "encoding": time_axes(), **part}
+
+
+def parallel_coordinates(table: pd.DataFrame) -> Spec | None:
     """Chart with one line per run over the swept settings and four results; None with too few or
     too many runs. Each axis runs from its smallest to its largest value."""
-    candidates = [name for name in (*swept_settings(table), *PARALLEL) if name in table]
-    names = [name for name in candidates if numeric_column(table, name).nunique() > 1]
-    if len(names) < 3 or len(table) > MOST_PARALLEL:
+    names = parallel_columns(table)
+    if len(names) < FEWEST_AXES or len(table) > MOST_PARALLEL:
         return None
     x = parallel_axis(names)
-    ends = [{"op": op, "field": "value", "as": op} for op in ("min", "max")]
-    share = "datum.max > datum.min ? (datum.value - datum.min) / (datum.max - datum.min) : 0.5"
-    scaled = [{"joinaggregate": ends, "groupby": ["key"]}, {"calculate": share, "as": "share"}]
+    fold = fold_columns(names)
+    layers = [parallel_lines(fold, x, len(table))]
+    layers += [end_label(end, fold, x) for end in ENDS]
+    listed = ", ".join(map(column_words, names))
+    description = f"All runs over {listed}: one line per run"
+    spec: Spec = {"data": ROWS, "layer": layers}
+    spec["usermeta"] = {"fields": names}
+    return framed(spec, description, PARALLEL_HEIGHT)
+
+
+def parallel_columns(table: pd.DataFrame) -> list[str]:
+    """Swept settings and results that differ between the runs of a table."""
+    candidates = (*swept_settings(table), *PARALLEL)
+    present = [name for name in candidates if name in table]
+    return [name for name in present if numeric_column(table, name).nunique() > 1]
+
+
+def fold_columns(names: list[str]) -> list[Spec]:
+    """Vega-Lite transform that makes a row of each run and column with a number."""
+    fold = {"fold": names, "as": ["key", "value"]}
     known = {"filter": "isValid(datum.value) && isNumber(datum.value)"}
-    fold: list[dict[str, Any]] = [{"fold": names, "as": ["key", "value"]}, known]
-    opacity = 0.15 if len(table) > PALE_FROM else 0.6
+    return [fold, known]
+
+
+def parallel_lines(fold: list[Spec], x: Spec, runs: int) -> Spec:
+    """Layer with a line per run, each axis scaled to what the runs span."""
+    ends = [aggregate_value(end) for end in ENDS]
+    add_ends = {"joinaggregate": ends, "groupby": ["key"]}
+    share = "datum.max > datum.min ? (datum.value - datum.min) / (datum.max - datum.min) : 0.5"
+    scale = {"calculate": share, "as": "share"}
+    opacity = PALE_OPACITY if runs > PALE_FROM else OPACITY
     mark = {"type": "line", "strokeWidth": 1.3, "opacity": opacity}
     y = {"field": "share", "type": "quantitative", "axis": None}
-    encoding = {"x": x, "y": y, "detail": {"field": "i"}, "color": BY_OUTCOME}
-    lines = {"transform": [*fold, *scaled], "mark": mark, "encoding": encoding}
-    labels = [end_label(op, fold, x) for op in ("min", "max")]
-    description = f"All runs over {', '.join(map(column_words, names))}: one line per run"
-    spec = {"data": {"name": "rows"}, "layer": [lines, *labels], "usermeta": {"fields": names}}
-    return framed(spec, description, 230)
+    encoding = {"x": x, "y": y, "detail": {"field": "i"}}
+    encoding["color"] = BY_OUTCOME
+    return {"transform": [*fold, add_ends, scale], "mark": mark, "encoding": encoding}
 
 
-def parallel_axis(names: list[str]) -> dict[str, Any]:
+def aggregate_value(operation: str) -> Spec:
+    """Vega-Lite aggregate of the column `value`, named like its operation."""
+    return {"op": operation, "field": "value", "as": operation}
+
+
+def parallel_axis(names: list[str]) -> Spec:
     """Axis with one place for each column, which has its printed name without unit."""
     titles = {name: column_words(name).partition(" (")[0] for name in names}
-    axis = {
-        "labelExpr": f"({json.dumps(titles)})[datum.value]",
-        "labelAngle": -20,
-        "labelLimit": 150,
-        "grid": True,
-        "domain": False,
-    }
-    return {"field": "key", "type": "nominal", "sort": names, "title": None, "axis": axis}
+    written_titles = json.dumps(titles)
+    axis: Spec = {"labelExpr": f"({written_titles})[datum.value]"}
+    axis["labelAngle"] = -20
+    axis["labelLimit"] = 150
+    axis["grid"] = True
+    axis["domain"] = False
+    x: Spec = {"field": "key", "type": "nominal", "sort": names}
+    x["title"] = None
+    x["axis"] = axis
+    return x
 
 
-def end_label(op: str, fold: list[dict[str, Any]], x: dict[str, Any]) -> dict[str, Any]:
+def end_label(end: str, fold: list[Spec], x: Spec) -> Spec:
     """Vega-Lite layer with the number at one end of each axis of a parallel-coordinates chart."""
-    aggregated = {"aggregate": [{"op": op, "field": "value", "as": op}], "groupby": ["key"]}
+    aggregate = {"aggregate": [aggregate_value(end)], "groupby": ["key"]}
     mark = {"type": "text", "dx": 6, "align": "left", "fontSize": 10, "color": INK}
-    y = {"datum": 1 if op == "max" else 0, "type": "quantitative"}
-    encoding = {"x": x, "y": y, "text": {"field": op, "format": ".3~g"}}
-    return {"transform": [*fold, aggregated], "mark": mark, "encoding": encoding}
+    height = 1 if end == "max" else 0
+    y = {"datum": height, "type": "quantitative"}
+    text = {"field": end, "format": ".3~g"}
+    encoding = {"x": x, "y": y, "text": text}
+    return {"transform": [*fold, aggregate], "mark": mark, "encoding": encoding}
