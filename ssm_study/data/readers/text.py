@@ -13,7 +13,8 @@ from pyarrow import csv as arrow_csv
 
 from ssm_study.data.dates import AmbiguousDates, is_date, seconds_since_first
 from ssm_study.data.readers.reader import Reader, Table, find_column
-from ssm_study.data.text_layout import MISSING, TextLayout, TextSettings, detect_layout
+from ssm_study.data.text_cells import MISSING
+from ssm_study.data.text_layout import TextLayout, TextSettings, detect_layout
 from ssm_study.data.written_numbers import AMBIGUOUS, normalise_numbers
 from ssm_study.refusal import BadRequest
 

@@ -1,0 +1,39 @@
+"""Cells of a text file: splitting of lines, and which cells are numbers, dates or missing."""
+
+import csv
+import re
+
+MISSING_WORDS = "nan na n/a #n/a n.a. #nv null none - -- --- ---- ? nat -nan 1.#qnan missing"
+MISSING = frozenset(["", *MISSING_WORDS.split()])
+NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?|[-+]?inf(inity)?", re.IGNORECASE)
+COMMA_NUMBER = re.compile(
+    r"[-+]?(\d+(,\d+)?|,\d+)([eEdD][-+]?\d+)?|[-+]?inf(inity)?", re.IGNORECASE
+)
+DATE = re.compile(
+    r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ]+\d{1,2}:\d\d(:\d\d([.,]\d+)?)?\s*([AaPp][Mm])?\s*"
+    r"(Z|UTC|[-+]\d\d:?\d\d)?)?|\d{1,2}:\d\d:\d\d([.,]\d+)?"
+)
+
+
+def split_cells(line: str, separator: str) -> list[str]:
+    """Split one line of a text file into cells, without the spaces around them."""
+    if separator == " ":
+        return [cell.strip('"') for cell in line.split()]
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(separator)]
+    try:
+        cells = next(csv.reader([line], delimiter=separator))
+    except (csv.Error, StopIteration):
+        return [line]
+    return [cell.strip() for cell in cells]
+
+
+def is_value(cell: str, decimal: str) -> bool:
+    """Whether a cell is a number, a date or a missing value."""
+    number = COMMA_NUMBER if decimal == "," else NUMBER
+    return cell.lower() in MISSING or bool(number.fullmatch(cell) or DATE.fullmatch(cell))
+
+
+def is_number(cell: str, decimal: str) -> bool:
+    """Whether a cell is a number."""
+    return bool((COMMA_NUMBER if decimal == "," else NUMBER).fullmatch(cell))

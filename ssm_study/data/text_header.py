@@ -1,0 +1,117 @@
+"""Header of a text file: names of its columns, units and prose above the numbers."""
+
+import re
+from pathlib import Path
+
+from ssm_study.data.text_cells import is_value, split_cells
+from ssm_study.refusal import BadRequest, require
+
+UNIT = re.compile(r"[A-Za-zµμ°%Ωω·*/^²³\-\d. ]{1,12}|\([^()]{1,12}\)|\[[^\[\]]{1,12}\]")
+FIRST_LINES = 5  # lines among which the names of the columns are looked for again further down
+# Titles of clocks that are no units: of two rows of words, that with such a title holds names.
+CLOCK_WORDS = ("time", "timestamp", "date", "datetime", "zeit", "datum", "temps", "times",
+               "zeitstempel", "tiempo", "clock", "elapsed", "timems")  # fmt: skip
+NumberedLine = tuple[int, str]
+
+
+def number_with_noun(number: int, noun: str) -> str:
+    """Write a number with its noun in singular or plural. A number with its noun: `1 line`, `2
+    lines`."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def fits_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
+    """Whether a row above the numbers has one cell for each column, so that it can name them."""
+    if len(row) == columns + 1:
+        return row[-1] == ""
+    if len(row) == columns - 1:
+        regular = [cells for cells in sample if len(cells) == columns]
+        return columns > 1 and not any(cells[-1] for cells in regular)
+    return len(row) == columns
+
+
+def refuse_shifted_names(
+    path: Path, cells: list[list[str]], above: list[list[str]], columns: int
+) -> None:
+    """Refuse a header line with one name too many or too few. A trace whose variables stand one
+    below the other is refused, too."""
+    stacked = bool(above or cells) and (above + cells)[0][0].strip().lower() == "[key]"
+    remedy = "export a table with one column a variable"
+    problem = "is a trace of keys and values, its variables one below the other"
+    require(not stacked, "data.path", path, problem, remedy)
+    if cells and not above and columns > 2 and abs(len(cells[-1]) - columns) == 1:
+        names = f"{len(cells[-1])} names"
+        problem = f"the rows have {columns} cells"
+        raise BadRequest(path.name, names, problem, "correct the line of names")
+
+
+def remove_repeated_header_lines(body: list[NumberedLine]) -> tuple[list[NumberedLine], int]:
+    """Remove lines that repeat the header of a text file, and count them.
+
+    A logger that is switched on again writes its line of names again.
+    """
+    first = {line.strip() for _, line in body[:FIRST_LINES] if not re.search(r"\d", line)}
+    lines = body[:1]
+    for number, line in body[1:]:
+        if line.strip() not in first or number <= body[0][0] + FIRST_LINES:
+            lines.append((number, line))
+    return lines, len(body) - len(lines)
+
+
+def split_names_and_units(above: list[list[str]]) -> tuple[list[str] | None, list[str]]:
+    """Separate the header lines of a text file into column names and units."""
+    if not above:
+        return None, []
+    for k in reversed(range(len(above))):
+        if any(fold_header_cell(cell) in CLOCK_WORDS for cell in above[k]):
+            below = above[k + 1 : k + 2]
+            units = below[0] if below and are_possible_units(below[0], len(above[k])) else []
+            return above[k], [cell.strip("()[] ") for cell in units]
+    *before, last = above
+    if before and are_possible_units(last, len(before[-1])):
+        return before[-1], [cell.strip("()[] ") for cell in last]
+    return last, []
+
+
+def are_possible_units(cells: list[str], columns: int) -> bool:
+    """Whether the cells of a row below the column names could all be units."""
+    filled = [cell for cell in cells if cell]
+    return len(cells) == columns and all(map(UNIT.fullmatch, filled))
+
+
+def fold_header_cell(cell: str) -> str:
+    """Title of a column in lower case, without its unit in brackets."""
+    return re.sub(r"[\W_]+", "", re.sub(r"[\[(].*", "", cell)).lower()
+
+
+def parse_names_in_comment(
+    comments: list[str], separator: str, columns: int, decimal: str
+) -> list[str] | None:
+    """Parse the column names in the last comment line, as NumPy writes them. None without."""
+    bare = comments[-1].strip().lstrip('#%/" ')
+    for mark in (separator, ",", ";", "\t", " "):
+        cells = split_cells(bare, mark)
+        if len(cells) == columns and not any(is_value(cell, decimal) for cell in cells):
+            return cells
+    return None
+
+
+def numbered_column_names(
+    cells: list[list[str]], columns: int, header: bool | None
+) -> tuple[list[str] | None, int]:
+    """Column names `0,1,2` or `1,2,3` in the first row of a table, and the number of rows they
+    take.
+
+    Counting from 0 they are names if the numbers below are unlike whole numbers, as pandas writes
+    an array; counting from 1, always (a reader that is asked for a number refuses to guess).
+    """
+    first = cells[0]
+    if header is not None:
+        return (first, 1) if header else (None, 0)
+    if first == [str(j + 1) for j in range(columns)] and columns > 1:
+        return first, 1
+    below = [cell for row in cells[1:12] for cell in row]
+    unlike = all(not cell.lstrip("+-").isdigit() for cell in below if cell)
+    if first == [str(j) for j in range(columns)] and below and unlike:
+        return first, 1
+    return None, 0
