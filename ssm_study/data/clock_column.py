@@ -45,13 +45,23 @@ SECONDS = {
     "d": 86400.0,
     "day": 86400.0,
     "days": 86400.0,
+    "с": 1.0,
+    "сек": 1.0,
+    "мс": 1e-3,
+    "мкс": 1e-6,
+    "мин": 60.0,
+    "ч": 3600.0,
+    "秒": 1.0,
+    "毫秒": 1e-3,
+    "分": 60.0,
+    "小时": 3600.0,
 }
 WORDS = ("time", "t", "timestamp", "timestamps", "times", "date", "datetime", "dateandtime", "zeit",
          "zeitstempel", "datum", "clock", "elapsed", "elapsedtime", "runtime", "timesec", "temps",
          "tiempo", "tempo", "epoch", "unixtime", "utc", "timeofday", "simtime",
          "stamp", "localtime", "uptime", "recordtime", "logtime", "ts", "unix", "unixtimestamp",
          "zeitpunkt", "uhrzeit", "heure", "horodatage", "hora", "fecha", "tijd", "tijdstip",
-         "czas", "время", "时间", "時刻", "datenum")  # fmt: skip
+         "czas", "время", "дата", "时间", "時間", "時刻", "datenum")  # fmt: skip
 # Of whole numbers without a unit; the evidence then has a doubt.
 MAYBE_SMALLER = "no unit: taken for seconds, though whole numbers may count milliseconds"
 FEWEST_UNITS = 2.0  # from one row to the next: a clock in seconds often counts one by one

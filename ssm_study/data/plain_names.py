@@ -3,25 +3,36 @@
 import re
 import unicodedata
 
+CYRILLIC = {
+    "а": "a", "б": "b", "в": "v", "г": "g", "д": "d", "е": "e", "ж": "zh", "з": "z", "и": "i",
+    "к": "k", "л": "l", "м": "m", "н": "n", "о": "o", "п": "p", "р": "r", "с": "s", "т": "t",
+    "у": "u", "ф": "f", "х": "kh", "ц": "ts", "ч": "ch", "ш": "sh", "щ": "shch", "ъ": "",
+    "ы": "y", "ь": "", "э": "e", "ю": "yu", "я": "ya", "є": "ye", "і": "i", "ґ": "g",
+}  # fmt: skip
 # Letters that have no plain form of their own in Unicode.
 LETTERS = {"\N{DEGREE SIGN}": "deg", "ß": "ss", "æ": "ae", "Æ": "Ae", "ø": "o", "Ø": "O", "ł": "l"}
 
 
 def plain_name(column: str) -> str:
     """Convert a column's title to a name of ASCII letters, digits and underscores. `Motor voltage
-    (V)` becomes `Motor_voltage_V`, `ω` becomes `omega`."""
+    (V)` becomes `Motor_voltage_V`, `ω` becomes `omega`, `Ток` becomes `Tok`."""
     letters = unicodedata.normalize("NFKD", column)
     spelled = "".join(_spell_in_ascii(letter) for letter in letters)
     return re.sub(r"[^0-9A-Za-z]+", "_", spelled).strip("_") or "signal"
 
 
 def _spell_in_ascii(letter: str) -> str:
-    """Spell a letter in ASCII letters where a spelling is known. `ω` -> `omega`, `Ω` -> `Omega`,
-    `°` -> `deg`, `ß` -> `ss`; another letter stays."""
+    """Spell a letter outside ASCII in ASCII letters. `ω` -> `omega`, `Ω` -> `Omega`, `°` -> `deg`,
+    `ß` -> `ss`; a letter of other scripts by its number, `压` -> `u538b`."""
+    if letter.isascii():
+        return letter
     if letter in LETTERS:
         return LETTERS[letter]
+    if letter.lower() in CYRILLIC:
+        spelled = CYRILLIC[letter.lower()]
+        return spelled if letter.islower() else spelled.capitalize()
     name = re.match(r"GREEK (SMALL|CAPITAL) LETTER (FINAL )?([A-Z]+)", unicodedata.name(letter, ""))
     if name is None:
-        return letter
+        return f"u{ord(letter):x}" if letter.isalpha() else letter
     word = name[3].lower()
     return word if name[1] == "SMALL" else word.title()

@@ -1,6 +1,7 @@
 """Decoding of text files: which code page their bytes are written in."""
 
 import codecs
+import re
 from pathlib import Path
 
 from ssm_study.refusal import BadRequest, require
@@ -13,6 +14,16 @@ BYTE_ORDER_MARKS = (
 PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ": "xz",
           b"7z\xbc\xaf": "7z", b"Rar!": "rar", b"(\xb5/\xfd": "zstd"}  # fmt: skip
 MOSTLY_ZERO = 0.4  # share of every second byte, from which on a text is one of two bytes a letter
+
+FOREIGN_WORD = re.compile(rb"[\x80-\xff]{3,}")  # European words have no three accents in a row
+FIRST_BYTES = 2**16  # of a text, in which its foreign words are looked for
+CYRILLIC = re.compile("[А-Яа-яЁёІіЇїЄєҐґЎў]+")
+GB_FIRST = 0xA1  # lowest byte of a pair
+GB_MARKS = range(0xA1, 0xAA)  # lead bytes of marks and letters
+GB_CHARACTERS = range(0xB0, 0xF8)
+GB_FREQUENT = range(0xB0, 0xD8)
+GB_MOSTLY = 0.75
+KOREAN_SYLLABLES = range(0xB0, 0xC9)
 
 
 def decode_text(path: Path, content: bytes) -> tuple[str, str]:
@@ -40,7 +51,46 @@ def decode_text(path: Path, content: bytes) -> tuple[str, str]:
         return content.decode("utf-8"), "utf-8"
     except UnicodeDecodeError:
         # Numbers are ASCII; the code page only spells the names.
-        return content.decode("cp1252", errors="replace"), "cp1252"
+        page = detect_code_page(content)
+        return content.decode(page, errors="replace"), page
+
+
+def detect_code_page(content: bytes) -> str:
+    """Code page of a text that is not UTF-8: the one in which its foreign words read as words.
+
+    Western European where there are no such words, or where two pages fit. Detectors that count
+    letters need more text than the names of a few columns (`docs/data.md`).
+    """
+    words = FOREIGN_WORD.findall(content[:FIRST_BYTES])
+    readings = {
+        "cp1251": all(is_cyrillic_word(word, "cp1251") for word in words),
+        "cp866": all(is_cyrillic_word(word, "cp866") for word in words),
+        "gb18030": are_chinese_words(words) and not are_possibly_korean(words),
+    }
+    pages = [page for page, fits in readings.items() if fits]
+    return pages[0] if words and len(pages) == 1 else "cp1252"
+
+
+def is_cyrillic_word(word: bytes, page: str) -> bool:
+    """Whether the bytes are Cyrillic letters in a code page, capitals at the beginning alone or
+    throughout."""
+    text = word.decode(page, errors="replace")
+    return bool(CYRILLIC.fullmatch(text)) and text[1:] in (text[1:].lower(), text.upper()[1:])
+
+
+def are_chinese_words(words: list[bytes]) -> bool:
+    """Whether the bytes are pairs of GB2312, and most of them its 3,755 frequent characters."""
+    leads = b"".join(word[::2] for word in words)
+    trails = b"".join(word[1::2] for word in words)
+    is_paired = all(len(word) % 2 == 0 for word in words) and min(trails, default=0) >= GB_FIRST
+    is_known = all(lead in GB_MARKS or lead in GB_CHARACTERS for lead in leads)
+    frequent = sum(lead in GB_FREQUENT for lead in leads)
+    return is_paired and is_known and frequent >= GB_MOSTLY * len(leads)
+
+
+def are_possibly_korean(words: list[bytes]) -> bool:
+    """Whether the same bytes are Korean syllables in EUC-KR."""
+    return all(lead in KOREAN_SYLLABLES for word in words for lead in word[::2])
 
 
 def detect_wide_encoding(content: bytes) -> str:

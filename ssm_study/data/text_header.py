@@ -7,6 +7,7 @@ from ssm_study.data.text_cells import is_value, split_cells
 from ssm_study.refusal import BadRequest, require
 
 UNIT = re.compile(r"[A-Za-zµμ°%Ωω·*/^²³\-\d. ]{1,12}|\([^()]{1,12}\)|\[[^\[\]]{1,12}\]")
+RULES = "-=*_#> "  # marks that draw a line above or below prose
 FIRST_LINES = 5  # lines among which the names of the columns are looked for again further down
 # Titles of clocks that are no units: of two rows of words, that with such a title holds names.
 CLOCK_WORDS = ("time", "timestamp", "date", "datetime", "zeit", "datum", "temps", "times",
@@ -56,6 +57,27 @@ def remove_repeated_header_lines(body: list[NumberedLine]) -> tuple[list[Numbere
         if line.strip() not in first or number <= body[0][0] + FIRST_LINES:
             lines.append((number, line))
     return lines, len(body) - len(lines)
+
+
+def remove_prose_below(
+    body: list[NumberedLine], separator: str, decimal: str, columns: int
+) -> tuple[list[NumberedLine], int]:
+    """Remove the lines of prose below the rows of a table, and count them.
+
+    Prose begins with a word, or draws a line, and is no row of the table: it has another number of
+    cells, or no value in any.
+    """
+    length = len(body)
+    while length > 1:
+        cells = split_cells(body[length - 1][1], separator)
+        values = [is_value(cell, decimal) for cell in cells if cell]
+        bare = cells[0].lstrip(RULES)
+        draws_line = bool(cells[0]) and not bare
+        begins_with_word = bare[:1].isalpha() and not values[0]
+        if not (draws_line or begins_with_word) or (any(values) and len(cells) == columns):
+            break
+        length -= 1
+    return body[:length], len(body) - length
 
 
 def split_names_and_units(above: list[list[str]]) -> tuple[list[str] | None, list[str]]:

@@ -20,6 +20,7 @@ from ssm_study.data.text_header import (
     numbered_column_names,
     parse_names_in_comment,
     refuse_shifted_names,
+    remove_prose_below,
     remove_repeated_header_lines,
     split_names_and_units,
 )
@@ -154,7 +155,8 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
     remarks = [number_with_noun(len(comments), "comment line")] if comments else []
     if repeats:
         remarks.append(f"the line of names {number_with_noun(repeats, 'time')} more")
-    rows = body[header.lines :]
+    rows, prose = remove_prose_below(body[header.lines :], separator, decimal, cells.columns)
+    below = [f"{number_with_noun(prose, 'line')} of prose below"] if prose else []
     return TextLayout(
         separator=separator,
         decimal=decimal,
@@ -164,7 +166,7 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
         rows=[line for _, line in rows],
         line_numbers=[number for number, _ in rows],
         columns=cells.columns,
-        remarks=remarks + header.remarks,
+        remarks=remarks + header.remarks + below,
     )
 
 

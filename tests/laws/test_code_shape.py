@@ -43,7 +43,6 @@ LONG_BODIES = frozenset(
     {
         "ssm_study/data/assembly.py: assemble_dataset",
         "ssm_study/data/recorded.py: __post_init__",
-        "ssm_study/data/text_layout.py: detect_layout",
         "ssm_study/evidence/records.py: _judge_rest",
         "ssm_study/models/structured_kernel.py: _sensitivity_loop",
         "ssm_study/models/structured_spec.py: __post_init__",

@@ -184,3 +184,62 @@ def test_a_fast_clock_in_the_range_of_days_stays_in_seconds(tmp_path: Path) -> N
     (piece,), remark = RecordedData(path=str(path), input="u", output="y").read_pieces(path)
     assert piece.step_s == pytest.approx(0.01)
     assert "(no unit: seconds)" in remark
+
+
+@pytest.mark.parametrize(
+    ("page", "names"),
+    [
+        ("cp1251", "Время (с),Ток,Момент"),
+        ("cp866", "время,вход,выход"),
+        ("gb18030", "时间(s),电压,转速"),
+        ("gb18030", "时间,频率,阈值"),
+        ("cp1252", "Zeit,Öltemp,Température"),
+    ],
+)
+def test_names_in_a_code_page_are_spelled(tmp_path: Path, page: str, names: str) -> None:
+    path = written(tmp_path, PLAIN.replace("time,u,y", names).encode(page))
+    _, u, y = names.split(",")
+    source = RecordedData(path=str(path), input=u, output=y)
+    (piece,), remark = source.read_pieces(path)
+    assert f"encoding {page}" in remark
+    assert (len(piece), piece.step_s) == (ROWS, pytest.approx(0.1))
+    channels = [*source.inputs, *source.outputs]
+    assert len({channel.name for channel in channels}) == len(channels)
+    assert all(channel.name.isidentifier() and channel.name.isascii() for channel in channels)
+
+
+def test_an_ambiguous_code_page_is_read_by_number(tmp_path: Path) -> None:
+    """Korean syllables are Chinese characters in another page: the names stay unread."""
+    content = PLAIN.replace("time,u,y", "시간,전압,속도").encode("euc_kr")
+    path = written(tmp_path, content)
+    with pytest.raises(BadRequest, match="the header has"):
+        RecordedData(path=str(path), input="전압", output="속도").read_pieces(path)
+    (piece,), remark = RecordedData(path=str(path), input="1", output="2", time="0").read_pieces(
+        path
+    )
+    assert len(piece) == ROWS
+    assert "encoding cp1252" in remark
+
+
+@pytest.mark.parametrize(
+    ("below", "lines"),
+    [
+        ("End of the log\n", 1),
+        ("\n-----\nLogger stopped: 300 samples, ok\nTotal: 300\n", 3),
+        ("Logged by A, B, C\n", 1),
+    ],
+)
+def test_prose_below_the_rows_is_no_row(tmp_path: Path, below: str, lines: int) -> None:
+    path = written(tmp_path, PLAIN + below)
+    (piece,), remark = RecordedData(path=str(path), input="u", output="y").read_pieces(path)
+    assert len(piece) == ROWS
+    noun = "line" if lines == 1 else "lines"
+    assert f"{lines} {noun} of prose below" in remark
+
+
+@pytest.mark.parametrize("below", ["30.0,0.3\n", "Sum,0.3,20.1\n"])
+def test_numbers_below_the_rows_are_refused(tmp_path: Path, below: str) -> None:
+    """A row cut short, or one of sums, may be a damaged sample."""
+    path = written(tmp_path, PLAIN + below)
+    with pytest.raises(BadRequest, match=r"does not fit|no number in line 302"):
+        RecordedData(path=str(path), input="u", output="y").read_pieces(path)
