@@ -69,8 +69,24 @@ def judge_poor_fit(case: Case) -> list[Finding]:
                 "records move too little for a percentage: test where the output moves."
             )
         ]
-    remedy = "record more of what moves the output, or another input."
-    return grade_by_size(-pooled, -POOR_FIT, -NO_FIT, f"{sentence}: {remedy}")
+    remedy = poor_fit_remedy(case)
+    return grade_by_size(-pooled, -POOR_FIT, -NO_FIT, f"{sentence}{remedy}")
+
+
+def poor_fit_remedy(case: Case) -> str:
+    """End of the sentence on a poor fit: the model is to blame where something simple fits the test
+    record better, the log where nothing does."""
+    fits = {f"a linear filter of {LAGS} taps": fir_fit_percent(case)}
+    other = simulate_other_start(case.model, case.data, case.test)
+    if other is not None:
+        fits["this model from its other start"] = other.fit_percent
+    name = max(fits, key=lambda key: fits[key])
+    if fits[name] <= max(case.test.fit_percent, 0.0) + LINEAR_BETTER:
+        return ": record more of what moves the output, or another input."
+    return (
+        f", {name} by {fits[name]:.1f} %: the log shows more than this model; set model.order, "
+        "raise training.starts, or cut the log otherwise (data.split)."
+    )
 
 
 def judge_initial_state(case: Case) -> list[Finding]:

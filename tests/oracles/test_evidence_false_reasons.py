@@ -87,6 +87,19 @@ def test_a_small_error_on_records_that_hardly_move_is_a_doubt_with_both_numbers(
     assert levels == ["cannot judge"]
 
 
+def test_a_poor_fit_blames_the_model_where_a_filter_does_better_and_the_log_where_none_does():
+    inverted = case(LEVELS, -answer(LEVELS))
+    (finding,) = fit.judge_poor_fit(inverted)
+    assert finding.level == "cannot judge"
+    assert f"a linear filter of 40 taps by {fit.fir_fit_percent(inverted):.1f} %" in (
+        finding.sentence
+    )
+    assert "record more" not in finding.sentence
+    unrelated = case(LEVELS, RNG.standard_normal(len(LEVELS)))
+    (finding,) = fit.judge_poor_fit(unrelated)
+    assert "record more of what moves the output" in finding.sentence
+
+
 def test_a_coarse_sensor_repeats_itself_by_chance_and_a_copied_record_does_not():
     coarse = np.round(answer(LEVELS, noise=0.1) / 0.25) * 0.25
     assert records.repeated_test_share(case(LEVELS, coarse).data) < records.PART
