@@ -9,9 +9,14 @@ NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?|[-+]?inf(inity)?",
 COMMA_NUMBER = re.compile(
     r"[-+]?(\d+(,\d+)?|,\d+)([eEdD][-+]?\d+)?|[-+]?inf(inity)?", re.IGNORECASE
 )
+TIME_AND_ZONE = r"([T ]+\d{1,2}:\d\d(:\d\d([.,]\d+)?)?\s*([AaPp][Mm])?\s*(Z|UTC|[-+]\d\d:?\d\d)?)?"
+MONTH = r"(jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec)[a-z]*"
 DATE = re.compile(
-    r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ]+\d{1,2}:\d\d(:\d\d([.,]\d+)?)?\s*([AaPp][Mm])?\s*"
-    r"(Z|UTC|[-+]\d\d:?\d\d)?)?|\d{1,2}:\d\d:\d\d([.,]\d+)?"
+    rf"\d{{1,4}}[-/.]\d{{1,2}}[-/.]\d{{1,4}}{TIME_AND_ZONE}"
+    rf"|\d{{1,2}}[-/. ]{MONTH}[-/. ]\d{{4}}{TIME_AND_ZONE}"
+    rf"|{MONTH} \d{{1,2}},? \d{{4}}{TIME_AND_ZONE}"
+    r"|\d{1,2}:\d\d:\d\d([.,]\d+)?",
+    re.IGNORECASE,
 )
 
 

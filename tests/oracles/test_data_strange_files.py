@@ -70,6 +70,8 @@ READ = {
     "since 1970, any name": (with_clock(lambda k: f"{1772700000000 + 100 * k}", "stempel"), 0.1),
     "seconds since 1970": (with_clock(lambda k: f"{1772700000 + k}", "ts"), 1.0),
     "name of a month": (dated("%d-%b-%Y %H:%M:%S"), 1.0),
+    "name of a month, tabs": (dated("%d-%b-%Y %H:%M:%S").replace(",", "\t"), 1.0),
+    "month, day, year, tabs": (dated("%b %d %Y %H:%M:%S").replace(",", "\t"), 1.0),
     "month, day, year": (dated('"%b %d, %Y %H:%M:%S"'), 1.0),
     "dates without dashes": (dated("%Y%m%dT%H%M%S"), 1.0),
     "zone of two digits": (dated("%Y-%m-%d %H:%M:%S+01"), 1.0),
