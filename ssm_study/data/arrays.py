@@ -15,6 +15,8 @@ from ssm_study.data.clock_column import is_clock_name
 from ssm_study.data.plain_names import plain_name
 from ssm_study.refusal import NO_NUMBERS, BadRequest, require
 
+SignalTable = Float[np.ndarray, "T c"]
+
 ARRAYS = "logs"  # folder of the files that arrays become
 INTERPOLATE_OR_CUT = "interpolate it, or give the stretches around it as a list of experiments"
 # From so many on, a table that is wider than long lies on its side.
@@ -37,7 +39,8 @@ def write_log_files(
 ) -> LoggedArrays:
     """Write the arrays of experiments to log files. Each becomes `logs/<digest>.parquet`, so that
     equal numbers give the same run."""
-    several = isinstance(u, list | tuple) and len(u) > 0 and np.ndim(u[0]) > 0
+    is_list = isinstance(u, list | tuple) and len(u) > 0
+    several = is_list and np.ndim(u[0]) > 0
     signals = {"u": u, "y": y}
     if disturbance is not None:
         signals["disturbance"] = disturbance
@@ -45,17 +48,20 @@ def write_log_files(
     counts = tuple(map(len, experiments.values()))
     remedy = "give one y for each u"
     names = ", ".join(signals)
-    require(len(set(counts)) == 1, names, counts, "not as many experiments", remedy)
+    problem = "not as many experiments"
+    require(len(set(counts)) == 1, names, counts, problem, remedy)
     (folder / ARRAYS).mkdir(parents=True, exist_ok=True)
     paths = []
     for parts in zip(*experiments.values(), strict=True):
         columns, table = combine_signal_columns(dict(zip(experiments, parts, strict=True)), step_s)
-        content = repr(list(table)).encode() + table.to_numpy().tobytes()
+        titles = repr(list(table)).encode()
+        content = titles + table.to_numpy().tobytes()
         digest = hashlib.sha256(content).hexdigest()
         path = folder / ARRAYS / f"{digest[:16]}.parquet"
         table.to_parquet(path)
         paths.append(str(path))
-    return LoggedArrays(paths, columns["u"], columns["y"], columns.get("disturbance", []))
+    disturbances = columns.get("disturbance", [])
+    return LoggedArrays(paths, columns["u"], columns["y"], disturbances)
 
 
 def combine_signal_columns(
@@ -76,26 +82,31 @@ def combine_signal_columns(
     require(len(set(lengths)) == 1, names, lengths, "differ in length", remedy)
     titles = [title for own in columns.values() for title in own]
     problem = "two signals have one name"
-    require(len(set(titles)) == len(titles), names, titles, problem, "rename the columns")
+    is_unique = len(set(titles)) == len(titles)
+    require(is_unique, names, titles, problem, "rename the columns")
     refuse_clocks_and_copies(titles, np.hstack(values))
     return columns, pd.DataFrame(np.hstack(values), columns=titles)
 
 
-def refuse_clocks_and_copies(titles: Sequence[str], values: Float[np.ndarray, "T c"]) -> None:
+def refuse_clocks_and_copies(titles: Sequence[str], values: SignalTable) -> None:
     """Refuse a column that is a clock, and one that repeats the numbers of another."""
     for k, (title, column) in enumerate(zip(titles, values.T, strict=True)):
-        is_clock = is_clock_name(title) and bool((np.diff(column) > 0).all())
+        increases = bool((np.diff(column) > 0).all())
+        is_clock = is_clock_name(title) and increases
         problem = "is the clock: it increases from row to row"
-        require(not is_clock, "u, y (column)", title, problem, "name a signal")
+        remedy = "name a signal"
+        require(not is_clock, "u, y (column)", title, problem, remedy)
         for j in range(k):
-            is_copy = np.ptp(column) > 0 and np.array_equal(column, values[:, j])
+            is_equal = np.array_equal(column, values[:, j])
+            is_copy = np.ptp(column) > 0 and is_equal
             problem = f"holds the numbers of {titles[j]}"
-            require(not is_copy, "u, y (column)", title, problem, "give another signal")
+            remedy = "give another signal"
+            require(not is_copy, "u, y (column)", title, problem, remedy)
 
 
 def signal_columns(
     values: Any, name: str, channels: int | None = None, columns: Sequence[str] | None = None
-) -> tuple[list[str], Float[np.ndarray, "T c"]]:
+) -> tuple[list[str], SignalTable]:
     """Convert one signal, given as an array, series or frame, to numbers and channel names. Columns
     of a frame are taken in the order of `columns`.
 
@@ -107,7 +118,8 @@ def signal_columns(
     table = as_real_matrix(values, name)
     problem = f"needs one column per channel: {channels}"
     remedy = "give those that the model was fitted to"
-    require(channels in (None, table.shape[1]), name, table.shape, problem, remedy)
+    fits = channels in (None, table.shape[1])
+    require(fits, name, table.shape, problem, remedy)
     refuse_nonfinite(table, values, name)
     if isinstance(values, pd.Series) and values.name is not None:
         return [str(values.name)], table
@@ -127,11 +139,13 @@ def disturbance_values(
     if values is None:
         return None
     problem = "the model was fitted without measured disturbances"
-    require(len(names) > 0, "disturbance", "given", problem, "give them to st.fit")
+    remedy = "give them to st.fit"
+    require(len(names) > 0, "disturbance", "given", problem, remedy)
     table = signal_columns(values, "disturbance", len(names), names)[1]
     problem = f"the input has {samples} samples"
     fits = samples in (None, len(table))
-    require(fits, "disturbance", len(table), problem, "cut both to the same samples")
+    remedy = "cut both to the same samples"
+    require(fits, "disturbance", len(table), problem, remedy)
     return table
 
 
@@ -141,20 +155,23 @@ def select_columns(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> pd
     A frame whose columns have no names of their own (0, 1, ...) is taken by place.
     """
     own = [plain_name(str(title)) for title in frame]
-    if list(frame) == list(range(len(own))) or len(own) != len(columns):
+    nameless = list(frame) == list(range(len(own)))
+    if nameless or len(own) != len(columns):
         return frame
     named = sorted(own) == sorted(columns)
     problem = f"the model's channels are {', '.join(columns)}"
-    require(named, f"{name} (columns)", ", ".join(own), problem, "rename them, or give an array")
+    remedy = "rename them, or give an array"
+    require(named, f"{name} (columns)", ", ".join(own), problem, remedy)
     return frame.iloc[:, [own.index(title) for title in columns]]
 
 
-def as_real_matrix(values: Any, name: str) -> Float[np.ndarray, "T c"]:
+def as_real_matrix(values: Any, name: str) -> SignalTable:
     """Convert values to a two-dimensional array of real numbers. Raises `BadRequest` for complex
     numbers, dates, masked samples and arrays with more columns than rows."""
     remedy = "give an array (T, channels)"
-    masked = np.ma.isMaskedArray(values) and bool(np.ma.getmaskarray(values).any())
-    first = int(np.argwhere(np.ma.getmaskarray(values))[0][0]) if masked else 0
+    mask = np.ma.getmaskarray(values) if np.ma.isMaskedArray(values) else np.zeros(1, dtype=bool)
+    masked = bool(mask.any())
+    first = int(np.argwhere(mask)[0][0]) if masked else 0
     require(not masked, f"{name}[{first}]", "masked", "no number", INTERPOLATE_OR_CUT)
     try:
         raw = np.asarray(values)
@@ -177,7 +194,7 @@ def as_real_matrix(values: Any, name: str) -> Float[np.ndarray, "T c"]:
     return table
 
 
-def refuse_nonfinite(table: Float[np.ndarray, "T c"], values: Any, name: str) -> None:
+def refuse_nonfinite(table: SignalTable, values: Any, name: str) -> None:
     """Raise `BadRequest` for an array with a number that is not finite, and name its place, as in
     `y[1999] is NaN`."""
     bad = np.argwhere(~np.isfinite(table))
@@ -202,16 +219,19 @@ def check_time_index(u: Any, y: Any, step_s: float | None) -> None:
         (_, first), (_, second) = indexed
         problem = "their indexes differ: the samples are not of the same times"
         same = first.equals(second)
-        require(same, "u, y (index)", second[0], problem, "align them: y.reindex(u.index)")
+        remedy = "align them: y.reindex(u.index)"
+        require(same, "u, y (index)", second[0], problem, remedy)
     for name, index in indexed[:1]:
         times_s = index_times_s(index)
         if times_s is None:
             continue
         refuse_uneven_index(times_s, name)
-        period_s = float(times_s[-1] - times_s[0]) / (len(times_s) - 1)
+        span_s = float(times_s[-1] - times_s[0])
+        period_s = span_s / (len(times_s) - 1)
         agrees = step_s is None or abs(step_s - period_s) <= AGREEMENT * period_s
         problem = f"the index of {name} shows {period_s:.6g} s"
-        require(agrees, "step_s", step_s, problem, "correct one of them")
+        remedy = "correct one of them"
+        require(agrees, "step_s", step_s, problem, remedy)
 
 
 def refuse_uneven_index(times_s: Float[np.ndarray, "T"], name: str) -> None:

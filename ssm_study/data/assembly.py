@@ -41,52 +41,61 @@ def assemble_dataset(
     `BadRequest` for a part without records, differing sampling times, a record no longer than the
     start-up window, or a channel that is constant over the training records.
     """
-    named_parts: dict[str, Any] = {}
-    for part, records in zip(("training", "validation", "test"), parts, strict=True):
-        require(
-            len(records) > 0,
-            f"data.{part}",
-            "none",
-            "a data set needs at least one record here",
-            "add one",
-        )
-        named_parts[part] = tuple(
-            replace(record, name=f"{part}_{k + 1}") for k, record in enumerate(records)
-        )
+    named_parts = _name_records(parts)
     training = named_parts["training"]
-    window = f"no longer than the start-up window of {start_up_samples} samples"
-    step_s = training[0].step_s
-    for record in (record for records in named_parts.values() for record in records):
-        remedy = "use a longer record or a smaller data.start_up_samples"
-        require(
-            len(record) > start_up_samples + 1,
-            f"{record.name} (samples)",
-            len(record),
-            window,
-            remedy,
-        )
-        same = abs(record.step_s - step_s) <= SAME_STEP * step_s
-        problem = f"differs from the {step_s:g} s of the first training record"
-        require(
-            same,
-            f"{record.name}.step_s",
-            record.step_s,
-            problem,
-            "resample the records to one sampling time",
-        )
+    for records in named_parts.values():
+        for record in records:
+            _check_record(record, training[0].step_s, start_up_samples)
     scales: dict[str, Any] = {}
     for (name, side), at, own in zip(SIDES, rest, channels, strict=False):
         values = np.concatenate([getattr(record, side) for record in training])
-        problem = "constant over the training records, so nothing can be identified from it"
-        for column, channel in zip(values.T, own, strict=True):
-            moves = np.ptp(column) > 0
-            remedy = "excite it, or leave the channel out"
-            require(moves, channel.name, column[0], problem, remedy)
-        scales[f"{name}_scale"] = np.sqrt(np.mean((values - at) ** 2, axis=0))
+        _refuse_constant_channels(values, own)
+        squares = (values - at) ** 2
+        scales[f"{name}_scale"] = np.sqrt(np.mean(squares, axis=0))
         scales[f"{name}_equilibrium"] = at
-    fields |= {"inputs": channels[0], "outputs": channels[1], "start_up_samples": start_up_samples}
-    fields |= {"disturbances": channels[2]} if len(channels) > 2 else {}
+    fields["inputs"] = channels[0]
+    fields["outputs"] = channels[1]
+    fields["start_up_samples"] = start_up_samples
+    if len(channels) > 2:
+        fields["disturbances"] = channels[2]
     return DataSet(**named_parts, **fields, scale=Scale(**scales))
+
+
+def _name_records(parts: Parts) -> dict[str, Any]:
+    """Name the records of each part after it, `training_1`; refuses a part without records."""
+    named: dict[str, Any] = {}
+    names = ("training", "validation", "test")
+    for part, records in zip(names, parts, strict=True):
+        problem = "a data set needs at least one record here"
+        remedy = "add one"
+        require(len(records) > 0, f"data.{part}", "none", problem, remedy)
+        numbered = enumerate(records, start=1)
+        named[part] = tuple(replace(record, name=f"{part}_{k}") for k, record in numbered)
+    return named
+
+
+def _check_record(record: Trajectory, step_s: float, start_up_samples: int) -> None:
+    """Refuse a record that is too short, or has another sampling time than the first."""
+    field = f"{record.name} (samples)"
+    is_long = len(record) > start_up_samples + 1
+    problem = f"no longer than the start-up window of {start_up_samples} samples"
+    remedy = "use a longer record or a smaller data.start_up_samples"
+    require(is_long, field, len(record), problem, remedy)
+    is_same = abs(record.step_s - step_s) <= SAME_STEP * step_s
+    problem = f"differs from the {step_s:g} s of the first training record"
+    remedy = "resample the records to one sampling time"
+    require(is_same, f"{record.name}.step_s", record.step_s, problem, remedy)
+
+
+def _refuse_constant_channels(
+    values: Float[np.ndarray, "T c"], channels: Sequence[Channel]
+) -> None:
+    """Refuse a channel that does not move over the training records."""
+    problem = "constant over the training records, so nothing can be identified from it"
+    remedy = "excite it, or leave the channel out"
+    for column, channel in zip(values.T, channels, strict=True):
+        moves = np.ptp(column) > 0
+        require(moves, channel.name, column[0], problem, remedy)
 
 
 def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."]], dict[str, Any]]:
@@ -94,27 +103,37 @@ def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."
     Arrays `part/i/u`, `part/i/y` (and `d`) and the vectors of the scale; names, units and periods
     in the dictionary."""
     arrays = {name: values for name, values in vars(data.scale).items() if values.size}
-    about: dict[str, Any] = {
-        "start_up_samples": data.start_up_samples,
-        "metadata": dict(data.metadata),
-    }
+    about: dict[str, Any] = {}
+    about["start_up_samples"] = data.start_up_samples
+    about["metadata"] = dict(data.metadata)
     for name in ("inputs", "outputs", "disturbances"):
         channels = [asdict(channel) for channel in getattr(data, name)]
-        about |= {name: channels} if channels else {}
+        if channels:
+            about[name] = channels
     for part, stored in PARTS.items():
         records: tuple[Trajectory, ...] = getattr(data, part)
-        about[stored] = [{k: getattr(record, k) for k in TOLD} for record in records]
+        about[stored] = [_record_facts(record) for record in records]
         for i, record in enumerate(records):
-            arrays |= {f"{stored}/{i}/u": record.u, f"{stored}/{i}/y": record.y}
-            arrays |= {} if record.d is None else {f"{stored}/{i}/d": record.d}
-    return {name: np.ascontiguousarray(values) for name, values in arrays.items()}, about
+            arrays[f"{stored}/{i}/u"] = record.u
+            arrays[f"{stored}/{i}/y"] = record.y
+            if record.d is not None:
+                arrays[f"{stored}/{i}/d"] = record.d
+    contiguous = {name: np.ascontiguousarray(values) for name, values in arrays.items()}
+    return contiguous, about
+
+
+def _record_facts(record: Trajectory) -> dict[str, Any]:
+    """Facts about a record beside its signals."""
+    return {name: getattr(record, name) for name in TOLD}
 
 
 def dataset_from_tensors(
     arrays: dict[str, Float[np.ndarray, "..."]], about: dict[str, Any]
 ) -> DataSet:
     """Rebuild a data set from the arrays and the dictionary that `dataset_to_tensors` returns."""
-    parts: dict[str, Any] = {name: about[name] for name in ("start_up_samples", "metadata")}
+    parts: dict[str, Any] = {}
+    parts["start_up_samples"] = about["start_up_samples"]
+    parts["metadata"] = about["metadata"]
     for part, stored in PARTS.items():
         records = []
         for i, facts in enumerate(about[stored]):
@@ -124,6 +143,7 @@ def dataset_from_tensors(
             records.append(Trajectory(u=u, y=y, d=d, **facts))
         parts[part] = tuple(records)
     for name in ("inputs", "outputs", "disturbances"):
-        parts[name] = tuple(Channel(**channel) for channel in about.get(name, ()))
+        stored_channels = about.get(name, ())
+        parts[name] = tuple(Channel(**channel) for channel in stored_channels)
     scales = {name: values for name, values in arrays.items() if "/" not in name}
     return DataSet(**parts, scale=Scale(**scales))

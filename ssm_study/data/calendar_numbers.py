@@ -61,7 +61,9 @@ def parse_digit_dates(times: Times) -> Times | None:
     """Convert dates written as whole numbers, such as `20260305100000`, to seconds since the first;
     None for other numbers."""
     finite = times[np.isfinite(times)]
-    if not np.array_equal(finite, np.round(finite)) or finite.min() < 10 ** (min(DIGITS) - 1):
+    is_whole = np.array_equal(finite, np.round(finite))
+    smallest = 10 ** (min(DIGITS) - 1)
+    if not is_whole or finite.min() < smallest:
         return None
     whole = finite.astype(np.int64)
     count = len(str(whole[0]))
@@ -72,7 +74,8 @@ def parse_digit_dates(times: Times) -> Times | None:
         count -= 3
     if count not in DIGITS:
         return None
-    dates = pd.to_datetime(pd.Series(whole.astype(str)), format=DIGITS[count], errors="coerce")
+    digits = pd.Series(whole.astype(str))
+    dates = pd.to_datetime(digits, format=DIGITS[count], errors="coerce")
     years = dates.dt.year
     if dates.isna().any() or not years.between(*YEARS).all():
         return None

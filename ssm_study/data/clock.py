@@ -14,6 +14,10 @@ from jaxtyping import Float, Int
 from ssm_study.data.rounded_times import rounded_period_s
 from ssm_study.refusal import BadRequest, require, require_at_least
 
+ClockTimes = Float[np.ndarray, "T"]
+RowValues = Float[np.ndarray, "T c"]
+Instants = Float[np.ndarray, "K"]
+
 # Relative difference allowed between the claimed sampling time and the one that the times show.
 AGREEMENT = 1e-3
 HOLE = 1.5  # periods from one row to the next from which on a row is missing
@@ -41,15 +45,22 @@ def log_length(pieces: EvenRows) -> int:
     return pieces.starts[-1] + len(pieces.values[-1])
 
 
-def period_and_jitter(time_s: Float[np.ndarray, "T"]) -> tuple[float, Float[np.ndarray, "T"]]:
+def period_and_jitter(time_s: ClockTimes) -> tuple[float, ClockTimes]:
     """Mean sampling period of a clock, and how far each time is from an evenly spaced clock, in
     periods."""
-    mean_s = float((time_s[-1] - time_s[0]) / (len(time_s) - 1))
+    span_s = time_s[-1] - time_s[0]
+    mean_s = float(span_s / (len(time_s) - 1))
     even = time_s[0] + mean_s * np.arange(len(time_s))
     return mean_s, np.abs(time_s - even) / mean_s
 
 
-def refuse_decreasing_times(time_s: Float[np.ndarray, "T"], where: str) -> None:
+def largest_jitter(time_s: ClockTimes) -> float:
+    """Largest deviation of a sample from an evenly spaced clock, in periods."""
+    _, late = period_and_jitter(time_s)
+    return float(late.max())
+
+
+def refuse_decreasing_times(time_s: ClockTimes, where: str) -> None:
     """Raise `BadRequest` for times that decrease, or that repeat because they were rounded."""
     steps = np.diff(time_s)
     if (steps < 0).any():
@@ -64,9 +75,7 @@ def refuse_decreasing_times(time_s: Float[np.ndarray, "T"], where: str) -> None:
         raise BadRequest(f"{where} (time)", time_s[k], problem, remedy)
 
 
-def refuse_repeated_row(
-    time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], where: str
-) -> None:
+def refuse_repeated_row(time_s: ClockTimes, values: RowValues, where: str) -> None:
     """Raise `BadRequest` for a row that equals the row before it, in a log where that hardly ever
     happens."""
     is_still = np.diff(time_s) == 0
@@ -75,18 +84,19 @@ def refuse_repeated_row(
     row = int(np.argmax(is_still)) + 1
     if np.array_equal(values[row], values[row - 1], equal_nan=True):
         problem = f"row {row} of the file repeats the one before, time and all"
-        raise BadRequest(f"{where} (time)", time_s[row], problem, "take out what was written twice")
+        remedy = "take out what was written twice"
+        raise BadRequest(f"{where} (time)", time_s[row], problem, remedy)
 
 
-def typical_period_s(time_s: Float[np.ndarray, "T"]) -> float:
+def typical_period_s(time_s: ClockTimes) -> float:
     """Median of the first hundred positive time differences."""
     steps = np.diff(time_s)
     return float(np.median(steps[steps > 0][:100]))
 
 
 def resample_to_even_clock(
-    time_s: Float[np.ndarray, "T"],
-    values: Float[np.ndarray, "T c"],
+    time_s: ClockTimes,
+    values: RowValues,
     inputs: int,
     where: str,
     *,
@@ -117,20 +127,22 @@ def resample_to_even_clock(
     if late.max() <= tolerance and not resample:
         require_equal_period(step_s, mean_s, where)
         period_s = mean_s if step_s is None else step_s
-        return cut_at_missing_values(
-            EvenRows(values=[values], starts=[0], step_s=period_s, remarks=[])
-        )
+        rows = EvenRows(values=[values], starts=[0], step_s=period_s, remarks=[])
+        return cut_at_missing_values(rows)
     return cut_at_gaps(time_s, values, inputs, where, step_s, tolerance, resample)
 
 
 def recover_rounded_clock(
-    time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], tolerance: float
+    time_s: ClockTimes, values: RowValues, tolerance: float
 ) -> EvenRows | None:
     """Recover an evenly spaced clock from times that were rounded when they were written. None if
     no such clock explains the times, or if the times are even already."""
     steps = np.diff(time_s)
     forwards = bool((steps >= 0).all()) and time_s[-1] > time_s[0]
-    if not forwards or (steps.all() and period_and_jitter(time_s)[1].max() <= tolerance):
+    if not forwards:
+        return None
+    is_even = steps.all() and period_and_jitter(time_s)[1].max() <= tolerance
+    if is_even:
         return None
     period = rounded_period_s(time_s)
     if period is None:
@@ -144,21 +156,24 @@ def recover_rounded_clock(
 
 
 def check_rounded_clock(
-    time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], step_s: float, where: str
+    time_s: ClockTimes, values: RowValues, step_s: float, where: str
 ) -> EvenRows:
     """Check rounded times against a stated sampling time, and give the rows evenly spaced times.
     Raises `BadRequest` where the times contradict the stated one."""
-    refuse_decreasing_times(time_s[np.append(True, np.diff(time_s) != 0)], where)
+    moves = np.append(True, np.diff(time_s) != 0)
+    refuse_decreasing_times(time_s[moves], where)
     span_s = float(time_s[-1] - time_s[0])
     coarsest_s = float(np.diff(time_s).max())
     expected_s = step_s * (len(time_s) - 1)
-    agrees = abs(span_s - expected_s) <= AGREEMENT * span_s + 2.0 * coarsest_s
-    problem = f"the times of {where}, which were rounded, show {span_s / (len(time_s) - 1):.4g} s"
-    require(agrees, "data.step_s", step_s, problem, "correct one of them (units?)")
+    allowed_s = AGREEMENT * span_s + 2.0 * coarsest_s
+    agrees = abs(span_s - expected_s) <= allowed_s
+    period_s = span_s / (len(time_s) - 1)
+    problem = f"the times of {where}, which were rounded, show {period_s:.4g} s"
+    remedy = "correct one of them (units?)"
+    require(agrees, "data.step_s", step_s, problem, remedy)
     remark = f"times rounded to {coarsest_s:.3g} s at their end, data.step_s taken"
-    return cut_at_missing_values(
-        EvenRows(values=[values], starts=[0], step_s=step_s, remarks=[remark])
-    )
+    rows = EvenRows(values=[values], starts=[0], step_s=step_s, remarks=[remark])
+    return cut_at_missing_values(rows)
 
 
 def require_equal_period(step_s: float | None, period_s: float, where: str) -> None:
@@ -171,8 +186,8 @@ def require_equal_period(step_s: float | None, period_s: float, where: str) -> N
 
 
 def cut_at_gaps(
-    time_s: Float[np.ndarray, "T"],
-    values: Float[np.ndarray, "T c"],
+    time_s: ClockTimes,
+    values: RowValues,
     inputs: int,
     where: str,
     step_s: float | None,
@@ -187,19 +202,21 @@ def cut_at_gaps(
     bounds = [0, *(holes + 1).tolist(), len(time_s)]
     stretches = [(a, b) for a, b in pairwise(bounds) if b - a > 2]
     remarks = gap_remarks(steps, holes, median_s)
-    late = [period_and_jitter(time_s[a:b])[1].max() for a, b in stretches]
+    late = [largest_jitter(time_s[a:b]) for a, b in stretches]
     if stretches and not resample and max(late) <= tolerance:
         elapsed_s = sum(time_s[b - 1] - time_s[a] for a, b in stretches)
         periods = sum(b - a - 1 for a, b in stretches)
         period_s = float(elapsed_s / periods)
         require_equal_period(step_s, period_s, where)
         period_s = period_s if step_s is None else step_s
-        starts = [round((time_s[a] - time_s[0]) / period_s) for a, _ in stretches]
+        since_s = time_s - time_s[0]
+        starts = [round(since_s[a] / period_s) for a, _ in stretches]
         cut = [values[a:b] for a, b in stretches]
-        return cut_at_missing_values(
-            EvenRows(values=cut, starts=starts, step_s=period_s, remarks=remarks)
-        )
-    require(stretches, f"{where} (time)", "holes", "no stretch without a hole is left", "log on")
+        rows = EvenRows(values=cut, starts=starts, step_s=period_s, remarks=remarks)
+        return cut_at_missing_values(rows)
+    problem = "no stretch without a hole is left"
+    remedy = "log on"
+    require(stretches, f"{where} (time)", "holes", problem, remedy)
     refuse_uneven_times(steps, median_s, where, resample)
     if not resample:
         require_equal_period(step_s, median_s, where)
@@ -207,9 +224,7 @@ def cut_at_gaps(
     return interpolate_pieces(time_s, values, inputs, stretches, period_s, remarks)
 
 
-def gap_remarks(
-    steps: Float[np.ndarray, "T"], holes: Int[np.ndarray, "H"], period_s: float
-) -> list[str]:
+def gap_remarks(steps: ClockTimes, holes: Int[np.ndarray, "H"], period_s: float) -> list[str]:
     """Sentences on the gaps in the times of a log: how many there are, and how long they last."""
     if not len(holes):
         return []
@@ -218,9 +233,7 @@ def gap_remarks(
     return [f"cut at {len(holes)} {word} of {missing_s:.3g} s in all"]
 
 
-def refuse_uneven_times(
-    steps: Float[np.ndarray, "T"], median_s: float, where: str, resample: bool
-) -> None:
+def refuse_uneven_times(steps: ClockTimes, median_s: float, where: str, resample: bool) -> None:
     """Raise `BadRequest` for a log whose times are unevenly spaced, unless resampling is
     requested."""
     low, high = np.percentile(steps, [5, 95])
@@ -234,8 +247,8 @@ def refuse_uneven_times(
 
 
 def interpolate_pieces(
-    time_s: Float[np.ndarray, "T"],
-    values: Float[np.ndarray, "T c"],
+    time_s: ClockTimes,
+    values: RowValues,
     inputs: int,
     stretches: list[tuple[int, int]],
     period_s: float,
@@ -250,42 +263,42 @@ def interpolate_pieces(
     for a, b in stretches:
         times = time_s[a:b]
         # Half a rounding error more than the last period: a whole number gives all its samples.
-        count = int((times[-1] - times[0]) / period_s + 1e-9) + 1
+        span_s = times[-1] - times[0]
+        count = int(span_s / period_s + 1e-9) + 1
         clock = times[0] + period_s * np.arange(count)
         columns = []
         for j, column in enumerate(values[a:b].T):
             columns.append(interpolate_column(clock, times, column, j < inputs))
-        nearest = np.abs(clock - times[nearest_row_indices(clock, times)])
-        between += int((nearest > 1e-3 * period_s).sum())
+        nearest = times[nearest_row_indices(clock, times)]
+        is_between = np.abs(clock - nearest) > 1e-3 * period_s
+        between += int(is_between.sum())
         samples += count
         cut.append(np.stack(columns, axis=1))
-        starts.append(round((times[0] - time_s[0]) / period_s))
+        since_s = times[0] - time_s[0]
+        starts.append(round(since_s / period_s))
     remark = f"uneven clock: {between / samples:.0%} of the samples interpolated"
-    return cut_at_missing_values(
-        EvenRows(values=cut, starts=starts, step_s=period_s, remarks=[*remarks, remark])
-    )
+    remarks = [*remarks, remark]
+    rows = EvenRows(values=cut, starts=starts, step_s=period_s, remarks=remarks)
+    return cut_at_missing_values(rows)
 
 
-def nearest_row_indices(
-    clock: Float[np.ndarray, "K"], times: Float[np.ndarray, "T"]
-) -> Int[np.ndarray, "K"]:
+def nearest_row_indices(clock: Instants, times: ClockTimes) -> Int[np.ndarray, "K"]:
     """Indices of the recorded times that are nearest to the instants of an evenly spaced clock."""
-    after = np.clip(np.searchsorted(times, clock), 1, len(times) - 1)
+    places = np.searchsorted(times, clock)
+    after = np.clip(places, 1, len(times) - 1)
     before = after - 1
     is_before = clock - times[before] < times[after] - clock
     return np.where(is_before, before, after)
 
 
 def interpolate_column(
-    clock: Float[np.ndarray, "K"],
-    times: Float[np.ndarray, "T"],
-    column: Float[np.ndarray, "T"],
-    is_input: bool,
-) -> Float[np.ndarray, "K"]:
+    clock: Instants, times: ClockTimes, column: ClockTimes, is_input: bool
+) -> Instants:
     """Interpolate one column of a log at other times: piecewise constant for a held input,
     otherwise linear."""
     if is_input and (np.diff(column) == 0).mean() > HELD:
-        last = np.searchsorted(times, clock * (1 + 1e-12) + 1e-12, side="right") - 1
+        later = clock * (1 + 1e-12) + 1e-12
+        last = np.searchsorted(times, later, side="right") - 1
         return column[np.clip(last, 0, len(column) - 1)]
     return np.interp(clock, times, column)
 
@@ -298,7 +311,8 @@ def cut_at_missing_values(pieces: EvenRows) -> EvenRows:
     gaps = 0
     for values, start in zip(pieces.values, pieces.starts, strict=True):
         whole = np.isfinite(values).all(axis=1)
-        edges = np.flatnonzero(np.diff(whole.astype(int), prepend=0, append=0))
+        changes = np.diff(whole.astype(int), prepend=0, append=0)
+        edges = np.flatnonzero(changes)
         bounds = edges.reshape(-1, 2).tolist()
         stretches = [(a, b) for a, b in bounds]
         inner = stretches[-1][1] - stretches[0][0] if stretches else 0

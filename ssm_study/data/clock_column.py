@@ -15,6 +15,8 @@ from ssm_study.data.readers.reader import Table, fold_title, title_without_unit
 from ssm_study.data.rounded_times import rounded_period_s
 from ssm_study.refusal import BadRequest, require
 
+ClockTimes = Float[np.ndarray, "T"]
+
 SECONDS = {
     "s": 1.0,
     "sec": 1.0,
@@ -56,12 +58,13 @@ SECONDS = {
     "分": 60.0,
     "小时": 3600.0,
 }
-WORDS = ("time", "t", "timestamp", "timestamps", "times", "date", "datetime", "dateandtime", "zeit",
-         "zeitstempel", "datum", "clock", "elapsed", "elapsedtime", "runtime", "timesec", "temps",
-         "tiempo", "tempo", "epoch", "unixtime", "utc", "timeofday", "simtime",
-         "stamp", "localtime", "uptime", "recordtime", "logtime", "ts", "unix", "unixtimestamp",
-         "zeitpunkt", "uhrzeit", "heure", "horodatage", "hora", "fecha", "tijd", "tijdstip",
-         "czas", "время", "дата", "时间", "時間", "時刻", "datenum")  # fmt: skip
+WORDS_TEXT = """
+    time t timestamp timestamps times date datetime dateandtime zeit zeitstempel datum clock
+    elapsed elapsedtime runtime timesec temps tiempo tempo epoch unixtime utc timeofday
+    simtime stamp localtime uptime recordtime logtime ts unix unixtimestamp zeitpunkt
+    uhrzeit heure horodatage hora fecha tijd tijdstip czas время дата 时间 時間 時刻 datenum
+"""
+WORDS = tuple(WORDS_TEXT.split())
 # Of whole numbers without a unit; the evidence then has a doubt.
 MAYBE_SMALLER = "no unit: taken for seconds, though whole numbers may count milliseconds"
 FEWEST_UNITS = 2.0  # from one row to the next: a clock in seconds often counts one by one
@@ -85,10 +88,12 @@ def clock_unit_s(title: str, stated: str) -> float | None:
             raise BadRequest("data.time", title, problem, remedy)
         return seconds
     words = title_words(title.replace("µ", "μ"))
-    known = [SECONDS[word] for word in words[-1:] if word in SECONDS and len(words) > 1]
+    last = words[-1] if len(words) > 1 else ""
     whole = title.strip().lower()
     long_words = ("millis", "micros", "seconds", "milliseconds", "microseconds", "minutes", "hours")
-    return known[0] if known else SECONDS[whole] if whole in long_words else None
+    if last in SECONDS:
+        return SECONDS[last]
+    return SECONDS[whole] if whole in long_words else None
 
 
 def is_clock_name(title: str) -> bool:
@@ -98,14 +103,18 @@ def is_clock_name(title: str) -> bool:
     if fold_title(plain) in WORDS or plain.strip().lower() in ("millis", "micros", "seconds"):
         return True
     words = title_words(plain)
-    return len(words) > 1 and fold_title("".join(words[:-1])) in WORDS and words[-1] in SECONDS
+    if len(words) < 2 or words[-1] not in SECONDS:
+        return False
+    without_unit = "".join(words[:-1])
+    return fold_title(without_unit) in WORDS
 
 
 def has_clock_word(title: str) -> bool:
     """Whether a title begins or ends with a word for a clock, such as `t_now` and
     `sensor_timestamp`."""
     words = title_words(title_without_unit(title))
-    return any(fold_title(word) in WORDS for word in (*words[:1], *words[-1:]))
+    ends = (*words[:1], *words[-1:])
+    return any(fold_title(word) in WORDS for word in ends)
 
 
 def title_words(title: str) -> list[str]:
@@ -125,15 +134,11 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     free = [title for title in table.columns if title not in signals]
     named = [title for title in free if is_clock_name(title)]
     clocks = [title for title in named if is_clock_column(table, title)]
-    strict = [
-        title for title in clocks if is_increasing(unwrap_column_times(table, title), strictly=True)
-    ]
+    strict = [title for title in clocks if is_strict_clock(table, title)]
     if clocks:
         return (strict or clocks)[0]
     for title in free:
-        if has_clock_word(title) and is_increasing(
-            unwrap_column_times(table, title), strictly=True
-        ):
+        if has_clock_word(title) and is_strict_clock(table, title):
             return title
     for title in free:
         times = table.columns[title]
@@ -144,21 +149,34 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
         if title.endswith(":1") and is_evenly_spaced(times) and not counts_rows(times):
             return title
     first = next(iter(table.columns), None)
-    nameless = first is not None and (first == "" or table.nameless or first.startswith("Unnamed"))
-    if not nameless or first not in free or len(table.columns) < 2:
+    if first is None or first not in free or len(table.columns) < 2:
+        return None
+    if not is_nameless(table, first):
         return None
     times = table.columns[first]
     if not is_increasing(times) or counts_rows(times):
         return None
     known = times[np.isfinite(times)]
     mostly = bool((np.diff(known) > 0).mean() > 0.5)
-    return first if mostly or rounded_period_s(known) is not None else None
+    is_clock = mostly or rounded_period_s(known) is not None
+    return first if is_clock else None
 
 
-def unwrap_column_times(table: Table, title: str) -> Float[np.ndarray, "T"]:
+def is_nameless(table: Table, title: str) -> bool:
+    """Whether a column has no name of its own in the file."""
+    return title == "" or table.nameless or title.startswith("Unnamed")
+
+
+def unwrap_column_times(table: Table, title: str) -> ClockTimes:
     """Times of a column, corrected so that they increase where a counter overflows or summer time
     ends."""
     return unwrap_clock(table.columns[title], is_dated=title in table.dated)[0]
+
+
+def is_strict_clock(table: Table, title: str) -> bool:
+    """Whether the times of a column increase from row to row and never stand still."""
+    times = unwrap_column_times(table, title)
+    return is_increasing(times, strictly=True)
 
 
 def is_clock_column(table: Table, title: str) -> bool:
@@ -168,7 +186,7 @@ def is_clock_column(table: Table, title: str) -> bool:
     return is_increasing(unwrap_column_times(table, title)) or bool(find_clock_restarts(times))
 
 
-def is_increasing(times: Float[np.ndarray, "T"], *, strictly: bool = False) -> bool:
+def is_increasing(times: ClockTimes, *, strictly: bool = False) -> bool:
     """Whether a sequence of times increases, apart from missing times. Equal times count as
     increasing unless `strictly` is set."""
     finite = times[np.isfinite(times)]
@@ -176,26 +194,29 @@ def is_increasing(times: Float[np.ndarray, "T"], *, strictly: bool = False) -> b
     if not enough or finite[-1] <= finite[0]:
         return False
     steps = np.diff(finite)
-    return bool((steps > 0).all() if strictly else (steps >= 0).all())
+    forwards = steps > 0 if strictly else steps >= 0
+    return bool(forwards.all())
 
 
-def is_evenly_spaced(times: Float[np.ndarray, "T"]) -> bool:
+def is_evenly_spaced(times: ClockTimes) -> bool:
     """Whether successive times have the same distance up to a thousandth."""
     if len(times) < 3 or not np.isfinite(times).all():
         return False
     steps = np.diff(times)
-    return bool(steps.min() > 0 and np.ptp(steps) <= 1e-3 * steps.mean())
+    spread = np.ptp(steps)
+    return bool(steps.min() > 0 and spread <= 1e-3 * steps.mean())
 
 
-def counts_rows(times: Float[np.ndarray, "T"]) -> bool:
+def counts_rows(times: ClockTimes) -> bool:
     """Whether a column's values are the row numbers 0, 1, 2, ... or 1, 2, 3, ..."""
     finite = times[np.isfinite(times)]
-    return bool(finite[0] in (0.0, 1.0) and (np.diff(finite) == 1.0).all())
+    is_one = np.diff(finite) == 1.0
+    return bool(finite[0] in (0.0, 1.0) and is_one.all())
 
 
 def clock_column_seconds(
     title: str, table: Table, *, is_stated: bool = False
-) -> tuple[Float[np.ndarray, "T"], str]:
+) -> tuple[ClockTimes, str]:
     """Convert the times of a clock column to seconds, and say which unit they had.
 
     Whole numbers without a unit, several apart, are taken for seconds with a doubt, unless the
@@ -217,12 +238,13 @@ def clock_column_seconds(
     return times, f"{words} (no unit: seconds){after}"
 
 
-def is_in_small_units(times: Float[np.ndarray, "T"]) -> bool:
+def is_in_small_units(times: ClockTimes) -> bool:
     """Whether times are whole numbers of a unit that is smaller than a second, judged by their
     median step."""
     finite = times[np.isfinite(times)]
     steps = np.diff(finite)
-    if len(steps) < 2 or not np.array_equal(finite, np.round(finite)):
+    is_whole = np.array_equal(finite, np.round(finite))
+    if len(steps) < 2 or not is_whole:
         return False
     period = float(np.median(steps))
     return period >= FEWEST_UNITS and period % 60 != 0
@@ -231,8 +253,9 @@ def is_in_small_units(times: Float[np.ndarray, "T"]) -> bool:
 def first_column_counts_rows(contents: Table) -> bool:
     """Whether the first column of a log has no title and counts the rows."""
     title, times = next(iter(contents.columns.items()))
-    nameless = title == "" or contents.nameless or title.startswith("Unnamed")
-    if not nameless or len(contents.columns) < 2 or not np.isfinite(times).all():
+    if len(contents.columns) < 2 or not is_nameless(contents, title):
+        return False
+    if not np.isfinite(times).all():
         return False
     return len(times) > 2 and counts_rows(times)
 
@@ -254,9 +277,11 @@ def refuse_backward_clock(
         steps = np.diff(times[np.isfinite(times)])
         if len(steps) < 2:
             continue
-        descends = bool((steps < 0).mean() > MOSTLY)
-        out_of_order = bool((steps < 0).any()) and bool((steps > 0).mean() > MOSTLY)
-        row = int(np.argmax(steps < 0)) + 1
+        is_back = steps < 0
+        descends = bool(is_back.mean() > MOSTLY)
+        ascends = bool((steps > 0).mean() > MOSTLY)
+        out_of_order = bool(is_back.any()) and ascends
+        row = int(np.argmax(is_back)) + 1
         problem = f"is named like a clock, and runs backwards at row {row}, counted from 0"
         remedy = "sort the rows by time, or put each experiment into a file of its own"
         require(not (descends or out_of_order), f"{file.name} (column)", title, problem, remedy)
@@ -269,10 +294,12 @@ def refuse_clock_as_signal(contents: Table, taken: list[str], file: Path) -> Non
         steps = np.diff(contents.columns[title])
         forwards = bool((steps > 0).all()) and len(steps) > 2
         nameless = title == first and (contents.nameless or title == "")
-        even = forwards and float(np.ptp(steps)) <= 1e-6 * float(steps.mean())
+        spread = float(np.ptp(steps))
+        even = forwards and spread <= 1e-6 * float(steps.mean())
         is_clock = (forwards and is_clock_name(title)) or (nameless and even)
         problem = "is the clock: it increases from row to row"
-        require(not is_clock, f"{file.name} (column)", title, problem, "name a signal")
+        remedy = "name a signal"
+        require(not is_clock, f"{file.name} (column)", title, problem, remedy)
 
 
 def unread_clock_remarks(contents: Table) -> list[str]:

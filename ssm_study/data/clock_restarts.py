@@ -3,6 +3,7 @@ cut."""
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -47,18 +48,11 @@ def resample_experiments(
     """
     restarts = find_clock_restarts(time_s)
     bounds = [0, *restarts, len(time_s)]
-    experiments = [
-        resample_to_even_clock(
-            time_s[a:b],
-            values[a:b],
-            inputs,
-            where,
-            step_s=step_s,
-            tolerance=tolerance,
-            resample=resample,
-        )
-        for a, b in pairwise(bounds)
-    ]
+    settings: dict[str, Any] = {"step_s": step_s, "tolerance": tolerance, "resample": resample}
+    experiments = []
+    for a, b in pairwise(bounds):
+        rows = resample_to_even_clock(time_s[a:b], values[a:b], inputs, where, **settings)
+        experiments.append(rows)
     if not restarts:
         return experiments[0]
     return join_experiments(experiments, where)

@@ -38,10 +38,11 @@ def project_inputs_on_set_points(
     require_at_least(
         FEWEST * LAGS, "data.reference (samples of the logs)", sum(map(len, logs)), "log longer"
     )
-    at_rest = (np.repeat(r[:1], LAGS, axis=0) for r in references)  # before each log
-    past = [
-        lagged_inputs(np.concatenate(pair), LAGS) for pair in zip(at_rest, references, strict=True)
-    ]
+    past = []
+    for reference in references:
+        at_rest = np.repeat(reference[:1], LAGS, axis=0)  # before each log
+        extended = np.concatenate([at_rest, reference])
+        past.append(lagged_inputs(extended, LAGS))
     x = np.concatenate(past)
     u = np.concatenate([log.u for log in logs])
     filtered = np.linalg.lstsq(x, u, rcond=1e-9)[0]
@@ -66,23 +67,14 @@ def reconstruct_pi_set_point(log: Trajectory, gain: float, integral_s: float) ->
     field = "data.controller"
     shape = (log.u.shape[1], log.y.shape[1])
     u = log.u[:, 0]
-    require(
-        shape == (1, 1),
-        field,
-        shape,
-        "inputs and outputs, of which a PI has one each",
-        "name the set point",
-    )
+    remedy = "name the set point"
+    require(shape == (1, 1), field, shape, "inputs and outputs, of which a PI has one each", remedy)
     problem = "of the samples are at a limit of the input, where a PI does not do what it asks"
-    at_ends = [float((u == end).mean()) for end in (u.min(), u.max())]
-    share = max(at_ends)
-    require(
-        share < AT_LIMIT,
-        field,
-        f"{share:.0%}",
-        problem,
-        "log the set point, and name it data.reference",
-    )
+    at_lowest = float((u == u.min()).mean())
+    at_highest = float((u == u.max()).mean())
+    share = max(at_lowest, at_highest)
+    remedy = "log the set point, and name it data.reference"
+    require(share < AT_LIMIT, field, f"{share:.0%}", problem, remedy)
     demanded = (u - u[0]) / gain
     c = log.step_s / integral_s
     e = demanded - scipy.signal.lfilter(

@@ -45,7 +45,8 @@ def column_facts(name: str, table: Table) -> ColumnFacts:
     """Compute the range, the levels and the number of missing values of one column."""
     values = table.columns[name]
     finite = values[np.isfinite(values)]
-    held_share = float((np.diff(finite) == 0).mean()) if len(finite) > 1 else 0.0
+    is_held = np.diff(finite) == 0
+    held_share = float(is_held.mean()) if len(finite) > 1 else 0.0
     return ColumnFacts(
         name=name,
         unit="s" if name in table.dated else table.units.get(name, ""),

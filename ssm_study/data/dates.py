@@ -7,6 +7,8 @@ import pandas as pd
 from jaxtyping import Float
 from pandas.tseries.api import guess_datetime_format
 
+DateSeconds = Float[np.ndarray, "T"]
+
 DATE = (
     r"(?P<a>\d{1,4})[-/.](?P<b>\d{1,2})[-/.](?P<c>\d{1,4})"
     r"(?:[T ]+(?P<hour>\d{1,2}):(?P<minute>\d\d)(?::(?P<second>\d\d(?:[.,]\d+)?))?)?"
@@ -28,7 +30,8 @@ class AmbiguousDates(ValueError):
 
 def is_date(cell: str) -> bool:
     """Whether a cell of a table is a date (with or without a time) or a time of day."""
-    if any(re.fullmatch(form, cell) for form in (DATE, TIME_OF_DAY, MINUTES)):
+    forms = (DATE, TIME_OF_DAY, MINUTES)
+    if any(re.fullmatch(form, cell) for form in forms):
         return True
     return guess_date_format(cell) is not None
 
@@ -37,16 +40,20 @@ def guess_date_format(cell: str) -> str | None:
     """Format of a date that names its month, or that has digits around a letter T; None for any
     other text."""
     has_letter = any(letter.isalpha() for letter in cell)
-    if not has_letter or not any(letter.isdigit() for letter in cell) or len(cell) > LONGEST:
+    has_digit = any(letter.isdigit() for letter in cell)
+    if not (has_letter and has_digit) or len(cell) > LONGEST:
         return None
     form = guess_datetime_format(cell)
-    if form is None or not all(part in form for part in ("%Y", "%d", "%H")):
+    if form is None:
+        return None
+    parts = ("%Y", "%d", "%H")
+    if not all(part in form for part in parts):
         return None
     is_clear = "%b" in form or "%B" in form or form.startswith("%Y")
     return form if is_clear else None
 
 
-def seconds_since_first(cells: list[str]) -> Float[np.ndarray, "T"]:
+def seconds_since_first(cells: list[str]) -> DateSeconds:
     """Convert the dates in a column's cells to seconds since the first date. A cell without a date
     becomes NaN.
 
@@ -71,57 +78,71 @@ def seconds_since_first(cells: list[str]) -> Float[np.ndarray, "T"]:
     return seconds - finite[0] if len(finite) else seconds
 
 
-def parse_named_month_dates(series: pd.Series, form: str) -> Float[np.ndarray, "T"]:
+def parse_named_month_dates(series: pd.Series, form: str) -> DateSeconds:
     """Convert dates that name the month to seconds since 1970."""
     dates = pd.to_datetime(series, format=form, errors="coerce", utc=True)
-    since = (dates - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
+    begin = pd.Timestamp(0, tz="UTC")
+    since = (dates - begin) / pd.Timedelta(seconds=1)
     return since.to_numpy(dtype=float)
 
 
-def seconds_since_midnight(parts: pd.DataFrame) -> Float[np.ndarray, "T"]:
+def seconds_since_midnight(parts: pd.DataFrame) -> DateSeconds:
     """Convert times of day to seconds since midnight."""
-    has_hours = "hour" in parts
-    hours = parts["hour"].fillna("0").astype(float) if has_hours else pd.Series(0.0, parts.index)
+    hours = pd.Series(0.0, parts.index)
+    if "hour" in parts:
+        hours = parts["hour"].fillna("0").astype(float)
     minutes = parts["minute"].fillna("0").astype(float)
-    seconds = parts["second"].fillna("0").str.replace(",", ".").astype(float)
+    with_point = parts["second"].fillna("0").str.replace(",", ".")
+    seconds = with_point.astype(float)
     if "half" in parts:
-        half = parts["half"].str.lower().str.replace(r"[.\s]", "", regex=True)
-        hours = hours.where(half.isna(), hours % 12) + 12.0 * (half == "pm")
+        lower = parts["half"].str.lower()
+        half = lower.str.replace(r"[.\s]", "", regex=True)
+        in_half = hours.where(half.isna(), hours % 12)
+        hours = in_half + 12.0 * (half == "pm")
     total = 3600.0 * hours + 60.0 * minutes + seconds
     decisive = next(name for name in ("a", "hour", "minute") if name in parts)
     missing = parts[decisive].isna()
     return total.where(~missing).to_numpy(dtype=np.float64)
 
 
-def unwrap_midnight(seconds: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+def unwrap_midnight(seconds: DateSeconds) -> DateSeconds:
     """Make times of day increase past midnight, so that they never jump back by a day."""
-    steps = np.diff(np.nan_to_num(seconds, nan=0.0), prepend=seconds[:1])
+    numbers = np.nan_to_num(seconds, nan=0.0)
+    steps = np.diff(numbers, prepend=seconds[:1])
     days = np.cumsum(steps < -DAY_S / 2)
     return seconds + DAY_S * days
 
 
-def date_seconds(parts: pd.DataFrame, dotted: bool) -> Float[np.ndarray, "T"]:
+def date_seconds(parts: pd.DataFrame, dotted: bool) -> DateSeconds:
     """Convert dates to seconds since 1970, in the order of day, month and year that fits all of
     them."""
     within = seconds_since_midnight(parts)
-    shift = parts["zone"].map(zone_seconds, na_action="ignore").fillna(0.0).to_numpy(dtype=float)
+    zones = parts["zone"].map(zone_seconds, na_action="ignore")
+    shift = zones.fillna(0.0).to_numpy(dtype=float)
     readings = []
     for order in ORDERS.values():
         if dotted and order == "cab":
             continue
-        year, month, day = (pd.to_numeric(parts[letter]) for letter in order)
-        year = year.where(year > 99, year + 2000)
-        fits = year.dropna().between(1900, 2200).all() and month.dropna().between(1, 12).all()
-        if not (fits and day.dropna().between(1, 31).all()):
-            continue
-        dates = pd.to_datetime(
-            pd.DataFrame({"year": year, "month": month, "day": day}), errors="coerce"
-        )
-        if (dates.isna() & parts["a"].notna()).any():
-            continue
-        days = (dates - pd.Timestamp(0)) / pd.Timedelta(days=1)
-        readings.append(DAY_S * days.to_numpy(dtype=float) + within - shift)
+        days = days_since_1970(parts, order)
+        if days is not None:
+            readings.append(DAY_S * days + within - shift)
     return choose_increasing_reading(readings, len(parts))
+
+
+def days_since_1970(parts: pd.DataFrame, order: str) -> DateSeconds | None:
+    """Days since 1970 of dates whose parts are read in an order; None where some are no dates."""
+    year, month, day = (pd.to_numeric(parts[letter]) for letter in order)
+    year = year.where(year > 99, year + 2000)
+    ranges = ((year, 1900, 2200), (month, 1, 12), (day, 1, 31))
+    if not all(number.dropna().between(low, high).all() for number, low, high in ranges):
+        return None
+    table = pd.DataFrame({"year": year, "month": month, "day": day})
+    dates = pd.to_datetime(table, errors="coerce")
+    is_unread = dates.isna() & parts["a"].notna()
+    if is_unread.any():
+        return None
+    days = (dates - pd.Timestamp(0)) / pd.Timedelta(days=1)
+    return days.to_numpy(dtype=float)
 
 
 def zone_seconds(zone: str) -> float:
@@ -129,11 +150,13 @@ def zone_seconds(zone: str) -> float:
     if zone in ("Z", "UTC", "GMT"):
         return 0.0
     digits = zone[1:].replace(":", "").ljust(4, "0")
-    offset = 3600.0 * int(digits[:2]) + 60.0 * int(digits[2:])
+    hours = int(digits[:2])
+    minutes = int(digits[2:])
+    offset = 3600.0 * hours + 60.0 * minutes
     return -offset if zone[0] == "-" else offset
 
 
-def choose_increasing_reading(readings: list[np.ndarray], samples: int) -> Float[np.ndarray, "T"]:
+def choose_increasing_reading(readings: list[np.ndarray], samples: int) -> DateSeconds:
     """Choose, among several interpretations of the same dates, the one in which time increases
     evenly."""
     if not readings:
@@ -142,18 +165,19 @@ def choose_increasing_reading(readings: list[np.ndarray], samples: int) -> Float
     chosen = forwards or readings
     if len(chosen) > 1 and any(has_even_steps(one) for one in chosen):
         chosen = [one for one in chosen if has_even_steps(one)]
-    first = steps_between_dates(chosen[0])
-    if any(not np.allclose(first, steps_between_dates(other)) for other in chosen[1:]):
+    first, *others = map(steps_between_dates, chosen)
+    if any(not np.allclose(first, other) for other in others):
         raise AmbiguousDates
     return chosen[0]
 
 
-def steps_between_dates(seconds: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T2"]:
+def steps_between_dates(seconds: DateSeconds) -> Float[np.ndarray, "T2"]:
     """Time differences between successive dates, with missing dates left out."""
     return np.diff(seconds[np.isfinite(seconds)])
 
 
-def has_even_steps(seconds: Float[np.ndarray, "T"]) -> bool:
+def has_even_steps(seconds: DateSeconds) -> bool:
     """Whether no time step is longer than 1.5 times the median step."""
     steps = steps_between_dates(seconds)
-    return bool(len(steps)) and bool(steps.max() <= 1.5 * np.median(steps))
+    longest = 1.5 * np.median(steps) if len(steps) else 0.0
+    return bool(len(steps)) and bool(steps.max() <= longest)

@@ -47,13 +47,9 @@ class RecordedExperiments(AroundRest):
         super().__post_init__()
         require_one_of(SCORES, "data.score", self.score)
         for part in ("training", "validation", "test"):
-            require(
-                len(getattr(self, part)) > 0,
-                f"data.{part}",
-                "none",
-                "no recording is named",
-                "name at least one",
-            )
+            problem = "no recording is named"
+            remedy = "name at least one"
+            require(len(getattr(self, part)) > 0, f"data.{part}", "none", problem, remedy)
 
     def files(self) -> tuple[Path, ...]:
         apart = (*self.validation, *self.test) if self.fold is None else ()
@@ -90,13 +86,9 @@ class RecordedExperiments(AroundRest):
         exist."""
         if self.folder is None:
             return benchmark_folder(self.benchmark)
-        require(
-            Path(self.folder).is_dir(),
-            "data.folder",
-            self.folder,
-            "no such folder",
-            "check the spelling",
-        )
+        problem = "no such folder"
+        remedy = "check the spelling"
+        require(Path(self.folder).is_dir(), "data.folder", self.folder, problem, remedy)
         return Path(self.folder)
 
 
@@ -133,13 +125,9 @@ def find_record_file(folder: Path, name: str) -> Path:
         p for p in folder.iterdir() if p.stem == exact.stem and p.suffix.lower() in (".mat", ".csv")
     )
     candidates = [exact] if exact.is_file() else twins
-    require(
-        candidates,
-        "data.folder",
-        folder,
-        f"has no {name}",
-        "point it at the benchmark's own folder",
-    )
+    problem = f"has no {name}"
+    remedy = "point it at the benchmark's own folder"
+    require(candidates, "data.folder", folder, problem, remedy)
     return candidates[0]
 
 

@@ -64,7 +64,8 @@ def describe_log_dynamics(records: Sequence[Trajectory]) -> list[str]:
     record = max(records, key=len)
     u = record.u[:, 0]
     y = record.y[:, 0]
-    if len(record) < 4 * LAGS or np.ptp(u) == 0 or np.ptp(y) == 0:
+    is_still = np.ptp(u) == 0 or np.ptp(y) == 0
+    if len(record) < 4 * LAGS or is_still:
         return ["too short, or nothing moves: no dynamics measured"]
     shares = input_shares(u, y)
     sentences = [input_return_sentence(sum(len(rest_segments(piece)) for piece in records))]
@@ -161,14 +162,16 @@ def slow_response_sentence(lag: int, stride: int, word: str) -> str:
 def first_response_lag(u: Signal, y: Signal) -> int | None:
     """Smallest number of samples after which the output responds significantly to a change of the
     input; None without a significant response."""
-    if np.std(np.diff(u)) == 0 or np.std(np.diff(y)) == 0:
+    spreads = (np.std(np.diff(u)), np.std(np.diff(y)))
+    if min(spreads) == 0:
         return None
     x, target = increment_regression(u, y)
     gains, _, rank, _ = np.linalg.lstsq(x, target, rcond=1e-10)
     residual = target - x @ gains
-    variance = float(residual @ residual) / max(len(target) - int(rank), 1)
-    spreads = np.diag(np.linalg.pinv(x.T @ x))
-    errors = np.sqrt(np.maximum(variance * spreads, 1e-300))
+    freedom = max(len(target) - int(rank), 1)
+    variance = float(residual @ residual) / freedom
+    shares = np.diag(np.linalg.pinv(x.T @ x))
+    errors = np.sqrt(np.maximum(variance * shares, 1e-300))
     answers = np.abs(gains[: LAGS + 1])
     is_sure = answers > SURE * errors[: LAGS + 1]
     counts = is_sure & (answers > OF_THE_LARGEST * answers.max())
@@ -200,8 +203,10 @@ def feedback_share(u: Signal, y: Signal) -> float:
     past = max(FEWEST_LAGS, min(INPUT_LAGS, len(u) // (4 * FEWEST_LAGS)))
     earlier_u = [u[past - lag : len(u) - lag] for lag in range(1, past + 1)]
     earlier_y = [y[past - lag : len(y) - lag] for lag in range(1, FEWEST_LAGS + 1)]
-    by_input = np.stack([*earlier_u, np.ones(len(u) - past)], axis=1)
-    by_both = np.hstack([by_input, np.stack(earlier_y, axis=1)])
+    constant = np.ones(len(u) - past)
+    by_input = np.stack([*earlier_u, constant], axis=1)
+    outputs = np.stack(earlier_y, axis=1)
+    by_both = np.hstack([by_input, outputs])
     target = u[past:]
     half = len(target) // 2
     powers = []
@@ -239,7 +244,8 @@ def input_shares(u: Signal, y: Signal) -> InputShares:
 def add_long_window_loss(u: Signal, y: Signal, shares: InputShares) -> InputShares:
     """Input shares in which the loss of level is the largest one over longer windows."""
     longer = [w for w in WINDOWS if shares.window < w <= LONGER * shares.window]
-    losses = [input_shares_over_window(u, y, w).lost_in_log for w in longer if len(u) >= 8 * w]
+    able = [window for window in longer if len(u) >= 8 * window]
+    losses = [input_shares_over_window(u, y, window).lost_in_log for window in able]
     return replace(shares, lost_in_log=max([shares.lost_in_log, *losses]))
 
 
@@ -247,7 +253,8 @@ def largest_explained_level(u: Signal, y: Signal) -> float:
     """Largest share of the output's level that the mean input over a window explains, among several
     window lengths."""
     windows = [window for window in WINDOWS if len(u) >= 8 * window]
-    return max((input_shares_over_window(u, y, window).level for window in windows), default=0.0)
+    levels = [input_shares_over_window(u, y, window).level for window in windows]
+    return max(levels, default=0.0)
 
 
 def input_shares_over_window(u: Signal, y: Signal, window: int) -> InputShares:
@@ -258,8 +265,10 @@ def input_shares_over_window(u: Signal, y: Signal, window: int) -> InputShares:
     ends = y[window::window][: len(mean)]
     begins = y[:-window:window][: len(ends)]
     mean = mean[: len(ends)]
-    scaled = (mean - mean.mean()) / max(float(mean.std()), 1e-300)
-    x = np.stack([scaled**power for power in range(4)], axis=1)
+    deviation = max(float(mean.std()), 1e-300)
+    scaled = (mean - mean.mean()) / deviation
+    powers = [scaled**power for power in range(4)]
+    x = np.stack(powers, axis=1)
     with_level = np.hstack([x, begins[:, None]])
     gains = np.linalg.lstsq(with_level, ends - begins, rcond=1e-9)[0]
     lost = float(-gains[-1])
@@ -276,8 +285,10 @@ def explained_variance_share(x: Float[np.ndarray, "K d"], target: Float[np.ndarr
     """Share of the target's variance that a least-squares fit explains; 0 for a constant target."""
     if np.ptp(target) == 0:
         return 0.0
-    residual = target - x @ np.linalg.lstsq(x, target, rcond=1e-9)[0]
-    return 1.0 - float(residual.var() / max(float(target.var()), 1e-300))
+    gains = np.linalg.lstsq(x, target, rcond=1e-9)[0]
+    residual = target - x @ gains
+    variance = max(float(target.var()), 1e-300)
+    return 1.0 - float(residual.var() / variance)
 
 
 def sensor_noise_sentence(y: Signal) -> str:

@@ -64,11 +64,9 @@ class LogSettings:
         if self.disturbance is not None:
             words.append(f"data.disturbance={quote_for_command(self.disturbance)}")
         for name, value in vars(self.text).items():
-            words += (
-                [f"data.{name}={quote_for_command(str(value).lower())}"]
-                if value is not None
-                else []
-            )
+            if value is not None:
+                text = str(value).lower()
+                words.append(f"data.{name}={quote_for_command(text)}")
         return words
 
 
@@ -132,7 +130,9 @@ def look(
         text=settings or TextSettings(),
     )
     table = choose_reader(path, stated.text).contents(path)
-    require(table.columns, "data.path", path, "has no column of numbers", "export it as CSV")
+    problem = "has no column of numbers"
+    remedy = "export it as CSV"
+    require(table.columns, "data.path", path, problem, remedy)
     facts = [column_facts(name, table) for name in table.columns]
     clock = stated.time if stated.time is not None else clock_column_name(table)
     u, y = choose_signals(table, facts, clock, stated)
@@ -185,10 +185,11 @@ def choose_signals(
     uneven = [column for column in facts if not is_evenly_spaced(table.columns[column.name])]
     free = [column for column in uneven if column.name != stated.disturbance]
     u, y = guess_signals(free, clock)
-    return (
-        u if stated.input is None else stated.input,
-        y if stated.output is None else stated.output,
-    )
+    if stated.input is not None:
+        u = stated.input
+    if stated.output is not None:
+        y = stated.output
+    return u, y
 
 
 def set_point_sentences(
@@ -243,11 +244,9 @@ def other_signal_sentences(
     disturbances."""
     titles = [column.name for column in facts]
     places = [column_index(titles, name) for name in (*signals, clock)]
-    moving = [
-        column.name
-        for k, column in enumerate(facts)
-        if column.levels > 1 and k not in places and not is_set_point_title(column.name)
-    ]
+    others = [column for k, column in enumerate(facts) if k not in places]
+    moving = [column.name for column in others if column.levels > 1]
+    moving = [name for name in moving if not is_set_point_title(name)]
     if not moving:
         return []
     named = ", ".join(moving[:MOST_NAMED])
@@ -277,7 +276,8 @@ def clock_sentences(table: Table, clock: str | None) -> list[str]:
         return []
     time_s, words = clock_column_seconds(clock, table)
     steps = np.diff(time_s[np.isfinite(time_s)])
-    median_s = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    forwards = steps[steps > 0]
+    median_s = float(np.median(forwards)) if len(forwards) else 0.0
     return [f"{words}: median period {median_s:.5g} s"]
 
 

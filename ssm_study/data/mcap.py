@@ -8,6 +8,7 @@ is verified, so a flipped bit is an error and not a number.
 """
 
 import json
+import re
 import struct
 import zlib
 from collections import defaultdict
@@ -63,17 +64,22 @@ class SignalGroup:
     values: Float[np.ndarray, "T c"]
 
     def __post_init__(self) -> None:
-        shape, found = (len(self.time_s), len(self.channels)), self.values.shape
-        require(found == shape, f"{self.topic} (values)", found, f"expected {shape}", "match them")
+        shape = (len(self.time_s), len(self.channels))
+        found = self.values.shape
+        remedy = "match them"
+        require(found == shape, f"{self.topic} (values)", found, f"expected {shape}", remedy)
         names = [channel.name for channel in self.channels]
         problem = "must be a unique identifier of letters, digits and underscores"
         for name in names:
             good = name.isidentifier() and name.isascii() and names.count(name) == 1
-            require(good, f"{self.topic} (channel)", name, problem, "rename it")
+            remedy = "rename it"
+            require(good, f"{self.topic} (channel)", name, problem, remedy)
         times = self.time_s
         problem = "times must be finite, increasing and not negative"
-        clock = np.isfinite(times).all() and (np.diff(times) > 0).all() and (times >= 0).all()
-        require(bool(clock), f"{self.topic} (time_s)", times, problem, "use the sampling clock")
+        increases = (np.diff(times) > 0).all()
+        clock = np.isfinite(times).all() and increases and (times >= 0).all()
+        remedy = "use the sampling clock"
+        require(bool(clock), f"{self.topic} (time_s)", times, problem, remedy)
 
 
 def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, str]) -> None:
@@ -85,13 +91,9 @@ def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, 
     (plant, seed, ...) in a metadata record. Raises `BadRequest` for two groups on one topic.
     """
     topics = [group.topic for group in groups]
-    require(
-        len(set(topics)) == len(topics),
-        "topics",
-        topics,
-        "two groups share a topic",
-        "name them apart",
-    )
+    problem = "two groups share a topic"
+    remedy = "name them apart"
+    require(len(set(topics)) == len(topics), "topics", topics, problem, remedy)
     temporary = path.with_name(f".{path.name}.part")
     options = MCAPWriteOptions(
         compression=MCAPCompression.Zstd,
@@ -111,14 +113,12 @@ def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, 
         shared = _merge_topics(groups)
         channels = [_open_channel(context, topic, parts) for topic, parts in shared.items()]
         for index, parts in enumerate(shared.values()):
-            times = np.rint(parts[0].time_s * NANOSECONDS).astype(np.int64).tolist()
-            queue += [
-                (time, index, message)
-                for time, message in zip(times, _encode_rows(parts), strict=True)
-            ]
-        for time, index, message in sorted(
-            queue, key=lambda item: item[:2]
-        ):  # by log time, as players expect
+            nanoseconds = np.rint(parts[0].time_s * NANOSECONDS)
+            times = nanoseconds.astype(np.int64).tolist()
+            rows = zip(times, _encode_rows(parts), strict=True)
+            queue += [(time, index, message) for time, message in rows]
+        queue.sort(key=lambda item: item[:2])  # by log time, as players expect
+        for time, index, message in queue:
             channels[index].log(message, log_time=time)
     temporary.write_bytes(written.getbuffer())
     temporary.replace(path)
@@ -131,14 +131,15 @@ def _merge_topics(groups: tuple[SignalGroup, ...]) -> dict[str, list[SignalGroup
         below[group.topic.rpartition("/")[0]].append(group)
     topics: dict[str, list[SignalGroup]] = {}
     for parent, parts in below.items():
-        named = all(part.topic.rpartition("/")[2].isidentifier() for part in parts)
-        together = (
-            len(parts) > 1
-            and named
-            and all(np.array_equal(part.time_s, parts[0].time_s) for part in parts)
-        )
-        single = parent == "" or not together or any(group.topic == parent for group in groups)
-        topics |= {part.topic: [part] for part in parts} if single else {parent: parts}
+        names = [part.topic.rpartition("/")[2] for part in parts]
+        is_named = all(name.isidentifier() for name in names)
+        has_one_clock = all(np.array_equal(part.time_s, parts[0].time_s) for part in parts)
+        together = len(parts) > 1 and is_named and has_one_clock
+        is_taken = any(group.topic == parent for group in groups)
+        if parent == "" or not together or is_taken:
+            topics |= {part.topic: [part] for part in parts}
+        else:
+            topics[parent] = parts
     return topics
 
 
@@ -147,8 +148,9 @@ def _open_channel(
 ) -> foxglove.Channel:
     """Open an MCAP topic whose schema is a protobuf message of doubles, nested if several groups
     share it. Field numbers follow the order of the signals."""
-    words = "".join(ch if ch.isalnum() else " " for ch in topic).split()
-    message = "".join(word[0].upper() + word[1:] for word in words)
+    spaced = re.sub(r"[\W_]", " ", topic)
+    words = [word[0].upper() + word[1:] for word in spaced.split()]
+    message = "".join(words)
     file = descriptor_pb2.FileDescriptorProto(
         name=f"{message}.proto", package="ssm_study", syntax="proto3"
     )
@@ -194,17 +196,20 @@ def _message_layout(
             size = sum(map(len, tags)) + 8 * channels
             message += TagBytes(number, WITHIN) + _VarintBytes(size)
         for tag in tags:
-            at += range(len(message) + len(tag), len(message) + len(tag) + 8)
-            message += tag + bytes(8)
+            message += tag
+            at += range(len(message), len(message) + 8)
+            message += bytes(8)
     return np.frombuffer(message, np.uint8), np.array(at, dtype=np.int64)
 
 
 def _encode_rows(parts: list[SignalGroup]) -> list[bytes]:
     """Encode all rows of the signals as protobuf messages at once."""
     values = np.hstack([part.values for part in parts])
-    message, at = _message_layout([len(part.channels) for part in parts], nested=len(parts) > 1)
+    counts = [len(part.channels) for part in parts]
+    message, at = _message_layout(counts, nested=len(parts) > 1)
     rows = np.tile(message, (len(values), 1))
-    rows[:, at] = np.ascontiguousarray(values, dtype="<f8").view(np.uint8)
+    doubles = np.ascontiguousarray(values, dtype="<f8")
+    rows[:, at] = doubles.view(np.uint8)
     whole = rows.tobytes()
     size = len(message)
     return [whole[k : k + size] for k in range(0, len(whole), size)]
@@ -215,14 +220,16 @@ def read_mcap(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
 
     Raises `BadRequest` for a file that is missing, truncated or damaged, or that holds no numbers.
     """
-    require(path.is_file(), "path", path, "no such file", "check the spelling")
+    remedy = "check the spelling"
+    require(path.is_file(), "path", path, "no such file", remedy)
     try:
         return _read_groups(path)
     except BadRequest:
         raise
     except DAMAGE as error:
         problem = f"not a complete MCAP recording ({type(error).__name__}: {error})"
-        raise BadRequest("path", path, problem, "record it again") from error
+        remedy = "record it again"
+        raise BadRequest("path", path, problem, remedy) from error
 
 
 def _read_groups(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
@@ -231,41 +238,30 @@ def _read_groups(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
     for record in _iterate_records(path):
         records_by_type[type(record)].append(record)
     schemas = {schema.id: schema for schema in records_by_type[records.Schema]}
-    topics: dict[int, tuple[records.Channel, list[records.Message]]] = {
-        c.id: (c, []) for c in records_by_type[records.Channel]
-    }
+    channels = {channel.id: channel for channel in records_by_type[records.Channel]}
+    messages: dict[int, list[records.Message]] = {number: [] for number in channels}
     for message in records_by_type[records.Message]:
-        topics[message.channel_id][1].append(message)
+        messages[message.channel_id].append(message)
     own = [
         record.metadata
         for record in records_by_type[records.Metadata]
         if record.name == METADATA_NAME
     ]
     metadata = {key: value for one in own for key, value in one.items()}
-    require(
-        records_by_type[records.DataEnd],
-        "path",
-        path,
-        "the data section has no end",
-        "record it again",
-    )
+    remedy = "record it again"
+    require(records_by_type[records.DataEnd], "path", path, "the data section has no end", remedy)
     counted = len(records_by_type[records.Message])
     promised = {one.message_count for one in records_by_type[records.Statistics]}
     problem = f"{max(promised, default=0)} messages promised, {counted} found"
-    require(promised <= {counted}, "path", path, problem, "record it again")
-    read = (
-        _decode_groups(*topic, schemas.get(topic[0].schema_id))
-        for topic in topics.values()
-        if topic[1]
-    )
-    numeric = tuple(group for groups in read for group in groups)
-    require(
-        len(numeric) > 0,
-        "path",
-        path,
-        "holds no topic with number fields",
-        "record the signals as numbers",
-    )
+    remedy = "record it again"
+    require(promised <= {counted}, "path", path, problem, remedy)
+    groups: list[SignalGroup] = []
+    for number, channel in channels.items():
+        if messages[number]:
+            groups += _decode_groups(channel, messages[number], schemas.get(channel.schema_id))
+    numeric = tuple(groups)
+    remedy = "record the signals as numbers"
+    require(len(numeric) > 0, "path", path, "holds no topic with number fields", remedy)
     return numeric, metadata
 
 
@@ -288,13 +284,8 @@ def _iterate_records(path: Path) -> Iterator[records.McapRecord]:
                 record.uncompressed_size, zstandard.frame_content_size(record.data) if packed else 0
             )
             remedy = "split the recording"
-            require(
-                unpacked <= LARGEST,
-                "path",
-                path,
-                f"unpacks to more than {LARGEST >> 20} MiB",
-                remedy,
-            )
+            problem = f"unpacks to more than {LARGEST >> 20} MiB"
+            require(unpacked <= LARGEST, "path", path, problem, remedy)
             yield from breakup_chunk(record, validate_crc=True)
 
 
@@ -308,29 +299,29 @@ def _decode_groups(
     if decode is not None:
         names, values = _decode_protobuf(decode, contents)
     elif channel.message_encoding == "json":
-        names, values = _number_columns(
-            [
-                {(k,): v for k, v in _require_fields(json.loads(content)).items()}
-                for content in contents
-            ]
-        )
+        objects = [_require_fields(json.loads(content)) for content in contents]
+        fields = [{(name,): value for name, value in one.items()} for one in objects]
+        names, values = _number_columns(fields)
     for part in dict.fromkeys(name[:-1] for name in names):
         at = [k for k, name in enumerate(names) if name[:-1] == part]
         units = [channel.metadata.get(f"unit.{'.'.join(names[k])}", "") for k in at]
+        topic = "/".join((channel.topic, *part))
+        nanoseconds = np.array([message.log_time for message in messages], dtype=np.int64)
+        pairs = zip(at, units, strict=True)
+        channels = [Channel(name=names[k][-1], unit=unit) for k, unit in pairs]
         yield SignalGroup(
-            topic="/".join((channel.topic, *part)),
-            time_s=np.array([message.log_time for message in messages], dtype=np.int64)
-            / NANOSECONDS,
-            channels=tuple(
-                Channel(name=names[k][-1], unit=unit) for k, unit in zip(at, units, strict=True)
-            ),
+            topic=topic,
+            time_s=nanoseconds / NANOSECONDS,
+            channels=tuple(channels),
             values=values[:, at],
         )
 
 
 def _require_fields(message: Any) -> dict[str, Any]:
     """Raise `BadRequest` for a JSON message that is not an object with fields."""
-    require(isinstance(message, dict), "path", "message", "not an object with fields", "log fields")
+    problem = "not an object with fields"
+    remedy = "log fields"
+    require(isinstance(message, dict), "path", "message", problem, remedy)
     return dict(message)
 
 
@@ -341,23 +332,28 @@ def _decode_protobuf(
     once if this project wrote them, otherwise one by one."""
     fields = decode(contents[0]).DESCRIPTOR.fields
     nested = all(one.message_type is not None for one in fields)
-    parts = [list(one.message_type.fields) for one in fields] if nested else [list(fields)]
-    prefixes: list[Names] = [(one.name,) for one in fields] if nested else [()]
-    names = [
-        (*prefix, one.name) for prefix, part in zip(prefixes, parts, strict=True) for one in part
-    ]
+    parts = [list(fields)]
+    prefixes: list[Names] = [()]
+    if nested:
+        parts = [list(one.message_type.fields) for one in fields]
+        prefixes = [(one.name,) for one in fields]
+    names: list[Names] = []
+    for prefix, part in zip(prefixes, parts, strict=True):
+        names += [(*prefix, one.name) for one in part]
     message, at = _message_layout([len(part) for part in parts], nested)
     doubles = names and all(one.type == one.TYPE_DOUBLE for part in parts for one in part)
     if doubles and {len(content) for content in contents} == {len(message)}:
-        rows = np.frombuffer(b"".join(contents), np.uint8).reshape(len(contents), -1)
-        if (np.delete(rows, at, axis=1) == np.delete(message, at)).all():
-            return names, np.ascontiguousarray(rows[:, at]).view("<f8").astype(np.float64)
+        whole = np.frombuffer(b"".join(contents), np.uint8)
+        rows = whole.reshape(len(contents), -1)
+        is_own = np.delete(rows, at, axis=1) == np.delete(message, at)
+        if is_own.all():
+            numbers = np.ascontiguousarray(rows[:, at]).view("<f8")
+            return names, numbers.astype(np.float64)
     # A field that repeats, such as a list of points, has none of the fields of its messages: no
     # number.
     value = partial(reduce, lambda whole, field: getattr(whole, field, None))
-    return _number_columns(
-        [{name: value(name, one) for name in names} for one in map(decode, contents)]
-    )
+    messages = [{name: value(name, one) for name in names} for one in map(decode, contents)]
+    return _number_columns(messages)
 
 
 def _number_columns(
@@ -365,16 +361,15 @@ def _number_columns(
 ) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
     """Collect the number fields of messages as columns. A field that is a number in the first
     message must be one in all others."""
-    names = [
-        name
-        for name, value in messages[0].items()
-        if isinstance(value, Real) and not isinstance(value, bool)
-    ]
+    first = messages[0].items()
+    real = [(name, value) for name, value in first if isinstance(value, Real)]
+    names = [name for name, value in real if not isinstance(value, bool)]
     for k, message in enumerate(messages):
         for name in names:
             value = message.get(name)
             problem = f"no number in message {k}"
-            require(isinstance(value, Real), ".".join(name), value, problem, "log a number")
-    return names, np.array([[float(m[name]) for name in names] for m in messages]).reshape(
-        len(messages), len(names)
-    )
+            remedy = "log a number"
+            require(isinstance(value, Real), ".".join(name), value, problem, remedy)
+    rows = [[float(message[name]) for name in names] for message in messages]
+    shape = (len(messages), len(names))
+    return names, np.array(rows).reshape(shape)

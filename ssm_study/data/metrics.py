@@ -38,12 +38,14 @@ COLUMNS = (
 def data_columns(data: DataSet) -> dict[str, Any]:
     """Columns of a record that describe the data set: where it comes from and how well its inputs
     excite the plant."""
+    disturbances = [channel.name for channel in data.disturbances]
+    orders = [persistency_order(record.u) for record in data.training]
     return {
         "data_source": data.metadata.get("source"),
         "benchmark": data.metadata.get("benchmark"),
-        "disturbances": ", ".join(channel.name for channel in data.disturbances) or None,
+        "disturbances": ", ".join(disturbances) or None,
         "input_coverage": input_coverage(data),
-        "excitation_order": min(persistency_order(record.u) for record in data.training),
+        "excitation_order": min(orders),
         "excitation_warning": warn_if_two_level(data),
     }
 
@@ -51,19 +53,16 @@ def data_columns(data: DataSet) -> dict[str, Any]:
 def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -> tuple[float, ...]:
     """Root mean square error on each test record as a public benchmark scores it. The start-up
     samples do not count; the unit is that of `data.metadata["score"]`."""
-    require(
-        len(y_hat) == len(data.test),
-        "y_hat",
-        len(y_hat),
-        f"there are {len(data.test)} test records",
-        "score all",
-    )
+    problem = f"there are {len(data.test)} test records"
+    remedy = "score all"
+    require(len(y_hat) == len(data.test), "y_hat", len(y_hat), problem, remedy)
     pairs = list(zip(data.test, y_hat, strict=True))
     score = data.metadata.get("score", "rmse")
     if score == "position_mm":
         return tuple(position_rmse_mm(r, y, data.start_up_samples) for r, y in pairs)
     factor = 1.0 if score == "rmse" else 1000.0
-    return tuple(factor * rmse(r.y, y, data.start_up_samples) for r, y in pairs)
+    errors = [rmse(record.y, y, data.start_up_samples) for record, y in pairs]
+    return tuple(factor * error for error in errors)
 
 
 def position_rmse_mm(
@@ -77,8 +76,10 @@ def position_rmse_mm(
     position exactly; `s` is the last start-up sample. Velocities in m/s.
     """
     scored = slice(start_up_samples, None)
-    drift = np.cumsum(velocity_hat[scored] - record.y[scored]) * record.step_s
-    return float(1000.0 * np.sqrt(np.mean(drift**2)))
+    error = velocity_hat[scored] - record.y[scored]
+    drift = np.cumsum(error) * record.step_s
+    rms = np.sqrt(np.mean(drift**2))
+    return float(1000.0 * rms)
 
 
 class SlopesNotIdentifiable(UserWarning):
@@ -94,13 +95,16 @@ def input_coverage(data: DataSet) -> float:
     [0, 1].
     """
     training = np.concatenate([r.u for r in data.training])
-    everything = np.concatenate([r.u for r in (*data.training, *data.validation, *data.test)])
+    records = (*data.training, *data.validation, *data.test)
+    everything = np.concatenate([record.u for record in records])
     low = everything.min(axis=0)
     width = np.ptp(everything, axis=0)
     if not width.all():
         return 0.0
-    bins = np.minimum((BINS * (training - low) / width).astype(int), BINS - 1)
-    return min(len(np.unique(column)) / BINS for column in bins.T)
+    places = BINS * (training - low) / width
+    bins = np.minimum(places.astype(int), BINS - 1)
+    visited = [len(np.unique(column)) for column in bins.T]
+    return min(visited) / BINS
 
 
 def warn_if_two_level(data: DataSet) -> str | None:
@@ -112,10 +116,8 @@ def warn_if_two_level(data: DataSet) -> str | None:
         if levels <= 2:
             sentence = (
                 f"excitation of {channel.name}: {levels} levels only, so the slopes of a "
-                "nonlinear S_u between "
-            )
-            sentence += (
-                "them are not identifiable; train on a multilevel signal (excitation=aprbs)."
+                "nonlinear S_u between them are not identifiable; train on a multilevel signal "
+                "(excitation=aprbs)."
             )
             warnings.warn(sentence, SlopesNotIdentifiable, stacklevel=2)
             return sentence
@@ -131,12 +133,17 @@ def persistency_order(u: Float[np.ndarray, "T m"]) -> int:
     """
     u = u[:SAMPLES_FOR_ORDER] - u.mean(axis=0)
     order = 0
-    too_deep = min(HIGHEST_ORDER, (len(u) + 1) // (u.shape[1] + 1)) + 1
+    deepest = (len(u) + 1) // (u.shape[1] + 1)
+    too_deep = min(HIGHEST_ORDER, deepest) + 1
     while too_deep - order > 1:  # the ranks are nested, so halving finds the last full one
         middle = (order + too_deep) // 2
         columns = len(u) - middle + 1
-        hankel = np.concatenate([u[k : k + columns].T for k in range(middle)])
+        shifted = [u[k : k + columns].T for k in range(middle)]
+        hankel = np.concatenate(shifted)
         values = np.linalg.svd(hankel, compute_uv=False)
-        full = values[-1] > RANK_TOLERANCE * values[0]
-        order, too_deep = (middle, too_deep) if full else (order, middle)
+        is_full = values[-1] > RANK_TOLERANCE * values[0]
+        if is_full:
+            order = middle
+        else:
+            too_deep = middle
     return order

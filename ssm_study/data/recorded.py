@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from ssm_study.data import splits
 from ssm_study.data.assembly import Channels, Parts, assemble_dataset
@@ -66,36 +67,41 @@ class AroundRest(RecordedSource):
         require_one_of(("zero", "mean"), "data.equilibrium", self.equilibrium)
         require_at_least(2, "data.folds", self.folds, "use 4 or so")
         inside = self.fold is None or 0 <= self.fold < self.folds
-        require(
-            inside, "data.fold", self.fold, f"there are {self.folds} folds", "count them from 0"
-        )
+        problem = f"there are {self.folds} folds"
+        remedy = "count them from 0"
+        require(inside, "data.fold", self.fold, problem, remedy)
 
     def assemble_about_equilibrium(
         self, parts: Parts, channels: tuple[Channels, ...], **about: str
     ) -> DataSet:
         """Assemble a data set that is scaled about the equilibrium of its records. Raises
         `BadRequest` as `assemble_dataset` does."""
-        require(
-            len(parts[0]) > 0, "data.training", "none", "no record is left to train on", "cut less"
-        )
-        rest = []
-        for name, side, stated in (
-            ("input", "u", self.input_equilibrium),
-            ("output", "y", self.output_equilibrium),
-        ):
-            mean = np.concatenate([getattr(record, side) for record in parts[0]]).mean(axis=0)
-            fits = stated is None or len(stated) == len(mean)
-            problem = f"there are {len(mean)} channels"
-            require(
-                fits, f"data.{name}_equilibrium", stated, problem, "give one number per channel"
-            )
-            ruled = mean if self.equilibrium == "mean" else np.zeros_like(mean)
-            rest.append(ruled if stated is None else np.array(stated, dtype=np.float64))
+        remedy = "cut less"
+        require(len(parts[0]) > 0, "data.training", "none", "no record is left to train on", remedy)
+        inputs = np.concatenate([record.u for record in parts[0]])
+        outputs = np.concatenate([record.y for record in parts[0]])
+        rest = [
+            self._equilibrium("input", inputs, self.input_equilibrium),
+            self._equilibrium("output", outputs, self.output_equilibrium),
+        ]
         if len(channels) > len(rest):  # of a disturbance no equilibrium is chosen: its mean
             measured = [record.d for record in parts[0] if record.d is not None]
             rest.append(np.concatenate(measured).mean(axis=0))
         about = {"source": "recorded", **about}
         return assemble_dataset(parts, tuple(rest), channels, self.start_up_samples, metadata=about)
+
+    def _equilibrium(
+        self, side: str, values: Float[np.ndarray, "T c"], stated: list[float] | None
+    ) -> Float[np.ndarray, "c"]:
+        """Equilibrium of the inputs or outputs, as stated or by the rule."""
+        mean = values.mean(axis=0)
+        fits = stated is None or len(stated) == len(mean)
+        problem = f"there are {len(mean)} channels"
+        remedy = "give one number per channel"
+        require(fits, f"data.{side}_equilibrium", stated, problem, remedy)
+        if stated is not None:
+            return np.array(stated, dtype=np.float64)
+        return mean if self.equilibrium == "mean" else np.zeros_like(mean)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,53 +133,56 @@ class RecordedData(Columns, AroundRest):
     def __post_init__(self) -> None:
         Columns.__post_init__(self)
         AroundRest.__post_init__(self)
-        for name in ("validation_fraction", "test_fraction"):
-            value = getattr(self, name)
-            require(0 < value < 1, f"data.{name}", value, "not inside (0, 1)", "use 0.2 or so")
-        total = self.validation_fraction + (self.test_fraction if self.test_path is None else 0.0)
-        both = "data.validation_fraction, data.test_fraction"
-        require(total < 1, both, total, "nothing is left to train on", "cut less")
-        require_one_of(("auto", "time", "blocks"), "data.split", self.split)
-        named = (self.validation, self.test)
-        tested = self.test is not None or self.test_path is not None
-        whole = (self.validation is None and self.test is None) or (
-            self.validation is not None and tested
-        )
-        remedy = "name intervals for data.validation and data.test"
-        require(whole, "data.validation, data.test", named, "one is missing", remedy)
-        free = self.fold is None or (self.split == "auto" and named == (None, None) and not tested)
-        problem = "the parts are named too"
-        remedy = "leave out data.split, validation, test and test_path"
-        require(free, "data.fold", self.fold, problem, remedy)
-        problem = "one is enough"
-        remedy = "name the set point alone"
-        both_named = self.reference is not None and self.controller is not None
-        require(
-            not both_named,
-            "data.reference, data.controller",
-            (self.reference, self.controller),
-            problem,
-            remedy,
-        )
-        gain, integral_s = (
-            self.controller
-            if self.controller is not None and len(self.controller) == 2
-            else (0.0, 0.0)
-        )
-        pi = self.controller is None or (0 < abs(gain) < np.inf and integral_s > 0)
-        require(
-            pi,
-            "data.controller",
-            self.controller,
-            "is no PI",
-            "give [gain, integral time in seconds]",
-        )
+        self._check_fractions()
+        self._check_parts()
+        self._check_closed_loop()
         self._check_disturbance_columns()
-        require(
-            len(as_name_list(self.path)) > 0, "data.path", self.path, "names no file", "give a path"
-        )
+        has_file = len(as_name_list(self.path)) > 0
+        problem = "names no file"
+        require(has_file, "data.path", self.path, problem, "give a path")
         self.pair_files("path", "output_path")
         self.pair_files("test_path", "test_output_path")
+
+    def _check_fractions(self) -> None:
+        """Refuse fractions for validation and test that leave nothing to train on."""
+        for name in ("validation_fraction", "test_fraction"):
+            value = getattr(self, name)
+            remedy = "use 0.2 or so"
+            require(0 < value < 1, f"data.{name}", value, "not inside (0, 1)", remedy)
+        tested = self.test_fraction if self.test_path is None else 0.0
+        total = self.validation_fraction + tested
+        both = "data.validation_fraction, data.test_fraction"
+        problem = "nothing is left to train on"
+        require(total < 1, both, total, problem, "cut less")
+
+    def _check_parts(self) -> None:
+        """Refuse parts of the log that are named in half, or named beside a fold."""
+        require_one_of(("auto", "time", "blocks"), "data.split", self.split)
+        named = (self.validation, self.test)
+        has_test = self.test is not None or self.test_path is not None
+        is_unnamed = named == (None, None)
+        is_whole = is_unnamed or (self.validation is not None and has_test)
+        remedy = "name intervals for data.validation and data.test"
+        require(is_whole, "data.validation, data.test", named, "one is missing", remedy)
+        is_free = self.split == "auto" and is_unnamed and not has_test
+        problem = "the parts are named too"
+        remedy = "leave out data.split, validation, test and test_path"
+        require(self.fold is None or is_free, "data.fold", self.fold, problem, remedy)
+
+    def _check_closed_loop(self) -> None:
+        """Refuse a controller that is no PI, or is named beside its set point."""
+        both = (self.reference, self.controller)
+        is_single = None in both
+        problem = "one is enough"
+        remedy = "name the set point alone"
+        require(is_single, "data.reference, data.controller", both, problem, remedy)
+        if self.controller is None:
+            return
+        is_pair = len(self.controller) == 2
+        gain, integral_s = self.controller if is_pair else (0.0, 0.0)
+        is_pi = 0 < abs(gain) < np.inf and integral_s > 0
+        remedy = "give [gain, integral time in seconds]"
+        require(is_pi, "data.controller", self.controller, "is no PI", remedy)
 
     def _check_disturbance_columns(self) -> None:
         """Raise `BadRequest` for a disturbance column that is named twice or is another signal,
@@ -184,10 +193,11 @@ class RecordedData(Columns, AroundRest):
         problem = "the same column twice"
         require(not twice, "data.disturbance", twice[:1], problem, "name each column once")
         outputs = () if self.has_output_files else as_name_list(self.output)
+        clock = () if self.time is None else (str(self.time),)
         taken = {
             "an input": as_name_list(self.input),
             "an output": outputs,
-            "the clock": () if self.time is None else (str(self.time),),
+            "the clock": clock,
             "the set point": as_name_list(self.reference or ()),
         }
         for role, columns in taken.items():
@@ -198,12 +208,10 @@ class RecordedData(Columns, AroundRest):
     @property
     def disturbances(self) -> Channels:
         """Channels of the measured disturbances."""
-        names = self.disturbance or ()
-        return (
-            name_channels(names, self.disturbance_unit, "disturbance", self.has_output_files)
-            if names
-            else ()
-        )
+        if not self.disturbance:
+            return ()
+        units = self.disturbance_unit
+        return name_channels(self.disturbance, units, "disturbance", self.has_output_files)
 
     @property
     def has_output_files(self) -> bool:
@@ -212,20 +220,14 @@ class RecordedData(Columns, AroundRest):
     def pair_files(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
         """Pair each input file with its output file, where the outputs have files of their own.
         Raises `BadRequest` if there are too few or too many."""
-        names, others = (as_name_list(getattr(self, name) or ()) for name in (field, outputs))
+        names = as_name_list(getattr(self, field) or ())
+        others = as_name_list(getattr(self, outputs) or ())
         expected = len(names) if self.has_output_files else 0
         problem = f"{len(others)} files of outputs, {expected} expected"
-        require(
-            len(others) == expected,
-            f"data.{outputs}",
-            list(others),
-            problem,
-            "name one for each file of inputs",
-        )
-        return [
-            tuple(map(Path, pair))
-            for pair in (zip(names, others, strict=True) if others else zip(names))
-        ]
+        remedy = "name one for each file of inputs"
+        require(len(others) == expected, f"data.{outputs}", list(others), problem, remedy)
+        pairs = zip(names, others, strict=True) if others else zip(names)
+        return [tuple(map(Path, pair)) for pair in pairs]
 
     def files(self) -> tuple[Path, ...]:
         pairs = [
@@ -233,20 +235,24 @@ class RecordedData(Columns, AroundRest):
             *self.pair_files("test_path", "test_output_path"),
         ]
         for path in (paths := tuple(path for pair in pairs for path in pair)):
-            require(path.is_file(), "data.path", path, "no such file", "check the spelling")
+            problem = "no such file"
+            remedy = "check the spelling"
+            require(path.is_file(), "data.path", path, problem, remedy)
         return paths
 
     def build(self, seed: int) -> DataSet:
         logs = self._read_logs("path", "output_path")
         cuts, split = self._split_logs([log.pieces for log in logs])
-        training, validation, test = (
-            [piece for pieces in cuts for piece in pieces[k]] for k in range(3)
-        )
+        training = [piece for pieces in cuts for piece in pieces[0]]
+        validation = [piece for pieces in cuts for piece in pieces[1]]
+        test = [piece for pieces in cuts for piece in pieces[2]]
         if self.test_path is not None:
             tested = self._read_logs("test_path", "test_output_path", before=len(logs))
             test = [piece for log in tested for piece in log.pieces]
-        about = {"path": ", ".join(as_name_list(self.path)), "seed": str(seed), "split": split}
-        about["reading"] = ". ".join(dict.fromkeys(log.remark for log in logs))
+        paths = ", ".join(as_name_list(self.path))
+        about = {"path": paths, "seed": str(seed), "split": split}
+        remarks = dict.fromkeys(log.remark for log in logs)
+        about["reading"] = ". ".join(remarks)
         share = logs[0].share_by_set_point
         about |= {} if share is None else {"by_set_point": f"{share:.2f}"}
         channels: tuple[Channels, ...] = (self.inputs, self.outputs)
@@ -311,7 +317,10 @@ class RecordedData(Columns, AroundRest):
         source = replace(self, input=columns, input_unit="", disturbance=None)
         pieces, remark = source.read_pieces(path, output_path, first=first, last=last)
         count = len(self.inputs)
-        apart = [replace(one, u=one.u[:, :count], d=one.u[:, count:]) for one in pieces]
+        apart = []
+        for piece in pieces:
+            u, d = np.split(piece.u, [count], axis=1)
+            apart.append(replace(piece, u=u, d=d))
         return apart, remark
 
     def _project_inputs(self, logs: "list[_Log]") -> "list[_Log]":
@@ -325,14 +334,12 @@ class RecordedData(Columns, AroundRest):
             references = [piece.u[:, count:] for piece in pieces]
             pieces = [replace(piece, u=piece.u[:, :count]) for piece in pieces]
         made, share = project_inputs_on_set_points(pieces, references)
-        return [
-            _Log(
-                pieces=[piece for piece in made if piece.log == number],
-                remark=log.remark,
-                share_by_set_point=share,
-            )
-            for number, log in enumerate(logs, start=logs[0].pieces[0].log)
-        ]
+        projected = []
+        first = logs[0].pieces[0].log
+        for number, log in enumerate(logs, start=first):
+            own = [piece for piece in made if piece.log == number]
+            projected.append(replace(log, pieces=own, share_by_set_point=share))
+        return projected
 
     def _split_logs(self, logs: list[list[Trajectory]]) -> tuple[list[Pieces], str]:
         """Split every log into training, validation and test, and describe the cuts in words."""
@@ -367,9 +374,8 @@ class RecordedData(Columns, AroundRest):
         if self.split == "auto":
             shortest = self.start_up_samples + FEWEST
             able = all(sum(map(len, log)) // BLOCKS >= shortest for log in logs)
-            if not able or not any(
-                is_test_output_different(self._split_log(log, in_time)) for log in logs
-            ):
+            cuts = [self._split_log(log, in_time) for log in logs]
+            if not able or not any(map(is_test_output_different, cuts)):
                 return in_time, "in the order of time"
         why = "" if self.split == "blocks" else ", because its end is unlike its beginning"
         return split_into_blocks, f"in {BLOCKS} interleaved blocks{why}"

@@ -31,21 +31,24 @@ from ssm_study.data.text_layout import TextSettings
 from ssm_study.refusal import BadRequest, require, require_at_least, require_positive
 from ssm_study.signals import Channel, Trajectory
 
+ClockTimes = Float[np.ndarray, "T"]
+
 Names = str | int | list[str] | list[int] | tuple[str, ...]
 # Of a file without names whose first column counts the rows; the evidence then has a doubt.
 ASSUMED_SECOND = "and a row is taken to last one second"
 
 
 def as_name_list(names: Names) -> tuple[str, ...]:
-    """Convert one name or several names to a tuple of names. A column without a name is given by
-    its number."""
-    return (str(names),) if isinstance(names, str | int) else tuple(map(str, names))
+    """Convert one name, or number of a column, or several to a tuple of names."""
+    if isinstance(names, str | int):
+        return (str(names),)
+    return tuple(map(str, names))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Columns:
-    """Base class of settings that say which columns of a file are inputs, outputs and clock. Inputs
-    and outputs may be in separate files (docs/data.md).
+    """Base class of settings that say which columns of a file are inputs, outputs and clock
+    (docs/data.md).
 
     Without `time` the clock is found by its name, or as the nameless first column. `separator`,
     `decimal` and `header` state what is otherwise found in a text. `decimate` n keeps every n-th
@@ -72,25 +75,24 @@ class Columns:
         require_positive("data.step_s", self.step_s, "give it in seconds")
         require_at_least(1, "data.decimate", self.decimate, "use 1 to keep every sample")
         jitter = self.jitter_tolerance
-        require(0 <= jitter < 1, "data.jitter_tolerance", jitter, "not in [0, 1)", "use 0.05")
+        problem = "not in [0, 1)"
+        require(0 <= jitter < 1, "data.jitter_tolerance", jitter, problem, "use 0.05")
         _ = self.text_settings  # refuses what is no separator or decimal mark
         for field, names in (("data.input", self.input), ("data.output", self.output)):
             columns = as_name_list(names)
             named = len(columns) > 0 and all(columns)
-            require(named, field, names, "names no column", "name at least one")
+            problem = "names no column"
+            require(named, field, names, problem, "name at least one")
             twice = [name for name in columns if columns.count(name) > 1]
-            require(not twice, field, twice[:1], "the same column twice", "name each column once")
+            problem = "the same column twice"
+            require(not twice, field, twice[:1], problem, "name each column once")
             clock = self.time is not None and str(self.time) in columns
-            require(not clock, field, self.time, "is the clock (data.time)", "name a signal")
+            problem = "is the clock (data.time)"
+            require(not clock, field, self.time, problem, "name a signal")
         both = set(as_name_list(self.input)) & set(as_name_list(self.output))
         remedy = "name other columns, or data.output_path"
-        require(
-            self.has_output_files or not both,
-            "data.output",
-            sorted(both),
-            "is an input too",
-            remedy,
-        )
+        problem = "is an input too"
+        require(self.has_output_files or not both, "data.output", sorted(both), problem, remedy)
 
     @property
     def text_settings(self) -> TextSettings:
@@ -141,7 +143,8 @@ class Columns:
         pieces, remark = self.read_pieces(path, output_path, first=first, last=last)
         remedy = "cut the file there, or name it data.path alone"
         one = len(pieces) == 1
-        require(one, f"{path.name} (pieces)", len(pieces), f"{remark}: not one record", remedy)
+        problem = f"{remark}: not one record"
+        require(one, f"{path.name} (pieces)", len(pieces), problem, remedy)
         return replace(pieces[0], first=0)
 
     def read_pieces(
@@ -165,7 +168,8 @@ class Columns:
         whole = range(first, log_length(pieces) if last is None else last)
         problem = f"no such samples, {path.name} has {log_length(pieces)}"
         inside = first < whole.stop <= log_length(pieces)
-        require(inside, "data.first, data.last", (first, whole.stop), problem, "count from 0")
+        remedy = "count from 0"
+        require(inside, "data.first, data.last", (first, whole.stop), problem, remedy)
         records = []
         for values, start in zip(pieces.values, pieces.starts, strict=True):
             a = max(whole.start - start, 0)
@@ -173,11 +177,11 @@ class Columns:
             enough = b - a >= 2 * self.decimate + 1
             if enough or len(pieces.values) == 1:
                 require_at_least(2 * self.decimate + 1, "samples", b - a, "use a longer record")
+                record = self._build_record(values[a:b], pieces.step_s, path)
                 at = (start + a) // self.decimate
-                records.append(
-                    replace(self._build_record(values[a:b], pieces.step_s, path), first=at)
-                )
-        require(records, "samples", 0, "no stretch without holes is long enough", "log on")
+                records.append(replace(record, first=at))
+        remedy = "log on"
+        require(records, "samples", 0, "no stretch without holes is long enough", remedy)
         return records, "; ".join(remarks)
 
     def _build_record(
@@ -222,7 +226,7 @@ class Columns:
 
     def _read_columns(
         self, path: Path, output_path: Path
-    ) -> tuple[Float[np.ndarray, "T"] | None, float | None, Float[np.ndarray, "T2 c"], list[str]]:
+    ) -> tuple[ClockTimes | None, float | None, Float[np.ndarray, "T2 c"], list[str]]:
         """Read the signals of a log, their times and the sampling time that the file states, with
         remarks. Rows of two files must belong together."""
         sides = [
@@ -231,13 +235,15 @@ class Columns:
         ]
         wanted: dict[Path, dict[str, str]] = {}
         for file, names, channels in sides:
-            units = dict(zip(names, (c.unit for c in channels), strict=True))
-            wanted.setdefault(file, {}).update(units)
+            units = [channel.unit for channel in channels]
+            named = dict(zip(names, units, strict=True))
+            wanted.setdefault(file, {}).update(named)
         logs = {file: self._read_file(file, units) for file, units in wanted.items()}
         columns = []
         for file, names, _ in sides:
             table = logs[file].table
-            columns.append(np.stack([table.columns[name] for name in names], axis=1))
+            own = [table.columns[name] for name in names]
+            columns.append(np.stack(own, axis=1))
         u, y = columns
         problem = f"has {len(y)} rows, {path.name} {len(u)}"
         remedy = "cut them alike"
@@ -248,7 +254,8 @@ class Columns:
             self._refuse_unequal_times(times, tables, output_path, len(u))
         remarks = [remark for log in logs.values() for remark in log.remarks]
         stated_s = next((table.step_s for table in tables if table.step_s), None)
-        return times[0] if times else None, stated_s, np.hstack([u, y]), remarks
+        time_s = times[0] if times else None
+        return time_s, stated_s, np.hstack([u, y]), remarks
 
     def _refuse_unequal_times(
         self, times: list[np.ndarray], tables: list[Table], output_path: Path, rows: int
@@ -261,7 +268,8 @@ class Columns:
         require(not recordings, "data.output_path", output_path, problem, remedy)
         if len(times) < 2:
             return
-        late_s = float(np.nanmax(np.abs(times[0] - times[1])))
+        differences = np.abs(times[0] - times[1])
+        late_s = float(np.nanmax(differences))
         problem = f"its rows are up to {late_s:.3g} s away from those of the inputs"
         close = late_s <= self.jitter_tolerance * np.ptp(times[0]) / rows
         require(close, "data.output_path", output_path, problem, "log both on one clock")
@@ -288,7 +296,7 @@ class Columns:
 
     def _find_clock(
         self, file: Path, reader: Reader, table: Table, signals: list[str]
-    ) -> tuple[Float[np.ndarray, "T"] | None, list[str]]:
+    ) -> tuple[ClockTimes | None, list[str]]:
         """Find the clock of a file by its title or place, and say which column it is."""
         try:
             contents = reader.contents(file)
@@ -296,9 +304,8 @@ class Columns:
             return None, []  # a format that lists no columns
         length = len(table.columns[signals[0]])
         own = [table.columns[name] for name in signals]
-        taken = [
-            title for title, values in contents.columns.items() if equals_any_column(values, own)
-        ]
+        columns = contents.columns.items()
+        taken = [title for title, values in columns if equals_any_column(values, own)]
         refuse_clock_as_signal(contents, taken, file)
         title = find_clock_column(contents, taken)
         if title is None or len(contents.columns[title]) != length:
@@ -310,7 +317,7 @@ class Columns:
 
     def _row_number_times(
         self, contents: Table, length: int
-    ) -> tuple[Float[np.ndarray, "T"] | None, list[str]]:
+    ) -> tuple[ClockTimes | None, list[str]]:
         """Times of a log whose first column counts the rows. They are in seconds in a file without
         names (which the evidence doubts), None where the sampling time is given; refused
         otherwise."""
@@ -331,7 +338,7 @@ class _LogFile:
     """Columns read from one log file, its clock in seconds, and how it was read."""
 
     table: Table
-    time_s: Float[np.ndarray, "T"] | None
+    time_s: ClockTimes | None
     remarks: list[str]
 
 
@@ -358,7 +365,7 @@ class Recording(Columns):
         return self.read_record(Path(self.path), first=self.first, last=self.last)
 
 
-def equals_any_column(values: Float[np.ndarray, "T"], columns: list[np.ndarray]) -> bool:
+def equals_any_column(values: ClockTimes, columns: list[np.ndarray]) -> bool:
     """Whether a column holds the same numbers as at least one of several columns."""
     return any(np.array_equal(values, column, equal_nan=True) for column in columns)
 
@@ -391,4 +398,5 @@ def name_channels(names: Names, units: Names, side: str, apart: bool) -> tuple[C
     problem = f"two of them would be called {twice}"
     require(not twice, f"data.{side}", ", ".join(columns), problem, "rename a column of the log")
     plain = [f"{side}_{words}" if apart or words[0].isdigit() else words for words in plain]
-    return tuple(Channel(name=name, unit=unit) for name, unit in zip(plain, stated, strict=True))
+    pairs = zip(plain, stated, strict=True)
+    return tuple(Channel(name=name, unit=unit) for name, unit in pairs)

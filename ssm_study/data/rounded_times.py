@@ -12,6 +12,8 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+ClockTimes = Float[np.ndarray, "T"]
+
 # Relative half width of the possible periods up to which the period is taken as known.
 SURE_PERIOD = 1e-3
 ROUNDED = 0.6  # of the last digit: half of it, and a second rounding
@@ -20,7 +22,7 @@ FEWEST_REPEATS = 3  # of a time: one that stands twice may be a row that was wri
 DIGITS = 12  # of a written time; the rest is arithmetic
 
 
-def rounded_period_s(time_s: Float[np.ndarray, "T"]) -> tuple[float, float] | None:
+def rounded_period_s(time_s: ClockTimes) -> tuple[float, float] | None:
     """Estimate the sampling time behind rounded times, and its relative uncertainty.
 
     The period is the shortest decimal number among the possible ones. None where no even clock
@@ -39,9 +41,7 @@ def rounded_period_s(time_s: Float[np.ndarray, "T"]) -> tuple[float, float] | No
     return None
 
 
-def period_bounds_s(
-    time_s: Float[np.ndarray, "T"], error_s: Float[np.ndarray, "T"]
-) -> tuple[float, float] | None:
+def period_bounds_s(time_s: ClockTimes, error_s: ClockTimes) -> tuple[float, float] | None:
     """Smallest and largest period of an evenly spaced clock that agrees with every time up to its
     tolerance; None if there is none."""
     rows = len(time_s) - 1
@@ -61,7 +61,7 @@ def period_bounds_s(
     return min(limits_s), max(limits_s)
 
 
-def written_resolution(time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+def written_resolution(time_s: ClockTimes) -> ClockTimes:
     """Value of the last digit with which each time was written.
 
     A time of less than 1e-12 of the largest is arithmetic, and counts as zero.

@@ -9,14 +9,20 @@ HOLDS_COUNT = 0.4  # weight, against a word of the name, of how long a column ho
 FEW_LEVELS_COUNT = 0.2  # the same of how few levels it has
 STEADY_COUNTS = 0.3  # the same, against an input, of a column that hardly moves from its mean
 STEADY = 0.1  # range over the largest magnitude, below which a column hardly moves
-INPUT_WORDS = ("u", "in", "input", "command", "cmd", "pwm", "duty", "valve", "heater", "voltage",
-               "power", "signal", "inputsignal", "servo", "torque", "force", "rudder", "flow",
-               "current", "us", "setting", "inputdata", "throttle", "pump", "ph", "q")  # fmt: skip
-OUTPUT_WORDS = ("y", "t", "out", "output", "speed", "temperature", "temp", "position", "level",
-                "angle", "rate", "rpm", "velocity", "encoder", "enconder", "pos", "measured",
-                "ti", "pressure", "height", "outputdata")  # fmt: skip
-SET_POINT_WORDS = ("sp", "setpoint", "set", "ref", "reference", "target", "desired", "wanted", "r",
-                   "tsp", "soll", "sollwert", "goal", "demand")  # fmt: skip
+INPUT_WORDS_TEXT = """
+    u in input command cmd pwm duty valve heater voltage power signal inputsignal servo
+    torque force rudder flow current us setting inputdata throttle pump ph q
+"""
+INPUT_WORDS = tuple(INPUT_WORDS_TEXT.split())
+OUTPUT_WORDS_TEXT = """
+    y t out output speed temperature temp position level angle rate rpm velocity encoder
+    enconder pos measured ti pressure height outputdata
+"""
+OUTPUT_WORDS = tuple(OUTPUT_WORDS_TEXT.split())
+SET_POINT_WORDS_TEXT = """
+    sp setpoint set ref reference target desired wanted r tsp soll sollwert goal demand
+"""
+SET_POINT_WORDS = tuple(SET_POINT_WORDS_TEXT.split())
 
 
 def guess_signals(facts: Sequence[ColumnFacts], clock: str | None) -> tuple[str | None, str | None]:

@@ -99,20 +99,20 @@ class SimulatedData:
         scoring = self.scoring_excitation
         training = self._simulate_records(plant, excitation, rng, self.trajectories, self.samples)
         validation = self._simulate_records(plant, scoring, rng, 1, self.validation_samples)
-        test = self._simulate_records(
-            plant, scoring, rng, 1, self.test_samples, noisy=self.test_noise
-        )
+        noisy = self.test_noise
+        test = self._simulate_records(plant, scoring, rng, 1, self.test_samples, noisy=noisy)
         about = {
             "source": "simulated",
             "plant": type(plant).__name__,
             "excitation": excitation.kind,
+            "seed": str(seed),
         }
-        fields: dict[str, Any] = {"metadata": about | {"seed": str(seed)}}
+        fields: dict[str, Any] = {"metadata": about}
         if self.trials:
             trial_rng = np.random.default_rng([seed, 7])
-            fields["mismatch_records"] = simulate_mismatch_records(
-                plant, trial_rng, self.noise_deviation(plant)
-            )
+            deviation = self.noise_deviation(plant)
+            trials = simulate_mismatch_records(plant, trial_rng, deviation)
+            fields["mismatch_records"] = trials
         parts = (training, validation, test)
         rest = plant.equilibrium()
         channels = (plant.inputs, plant.outputs)
@@ -162,12 +162,14 @@ class SimulatedData:
             amplitude=plant.input_amplitude,
             clock_s=plant.input_clock_s,
         )
-        signals = np.stack([excitation.signal(request, rng) for _ in range(count)])
-        u = plant.equilibrium().u + signals
-        y = plant.simulate(u)[1]
+        signals = [excitation.signal(request, rng) for _ in range(count)]
+        u = plant.equilibrium().u + np.stack(signals)
+        _, y = plant.simulate(u)
         if noisy:
-            y = y + self.noise_deviation(plant) * rng.standard_normal(y.shape)
-        return [Trajectory(u=u[i], y=y[i], step_s=plant.step_s) for i in range(count)]
+            noise = rng.standard_normal(y.shape)
+            y = y + self.noise_deviation(plant) * noise
+        pairs = zip(u, y, strict=True)
+        return [Trajectory(u=inputs, y=outputs, step_s=plant.step_s) for inputs, outputs in pairs]
 
 
 def simulate_mismatch_records(
@@ -183,17 +185,23 @@ def simulate_mismatch_records(
     rest = plant.equilibrium()
     longest = 5 * max(round(plant.input_clock_s / plant.step_s), 1)
     amplitude = np.array(plant.input_amplitude)
-    period = np.stack([_broadband_signal(rng, longest) for _ in rest.u], axis=1) * amplitude
+    signals = [_broadband_signal(rng, longest) for _ in rest.u]
+    period = np.stack(signals, axis=1) * amplitude
     at_rest = np.zeros((REST, len(rest.u)))
     whole = np.concatenate([period[-LEAD_IN:], period, period, at_rest])
-    driven = rest.u + np.array(SHARES)[:, None, None] * whole
+    shares_driven = np.array(SHARES)[:, None, None]
+    driven = rest.u + shares_driven * whole
     low, high = plant.initial_range
     share = np.array(DECAYS)[:, None] * np.ones(len(rest.y))
-    starts = rest.y + np.where(share < 0, -low, high) * share
+    reach = np.where(share < 0, -low, high)
+    starts = rest.y + reach * share
     still = np.tile(rest.u, (len(DECAYS), PERIOD, 1))
     ends = [PERIOD // 4, PERIOD // 2]
-    line = np.interp(np.arange(PERIOD), ends, [1.0, 0.0])[:, None] * amplitude
-    returning = rest.u + np.array(RETURNS)[:, None, None] * line
+    samples = np.arange(PERIOD)
+    ramp = np.interp(samples, ends, [1.0, 0.0])
+    line = ramp[:, None] * amplitude
+    shares_returned = np.array(RETURNS)[:, None, None]
+    returning = rest.u + shares_returned * line
     experiments: list[tuple[str, Sequence[float], np.ndarray, np.ndarray | None]] = [
         ("trial_at", SHARES, driven, None),
         ("decay_from", DECAYS, still, plant.states_at(starts)),
@@ -201,8 +209,9 @@ def simulate_mismatch_records(
     ]
     records: list[Trajectory] = []
     for word, shares, u, x0 in experiments:
-        y = plant.simulate(u, x0)[1]
-        noisy = y + deviation * rng.standard_normal(y.shape)
+        _, y = plant.simulate(u, x0)
+        noise = rng.standard_normal(y.shape)
+        noisy = y + deviation * noise
         names = [f"{word}_{share:g}" for share in shares]
         records += _split_into_records(plant, names, u, noisy)
     return tuple(records)
@@ -227,15 +236,18 @@ def simulate_sine_records(
     rest = plant.equilibrium()
     amplitude = np.array(plant.input_amplitude)
     inputs = []
+    samples = np.arange(PERIOD)
     for line in lines:
-        period = np.sin(2 * np.pi * line * np.arange(PERIOD) / PERIOD)[:, None]
+        angles = 2 * np.pi * line * samples / PERIOD
+        period = np.sin(angles)[:, None]
         wave = np.tile(period, (3, 1))  # the same bits in every period
         inputs += [rest.u + share * amplitude * wave for share in SINE_SHARES]
     if not inputs:
         return ()
     u = np.stack(inputs)
-    y = plant.simulate(u)[1]
-    noisy = y + deviation * rng.standard_normal(y.shape)
+    _, y = plant.simulate(u)
+    noise = rng.standard_normal(y.shape)
+    noisy = y + deviation * noise
     names = [f"sine_{line}_at_{share:g}" for line in lines for share in SINE_SHARES]
     return tuple(_split_into_records(plant, names, u, noisy))
 
@@ -243,5 +255,7 @@ def simulate_sine_records(
 def _broadband_signal(rng: np.random.Generator, longest: int) -> Float[np.ndarray, "T"]:
     """Generate a broadband signal with random levels and random holding times. Levels are uniform
     in [-1, 1]; the logarithm of the holding time is uniform up to `longest`."""
-    holds = np.exp(rng.uniform(0.0, np.log(longest + 1), PERIOD)).astype(int)
-    return np.repeat(rng.uniform(-1.0, 1.0, PERIOD), holds)[:PERIOD]
+    exponents = rng.uniform(0.0, np.log(longest + 1), PERIOD)
+    holds = np.exp(exponents).astype(int)
+    levels = rng.uniform(-1.0, 1.0, PERIOD)
+    return np.repeat(levels, holds)[:PERIOD]

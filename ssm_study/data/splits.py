@@ -33,17 +33,27 @@ def split_pieces(
     if len(log_pieces) == 1:
         return split_record(log_pieces[0])
     whole = replace(Trajectory.concatenate(log_pieces), first=0)
-    ends = np.cumsum([len(piece) for piece in log_pieces])
-    starts = ends - [len(piece) for piece in log_pieces]
     parts: Pieces = ([], [], [])
     for part, records in zip(parts, split_record(whole), strict=True):
         for record in records:
-            for piece, start in zip(log_pieces, starts, strict=True):
-                a = max(record.first - int(start), 0)
-                b = min(record.first + len(record) - int(start), len(piece))
-                if b - a >= shortest:
-                    part.append(piece[a:b])
+            part += _shared_stretches(record, log_pieces, shortest)
     return parts
+
+
+def _shared_stretches(
+    record: Trajectory, log_pieces: Sequence[Trajectory], shortest: int
+) -> list[Trajectory]:
+    """Stretches of the pieces of a log that a record of the joined log covers."""
+    stretches = []
+    start = 0
+    for piece in log_pieces:
+        begin = record.first - start
+        a = max(begin, 0)
+        b = min(begin + len(record), len(piece))
+        if b - a >= shortest:
+            stretches.append(piece[a:b])
+        start += len(piece)
+    return stretches
 
 
 def split_by_time(record: Trajectory, validation: float, test: float) -> Pieces:
@@ -51,14 +61,17 @@ def split_by_time(record: Trajectory, validation: float, test: float) -> Pieces:
     Contiguous pieces, in the order of time: training first."""
     first = round(len(record) * (1 - validation - test))
     second = round(len(record) * (1 - test))
-    return [record[:first]], [record[first:second]], [record[second:]]
+    training = record[:first]
+    middle = record[first:second]
+    return [training], [middle], [record[second:]]
 
 
 def split_into_blocks(record: Trajectory) -> Pieces:
     """Split a record into interleaved blocks for training, validation and test. Of `BLOCKS` equal
     pieces, 1, 2, 3 train, 4 validates, 5 tests, and so on."""
-    edges = np.linspace(0, len(record), BLOCKS + 1).round().astype(int)
-    blocks = [record[a:b] for a, b in pairwise(edges)]
+    edges = np.linspace(0, len(record), BLOCKS + 1)
+    samples = edges.round().astype(int)
+    blocks = [record[a:b] for a, b in pairwise(samples)]
     training = [block for k, block in enumerate(blocks) if k % 5 < 3]
     return training, blocks[3::5], blocks[4::5]
 
@@ -72,20 +85,28 @@ def split_at_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pi
     part = np.zeros(len(record), dtype=int)
     for number, name in enumerate(("validation", "test"), start=1):
         for interval in named.get(name, ()):
+            field = f"data.{name}"
             pair = np.asarray(interval)  # of a flat list: a number
-            is_pair = pair.shape == (2,) and pair.dtype.kind in "iuf"
-            remedy = "give a list of pairs [from, to] in seconds, within it: [[0,20]]"
-            length = f"the log lasts {len(record) * record.step_s:g} s"
-            ends = np.rint(pair / record.step_s) if is_pair else np.zeros(2)
-            inside = 0 <= ends[0] < ends[1] <= len(record)
-            require(inside, f"data.{name}", pair.tolist(), length, remedy)
-            start, end = ends.astype(int)
+            start, end = _interval_samples(record, pair, field)
             is_free = not part[start:end].any()
             problem = "overlaps another interval"
             remedy = "give each sample to one part"
-            require(is_free, f"data.{name}", pair.tolist(), problem, remedy)
+            require(is_free, field, pair.tolist(), problem, remedy)
             part[start:end] = number
     return _group_by_part(record, part)
+
+
+def _interval_samples(record: Trajectory, pair: np.ndarray, field: str) -> tuple[int, int]:
+    """First sample of an interval in seconds, and the one behind its last; refuses no interval."""
+    is_pair = pair.shape == (2,) and pair.dtype.kind in "iuf"
+    ends = np.rint(pair / record.step_s) if is_pair else np.zeros(2)
+    inside = 0 <= ends[0] < ends[1] <= len(record)
+    duration_s = len(record) * record.step_s
+    problem = f"the log lasts {duration_s:g} s"
+    remedy = "give a list of pairs [from, to] in seconds, within it: [[0,20]]"
+    require(inside, field, pair.tolist(), problem, remedy)
+    start, end = ends.astype(int)
+    return int(start), int(end)
 
 
 def split_by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
@@ -94,7 +115,8 @@ def split_by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
     piece = folds * np.arange(len(record)) // len(record)
     is_tested = piece == fold
     validates = piece == (fold - 1) % folds
-    return _group_by_part(record, np.select([is_tested, validates], [2, 1], 0))
+    part = np.select([is_tested, validates], [2, 1], 0)
+    return _group_by_part(record, part)
 
 
 def cut_out_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajectory], Trajectory]:
@@ -137,19 +159,25 @@ def _rest_ranges(record: Trajectory, first: bool = False) -> list[tuple[int, int
     """Index ranges in which the input is constant at the value with which the record ends. With
     `first`, a range at the beginning of the record counts, too."""
     moving = record.inputs_and_disturbances
-    moved = np.flatnonzero((moving != moving[-1]).any(axis=1))
-    if not len(moved) or len(record) - moved[-1] <= SHORTEST_REST:
+    is_elsewhere = (moving != moving[-1]).any(axis=1)
+    moved = np.flatnonzero(is_elsewhere)
+    if not len(moved):
         return []
-    least = (len(record) - moved[-1]) / 2
-    ends = [*[-1] * first, *moved.tolist(), len(record)]
-    return [(max(a, 0), b) for a, b in pairwise(ends) if b - a > least]
+    last_rest = len(record) - moved[-1]
+    if last_rest <= SHORTEST_REST:
+        return []
+    before = [-1] if first else []
+    ends = [*before, *moved.tolist(), len(record)]
+    long = [(a, b) for a, b in pairwise(ends) if b - a > last_rest / 2]
+    return [(max(a, 0), b) for a, b in long]
 
 
 def _group_by_part(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
     """Cut a record into runs of successive samples that belong to training, validation or test. 0
     trains, 1 validates, 2 tests."""
     pieces: Pieces = ([], [], [])
-    edges = np.flatnonzero(np.diff(part, prepend=-1, append=-1))
+    changes = np.diff(part, prepend=-1, append=-1)
+    edges = np.flatnonzero(changes)
     for a, b in pairwise(edges):
         pieces[part[a]].append(record[a:b])
     return pieces
@@ -163,5 +191,8 @@ def is_test_output_different(parts: Pieces) -> bool:
     tested = np.concatenate([record.y for record in parts[2]])
     spread = trained.std(axis=0) + np.finfo(float).tiny
     other = tested.std(axis=0)
-    moved = np.abs(tested.mean(axis=0) - trained.mean(axis=0)) > UNLIKE * spread
-    return bool((moved | (other > 2 * spread) | (other < spread / 2)).any())
+    shift = tested.mean(axis=0) - trained.mean(axis=0)
+    has_moved = np.abs(shift) > UNLIKE * spread
+    is_wider = other > 2 * spread
+    is_narrower = other < spread / 2
+    return bool((has_moved | is_wider | is_narrower).any())

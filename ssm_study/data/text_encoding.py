@@ -27,8 +27,8 @@ KOREAN_SYLLABLES = range(0xB0, 0xC9)
 
 
 def decode_text(path: Path, content: bytes) -> tuple[str, str]:
-    """Decode the bytes of a text file, and name the encoding. The text and the name of its
-    encoding; refuses bytes that are no text."""
+    """Decode the bytes of a text file, and name the encoding. Raises `BadRequest` for bytes that
+    are no text."""
     for mark, encoding in BYTE_ORDER_MARKS:
         if content.startswith(mark):
             try:
@@ -75,14 +75,17 @@ def is_cyrillic_word(word: bytes, page: str) -> bool:
     """Whether the bytes are Cyrillic letters in a code page, capitals at the beginning alone or
     throughout."""
     text = word.decode(page, errors="replace")
-    return bool(CYRILLIC.fullmatch(text)) and text[1:] in (text[1:].lower(), text.upper()[1:])
+    tail = text[1:]
+    is_natural = tail in (tail.lower(), tail.upper())
+    return bool(CYRILLIC.fullmatch(text)) and is_natural
 
 
 def are_chinese_words(words: list[bytes]) -> bool:
     """Whether the bytes are pairs of GB2312, and most of them its 3,755 frequent characters."""
     leads = b"".join(word[::2] for word in words)
     trails = b"".join(word[1::2] for word in words)
-    is_paired = all(len(word) % 2 == 0 for word in words) and min(trails, default=0) >= GB_FIRST
+    is_even = all(len(word) % 2 == 0 for word in words)
+    is_paired = is_even and min(trails, default=0) >= GB_FIRST
     is_known = all(lead in GB_MARKS or lead in GB_CHARACTERS for lead in leads)
     frequent = sum(lead in GB_FREQUENT for lead in leads)
     return is_paired and is_known and frequent >= GB_MOSTLY * len(leads)
@@ -94,10 +97,11 @@ def are_possibly_korean(words: list[bytes]) -> bool:
 
 
 def detect_wide_encoding(content: bytes) -> str:
-    """Encoding of a text with two bytes for each letter and no byte order mark; empty for another
-    text."""
+    """Encoding of a text that has two bytes for each letter and no byte order mark; empty for any
+    other text."""
     halves = {"utf-16-le": content[1::2], "utf-16-be": content[::2]}
     zeros = {name: half.count(0) / max(len(half), 1) for name, half in halves.items()}
     wide = [name for name, share in zeros.items() if share > MOSTLY_ZERO]
     has_rows = content.count(b"\n") > 1
-    return wide[0] if len(wide) == 1 and min(zeros.values()) == 0 and has_rows else ""
+    is_wide = len(wide) == 1 and min(zeros.values()) == 0
+    return wide[0] if is_wide and has_rows else ""

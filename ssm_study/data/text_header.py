@@ -10,19 +10,22 @@ UNIT = re.compile(r"[A-Za-zµμ°%Ωω·*/^²³\-\d. ]{1,12}|\([^()]{1,12}\)|\[[
 RULES = "-=*_#> "  # marks that draw a line above or below prose
 FIRST_LINES = 5  # lines among which the names of the columns are looked for again further down
 # Titles of clocks that are no units: of two rows of words, that with such a title holds names.
-CLOCK_WORDS = ("time", "timestamp", "date", "datetime", "zeit", "datum", "temps", "times",
-               "zeitstempel", "tiempo", "clock", "elapsed", "timems")  # fmt: skip
+CLOCK_WORDS_TEXT = """
+    time timestamp date datetime zeit datum temps times zeitstempel tiempo clock elapsed
+    timems
+"""
+CLOCK_WORDS = tuple(CLOCK_WORDS_TEXT.split())
 NumberedLine = tuple[int, str]
 
 
 def number_with_noun(number: int, noun: str) -> str:
-    """Write a number with its noun in singular or plural. A number with its noun: `1 line`, `2
-    lines`."""
+    """Write a number with its noun in singular or plural, such as `1 line` and `2 lines`."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def fits_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
-    """Whether a row above the numbers has one cell for each column, so that it can name them."""
+    """Whether a row above the numbers has one cell for each column, so that its cells can be the
+    columns' names."""
     if len(row) == columns + 1:
         return row[-1] == ""
     if len(row) == columns - 1:
@@ -34,8 +37,8 @@ def fits_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
 def refuse_shifted_names(
     path: Path, cells: list[list[str]], above: list[list[str]], columns: int
 ) -> None:
-    """Refuse a header line with one name too many or too few. A trace whose variables stand one
-    below the other is refused, too."""
+    """Raise `BadRequest` for a header line with one name too many or too few. A trace whose
+    variables are listed one below another is refused, too."""
     stacked = bool(above or cells) and (above + cells)[0][0].strip().lower() == "[key]"
     remedy = "export a table with one column a variable"
     problem = "is a trace of keys and values, its variables one below the other"
@@ -47,7 +50,7 @@ def refuse_shifted_names(
 
 
 def remove_repeated_header_lines(body: list[NumberedLine]) -> tuple[list[NumberedLine], int]:
-    """Remove lines that repeat the header of a text file, and count them.
+    """Remove lines that repeat the header in the body of a text file, and count them.
 
     A logger that is switched on again writes its line of names again.
     """
@@ -109,7 +112,8 @@ def fold_header_cell(cell: str) -> str:
 def parse_names_in_comment(
     comments: list[str], separator: str, columns: int, decimal: str
 ) -> list[str] | None:
-    """Parse the column names in the last comment line, as NumPy writes them. None without."""
+    """Parse the column names in the last comment line, where NumPy writes them; None if there are
+    none."""
     bare = comments[-1].strip().lstrip('#%/" ')
     for mark in (separator, ",", ";", "\t", " "):
         cells = split_cells(bare, mark)
@@ -121,8 +125,8 @@ def parse_names_in_comment(
 def numbered_column_names(
     cells: list[list[str]], columns: int, header: bool | None
 ) -> tuple[list[str] | None, int]:
-    """Column names `0,1,2` or `1,2,3` in the first row of a table, and the number of rows they
-    take.
+    """Column names `0,1,2` or `1,2,3` in the first row of a table, and the number of rows that hold
+    names.
 
     Counting from 0 they are names if the numbers below are unlike whole numbers, as pandas writes
     an array; counting from 1, always (a reader that is asked for a number refuses to guess).

@@ -1,4 +1,5 @@
-"""Detection of a text file's layout: encoding, separator, decimal mark, comments, names, units.
+"""Detection of a text file's layout: encoding, separator, decimal mark, comments, column names,
+units.
 
 All of it is found in the text itself, and any of it may be stated instead (`TextSettings`). The
 rows of numbers decide: a separator and a decimal mark fit if they cut the rows into equally many
@@ -38,7 +39,7 @@ SETTINGS_HELP = "data.separator and data.decimal say what stands between and in 
 
 @dataclass(frozen=True, kw_only=True)
 class TextSettings:
-    """Layout of a text file as the user states it; settings that are None are detected from the
+    """Layout of a text file as the user states it. Settings that are None are detected from the
     file.
 
     `separator` is a mark or its name (tabs, semicolons, commas, bars, spaces); `decimal` is "." or
@@ -53,7 +54,9 @@ class TextSettings:
         if self.separator is not None:
             is_known = self.separator in SEPARATORS or self.separator in BY_WORD
             names = ", ".join(BY_WORD)
-            require(is_known, "data.separator", self.separator, "unknown", f"use one of {names}")
+            problem = "unknown"
+            remedy = f"use one of {names}"
+            require(is_known, "data.separator", self.separator, problem, remedy)
         if self.decimal is not None:
             require_one_of((".", ","), "data.decimal", self.decimal)
 
@@ -140,13 +143,16 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
     """
     text, encoding = decode_text(path, content)
     body, comments = separate_comments(text)
-    require(body, "data.path", path, "has no header and no rows", EXPORT)
+    problem = "has no header and no rows"
+    require(body, "data.path", path, problem, EXPORT)
     separator, decimal = find_separators([line for _, line in body], settings)
     body, repeats = remove_repeated_header_lines(body)
     cells = SampledCells.of([line for _, line in body], separator, decimal)
     length = cells.header_length()
     if length is None:
-        raise BadRequest("data.path", path, "has no rows of numbers", f"{EXPORT}; {SETTINGS_HELP}")
+        problem = "has no rows of numbers"
+        remedy = f"{EXPORT}; {SETTINGS_HELP}"
+        raise BadRequest("data.path", path, problem, remedy)
     header = read_header(path, cells, length, settings.header)
     if header.names is None and comments and length == 0:
         names = parse_names_in_comment(comments, separator, cells.columns, decimal)
@@ -192,7 +198,8 @@ def read_header(path: Path, cells: SampledCells, length: int, stated: bool | Non
     names, units = split_names_and_units(titles)
     if names is not None and stated is False:
         problem = "the first line is no numbers"
-        raise BadRequest("data.header", False, problem, "leave data.header out")
+        remedy = "leave data.header out"
+        raise BadRequest("data.header", False, problem, remedy)
     prose = length - len(titles)
     remarks = [f"{number_with_noun(prose, 'line')} of prose above"] if prose else []
     if units:
@@ -210,14 +217,15 @@ def number_columns(header: Header, cells: SampledCells, stated: bool | None) -> 
 
 
 def sample_lines(lines: list[str]) -> list[str]:
-    """Sample lines from all over a text file except its first ones."""
+    """Sample lines from the whole of a text file except its beginning."""
     later = lines[min(len(lines) // 2, 20) :]
     stride = max(len(later) // SAMPLED_ROWS, 1)
     return later[::stride][:SAMPLED_ROWS]
 
 
 def find_separators(lines: list[str], settings: TextSettings) -> tuple[str, str]:
-    """Find the separator and the decimal mark for which the lines best form a table of values."""
+    """Find the separator and the decimal mark with which the lines form the best table of
+    values."""
     separators = SEPARATORS if settings.separator_mark is None else (settings.separator_mark,)
     decimals = (".", ",") if settings.decimal is None else (settings.decimal,)
     rows = sample_lines(lines)
@@ -238,8 +246,8 @@ def find_separators(lines: list[str], settings: TextSettings) -> tuple[str, str]
 
 
 def table_score(rows: list[list[str]], decimal: str) -> float:
-    """Score of how well lines that were split into cells form a table of values. How nearly the
-    rows are a table: share of rows of the usual length, times share of values.
+    """Score of how well lines that were split into cells form a table of values. It is the share of
+    rows with the usual length, times the share of values.
 
     Of two readings that are both perfect, the one with more columns scores more. Cells as `05`
     are the digits behind a decimal comma, not whole numbers.
@@ -255,8 +263,8 @@ def table_score(rows: list[list[str]], decimal: str) -> float:
 
 
 def find_numeric_columns(rows: list[list[str]], columns: int, decimal: str) -> list[bool]:
-    """For each column, whether nine of ten sampled cells are values. Columns of missing values
-    alone do not count."""
+    """For each column, whether at least nine in ten sampled cells hold a value. A column of missing
+    values does not count."""
     regular = [row for row in rows if len(row) == columns]
     numeric = []
     for j in range(columns):
@@ -269,7 +277,7 @@ def find_numeric_columns(rows: list[list[str]], columns: int, decimal: str) -> l
 def first_value_row(
     cells: list[list[str]], columns: int, numeric: list[bool], decimal: str
 ) -> int | None:
-    """Index of the first row that has values in all numeric columns. None if there is none."""
+    """Index of the first row that has values in all numeric columns; None if there is none."""
     for k, row in enumerate(cells):
         if len(row) != columns:
             continue

@@ -36,13 +36,9 @@ class Chirp(Excitation):
         low = 1.0 / length if self.low_hz is None else self.low_hz
         high = 0.5 / request.clock_s if self.high_hz is None else self.high_hz
         nyquist = 0.5 / request.step_s
-        require(
-            low < high <= nyquist,
-            "excitation.high_hz",
-            high,
-            f"not in ({low:g}, {nyquist:g}] Hz",
-            "sweep inside",
-        )
+        problem = f"not in ({low:g}, {nyquist:g}] Hz"
+        remedy = "sweep inside"
+        require(low < high <= nyquist, "excitation.high_hz", high, problem, remedy)
         turns = low * t + (high - low) * t**2 / (2 * length)
         columns = []
         for j in range(request.inputs):

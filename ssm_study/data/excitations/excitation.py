@@ -10,6 +10,8 @@ from jaxtyping import Float
 
 from ssm_study.refusal import require, require_at_least, require_positive
 
+Inputs = Float[np.ndarray, "T m"]
+
 Amplitude = float | tuple[float, ...] | list[float] | None
 
 
@@ -34,13 +36,8 @@ class SignalRequest:
         than one."""
         samples = round(self.clock_s / self.step_s)
         problem = f"shorter than half the sampling time of {self.step_s:g} s"
-        require(
-            samples >= 1,
-            "excitation.clock_s",
-            self.clock_s,
-            problem,
-            "hold each level for at least one sample",
-        )
+        remedy = "hold each level for at least one sample"
+        require(samples >= 1, "excitation.clock_s", self.clock_s, problem, remedy)
         return samples
 
 
@@ -65,12 +62,10 @@ class Excitation(ABC):
         """Name of the excitation in the records."""
 
     @abstractmethod
-    def unit_signal(
-        self, request: SignalRequest, rng: np.random.Generator
-    ) -> Float[np.ndarray, "T m"]:
+    def unit_signal(self, request: SignalRequest, rng: np.random.Generator) -> Inputs:
         """Generate the excitation signal for an amplitude of one, with values in [-1, 1]."""
 
-    def signal(self, request: SignalRequest, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
+    def signal(self, request: SignalRequest, rng: np.random.Generator) -> Inputs:
         """Generate the excitation signal in physical units."""
         own_request = self._with_own_settings(request)
         return self.unit_signal(own_request, rng) * np.array(own_request.amplitude)
@@ -85,12 +80,9 @@ class Excitation(ABC):
             else tuple(amplitude)
         )
         problem = f"one number or one per input is needed, and the plant has {request.inputs}"
+        remedy = "give as many"
         require(
-            len(amplitudes) == request.inputs,
-            "excitation.amplitude",
-            amplitudes,
-            problem,
-            "give as many",
+            len(amplitudes) == request.inputs, "excitation.amplitude", amplitudes, problem, remedy
         )
         return replace(
             request,
@@ -105,13 +97,9 @@ def check_frequency_band(low_hz: float | None, high_hz: float | None, name: str 
     require_positive(f"excitation.{name}low_hz", low_hz, "give hertz, or null")
     require_positive(f"excitation.{name}high_hz", high_hz, "give hertz, or null")
     ordered = low_hz is None or high_hz is None or low_hz < high_hz
-    require(
-        ordered,
-        f"excitation.{name}low_hz",
-        low_hz,
-        f"not below {name}high_hz = {high_hz}",
-        "swap them",
-    )
+    problem = f"not below {name}high_hz = {high_hz}"
+    remedy = "swap them"
+    require(ordered, f"excitation.{name}low_hz", low_hz, problem, remedy)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,17 +119,11 @@ class PRBS(Excitation):
     def __post_init__(self) -> None:
         super().__post_init__()
         bits = self.register_bits
-        require(
-            2 <= bits <= 32,
-            "excitation.register_bits",
-            bits,
-            "a register has 2 to 32 bits",
-            "use 9 or so",
-        )
+        problem = "a register has 2 to 32 bits"
+        remedy = "use 9 or so"
+        require(2 <= bits <= 32, "excitation.register_bits", bits, problem, remedy)
 
-    def unit_signal(
-        self, request: SignalRequest, rng: np.random.Generator
-    ) -> Float[np.ndarray, "T m"]:
+    def unit_signal(self, request: SignalRequest, rng: np.random.Generator) -> Inputs:
         hold = request.clock_samples
         columns = []
         for _ in range(request.inputs):
@@ -173,9 +155,7 @@ class APRBS(Excitation):
             1, "excitation.longest_hold_clocks", self.longest_hold_clocks, "use 5 or so"
         )
 
-    def unit_signal(
-        self, request: SignalRequest, rng: np.random.Generator
-    ) -> Float[np.ndarray, "T m"]:
+    def unit_signal(self, request: SignalRequest, rng: np.random.Generator) -> Inputs:
         clock = request.clock_samples
         columns = []
         most = -(-request.samples // clock)  # levels, if each were held for one clock

@@ -20,6 +20,8 @@ from ssm_study.data.readers.mat_hdf5 import parse_hdf5
 from ssm_study.data.readers.reader import Reader, Table, check_column_names
 from ssm_study.refusal import BadRequest
 
+ColumnValues = Float[np.ndarray, "_"]
+
 COMPRESSED = 15
 MATRIX = 14
 STORAGE = {
@@ -107,7 +109,7 @@ class MatReader(Reader, names=(".mat",)):
 
 
 def stated_step_s(
-    columns: dict[str, Float[np.ndarray, "_"]], texts: dict[str, str], owners: list[str]
+    columns: dict[str, ColumnValues], texts: dict[str, str], owners: list[str]
 ) -> float | None:
     """Sampling time in seconds that MATLAB objects such as `iddata` state in their field `Ts`; None
     if none does or they differ."""
@@ -123,14 +125,14 @@ def stated_step_s(
     return steps.pop() if len(steps) == 1 else None
 
 
-def belong_to_one_matrix(columns: dict[str, Float[np.ndarray, "_"]]) -> bool:
+def belong_to_one_matrix(columns: dict[str, ColumnValues]) -> bool:
     """Whether all columns belong to one matrix of the MATLAB file."""
     return len({name.split(":")[0] for name in columns}) == 1 and len(columns) > 1
 
 
 def read_numeric_variables(
     path: Path,
-) -> tuple[dict[str, Float[np.ndarray, "_"]], dict[str, str], dict[str, str]]:
+) -> tuple[dict[str, ColumnValues], dict[str, str], dict[str, str]]:
     """Read all numeric variables of a MATLAB file, with its texts and the reasons why other
     variables are skipped. Vectors by name, matrices by columns; raises `BadRequest` for a file that
     is not whole."""
@@ -141,7 +143,8 @@ def read_numeric_variables(
     except Exception as error:  # whatever scipy, NumPy and zlib raise on damaged files (2026-11)
         reason = repr(error) if isinstance(error, LookupError) else error
         problem = f"not a complete MAT file: {reason}"
-        raise BadRequest("data.path", path, problem, "save it again with -v7") from error
+        remedy = "save it again with -v7"
+        raise BadRequest("data.path", path, problem, remedy) from error
     columns: dict[str, np.ndarray] = {}
     skipped: dict[str, str] = {}
     texts: dict[str, str] = {}

@@ -36,22 +36,17 @@ class McapReader(Reader, names=(".mcap",)):
                 if {name, slashed} & {one[2].name, f"{one[0].topic}.{one[2].name}"}
             ]
             problem = "several topics have it" if matches else f"the recording has {known}"
-            require(
-                len(matches) == 1, f"{path.name} (field)", name, problem, "name one as topic.field"
-            )
+            remedy = "name one as topic.field"
+            require(len(matches) == 1, f"{path.name} (field)", name, problem, remedy)
             ((group, index, channel),) = matches
-            columns[name], units[name] = np.ascontiguousarray(group.values[:, index]), channel.unit
+            columns[name] = np.ascontiguousarray(group.values[:, index])
+            units[name] = channel.unit
             since_s = group.time_s - groups[0].time_s[0]
             time_s = since_s if time_s is None else time_s
             together = np.array_equal(since_s, time_s)
             problem = f"not logged at the times of {names[0]}"
-            require(
-                together,
-                f"{path.name} (topic of)",
-                name,
-                problem,
-                "log both in one topic, or resample them",
-            )
+            remedy = "log both in one topic, or resample them"
+            require(together, f"{path.name} (topic of)", name, problem, remedy)
         return Table(columns=columns, units=units, time_s=time_s, row_word="message")
 
     def contents(self, path: Path) -> Table:

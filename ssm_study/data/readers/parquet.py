@@ -24,24 +24,22 @@ class ParquetReader(Reader, names=(".parquet",)):
             check_column_names(where, names, schema.names)
             for kind, name in ((schema.field(name).type, name) for name in names):
                 numeric = is_numeric_type(kind)
-                require(numeric, where, name, f"holds {kind}, not numbers", "convert it")
+                problem = f"holds {kind}, not numbers"
+                remedy = "convert it"
+                require(numeric, where, name, problem, remedy)
             rows = parquet.read_metadata(path).num_rows
             most = MOST_BYTES // 8 // len(names)
-            require(
-                rows <= most,
-                "data.path",
-                path,
-                f"{rows} rows are more than {most}",
-                "split the record",
-            )
+            problem = f"{rows} rows are more than {most}"
+            remedy = "split the record"
+            require(rows <= most, "data.path", path, problem, remedy)
             table = parquet.read_table(path, columns=names, page_checksum_verification=True)
             columns = arrow_columns(path, table, {name: name for name in names}, "row", 0)
         except BadRequest:
             raise
         except (pa.ArrowException, OSError, ValueError) as error:
-            raise BadRequest(
-                "data.path", path, f"not a complete Parquet file ({error})", "write it again"
-            ) from error
+            problem = f"not a complete Parquet file ({error})"
+            remedy = "write it again"
+            raise BadRequest("data.path", path, problem, remedy) from error
         units = {
             name: (schema.field(name).metadata or {}).get(b"unit", b"").decode(errors="replace")
             for name in names
@@ -55,7 +53,8 @@ class ParquetReader(Reader, names=(".parquet",)):
             schema = parquet.read_schema(path)
         except (pa.ArrowException, OSError, ValueError) as error:
             problem = f"not a complete Parquet file ({error})"
-            raise BadRequest("data.path", path, problem, "write it again") from error
+            remedy = "write it again"
+            raise BadRequest("data.path", path, problem, remedy) from error
         numeric = [name for name in schema.names if is_numeric_type(schema.field(name).type)]
         skipped = {
             name: f"holds {schema.field(name).type}" for name in schema.names if name not in numeric

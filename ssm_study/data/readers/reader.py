@@ -73,7 +73,8 @@ class Reader(Family):
         """Read every readable column of a log file, in the order of the file. Refuses a file that
         is not whole."""
         problem = f"the reader of {path.suffix} files lists no columns"
-        raise BadRequest("data.path", path, problem, "name the columns")
+        remedy = "name the columns"
+        raise BadRequest("data.path", path, problem, remedy)
 
 
 def choose_reader(path: Path, settings: TextSettings | None = None) -> Reader:
@@ -81,7 +82,8 @@ def choose_reader(path: Path, settings: TextSettings | None = None) -> Reader:
 
     Raises `BadRequest` for a missing file and for formats that are known and not read.
     """
-    require(path.is_file(), "data.path", path, "no such file", "check the spelling")
+    remedy = "check the spelling"
+    require(path.is_file(), "data.path", path, "no such file", remedy)
     formats = Reader.members(readers)
     suffix = path.suffix.lower()
     if suffix in FOREIGN:
@@ -110,13 +112,15 @@ def read_table(
     table = chosen.read(path, list(wanted))
     lengths = {name: len(table.columns[name]) for name in wanted}
     same = len(set(lengths.values())) <= 1
-    require(same, f"{path.name} (lengths)", lengths, "columns differ in length", "cut them alike")
+    remedy = "cut them alike"
+    require(same, f"{path.name} (lengths)", lengths, "columns differ in length", remedy)
     for name, unit in wanted.items():
         refuse_unusable_values(path, name, table, missing)
         stated = table.units.get(name, "")
         problem = f"{path.name} states {stated}"
         agrees = unit in ("", stated) or not stated
-        require(agrees, f"unit of {name}", unit, problem, "declare the unit the file is in")
+        remedy = "declare the unit the file is in"
+        require(agrees, f"unit of {name}", unit, problem, remedy)
     return table
 
 
@@ -135,7 +139,8 @@ def refuse_unusable_values(path: Path, name: str, table: Table, missing: bool) -
     fits = largest < LARGEST and (span == 0 or span > 1 / LARGEST)
     problem = f"floats hold no squares beyond {LARGEST:g}, or of differences below {1 / LARGEST:g}"
     where = f"{path.name}, column {name} (largest)"
-    require(fits, where, largest, problem, "convert it to another unit")
+    remedy = "convert it to another unit"
+    require(fits, where, largest, problem, remedy)
 
 
 def refuse_equal_columns(table: Table, signals: list[str], file: Path) -> None:
@@ -171,8 +176,10 @@ def check_column_names(
         count = list(titles).count(name)
         named = [title for title in titles if title]
         listing = ", ".join(named[:12]) + (" ..." if len(named) > 12 else "")
-        require(count > 0, where, name, f"the {whole} has {listing}", remedy)
-        require(count == 1, where, name, f"the {whole} has it {count} times", "rename the others")
+        problem = f"the {whole} has {listing}"
+        require(count > 0, where, name, problem, remedy)
+        problem = f"the {whole} has it {count} times"
+        require(count == 1, where, name, problem, "rename the others")
 
 
 def title_without_unit(title: str) -> str:

@@ -18,6 +18,8 @@ from ssm_study.data.text_layout import TextLayout, TextSettings, detect_layout
 from ssm_study.data.written_numbers import AMBIGUOUS, normalise_numbers
 from ssm_study.refusal import BadRequest
 
+ColumnValues = Float[np.ndarray, "T"]
+
 # A title and its unit in brackets of either kind.
 STATED_UNIT = re.compile(r"^\s*(.*?)\s*(?:\[([^\]]*)\]|\(([^()]*)\))?\s*$", re.DOTALL)
 MOSTLY = 0.5  # share of numbers, from which on a column's first other cell is named
@@ -193,9 +195,7 @@ def mark_missing_cells(cells: pa.ChunkedArray) -> pa.ChunkedArray:
     return pc.is_in(pc.utf8_lower(cells), value_set=pa.array(sorted(MISSING)))
 
 
-def parse_column(
-    column: pa.ChunkedArray, layout: TextLayout
-) -> tuple[Float[np.ndarray, "T"] | None, str]:
+def parse_column(column: pa.ChunkedArray, layout: TextLayout) -> tuple[ColumnValues | None, str]:
     """Parse a column of text to numbers, or dates to seconds. For a column of other texts, return
     None and a description of the texts."""
     cells = strip_cells(column)
@@ -224,7 +224,7 @@ def are_numbers(cells: pa.ChunkedArray, missing: pa.ChunkedArray) -> bool:
 
 def parse_dates(
     cells: pa.ChunkedArray, missing: pa.ChunkedArray
-) -> tuple[Float[np.ndarray, "T"] | None, str]:
+) -> tuple[ColumnValues | None, str]:
     """Convert cells with dates to seconds since the first date, or return None and the reason why
     this is impossible."""
     first = pc.filter(cells, pc.invert(missing)).slice(0, 1).to_pylist()
@@ -240,7 +240,7 @@ def parse_dates(
     return seconds, ""
 
 
-def find_time_of_day_column(table: pa.Table) -> tuple[int, Float[np.ndarray, "T"]] | None:
+def find_time_of_day_column(table: pa.Table) -> tuple[int, ColumnValues] | None:
     """Find a column of times of day beside a column of dates, and combine both to seconds since the
     first."""
     for place in range(table.num_columns):
