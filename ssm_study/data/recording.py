@@ -187,8 +187,7 @@ class Columns:
     def _build_record(
         self, values: Float[np.ndarray, "T c"], period_s: float, path: Path
     ) -> Trajectory:
-        """Build one record from evenly spaced rows, decimated and differentiated as the settings
-        say."""
+        """Build one record from evenly spaced rows, decimated and differentiated if requested."""
         u, y = np.split(values, [len(self.inputs)], axis=1)
         u, y = decimate_record(u, y, self.decimate)
         step_s = period_s * self.decimate
@@ -260,8 +259,7 @@ class Columns:
     def _refuse_unequal_times(
         self, times: list[np.ndarray], tables: list[Table], output_path: Path, rows: int
     ) -> None:
-        """Raise `BadRequest` for an input file and an output file whose rows are not at the same
-        times."""
+        """Raise `BadRequest` for input and output files whose rows are not at the same times."""
         recordings = any(table.time_s is not None for table in tables) and self.time is None
         problem = "log times count from each recording's own start"
         remedy = "put both signals into one recording"

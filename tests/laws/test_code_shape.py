@@ -22,7 +22,7 @@ DENSITY = {
     "ssm_study/bounds": (14.2, 7.0),
     "ssm_study/certificates": (13.1, 7.0),
     "ssm_study/conformance": (11.4, 0.0),
-    "ssm_study/data": (12.3, 3.4),
+    "ssm_study/data": (11.3, 2.2),
     "ssm_study/evidence": (11.3, 1.0),
     "ssm_study/export": (11.2, 2.8),
     "ssm_study/loop": (12.0, 2.4),
@@ -41,8 +41,6 @@ MOST_PACKED = 250  # assignments of several values to several names
 LONG_FILES = frozenset({"ssm_study/renamed.py"})
 LONG_BODIES = frozenset(
     {
-        "ssm_study/data/assembly.py: assemble_dataset",
-        "ssm_study/data/recorded.py: __post_init__",
         "ssm_study/evidence/records.py: _judge_rest",
         "ssm_study/models/structured_kernel.py: _sensitivity_loop",
         "ssm_study/models/structured_spec.py: __post_init__",
