@@ -4,6 +4,7 @@ the request was wrong."""
 import os
 import select
 import sys
+from io import TextIOWrapper
 
 from ssm_study import limit_threads
 from ssm_study.cli.commands import Command
@@ -21,6 +22,7 @@ INTERRUPTED = (
 def main(arguments: list[str] | None = None) -> int:
     """Run one `ssm-study` command and return its exit status."""
     limit_threads()  # first: the libraries read it once, when they are imported
+    _escape_foreign_letters()
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
         arguments = pop_extension_option(arguments)
@@ -46,6 +48,13 @@ def main(arguments: list[str] | None = None) -> int:
             raise
         print(f"ssm-study: {describe_error(error, arguments)}", file=sys.stderr)
         return WRONG_REQUEST
+
+
+def _escape_foreign_letters() -> None:
+    """Print letters that the terminal does not have by their numbers: names of a log's columns may
+    be written in any script."""
+    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _is_output_closed() -> bool:

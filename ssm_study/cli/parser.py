@@ -100,7 +100,7 @@ def add_look(subparsers: Subparsers) -> None:
     command.add_argument("--decimal", metavar="MARK", help='of a text: "." or ","')
     header_help = "whether the first line of a text holds names"
     command.add_argument("--header", choices=("true", "false"), help=header_help)
-    picture_help = "where to draw it (FILE.png)"
+    picture_help = "where to draw it (FILE_look.png in this folder)"
     command.add_argument("--picture", type=Path, metavar="PNG", help=picture_help)
     command.set_defaults(command=commands.look_at_log)
 

@@ -300,7 +300,9 @@ def _decode_groups(
         names, values = _decode_protobuf(decode, contents)
     elif channel.message_encoding == "json":
         objects = [_require_fields(json.loads(content)) for content in contents]
-        fields = [{(name,): value for name, value in one.items()} for one in objects]
+        fields: list[dict[Names, Any]] = []
+        for one in objects:
+            fields.append({(name,): value for name, value in one.items()})
         names, values = _number_columns(fields)
     for part in dict.fromkeys(name[:-1] for name in names):
         at = [k for k, name in enumerate(names) if name[:-1] == part]

@@ -3,6 +3,8 @@
 import re
 import unicodedata
 
+FIRST_UNDRAWN = 0x530  # Latin, Greek and Cyrillic letters come before
+DRAWN_SIGNS = "–—‘’“”•…′″€Ω℃−√∞≤≥ΔΣ"
 CYRILLIC = {
     "а": "a", "б": "b", "в": "v", "г": "g", "д": "d", "е": "e", "ж": "zh", "з": "z", "и": "i",
     "к": "k", "л": "l", "м": "m", "н": "n", "о": "o", "п": "p", "р": "r", "с": "s", "т": "t",
@@ -19,6 +21,12 @@ def plain_name(column: str) -> str:
     letters = unicodedata.normalize("NFKD", column)
     spelled = "".join(_spell_in_ascii(letter) for letter in letters)
     return re.sub(r"[^0-9A-Za-z]+", "_", spelled).strip("_") or "signal"
+
+
+def drawable_title(title: str) -> str:
+    """Title of a column for a figure, in ASCII letters if the figures' font lacks its script."""
+    is_drawn = all(ord(letter) < FIRST_UNDRAWN or letter in DRAWN_SIGNS for letter in title)
+    return title if is_drawn else plain_name(title)
 
 
 def _spell_in_ascii(letter: str) -> str:

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 from ssm_study import style
+from ssm_study.data.plain_names import drawable_title
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,9 +27,9 @@ def draw_log(seen: "LogLook") -> "Figure":
             lower.step(time_s, record.u[:, 0], where="post", color=style.VERMILLION, linewidth=0.8)
             if record.d is not None:
                 panels[2].plot(time_s, record.d[:, 0], color=style.GREEN, linewidth=0.8)
-                panels[2].set_ylabel(seen.disturbance)
-        upper.set_ylabel(seen.output or "output")
-        lower.set_ylabel(seen.input or "input")
+                panels[2].set_ylabel(drawable_title(seen.disturbance))
+        upper.set_ylabel(drawable_title(seen.output or "output"))
+        lower.set_ylabel(drawable_title(seen.input or "input"))
         panels[-1].set_xlabel("time (s)" if seen.step_is_known else "sample")
-        upper.set_title(seen.path.name, fontsize="medium")
+        upper.set_title(drawable_title(seen.path.name), fontsize="medium")
     return figure

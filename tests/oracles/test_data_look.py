@@ -1,6 +1,8 @@
 """The report of `look` on a log, against logs whose plant is known."""
 
+import io
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 import scipy.io
 import scipy.signal
 
-from ssm_study.cli.main import main
+from ssm_study.cli.main import DONE, main
 from ssm_study.data.log_dynamics import (
     FED_BACK,
     describe_log_dynamics,
@@ -291,3 +293,21 @@ def test_a_loop_that_answers_within_the_sample_is_not_called_feedthrough(
     assert "which of them answers is not to be seen" in text
     assert "feedthrough" not in text
     assert ("a closed loop?" in text) is is_loop  # a gain alone is hardly to be told from the plant
+
+
+def test_names_that_terminal_and_font_lack_are_escaped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A terminal without Chinese letters, and a figure without a font for them."""
+    u = np.repeat(np.random.default_rng(0).uniform(-1, 1, 40), 10)
+    y = scipy.signal.lfilter([0.1], [1, -0.9], u)
+    path = tmp_path / "日志.csv"
+    table = pd.DataFrame({"time": 0.1 * np.arange(400), "电压": u, "转速": y})
+    table.to_csv(path, index=False)
+    printed = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(printed, encoding="latin-1"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert main(["look", str(path), "--picture", str(tmp_path / "log.png")]) == DONE
+    sys.stdout.flush()
+    assert rb"\u7535\u538b" in printed.getvalue()
