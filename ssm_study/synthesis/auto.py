@@ -183,6 +183,8 @@ class Auto:
         """Make the function that searches, around the gains of the grid, for gains whose proof
         covers the records. The search is longer, and accepts slower gains, if a coverage is
         requested."""
+        is_asked = self.cover is not None
+        has_neurons = not isinstance(response.model, SSM)
         search = GainSearch(
             model=response.model,
             balls=response.balls,
@@ -192,10 +194,10 @@ class Auto:
             limits=self.limits,
             margin=self.margin,
             decays=self.decays,
+            is_brief=has_neurons and not is_asked,
         )
-        is_asked = self.cover is not None
         rounds = ROUNDS_ASKED if is_asked else ROUNDS
-        unasked = SLOWER if isinstance(response.model, SSM) else SLOWER_WITH_NEURONS
+        unasked = SLOWER_WITH_NEURONS if has_neurons else SLOWER
         slower = SLOWER_ASKED if is_asked else unasked
 
         def covered_gains(first: Design, most: Design, cover: float) -> Design | None:

@@ -68,7 +68,8 @@ class GainSearch:
     """Random search around a design, with the model and the records by which proposals are judged.
 
     `largest_area` is the slowest response allowed, in areas of the open loop on the model; `margin`
-    the stability margin that the prediction must exceed.
+    the stability margin that the prediction must exceed. A search that `is_brief` takes no round
+    beyond those planned and tries one proof.
     """
 
     model: Model
@@ -79,6 +80,7 @@ class GainSearch:
     limits: Ends | None
     margin: float
     decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS)
+    is_brief: bool = False
 
     def improve(
         self, start: Design, target: float, rounds: int, largest_area: float
@@ -90,7 +92,7 @@ class GainSearch:
         search goes on for as much more.
         """
         wanted = proof_loss(self.model) * target
-        for _ in range(CERTIFICATES):
+        for _ in range(1 if self.is_brief else CERTIFICATES):
             best = self.search(start, wanted, rounds, largest_area)
             design = self.certify_gains(start, best.gains)
             if best.coverage < wanted or design is None:
@@ -126,7 +128,7 @@ class GainSearch:
         step = FIRST_STEP
         slowest = max(FASTER, self._decay_ratios([start.pair])[0])
         reached = [best.coverage]
-        while is_worth_another_round(reached, target, rounds):
+        while self._goes_on(reached, target, rounds):
             proposals = [scale_at_random(best.gains, step, random) for _ in range(PROPOSALS)]
             fast = self._faster_proposals(proposals, slowest)
             trials = self._score_proposals(fast, loop, centre, best, target, allowed)
@@ -136,6 +138,12 @@ class GainSearch:
             best = better or best
             reached.append(best.coverage)
         return best
+
+    def _goes_on(self, reached: Sequence[float], target: float, rounds: int) -> bool:
+        """Whether another round follows, given the coverage after each of the rounds so far."""
+        if self.is_brief:
+            return len(reached) <= rounds and reached[-1] < target
+        return is_worth_another_round(reached, target, rounds)
 
     def _score_proposals(
         self,

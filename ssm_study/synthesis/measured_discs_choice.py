@@ -9,7 +9,6 @@ docs/closed_loop.md, "Rates chosen for you".
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -26,8 +25,9 @@ from ssm_study.synthesis.measured_discs_run import exclusion_reason, is_coverage
 from ssm_study.systems import Balls, StructuredSystem
 
 LOOKED_AT = (0, 1, 2, 4, 7, 11, 16, 23, 32, 45, 60, 85, 120, 170, 240, 320)  # of one layer
-NEAR = 60  # a covered pair from farther down the order is made faster by the search
-WITH_NEURONS = (0, 3, 10, 25)  # each takes seconds
+WITH_NEURONS = (0, 3, 10, 25)  # each takes a second
+FARTHER = (60, 120, 240)  # also, with neurons, where a coverage is asked for
+NEAR = 60  # gains are searched around pairs up to here before farther ones are looked at
 LOST = 1.02  # kappa by frequency over that of the certificate, at most (as a rule)
 LOST_WITH_NEURONS = 1.03  # their larger programs are solved less exactly
 COVERED = "best expected response of those predicted to be stable and covered"
@@ -59,32 +59,39 @@ def prefer_covered(
     are looked at, and none where the records cannot tell noise from mismatch unless a coverage is
     asked for.
     """
-    neurons = isinstance(model.system, StructuredSystem)
-    places = WITH_NEURONS if neurons else LOOKED_AT
-    sought = premise is not None and is_coverage_sought(model, cover, premise)
-    judged = premise is not None and sought and premise.missing(0.0) is None
+    places = LOOKED_AT
+    if isinstance(model.system, StructuredSystem):
+        places = WITH_NEURONS if cover is None else WITH_NEURONS + FARTHER
     lost = proof_loss(model)
     target = lost * (1.0 if cover is None else cover)
-    seen = SeenDesigns(lost=lost)
-    for place, pair in enumerate(islice(pairs, places[-1] + 1)):
-        if seen.first is not None and place not in places:
-            continue
-        design = make(pair)
-        if design is None:
-            continue
-        if premise is None or not judged or exclusion_reason(design, model):
-            return seen.first or design, PREDICTED
-        coverage = coverage_by_frequency(design, model, balls, premise, target, seen.largest)
-        if coverage >= target and place <= NEAR:
-            return design, COVERED
-        seen.add_design(design, coverage)
-        if coverage >= target:
-            break
-    if search is not None:
-        searched = seen.search_around(search, target / lost)
-        if searched is not None:
-            return searched, SEARCHED
-    return seen.best_substitute(target)
+    walk = GridWalk(
+        pairs=iter(enumerate(pairs)), make=make, places=places, lost=lost, target=target
+    )
+    first = walk.first_design()
+    sought = premise is not None and is_coverage_sought(model, cover, premise)
+    if first is None or premise is None or not sought:
+        return first, PREDICTED
+    if premise.missing(0.0) is not None or exclusion_reason(first, model):
+        return first, PREDICTED
+
+    deciding: dict[float, Any] = {}
+
+    def coverage_of(design: Design, least: float) -> float:
+        """Coverage by frequency of one design; below `least` an upper bound."""
+        return coverage_by_frequency(design, model, balls, premise, target, least, deciding)
+
+    covered = walk.first_covered(coverage_of, NEAR)
+    if covered is not None:
+        return covered, COVERED
+    wanted = target / lost
+    found = walk.search_around(search, wanted)
+    if found is not None:
+        return found, SEARCHED
+    covered = walk.first_covered(coverage_of, walk.places[-1])
+    if covered is None:
+        return walk.best_substitute()
+    found = walk.search_around(search, wanted)
+    return (covered, COVERED) if found is None else (found, SEARCHED)
 
 
 def proof_loss(model: Model) -> float:
@@ -93,39 +100,80 @@ def proof_loss(model: Model) -> float:
 
 
 @dataclass(kw_only=True)
-class SeenDesigns:
-    """Designs considered so far: the first, the first that is covered at all, and the one with the
-    `largest` coverage, `most`. `lost` is the loss of a proof."""
+class GridWalk:
+    """Walk along pairs of gains in the order of expected response, which looks at the coverage of
+    ever fewer of them.
 
-    lost: float = LOST
+    Kept are the first design, the first that is covered `barely`, and the one with the `largest`
+    coverage, `most`. `lost` is the loss of a proof.
+    """
+
+    pairs: Iterator[tuple[int, Any]]
+    make: Make
+    places: tuple[int, ...]
+    lost: float
+    target: float
     first: Design | None = None
     barely: Design | None = None
     most: Design | None = None
     largest: float = 0.0
+    unseen: Design | None = None
 
-    def add_design(self, design: Design, coverage: float) -> None:
-        """Add a design with its coverage to the designs considered."""
-        self.first = self.first or design
+    def first_design(self) -> Design | None:
+        """First pair that yields a design, whatever its place."""
+        for _, pair in self.pairs:
+            design = self.make(pair)
+            if design is not None:
+                self.first = design
+                self.unseen = design
+                return design
+        return None
+
+    def first_covered(
+        self, coverage_of: Callable[[Design, float], float], until: int
+    ) -> Design | None:
+        """First design up to a place of the order that reaches the target; None if none does."""
+        for design in self._designs(until):
+            coverage = coverage_of(design, self.largest)
+            self._add_design(design, coverage)
+            if coverage >= self.target:
+                return design
+        return None
+
+    def _designs(self, until: int) -> Iterator[Design]:
+        """Designs of the pairs that are looked at, up to a place of the order."""
+        if self.unseen is not None:
+            design = self.unseen
+            self.unseen = None
+            yield design
+        last = max(place for place in self.places if place <= until)
+        for place, pair in self.pairs:
+            design_here = self.make(pair) if place in self.places else None
+            if design_here is not None:
+                yield design_here
+            if place >= last:
+                return
+
+    def _add_design(self, design: Design, coverage: float) -> None:
+        """Note a design and its coverage."""
         if self.barely is None and coverage >= self.lost:
             self.barely = design
         if self.most is None or coverage > self.largest:
             self.most = design
             self.largest = coverage
 
-    def best_substitute(self, target: float) -> tuple[Design | None, str]:
-        """Design to take where no search has led to another, and which one it is."""
-        if self.largest >= target:
-            return self.most, COVERED
+    def best_substitute(self) -> tuple[Design | None, str]:
+        """Design to take where none reaches the target, and which one it is."""
         if self.barely is not None:
             return self.barely, LESS_COVERED
         return self.first, NOT_COVERED
 
-    def search_around(self, search: Search, target: float) -> Design | None:
+    def search_around(self, search: Search | None, wanted: float) -> Design | None:
         """Design found by a random search around the one with the largest coverage; None if there
         is none."""
-        if self.first is None or self.most is None:
+        if search is None or self.first is None or self.most is None:
             return None
-        return search(self.first, self.most, target)
+        return search(self.first, self.most, wanted)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +188,12 @@ class LoopCoverage:
 
     @classmethod
     def from_premise(
-        cls, model: Model, controlled: Any, balls: Balls, premise: Premise
+        cls,
+        model: Model,
+        controlled: Any,
+        balls: Balls,
+        premise: Premise,
+        deciding: dict[float, Float[np.ndarray, "D"]] | None = None,
     ) -> "LoopCoverage":
         """Prepare the computation of the coverage for one loop, with the requirements that the
         records make."""
@@ -152,7 +205,7 @@ class LoopCoverage:
         items = {}
         for centre in CENTRES:
             items[centre] = tuple(item for item in premise.items(centre) if item.seen > 0)
-        return cls(context=context, items=items, deciding=dict.fromkeys(CENTRES, np.zeros(0)))
+        return cls(context=context, items=items, deciding={} if deciding is None else deciding)
 
     def largest_radius_around(
         self, gains: dict[str, Any], centre: float, least: float = 0.0
@@ -164,6 +217,7 @@ class LoopCoverage:
         from ssm_study.synthesis.measured_discs_weights import (
             COARSE,
             JOINT,
+            NO_ANGLES,
             WeightBasis,
             WeightProgram,
         )
@@ -182,7 +236,9 @@ class LoopCoverage:
         )
         try:
             with linear_algebra_failures_as_no_solution():
-                nu, _, deciding = program.maximise_radius_from(self.deciding[centre], least**2)
+                nu, _, deciding = program.maximise_radius_from(
+                    self.deciding.get(centre, NO_ANGLES), least**2
+                )
         except NoSolution:
             return 0.0
         if is_large:
@@ -211,6 +267,7 @@ def coverage_by_frequency(
     premise: Premise,
     enough: float = np.inf,
     least: float = 0.0,
+    deciding: dict[float, Float[np.ndarray, "D"]] | None = None,
 ) -> float:
     """Largest radius of a disc of model errors that a design tolerates, computed frequency by
     frequency. The search ends at the first radius that is `enough`; below `least` the radius may be
@@ -218,5 +275,5 @@ def coverage_by_frequency(
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)
     system = controlled_system(model, feedback)
-    loop = LoopCoverage.from_premise(model, system, balls, premise)
+    loop = LoopCoverage.from_premise(model, system, balls, premise, deciding)
     return loop.largest_radius(design.gains, enough, least)[0]

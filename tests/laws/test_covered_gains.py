@@ -2,6 +2,7 @@
 where none is covered, and the choice turns to it only where the grid does not reach."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -131,9 +132,9 @@ def test_a_covered_pair_from_far_down_the_order_is_made_faster(monkeypatch, sear
     found = design(input_weight=0.1)
     asked = []
 
-    def search(*words):
-        asked.append(words)
-        return found if searches else None
+    def search(first, most, wanted):
+        asked.append((first, most, wanted))
+        return found if searches and most is slow else None
 
     def make(place):
         return slow if place > NEAR else FAST
@@ -141,7 +142,7 @@ def test_a_covered_pair_from_far_down_the_order_is_made_faster(monkeypatch, sear
     pairs = iter(range(400))
     chosen = prefer_covered(pairs, make, SSM_MODEL, BALLS, PREMISE, None, search)
     assert chosen == ((found, SEARCHED) if searches else (slow, COVERED))
-    assert asked == [(FAST, slow, 1.0)]
+    assert asked == [(FAST, FAST, 1.0), (FAST, slow, 1.0)]
 
 
 def test_a_search_without_a_design_leaves_the_first(monkeypatch) -> None:
@@ -162,3 +163,11 @@ def test_rounds_beyond_those_planned_follow_only_while_they_would_reach_the_targ
     assert not is_worth_another_round(steady, 1.1, rounds=2)  # 0.8 * 0.8 / 0.6 is 1.07
     assert not is_worth_another_round([0.6, 0.7, 1.1], 1.05, rounds=2)
     assert not is_worth_another_round([0.0, 0.0, 0.0], 1.05, rounds=2)
+
+
+def test_a_brief_search_ends_at_its_target_or_its_last_round(search) -> None:
+    brief = replace(search, is_brief=True)
+    assert brief._goes_on([0.6], 1.0, rounds=1)
+    assert not brief._goes_on([0.6, 0.7], 1.0, rounds=1)
+    assert not brief._goes_on([1.1], 1.0, rounds=1)
+    assert search._goes_on([1.1], 1.0, rounds=1)  # made faster in the rounds that are left
