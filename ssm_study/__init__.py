@@ -15,16 +15,20 @@
     st.study("experiment=paper")       # the table of a study, as `ssm-study run` makes it
     st.Estimator(step_s=step_s)        # for scikit-learn's searches
 
-The model is `x+ = A x + B S_u(u)`, `y = S_y(C x)`. By default `fit` compares a dozen or more models
-on folds of the records, which takes minutes; `model="ssm"` takes seconds. Pictures are Matplotlib
-figures: `model.plot()`, `bode()`, `residuals()`, `poles()`, `input_map()`; `design.plot()`,
-`step()`, `margin_plot()`, `coverage_plot()`, `nyquist()`, `poles()`.
+The model is `x+ = A x + B S_u(u)`, `y = S_y(C x)` with `model="ssm"`, which takes seconds. By
+default `fit` compares a dozen or more models with neurons inside the recurrence on folds of the
+records, which takes minutes. Pictures are Matplotlib figures: `model.plot()`, `bode()`,
+`residuals()`, `poles()`, `input_map()`; `design.plot()`, `step()`, `margin_plot()`,
+`coverage_plot()`, `nyquist()`, `poles()`.
 
-A certified rate `rho` is proved for the model: distances shrink by `sqrt(1 - rho)` or more each
-sample. Two entries are about the plant: `design.record["predicted_stable"]`, a prediction (None
-where the records allow none), and `design.record["coverage"]`, the model error that the proof
-covers over the error that the records show (below one nothing is covered). A fit of 100 % is a
-perfect free run. A wrong request raises `st.BadRequest` in one sentence, before any long work.
+A certified rate `rho` is proved for the model: distances, in the metric of the certificate, are
+multiplied by at most `sqrt(1 - rho)` each sample. Gains come from Riccati equations or a solver of
+matrix inequalities, verdicts from rational arithmetic on the stored numbers. Two entries are about
+the plant: `design.record["predicted_stable"]`, a prediction (None where the records allow none),
+and `design.record["coverage"]`, the model error that the proof covers over the error that the
+records show (below one nothing is covered). `coverage_needed` is the same ratio that data need
+which neither fit nor design has used. A fit of 100 % is a perfect free run. A wrong request raises
+`st.BadRequest` in one sentence, before any long work.
 """
 
 import os

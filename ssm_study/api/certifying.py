@@ -15,7 +15,7 @@ from jaxtyping import Float
 from ssm_study.api.arguments import Slopes
 from ssm_study.api.controlling import slope_ball
 from ssm_study.api.design import Design
-from ssm_study.api.summaries import html_table
+from ssm_study.api.summaries import html_table, round_rate_down
 from ssm_study.api.systems import read_linear_system, read_matrix
 from ssm_study.certificates.certificate import Side
 from ssm_study.certificates.frontier import frontier
@@ -33,6 +33,7 @@ from ssm_study.synthesis.modes import least_metric
 from ssm_study.systems import JacobianBall
 
 MATRICES = "give A, B, C (for example P.A, P.B, P.C)"
+LARGEST_RATE = 1 - 1e-9  # of a gain that brings every state to rest in a few samples
 SMALLEST_RATE = 1e-9  # what is asked of the problem while its gain is analysed
 
 
@@ -42,9 +43,9 @@ class GainCertificate:
     rate is proved.
 
     `rate` is the largest contraction rate per sample that exact arithmetic confirmed, None where
-    there is none; `certificate` holds its matrices: the gain is its `k` or `l`, the metric its `p`
-    or `q`. It holds for all `slopes`, the lowest and the highest. `rate_of_gain` is the supremum
-    for this gain and `rate_limit` that of all gains at these slopes, both in floats.
+    there is none; `certificate` holds its matrices: the gain is its `k` or `l`, the metric the
+    inverse of `p`, or `q`. It holds for all `slopes`, the lowest and the highest. `rate_of_gain` is
+    the supremum for this gain and `rate_limit` that of all gains at these slopes, both in floats.
     """
 
     rate: float | None
@@ -83,7 +84,9 @@ class Certification:
             if gain.rate is None:
                 lines[name] = f"nothing is proved: {gain.reason}"
             else:
-                lines[name] = f"contracts at rate {gain.rate:.6g} per sample, decided exactly"
+                lines[name] = (
+                    f"contracts at rate {round_rate_down(gain.rate, 6)} per sample, decided exactly"
+                )
             lines[f"{name}, slopes"] = _describe_slopes(name, gain.slopes)
             lines[f"{name}, this gain"] = _describe_limit(gain.rate_of_gain)
             lines[f"{name}, any gain"] = _describe_limit(gain.rate_limit)
@@ -102,7 +105,7 @@ class Certification:
 
 def _describe_limit(rate: float) -> str:
     """Text that says how large a contraction rate any certificate of a gain can prove."""
-    return f"at most {rate:.6g}" if rate > 0 else "no rate is possible"
+    return f"less than {rate:.6g}" if rate > 0 else "no rate is possible"
 
 
 def _describe_slopes(name: str, slopes: tuple[float, float]) -> str:
@@ -128,10 +131,13 @@ def certify(
     K enters as `u = K x`, L as `L (S_y(C xh) - y)`: of `x+ = A x + B S_u(u)`, every slope of `S_u`
     in `slopes`, and of the observer `xh+ = A xh + B S_u(u) + L (S_y(C xh) - y)`, every slope of
     `S_y` in `output_slopes`. Either gain may be left out. In place of A, B, C a python-control
-    state space or `(A, B, C, D, step_s)` may stand alone. A rate `rho` means that distances shrink
-    by `sqrt(1 - rho)` or more each sample, however the slopes vary; whether it holds is decided in
-    exact arithmetic. `controller.certificate.k` and `observer.certificate.l` are the gains of the
-    result. Source: [Z26] Theorems 1 and 2 at given gains.
+    state space or `(A, B, C, D, step_s)` may stand alone. A rate `rho` means that
+    distances in the metric of the certificate are multiplied by at most `sqrt(1 - rho)` each
+    sample, however the slopes vary; whether it holds is decided in exact arithmetic. With several
+    inputs (outputs) `slopes` stand for all maps whose Jacobians lie within the ball around the mean
+    slope. `rate` is 0.1 % inside what the gain allows. `controller.certificate.k` and
+    `observer.certificate.l` are the gains of the result. Source: [Z26] Theorems 1 and 2 at given
+    gains.
 
     Raises `BadRequest` for matrices that do not fit, and where no gain is given.
 
@@ -203,7 +209,7 @@ def certify_gain(
     matrices = (a, b, k)
     a, b, k = (np.ascontiguousarray(matrix) for matrix in matrices)
     limit = frontier(a, b, ball).rate_limit
-    supremum = largest_rate(a, b, k, ball)
+    supremum = min(largest_rate(a, b, k, ball), LARGEST_RATE)
     result = partial(
         GainCertificate, rate_of_gain=supremum, rate_limit=limit, slopes=(ball.lower, ball.upper)
     )
@@ -230,7 +236,7 @@ def _describe_missing_rate(closed: Float[np.ndarray, "n n"], ball: JacobianBall)
     the mean slope."""
     slowest = float(np.abs(np.linalg.eigvals(closed)).max())
     if slowest >= 1:
-        return f"the loop is unstable at the mean slope (spectral radius {slowest:.4g})"
+        return f"not stable at the mean slope (spectral radius {slowest:.4g})"
     return (
         f"the loop is stable at the mean slope (spectral radius {slowest:.4g}), yet no "
         f"single metric proves a rate for every slope from {ball.lower:.4g} to {ball.upper:.4g}"

@@ -37,6 +37,7 @@ class ModelComparison:
     time_s: Float[np.ndarray, "T"]
     output_names: list[str]
     start_up_samples: int = 0
+    record_words: str = "the test record"
 
     def __repr__(self) -> str:
         return self.table.to_string(float_format=lambda value: f"{value:.4g}")
@@ -53,7 +54,12 @@ class ModelComparison:
         from ssm_study.api.pictures.free_run import free_run_picture
 
         picture = free_run_picture(
-            self.time_s, self.measured, self.simulated, self.output_names, self.start_up_samples
+            self.time_s,
+            self.measured,
+            self.simulated,
+            self.output_names,
+            self.start_up_samples,
+            self.record_words,
         )
         return draw_picture(picture)
 
@@ -76,8 +82,7 @@ def compare(
     >>> bool(st.compare({"linear": model}, u, y[:800]).table.loc["linear", "fit_percent"] > 95)
     True
     """
-    named = dict(models) if isinstance(models, Mapping) else _name_models(models)
-    require(bool(named), "models", "none", "there is nothing to compare", "give a list of models")
+    named = read_models(models)
     first = next(iter(named.values()))
     measured = signal_columns(y, "y", columns=first.output_names)[1]
     simulated = {}
@@ -98,7 +103,26 @@ def compare(
         output_names=first.output_names,
         step_s=first.data.step_s,
         states=states,
+        record_words="the given record",
     )
+
+
+def read_models(models: Any) -> dict[str, Model]:
+    """Read models by name from a mapping, a list or a single one. Raises `BadRequest` for what
+    holds none, and for what is no model."""
+    if isinstance(models, Model):
+        models = [models]
+    remedy = "give a list of models, as st.fit returns them"
+    several = isinstance(models, Mapping | list | tuple)
+    require(several, "models", type(models).__name__, "is no list of models", remedy)
+    require(len(models) > 0, "models", "none", "there is nothing to compare", remedy)
+    each = models.values() if isinstance(models, Mapping) else models
+    for model in each:
+        is_model = isinstance(model, Model)
+        require(is_model, "models", type(model).__name__, "is no model", remedy)
+    if isinstance(models, Mapping):
+        return {str(name): model for name, model in models.items()}
+    return _name_models(models)
 
 
 def compare_simulations(
@@ -109,6 +133,7 @@ def compare_simulations(
     step_s: float,
     states: Mapping[str, int | None],
     start_up_samples: int = 0,
+    record_words: str = "the test record",
 ) -> ModelComparison:
     """Score simulations of the same records by several models, and sort them by fit, best first.
     The longest record is drawn.
@@ -132,12 +157,13 @@ def compare_simulations(
         time_s=time_s,
         output_names=output_names,
         start_up_samples=start_up_samples,
+        record_words=record_words,
     )
 
 
 def _name_models(models: Sequence[Model]) -> dict[str, Model]:
-    """Name each model by its class, with a number where several share one."""
-    kinds = [type(model.simulator).__name__ for model in models]
+    """Name each model by its kind, with a number where several share one."""
+    kinds = [kind_of_model(model) for model in models]
     names = []
     for i, kind in enumerate(kinds):
         is_unique = kinds.count(kind) == 1
@@ -157,3 +183,12 @@ def _score_row(
     row["rmse"] = rmse(measured, simulated)
     row["largest_error"] = float(np.abs(measured - simulated).max())
     return row
+
+
+def kind_of_model(model: Model) -> str:
+    """Kind of a model as `st.fit(model=...)` takes it, or else the name of its class."""
+    for word in model.overrides:
+        name, _, value = word.partition("=")
+        if name == "model":
+            return value
+    return type(model.simulator).__name__

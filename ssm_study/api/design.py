@@ -17,7 +17,7 @@ from ssm_study.api.design_files import write_records
 from ssm_study.api.model import Model, draw_or_refuse
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.summaries import html_table, render_text_table, summarise_design
-from ssm_study.api.systems import read_numbers
+from ssm_study.api.systems import read_folder, read_numbers
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.evidence.metrics import withhold_predictions
@@ -184,7 +184,7 @@ class Design:
 
         `real` is "double" or "float". Raises `BadRequest` where there is no controller.
         """
-        path = Path(path)
+        path = read_folder("path", path)
         sources = targets.render_controller(self.folder, real=real, prefix=path.stem)
         for name, text in sources.items():
             (path.parent / name).write_text(text, encoding="utf-8")
@@ -199,7 +199,7 @@ class Design:
 
         Raises `BadRequest` for a folder that exists.
         """
-        folder = Path(folder)
+        folder = read_folder("folder", folder)
         require(not folder.exists(), "to", folder, "exists", "name a new folder")
         if self.run_folder is not None:
             return Path(shutil.copytree(self.run_folder, folder))

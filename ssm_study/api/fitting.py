@@ -12,7 +12,7 @@ from ssm_study.api.model import Model
 from ssm_study.api.parts import Parts
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.steps import identify_model
-from ssm_study.api.systems import read_slopes
+from ssm_study.api.systems import read_folder, read_slopes
 from ssm_study.data.arrays import write_log_files
 from ssm_study.refusal import NO_NUMBERS, BadRequest, require, require_positive
 
@@ -92,7 +92,9 @@ def fit(
     training = parts.build("training")
     reduction = parts.build("reduction")
 
-    folder = make_scratch_folder() if results_dir is None else Path(results_dir)
+    folder = (
+        make_scratch_folder() if results_dir is None else read_folder("results_dir", results_dir)
+    )
     log = write_log_files(u, y, folder, float(step_s), disturbance)
     parts.set_fields("data", path=log.paths, input=log.inputs, output=log.outputs, step_s=step_s)
     parts.set_fields("data", disturbance=log.disturbances or None)
@@ -123,6 +125,7 @@ def sampling_time_s(step_s: Any) -> float:
     """Convert a sampling time, given as a number or a time difference, to seconds. Raises
     `BadRequest` for anything else."""
     remedy = "give it in seconds"
+    require(not isinstance(step_s, bool), "step_s", step_s, "is no sampling time", remedy)
     if isinstance(step_s, timedelta | np.timedelta64):
         step_s = pd.Timedelta(step_s).total_seconds()
     try:

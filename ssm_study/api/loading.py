@@ -5,6 +5,7 @@ from pathlib import Path
 from ssm_study.api.design import Design
 from ssm_study.api.model import Model
 from ssm_study.api.model_files import holds_saved_model
+from ssm_study.api.systems import read_folder
 
 
 def load(folder: str | Path) -> Design | Model:
@@ -14,7 +15,7 @@ def load(folder: str | Path) -> Design | Model:
     `Model` with its records, ready for `st.simulate` and `st.control`. Raises `BadRequest` where
     there is neither.
     """
-    folder = Path(folder)
+    folder = read_folder("folder", folder)
     if holds_saved_model(folder):
         return Model.load(folder)
     return Design.load(folder)

@@ -19,6 +19,7 @@ from ssm_study.api.linearisation import (
 from ssm_study.api.model_files import holds_saved_model, read_model_fields, write_model_files
 from ssm_study.api.steps import judge_evidence, measure_mismatch
 from ssm_study.api.summaries import html_table, render_text_table, summarise_model
+from ssm_study.api.systems import read_folder
 from ssm_study.bounds.metrics import model_bound_columns
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.data.arrays import check_time_index, disturbance_values, signal_columns
@@ -291,7 +292,7 @@ class Model:
         `model.json` alone can be simulated without torch. Returns the folder. Raises `BadRequest`
         for a folder that exists.
         """
-        folder = Path(folder)
+        folder = read_folder("folder", folder)
         require(not folder.exists(), "folder", folder, "exists", "name a new folder")
         folder.mkdir(parents=True)
         write_model_files(self, folder)
@@ -303,7 +304,7 @@ class Model:
 
         Raises `BadRequest` where there is none.
         """
-        folder = Path(folder)
+        folder = read_folder("folder", folder)
         problem = "holds no saved model"
         remedy = "name the folder that model.save wrote"
         require(holds_saved_model(folder), "folder", folder, problem, remedy)

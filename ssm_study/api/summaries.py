@@ -1,6 +1,7 @@
 """Summaries of models and designs, with one value per line, as text and as a table for
 notebooks."""
 
+import math
 import re
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -8,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.certificates.certificate import Infeasible
 from ssm_study.evidence.finding import DOUBT
 from ssm_study.models.identified import SSM
@@ -101,16 +103,42 @@ def summarise_design(design: "Design") -> pd.Series:
     slowest = {name: np.abs(poles).max() for name, poles in design.eigenvalues().items()}
     lines["slowest pole, open loop"] = f"{slowest['model']:.4f} per sample"
     lines["slowest pole, controlled"] = f"{slowest['controlled']:.4f} per sample"
-    if design.origin is not None:
+    if "evidence" in design.facts:
         lines |= summarise_prediction(design.facts)
+    elif design.origin is None and not design.stored_record:
+        lines |= summarise_assumptions(certificate)
     return pd.Series(lines, name="design", dtype=object)
+
+
+def summarise_assumptions(certificate: Certificates) -> dict[str, str]:
+    """Lines of the summary on what is assumed of the maps of a system given as matrices."""
+    feedback, observer = certificate.parts()
+    assumed = {}
+    for name, part in (("input map", feedback), ("output map", observer)):
+        lower = part.alpha - part.beta
+        upper = part.alpha + part.beta
+        assumed[f"slopes of the {name}"] = f"{lower:.6g} to {upper:.6g}"
+    if feedback.beta > 0:
+        words = "the observer knows the input map; files and simulations take the identity"
+        assumed["assumed"] = words
+    return assumed
+
+
+def round_rate_down(rate: float, digits: int = 3) -> str:
+    """Text of a contraction rate, cut to some significant digits: never more than what is
+    proved."""
+    if rate <= 0:
+        return f"{rate:.{digits}g}"
+    step = 10.0 ** (math.floor(math.log10(rate)) - digits + 1)
+    text = f"{rate:.{digits}g}"
+    return text if float(text) <= rate else f"{float(text) - step:.{digits}g}"
 
 
 def summarise_side(name: str, part: Any, rate: float | None) -> dict[str, str]:
     """Summary lines on the certificate of a controller or observer, with the reason where exact
     arithmetic does not confirm it."""
-    value = "no rate" if rate is None else f"rate {rate:.3g} per sample"
-    lines = {name: f"{value}, {PROVED[part.certified]} (limit {part.rate_limit:.3g})"}
+    value = "no rate" if rate is None else f"rate {round_rate_down(rate)} per sample"
+    lines = {name: f"{value}, {PROVED[part.certified]} (limit {round_rate_down(part.rate_limit)})"}
     if not part.certified:
         lines[f"{name}, reason"] = part.solver_status
     lines[f"{name} gain"] = f"norm {part.gain_norm:.3g}"

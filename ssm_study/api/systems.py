@@ -1,5 +1,6 @@
 """Conversion of linear systems from python-control, SciPy or tuples of matrices."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -90,6 +91,14 @@ def read_slopes(name: str, slopes: Any) -> tuple[float, float]:
     return lower, upper
 
 
+def read_folder(name: str, folder: Any) -> Path:
+    """Read the path of a folder. Raises `BadRequest` for what names none."""
+    is_path = isinstance(folder, str | Path) and "\0" not in str(folder)
+    kind = folder if isinstance(folder, str) else type(folder).__name__
+    require(is_path, name, kind, "is no path", "give the name of a folder")
+    return Path(folder)
+
+
 def _read_matrices(system: tuple[Any, ...]) -> tuple[StateSpace, float]:
     """Read a linear system that is given as (A, B, C, D, step_s)."""
     require(len(system) == 5, "model", f"a tuple of {len(system)}", "is no linear system", FORMS)
@@ -101,6 +110,7 @@ def _build_state_space(matrices: list[Any]) -> StateSpace:
     """Build a state space from four matrices, after checking that their shapes fit together."""
     a = read_matrix("A", matrices[0], (None, None))
     n = len(a)
+    require(a.size > 0, "A (shape)", a.shape, "there are no states to control", FORMS)
     a = read_matrix("A", a, (n, n))
     b = read_matrix("B", matrices[1], (n, None))
     c = read_matrix("C", matrices[2], (None, n))

@@ -1,6 +1,7 @@
 """The command line called from Python: compose a configuration, run a study, save a design as a
 run."""
 
+import re
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 from omegaconf import DictConfig
 
+from ssm_study.api.scratch import scratch_folder
 from ssm_study.cli import run as command
 from ssm_study.cli.hydra_errors import explain_hydra_error
 from ssm_study.cli.request import quote_sines
@@ -71,7 +73,8 @@ def save_run(design: "Design", folder: Path) -> Path:
     """
     with TemporaryDirectory(prefix="ssm-study-") as results:
         place = (f"results_dir='{results}'", "study=saved", "progress=false")
-        outcome = line.STUDY.job(compose_configuration((*design.overrides, *place)))
+        words = tuple(copy_temporary_logs(word, folder / "logs") for word in design.overrides)
+        outcome = line.STUDY.job(compose_configuration((*words, *place)))
         if outcome.status == FAILED:
             raise RuntimeError(f"{outcome.message} (its traceback is in {outcome.folder})")
         gather(outcome.folder.parent)
@@ -79,7 +82,18 @@ def save_run(design: "Design", folder: Path) -> Path:
         same = saved == {name: gain.tolist() for name, gain in design.certificate.gains.items()}
         problem = "the command designs other gains from the same words"
         require(same, "design", folder, problem, "report this, please")
-        return Path(shutil.copytree(outcome.folder, folder))
+        return Path(shutil.copytree(outcome.folder, folder, dirs_exist_ok=True))
+
+
+def copy_temporary_logs(word: str, folder: Path) -> str:
+    """Copy the log files that an override names into a folder, if they are deleted when the program
+    ends, and name the copies instead."""
+    scratch = re.escape(str(scratch_folder()))
+    for match in re.findall(rf"{scratch}/[^',\]]+\.parquet", word):
+        folder.mkdir(parents=True, exist_ok=True)
+        copied = shutil.copy(match, folder)
+        word = word.replace(match, str(Path(copied).resolve()))
+    return word
 
 
 def _read_gains(folder: Path) -> dict[str, Any]:

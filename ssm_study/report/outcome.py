@@ -231,12 +231,24 @@ def fresh_data_words(record: Mapping[str, Any]) -> str:
     if not math.isfinite(needed):
         return "; fresh data lie outside every such disc"
     times = f"{math.ceil(100 * needed) / 100:.2f} times"
+    if exceeds_coverage(record):
+        times += ", more than is covered"
     sets = record.get("fresh_sets")
     if not sets:
         return f"; the test record needs {times}"
     if sets == 1:
         return f"; a fresh data set needs {times}"
     return f"; {sets} fresh data sets need at most {times}"
+
+
+def exceeds_coverage(record: Mapping[str, Any]) -> bool:
+    """Whether data that neither fit nor design has used show a larger model error than a proof
+    covers that holds for the other records."""
+    coverage = record.get("coverage")
+    needed = record.get("coverage_needed")
+    if coverage is None or needed is None:
+        return False
+    return 1 <= float(coverage) < float(needed)
 
 
 def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:

@@ -18,6 +18,7 @@ import ssm_study as st
 from ssm_study.api import parts
 from ssm_study.api.design import Design
 from ssm_study.api.model import Model
+from ssm_study.api.scratch import scratch_folder
 from ssm_study.api.summaries import choice_words, chosen_sizes, size_words, summarise_prediction
 from ssm_study.cli.main import main
 from ssm_study.refusal import BadRequest
@@ -105,6 +106,18 @@ def test_a_saved_design_is_the_run_of_the_command(design: Design, tmp_path: Path
                     for timing in ("seconds", "digest"):
                         part.pop(timing, None)
         assert ours == theirs
+
+
+def test_a_saved_design_takes_the_log_of_its_arrays_along(
+    log: pd.DataFrame, tmp_path: Path
+) -> None:
+    """What the program deletes at its end is not needed any more: `verify` reads the copy."""
+    u, y = log.to_numpy().T
+    saved = st.control(st.fit(u, y, STEP_S, *QUICK), *GIVEN).save(tmp_path / "saved")
+    (copied,) = (saved / "logs").iterdir()
+    settings = (saved / ".hydra" / "config.yaml").read_text()
+    assert str(copied) in settings
+    assert str(scratch_folder()) not in settings
 
 
 def test_a_saved_design_verifies_and_loads(design: Design, tmp_path: Path) -> None:
@@ -318,7 +331,7 @@ def test_certify_proves_what_sampled_slopes_do() -> None:
     slopes = (0.6, 1.4)
     refused = st.certify(a, b, K=20 * k, slopes=slopes)
     assert not refused.certified
-    assert "unstable" in refused.controller.reason
+    assert "not stable at the mean slope" in refused.controller.reason
 
 
 def test_certify_agrees_with_the_deployed_rate(design: Design) -> None:

@@ -4,6 +4,7 @@ configuration."""
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -15,29 +16,40 @@ NOTEBOOKS = sorted(
 )
 
 
-# One trains on logs of its own, with settings of its own: the same, shorter, and of the designs'
-# grid as of commands'.
-WHOLE = '"training.max_epochs=60")'
-SHORT = ['"training.max_epochs=12"', '"model.starts=1"', '"model.draws=1"']
-SHORT += [f'"+synthesis.{name}={values}"' for name, values in FEW.items()]
+# The same cells with less work in them: of a notebook's words those that make its copy short.
+FEW_WORDS = ", ".join(f'"+synthesis.{name}={values}"' for name, values in FEW.items())
+SHORTER = {
+    "your_own_data": {
+        "STEP_S, **SETTINGS": 'STEP_S, "training.max_epochs=12", **SETTINGS',
+        "st.control(model)": f"st.control(model, {FEW_WORDS})",
+    },
+    "reading_a_sweep": {'"progress=false"]': '"progress=false", "hydra.launcher.n_jobs=1"]'},
+}
 
 
 @pytest.fixture(scope="module")
-def kernel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """One for all notebooks, emptied before each: to load the libraries takes longer than a short
-    notebook.
+def shell(tmp_path_factory: pytest.TempPathFactory, made_once: None) -> Iterator[Any]:  # noqa: ARG001
+    """The shell of a Jupyter kernel, in this process, one for all notebooks: a process of its own
+    loads the libraries for longer than a short notebook takes.
 
     Their results are shared too: what one has trained the next one finds.
     """
-    nbclient = pytest.importorskip("nbclient", reason="the extra `notebooks` is not installed")
-    nbformat = pytest.importorskip("nbformat", reason="the extra `notebooks` is not installed")
-    first = nbclient.NotebookClient(nbformat.v4.new_notebook(), kernel_name="python3")
+    shells = pytest.importorskip(
+        "IPython.core.interactiveshell", reason="the extra `notebooks` is not installed"
+    )
+    history = {"HistoryManager": {"enabled": False}}
+    config = pytest.importorskip("traitlets.config").Config(history)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SSM_STUDY_EXPERIMENT", "smoke")
         results_path = str(tmp_path_factory.mktemp("notebooks") / "results")
         patch.setenv("SSM_STUDY_RESULTS", results_path)
-        with first.setup_kernel(cwd=str(ROOT)):
-            yield first.km
+        patch.setattr("ssm_study.cli.summary.RUN_FIGURES", ())  # each is drawn where it is shown
+        patch.chdir(ROOT)
+        notebook = ModuleType("notebook")
+        running = shells.InteractiveShell.instance(user_module=notebook, config=config)
+        yield running
+        running.restore_sys_module_state()
+        shells.InteractiveShell.clear_instance()
 
 
 def test_there_are_five() -> None:
@@ -45,20 +57,31 @@ def test_there_are_five() -> None:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_it_runs(path: Path, kernel: Any) -> None:
+def test_it_runs(path: Path, shell: Any) -> None:
     jupytext = pytest.importorskip("jupytext", reason="the extra `notebooks` is not installed")
-    nbclient = pytest.importorskip("nbclient", reason="the extra `notebooks` is not installed")
-    script = "# %%\n%reset -f\n" + path.read_text()
-    expected = path.stem == "your_own_data"
-    assert (WHOLE in script) == expected
-    notebook = jupytext.reads(script.replace(WHOLE, ", ".join(SHORT) + ")"), fmt="py:percent")
-    notebook_client = nbclient.NotebookClient(notebook, timeout=300, km=kernel)
-    notebook_client.execute()
-    assert pictures(notebook) >= 1, text(notebook)
-    assert "Traceback" not in text(notebook), text(notebook)
-    assert "$" not in shown_as_markdown(notebook), (
-        "exported to HTML, a formula between $ needs a network to be shown"
-    )
+    capture = pytest.importorskip("IPython.utils.capture").capture_output
+    script = path.read_text()
+    for whole, short in SHORTER.get(path.stem, {}).items():
+        assert whole in script
+        script = script.replace(whole, short)
+    shell.reset(new_session=False)
+    data: list[dict[str, Any]] = []
+    texts = []
+    for cell in jupytext.reads(script, fmt="py:percent").cells:
+        if cell.cell_type == "markdown":
+            data.append({"text/markdown": cell.source})
+            continue
+        with capture() as captured:
+            done = shell.run_cell(cell.source)
+        done.raise_error()
+        texts.append(captured.stdout)
+        data += [output.data for output in captured.outputs]
+        if done.result is not None:
+            data.append(shell.display_formatter.format(done.result)[0])
+    assert any(one.get("image/png") for one in data), texts
+    assert "Traceback" not in "".join(texts)
+    markdown = "".join(one.get("text/markdown", "") for one in data)
+    assert "$" not in markdown, "exported to HTML, a formula between $ needs a network to be shown"
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -77,33 +100,13 @@ def test_the_page_that_the_site_shows_is_of_this_notebook(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_the_jupyter_file_is_the_same_notebook(path: Path) -> None:
-    """`python benchmarks/notebooks_rendered.py --ipynb` writes it."""
+def test_the_jupyter_file_is_the_same_notebook_without_helpers(path: Path) -> None:
+    """`python benchmarks/notebooks_rendered.py --ipynb` writes it; a plant may be a function."""
     jupytext = pytest.importorskip("jupytext", reason="the extra `notebooks` is not installed")
     places = (path, path.with_suffix(".ipynb"))
     ours, written = (
         [(cell.cell_type, cell.source) for cell in jupytext.read(place).cells] for place in places
     )
     assert ours == written
-
-
-def pictures(notebook: Any) -> int:
-    return sum(
-        "image/png" in output.get("data", {})
-        for cell in notebook.cells
-        for output in cell.get("outputs", [])
-    )
-
-
-def shown_as_markdown(notebook: Any) -> str:
-    outputs = [
-        output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", [])
-    ]
-    written = [cell.source for cell in notebook.cells if cell.cell_type == "markdown"]
-    return "".join(written + [data.get("text/markdown", "") for data in outputs])
-
-
-def text(notebook: Any) -> str:
-    return "".join(
-        output.get("text", "") for cell in notebook.cells for output in cell.get("outputs", [])
-    )
+    helpers = set(re.findall(r"^(?:def|class) (\w+)", path.read_text(), re.M))
+    assert helpers <= {"warmer"}

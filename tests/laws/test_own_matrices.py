@@ -1,6 +1,7 @@
 """`st.certify` and `st.control` for matrices that the user brings: refusals, reasons, words."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import control
@@ -10,6 +11,7 @@ import pytest
 
 import ssm_study as st
 from ssm_study.api.design import Design
+from ssm_study.api.summaries import round_rate_down
 from ssm_study.refusal import BadRequest
 
 A = np.array([[0.9, 0.1], [0.0, 0.8]])
@@ -181,3 +183,27 @@ def test_pictures_of_given_matrices_speak_of_no_identified_model(design: Design)
         title = figure.get_suptitle()
         assert "the given model" in title
         assert "identified" not in title
+
+
+def test_gains_that_bring_every_state_to_rest_are_certified_close_to_rate_one() -> None:
+    """All eigenvalues of the loop are zero: nothing is divided by their size."""
+    proof = st.certify([[1, 1], [0, 1]], [[0.0], [1.0]], K=[[-1.0, -2.0]])
+    assert proof.controller is not None
+    assert proof.controller.rate == pytest.approx(0.999)
+    assert proof.certified
+
+
+def test_the_exported_file_says_what_the_design_says(design: Design, tmp_path: Path) -> None:
+    """Slopes that were given count, not those of the identity that the file computes."""
+    header = design.to_c(tmp_path / "controller.h").read_text()
+    assert design.certified
+    assert "Controller of a design from Python, certified for its model at rates 0.5" in header
+    assert "the observer knows the input map" in repr(design)
+
+
+@pytest.mark.parametrize("rate", [0.1, 0.946216, 0.73263159, 0.9999])
+def test_a_printed_rate_is_never_more_than_what_is_proved(rate: float) -> None:
+    for digits in (3, 6):
+        printed = float(round_rate_down(rate, digits))
+        assert printed <= rate
+        assert printed == pytest.approx(rate, rel=10.0 ** (1 - digits))

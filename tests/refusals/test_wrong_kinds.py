@@ -112,3 +112,9 @@ def test_a_transfer_function_of_scipy_is_that_of_python_control() -> None:
 def test_slopes_of_a_fit_are_two_numbers() -> None:
     with pytest.raises(st.BadRequest, match=r"slopes = 0\.5: are no two numbers; give \(lowest"):
         st.fit(FITTED["u"], FITTED["y"], 0.1, model="ssm", slopes=0.5)
+
+
+@pytest.mark.parametrize("models", [3, "text", [], [SYSTEM], {"a": 1}])
+def test_only_models_are_compared(models: object) -> None:
+    with pytest.raises(st.BadRequest, match=r"give a list of models, as st\.fit returns them"):
+        st.compare(models, np.ones(10), np.ones(10))

@@ -19,6 +19,7 @@ def free_run_picture(
     simulated: Mapping[str, Outputs],
     labels: Sequence[str],
     start_up: int = 0,
+    record_words: str = "the test record",
 ) -> Picture:
     """Picture of free runs on a record: measured and simulated outputs, with errors below.
 
@@ -53,7 +54,7 @@ def free_run_picture(
         upper.append(picture_panel)
         lower.append(_error_panel(errors, label))
     best = max(fits.values())
-    title = f"Free run on the test record: fit {best:.1f} %"
+    title = f"Free run on {record_words}: fit {best:.1f} %"
     if len(measured) > LONGEST:
         title += f" (the first {LONGEST} of {len(measured)} samples)"
     panels = (*upper, *lower)

@@ -40,7 +40,7 @@ def margin_picture(
         for i, curve in enumerate(drawn)
     ]
     at_hertz = least.angle / (2 * np.pi * step_s)
-    guide_line = GuideLine(y=1.0, dashed=False, name="1: small gain ends")
+    guide_line = GuideLine(y=1.0, dashed=False, name="1: prediction ends")
     rules = [guide_line]
     decided_by_curve = margin is None or least.smallest <= 1.001 * margin
     if decided_by_curve:

@@ -27,7 +27,7 @@ def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Pic
         x, y = circle_points(factor)
         name = f"proved of the controller: {factor:.3f}"
         series.append(Series(x=x, y=y, colour=style.GREY, dashed=True, name=name))
-        title = f"Poles at the equilibrium; distances shrink by {factor:.3f} a sample or faster"
+        title = f"Poles at the equilibrium; distances shrink to {factor:.3f} or less each sample"
     for i, (name, poles) in enumerate(groups.items()):
         values = np.asarray(poles, dtype=complex)
         mark = MARKS[i % len(MARKS)]

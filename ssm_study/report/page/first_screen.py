@@ -8,8 +8,15 @@ from typing import Any
 
 import pandas as pd
 
+from ssm_study.api.summaries import round_rate_down
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
-from ssm_study.report.outcome import loop_place, pi_words, refit_words
+from ssm_study.report.outcome import (
+    exceeds_coverage,
+    fresh_data_words,
+    loop_place,
+    pi_words,
+    refit_words,
+)
 from ssm_study.report.words import SETTLED, VERDICTS, Verdict, column_words, digits_beside_bound
 from ssm_study.table.columns import swept_settings
 
@@ -119,9 +126,9 @@ def proved_card(record: Record) -> Card | None:
         also = "" if observer is None else f"; the observer at {observer:.3g}"
         text = (
             "certified rate per sample (Theorem 1): under control, distances shrink by "
-            f"{shrinks:.2g} % a sample{also}{coverage_words(record)}"
+            f"{shrinks:.2g} % or more a sample{also}{limit_words(record)}{coverage_words(record)}"
         )
-        return Card(title="Proved of the model", number=f"{rate:.3g}", text=text)
+        return Card(title="Proved of the model", number=round_rate_down(rate), text=text)
     if limit is None:
         return Card(title="Proved of the model", number="nothing", text="there is no certificate")
     asked = "" if requested is None else f"; requested: {requested:.3g}"
@@ -137,10 +144,26 @@ def coverage_words(record: Record) -> str:
     if coverage < 1:
         return "; the model error that the records show is not covered"
     times = math.floor(100 * coverage) / 100  # never rounded up to what is not proved
-    return (
+    covered = (
         f"; a model error {times:.2f} times as large as the records show is covered, at every "
-        f"frequency above zero{refit_words(record)}"
     )
+    covered += f"frequency above zero{refit_words(record)}"
+    return covered + fresh_data_words(record)
+
+
+def limit_words(record: Record) -> str:
+    """Words on the input limits, within which the certified rate holds from some outputs only."""
+    lower = record.get("limit_lower")
+    upper = record.get("limit_upper")
+    first = record.get("unlimited_from")
+    last = record.get("unlimited_to")
+    if lower is None or upper is None or first is None or last is None:
+        return ""
+    rate = record.get("limited_rate")
+    everywhere = "no rate is proved" if rate is None else f"the rate {rate:.3g} is"
+    inside = f"with the input between {lower:.3g} and {upper:.3g} that is certain from initial "
+    inside += f"outputs between {first:.3g} and {last:.3g}"
+    return f"; {inside}, from everywhere {everywhere}"
 
 
 def predicted_card(record: Record) -> Card | None:
@@ -210,6 +233,10 @@ def remarks(record: Record) -> Iterator[Remark]:
     if verdict != SETTLED:
         sentences = [f"{verdict.word}: {verdict.sentence}", *reasons(record)]
         yield Remark(title="Outcome", text=join_sentences(sentences), is_warning=True)
+    if exceeds_coverage(record):
+        sentence = "Data that neither fit nor design has used show a larger model error than the "
+        sentence += f"proof covers{fresh_data_words(record).replace(';', ':', 1)}."
+        yield Remark(title="Fresh data", text=sentence, is_warning=True)
     evidence = record.get("evidence")
     if evidence:
         findings = FINDING.split(str(record.get("evidence_reasons") or ""))

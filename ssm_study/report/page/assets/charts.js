@@ -36,11 +36,12 @@ function figureOf(title, charts, note = "", attributes = {}) {
 
 /** Places the pictures of a run. */
 function placePictures(content, pictures) {
-  for (const { name, title, charts } of pictures) {
+  for (const { name, title, caption, charts } of pictures) {
     const parts = charts.flatMap((part) => [
       ...(part.title ? [element("span", { class: "note" }, part.title)] : []),
       chartOf(part.spec),
     ]);
+    parts.push(element("details", {}, element("summary", {}, "What it shows"), caption));
     content.append(figureOf(title, parts, "", { "data-picture": name }));
   }
 }

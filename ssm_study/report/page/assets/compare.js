@@ -267,6 +267,9 @@ function overlayFigures(runs) {
         { "data-overlay": "free-runs" },
       ),
     );
+  } else if (records.length > 1) {
+    const words = "The chosen runs have different validation records: their free runs are not overlaid.";
+    figures.push(element("p", { class: "quiet" }, words));
   }
   const loops = runs.filter(loopOf);
   if (loops.length > 1) {

@@ -6,28 +6,40 @@ function drawLead() {
   const range = rangeOf(swept ? swept.runs.filter(loopOf) : [0]);
   const controlled = responsesOf(loop, loop.y, "Under control", range);
   const player = playerOf(loop, range);
-  const inputs = linesOf("responses", "Input of the controlled runs", loop.input, {
-    rows: inputRows(loop),
-  });
+  const applied = inputsOf(loop, inputRange(swept ? swept.runs.filter(loopOf) : [0]));
   document
     .getElementById("responses")
     .append(
       figureOf("Under control", [
         controlled,
-        ...(swept ? [sliderOf(swept, controlled, player)] : []),
+        ...(swept ? [sliderOf(swept, [controlled, player], applied)] : []),
       ]),
       figureOf("Without control, same starts", [responsesOf(loop, loop.alone, "Without control", range)]),
-      figureOf("Input of the controlled runs", [inputs]),
+      figureOf("Input of the controlled runs", [applied]),
       figureOf("One start, played", [player, playButton(player)]),
     );
+}
+
+function inputsOf(loop, range) {
+  const rows = inputRows(loop);
+  return linesOf("responses", "Input of the controlled runs", loop.input, { rows }, range);
+}
+
+/** All inputs of these runs, with a little room. */
+function inputRange(runs) {
+  const values = runs.flatMap((i) => unpack(loopOf(i).u).flat());
+  const low = values.reduce((a, b) => Math.min(a, b));
+  const high = values.reduce((a, b) => Math.max(a, b));
+  const room = 0.05 * (high - low) || 1;
+  return [low - room, high + room];
 }
 
 function inputRows(loop) {
   return overTime(unpack(loop.u), loop.step_s, "", unpack(loop.y));
 }
 
-/** Moves the ten responses through the runs of a sweep. */
-function sliderOf({ title, runs, values }, ...charts) {
+/** Moves the ten responses and their inputs through the runs of a sweep. */
+function sliderOf({ title, runs, values }, charts, applied) {
   const said = element("output", {});
   const slide = element("input", {
     type: "range",
@@ -37,15 +49,17 @@ function sliderOf({ title, runs, values }, ...charts) {
     "aria-label": title,
   });
   const show = () => {
-    const loop = loopOf(runs[slide.value]);
-    const rows = loop ? overTime(unpack(loop.y), loop.step_s) : []; // an infeasible run has no loop
-    said.textContent = `${title} ${printed(values[slide.value])}: ${COLUMNS.verdict[runs[slide.value]]}`;
+    const i = runs[slide.value];
+    const loop = loopOf(i); // an infeasible run has none
+    const rows = loop ? overTime(unpack(loop.y), loop.step_s) : [];
+    said.textContent = `${title} ${printed(values[slide.value])}: ${COLUMNS.verdict[i]} (run ${printed(COLUMNS.run[i])})`;
     slide.setAttribute("aria-valuetext", said.textContent);
     for (const { view } of charts) if (view) view.data("rows", rows).runAsync();
+    if (applied.view) applied.view.data("rows", loop ? inputRows(loop) : []).runAsync();
   };
   slide.value = Math.max(0, runs.indexOf(0));
   slide.addEventListener("input", show);
-  charts.forEach((chart) => chart.addEventListener("drawn", show));
+  for (const chart of [...charts, applied]) chart.addEventListener("drawn", show);
   show();
   return element("label", { class: "slider" }, slide, said);
 }
@@ -84,14 +98,15 @@ function playButton(player) {
     button.setAttribute("aria-pressed", String(now));
   };
   button.addEventListener("click", () => {
-    if (playing || !player.view) return label(false);
+    if (playing || !player.view || !player.view.data("rows").length) return label(false);
     label(true);
     const from = player.view.signal("moment") >= player.end ? 0 : player.view.signal("moment");
     const begun = performance.now() - (1000 * PLAYED_S * from) / player.end;
     const advance = async (now) => {
       if (!playing) return;
       const moment = Math.min(player.end, ((now - begun) / 1000 / PLAYED_S) * player.end);
-      await player.view.signal("moment", Math.max(0, moment)).runAsync();
+      const shown = Number(Math.max(0, moment).toPrecision(3)); // it stands beside the slider
+      await player.view.signal("moment", shown).runAsync();
       if (moment < player.end) requestAnimationFrame(advance);
       else label(false);
     };
