@@ -2,9 +2,11 @@
 records say nothing."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from disturbance_cases import random_model
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "oracles"))
 from test_coverage import BALLS, MODEL, design, premise, scaled_model, van_der_pol
@@ -20,7 +22,11 @@ from ssm_study.synthesis.measured_discs_choice import (
     coverage_by_frequency,
     prefer_covered,
 )
-from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
+from ssm_study.synthesis.measured_discs_run import (
+    add_coverage_certificate,
+    coverage_columns,
+    is_coverage_sought,
+)
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 FAST = design(input_weight=1e-3)
@@ -62,6 +68,19 @@ def test_without_a_premise_the_choice_is_the_predicted_one() -> None:
     expected = (SLOW, PREDICTED)
     assert chosen(None, designs=designs) == expected
     assert chosen(None, designs=())[0] is None
+
+
+def test_with_neurons_a_proof_is_sought_where_noise_can_be_told_from_mismatch() -> None:
+    """Or where a coverage is asked for; with one layer always."""
+    known = premise(scaled_model(0.2))
+    once = replace(known, repeating=())
+    assert known.separates_noise
+    assert not once.separates_noise
+    neurons = random_model(0, neurons=True)
+    assert is_coverage_sought(neurons, None, known)
+    assert not is_coverage_sought(neurons, None, once)
+    assert is_coverage_sought(neurons, 1.0, once)
+    assert is_coverage_sought(SSM_MODEL, None, once)
 
 
 def test_a_coverage_below_zero_is_no_request() -> None:
