@@ -5,12 +5,13 @@ import unicodedata
 
 FIRST_UNDRAWN = 0x530  # Latin, Greek and Cyrillic letters come before
 DRAWN_SIGNS = "–—‘’“”•…′″€Ω℃−√∞≤≥ΔΣ"
-CYRILLIC = {
-    "а": "a", "б": "b", "в": "v", "г": "g", "д": "d", "е": "e", "ж": "zh", "з": "z", "и": "i",
-    "к": "k", "л": "l", "м": "m", "н": "n", "о": "o", "п": "p", "р": "r", "с": "s", "т": "t",
-    "у": "u", "ф": "f", "х": "kh", "ц": "ts", "ч": "ch", "ш": "sh", "щ": "shch", "ъ": "",
-    "ы": "y", "ь": "", "э": "e", "ю": "yu", "я": "ya", "є": "ye", "і": "i", "ґ": "g",
-}  # fmt: skip
+# Cyrillic letters, each followed by its spelling; a dash stands for none.
+CYRILLIC_TEXT = """
+    а a б b в v г g д d е e ж zh з z и i к k л l м m н n о o п p р r с s т t у u ф f х kh ц ts ч ch
+    ш sh щ shch ъ - ы y ь - э e ю yu я ya є ye і i ґ g
+"""
+CYRILLIC_WORDS = CYRILLIC_TEXT.split()
+CYRILLIC = dict(zip(CYRILLIC_WORDS[::2], CYRILLIC_WORDS[1::2], strict=True))
 # Letters that have no plain form of their own in Unicode.
 LETTERS = {"\N{DEGREE SIGN}": "deg", "ß": "ss", "æ": "ae", "Æ": "Ae", "ø": "o", "Ø": "O", "ł": "l"}
 
@@ -37,7 +38,7 @@ def _spell_in_ascii(letter: str) -> str:
     if letter in LETTERS:
         return LETTERS[letter]
     if letter.lower() in CYRILLIC:
-        spelled = CYRILLIC[letter.lower()]
+        spelled = CYRILLIC[letter.lower()].strip("-")
         return spelled if letter.islower() else spelled.capitalize()
     name = re.match(r"GREEK (SMALL|CAPITAL) LETTER (FINAL )?([A-Z]+)", unicodedata.name(letter, ""))
     if name is None:

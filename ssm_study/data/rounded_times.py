@@ -48,7 +48,8 @@ def period_bounds_s(time_s: ClockTimes, error_s: ClockTimes) -> tuple[float, flo
     span_s = float(time_s[-1] - time_s[0])
     scaled = (time_s - time_s[0]) / span_s
     errors = error_s / span_s
-    clock = np.stack([np.ones(rows + 1), np.arange(rows + 1) / rows], axis=1)
+    progress = np.arange(rows + 1) / rows
+    clock = np.stack([np.ones(rows + 1), progress], axis=1)
     bounds = np.concatenate([errors + scaled, errors - scaled])
     limits_s = []
     for sign in (1.0, -1.0):
@@ -71,7 +72,8 @@ def written_resolution(time_s: ClockTimes) -> ClockTimes:
     written = [f"{time:.{DIGITS}g}" for time in time_s]
     decimals = max(decimal_places(text) for text in written)
     digits = max(significant_digits(text) for text in written)
-    magnitude = np.floor(np.log10(np.maximum(np.abs(time_s), 10.0**-decimals)))
+    sizes = np.maximum(np.abs(time_s), 10.0**-decimals)
+    magnitude = np.floor(np.log10(sizes))
     return np.maximum(10.0**-decimals, 10.0 ** (magnitude - digits + 1))
 
 

@@ -39,12 +39,17 @@ def refuse_shifted_names(
 ) -> None:
     """Raise `BadRequest` for a header line with one name too many or too few. A trace whose
     variables are listed one below another is refused, too."""
-    stacked = bool(above or cells) and (above + cells)[0][0].strip().lower() == "[key]"
+    rows = above + cells
+    first_cell = rows[0][0] if rows else ""
+    stacked = first_cell.strip().lower() == "[key]"
     remedy = "export a table with one column a variable"
     problem = "is a trace of keys and values, its variables one below the other"
     require(not stacked, "data.path", path, problem, remedy)
-    if cells and not above and columns > 2 and abs(len(cells[-1]) - columns) == 1:
-        names = f"{len(cells[-1])} names"
+    if not cells or above or columns <= 2:
+        return
+    count = len(cells[-1])
+    if abs(count - columns) == 1:
+        names = f"{count} names"
         problem = f"the rows have {columns} cells"
         raise BadRequest(path.name, names, problem, "correct the line of names")
 
@@ -54,10 +59,13 @@ def remove_repeated_header_lines(body: list[NumberedLine]) -> tuple[list[Numbere
 
     A logger that is switched on again writes its line of names again.
     """
-    first = {line.strip() for _, line in body[:FIRST_LINES] if not re.search(r"\d", line)}
+    without_digits = [line for _, line in body[:FIRST_LINES] if not re.search(r"\d", line)]
+    header = {line.strip() for line in without_digits}
+    last_of_header = body[0][0] + FIRST_LINES
     lines = body[:1]
     for number, line in body[1:]:
-        if line.strip() not in first or number <= body[0][0] + FIRST_LINES:
+        is_repeated = line.strip() in header and number > last_of_header
+        if not is_repeated:
             lines.append((number, line))
     return lines, len(body) - len(lines)
 
@@ -88,14 +96,23 @@ def split_names_and_units(above: list[list[str]]) -> tuple[list[str] | None, lis
     if not above:
         return None, []
     for k in reversed(range(len(above))):
-        if any(fold_header_cell(cell) in CLOCK_WORDS for cell in above[k]):
+        names = above[k]
+        folded = map(fold_header_cell, names)
+        if any(cell in CLOCK_WORDS for cell in folded):
             below = above[k + 1 : k + 2]
-            units = below[0] if below and are_possible_units(below[0], len(above[k])) else []
-            return above[k], [cell.strip("()[] ") for cell in units]
+            return names, parse_units(below, len(names))
     *before, last = above
+    units = parse_units([last], len(before[-1])) if before else []
     if before and are_possible_units(last, len(before[-1])):
-        return before[-1], [cell.strip("()[] ") for cell in last]
+        return before[-1], units
     return last, []
+
+
+def parse_units(below: list[list[str]], columns: int) -> list[str]:
+    """Parse the row below the column names, if there is one, to units without brackets."""
+    if not below or not are_possible_units(below[0], columns):
+        return []
+    return [cell.strip("()[] ") for cell in below[0]]
 
 
 def are_possible_units(cells: list[str], columns: int) -> bool:
@@ -106,7 +123,8 @@ def are_possible_units(cells: list[str], columns: int) -> bool:
 
 def fold_header_cell(cell: str) -> str:
     """Title of a column in lower case, without its unit in brackets."""
-    return re.sub(r"[\W_]+", "", re.sub(r"[\[(].*", "", cell)).lower()
+    without_unit = re.sub(r"[\[(].*", "", cell)
+    return re.sub(r"[\W_]+", "", without_unit).lower()
 
 
 def parse_names_in_comment(
@@ -117,7 +135,8 @@ def parse_names_in_comment(
     bare = comments[-1].strip().lstrip('#%/" ')
     for mark in (separator, ",", ";", "\t", " "):
         cells = split_cells(bare, mark)
-        if len(cells) == columns and not any(is_value(cell, decimal) for cell in cells):
+        has_value = any(is_value(cell, decimal) for cell in cells)
+        if len(cells) == columns and not has_value:
             return cells
     return None
 
@@ -134,10 +153,12 @@ def numbered_column_names(
     first = cells[0]
     if header is not None:
         return (first, 1) if header else (None, 0)
-    if first == [str(j + 1) for j in range(columns)] and columns > 1:
+    from_zero = [str(j) for j in range(columns)]
+    from_one = [str(j + 1) for j in range(columns)]
+    if first == from_one and columns > 1:
         return first, 1
     below = [cell for row in cells[1:12] for cell in row]
-    unlike = all(not cell.lstrip("+-").isdigit() for cell in below if cell)
-    if first == [str(j) for j in range(columns)] and below and unlike:
+    digits = [cell.lstrip("+-").isdigit() for cell in below if cell]
+    if first == from_zero and below and not any(digits):
         return first, 1
     return None, 0

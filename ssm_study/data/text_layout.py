@@ -122,7 +122,8 @@ class SampledCells:
         if first is None or not any(self.numeric):
             return None
         # A row of numbers with a cell that is none is refused where it is read.
-        has_number = first > 1 and any(is_number(c, self.decimal) for c in self.first[first - 1])
+        above = self.first[first - 1] if first > 1 else []
+        has_number = any(is_number(cell, self.decimal) for cell in above)
         return first - 1 if has_number else first
 
 

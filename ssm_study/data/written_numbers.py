@@ -67,7 +67,8 @@ def _remove_group_separators(
 def _replace_switch_words(cells: pa.ChunkedArray, filled: pa.ChunkedArray) -> pa.ChunkedArray:
     """Replace words for the state of a switch, such as on and off, by 1 and 0."""
     words = pa.array(list(WORDS))
-    if not pc.all(pc.is_in(pc.utf8_lower(filled), value_set=words)).as_py():
+    is_switch = pc.is_in(pc.utf8_lower(filled), value_set=words)
+    if not pc.all(is_switch).as_py():
         return cells
     lower = pc.utf8_lower(cells)
     for word, digit in WORDS.items():

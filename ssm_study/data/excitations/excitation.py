@@ -74,11 +74,10 @@ class Excitation(ABC):
         """Replace the plant's amplitude and clock period in a request by the excitation's own
         values, where it has any."""
         amplitude = request.amplitude if self.amplitude is None else self.amplitude
-        amplitudes = (
-            (float(amplitude),) * request.inputs
-            if isinstance(amplitude, int | float)
-            else tuple(amplitude)
-        )
+        if isinstance(amplitude, int | float):
+            amplitudes = (float(amplitude),) * request.inputs
+        else:
+            amplitudes = tuple(amplitude)
         problem = f"one number or one per input is needed, and the plant has {request.inputs}"
         remedy = "give as many"
         require(
@@ -132,7 +131,8 @@ class PRBS(Excitation):
             bits, _ = scipy.signal.max_len_seq(
                 self.register_bits, state=start, length=-(-request.samples // hold)
             )
-            columns.append(np.repeat(2.0 * bits - 1.0, hold)[: request.samples])
+            levels = np.repeat(2.0 * bits - 1.0, hold)
+            columns.append(levels[: request.samples])
         return np.stack(columns, axis=1)
 
 
@@ -161,5 +161,6 @@ class APRBS(Excitation):
         most = -(-request.samples // clock)  # levels, if each were held for one clock
         for _ in range(request.inputs):
             holds = clock * rng.integers(1, self.longest_hold_clocks + 1, most)
-            columns.append(np.repeat(rng.uniform(-1.0, 1.0, most), holds)[: request.samples])
+            levels = np.repeat(rng.uniform(-1.0, 1.0, most), holds)
+            columns.append(levels[: request.samples])
         return np.stack(columns, axis=1)

@@ -127,7 +127,8 @@ def stated_step_s(
 
 def belong_to_one_matrix(columns: dict[str, ColumnValues]) -> bool:
     """Whether all columns belong to one matrix of the MATLAB file."""
-    return len({name.split(":")[0] for name in columns}) == 1 and len(columns) > 1
+    matrices = {name.split(":")[0] for name in columns}
+    return len(matrices) == 1 and len(columns) > 1
 
 
 def read_numeric_variables(
@@ -226,9 +227,11 @@ def _parse_variable(data: bytes, order: str, owner: str = "") -> Iterator[tuple[
     parts = list(_iterate_elements(data, order))
     if not parts:
         return  # an empty field
-    kind = struct.unpack_from(order + "I", parts[0][1])[0] & 0xFF
+    flags = struct.unpack_from(order + "I", parts[0][1])[0]
+    kind = flags & 0xFF
     if kind == OPAQUE:
-        name = parts[1][1].decode("ascii", errors="replace") if len(parts) > 1 else ""
+        stated = parts[1][1] if len(parts) > 1 else b""
+        name = stated.decode("ascii", errors="replace")
         yield owner or name, CLASSES[OPAQUE]
         return
     _require_intact(len(parts) >= 3, "a variable has no name")
@@ -255,10 +258,12 @@ def _parse_struct(
     if shape.prod() != 1 or len(parts) < at + 2:
         yield owner, CLASSES[kind]
         return
-    length = int(struct.unpack_from(order + "i", parts[at][1])[0])
+    lengths = struct.unpack_from(order + "i", parts[at][1])
+    length = int(lengths[0])
     _require_intact(0 < length <= 4096, "a struct has no names of fields")
     names = parts[at + 1][1]
-    fields = [names[k : k + length].split(b"\0")[0] for k in range(0, len(names), length)]
+    padded = [names[k : k + length] for k in range(0, len(names), length)]
+    fields = [field.split(b"\0")[0] for field in padded]
     matrices = [matrix for inner, matrix in parts[at + 2 :] if inner == MATRIX]
     _require_intact(len(fields) == len(matrices), "a struct has other fields than names")
     for field, matrix in zip(fields, matrices, strict=True):
@@ -274,13 +279,16 @@ def _parse_matrix(parts: list[tuple[int, bytes]], order: str, name: str) -> Valu
     if not FIRST_NUMERIC_CLASS <= kind <= LAST_NUMERIC_CLASS:
         word = Text(CLASSES.get(kind, f"of class {kind}"))
         if kind == TEXT and len(parts) >= 4:
-            word.content = parts[3][1].replace(b"\0", b"").decode("utf-8", errors="replace")
+            letters = parts[3][1].replace(b"\0", b"")
+            word.content = letters.decode("utf-8", errors="replace")
         return word
     if flags & COMPLEX:
         return "complex"
     _require_intact(len(parts) >= 4 and parts[3][0] in STORAGE, f"variable {name} has no numbers")
-    numbers = np.frombuffer(parts[3][1], order + STORAGE[parts[3][0]])
-    fills = min(shape, default=-1) >= 0 and math.prod(shape) == len(numbers)
+    storage, content = parts[3]
+    numbers = np.frombuffer(content, order + STORAGE[storage])
+    is_shape = min(shape, default=-1) >= 0
+    fills = is_shape and math.prod(shape) == len(numbers)
     _require_intact(fills, f"{len(numbers)} numbers do not fill a matrix of shape {shape}")
     return numbers.reshape(shape, order="F")
 
@@ -294,7 +302,7 @@ def _parse_version_4(path: Path) -> Iterator[tuple[str, Value]]:
         warnings.simplefilter("error", UserWarning)  # a byte order that is not known
         variables = scipy.io.loadmat(path, appendmat=False)
     for name, value in variables.items():
-        yield (
-            name,
-            V4_KINDS.get(value.dtype.kind, value) if isinstance(value, np.ndarray) else CLASSES[5],
-        )
+        if isinstance(value, np.ndarray):
+            yield name, V4_KINDS.get(value.dtype.kind, value)
+        else:
+            yield name, CLASSES[5]

@@ -44,7 +44,8 @@ class ParquetReader(Reader, names=(".parquet",)):
             name: (schema.field(name).metadata or {}).get(b"unit", b"").decode(errors="replace")
             for name in names
         }
-        dated = {name for name in names if pa.types.is_timestamp(schema.field(name).type)}
+        kinds = {name: schema.field(name).type for name in names}
+        dated = {name for name, kind in kinds.items() if pa.types.is_timestamp(kind)}
         return Table(columns=columns, units=units, row_word="row", dated=frozenset(dated))
 
     def contents(self, path: Path) -> Table:

@@ -148,7 +148,8 @@ def refuse_equal_columns(table: Table, signals: list[str], file: Path) -> None:
     numbers."""
     for k, name in enumerate(signals):
         for other in signals[:k]:
-            equal = np.array_equal(table.columns[name], table.columns[other], equal_nan=True)
+            theirs = table.columns[other]
+            equal = np.array_equal(table.columns[name], theirs, equal_nan=True)
             problem = f"holds the numbers of column {other}"
             remedy = "name another column for one of them"
             moves = float(np.nanstd(table.columns[name])) > 0
@@ -203,7 +204,9 @@ def find_column(path: Path, name: str, titles: list[str], header: bool | None = 
     """
     where = f"{path.name} (column)"
     plain = [title_without_unit(title) for title in titles]
-    ways = (list(titles), plain, [fold_title(t) for t in titles], [fold_title(t) for t in plain])
+    folded = [fold_title(title) for title in titles]
+    folded_plain = [fold_title(title) for title in plain]
+    ways = (list(titles), plain, folded, folded_plain)
     wanted = (name, name, fold_title(name), fold_title(name))
     number = int(name) if name.isascii() and name.isdigit() else None
     numbered = number is not None and number < len(titles)

@@ -60,9 +60,10 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
                 raise unreadable_cell_error(path, name, table.column(place), layout, problem)
             columns[name] = values
         units = column_units(layout)
+        own_units = {name: units[place] for name, place in places.items()}
         return Table(
             columns=columns,
-            units={name: units[place] for name, place in places.items()},
+            units=own_units,
             row_word="line",
             row_numbers=layout.line_numbers,
             remark=layout.describe(),
@@ -79,9 +80,8 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
         for title, place in places.items():
             values, problem = parse_column(table.column(place), layout)
             if values is None:
-                skipped[title] = (
-                    f"{problem}{describe_first_unread_cell(table.column(place), layout)}"
-                )
+                where = describe_first_unread_cell(table.column(place), layout)
+                skipped[title] = f"{problem}{where}"
             else:
                 columns[title] = values
         drop_empty_last_column(columns, titles[-1], layout.names is None)
@@ -92,9 +92,11 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
             columns[title] = of_day[1]
             dated = dated | {title}
             skipped.pop(title, None)
+        in_order = {title: columns[title] for title in titles if title in columns}
+        own_units = {title: units[places[title]] for title in columns}
         return Table(
-            columns={title: columns[title] for title in titles if title in columns},
-            units={title: units[places[title]] for title in columns},
+            columns=in_order,
+            units=own_units,
             row_word="line",
             row_numbers=layout.line_numbers,
             remark=layout.describe(),
@@ -192,7 +194,8 @@ def strip_cells(column: pa.ChunkedArray) -> pa.ChunkedArray:
 
 def mark_missing_cells(cells: pa.ChunkedArray) -> pa.ChunkedArray:
     """For each cell of a column, whether it stands for a missing value."""
-    return pc.is_in(pc.utf8_lower(cells), value_set=pa.array(sorted(MISSING)))
+    words = pa.array(sorted(MISSING))
+    return pc.is_in(pc.utf8_lower(cells), value_set=words)
 
 
 def parse_column(column: pa.ChunkedArray, layout: TextLayout) -> tuple[ColumnValues | None, str]:
@@ -200,8 +203,12 @@ def parse_column(column: pa.ChunkedArray, layout: TextLayout) -> tuple[ColumnVal
     None and a description of the texts."""
     cells = strip_cells(column)
     missing = mark_missing_cells(cells)
-    plain = pc.replace_substring(cells, ",", ".") if layout.decimal == "," else cells
-    has_groups = layout.decimal == "," and pc.any(pc.match_substring(cells, ".")).as_py()
+    plain = cells
+    has_groups = False
+    if layout.decimal == ",":
+        plain = pc.replace_substring(cells, ",", ".")
+        has_points = pc.match_substring(cells, ".")
+        has_groups = pc.any(has_points).as_py()
     if has_groups or not are_numbers(plain, missing):
         plain, ambiguity = normalise_numbers(cells, missing, layout.decimal)
         if ambiguity:
@@ -210,7 +217,8 @@ def parse_column(column: pa.ChunkedArray, layout: TextLayout) -> tuple[ColumnVal
             return parse_dates(cells, missing)
     infinite = pc.match_substring_regex(plain, INFINITE, ignore_case=True)
     bare = pc.replace_substring_regex(plain, r"^\+", "")
-    bare = pc.if_else(infinite, "inf", pc.if_else(missing, None, bare))
+    bare = pc.if_else(missing, None, bare)
+    bare = pc.if_else(infinite, "inf", bare)
     values = pc.cast(bare, pa.float64()).to_numpy()
     return np.array(values, dtype=np.float64), ""
 
@@ -219,7 +227,9 @@ def are_numbers(cells: pa.ChunkedArray, missing: pa.ChunkedArray) -> bool:
     """Whether every cell of a column is a number, infinite or missing."""
     number = pc.match_substring_regex(cells, NUMBER)
     infinite = pc.match_substring_regex(cells, INFINITE, ignore_case=True)
-    return bool(pc.all(pc.or_(pc.or_(missing, number), infinite)).as_py())
+    is_finite = pc.or_(missing, number)
+    is_good = pc.or_(is_finite, infinite)
+    return bool(pc.all(is_good).as_py())
 
 
 def parse_dates(
@@ -227,7 +237,8 @@ def parse_dates(
 ) -> tuple[ColumnValues | None, str]:
     """Convert cells with dates to seconds since the first date, or return None and the reason why
     this is impossible."""
-    first = pc.filter(cells, pc.invert(missing)).slice(0, 1).to_pylist()
+    filled = pc.filter(cells, pc.invert(missing))
+    first = filled.slice(0, 1).to_pylist()
     if not first or not is_date(first[0]):
         return None, "no number"
     try:
@@ -260,7 +271,8 @@ def find_time_of_day_column(table: pa.Table) -> tuple[int, ColumnValues] | None:
 
 def all_cells_match(column: pa.ChunkedArray, form: str) -> bool:
     """Whether every cell of a column matches a pattern."""
-    return bool(pc.all(pc.match_substring_regex(strip_cells(column), form)).as_py())
+    matches = pc.match_substring_regex(strip_cells(column), form)
+    return bool(pc.all(matches).as_py())
 
 
 def date_column_names(table: pa.Table, places: dict[str, int]) -> frozenset[str]:
@@ -279,7 +291,8 @@ def describe_first_unread_cell(column: pa.ChunkedArray, layout: TextLayout) -> s
     cells = strip_cells(column)
     plain = normalise_numbers(cells, mark_missing_cells(cells), layout.decimal)[0]
     is_number = pc.match_substring_regex(plain, NUMBER)
-    if pc.mean(is_number.cast(pa.float64())).as_py() < MOSTLY:
+    share = pc.mean(is_number.cast(pa.float64())).as_py()
+    if share < MOSTLY:
         return ""
     row = pc.index(is_number, False).as_py()
     return f" in line {layout.line_numbers[row]}: {cells[row].as_py()}"
