@@ -44,7 +44,9 @@ def write_log_files(
     signals = {"u": u, "y": y}
     if disturbance is not None:
         signals["disturbance"] = disturbance
-    experiments = {name: values if several else [values] for name, values in signals.items()}
+    experiments = signals
+    if not several:
+        experiments = {name: [values] for name, values in signals.items()}
     counts = tuple(map(len, experiments.values()))
     remedy = "give one y for each u"
     names = ", ".join(signals)
@@ -53,7 +55,8 @@ def write_log_files(
     (folder / ARRAYS).mkdir(parents=True, exist_ok=True)
     paths = []
     for parts in zip(*experiments.values(), strict=True):
-        columns, table = combine_signal_columns(dict(zip(experiments, parts, strict=True)), step_s)
+        own = dict(zip(experiments, parts, strict=True))
+        columns, table = combine_signal_columns(own, step_s)
         titles = repr(list(table)).encode()
         content = titles + table.to_numpy().tobytes()
         digest = hashlib.sha256(content).hexdigest()
@@ -90,7 +93,8 @@ def combine_signal_columns(
 
 def refuse_clocks_and_copies(titles: Sequence[str], values: SignalTable) -> None:
     """Refuse a column that is a clock, and one that repeats the numbers of another."""
-    for k, (title, column) in enumerate(zip(titles, values.T, strict=True)):
+    pairs = zip(titles, values.T, strict=True)
+    for k, (title, column) in enumerate(pairs):
         increases = bool((np.diff(column) > 0).all())
         is_clock = is_clock_name(title) and increases
         problem = "is the clock: it increases from row to row"
@@ -162,7 +166,8 @@ def select_columns(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> pd
     problem = f"the model's channels are {', '.join(columns)}"
     remedy = "rename them, or give an array"
     require(named, f"{name} (columns)", ", ".join(own), problem, remedy)
-    return frame.iloc[:, [own.index(title) for title in columns]]
+    places = [own.index(title) for title in columns]
+    return frame.iloc[:, places]
 
 
 def as_real_matrix(values: Any, name: str) -> SignalTable:
@@ -188,7 +193,8 @@ def as_real_matrix(values: Any, name: str) -> SignalTable:
     is_table = table.ndim in (1, 2) and table.size > 0
     require(is_table, name, f"shape {table.shape}", "not a signal", remedy)
     table = table.reshape(len(table), -1)
-    on_its_side = table.shape[1] > len(table) and table.shape[1] >= FEWEST_SAMPLES
+    channels = table.shape[1]
+    on_its_side = channels > len(table) and channels >= FEWEST_SAMPLES
     problem = "has more channels than samples"
     require(not on_its_side, name, table.shape, problem, f"transpose it: {name}.T")
     return table
@@ -267,10 +273,12 @@ def index_times_s(index: Any) -> Float[np.ndarray, "T"] | None:
             index = index.tz_convert(None)
         kind = "datetime64[ns]" if is_dated else "timedelta64[ns]"
         nanoseconds = index.to_numpy().astype(kind).astype(np.int64)
-        return np.asarray(1e-9 * (nanoseconds - nanoseconds[0]), dtype=np.float64)
+        since = nanoseconds - nanoseconds[0]
+        return np.asarray(1e-9 * since, dtype=np.float64)
     if index.dtype.kind != "f":
         return None
     times_s = index.to_numpy().astype(np.float64)
     is_known = bool(np.isfinite(times_s).all())
-    forwards = is_known and bool((np.diff(times_s) > 0).all())
+    increases = np.diff(times_s) > 0
+    forwards = is_known and bool(increases.all())
     return times_s if forwards else None

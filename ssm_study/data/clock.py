@@ -82,7 +82,8 @@ def refuse_repeated_row(time_s: ClockTimes, values: RowValues, where: str) -> No
     if not is_still.any() or is_still.mean() > FEW_REPEATS:
         return
     row = int(np.argmax(is_still)) + 1
-    if np.array_equal(values[row], values[row - 1], equal_nan=True):
+    before = values[row - 1]
+    if np.array_equal(values[row], before, equal_nan=True):
         problem = f"row {row} of the file repeats the one before, time and all"
         remedy = "take out what was written twice"
         raise BadRequest(f"{where} (time)", time_s[row], problem, remedy)
@@ -114,13 +115,13 @@ def resample_to_even_clock(
     time_s = time_s[has_time]
     values = values[has_time]
     require_at_least(3, f"{where} (samples with a time)", len(time_s), "use a longer record")
-    if step_s is not None and (np.diff(time_s) == 0).any():
+    is_still = np.diff(time_s) == 0
+    if step_s is not None and is_still.any():
         return check_rounded_clock(time_s, values, step_s, where)
-    rounded = (
-        None if step_s is not None or resample else recover_rounded_clock(time_s, values, tolerance)
-    )
-    if rounded is not None:
-        return rounded
+    if step_s is None and not resample:
+        rounded = recover_rounded_clock(time_s, values, tolerance)
+        if rounded is not None:
+            return rounded
     refuse_repeated_row(time_s, values, where)
     refuse_decreasing_times(time_s, where)
     mean_s, late = period_and_jitter(time_s)
@@ -141,17 +142,18 @@ def recover_rounded_clock(
     forwards = bool((steps >= 0).all()) and time_s[-1] > time_s[0]
     if not forwards:
         return None
-    is_even = steps.all() and period_and_jitter(time_s)[1].max() <= tolerance
+    is_even = steps.all() and largest_jitter(time_s) <= tolerance
     if is_even:
         return None
     period = rounded_period_s(time_s)
     if period is None:
         return None
+    period_s, error = period
     remark = (
-        f"times rounded to {steps.max():.3g} s at their coarsest; an even clock of {period[0]:g} s "
-        f"explains every row (to {period[1]:.2g} of it; data.step_s states it exactly)"
+        f"times rounded to {steps.max():.3g} s at their coarsest; an even clock of {period_s:g} s "
+        f"explains every row (to {error:.2g} of it; data.step_s states it exactly)"
     )
-    rows = EvenRows(values=[values], starts=[0], step_s=period[0], remarks=[remark])
+    rows = EvenRows(values=[values], starts=[0], step_s=period_s, remarks=[remark])
     return cut_at_missing_values(rows)
 
 
@@ -296,7 +298,8 @@ def interpolate_column(
 ) -> Instants:
     """Interpolate one column of a log at other times: piecewise constant for a held input,
     otherwise linear."""
-    if is_input and (np.diff(column) == 0).mean() > HELD:
+    is_unchanged = np.diff(column) == 0
+    if is_input and is_unchanged.mean() > HELD:
         later = clock * (1 + 1e-12) + 1e-12
         last = np.searchsorted(times, later, side="right") - 1
         return column[np.clip(last, 0, len(column) - 1)]
@@ -311,12 +314,14 @@ def cut_at_missing_values(pieces: EvenRows) -> EvenRows:
     gaps = 0
     for values, start in zip(pieces.values, pieces.starts, strict=True):
         whole = np.isfinite(values).all(axis=1)
-        changes = np.diff(whole.astype(int), prepend=0, append=0)
+        is_whole = whole.astype(int)
+        changes = np.diff(is_whole, prepend=0, append=0)
         edges = np.flatnonzero(changes)
         bounds = edges.reshape(-1, 2).tolist()
         stretches = [(a, b) for a, b in bounds]
-        inner = stretches[-1][1] - stretches[0][0] if stretches else 0
-        missing += inner - sum(b - a for a, b in stretches)
+        if stretches:
+            inner = stretches[-1][1] - stretches[0][0]
+            missing += inner - sum(b - a for a, b in stretches)
         gaps += max(len(stretches) - 1, 0)
         for a, b in stretches:
             if b - a > 2 or len(stretches) == 1:

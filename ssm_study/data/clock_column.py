@@ -17,47 +17,17 @@ from ssm_study.refusal import BadRequest, require
 
 ClockTimes = Float[np.ndarray, "T"]
 
-SECONDS = {
-    "s": 1.0,
-    "sec": 1.0,
-    "secs": 1.0,
-    "second": 1.0,
-    "seconds": 1.0,
-    "sek": 1.0,
-    "sekunden": 1.0,
-    "ms": 1e-3,
-    "msec": 1e-3,
-    "millis": 1e-3,
-    "milliseconds": 1e-3,
-    "us": 1e-6,
-    "usec": 1e-6,
-    "μs": 1e-6,
-    "micros": 1e-6,
-    "microseconds": 1e-6,
-    "ns": 1e-9,
-    "nanoseconds": 1e-9,
-    "min": 60.0,
-    "mins": 60.0,
-    "minutes": 60.0,
-    "h": 3600.0,
-    "hr": 3600.0,
-    "hrs": 3600.0,
-    "hour": 3600.0,
-    "hours": 3600.0,
-    "d": 86400.0,
-    "day": 86400.0,
-    "days": 86400.0,
-    "с": 1.0,
-    "сек": 1.0,
-    "мс": 1e-3,
-    "мкс": 1e-6,
-    "мин": 60.0,
-    "ч": 3600.0,
-    "秒": 1.0,
-    "毫秒": 1e-3,
-    "分": 60.0,
-    "小时": 3600.0,
+# Seconds in a unit, and what the unit is called.
+UNIT_WORDS = {
+    1.0: "s sec secs second seconds sek sekunden с сек 秒",
+    1e-3: "ms msec millis milliseconds мс 毫秒",
+    1e-6: "us usec μs micros microseconds мкс",
+    1e-9: "ns nanoseconds",
+    60.0: "min mins minutes мин 分",
+    3600.0: "h hr hrs hour hours ч 小时",
+    86400.0: "d day days",
 }
+SECONDS = {word: unit_s for unit_s, words in UNIT_WORDS.items() for word in words.split()}
 WORDS_TEXT = """
     time t timestamp timestamps times date datetime dateandtime zeit zeitstempel datum clock
     elapsed elapsedtime runtime timesec temps tiempo tempo epoch unixtime utc timeofday
@@ -100,7 +70,8 @@ def is_clock_name(title: str) -> bool:
     """Whether the title of a column is that of a clock, such as `time`, `t`, `Timestamp (ms)`,
     `time_s` or `date`."""
     plain = title_without_unit(title)
-    if fold_title(plain) in WORDS or plain.strip().lower() in ("millis", "micros", "seconds"):
+    lower = plain.strip().lower()
+    if fold_title(plain) in WORDS or lower in ("millis", "micros", "seconds"):
         return True
     words = title_words(plain)
     if len(words) < 2 or words[-1] not in SECONDS:
@@ -157,7 +128,8 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     if not is_increasing(times) or counts_rows(times):
         return None
     known = times[np.isfinite(times)]
-    mostly = bool((np.diff(known) > 0).mean() > 0.5)
+    increases = np.diff(known) > 0
+    mostly = bool(increases.mean() > 0.5)
     is_clock = mostly or rounded_period_s(known) is not None
     return first if is_clock else None
 

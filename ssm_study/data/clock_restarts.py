@@ -27,7 +27,8 @@ def find_clock_restarts(time_s: Float[np.ndarray, "T"]) -> list[int]:
         return []
     period_s = float(np.median(steps[steps > 0]))
     begins_again = np.abs(time_s[backwards] - time_s[0]) <= HOLE * period_s
-    lengths = np.diff([0, *backwards.tolist(), len(time_s)])
+    bounds = [0, *backwards.tolist(), len(time_s)]
+    lengths = np.diff(bounds)
     whole = bool(begins_again.all()) and int(lengths.min()) >= SHORTEST_EXPERIMENT
     return [int(row) for row in backwards] if whole else []
 

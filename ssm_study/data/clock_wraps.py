@@ -31,7 +31,8 @@ def unwrap_clock(times: Times, *, is_dated: bool) -> tuple[Times, str]:
     is_back = steps < 0
     for size in COUNTERS:
         fits = times.min() >= 0 and times.max() < size
-        if fits and is_back.any() and _are_one_period(steps[is_back] + size, period).all():
+        wrapped = steps[is_back] + size
+        if fits and is_back.any() and _are_one_period(wrapped, period).all():
             turns = np.concatenate([[0], np.cumsum(is_back)])
             bits = int(size).bit_length() - 1
             return times + size * turns, f"a counter of {bits} bits began again"
@@ -41,7 +42,8 @@ def unwrap_clock(times: Times, *, is_dated: bool) -> tuple[Times, str]:
 def _undo_summer_time(times: Times, steps: Steps, period: float) -> tuple[Times, str]:
     """Add an hour to all times after each backward step that the end of summer time explains."""
     is_back = (steps <= 0) & (period <= HOUR_S)
-    if not is_back.any() or not _are_one_period(steps[is_back] + HOUR_S, period).all():
+    later = steps[is_back] + HOUR_S
+    if not is_back.any() or not _are_one_period(later, period).all():
         return times, ""
     hours = np.concatenate([[0], np.cumsum(is_back)])
     row = int(np.argmax(is_back)) + 1

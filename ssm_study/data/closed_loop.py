@@ -52,8 +52,11 @@ def project_inputs_on_set_points(
     share = float(by_set_point / max(applied, 1e-300))
     lowest = u.min(axis=0)  # beyond what was applied nothing is known
     highest = u.max(axis=0)
-    inputs = [np.clip(rows @ filtered, lowest, highest) for rows in past]
-    return [replace(log, u=own) for log, own in zip(logs, inputs, strict=True)], share
+    projected = []
+    for log, rows in zip(logs, past, strict=True):
+        u = np.clip(rows @ filtered, lowest, highest)
+        projected.append(replace(log, u=u))
+    return projected, share
 
 
 def reconstruct_pi_set_point(log: Trajectory, gain: float, integral_s: float) -> Rows:

@@ -65,9 +65,10 @@ def seconds_since_first(cells: list[str]) -> DateSeconds:
     of_watch = series.str.extract(f"^{MINUTES}$")
     first = next((cell for cell in cells if is_date(cell)), "")
     form = None if re.fullmatch(DATE, first) else guess_date_format(first)
-    if of_day["hour"].notna().sum() > len(cells) / 2:
+    most = len(cells) / 2
+    if of_day["hour"].notna().sum() > most:
         seconds = unwrap_midnight(seconds_since_midnight(of_day))
-    elif of_watch["minute"].notna().sum() > len(cells) / 2:
+    elif of_watch["minute"].notna().sum() > most:
         seconds = seconds_since_midnight(of_watch)
     elif form is not None:
         seconds = parse_named_month_dates(series, form)
@@ -134,8 +135,10 @@ def days_since_1970(parts: pd.DataFrame, order: str) -> DateSeconds | None:
     year, month, day = (pd.to_numeric(parts[letter]) for letter in order)
     year = year.where(year > 99, year + 2000)
     ranges = ((year, 1900, 2200), (month, 1, 12), (day, 1, 31))
-    if not all(number.dropna().between(low, high).all() for number, low, high in ranges):
-        return None
+    for number, low, high in ranges:
+        is_within = number.dropna().between(low, high)
+        if not is_within.all():
+            return None
     table = pd.DataFrame({"year": year, "month": month, "day": day})
     dates = pd.to_datetime(table, errors="coerce")
     is_unread = dates.isna() & parts["a"].notna()

@@ -74,10 +74,8 @@ class RecordedExperiments(AroundRest):
                 _read_recordings(folder, self.validation),
                 _read_recordings(folder, self.test),
             )
-        parts = [
-            cut_out_fold(record, self.fold, self.folds)
-            for record in _read_recordings(folder, self.training)
-        ]
+        records = _read_recordings(folder, self.training)
+        parts = [cut_out_fold(record, self.fold, self.folds) for record in records]
         pieces = [piece for pieces, _ in parts for piece in pieces]
         return pieces, pieces, [piece for _, piece in parts]
 
@@ -121,9 +119,8 @@ def find_record_file(folder: Path, name: str) -> Path:
     """Find a record file by its name, or by its name with the suffix of CSV or MAT. Records are
     distributed in both formats. Raises `BadRequest` if there is none."""
     exact = folder / name
-    twins = sorted(
-        p for p in folder.iterdir() if p.stem == exact.stem and p.suffix.lower() in (".mat", ".csv")
-    )
+    same_stem = [path for path in folder.iterdir() if path.stem == exact.stem]
+    twins = sorted(path for path in same_stem if path.suffix.lower() in (".mat", ".csv"))
     candidates = [exact] if exact.is_file() else twins
     problem = f"has no {name}"
     remedy = "point it at the benchmark's own folder"
@@ -133,7 +130,9 @@ def find_record_file(folder: Path, name: str) -> Path:
 
 def _read_recordings(folder: Path, recordings: list[Recording]) -> list[Trajectory]:
     """Read several recordings from a folder."""
-    return [
-        replace(recording, path=str(find_record_file(folder, recording.path))).read()
-        for recording in recordings
-    ]
+    records = []
+    for recording in recordings:
+        path = find_record_file(folder, recording.path)
+        found = replace(recording, path=str(path))
+        records.append(found.read())
+    return records

@@ -68,7 +68,8 @@ def describe_log_dynamics(records: Sequence[Trajectory]) -> list[str]:
     if len(record) < 4 * LAGS or is_still:
         return ["too short, or nothing moves: no dynamics measured"]
     shares = input_shares(u, y)
-    sentences = [input_return_sentence(sum(len(rest_segments(piece)) for piece in records))]
+    rests = sum(len(rest_segments(piece)) for piece in records)
+    sentences = [input_return_sentence(rests)]
     fed_back = feedback_share(u, y)
     answer = response_delay_sentence(u, y, shares)
     is_ambiguous = FEEDTHROUGH in answer and fed_back > MAYBE_FED_BACK
@@ -116,11 +117,9 @@ def response_delay_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
         enough = len(coarse_u) >= 4 * LAGS
         lag = first_response_lag(coarse_u, coarse_y) if enough else None
         if lag is not None:
-            return (
-                dead_time_sentence(lag, word)
-                if stride == 1
-                else slow_response_sentence(lag, stride, word)
-            )
+            if stride == 1:
+                return dead_time_sentence(lag, word)
+            return slow_response_sentence(lag, stride, word)
     level = largest_explained_level(u, y)
     if max(level, shares.change) > FOLLOWS:
         by_level = level >= shares.change
@@ -135,7 +134,8 @@ def response_delay_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
 def block_means(values: Signal, length: int) -> Float[np.ndarray, "B"]:
     """Means of a signal over consecutive blocks of a fixed length."""
     blocks = len(values) // length
-    return values[: blocks * length].reshape(blocks, length).mean(axis=1)
+    table = values[: blocks * length].reshape(blocks, length)
+    return table.mean(axis=1)
 
 
 def dead_time_sentence(lag: int, word: str) -> str:
@@ -188,9 +188,14 @@ def increment_regression(
     """
     du = np.diff(u) / np.std(u)
     dy = np.diff(y) / np.std(y)
-    columns = [du[LAGS - lag : len(du) - lag] for lag in range(LAGS + 1)]
-    columns += [dy[LAGS - lag : len(dy) - lag] for lag in (1, 2)]
+    columns = [delayed(du, lag, LAGS) for lag in range(LAGS + 1)]
+    columns += [delayed(dy, lag, LAGS) for lag in (1, 2)]
     return np.stack(columns, axis=1), dy[LAGS:]
+
+
+def delayed(values: Signal, lag: int, longest: int) -> Float[np.ndarray, "K"]:
+    """Values of a signal a lag ago, for the samples that have values of the longest lag ago."""
+    return values[longest - lag : len(values) - lag]
 
 
 def feedback_share(u: Signal, y: Signal) -> float:
@@ -200,9 +205,10 @@ def feedback_share(u: Signal, y: Signal) -> float:
     An input that its own past foretells, as a sweep of sines, needs more of that past than the few
     outputs that a controller reads: else outputs stand for inputs of long ago.
     """
-    past = max(FEWEST_LAGS, min(INPUT_LAGS, len(u) // (4 * FEWEST_LAGS)))
-    earlier_u = [u[past - lag : len(u) - lag] for lag in range(1, past + 1)]
-    earlier_y = [y[past - lag : len(y) - lag] for lag in range(1, FEWEST_LAGS + 1)]
+    affordable = len(u) // (4 * FEWEST_LAGS)
+    past = max(FEWEST_LAGS, min(INPUT_LAGS, affordable))
+    earlier_u = [delayed(u, lag, past) for lag in range(1, past + 1)]
+    earlier_y = [delayed(y, lag, past) for lag in range(1, FEWEST_LAGS + 1)]
     constant = np.ones(len(u) - past)
     by_input = np.stack([*earlier_u, constant], axis=1)
     outputs = np.stack(earlier_y, axis=1)

@@ -98,8 +98,8 @@ def skipped_column_lines(skipped: dict[str, str]) -> list[str]:
     to columns with numbers."""
     worth = skipped
     if len(skipped) > MOST_SKIPPED:
-        worth = {name: why for name, why in skipped.items() if "samples" in why}
-        worth = {name: why for name, why in worth.items() if not why.startswith("has 1 ")}
+        long = [(name, why) for name, why in skipped.items() if "samples" in why]
+        worth = {name: why for name, why in long if not why.startswith("has 1 ")}
     lines = [f"  {name}: skipped, {why}" for name, why in worth.items()]
     others = len(skipped) - len(worth)
     return lines + ([f"  {others} texts, empty and single values skipped"] if others else [])
@@ -144,7 +144,8 @@ def look(
         if None in (stated.input, stated.output):
             sentences.append(f"guessed: input {u}, output {y} (--input and --output say otherwise)")
         sentences += set_point_sentences(facts, (u, y), stated)
-        reading = examine_signals(path, table, clock, stated.as_data_source(path, u, y))
+        source = stated.as_data_source(path, u, y)
+        reading = examine_signals(path, table, clock, source)
         sentences += reading.sentences
         sentences += other_signal_sentences(facts, clock, (u, y, stated.disturbance))
     is_refused = u is not None and not reading.records

@@ -93,7 +93,8 @@ def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, 
     topics = [group.topic for group in groups]
     problem = "two groups share a topic"
     remedy = "name them apart"
-    require(len(set(topics)) == len(topics), "topics", topics, problem, remedy)
+    is_unique = len(set(topics)) == len(topics)
+    require(is_unique, "topics", topics, problem, remedy)
     temporary = path.with_name(f".{path.name}.part")
     options = MCAPWriteOptions(
         compression=MCAPCompression.Zstd,
@@ -172,9 +173,8 @@ def _open_channel(
             fields = whole.nested_type.add(name=inner).field
             prefix = f"unit.{name}."
         for order, channel in enumerate(part.channels, start=1):
-            fields.add(
-                name=channel.name, number=order, type=kind.TYPE_DOUBLE, label=kind.LABEL_OPTIONAL
-            )
+            label = kind.LABEL_OPTIONAL
+            fields.add(name=channel.name, number=order, type=kind.TYPE_DOUBLE, label=label)
             about[prefix + channel.name] = channel.unit
     data = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
     schema = foxglove.Schema(name=f"ssm_study.{message}", encoding="protobuf", data=data)

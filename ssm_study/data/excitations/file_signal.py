@@ -29,11 +29,9 @@ class OwnSignal(Excitation):
     def signal(self, request: SignalRequest, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
         values = self._read_columns(request)
         if self.amplitude is not None:
-            values = (
-                values
-                / np.abs(values).max(axis=0)
-                * np.array(self._with_own_settings(request).amplitude)
-            )
+            largest = np.abs(values).max(axis=0)
+            amplitude = np.array(self._with_own_settings(request).amplitude)
+            values = values / largest * amplitude
         start = int(rng.integers(len(values) - request.samples + 1))
         return values[start : start + request.samples]
 
@@ -55,7 +53,8 @@ class OwnSignal(Excitation):
             "name one column per input",
         )
         table = read_table(Path(self.path), dict.fromkeys(names, ""))
-        values = np.stack([table.columns[name] for name in names], axis=1)
+        columns = [table.columns[name] for name in names]
+        values = np.stack(columns, axis=1)
         problem = f"has {len(values)} rows and records of {request.samples} samples are asked for"
         remedy = "lengthen the file, or shorten data.samples"
         require(len(values) >= request.samples, "excitation.path", self.path, problem, remedy)

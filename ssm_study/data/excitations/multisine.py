@@ -58,7 +58,8 @@ class Multisine(Excitation):
         )
         remedy = "widen the band or lengthen the record"
         require(lines >= FEWEST_LINES, field, (low, high), problem, remedy)
-        channels = [self._channel_signal(band, request.samples, rng) for _ in range(request.inputs)]
+        samples = request.samples
+        channels = [self._channel_signal(band, samples, rng) for _ in range(request.inputs)]
         return np.stack(channels, axis=1)
 
     def _channel_signal(

@@ -89,9 +89,9 @@ class OwnPlantRecord:
     def write(self, path: Path) -> str:
         """Write the input signal to a CSV file, and return a sentence that describes it."""
         u = self.signal()
-        pd.DataFrame({"time_s": np.arange(len(u)) * self.step_s, "input": u}).to_csv(
-            path, index=False
-        )
+        time_s = np.arange(len(u)) * self.step_s
+        table = pd.DataFrame({"time_s": time_s, "input": u})
+        table.to_csv(path, index=False)
         lasts = f"{len(u)} samples, {len(u) * self.step_s / 60:.1f} minutes"
         if self.sines:
             hertz = [f"{angle / (2 * np.pi * self.step_s):.3g}" for angle in self.sines]
