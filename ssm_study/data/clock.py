@@ -232,7 +232,8 @@ def gap_remarks(steps: ClockTimes, holes: Int[np.ndarray, "H"], period_s: float)
         return []
     missing_s = float(steps[holes].sum()) - len(holes) * period_s
     word = "hole" if len(holes) == 1 else "holes"
-    return [f"cut at {len(holes)} {word} of {missing_s:.3g} s in all"]
+    length = f"{missing_s:.0f}" if missing_s >= 100 else f"{missing_s:.3g}"
+    return [f"cut at {len(holes)} {word} of {length} s in all"]
 
 
 def refuse_uneven_times(steps: ClockTimes, median_s: float, where: str, resample: bool) -> None:
