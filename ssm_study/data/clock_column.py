@@ -32,7 +32,7 @@ WORDS_TEXT = """
     time t timestamp timestamps times date datetime dateandtime zeit zeitstempel datum clock
     elapsed elapsedtime runtime timesec temps tiempo tempo epoch unixtime utc timeofday
     simtime stamp localtime uptime recordtime logtime ts unix unixtimestamp zeitpunkt
-    uhrzeit heure horodatage hora fecha tijd tijdstip czas время дата 时间 時間 時刻 datenum
+    uhrzeit heure horodatage hora fecha tijd tijdstip czas время дата 时间 時間 時刻 datenum xvalue
 """
 WORDS = tuple(WORDS_TEXT.split())
 # Of whole numbers without a unit; the evidence then has a doubt.

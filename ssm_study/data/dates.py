@@ -15,7 +15,7 @@ DATE = (
     r"\s*(?P<half>[AaPp]\.?\s?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[-+]\d\d(?::?\d\d)?)?"
 )
 TIME_OF_DAY = (
-    r"(?P<hour>\d{1,2}):(?P<minute>\d\d):(?P<second>\d\d(?:[.,]\d+)?)"
+    r"(?P<hour>\d{1,2}):(?P<minute>\d\d):(?P<second>\d\d(?:[.,]\d+|:\d{3})?)"
     r"\s*(?P<half>[AaPp]\.?\s?[Mm]\.?)?"
 )
 MINUTES = r"(?P<minute>\d{1,4}):(?P<second>\d\d[.,]\d+)"  # of a stop watch: `03:12.5`
@@ -93,7 +93,8 @@ def seconds_since_midnight(parts: pd.DataFrame) -> DateSeconds:
     if "hour" in parts:
         hours = parts["hour"].fillna("0").astype(float)
     minutes = parts["minute"].fillna("0").astype(float)
-    with_point = parts["second"].fillna("0").str.replace(",", ".")
+    filled = parts["second"].fillna("0")
+    with_point = filled.str.replace(r"[,:]", ".", regex=True)
     seconds = with_point.astype(float)
     if "half" in parts:
         lower = parts["half"].str.lower()

@@ -1,10 +1,15 @@
-"""Extension of errors about a log by the command that shows what the log contains."""
+"""Errors about a log: the command that shows what the log contains, and which values it lacks."""
 
+from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
 
 from ssm_study.data.arrays import ARRAYS
 from ssm_study.data.readers.reader import FOREIGN
 from ssm_study.refusal import BadRequest
+from ssm_study.signals import Channel
 
 LOOK = "`ssm-study look {}` shows what is in the file"
 
@@ -17,3 +22,14 @@ def refusal_with_look_command(error: BadRequest, path: Path) -> BadRequest:
     if "look" in remedy or is_foreign or is_of_arrays or not path.is_file():
         return error
     return BadRequest(error.field, error.value, error.problem, f"{remedy}; {LOOK.format(path)}")
+
+
+def missing_values_error(
+    path: Path, values: Float[np.ndarray, "T c"], channels: Sequence[Channel]
+) -> BadRequest:
+    """Error about a log in which no three rows in a row have all their values."""
+    missing = np.isnan(values).mean(axis=0)
+    shares = [f"{one.name} {share:.0%}" for one, share in zip(channels, missing, strict=True)]
+    problem = f"no three rows in a row have all their values; missing: {', '.join(shares)}"
+    remedy = "fill in what is held between its changes, or name other columns"
+    return BadRequest(path.name, "missing values", problem, remedy)

@@ -17,7 +17,7 @@ from ssm_study.data.clock_column import (
     unread_clock_sentence,
 )
 from ssm_study.data.clock_restarts import resample_experiments
-from ssm_study.data.log_refusals import refusal_with_look_command
+from ssm_study.data.log_refusals import missing_values_error, refusal_with_look_command
 from ssm_study.data.missing_codes import missing_code_remarks
 from ssm_study.data.plain_names import plain_name
 from ssm_study.data.readers.reader import (
@@ -219,7 +219,8 @@ class Columns:
                 tolerance=self.jitter_tolerance,
                 resample=self.resample,
             )
-        require(pieces.values, path.name, 0, "no row has all its values", "name other columns")
+        if not pieces.values:
+            raise missing_values_error(path, values, [*self.inputs, *self.measured_outputs])
         period = f"step {pieces.step_s:.6g} s"
         return pieces, [*remarks, period, *pieces.remarks]
 
@@ -358,8 +359,7 @@ class Recording(Columns):
         return self.step_s is None
 
     def read(self) -> Trajectory:
-        """Read the recorded experiment in physical units. Raises `BadRequest` as `read_record`
-        does."""
+        """Read the recorded experiment in physical units; refuses what `read_record` refuses."""
         return self.read_record(Path(self.path), first=self.first, last=self.last)
 
 

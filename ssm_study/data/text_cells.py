@@ -15,7 +15,7 @@ DATE = re.compile(
     rf"\d{{1,4}}[-/.]\d{{1,2}}[-/.]\d{{1,4}}{TIME_AND_ZONE}"
     rf"|\d{{1,2}}[-/. ]{MONTH}[-/. ]\d{{4}}{TIME_AND_ZONE}"
     rf"|{MONTH} \d{{1,2}},? \d{{4}}{TIME_AND_ZONE}"
-    r"|\d{1,2}:\d\d:\d\d([.,]\d+)?",
+    r"|\d{1,2}:\d\d:\d\d([.,]\d+|:\d{3})?",
     re.IGNORECASE,
 )
 

@@ -27,7 +27,7 @@ def fits_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
     """Whether a row above the numbers has one cell for each column, so that its cells can be the
     columns' names."""
     if len(row) == columns + 1:
-        return row[-1] == ""
+        return row[-1].lower() in ("", "comment")  # LabVIEW names a column of remarks
     if len(row) == columns - 1:
         regular = [cells for cells in sample if len(cells) == columns]
         return columns > 1 and not any(cells[-1] for cells in regular)

@@ -8,7 +8,7 @@ A point or comma between groups of three digits is read where the column shows t
 import pyarrow as pa
 import pyarrow.compute as pc
 
-BARE_GROUPS = "'’\u00a0\u2009\u202f"  # marks between groups of digits that mean nothing else
+BARE_GROUPS = " '’\u00a0\u2009\u202f"  # marks between groups of digits that mean nothing else
 WORDS = {"true": "1", "false": "0", "on": "1", "off": "0", "yes": "1", "no": "0",
          "wahr": "1", "falsch": "0", "ein": "1", "aus": "0"}  # fmt: skip
 AMBIGUOUS = "its mark may stand between thousands, or before decimals"
@@ -39,7 +39,7 @@ def normalise_numbers(
 
 
 def _remove_plain_separators(cells: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Remove apostrophes and narrow spaces between groups of three digits."""
+    """Remove apostrophes and spaces between groups of three digits."""
     pattern = rf"^[-+]?\d{{1,3}}([{BARE_GROUPS}]\d{{3}})+([.,]\d+)?$"
     is_grouped = pc.match_substring_regex(cells, pattern)
     bare = pc.replace_substring_regex(cells, f"[{BARE_GROUPS}]", "")

@@ -113,6 +113,30 @@ DATE_AND_TIME = table(
     ";",
     "Date,Time,u,y",
 )  # fmt: skip
+LABVIEW = """LabVIEW Measurement\t
+Separator\tTab
+Date\t2026/03/05
+***End_of_Header***\t
+\t\t\t
+Channels\t2\t\t\t
+Samples\t300\t300\t\t
+Delta_X\t0.1\t0.1\t\t
+***End_of_Header***\t\t\t\t
+X_Value\tu\ty\tComment
+"""
+READ["LabVIEW"] = (
+    LABVIEW
+    + table(lambda k: [number(0.1 * k), number(U[k]), number(Y[k])], "\t").split("\n", 1)[1],
+    0.1,
+)
+READ["milliseconds after a colon"] = (
+    with_clock(lambda k: f"10:{k // 600:02d}:{(k // 10) % 60:02d}:{k % 10 * 100:03d}"),
+    0.1,
+)
+READ["groups by spaces"] = (
+    table(lambda k: [comma(0.1 * k), comma(U[k]), f"{Y[k]:.3f}".replace(".", " ") + ",0"], ";"),
+    0.1,
+)
 READ["date beside time"] = (DATE_AND_TIME, 300.0)
 
 
@@ -237,6 +261,14 @@ def test_prose_below_the_rows_is_no_row(tmp_path: Path, below: str, lines: int) 
     assert len(piece) == ROWS
     noun = "line" if lines == 1 else "lines"
     assert f"{lines} {noun} of prose below" in remark
+
+
+def test_values_that_are_never_together_are_counted(tmp_path: Path) -> None:
+    """A logger that writes the input only where it changes."""
+    rows = table(lambda k: [number(0.1 * k), "" if k % 10 else number(U[k]), number(Y[k])])
+    path = written(tmp_path, rows)
+    with pytest.raises(BadRequest, match=r"missing: u 90%, y 0%; fill in what is held"):
+        RecordedData(path=str(path), input="u", output="y").read_pieces(path)
 
 
 @pytest.mark.parametrize("below", ["30.0,0.3\n", "Sum,0.3,20.1\n"])
