@@ -53,7 +53,8 @@ def are_unix_times(times: Times) -> bool:
     largest = float(finite.max())
     units_s = [unit_s for digits, unit_s in EPOCHS if largest >= digits]
     unit_s = units_s[0] if units_s else 1.0
-    in_range = EPOCH_S[0] <= unit_s * finite.min() and unit_s * largest <= EPOCH_S[1]
+    earliest_s, latest_s = EPOCH_S
+    in_range = earliest_s <= unit_s * finite.min() and unit_s * largest <= latest_s
     return bool(in_range and np.ptp(finite) < 0.1 * largest)
 
 
@@ -79,7 +80,8 @@ def parse_digit_dates(times: Times) -> Times | None:
     years = dates.dt.year
     if dates.isna().any() or not years.between(*YEARS).all():
         return None
-    since = (dates - dates.iloc[0]) / pd.Timedelta(seconds=1)
+    elapsed = dates - dates.iloc[0]
+    since = elapsed / pd.Timedelta(seconds=1)
     seconds = np.full(len(times), np.nan)
     seconds[np.isfinite(times)] = since.to_numpy(dtype=float) + thousandths
     return seconds

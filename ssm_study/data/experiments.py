@@ -60,9 +60,9 @@ class RecordedExperiments(AroundRest):
         about = {"benchmark": self.benchmark, "score": self.score, "seed": str(seed)}
         if self.fold is not None:
             about["held_out"] = f"fold {self.fold} of {self.folds}, of the training records"
-        return self.assemble_about_equilibrium(
-            self._read_parts(), (self.training[0].inputs, self.training[0].outputs), **about
-        )
+        first = self.training[0]
+        channels = (first.inputs, first.outputs)
+        return self.assemble_about_equilibrium(self._read_parts(), channels, **about)
 
     def _read_parts(self) -> Parts:
         """Read the records for training, validation and test. With folds, the remaining part also
@@ -97,7 +97,8 @@ def benchmark_folder(benchmark: str) -> Path:
     That package downloads it; it needs the extra `benchmarks` and a network. Raises `BadRequest`
     where it is nowhere.
     """
-    around = [Path(os.environ[RECORDS_VARIABLE])] if RECORDS_VARIABLE in os.environ else []
+    stated = os.environ.get(RECORDS_VARIABLE)
+    around = [] if stated is None else [Path(stated)]
     for place in (*around, RECORDS_BESIDE):
         if (place / benchmark).is_dir():
             return place / benchmark

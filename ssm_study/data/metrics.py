@@ -55,13 +55,15 @@ def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -
     samples do not count; the unit is that of `data.metadata["score"]`."""
     problem = f"there are {len(data.test)} test records"
     remedy = "score all"
-    require(len(y_hat) == len(data.test), "y_hat", len(y_hat), problem, remedy)
+    is_complete = len(y_hat) == len(data.test)
+    require(is_complete, "y_hat", len(y_hat), problem, remedy)
     pairs = list(zip(data.test, y_hat, strict=True))
     score = data.metadata.get("score", "rmse")
     if score == "position_mm":
         return tuple(position_rmse_mm(r, y, data.start_up_samples) for r, y in pairs)
     factor = 1.0 if score == "rmse" else 1000.0
-    errors = [rmse(record.y, y, data.start_up_samples) for record, y in pairs]
+    start = data.start_up_samples
+    errors = [rmse(record.y, y, start) for record, y in pairs]
     return tuple(factor * error for error in errors)
 
 
@@ -133,7 +135,8 @@ def persistency_order(u: Float[np.ndarray, "T m"]) -> int:
     """
     u = u[:SAMPLES_FOR_ORDER] - u.mean(axis=0)
     order = 0
-    deepest = (len(u) + 1) // (u.shape[1] + 1)
+    samples, inputs = u.shape
+    deepest = (samples + 1) // (inputs + 1)
     too_deep = min(HIGHEST_ORDER, deepest) + 1
     while too_deep - order > 1:  # the ranks are nested, so halving finds the last full one
         middle = (order + too_deep) // 2

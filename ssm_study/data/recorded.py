@@ -86,7 +86,8 @@ class AroundRest(RecordedSource):
         ]
         if len(channels) > len(rest):  # of a disturbance no equilibrium is chosen: its mean
             measured = [record.d for record in parts[0] if record.d is not None]
-            rest.append(np.concatenate(measured).mean(axis=0))
+            disturbances = np.concatenate(measured)
+            rest.append(disturbances.mean(axis=0))
         about = {"source": "recorded", **about}
         return assemble_dataset(parts, tuple(rest), channels, self.start_up_samples, metadata=about)
 
@@ -193,13 +194,13 @@ class RecordedData(Columns, AroundRest):
         problem = "the same column twice"
         require(not twice, "data.disturbance", twice[:1], problem, "name each column once")
         outputs = () if self.has_output_files else as_name_list(self.output)
-        clock = () if self.time is None else (str(self.time),)
         taken = {
             "an input": as_name_list(self.input),
             "an output": outputs,
-            "the clock": clock,
             "the set point": as_name_list(self.reference or ()),
         }
+        if self.time is not None:
+            taken["the clock"] = (str(self.time),)
         for role, columns in taken.items():
             both = sorted(set(names) & set(columns))
             remedy = "name a column that is measured and nothing else"
@@ -225,16 +226,16 @@ class RecordedData(Columns, AroundRest):
         expected = len(names) if self.has_output_files else 0
         problem = f"{len(others)} files of outputs, {expected} expected"
         remedy = "name one for each file of inputs"
-        require(len(others) == expected, f"data.{outputs}", list(others), problem, remedy)
+        is_paired = len(others) == expected
+        require(is_paired, f"data.{outputs}", list(others), problem, remedy)
         pairs = zip(names, others, strict=True) if others else zip(names)
         return [tuple(map(Path, pair)) for pair in pairs]
 
     def files(self) -> tuple[Path, ...]:
-        pairs = [
-            *self.pair_files("path", "output_path"),
-            *self.pair_files("test_path", "test_output_path"),
-        ]
-        for path in (paths := tuple(path for pair in pairs for path in pair)):
+        pairs = self.pair_files("path", "output_path")
+        pairs += self.pair_files("test_path", "test_output_path")
+        paths = tuple(path for pair in pairs for path in pair)
+        for path in paths:
             problem = "no such file"
             remedy = "check the spelling"
             require(path.is_file(), "data.path", path, problem, remedy)

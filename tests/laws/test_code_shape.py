@@ -22,7 +22,7 @@ DENSITY = {
     "ssm_study/bounds": (14.2, 7.0),
     "ssm_study/certificates": (13.1, 7.0),
     "ssm_study/conformance": (11.4, 0.0),
-    "ssm_study/data": (11.3, 2.2),
+    "ssm_study/data": (10.9, 1.8),
     "ssm_study/evidence": (11.3, 1.0),
     "ssm_study/export": (11.2, 2.8),
     "ssm_study/loop": (12.0, 2.4),

@@ -85,7 +85,8 @@ class MatReader(Reader, names=(".mat",)):
         chosen = {}
         for name in names:
             counted = name.isdigit() and name not in columns and belong_to_one_matrix(columns)
-            title = places[int(name)] if counted and int(name) < len(places) else name
+            is_place = counted and int(name) < len(places)
+            title = places[int(name)] if is_place else name
             if title in skipped:
                 remedy = "save it as a vector"
                 raise BadRequest(where, name, f"{skipped[title]}, no vector of numbers", remedy)
@@ -103,7 +104,8 @@ class MatReader(Reader, names=(".mat",)):
     def contents(self, path: Path) -> Table:
         columns, skipped, _ = read_numeric_variables(path)
         length = max(map(len, columns.values()), default=0)
-        for name in [name for name, values in columns.items() if len(values) != length]:
+        others = [name for name, values in columns.items() if len(values) != length]
+        for name in others:
             skipped[name] = f"has {len(columns.pop(name))} samples, others {length}"
         return Table(columns=columns, skipped=skipped)
 
@@ -158,7 +160,8 @@ def read_numeric_variables(
         elif min(value.shape, default=1) <= 1:
             columns[name] = value.astype(np.float64).reshape(-1)
         else:
-            tall = value if value.shape[0] >= value.shape[1] else value.T
+            rows, width = value.shape
+            tall = value if rows >= width else value.T
             for j, column in enumerate(tall.T, start=1):
                 columns[f"{name}:{j}"] = np.ascontiguousarray(column, dtype=np.float64)
     return columns, skipped, texts
@@ -211,7 +214,8 @@ def _iterate_elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]
         else:
             kind = first
             start = at + 8
-            step = 8 + (length if kind == COMPRESSED else -(-length // 8) * 8)
+            padded = -(-length // 8) * 8
+            step = 8 + (length if kind == COMPRESSED else padded)
         _require_intact(start + length <= len(content), "it is cut short")
         yield kind, content[start : start + length]
         at += step
@@ -274,7 +278,8 @@ def _parse_struct(
 def _parse_matrix(parts: list[tuple[int, bytes]], order: str, name: str) -> Value:
     """Parse a MATLAB 5 matrix of real numbers; any other kind of value is described in words."""
     flags = struct.unpack_from(order + "I", parts[0][1])[0]
-    shape = tuple(int(n) for n in np.frombuffer(parts[1][1], order + "i4"))
+    sizes = np.frombuffer(parts[1][1], order + "i4")
+    shape = tuple(int(size) for size in sizes)
     kind = flags & 0xFF
     if not FIRST_NUMERIC_CLASS <= kind <= LAST_NUMERIC_CLASS:
         word = Text(CLASSES.get(kind, f"of class {kind}"))
@@ -284,7 +289,8 @@ def _parse_matrix(parts: list[tuple[int, bytes]], order: str, name: str) -> Valu
         return word
     if flags & COMPLEX:
         return "complex"
-    _require_intact(len(parts) >= 4 and parts[3][0] in STORAGE, f"variable {name} has no numbers")
+    has_numbers = len(parts) >= 4 and parts[3][0] in STORAGE
+    _require_intact(has_numbers, f"variable {name} has no numbers")
     storage, content = parts[3]
     numbers = np.frombuffer(content, order + STORAGE[storage])
     is_shape = min(shape, default=-1) >= 0

@@ -34,7 +34,8 @@ def parse_hdf5(path: Path, most_bytes: int) -> dict[str, Shaped[np.ndarray, "...
         raise BadRequest("data.path", path, problem, remedy) from error
     with h5py.File(path, "r") as file:
         pairs = [pair for name in file for pair in iterate_datasets(name, file[name])]
-        total = sum(value.nbytes for _, value in pairs if not isinstance(value, str))
+        datasets = [value for _, value in pairs if not isinstance(value, str)]
+        total = sum(value.nbytes for value in datasets)
         if total > most_bytes:
             raise ValueError(f"it holds more than {most_bytes >> 20} MiB; split it")
         return {
@@ -67,7 +68,9 @@ def iterate_datasets(name: str, node: Any) -> Iterator[tuple[str, Any]]:
 def matlab_class(node: Any) -> str:
     """MATLAB class that the attributes of an HDF5 node state; empty if none is stated."""
     stated = node.attrs.get("MATLAB_class", b"")
-    return stated.decode("ascii", errors="replace") if isinstance(stated, bytes) else str(stated)
+    if isinstance(stated, bytes):
+        return stated.decode("ascii", errors="replace")
+    return str(stated)
 
 
 def read_matrix(node: Any) -> Shaped[np.ndarray, "..."]:

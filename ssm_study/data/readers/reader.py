@@ -18,6 +18,7 @@ from ssm_study.refusal import BadRequest, require
 
 # Limit of a recorded value, and the inverse of the least span: sums of squares stay finite.
 LARGEST = 1e30
+MOST_LISTED = 12  # titles in a refusal
 INTERPOLATE = "interpolate it (a row taken out would shift the time of all that follow)"
 FOREIGN = {
     ".bag": "export the topics as MCAP or CSV",
@@ -55,7 +56,9 @@ class Table:
 
     def row_name(self, row: int) -> str:
         """Name of a row for messages, as the file itself counts its rows."""
-        number = row + self.first_row if self.row_numbers is None else self.row_numbers[row]
+        number = row + self.first_row
+        if self.row_numbers is not None:
+            number = self.row_numbers[row]
         return f"{self.row_word} {number}"
 
 
@@ -176,7 +179,9 @@ def check_column_names(
     for name in names:
         count = list(titles).count(name)
         named = [title for title in titles if title]
-        listing = ", ".join(named[:12]) + (" ..." if len(named) > 12 else "")
+        listing = ", ".join(named[:MOST_LISTED])
+        if len(named) > MOST_LISTED:
+            listing += " ..."
         problem = f"the {whole} has {listing}"
         require(count > 0, where, name, problem, remedy)
         problem = f"the {whole} has it {count} times"
@@ -192,7 +197,8 @@ def title_without_unit(title: str) -> str:
 def fold_title(title: str) -> str:
     """Reduce a column's title to its letters and digits in lower case, for comparison. The two
     micro signs count as the same letter."""
-    return re.sub(r"[\W_]+", "", unicodedata.normalize("NFKC", title)).lower()
+    normal = unicodedata.normalize("NFKC", title)
+    return re.sub(r"[\W_]+", "", normal).lower()
 
 
 def find_column(path: Path, name: str, titles: list[str], header: bool | None = None) -> int:
@@ -226,7 +232,8 @@ def find_column(path: Path, name: str, titles: list[str], header: bool | None = 
         return place
     if numbered and number is not None:
         return number
-    if all(title == str(j) for j, title in enumerate(titles)):
+    numbers = [str(j) for j in range(len(titles))]
+    if list(titles) == numbers:
         remedy = "count the columns from 0, or write names into the first line"
         check_column_names(where, [name], titles, "file without names", remedy)
     check_column_names(where, [name], titles, "header")

@@ -118,14 +118,17 @@ def blank_duplicate_titles(titles: list[str], table: pa.Table) -> list[str]:
     unique_titles = list(titles)
     for place, title in enumerate(titles):
         first = titles.index(title)
-        if first < place and table.column(first).equals(table.column(place)):
+        if first == place:
+            continue
+        if table.column(first).equals(table.column(place)):
             unique_titles[place] = ""
     return unique_titles
 
 
 def drop_empty_last_column(columns: dict[str, Any], title: str, nameless: bool) -> None:
     """Remove the empty last column that results from a separator at the end of every row."""
-    is_last = (title == "" or nameless) and len(columns) > 1 and title in columns
+    is_nameless = title == "" or nameless
+    is_last = is_nameless and len(columns) > 1 and title in columns
     if is_last and not np.isfinite(columns[title]).any():
         del columns[title]
 
@@ -134,15 +137,18 @@ def column_titles(layout: TextLayout) -> list[str]:
     """Titles of the columns of a text file, or their numbers from 0 where it has none."""
     if layout.names is None:
         return [str(j) for j in range(layout.columns)]
-    titles = [name.strip() for name in layout.names][: layout.columns]
-    return titles + [""] * (layout.columns - len(titles))
+    names = layout.names[: layout.columns]
+    titles = [name.strip() for name in names]
+    missing = layout.columns - len(titles)
+    return titles + [""] * missing
 
 
 def column_units(layout: TextLayout) -> list[str]:
     """Units of the columns of a text file, from their titles or from a row of units; empty where
     none is stated."""
     if layout.units:
-        return (layout.units + [""] * layout.columns)[: layout.columns]
+        padded = layout.units + [""] * layout.columns
+        return padded[: layout.columns]
     matches = [STATED_UNIT.match(title) for title in column_titles(layout)]
     return [(match[2] or match[3] or "") if match else "" for match in matches]
 
@@ -167,7 +173,8 @@ def parse_rows(path: Path, layout: TextLayout) -> pa.Table:
     parse = arrow_csv.ParseOptions(delimiter=separator, invalid_row_handler=note_misfit_row)
     kinds = dict.fromkeys(places, pa.string())
     convert = arrow_csv.ConvertOptions(column_types=kinds, strings_can_be_null=False)
-    content = pa.BufferReader("\n".join(rows).encode("utf-8", errors="replace"))
+    text = "\n".join(rows)
+    content = pa.BufferReader(text.encode("utf-8", errors="replace"))
     try:
         table = arrow_csv.read_csv(
             content, read_options=read, parse_options=parse, convert_options=convert
@@ -261,7 +268,8 @@ def find_time_of_day_column(table: pa.Table) -> tuple[int, ColumnValues] | None:
             if 0 <= other < table.num_columns and all_cells_match(table.column(other), DATE_ALONE):
                 dates = strip_cells(table.column(other)).to_pylist()
                 times = strip_cells(table.column(place)).to_pylist()
-                cells = [f"{date} {time}" for date, time in zip(dates, times, strict=True)]
+                pairs = zip(dates, times, strict=True)
+                cells = [f"{date} {time}" for date, time in pairs]
                 try:
                     return place, seconds_since_first(cells)
                 except AmbiguousDates:
@@ -279,7 +287,8 @@ def date_column_names(table: pa.Table, places: dict[str, int]) -> frozenset[str]
     """Names of the columns that hold dates."""
     dated = set()
     for name, place in places.items():
-        cells = strip_cells(table.column(place)).slice(0, 50).to_pylist()
+        first = table.column(place).slice(0, 50)
+        cells = strip_cells(first).to_pylist()
         filled = [cell for cell in cells if cell.lower() not in MISSING]
         if filled and is_date(filled[0]):
             dated.add(name)
