@@ -27,7 +27,7 @@ def draw_log(seen: "LogLook") -> "Figure":
             lower.step(time_s, record.u[:, 0], where="post", color=style.VERMILLION, linewidth=0.8)
             if record.d is not None:
                 panels[2].plot(time_s, record.d[:, 0], color=style.GREEN, linewidth=0.8)
-                panels[2].set_ylabel(drawable_title(seen.disturbance))
+                panels[2].set_ylabel(drawable_title(seen.disturbance or "disturbance"))
         upper.set_ylabel(drawable_title(seen.output or "output"))
         lower.set_ylabel(drawable_title(seen.input or "input"))
         panels[-1].set_xlabel("time (s)" if seen.step_is_known else "sample")
