@@ -44,7 +44,7 @@ from ssm_study.robustness.record_errors import RecordErrors, open_loop_errors
 from ssm_study.signals import DataSet
 from ssm_study.synthesis import auto
 from ssm_study.synthesis.decay_response import simulate_decays
-from ssm_study.synthesis.measured_discs_choice import prefer_covered
+from ssm_study.synthesis.measured_discs_choice import first_covering_design
 from ssm_study.synthesis.measured_discs_run import (
     add_coverage_certificate,
     certificate_weights,
@@ -150,10 +150,10 @@ class IdentifiedCase:
                     certified.append(design)
                 return design
 
-            return prefer_covered(pairs, make_and_note, *others)
+            return first_covering_design(pairs, make_and_note, *others)
 
         balls = certified_balls(self.model)
-        with patch.object(auto, "prefer_covered", prefer_and_note):
+        with patch.object(auto, "first_covering_design", prefer_and_note):
             decays = simulate_decays(self.model, self.data.mismatch_records, self.data.validation)
             chosen: Design = (
                 synthesis.prefer_covered_designs(self.premise)

@@ -85,7 +85,7 @@ def rows_of_plant(name: str) -> list[dict[str, Any]]:
     case = IdentifiedCase.of(name, 0, [f"model.order={ORDER}"], fresh=0)
     _, design = case.choose()
     coverage = coverage_columns(design, case.model, case.premise).get("coverage")
-    monitor = Monitor.of(case.model, design)
+    monitor = Monitor.for_design(case.model, design)
     if monitor is None or coverage is None or coverage < 1:
         return [{"plant": name, "gain": 1.0, "delay": 0, "coverage": coverage or "", "cases": 0}]
     controller = ObserverFeedback.from_design(case.model, design)

@@ -72,7 +72,7 @@ def opinion(case: Instance) -> str:
             if "infeasible" in str(nothing) and "inaccurate" not in str(nothing)
             else CANNOT_TELL
         )
-    if StateFeedbackOfBall.holds(**StateFeedbackOfBall.numbers_of(problem, found)):
+    if StateFeedbackOfBall.holds(**StateFeedbackOfBall.certificate_numbers(problem, found)):
         return FEASIBLE
     telling = lmi.problem.status == "optimal" and -lmi.problem.value < -TELLING
     return INFEASIBLE if telling else CANNOT_TELL

@@ -62,7 +62,7 @@ def tasks(problem: Problem) -> dict[str, Callable[[], object]]:
     ball = problem.ball
     lmis = {full: compiled(problem, "feasibility", full) for full in (True, False)}
     solution = minimum_energy_solution(problem)
-    certificate = StateFeedbackOfBall.numbers_of(problem, solution)
+    certificate = StateFeedbackOfBall.certificate_numbers(problem, solution)
     kappa = np.eye(1) / 4.0
 
     def smallest_gain() -> object:

@@ -43,7 +43,7 @@ EXPERIMENT = os.environ.get(
 RESULTS = Path(os.environ.get("SSM_STUDY_RESULTS", "results"))
 
 _ = main(["run", f"experiment={EXPERIMENT}", f"results_dir={RESULTS}", "progress=false"])
-run = StudyFolder(folder=RESULTS / EXPERIMENT).best
+run = StudyFolder(folder=RESULTS / EXPERIMENT).best_run
 assert run is not None
 assert run.model is not None
 linear = run.model.linear

@@ -102,7 +102,7 @@ _ = main([*COMMAND, *FIRST, "study=greenhouse_weather", "data.disturbance='Auße
 # %%
 both = [StudyFolder(folder=RESULTS / name) for name in ("greenhouse", "greenhouse_weather")]
 for study in both:
-    fit = study.best.record["fit_test_percent"]
+    fit = study.best_run.record["fit_test_percent"]
     print(f"fit on the test record  {fit:.1f} %  {study.folder.name}")
 
 # %% [markdown]

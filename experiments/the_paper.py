@@ -41,7 +41,7 @@ _ = main(["run", f"experiment={EXPERIMENT}", f"results_dir={RESULTS}", "progress
 
 # %%
 study = StudyFolder(folder=RESULTS / EXPERIMENT)
-run = study.best
+run = study.best_run
 assert run is not None, "no run of this study left a model"
 print("\n".join(sorted(path.name for path in run.path.iterdir())))
 

@@ -66,7 +66,7 @@ def construct(path: str, node: Any) -> Any:
         return {key: construct(f"{path}.{key}", value) for key, value in node.items()}
     kind = import_target(node["_target_"])
     fields = {key: value for key, value in node.items() if key != "_target_"}
-    arguments = {key: _checked_argument(path, kind, key, value) for key, value in fields.items()}
+    arguments = {key: _check_argument(path, kind, key, value) for key, value in fields.items()}
     return kind(**arguments)
 
 
@@ -87,7 +87,7 @@ def constructor_fields(kind: type) -> tuple[dict[str, Any], tuple[str, ...]]:
     return hints, tuple(signature(kind).parameters)
 
 
-def _checked_argument(path: str, kind: type, key: str, value: Any) -> Any:
+def _check_argument(path: str, kind: type, key: str, value: Any) -> Any:
     """Check a setting against the type of its constructor parameter, and return the value to
     pass."""
     hints, names = constructor_fields(kind)

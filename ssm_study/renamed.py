@@ -83,6 +83,12 @@ NAMES: Mapping[str, str] = {
     "table.filters.where": "table.filters.filter_rows",
     "table.gather.table_of": "table.gather.table_from_records",
     "table.show.show": "table.show.show_table",
+    "certificates.theorems.deployed_rate.at_largest_rate": (
+        "certificates.theorems.deployed_rate.certificate_at_largest_rate"
+    ),
+    "robustness.sensitivity.controller_radius": (
+        "robustness.sensitivity.controller_spectral_radius"
+    ),
     "certificates.certificate.OfProblem": "certificates.certificate.ProblemCertificate",
     "bounds.frequency.largest_gains": "bounds.frequency.largest_gains",
     "bounds.gramians.balance": "bounds.gramians.balanced_realization",
@@ -123,7 +129,7 @@ NAMES: Mapping[str, str] = {
     "signals.fit_of_error": "signals.fit_from_relative_error",
     "signals.lagged": "signals.lagged_inputs",
     "signals.repetition": "signals.find_repetition",
-    "study.preload.warm": "study.preload.preload",
+    "study.preload.warm": "study.preload.preload_modules",
     "study.recordings.read_experiment": "study.loop_recordings.read_experiment",
     "study.recordings.read_rollouts": "study.loop_recordings.read_rollouts",
     "style.above": "style.place_legend_above",
@@ -136,7 +142,7 @@ NAMES: Mapping[str, str] = {
     "study.stages.read_design": "study.stages.synthesis.read_design",
     "study.stages.read_model": "study.stages.model.read_model",
     "synthesis.candidates.Found": "synthesis.candidates.GainCandidate",
-    "synthesis.deployed.as_deployed": "synthesis.deployed.with_gain_certificates",
+    "synthesis.deployed.as_deployed": "synthesis.deployed.add_gain_certificates",
     "synthesis.design.Request": "synthesis.design.DesignAttempt",
     "synthesis.design.broken_claims": "synthesis.design.failed_checks",
     "synthesis.integrated_error.at_rest": "models.structured.linearise_at_equilibrium",
@@ -162,13 +168,25 @@ NAMES: Mapping[str, str] = {
 # Methods by their class: a subclass that defines the old name answers to the new one, and whoever
 # calls the old name reaches the new method.
 METHODS: Mapping[str, Mapping[str, str]] = {
-    "certificates.certificate.ProblemCertificate": {"posed": "as_problem"},
+    "certificates.certificate.ProblemCertificate": {
+        "numbers_of": "certificate_numbers",
+        "posed": "as_problem",
+        "rate_limit_of": "largest_provable_rate",
+    },
+    "certificates.certificate.Side": {
+        "at_largest_rate": "certificate_at_largest_rate",
+        "ball": "required_ball",
+        "numbers_of": "certificate_numbers",
+    },
     "certificates.theorem.Theorem": {
+        "ball": "required_ball",
         "broken": "failed_checks",
         "given": "model_data",
         "exactly": "exact_conditions",
         "in_floats": "as_floats",
         "numbers": "variables",
+        "proved": "from_numbers",
+        "rate_limit_of": "largest_provable_rate",
     },
     "models.identified.ScaffoldedModel": {"lift": "map_input", "read": "output_at"},
     "models.scaffolds.scaffold.Scaffold": {
@@ -177,10 +195,14 @@ METHODS: Mapping[str, Mapping[str, str]] = {
         "centre": "jacobian_centre",
         "portable": "as_portable",
     },
-    "models.scaffolds.trainable.Trainable": {"frozen": "freeze", "start": "initial_values"},
+    "models.scaffolds.trainable.Trainable": {
+        "explicit": "explicit_parameters",
+        "frozen": "freeze",
+        "start": "initial_values",
+    },
     "engine.stages.Stages": {
-        "aside": "unrecorded",
-        "keyed": "stage_with_key",
+        "aside": "unrecorded_store",
+        "keyed": "stage_result",
         "measured": "stage_columns",
         "take": "run_stage",
     },
@@ -188,7 +210,7 @@ METHODS: Mapping[str, Mapping[str, str]] = {
         "asked": "command_line_columns",
         "inputs": "input_files",
         "refuse": "refuse_configuration",
-        "warm": "preload",
+        "warm": "preload_modules",
     },
     "plants.plant.Plant": {"pushed_by": "disturbance_effect"},
     "plants.wrapper.Wrapper": {
@@ -202,8 +224,10 @@ METHODS: Mapping[str, Mapping[str, str]] = {
         "start": "initial_memory",
     },
     "loop.peers.peer.Identified": {"shown": "mismatch"},
-    "report.study_folder.StudyFolder": {"of_best": "read_from_best"},
+    "api.design.Design": {"within": "within_limits"},
+    "report.study_folder.StudyFolder": {"best": "best_run", "of_best": "read_from_best"},
     "robustness.prediction.Prediction": {"keeps_the_plant": "predicts_stability"},
+    "engine.runs.Run": {"note": "add_columns"},
     "exact.Exact": {"of": "from_floats", "rounded": "to_floats"},
     "signals.DataSet": {"undelayed": "shift_out_dead_time"},
     "signals.Scale": {"unit": "identity"},
@@ -525,7 +549,7 @@ def _restore_old_names(module: ModuleType, inner: str) -> None:
         if old.rpartition(".")[0] == inner
     }
 
-    def look_up(name: str) -> Any:
+    def find_renamed_object(name: str) -> Any:
         """Object of the module that an old name stands for; a warning is issued."""
         if name not in old_names:
             raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}")
@@ -534,7 +558,7 @@ def _restore_old_names(module: ModuleType, inner: str) -> None:
         return getattr(importlib.import_module(f"{OURS}.{place}"), present)
 
     if old_names:
-        vars(module).setdefault("__getattr__", look_up)
+        vars(module).setdefault("__getattr__", find_renamed_object)
     for dotted, methods in METHODS.items():
         place, _, name = dotted.rpartition(".")
         if place == inner:

@@ -224,7 +224,7 @@ class Gains:
             np.eye(self.k.shape[-1] - self.l.shape[-2]) if self.internal is None else self.internal
         )
 
-    def at(self, which: int | Int[np.ndarray, "N"]) -> "Gains":
+    def select_pairs(self, which: int | Int[np.ndarray, "N"]) -> "Gains":
         """Select one pair of controller and observer, or several, from a stack of gains."""
         l_z = None if self.l_z is None else self.l_z[which]
         return Gains(k=self.k[which], l=self.l[which], l_z=l_z, internal=self.internal)

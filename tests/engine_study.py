@@ -122,7 +122,7 @@ def _devour(_: Run) -> None:
 
 
 def _infeasible(run: Run) -> None:
-    run.note(status="infeasible", infeasible_reason="the rate is below the limit")
+    run.add_columns(status="infeasible", infeasible_reason="the rate is below the limit")
 
 
 BEHAVIOUR = {

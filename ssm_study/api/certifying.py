@@ -263,8 +263,8 @@ def _prove_rate(
     except NoSolution:
         return None
     solution = Solution(p=p, y=p, k=k, sigma=1.0, status="bounded-real equation")
-    numbers = theorem.numbers_of(problem, solution)
-    part: Side = theorem.proved(
+    numbers = theorem.certificate_numbers(problem, solution)
+    part: Side = theorem.from_numbers(
         numbers, rate_limit=limit, method="given", status=solution.status, started=started
     )
     return part

@@ -166,11 +166,11 @@ def _design_for_system(
         output = slope_ball("output_slopes", output_slopes)
         balls = replace(balls, output=output)
     certificate = parts.build("synthesis").design(model, balls)
-    certificate = without_settings_of_a_study(certificate)
+    certificate = replace_study_remedies(certificate)
     return Design(certificate=certificate, model=model, overrides=overrides)
 
 
-def without_settings_of_a_study(certificate: Certificates) -> Certificates:
+def replace_study_remedies(certificate: Certificates) -> Certificates:
     """Replace advice that names settings of a study, because a system given as matrices has no such
     settings."""
     sides = {}

@@ -166,7 +166,7 @@ class Design:
         gains = self.certificate.pair
         return eigenvalue_groups(self.model, gains)
 
-    def within(self, lower: Values, upper: Values) -> WithinLimits:
+    def within_limits(self, lower: Values, upper: Values) -> WithinLimits:
         """Guarantee of the design under input limits, in physical units.
 
         Raises `BadRequest` for a model with neurons, about which nothing is proved within limits.

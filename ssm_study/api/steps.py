@@ -86,7 +86,7 @@ def design_controller(
     """
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.decay_response import simulate_decays
-    from ssm_study.synthesis.deployed import with_gain_certificates
+    from ssm_study.synthesis.deployed import add_gain_certificates
     from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, is_coverage_sought
 
     balls = certified_balls(model)
@@ -102,7 +102,7 @@ def design_controller(
             scale_deviation(model, lower), scale_deviation(model, upper)
         )
     design = synthesis.design(model, balls, data.validation, relevant_mismatch)
-    design = with_gain_certificates(design, model, balls, (lower, upper))
+    design = add_gain_certificates(design, model, balls, (lower, upper))
     if is_coverage_sought(model, getattr(synthesis, "cover", None), premise):
         design = add_coverage_certificate(design, model, balls, premise)
     return design

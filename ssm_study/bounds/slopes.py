@@ -63,7 +63,9 @@ def _round_down(value: Fraction) -> float:
     return nearest if Fraction(nearest) <= value else float(np.nextafter(nearest, -np.inf))
 
 
-def ball_around_identity(centre: Float[np.ndarray, "m m"], radius: float) -> JacobianBall:
+def enclosing_ball_at_scaled_identity(
+    centre: Float[np.ndarray, "m m"], radius: float
+) -> JacobianBall:
     """Ball of Jacobians that contains a given ball and whose centre is a multiple of the identity.
     Its radius grows by the distance between the centres.
 
@@ -131,7 +133,8 @@ def interval_bound(network: Network) -> SlopeBound:
     last = network.weights[-1]
     radius = np.abs(last) @ radius + ROUNDING_SHARE * (np.abs(last) @ size)
     return bound_from_ball(
-        ball_around_identity(last @ centre, float(np.linalg.norm(radius, 2))), method="interval"
+        enclosing_ball_at_scaled_identity(last @ centre, float(np.linalg.norm(radius, 2))),
+        method="interval",
     )
 
 

@@ -81,19 +81,19 @@ class Side(Theorem, abstract=True):
         return float(np.linalg.norm(self.gain, 2))
 
     @classmethod
-    def ball(cls, context: VerificationContext) -> JacobianBall:
+    def required_ball(cls, context: VerificationContext) -> JacobianBall:
         """Ball of Jacobians for which the certificate has to hold. For a controller it is that of
         `S_u`, for an observer that of `S_y`."""
         return context.balls.output if cls.observes else context.balls.input
 
-    def at_largest_rate(self) -> "Side | None":
+    def certificate_at_largest_rate(self) -> "Side | None":
         """Certificate of the same gain at the largest rate that is proved for it; None where the
         certified rate is already that large."""
         return None
 
     @staticmethod
     @abstractmethod
-    def numbers_of(problem: Any, found: Any) -> dict[str, Any]:
+    def certificate_numbers(problem: Any, found: Any) -> dict[str, Any]:
         """Collect from a problem and its solution every number that the certificate stores."""
 
 
@@ -128,15 +128,15 @@ class ProblemCertificate(Side, abstract=True):
         return {part.name: getattr(system, part.name) for part in fields(self) if part.name in DUAL}
 
     @classmethod
-    def rate_limit_of(cls, context: VerificationContext) -> float:
+    def largest_provable_rate(cls, context: VerificationContext) -> float:
         """Largest rate that any certificate of this theorem can prove for a model. It is the exact
         frontier; with neurons, the smallest over frozen slopes."""
         system = cls._system(context)
         controlled = dual_system(system) if cls.observes else system
-        return controller_frontier(controlled, cls.ball(context)).rate_limit
+        return controller_frontier(controlled, cls.required_ball(context)).rate_limit
 
     @classmethod
-    def numbers_of(cls, problem: Problem, found: Solution) -> dict[str, Any]:
+    def certificate_numbers(cls, problem: Problem, found: Solution) -> dict[str, Any]:
         """Collect the certificate's matrices from a problem and its solution, keyed by symbol.
         Those of an observer are transposed back from the dual problem."""
         of: dict[str, Any] = {

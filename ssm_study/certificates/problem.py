@@ -50,7 +50,7 @@ class Neurons:
         ratio = np.divide(into, seen, out=np.ones_like(into), where=(into > 0) & (seen > 0))
         return np.exp2(np.round(np.log2(ratio) / 2))
 
-    def scaled(self) -> "Neurons":
+    def in_balanced_units(self) -> "Neurons":
         """The same neurons in balanced units."""
         d = self.neuron_scales
         return Neurons(

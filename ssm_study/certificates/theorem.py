@@ -159,12 +159,12 @@ class Theorem(ABC):
 
     @staticmethod
     @abstractmethod
-    def ball(context: VerificationContext) -> JacobianBall:
+    def required_ball(context: VerificationContext) -> JacobianBall:
         """Ball of Jacobians of the stored model, which the certificate's own ball must contain."""
 
     @classmethod
     @abstractmethod
-    def rate_limit_of(cls, context: VerificationContext) -> float | None:
+    def largest_provable_rate(cls, context: VerificationContext) -> float | None:
         """Largest rate that the theorem can prove for a model with any gain; None where no formula
         is known."""
 
@@ -174,7 +174,7 @@ class Theorem(ABC):
         return cls.__module__.rpartition(".")[2]
 
     @classmethod
-    def _evaluated(
+    def _evaluate_conditions(
         cls, read: Callable[[Any], Any], numbers: Mapping[str, Any]
     ) -> dict[str, Blocks]:
         """Block matrices of the theorem's conditions, computed in floats or in exact numbers."""
@@ -188,7 +188,7 @@ class Theorem(ABC):
     @classmethod
     def as_floats(cls, **numbers: Any) -> dict[str, Float[np.ndarray, "s s"]]:
         """Matrices of the certificate's inequalities in floats, each scaled to a unit diagonal."""
-        found = cls._evaluated(np.atleast_2d, numbers)
+        found = cls._evaluate_conditions(np.atleast_2d, numbers)
         return {label: scale_to_unit_diagonal(np.block(blocks)) for label, blocks in found.items()}
 
     @classmethod
@@ -197,7 +197,7 @@ class Theorem(ABC):
         the shapes do not fit."""
         return {
             label: Exact.block(blocks)
-            for label, blocks in cls._evaluated(Exact.from_floats, numbers).items()
+            for label, blocks in cls._evaluate_conditions(Exact.from_floats, numbers).items()
         }
 
     @classmethod
@@ -209,7 +209,7 @@ class Theorem(ABC):
         )
 
     @classmethod
-    def proved(
+    def from_numbers(
         cls, numbers: Mapping[str, Any], *, started: float, status: str, **information: Any
     ) -> Any:
         """Construct a certificate from its numbers and decide it in exact arithmetic. Products are

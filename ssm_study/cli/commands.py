@@ -21,7 +21,7 @@ Command = Callable[[argparse.Namespace], int | None]
 EXPORTED = (".h", ".c", ".json", ".py", ".onnx")
 
 
-def act_on_folder(action: Command, subject: str, options: argparse.Namespace) -> int | None:
+def run_command_on_folder(action: Command, subject: str, options: argparse.Namespace) -> int | None:
     """Find the study folder or run folder that the options name, and call the command with it."""
     from ssm_study.table import folders
 
@@ -142,7 +142,7 @@ def verify_run(options: argparse.Namespace) -> int:
 
 def refine_run(options: argparse.Namespace) -> int:
     """Refine a run's controller and print one line for each step."""
-    from ssm_study.cli.summary import conclude_run
+    from ssm_study.cli.summary import print_run_summary
     from ssm_study.study.refine import refine
 
     require_at_least(1, "--times", options.times, "use 4 or so")
@@ -150,7 +150,7 @@ def refine_run(options: argparse.Namespace) -> int:
     for step in refine(options.run, options.record, options.times):
         print(step.said, flush=True)
         last_config = step.config or last_config
-    failed = last_config is not None and conclude_run(last_config)
+    failed = last_config is not None and print_run_summary(last_config)
     return SOME_FAILED if failed else DONE
 
 
@@ -170,7 +170,7 @@ def export_controller(options: argparse.Namespace) -> None:
     from ssm_study.study.verify import verify
 
     # What is exported claims to be certified: recompute it first.
-    verify(options.run).demand("run", options.run)
+    verify(options.run).require_valid("run", options.run)
     if not options.yes and not may_overwrite(options.to):
         print("nothing written")
         return

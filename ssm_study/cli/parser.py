@@ -122,7 +122,7 @@ def add_action(subparsers: Subparsers, name: str, action: Action) -> None:
     subject = action.subject
     metavar = subject.upper().replace("_OR_", "|")
     command.add_argument(subject, type=Path, metavar=metavar, help=SUBJECTS[subject])
-    function = partial(commands.act_on_folder, action.function, subject)
+    function = partial(commands.run_command_on_folder, action.function, subject)
     command.set_defaults(command=function)
     if action.add_options is not None:
         action.add_options(command)

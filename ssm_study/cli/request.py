@@ -109,7 +109,7 @@ def refuse_empty(request: Command) -> None:
 
 
 @contextmanager
-def checked_request(request: Command) -> Iterator[None]:
+def request_checks(request: Command) -> Iterator[None]:
     """Context in which every job of a request is checked before Hydra starts. It also shows
     progress where the launcher reports none.
 

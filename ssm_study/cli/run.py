@@ -23,10 +23,10 @@ from ssm_study.cli.request import (
     JUST_ASKING,
     OPEN,
     check_request,
-    checked_request,
+    request_checks,
     translate_arguments,
 )
-from ssm_study.cli.summary import conclude_run, conclude_sweep
+from ssm_study.cli.summary import print_run_summary, print_sweep_summary
 from ssm_study.engine.compose import Command, clear_hydra_state
 from ssm_study.refusal import BadRequest, require
 
@@ -107,12 +107,12 @@ def answer_request(overrides: list[str], opens: bool) -> int:
         return DONE
     print_progress("reading the request")
     request = check_request(overrides, folder, "study")
-    with checked_request(request):
+    with request_checks(request):
         print_progress("loading the libraries")
         request.execute(_task_function())
     if request.config.dry_run:
         return DONE
-    failed = conclude_study(request)
+    failed = print_study_summary(request)
     if opens:
         show_page(request)
     return SOME_FAILED if failed else DONE
@@ -146,10 +146,14 @@ def show_page(request: Command) -> None:
     open_page(page)
 
 
-def conclude_study(request: Command) -> bool:
+def print_study_summary(request: Command) -> bool:
     """Gather the runs of a study into its table and print the table. A single run is drawn. True if
     a run failed."""
-    return conclude_sweep(request.config) if request.is_sweep else conclude_run(request.config)
+    return (
+        print_sweep_summary(request.config)
+        if request.is_sweep
+        else print_run_summary(request.config)
+    )
 
 
 def _task_function() -> Callable[[DictConfig], Any]:

@@ -22,7 +22,7 @@ RUN_FIGURES = PAPER_FIGURES
 WIDTH = 80  # of the outcome, where a terminal is not narrower
 
 
-def conclude_run(config: DictConfig) -> bool:
+def print_run_summary(config: DictConfig) -> bool:
     """Gather the study, draw the figures of the run and print its outcome. True if the run failed
     or, with `strict`, cannot be judged."""
     study = study_folder(config)
@@ -90,7 +90,7 @@ def _outcome_text(
     return said.get().rstrip("\n")
 
 
-def conclude_sweep(config: DictConfig) -> bool:
+def print_sweep_summary(config: DictConfig) -> bool:
     """Gather the study and print its table. True if any run failed."""
     from ssm_study.evidence.finding import CANNOT_JUDGE
     from ssm_study.table.show import show_table

@@ -13,17 +13,17 @@ from ssm_study.cli.run import configuration_folder
 from ssm_study.extensions import extension_configuration_folders
 
 
-def folders() -> list[Path]:
+def configuration_folders() -> list[Path]:
     """Folders that hold the yaml files of configuration groups, this package's first, in the order
     in which Hydra searches them."""
     return [configuration_folder(), *extension_configuration_folders()]
 
 
-def choices(group: str) -> list[str]:
+def list_choices(group: str) -> list[str]:
     """Names of all complete yaml files of a configuration group; files with missing values (`???`)
     are left out."""
     names = set()
-    for folder in folders():
+    for folder in configuration_folders():
         for path in (folder / group).glob("*.yaml"):
             if ": ???" not in path.read_text(encoding="utf-8"):
                 names.add(path.stem)
@@ -31,7 +31,7 @@ def choices(group: str) -> list[str]:
 
 
 @cache
-def part(group: str, choice: str) -> Any:
+def construct_choice(group: str, choice: str) -> Any:
     """Object that a study would construct for one choice of a configuration group."""
     from ssm_study.cli.from_python import compose_configuration
     from ssm_study.construction import construct_part

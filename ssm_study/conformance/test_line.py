@@ -9,7 +9,7 @@ import jaxtyping
 import pytest
 
 from ssm_study.cli.main import main
-from ssm_study.conformance import choices, folders
+from ssm_study.conformance import configuration_folders, list_choices
 from ssm_study.extensions import extension_configuration_folders, extension_modules
 from ssm_study.report import figures
 from ssm_study.study.verify import verify
@@ -28,20 +28,20 @@ QUICK = ("synthesis=riccati", "+data.trials=false")
 OPTIONS = {"plant": "plant", "scaffold": "scaffold@model.scaffold_in", "reduction": "reduction"}
 
 
-def every_choice() -> list[tuple[str, ...]]:
+def run_choices() -> list[tuple[str, ...]]:
     """Command-line words of one run for each choice of the configuration groups and each experiment
     of an extension package."""
     words: list[tuple[str, ...]] = []
     for group, option in OPTIONS.items():
-        words += [(*QUICK, f"{option}={name}") for name in choices(group)]
-    words += [(f"synthesis={name}",) for name in choices("synthesis")]
+        words += [(*QUICK, f"{option}={name}") for name in list_choices(group)]
+    words += [(f"synthesis={name}",) for name in list_choices("synthesis")]
     for folder in extension_configuration_folders():
         words += [(f"experiment={path.stem}",) for path in folder.glob("experiment/*.yaml")]
     return words
 
 
 @pytest.fixture(autouse=True)
-def _no_more_than_the_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def _switch_off_checks_and_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Switch off the checks of array shapes and the figures, because whole runs are tested here.
 
     No generator: of a module that jaxtyping checks, pytest would take its fixture for one that
@@ -60,8 +60,8 @@ def shared_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return (base.parent if is_worker else base) / "every"
 
 
-@pytest.mark.parametrize("choice", every_choice(), ids=lambda choice: choice[-1])
-def test_the_whole_line(choice: tuple[str, ...], shared_results: Path) -> None:
+@pytest.mark.parametrize("choice", run_choices(), ids=lambda choice: choice[-1])
+def test_every_choice_runs_to_a_record(choice: tuple[str, ...], shared_results: Path) -> None:
     """Every choice of a configuration group runs from data to a finished record."""
     study = "".join(letter if letter.isalnum() else "_" for letter in choice[-1])
     tiny = TINY[choice[-1].startswith("experiment=") :]
@@ -81,7 +81,7 @@ def test_the_whole_line(choice: tuple[str, ...], shared_results: Path) -> None:
 
 def test_no_choice_of_another_package_hides_behind_ours() -> None:
     """No extension package has a yaml file or figure with the name of one of this package."""
-    ours, *others = folders()
+    ours, *others = configuration_folders()
     our_files = yaml_files(ours)
     for theirs in others:
         assert not yaml_files(theirs) & our_files

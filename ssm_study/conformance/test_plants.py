@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from ssm_study.conformance import choices, part
+from ssm_study.conformance import construct_choice, list_choices
 from ssm_study.plants.plant import Plant
 
 SAMPLES = 30
 HALF = 15
 
 
-@pytest.fixture(params=choices("plant"))
+@pytest.fixture(params=list_choices("plant"))
 def plant(request: pytest.FixtureRequest) -> Plant:
     """Plant of one choice of the configuration group `plant`."""
-    made: Plant = part("plant", request.param)
+    made: Plant = construct_choice("plant", request.param)
     return made
 
 

@@ -117,7 +117,7 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
             return title
     for title in free:
         times = table.columns[title]
-        if title.endswith(":1") and is_evenly_spaced(times) and not counts_rows(times):
+        if title.endswith(":1") and is_evenly_spaced(times) and not are_row_numbers(times):
             return title
     first = next(iter(table.columns), None)
     if first is None or first not in free or len(table.columns) < 2:
@@ -125,7 +125,7 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     if not is_nameless(table, first):
         return None
     times = table.columns[first]
-    if not is_increasing(times) or counts_rows(times):
+    if not is_increasing(times) or are_row_numbers(times):
         return None
     known = times[np.isfinite(times)]
     increases = np.diff(known) > 0
@@ -179,7 +179,7 @@ def is_evenly_spaced(times: ClockTimes) -> bool:
     return bool(steps.min() > 0 and spread <= 1e-3 * steps.mean())
 
 
-def counts_rows(times: ClockTimes) -> bool:
+def are_row_numbers(times: ClockTimes) -> bool:
     """Whether a column's values are the row numbers 0, 1, 2, ... or 1, 2, 3, ..."""
     finite = times[np.isfinite(times)]
     is_one = np.diff(finite) == 1.0
@@ -229,7 +229,7 @@ def first_column_counts_rows(contents: Table) -> bool:
         return False
     if not np.isfinite(times).all():
         return False
-    return len(times) > 2 and counts_rows(times)
+    return len(times) > 2 and are_row_numbers(times)
 
 
 def refuse_backward_clock(

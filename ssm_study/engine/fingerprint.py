@@ -43,8 +43,7 @@ FORM = f"1 {sys.version}"  # syntax trees differ from one Python to the next
 
 
 class Part(NamedTuple):
-    """Statements that define one name: their digest and the names and imports that they depend
-    on."""
+    """Statements that define one name: their digest and the names that they depend on."""
 
     digest: str
     names: list[str]
@@ -91,8 +90,7 @@ class Code:
         return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()
 
     def _is_defined(self, module: str, name: str) -> bool:
-        """Whether a module defines a name. A library, or a module without statements, may define
-        any name."""
+        """Whether a module defines a name; a library may define any name."""
         if not self._is_followed(module.split(".")[0]):
             return True
         read = self._read_module(module)
@@ -125,16 +123,14 @@ class Code:
                 self._read_module(module)
 
     def _followed_symbol(self, symbol: Symbol) -> Symbol:
-        """Symbol in the form in which dependencies are followed: a library as a whole, a symbol of
-        this package under its present name."""
+        """Symbol as it is followed: a library as a whole, others under their present names."""
         top = symbol[0].split(".")[0]
         if not self._is_followed(top):
             return (top, LIBRARY)
         return self._present_symbol(symbol) if top == OURS else symbol
 
     def _present_symbol(self, symbol: Symbol) -> Symbol:
-        """Present module and name of a symbol of this package, which other people's code may import
-        by an old name."""
+        """Present module and name of a symbol that other code may import by an old name."""
         module, name = symbol
         if name in (WHOLE, LIBRARY):
             return (
@@ -146,8 +142,7 @@ class Code:
         return current_symbol(module, name)
 
     def _is_followed(self, top: str) -> bool:
-        """Whether the sources of a package are read. They are for this package, and for code that
-        is not installed as a library (a clone, a script)."""
+        """Whether the sources of a package are read, as for this package and uninstalled code."""
         if top not in self.followed:
             path = None if top in sys.stdlib_module_names else self._source_path(top)
             is_ours = top in (*self.folders, OURS, "__main__")
@@ -173,8 +168,7 @@ class Code:
             yield from self._symbols_in_module(module, read)
 
     def _symbols_in_module(self, module: str, read: Module) -> Iterator[Symbol]:
-        """All symbols of a module. An `__init__.py` also counts the symbols of the package's files,
-        because members are found by name."""
+        """All symbols of a module; an `__init__.py` also has those of the package's files."""
         for bound in read.bound_names:
             yield module, bound
         for symbols in read.imported.values():
@@ -227,8 +221,8 @@ CODE = Code()
 
 
 def _is_installed(path: Path) -> bool:
-    """Whether a source file belongs to an installed library, also one that lies in a folder of its
-    own (`pip install --target`): its distribution's `.dist-info` then stands beside the package."""
+    """Whether a source file belongs to an installed library. One in a folder of its own (`pip
+    install --target`) has its `.dist-info` beside the package."""
     if not INSTALLED.isdisjoint(path.parts):
         return True
     package = path.parent if path.name == "__init__.py" else path
@@ -264,8 +258,7 @@ def find_symbol(root: Callable[..., Any] | type | str) -> Symbol:
 
 @cache
 def library_version(library: str) -> str:
-    """Version of the installed distribution that provides an import name; empty for the standard
-    library."""
+    """Version of the distribution that provides an import name; empty for Python's own."""
     if library in sys.stdlib_module_names:
         return ""
     with suppress(metadata.PackageNotFoundError):

@@ -171,7 +171,7 @@ def preload_for_jobs(task: Task[Any], jobs: list[Job]) -> None:
         with contextlib.suppress(Exception):  # the job itself says what is wrong with it
             task.stages(task.request(job.settings), planned)
     missing = Counter(result.name for result in planned.noted.values() if not result.reused)
-    task.preload({name for name, number in missing.items() if number > 1})
+    task.preload_modules({name for name, number in missing.items() if number > 1})
     task.provenance()
 
 

@@ -21,7 +21,7 @@ class PlannedStages(Stages):
     store: Store
     noted: dict[str, StageResult] = field(default_factory=dict)
 
-    def stage_with_key(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
+    def stage_result(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
         """Note that a run needs the stage with a given key and whether the store has it, without
         computing it."""
         if key in self.noted:  # many runs share a stage: its folder is looked for once

@@ -43,23 +43,25 @@ class Outcome:
 @dataclass
 class Run:
     """Run folder that this process has claimed. The work writes its files into `path` and its
-    numbers through `note`."""
+    numbers through `add_columns`."""
 
     path: Path
     facts: dict[str, Any] = field(default_factory=dict)
     stage_folders: list[Path] = field(default_factory=list)  # that the work has taken so far
 
-    def note(self, **facts: Any) -> None:
+    def add_columns(self, **facts: Any) -> None:
         """Add columns to the run's record, which stay even if the work fails later."""
         self.facts.update(facts)
 
-    def note_stage(
+    def record_stage(
         self, stage: StageResult, files: Iterable[str], facts: Mapping[str, Any]
     ) -> None:
         """Record a finished stage (columns, key, seconds, whether it was reused) and copy its files
         into the run folder."""
         about = {"key": stage.key, "seconds": stage.seconds, "reused": stage.reused}
-        self.note(**facts, **{f"stage_{stage.name}_{name}": value for name, value in about.items()})
+        self.add_columns(
+            **facts, **{f"stage_{stage.name}_{name}": value for name, value in about.items()}
+        )
         for name in files:
             if (stage.path / name).is_file():
                 link_or_copy(stage.path / name, self.path / name)
@@ -103,7 +105,7 @@ def execute_run(
             (folder / ".hydra").mkdir(exist_ok=True)
             write_atomically(folder / ".hydra" / name, text.encode(), durable=False)
         opening = dict(parameters) | _starting_columns(folder, before) | dict(provenance or {})
-        return _do_work(folder, opening, work)
+        return _execute_work(folder, opening, work)
 
 
 def _starting_columns(folder: Path, before: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -154,7 +156,7 @@ def existing_outcome(folder: Path, before: Mapping[str, Any] | None) -> Outcome:
     return Outcome(folder=folder, status=before["status"], did=did, message=message)
 
 
-def _do_work(
+def _execute_work(
     folder: Path, opening: dict[str, Any], work: Callable[[Run], Mapping[str, Any] | None]
 ) -> Outcome:
     """Do the work of a run and write its record, even if the work fails."""
@@ -163,7 +165,7 @@ def _do_work(
     # Until the end only the lock says that the run is under way.
     records.write_record(folder, opening, durable=False)
     try:
-        run.note(**(work(run) or {}))
+        run.add_columns(**(work(run) or {}))
         status = run.facts.get("status", OK)
         problem = "not the status of finished work"
         require(status in FINISHED, "status", status, problem, "return ok or infeasible")

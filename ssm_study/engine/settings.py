@@ -133,13 +133,13 @@ def run_name(config: DictConfig | Settings, *shown: str) -> str:
     words = []
     for pair in shown:
         word, _, path = pair.partition(":")
-        value = value_at(identity, path)
+        value = value_at_path(identity, path)
         if isinstance(value, int | float | str):
             words.append(re.sub(r"[^A-Za-z0-9.]+", "_", f"{word}{value}")[:LONGEST_WORD])
     return "-".join([*words, digest_of_value(identity)[:NAME_DIGITS]])
 
 
-def value_at(settings: Any, path: str) -> Any:
+def value_at_path(settings: Any, path: str) -> Any:
     """Value at a dotted path of the settings; None if there is no such entry."""
     for word in path.split("."):
         settings = settings.get(word) if isinstance(settings, Mapping) else None

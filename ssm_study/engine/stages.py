@@ -118,12 +118,12 @@ class Stages(ABC):
             "before": [output.value_key for output in before],
             "code": code_version(stage.compute, *sorted(target_names(settings))),
         }
-        result = self.stage_with_key(stage.name, digest_of_value(note), note, compute)
+        result = self.stage_result(stage.name, digest_of_value(note), note, compute)
         output = StageOutput(stage, result, tuple(computed))
         return replace(output, facts=self.stage_columns(output, before))
 
     @abstractmethod
-    def stage_with_key(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:
+    def stage_result(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:
         """Result of the stage with a given key, which is computed if it is not stored yet. `note`
         says from what the key was made."""
 
@@ -131,7 +131,7 @@ class Stages(ABC):
         """Columns that describe a finished stage; empty in a plan."""
         return {}
 
-    def unrecorded(self) -> "Stages":
+    def unrecorded_store(self) -> "Stages":
         """The same store of stages, which does not note them in the run's record."""
         return self
 

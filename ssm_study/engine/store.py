@@ -67,7 +67,7 @@ class Store(Stages):
         durable.write_json_atomically(path, add_digest(body), durable=False)
         return facts
 
-    def stage_with_key(
+    def stage_result(
         self, name: str, key: str, note: dict[str, Any], compute: Compute
     ) -> StageResult:
         """Result of the stage with a given key. It is computed by `compute(folder)` if it is

@@ -73,7 +73,7 @@ class Task(ABC, Generic[R]):
         changes."""
         return []
 
-    def preload(self, again: Set[str]) -> None:
+    def preload_modules(self, again: Set[str]) -> None:
         """Import everything that the jobs of a sweep would import, once before the first job is
         forked.
 
@@ -178,30 +178,30 @@ class RunStages(Store):
     run: Run
     announces: bool = False
 
-    def stage_with_key(
+    def stage_result(
         self, name: str, key: str, note: dict[str, Any], compute: Compute
     ) -> StageResult:
         """Result of a stage, read from the store or else computed after its name is printed."""
 
-        def announced(folder: Path) -> None:
+        def compute_announced_stage(folder: Path) -> None:
             """Print the name of the stage and compute it."""
             if self.announces:
                 print(f"ssm-study: {name} ...", file=sys.stderr, flush=True)
             compute(folder)
 
-        result = super().stage_with_key(name, key, note, announced)
+        result = super().stage_result(name, key, note, compute_announced_stage)
         self.run.stage_folders.append(result.path)
         return result
 
     def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
         """Columns of a stage from the store, noted in the record of the run."""
         facts = super().stage_columns(output, before)
-        self.run.note_stage(
+        self.run.record_stage(
             output.result, output.stage.files, facts
         )  # at once: a later one may fail
         return facts
 
-    def unrecorded(self) -> Store:
+    def unrecorded_store(self) -> Store:
         """The store itself, which does not note its stages in the run's record."""
         return Store(self.root)
 

@@ -61,7 +61,7 @@ def judge_records(case: Case, mismatch: Mismatch) -> list[Finding]:
     return [*doubts, *_judge_saturation(case), *_judge_rest(case, mismatch)]
 
 
-def _join_scaled(case: Case, records: tuple[Trajectory, ...]) -> ScaledRecord:
+def _join_scaled_records(case: Case, records: tuple[Trajectory, ...]) -> ScaledRecord:
     """Scaled inputs and outputs of several records, joined."""
     parts = [case.scale_record(record) for record in records]
     inputs = np.concatenate([u for u, _ in parts])
@@ -74,12 +74,12 @@ def _judge_range(case: Case) -> Iterator[str]:
     Where a model integrates its input, the level of its output is no condition that it was trained
     at: its next change is the same at every level.
     """
-    trained = _join_scaled(case, case.data.training)
-    sides = [("input", 0)] if integrates(case) else [("input", 0), ("output", 1)]
+    trained = _join_scaled_records(case, case.data.training)
+    sides = [("input", 0)] if model_integrates(case) else [("input", 0), ("output", 1)]
     for name, index in sides:
         low = trained[index].min(axis=0)
         high = trained[index].max(axis=0)
-        tested = _join_scaled(case, case.data.test)[index]
+        tested = _join_scaled_records(case, case.data.test)[index]
         room = ROOM * (high - low)
         is_beyond = (tested < low - room) | (tested > high + room)
         share = float(is_beyond.any(axis=1).mean())
@@ -102,7 +102,7 @@ def _judge_range(case: Case) -> Iterator[str]:
 def _judge_levels(case: Case) -> Iterator[str]:
     """Sentences on a training input that changes too rarely, takes only two levels or stays on one
     side."""
-    u = _join_scaled(case, case.data.training)[0]
+    u = _join_scaled_records(case, case.data.training)[0]
     changes = count_input_changes(case.data)
     if changes < FEWEST_CHANGES:
         yield f"The input changes {changes} times in all training records: move it more often."
@@ -220,7 +220,7 @@ def _judge_slow_mode(case: Case) -> str:
     It speaks of the output where the log shows that it integrates, else of the model alone.
     """
     remainder = 100 * slowest_mode_remainder(case)
-    if integrator_share(case.data) is not None or not integrates(case):
+    if integrator_share(case.data) is not None or not model_integrates(case):
         return (
             f"The output integrates its input: the slowest mode keeps {remainder:.1f} % over the "
             "longest record, so no log shows where it rests: try the loop, and refine with that "
@@ -233,7 +233,7 @@ def _judge_slow_mode(case: Case) -> str:
     )
 
 
-def integrates(case: Case) -> bool:
+def model_integrates(case: Case) -> bool:
     """Whether the model integrates its input, so that the effect of an input never decays."""
     return case.model.linear.spectral_radius >= 1 - ROUNDING
 
@@ -315,7 +315,7 @@ def _judge_spectrum(case: Case) -> Iterator[str]:
 
     def power_spectrum(records: tuple[Trajectory, ...]) -> Float[np.ndarray, "F"]:
         """Power spectrum of the input over several records, summed over the channels."""
-        u, _ = _join_scaled(case, records)
+        u, _ = _join_scaled_records(case, records)
         _, spectrum = scipy.signal.welch(u, nperseg=min(64, len(u)), axis=0)
         return np.asarray(spectrum.sum(axis=1))
 

@@ -259,7 +259,7 @@ def _render_replay(device: Device, name: str) -> str:
             -2, 2, shape
         ).repeat(20, axis=0)
         signals["disturbance"] = disturbance
-    applied = device.replay_inputs(measured, wanted, disturbance)
+    applied = device.recomputed_inputs(measured, wanted, disturbance)
     passed = "" if disturbance is None else ", disturbance[k]"
 
     signals["expected"] = applied

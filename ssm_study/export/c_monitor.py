@@ -47,7 +47,7 @@ class Filter:
     d: float
 
     @classmethod
-    def of(cls, weight: Float[np.ndarray, "v v"], kappa: float) -> "Filter | None":
+    def from_matrices(cls, weight: Float[np.ndarray, "v v"], kappa: float) -> "Filter | None":
         """Filter from matrices in controller canonical form; None for matrices in any other form.
         `[A, B; C, D]`."""
         order = len(weight) - 1
@@ -75,7 +75,7 @@ class Monitor:
     limit: float
 
     @classmethod
-    def of(cls, model: Model, design: Design) -> "Monitor | None":
+    def for_design(cls, model: Model, design: Design) -> "Monitor | None":
         """Monitor for a one-layer design with certified coverage; None for any other design, or
         with measured disturbances.
 
@@ -88,8 +88,8 @@ class Monitor:
         if not is_proved or not isinstance(model, SSM) or model.scale.disturbances:
             return None
         assert isinstance(part, MeasuredDiscs)
-        output = Filter.of(part.weight_output, part.kappa)
-        into = Filter.of(part.weight_input, part.kappa)
+        output = Filter.from_matrices(part.weight_output, part.kappa)
+        into = Filter.from_matrices(part.weight_input, part.kappa)
         if output is None or into is None:
             return None
         return cls(

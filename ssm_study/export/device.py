@@ -5,8 +5,8 @@ S_y^{-1}(w_r))`, clamped to the limits, `x* = (I - A)^{-1} B S_u(v*)`, `G = C (I
 and applies `u = clamp(u_eq + s_u (v* + K (x - x*)))`; with neurons equilibria are read from a curve
 (`rest_points`). The observer uses the input that was applied, so a limit does not disturb the
 estimate, and no error enters an internal model while it acts: nothing winds up. `Device` is also
-its own oracle: `replay_inputs` runs the law in NumPy, one rounding for one rounding of the C code
-compiled with `-ffp-contract=off`.
+its own oracle: `recomputed_inputs` runs the law in NumPy, one rounding for one rounding of the C
+code compiled with `-ffp-contract=off`.
 """
 
 from dataclasses import dataclass
@@ -288,7 +288,7 @@ class Device:
             "w": _evaluate_map(controller.s_out, evaluate_equilibrium_map(points.seen, lifted)),
         }
 
-    def replay_inputs(
+    def recomputed_inputs(
         self,
         y: Float[np.ndarray, "T p"],
         r: Float[np.ndarray, "T p"],

@@ -93,7 +93,7 @@ def render_controller(
             *_describe_limits(run, design, device),
             *_describe_rounding_error(run, device),
         ),
-        monitor=Monitor.of(_load_model(run), design),
+        monitor=Monitor.for_design(_load_model(run), design),
     )
 
 
@@ -364,7 +364,7 @@ def _provable_rate(
 ) -> float:
     """Largest rate, up to the certified one, that exact arithmetic proves for the rounded numbers.
     It is found by bisection; 0 if none can be proved."""
-    ball = part.ball(context)
+    ball = part.required_ball(context)
     stored = float(part.variables["rate"])
     numbers = part.variables | part.model_data(context) | gain
     numbers |= {"alpha": ball.alpha, "beta": ball.beta}

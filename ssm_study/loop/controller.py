@@ -223,7 +223,7 @@ class ObserverFeedback(EstimateFeedback):
         if self.gains.k.ndim == 2:
             return self
         indices = np.flatnonzero(stayed)
-        gains = self.gains.at(indices)
+        gains = self.gains.select_pairs(indices)
         return replace(self, gains=gains)
 
     def required_inputs(self, reference: Reference) -> Float[np.ndarray, "K m"]:

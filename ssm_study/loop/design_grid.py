@@ -102,7 +102,7 @@ def _prediction_columns(identified: Identified, gains: Gains) -> list[Row]:
     mismatch = identified.mismatch
     rows = []
     for i, area in enumerate(relative_areas(identified.model, gains, identified.validation)):
-        pair = gains.at(i)
+        pair = gains.select_pairs(i)
         predicted = predict(identified.model, pair, identified.balls, mismatch)
         gain_norm = float(np.linalg.norm(pair.k, 2))
         observer_gain_norm = float(np.linalg.norm(pair.l, 2))
@@ -127,7 +127,7 @@ def _behaviour_columns(
     designs = len(gains.k)
     cases = len(y0)
     each_case = np.repeat(np.arange(designs), cases)
-    observer_feedback_gains = gains.at(each_case)
+    observer_feedback_gains = gains.select_pairs(each_case)
     controller = ObserverFeedback(model=identified.model, gains=observer_feedback_gains)
     starts = np.tile(y0, (designs, 1))
     noises = np.tile(noise, (designs, 1, 1))

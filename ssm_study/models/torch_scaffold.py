@@ -29,22 +29,22 @@ class TorchScaffold(nn.Module):
                 name, nn.Parameter(at, requires_grad=not name.startswith(spec.fixed))
             )
 
-    def explicit(self) -> Any:
+    def explicit_parameters(self) -> Any:
         """Explicit parameters of the trainable map."""
-        return self.spec.explicit(dict(self.named_parameters()), self.slopes)
+        return self.spec.explicit_parameters(dict(self.named_parameters()), self.slopes)
 
     def forward(self, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch k"]:
         """Evaluate the trainable map at a batch of vectors."""
-        return self.spec.evaluate(self.explicit(), v)
+        return self.spec.evaluate(self.explicit_parameters(), v)
 
     def freeze(self) -> Any:
         """Trained static map as explicit numbers."""
-        return self.spec.freeze(self.explicit(), self.slopes)
+        return self.spec.freeze(self.explicit_parameters(), self.slopes)
 
     def pieces(self) -> Pieces | None:
         """Affine pieces of the map, if it is piecewise linear with one channel."""
-        return self.spec.pieces(self.explicit())
+        return self.spec.pieces(self.explicit_parameters())
 
     def roughness(self) -> Float[Tensor, ""]:
         """Total variation of the map's slopes, for the training penalty."""
-        return self.spec.roughness(self.explicit())
+        return self.spec.roughness(self.explicit_parameters())

@@ -80,12 +80,12 @@ class CascadedTanks(Plant):
         pumped = self.pump_gain * np.maximum(u[:, 0], 0.0)  # a pump does not suck
         substep_s = self.step_s / self.substeps
 
-        def rate(levels: States) -> States:
+        def level_rates(levels: States) -> States:
             """Time derivatives of both levels under constant input."""
             return self._level_rates(levels, pumped, d[:, 0])
 
         for _ in range(self.substeps):  # the brim is enforced after each substep
-            x = runge_kutta(rate, x, substep_s, 1)
+            x = runge_kutta(level_rates, x, substep_s, 1)
             x = np.clip(x, 0.0, self.brim_v)
         return x
 

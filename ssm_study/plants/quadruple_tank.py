@@ -95,11 +95,11 @@ class QuadrupleTank(Plant):
         into = self._pump_flows(u)
         into[:, :2] += d
 
-        def rate(levels: States) -> States:
+        def level_rates(levels: States) -> States:
             """Time derivatives of the four levels under constant input."""
             return self._level_rates(levels, into)
 
-        levels = runge_kutta(rate, x, self.step_s, self.substeps)
+        levels = runge_kutta(level_rates, x, self.step_s, self.substeps)
         return np.maximum(levels, 0.0)
 
     def _level_rates(self, h: States, into: States) -> States:

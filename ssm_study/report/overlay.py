@@ -71,7 +71,7 @@ def _read_test_free_run(folder: Path) -> RecordedCases:
     path = folder / "test.mcap"
     remedy = "choose runs that identified a model"
     require(path.is_file(), "run", folder, "it left no test record", remedy)
-    return RecordedCases.of(path)
+    return RecordedCases.from_file(path)
 
 
 def _signal_values(recording: RecordedCases, name: str) -> list[Float[np.ndarray, "T c"]]:

@@ -24,9 +24,9 @@ from ssm_study.study.recordings import RecordedCases
 def picture_of_best(name: str, study: StudyFolder) -> Picture:
     """Named picture of the study's best run. Raises `NothingToDraw` with the reason where it would
     be empty."""
-    if study.best is None:
+    if study.best_run is None:
         raise NothingToDraw("No run left a model.")
-    return picture_of_run(name, study.best)
+    return picture_of_run(name, study.best_run)
 
 
 def picture_of_run(name: str, run: RunFolder) -> Picture:
@@ -46,20 +46,20 @@ def read_parts(run: RunFolder, *parts: str) -> list[Any]:
     return values
 
 
-def show_margin(run: RunFolder) -> Picture:
+def picture_of_margin(run: RunFolder) -> Picture:
     """Picture of the stability margin by frequency."""
     model, gains, mismatch = read_parts(run, "any_model", "gains", "mismatch")
     curves = margin_curves(model, gains, certified_balls(model), mismatch)
     return margin_picture(curves, model.step_s, run.record.get("resolved_margin"))
 
 
-def show_nyquist(run: RunFolder) -> Picture:
+def picture_of_nyquist_curve(run: RunFolder) -> Picture:
     """Picture of the Nyquist curve, with discs for the measured model error."""
     model, gains = read_parts(run, "any_model", "gains")
     return nyquist_picture(model, gains, run.mismatch)
 
 
-def show_coverage(run: RunFolder) -> Picture:
+def picture_of_coverage(run: RunFolder) -> Picture:
     """Picture of the coverage by frequency band."""
     model, design, mismatch = read_parts(run, "any_model", "design", "mismatch")
     premise = measure_premise(
@@ -68,20 +68,20 @@ def show_coverage(run: RunFolder) -> Picture:
     return coverage_picture(design, premise, model.step_s)
 
 
-def show_bode(run: RunFolder) -> Picture:
+def picture_of_frequency_response(run: RunFolder) -> Picture:
     """Picture of the frequency response, beside an estimate from the record."""
     model, record = read_parts(run, "any_model", "validation")
     units = (record.unit("measured"), record.unit("input"))
     return bode_picture(model, record.records[0], certified_balls(model).input, units)
 
 
-def show_poles(run: RunFolder) -> Picture:
+def picture_of_poles(run: RunFolder) -> Picture:
     """Picture of the poles of model, loop and observer."""
     model, gains, design = read_parts(run, "any_model", "gains", "design")
     return poles_picture(eigenvalue_groups(model, gains), design.certified_rate("state_feedback"))
 
 
-def show_residuals(run: RunFolder) -> Picture:
+def picture_of_residuals(run: RunFolder) -> Picture:
     """Picture of the correlations of the test record's error."""
     (test,) = read_parts(run, "test")
     start = run.start_up_samples
@@ -92,7 +92,7 @@ def show_residuals(run: RunFolder) -> Picture:
     return residual_correlation_picture(errors, inputs, output_name, input_names)
 
 
-def show_free_run(run: RunFolder) -> Picture:
+def picture_of_free_run(run: RunFolder) -> Picture:
     """Picture of the free run on the test record."""
     (test,) = read_parts(run, "test")
     simulated = {"model": test["simulated"][0]}
@@ -102,13 +102,13 @@ def show_free_run(run: RunFolder) -> Picture:
     )
 
 
-def show_input_map(run: RunFolder) -> Picture:
+def picture_of_input_map(run: RunFolder) -> Picture:
     """Picture of the learned input map."""
     model, excitation = read_parts(run, "any_model", "excitation")
     return input_map_picture(model, certified_balls(model).input, excitation.label("input"))
 
 
-def show_set_point(run: RunFolder) -> Picture:
+def picture_of_set_point_step(run: RunFolder) -> Picture:
     """Picture of a step of the set point on the identified model."""
     model, design, test, excitation = read_parts(run, "any_model", "design", "test", "excitation")
     if not design.feasible or has_direct_feedthrough(model):
@@ -132,13 +132,13 @@ def _identified_plant(model: Any, record: RecordedCases) -> IdentifiedPlant:
 
 
 PICTURES: dict[str, Callable[[RunFolder], Picture]] = {
-    "free_run": show_free_run,
-    "margin_by_frequency": show_margin,
-    "coverage_by_band": show_coverage,
-    "nyquist": show_nyquist,
-    "set_point_step": show_set_point,
-    "frequency_response": show_bode,
-    "loop_poles": show_poles,
-    "residual_correlation": show_residuals,
-    "input_map": show_input_map,
+    "free_run": picture_of_free_run,
+    "margin_by_frequency": picture_of_margin,
+    "coverage_by_band": picture_of_coverage,
+    "nyquist": picture_of_nyquist_curve,
+    "set_point_step": picture_of_set_point_step,
+    "frequency_response": picture_of_frequency_response,
+    "loop_poles": picture_of_poles,
+    "residual_correlation": picture_of_residuals,
+    "input_map": picture_of_input_map,
 }

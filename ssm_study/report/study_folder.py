@@ -58,7 +58,7 @@ class RunFolder:
         path = self.path / f"{name}.mcap"
         if not path.is_file():
             return None
-        kept = RecordedCases.of(path)
+        kept = RecordedCases.from_file(path)
         return replace(kept, cases=dict(islice(kept.cases.items(), most)))
 
     @cached_property
@@ -110,7 +110,7 @@ class RunFolder:
     def validation_records(self) -> Trajectories:
         """All validation records; empty if the run left no recording."""
         path = self.path / "validation.mcap"
-        return RecordedCases.of(path).records if path.is_file() else ()
+        return RecordedCases.from_file(path).records if path.is_file() else ()
 
     @cached_property
     def mismatch(self) -> Mismatch | None:
@@ -200,7 +200,7 @@ class StudyFolder:
         return RunFolder(path=self.folder / name)
 
     @cached_property
-    def best(self) -> RunFolder | None:
+    def best_run(self) -> RunFolder | None:
         """Best run of the study that left a model; None if there is none."""
         names = (
             [self.shown]
@@ -215,7 +215,7 @@ class StudyFolder:
     def read_from_best(self, *parts: str, otherwise: str) -> list[Any]:
         """Read named parts of the study's best run, such as `model` or `closed_loop`. Raises
         `NothingToDraw` that names a missing part."""
-        found = [getattr(self.best, part, None) for part in parts]
+        found = [getattr(self.best_run, part, None) for part in parts]
         if any(part is None for part in found):
             raise NothingToDraw(otherwise)
         return found

@@ -72,7 +72,7 @@ class Weights:
         """Squared weight of the input at each frequency."""
         return squared_gain(self.input, angles)
 
-    def need(self, items: Sequence[Item]) -> tuple[float, str]:
+    def needed_radius(self, items: Sequence[Item]) -> tuple[float, str]:
         """Smallest disc radius at which every requirement of the records is met, and the
         requirement that decides it. It is infinite where a reference signal vanishes."""
         needs = [(self.required_radius(item), item.where) for item in items]
@@ -115,7 +115,7 @@ class Premise:
     sines: tuple[MismatchSpectrum, ...] = ()
     reason: str | None = None
 
-    def items(self, centre: float) -> list[Item]:
+    def requirements(self, centre: float) -> list[Item]:
         """Requirements that all records put on the weights of a disc with a given centre. The
         repeating record with the largest amplitude counts without doubt."""
         largest = max((record.amplitude for record in self.repeating), default=0.0)
@@ -132,12 +132,12 @@ class Premise:
         """Whether an input repeats in any record, so that noise is told from mismatch."""
         return bool(self.repeating)
 
-    def missing(self, centre: float) -> str | None:
+    def missing_reason(self, centre: float) -> str | None:
         """Reason why the records cannot be the premise of a proof with a given disc centre; None if
         they can."""
         if self.reason is not None:
             return self.reason
-        items = self.items(centre)
+        items = self.requirements(centre)
         if not any(item.model_power.sum() > 0 for item in items):
             return EMPTY
         return None if any(item.seen > 0 for item in items) else NO_MISMATCH

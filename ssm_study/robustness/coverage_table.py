@@ -47,7 +47,7 @@ def coverage_table(
     Groups of bands, means and totals have no row, so the largest `need` of the rows may be smaller
     than the need that `coverage` is taken over.
     """
-    bands = [item for item in premise.items(centre) if item.is_band]
+    bands = [item for item in premise.requirements(centre) if item.is_band]
     needs = [weights.required_radius(band) for band in bands]
     largest = max(needs, default=0.0)
     return [

@@ -38,7 +38,7 @@ from ssm_study.robustness.record_errors import View
 from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
     Responses,
-    controller_radius,
+    controller_spectral_radius,
     largest_singular_values,
     sensitivity,
     sensitivity_peak,
@@ -80,7 +80,7 @@ def predict(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> Pred
     return Prediction(
         mismatch_margin=1 / total_gain if total_gain else float("inf"),
         resolved_margin=1 / measure if measure else float("inf"),
-        controller_radius=float(controller_radius(model.system, pair, balls)),
+        controller_radius=float(controller_spectral_radius(model.system, pair, balls)),
         noise_peak=noise_peak(model, pair, balls, mismatch),
     )
 

@@ -118,7 +118,9 @@ def sensitivity_peak(system: System, pair: Gains, balls: Balls) -> float:
     return max(hinf_norm(sensitivity(*end)) for end in slope_combinations(system, pair, balls))
 
 
-def controller_radius(system: System, pair: Gains, balls: Balls) -> Float[np.ndarray, "*pairs"]:
+def controller_spectral_radius(
+    system: System, pair: Gains, balls: Balls
+) -> Float[np.ndarray, "*pairs"]:
     """Spectral radius of each controller alone, the largest over constant slopes. The internal
     model is left out.
 

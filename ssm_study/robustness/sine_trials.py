@@ -29,7 +29,7 @@ PEAKS = 2  # frequencies at most
 FEWEST_LINES = 4  # periods of the sine in one period of the record, at least
 
 
-def peak_angles(model: Model, pair: Gains, balls: Balls) -> list[float]:
+def peak_frequencies(model: Model, pair: Gains, balls: Balls) -> list[float]:
     """Frequencies (rad/sample) of the local peaks of the loop's sensitivity over all constant
     slopes, the largest first. The sensitivity is `|T_ue|`."""
     size = np.zeros(len(FINE_ANGLES))
@@ -46,7 +46,7 @@ def peak_lines(model: Model, pair: Gains, balls: Balls, period: int) -> list[int
     """Frequencies for single-sine experiments, where the loop's sensitivity is largest. They are
     lines of a period, at peaks of `|T_ue|`."""
     lines: list[int] = []
-    for angle in peak_angles(model, pair, balls):
+    for angle in peak_frequencies(model, pair, balls):
         line = int(np.rint(angle * period / (2 * np.pi)))
         line = min(max(line, FEWEST_LINES), period // 2 - 1)
         if line not in lines:

@@ -95,11 +95,11 @@ def views_with_sines(views: Sequence[View], sines: Sequence[SineMismatch]) -> tu
     for sine in sines:
         distances = [abs(np.log(sine.amplitude / view.amplitude)) for view in raised]
         nearest = int(np.argmin(distances))
-        raised[nearest] = with_sine(raised[nearest], sine)
+        raised[nearest] = raise_gain_at_sine(raised[nearest], sine)
     return tuple(raised)
 
 
-def with_sine(view: View, sine: SineMismatch) -> View:
+def raise_gain_at_sine(view: View, sine: SineMismatch) -> View:
     """Raise the gain of a model error near the frequency of a single sine where the sine shows a
     larger one."""
     above = int(np.searchsorted(ANGLES, sine.angle))

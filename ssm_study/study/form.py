@@ -114,7 +114,7 @@ def _check_settling_bands(run: RunFiles) -> Iterator[Checked]:
         if not path.is_file():
             continue
         plant = twin if name == "closed_loop_model.mcap" else run.plant
-        stored = RecordedCases.of(path).settling_band
+        stored = RecordedCases.from_file(path).settling_band
         same = abs(stored - plant.settling_band) <= 1e-9 * abs(plant.settling_band)
         found = f"{stored}, and the plant's is {plant.settling_band}"
         yield Checked(claim=f"{name} settling_band", holds=same, found=found)

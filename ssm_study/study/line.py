@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 from ssm_study.engine.plan import PlannedStages
 from ssm_study.engine.records import INFEASIBLE, OK, RECORD
 from ssm_study.engine.runs import Run
-from ssm_study.engine.settings import Settings, value_at
+from ssm_study.engine.settings import Settings, value_at_path
 from ssm_study.engine.stages import Facts, StageOutput, Stages
 from ssm_study.engine.task import Task, run_folder, shared_store
 from ssm_study.refusal import require
@@ -124,14 +124,16 @@ class Study(Task["Specification"]):
             return
         records = data
         tried: list[StageOutput[Any]] = []
-        unrecorded = stages.unrecorded()
+        unrecorded_store = stages.unrecorded_store()
         iterations = request.refine if isinstance(request.refine, int) else 0
         for iteration in range(1, iterations + 1):
-            tried += self.design_and_close_loop(request, unrecorded, records, bounded)
+            tried += self.design_and_close_loop(request, unrecorded_store, records, bounded)
             is_last = iteration == iterations
-            records = (stages if is_last else unrecorded).run_stage(TRIALS, {}, {}, data, *tried)
+            records = (stages if is_last else unrecorded_store).run_stage(
+                TRIALS, {}, {}, data, *tried
+            )
         if isinstance(request.refine, list):
-            records = stages.run_stage(LOGS, *request.select("refine", "data"), data)
+            records = stages.run_stage(LOGS, *request.stage_settings("refine", "data"), data)
         with_fresh_data = request.has_fresh_sets
         self.design_and_close_loop(
             request, stages, records, bounded, with_fresh_data=with_fresh_data
@@ -157,7 +159,7 @@ class Study(Task["Specification"]):
 
         loop = request.loop
         plant = ("plant",) if request.plant else ()
-        loop_inputs = request.select("loop", "loop_seed", *plant)
+        loop_inputs = request.stage_settings("loop", "loop_seed", *plant)
         if request.plant is not None and not request.plant.real:
             stages.run_stage(TEXTBOOK_PI, *loop_inputs, bounded)
         mismatch = stages.run_stage(MISMATCH, {}, {}, data, bounded)
@@ -169,13 +171,13 @@ class Study(Task["Specification"]):
             "input_upper": loop.input_upper,
             "applied": stays_within_records or has_limits,
         }
-        inputs = request.select("synthesis", computed={"limits": limits})
+        inputs = request.stage_settings("synthesis", computed={"limits": limits})
         design = stages.run_stage(SYNTHESIS, *inputs, data, bounded, mismatch, judgement)
         if request.has_sine_trials:
             inputs = request.sine_inputs()
             stages.run_stage(SINE_TRIALS, *inputs, bounded, mismatch, judgement, design)
         if with_fresh_data:
-            inputs = request.select("data", "seed", *plant)
+            inputs = request.stage_settings("data", "seed", *plant)
             stages.run_stage(FRESH_DATA, *inputs, data, bounded, mismatch, design)
         closed = stages.run_stage(LOOP, *loop_inputs, data, bounded, design)
         return design, closed
@@ -192,10 +194,10 @@ class Study(Task["Specification"]):
         data = stages.run_stage(DATASET, *request.dataset_inputs())
         # In no key: a bar on the screen changes no number.
         unkeyed = {"progress": request.progress}
-        inputs = request.select("model", "training", "seed", unkeyed=unkeyed)
+        inputs = request.stage_settings("model", "training", "seed", unkeyed=unkeyed)
         model = stages.run_stage(MODEL, *inputs, data)
         if request.model.gives_ssm:
-            bounded = stages.run_stage(BOUNDS, *request.select("reduction"), data, model)
+            bounded = stages.run_stage(BOUNDS, *request.stage_settings("reduction"), data, model)
         else:
             bounded = stages.run_stage(SCORE, {}, {}, data, model)
         return data, model, bounded
@@ -220,7 +222,7 @@ class Study(Task["Specification"]):
 
         configuration = request.configuration
         model = configuration["model"]
-        values = {column.name: value_at(configuration, column.setting) for column in SETTINGS}
+        values = {column.name: value_at_path(configuration, column.setting) for column in SETTINGS}
         numbers = {name: value for name, value in values.items() if is_number_or_none(value)}
         model_kind = model.get("cell")  # gru and lstm share a class
         return numbers | {
@@ -239,12 +241,12 @@ class Study(Task["Specification"]):
             request.configuration, {word.partition("=")[0] for word in overrides}
         )
 
-    def preload(self, again: Set[str]) -> None:
+    def preload_modules(self, again: Set[str]) -> None:
         """Import modules that all jobs of a sweep use, except those that only the given stages
         need."""
-        from ssm_study.study.preload import preload
+        from ssm_study.study.preload import preload_modules
 
-        preload(again)
+        preload_modules(again)
 
 
 STUDY = Study()
@@ -280,7 +282,7 @@ def undeclared_settings(configuration: Mapping[str, Any], keys: Iterable[str]) -
     paths -= {column.setting for column in SETTINGS}
     facts: Facts = {}
     for path in sorted(path for path in paths if "." in path):
-        value = value_at(configuration, path)
+        value = value_at_path(configuration, path)
         if not is_number_or_none(value):
             value = kind_of_part(value) or str(value)
         facts[path.replace(".", "__")] = value

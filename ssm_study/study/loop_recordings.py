@@ -64,7 +64,7 @@ def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
 
     Raises `BadRequest` if the file lacks a topic, or if its cases do not share one reference.
     """
-    recording = RecordedCases.of(path)
+    recording = RecordedCases.from_file(path)
     about = recording.about
     references = recording["reference"]
     problem = "the cases follow different references"

@@ -40,9 +40,9 @@ def modules_to_preload(again: Set[str]) -> Iterator[str]:
                 yield module.name
 
 
-def preload(again: Set[str]) -> None:
+def preload_modules(again: Set[str]) -> None:
     """Import the modules that all jobs of a sweep use, in the process from which the jobs are
-    forked. `again` is as in `Task.preload`."""
+    forked. `again` is as in `Task.preload_modules`."""
     for name in modules_to_preload(again):
         with suppress(
             Exception

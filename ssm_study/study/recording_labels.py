@@ -85,7 +85,7 @@ def find_wrong_labels(run: RunFiles, data: DataSet) -> Iterator[tuple[str, list[
     """Recordings with labels that contradict the run's data and plants, each with its wrong
     labels."""
     for labels in expected_labels(run, data):
-        recording = RecordedCases.of(run.path / labels.file)
+        recording = RecordedCases.from_file(run.path / labels.file)
         about = recording.about
         words = {*about, *labels.words} - NUMBERS
         wrong = {word for word in words if about.get(word) != labels.words.get(word)}

@@ -44,7 +44,7 @@ class RecordedCases:
     about: dict[str, str]
 
     @classmethod
-    def of(cls, path: Path) -> "RecordedCases":
+    def from_file(cls, path: Path) -> "RecordedCases":
         """Read the signals of a recording from its file. Raises `BadRequest` for a damaged file."""
         groups, about = read_mcap(path)
         cases: dict[str, Case] = defaultdict(dict)
@@ -177,7 +177,7 @@ def read_trials(folder: Path) -> Trajectories:
     for path in (folder / TRIALS, folder / LOOPS):
         if path.is_file():
             is_closed_loop = path.name == LOOPS
-            of_file = RecordedCases.of(path).records
+            of_file = RecordedCases.from_file(path).records
             records += [replace(record, closed_loop=is_closed_loop) for record in of_file]
     return tuple(records)
 
@@ -187,7 +187,7 @@ def read_simulation(path: Path) -> Simulation:
 
     Raises `BadRequest` if the file lacks a topic.
     """
-    recording = RecordedCases.of(path)
+    recording = RecordedCases.from_file(path)
     simulated = tuple(signal.values for signal in recording.signals("simulated"))
     start_up_samples = int(recording.about["start_up_samples"])
     states = states_from_text(recording.about.get("start_states", ""), len(simulated))

@@ -126,7 +126,7 @@ class RunFiles:
         )
         return collect_findings(data, self.model, runs.validation, runs.test, mismatch)
 
-    def stored(self, name: str) -> dict[str, Any]:
+    def stored_object(self, name: str) -> dict[str, Any]:
         """Object in a JSON file of the run. Raises `BadRequest` for a file that repeats a key."""
         as_object = partial(refuse_repeated_keys, name)
         content = json.loads(read_limited_bytes(self.path / name), object_pairs_hook=as_object)
@@ -138,7 +138,7 @@ class RunFiles:
     @cached_property
     def certificate(self) -> dict[str, Any]:
         """Content of the run's `certificate.json`."""
-        return self.stored("certificate.json")
+        return self.stored_object("certificate.json")
 
     @cached_property
     def design(self) -> Design:
@@ -148,14 +148,14 @@ class RunFiles:
     @cached_property
     def inputs(self) -> list[Float[np.ndarray, "_ m"]]:
         """Inputs of the training records, as stored in `excitation.mcap`."""
-        recording = RecordedCases.of(self.path / "excitation.mcap")
+        recording = RecordedCases.from_file(self.path / "excitation.mcap")
         return [signal.values for signal in recording.signals("input")]
 
     @cached_property
     def disturbances(self) -> list[Float[np.ndarray, "_ k"]]:
         """Measured disturbances of the training records, as stored in `excitation.mcap`; empty if
         there are none."""
-        cases = RecordedCases.of(self.path / "excitation.mcap").cases.values()
+        cases = RecordedCases.from_file(self.path / "excitation.mcap").cases.values()
         return [case["disturbance"].values for case in cases if "disturbance" in case]
 
     @property
@@ -186,13 +186,13 @@ class RunFiles:
         """Frequencies (rad/sample) of single sines for a next excitation signal, where this run's
         loop is most sensitive to model errors. Empty without a design, or behind an inverted input
         map."""
-        from ssm_study.robustness.sine_trials import PEAKS, peak_angles
+        from ssm_study.robustness.sine_trials import PEAKS, peak_frequencies
 
         if not self.claims_certificate:
             return ()
         if not self.design.feasible or self.design.inverts_input_map:
             return ()
-        angles = peak_angles(self.model, self.design.pair, certified_balls(self.model))
+        angles = peak_frequencies(self.model, self.design.pair, certified_balls(self.model))
         return tuple(angles[:PEAKS])
 
     @property

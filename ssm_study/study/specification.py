@@ -73,7 +73,7 @@ class Specification:
             **parts,
             seed=settings.seed,
             loop_seed=settings.loop_seed,
-            refine=_checked_refine(settings.get("refine"), is_recorded),
+            refine=_check_refine_setting(settings.get("refine"), is_recorded),
             progress=bool(settings.progress),
             configuration=settings,
         )
@@ -160,7 +160,7 @@ class Specification:
         fits = is_inside or begins_elsewhere
         require(fits, names, values, problem, "choose limits around it")
 
-    def select(
+    def stage_settings(
         self, *names: str, computed: Mapping[str, Any] = NONE, unkeyed: Mapping[str, Any] = NONE
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Named settings and call arguments of a stage, built together so that its key and its
@@ -179,17 +179,17 @@ class Specification:
     def dataset_inputs(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """Settings and call arguments of the stage that simulates or reads the records."""
         plant = ("plant", "excitation") if self.plant else ()
-        return self._select_with_data("seed", *plant)
+        return self._stage_settings_with_data("seed", *plant)
 
     def sine_inputs(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """Settings and call arguments of the stage that tests a design with single sines on a
         simulated plant."""
-        return self._select_with_data("seed", "plant")
+        return self._stage_settings_with_data("seed", "plant")
 
-    def _select_with_data(self, *names: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _stage_settings_with_data(self, *names: str) -> tuple[dict[str, Any], dict[str, Any]]:
         """Named settings, and call arguments, of a stage that also reads the data source. The
         number of fresh data sets is left out."""
-        settings, arguments = self.select("data", *names)
+        settings, arguments = self.stage_settings("data", *names)
         if isinstance(self.data, SimulatedData):
             own = {name: value for name, value in settings["data"].items() if name != "fresh_sets"}
             settings = Settings({**settings, "data": own})
@@ -228,7 +228,7 @@ def input_files(settings: Mapping[str, Any]) -> list[Path]:
     return sorted(files)
 
 
-def _checked_refine(requested: Any, is_recorded: bool) -> int | list[str] | None:
+def _check_refine_setting(requested: Any, is_recorded: bool) -> int | list[str] | None:
     """Checked value of the setting `refine`: a list of trial logs, or a number of iterations."""
     if is_recorded and requested is not None:
         logs = [requested] if isinstance(requested, str) else requested

@@ -54,7 +54,7 @@ class Verification:
         """Whether no claim fails."""
         return all(finding.holds for finding in self.findings)
 
-    def demand(self, field: str, value: Any) -> None:
+    def require_valid(self, field: str, value: Any) -> None:
         """Raise `BadRequest` that lists the failed claims, if there are any."""
         wrong = [finding for finding in self.findings if not finding.holds]
         causes = "; ".join(finding_lines(wrong))[:300]

@@ -30,7 +30,7 @@ from ssm_study.synthesis.decay_response import NO_DECAYS
 from ssm_study.synthesis.design import Synthesis, require_contraction_rate
 from ssm_study.synthesis.expected_response import ATTEMPTS, FASTER, ExpectedResponse, RankedPair
 from ssm_study.synthesis.input_inversion import design_with_inverted_input
-from ssm_study.synthesis.measured_discs_choice import Search, prefer_covered
+from ssm_study.synthesis.measured_discs_choice import Search, first_covering_design
 from ssm_study.synthesis.measured_discs_run import is_coverage_sought
 from ssm_study.systems import Balls
 
@@ -113,8 +113,8 @@ class Auto:
         """Grid of rates and weights over which gains are computed. A controller or observer without
         its own rate takes `rate`."""
         return CandidateGrid(
-            rate_controller=self._rate_or_common(self.rate_controller),
-            rate_observer=self._rate_or_common(self.rate_observer),
+            rate_controller=self._own_or_common_rate(self.rate_controller),
+            rate_observer=self._own_or_common_rate(self.rate_observer),
             stretch_shares=self.stretch_shares,
             observer_rates=self.observer_rates,
             input_weights=self.input_weights,
@@ -123,7 +123,7 @@ class Auto:
             modes=self.modes,
         )
 
-    def _rate_or_common(self, rate: float | str) -> float | str:
+    def _own_or_common_rate(self, rate: float | str) -> float | str:
         """Rate of controller or observer, or the common rate if it has none of its own."""
         return self.rate if rate == "auto" else rate
 
@@ -170,8 +170,8 @@ class Auto:
         search = None
         if self.premise is not None:
             search = self._search_covered_gains(response, self.premise, validation)
-        chosen, status = prefer_covered(
-            pairs, make.certified_and_predicted, model, balls, self.premise, self.cover, search
+        chosen, status = first_covering_design(
+            pairs, make.certified_stable_design, model, balls, self.premise, self.cover, search
         )
         if chosen is not None:
             return self._with_search_outcome(chosen, status + describe_unsolved_points(candidates))
@@ -203,7 +203,7 @@ class Auto:
         def covered_gains(first: Design, most: Design, cover: float) -> Design | None:
             """Search around one design for gains whose proof covers the records."""
             largest_area = min(slower * search.response_area(first.pair), FASTER)
-            return search.improve(most, cover, rounds, largest_area)
+            return search.improve_design(most, cover, rounds, largest_area)
 
         return covered_gains
 
@@ -276,7 +276,7 @@ class CertifiedDesigns:
     response: ExpectedResponse
     has_faster: bool = False
 
-    def certified_and_predicted(self, ranked: RankedPair) -> Design | None:
+    def certified_stable_design(self, ranked: RankedPair) -> Design | None:
         """Certified design of one controller and observer; None if it is not certified or not
         predicted to be stable. A controller that is no faster than none is left out while a faster
         one is predicted."""

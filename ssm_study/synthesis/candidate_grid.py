@@ -210,7 +210,7 @@ class CandidateGrid:
             solved_side = self.solve_side(specification, frozen, ball, observes)
             for request, solution in solved_side.candidates:
                 try:
-                    proved = program.prove_gain(solution.k)
+                    proved = program.prove_rate(solution.k)
                 except NoSolution:
                     continue
                 near = {observes: proved}

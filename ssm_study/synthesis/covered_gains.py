@@ -23,10 +23,10 @@ from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage import Premise
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict
-from ssm_study.robustness.sensitivity import controller_radius
+from ssm_study.robustness.sensitivity import controller_spectral_radius
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.decay_response import NO_DECAYS, largest_decay_ratios
-from ssm_study.synthesis.deployed import at_largest_rate
+from ssm_study.synthesis.deployed import certificate_at_largest_rate
 from ssm_study.synthesis.expected_response import FASTER
 from ssm_study.synthesis.integrated_error import relative_areas
 from ssm_study.synthesis.measured_discs_choice import LoopCoverage, proof_loss
@@ -82,7 +82,7 @@ class GainSearch:
     decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS)
     is_brief: bool = False
 
-    def improve(
+    def improve_design(
         self, start: Design, target: float, rounds: int, largest_area: float
     ) -> Design | None:
         """Fastest certified design that the search finds and whose certificate covers the target;
@@ -161,7 +161,10 @@ class GainSearch:
         least = min(best.coverage, target)
         trials = []
         for gains, area in zip(proposals, self._response_areas(proposals), strict=True):
-            if area > allowed or controller_radius(self.model.system, gains, self.balls) >= 1:
+            if (
+                area > allowed
+                or controller_spectral_radius(self.model.system, gains, self.balls) >= 1
+            ):
                 continue
             coverage = loop.largest_radius_around(gain_fields(gains), centre, least)
             trials.append(ScoredGains(gains=gains, area=area, coverage=coverage))
@@ -233,7 +236,7 @@ def certify_other_gains(part: Any, **gains: Any) -> Any:
     proves; None if it proves none."""
     try:
         with linear_algebra_failures_as_no_solution():
-            return at_largest_rate(replace(part, rate=LEAST_RATE, **gains))
+            return certificate_at_largest_rate(replace(part, rate=LEAST_RATE, **gains))
     except NoSolution:
         return None
 
@@ -241,12 +244,12 @@ def certify_other_gains(part: Any, **gains: Any) -> Any:
 def scale_at_random(gains: Gains, step: float, random: np.random.Generator) -> Gains:
     """Multiply every entry of the gains by its own random factor."""
 
-    def scaled(matrix: Any) -> Any:
+    def scale_matrix(matrix: Any) -> Any:
         """Multiply every entry of a matrix by its own random factor."""
         return matrix * np.exp(step * random.standard_normal(matrix.shape))
 
-    l_z = None if gains.l_z is None else scaled(gains.l_z)
-    return replace(gains, k=scaled(gains.k), l=scaled(gains.l), l_z=l_z)
+    l_z = None if gains.l_z is None else scale_matrix(gains.l_z)
+    return replace(gains, k=scale_matrix(gains.k), l=scale_matrix(gains.l), l_z=l_z)
 
 
 def stack_gains(proposals: list[Gains]) -> Gains:

@@ -44,7 +44,7 @@ Outputs = Float[np.ndarray, "p"]
 EVERYWHERE, SETS = OF_LIMITS  # as `certificate.json` names them
 
 
-def with_gain_certificates(
+def add_gain_certificates(
     design: Design, model: Model, balls: Balls, limits: tuple[Inputs, Inputs] | None = None
 ) -> Design:
     """Add to a design all further certificates that can be proved for its gains, each verified
@@ -58,7 +58,7 @@ def with_gain_certificates(
     sides = {"state_feedback": design.state_feedback, "observer": design.observer}
     for side, part in sides.items():
         if not isinstance(part, Infeasible) and part.certified:
-            find = partial(at_largest_rate, part)
+            find = partial(certificate_at_largest_rate, part)
             certificates[f"{side}_deployed"] = none_if_unsolved(find)
     certificates[TOLERANCE] = tolerance_certificate(design, model, balls)
     extra = {name: part for name, part in certificates.items() if part is not None}
@@ -90,19 +90,19 @@ def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem
     return none_if_unsolved(find)
 
 
-def at_largest_rate(part: Side) -> Side | None:
+def certificate_at_largest_rate(part: Side) -> Side | None:
     """Certificate of the same gain at the largest rate that is proved for it; None if the certified
     rate is already that large.
 
-    A plug-in's theorem says itself how (`Side.at_largest_rate`).
+    A plug-in's theorem says itself how (`Side.certificate_at_largest_rate`).
     """
     if not isinstance(part, ProblemCertificate):
-        return part.at_largest_rate()
+        return part.certificate_at_largest_rate()
     if hasattr(part, "lambda_"):
         from ssm_study.synthesis import structured_lmi  # CVXPY only with neurons
 
         return structured_lmi.certify_largest_rate(part)
-    return deployed_rate.at_largest_rate(part)
+    return deployed_rate.certificate_at_largest_rate(part)
 
 
 def certify_input_limits(

@@ -112,12 +112,16 @@ class DesignAttempt:
     def certify_solution(self, problem: Problem, solution: Solution) -> Any:
         """Certificate made from a solution and decided in exact arithmetic. `problem` has the form
         of Theorem 1, transposed for an observer."""
-        numbers = self.theorem.numbers_of(problem, solution)
+        numbers = self.theorem.certificate_numbers(problem, solution)
         told: dict[str, Any] = {"method": self.method, "started": self.started}
         rate_limit = self.frontier.rate_limit
-        return self.theorem.proved(numbers, rate_limit=rate_limit, status=solution.status, **told)
+        return self.theorem.from_numbers(
+            numbers, rate_limit=rate_limit, status=solution.status, **told
+        )
 
-    def first_certified(self, problem: Problem, attempts: Iterable[Callable[[], Solution]]) -> Any:
+    def first_certified_solution(
+        self, problem: Problem, attempts: Iterable[Callable[[], Solution]]
+    ) -> Any:
         """First certified solution; otherwise the result of the last attempt: its rejected
         certificate, or the reason that there is none.
 
@@ -205,8 +209,8 @@ def failed_checks(
 def _failed_checks_of_part(part: Theorem | Infeasible, context: VerificationContext) -> list[str]:
     """Sentences on those claims of one certificate that do not hold for the model."""
     theorem = find_theorem(part.theorem) if isinstance(part, Infeasible) else type(part)
-    ball = theorem.ball(context)
-    limit = theorem.rate_limit_of(context)
+    ball = theorem.required_ball(context)
+    limit = theorem.largest_provable_rate(context)
     broken = []
     stated = getattr(part, "rate_limit", np.nan)
     if limit is not None and not abs(stated - limit) <= FRONTIER_ROUNDING:
@@ -342,7 +346,7 @@ class Synthesis(ABC):
         if refused := request.refuse_beyond_limit():
             return refused
         problem = self.problem(system, ball, theorem.observes)
-        return request.first_certified(problem, self.attempts(problem, limit))
+        return request.first_certified_solution(problem, self.attempts(problem, limit))
 
     def problem(self, system: System, ball: JacobianBall, observes: bool = False) -> Problem:
         """Synthesis problem of the controller; with `observes`, that of the observer on the dual

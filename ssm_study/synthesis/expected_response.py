@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int
 from ssm_study.models.structured import Model
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import noise_peak, robustness_measure
-from ssm_study.robustness.sensitivity import FINE_ANGLES, Responses, controller_radius
+from ssm_study.robustness.sensitivity import FINE_ANGLES, Responses, controller_spectral_radius
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.candidates import Candidates
 from ssm_study.synthesis.decay_response import NO_DECAYS, largest_decay_ratios, simulate_decays
@@ -77,7 +77,7 @@ class ExpectedResponse:
         refused = 1 / self.margin
         return robustness_measure(self.model, gains, self.balls, self.mismatch, shared, refused)
 
-    def expected_area_of(self, pair: Pair, area: float, shared: Responses) -> float:
+    def expected_pair_area(self, pair: Pair, area: float, shared: Responses) -> float:
         """Expected response area of one design, with its loop gain on a coarse frequency grid."""
         loop_gain = self.loop_gain(pair, shared)
         spread = self.mismatch.spread
@@ -95,7 +95,7 @@ class ExpectedResponse:
         pairs = np.argwhere(self.margin * peaks < 1)
         gains = self.candidates.gains(pairs)
         system = self.model.system
-        return pairs[controller_radius(system, gains, self.balls) < 1]
+        return pairs[controller_spectral_radius(system, gains, self.balls) < 1]
 
     def ordered_pairs(
         self, peaks: Float[np.ndarray, "C O"], validation: Trajectories, limits: Ends | None
@@ -135,7 +135,7 @@ class ExpectedResponse:
             passing.sort()
             # between two frequencies of the coarser grid a loop may come nearer to its limit
             best = [index for _, index in passing[:ATTEMPTS]]
-            scores = [self.expected_area_of(pairs[index], areas[index], fine) for index in best]
+            scores = [self.expected_pair_area(pairs[index], areas[index], fine) for index in best]
             ranks = [(bool(slow[index]), score) for index, score in zip(best, scores, strict=True)]
             for _, index in sorted(zip(ranks, best, strict=True)):
                 yield RankedPair(pairs[index], not slow[index])

@@ -114,7 +114,10 @@ def relative_areas(
     alone = _response_areas(model, no_control, x0, load, horizon, cut)[0]
     counts = alone > FAINT * alone.max()
     batches = np.array_split(np.arange(len(gains.k)), -(-len(gains.k) // AT_ONCE))
-    areas = [_response_areas(model, gains.at(batch), x0, load, horizon, cut) for batch in batches]
+    areas = [
+        _response_areas(model, gains.select_pairs(batch), x0, load, horizon, cut)
+        for batch in batches
+    ]
     counted = np.concatenate(areas)[:, counts]
     return (counted / alone[counts]).mean(axis=1)
 

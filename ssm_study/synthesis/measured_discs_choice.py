@@ -41,7 +41,7 @@ Make = Callable[[Any], Design | None]
 Search = Callable[[Design, Design, float], Design | None]
 
 
-def prefer_covered(
+def first_covering_design(
     pairs: Iterator[Any],
     make: Make,
     model: Model,
@@ -71,7 +71,7 @@ def prefer_covered(
     sought = premise is not None and is_coverage_sought(model, cover, premise)
     if first is None or premise is None or not sought:
         return first, PREDICTED
-    if premise.missing(0.0) is not None or exclusion_reason(first, model):
+    if premise.missing_reason(0.0) is not None or exclusion_reason(first, model):
         return first, PREDICTED
 
     deciding: dict[float, Any] = {}
@@ -204,7 +204,7 @@ class LoopCoverage:
         )
         items = {}
         for centre in CENTRES:
-            items[centre] = tuple(item for item in premise.items(centre) if item.seen > 0)
+            items[centre] = tuple(item for item in premise.requirements(centre) if item.seen > 0)
         return cls(context=context, items=items, deciding={} if deciding is None else deciding)
 
     def largest_radius_around(

@@ -57,7 +57,7 @@ class LoopForms:
     ) -> "LoopForms":
         """Compute the quadratic forms of a loop from the model and its gains."""
         of, counts = loop_without_filters(theorem, context)
-        rows = theorem.signals(of)
+        rows = theorem.signal_matrices(of)
         order = len(rows.xi)
         names = []
         for name, count in counts.items():
@@ -145,7 +145,7 @@ def loop_without_filters(
 ) -> tuple[Any, dict[str, int]]:
     """Fields of the theorem with trivial weights and zero multipliers, and the number of
     multipliers of each name."""
-    loop = theorem.loop_of(context)
+    loop = theorem.loop_matrices(context)
     zero = np.zeros((1, 1))
     lambda_out = 3 if loop["beta_out"] > 0 else 0
     counts = {"lambda_p": 1, "lambda_out": lambda_out}
@@ -164,7 +164,7 @@ def _multiplier_form(
     unit = np.zeros((1, counts[name]))
     unit[0, index] = 1.0
     alone = SimpleNamespace(**{**vars(of), name: unit})
-    signals = theorem.signals(alone)
+    signals = theorem.signal_matrices(alone)
     pairs = theorem.static_map_forms(alone, signals)
     forms = [multiplier * form for multiplier, form in pairs]
     return np.asarray(np.sum(forms, axis=0))

@@ -47,7 +47,11 @@ def add_coverage_certificate(
 ) -> Design:
     """Add to a design a certificate that covers as much of the recorded model error as possible.
     Without such a certificate the design stays unchanged."""
-    if not design.feasible or exclusion_reason(design, model) or premise.missing(0.0) is not None:
+    if (
+        not design.feasible
+        or exclusion_reason(design, model)
+        or premise.missing_reason(0.0) is not None
+    ):
         return design
     from ssm_study.synthesis import measured_discs_search  # slow to load
 
@@ -90,20 +94,20 @@ def coverage_columns(
     if not isinstance(part, MeasuredDiscs):
         sought = is_coverage_sought(model, None, premise)
         unproved = UNPROVED if sought else UNSOUGHT
-        reason = exclusion_reason(design, model) or premise.missing(0.0) or unproved
+        reason = exclusion_reason(design, model) or premise.missing_reason(0.0) or unproved
         return {"coverage": None, "coverage_reason": reason}
-    missing = premise.missing(part.centre)
+    missing = premise.missing_reason(part.centre)
     if missing is not None:
         return {"coverage": None, "coverage_reason": missing}
     weights = certificate_weights(part)
-    items = premise.items(part.centre)
-    need, where = weights.need(items)
+    items = premise.requirements(part.centre)
+    need, where = weights.needed_radius(items)
     coverage = part.kappa / need
     facts: dict[str, Any] = {"coverage": coverage, "coverage_reference": where}
     if part.kappa < need:
         facts |= null_coverage_of_unknown_band(part.kappa, weights, items)
-    if fresh is not None and fresh.missing(part.centre) is None:
-        facts["coverage_needed"] = weights.need(fresh.items(part.centre))[0] / need
+    if fresh is not None and fresh.missing_reason(part.centre) is None:
+        facts["coverage_needed"] = weights.needed_radius(fresh.requirements(part.centre))[0] / need
     return facts
 
 
@@ -129,15 +133,15 @@ def fresh_data_needs(
     """Disc radius that each fresh data set needs, relative to the radius that the run's own records
     need; empty without a coverage certificate from these records."""
     part = design.extra_certificates.get(PART)
-    if not isinstance(part, MeasuredDiscs) or premise.missing(part.centre) is not None:
+    if not isinstance(part, MeasuredDiscs) or premise.missing_reason(part.centre) is not None:
         return []
     weights = certificate_weights(part)
-    own_need, _ = weights.need(premise.items(part.centre))
+    own_need, _ = weights.needed_radius(premise.requirements(part.centre))
     needs = []
     for records in fresh_sets:
         trials = records.mismatch_records
         fresh = measure_premise(model, records.validation, mismatch, start_up_samples, trials)
-        need, _ = weights.need(fresh.items(part.centre))
+        need, _ = weights.needed_radius(fresh.requirements(part.centre))
         needs.append(need / own_need)
     return needs
 
@@ -153,9 +157,9 @@ def null_coverage_of_unknown_band(
     """Columns without a coverage, and with the name of the frequency band without excitation that
     prevents one."""
     lit = [item for item in items if not item.dark]
-    if kappa < weights.need(lit)[0]:
+    if kappa < weights.needed_radius(lit)[0]:
         return {}
-    band = weights.need([item for item in items if item.dark])[1]
+    band = weights.needed_radius([item for item in items if item.dark])[1]
     coverage_reason = UNKNOWN.format(f"at {band}")
     return {"coverage": None, "coverage_reason": coverage_reason}
 

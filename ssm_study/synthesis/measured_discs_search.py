@@ -94,7 +94,7 @@ def largest_kappa(
                 forms, weights, centre, scaled, multipliers, deciding
             )
             numbers = _theorem_variables(forms, weights, centre, scaled**0.5, multipliers)
-            proof = certify_numbers(theorem, context, numbers, margin, started)
+            proof = first_exact_certificate(theorem, context, numbers, margin, started)
             if proof is not None:
                 return proof
     except NoSolution:
@@ -233,7 +233,7 @@ def _theorem_variables(
     return numbers
 
 
-def certify_numbers(
+def first_exact_certificate(
     theorem: type[MeasuredDiscs],
     context: VerificationContext,
     numbers: dict[str, Any],
@@ -245,9 +245,9 @@ def certify_numbers(
     if margin <= 0:
         return None
     ball = context.balls.input
-    whole = theorem.loop_of(context) | numbers | {"alpha": ball.alpha, "beta": ball.beta}
+    whole = theorem.loop_matrices(context) | numbers | {"alpha": ball.alpha, "beta": ball.beta}
     for p in metric_candidates(theorem, whole, margin):
-        proof: MeasuredDiscs = theorem.proved(
+        proof: MeasuredDiscs = theorem.from_numbers(
             whole | {"p": p},
             started=started,
             status="one convex program, one Riccati equation",
@@ -263,7 +263,7 @@ def metric_candidates(
 ) -> Iterator[Float[np.ndarray, "x x"]]:
     """Candidates for the metric P, from Riccati equations with several slacks."""
     of = SimpleNamespace(**{name: np.atleast_2d(value) for name, value in numbers.items()})
-    rows = theorem.signals(of)
+    rows = theorem.signal_matrices(of)
     order = len(rows.xi)
     form = theorem.disc_form(of, rows)
     for multiplier, positive in theorem.static_map_forms(of, rows):
@@ -313,10 +313,10 @@ def largest_coverage(
     Where bands without excitation alone keep it from covering, the proof is that of the other
     bands: its need of all of them says so.
     """
-    missing = next((reason for c in centres if (reason := premise.missing(c))), None)
+    missing = next((reason for c in centres if (reason := premise.missing_reason(c))), None)
     if missing is not None:
         return Coverage(certificate=None, coverage=None, reason=missing)
-    items = {c: [item for item in premise.items(c) if item.seen > 0] for c in centres}
+    items = {c: [item for item in premise.requirements(c) if item.seen > 0] for c in centres}
     basis = basis or WeightBasis()
     whole = _largest_coverage_around(context, items, basis)
     lit = {c: [item for item in some if not item.dark] for c, some in items.items()}
@@ -379,9 +379,9 @@ def _certify_program(
             numbers = _theorem_variables(
                 program.forms, weights, program.centre, scaled**0.5, multipliers
             )
-            proof = certify_numbers(theorem, context, numbers, room, started)
+            proof = first_exact_certificate(theorem, context, numbers, room, started)
             if proof is not None:
-                need, where = weights.need(program.items)
+                need, where = weights.needed_radius(program.items)
                 covered = proof.kappa / need
                 return Coverage(certificate=proof, coverage=covered, reason="", reference=where)
     return None

@@ -204,7 +204,7 @@ class WeightProgram:
         return float(x[0]), x[1:] / scale, deciding
 
     @property
-    def weight_count(self) -> int:
+    def coefficient_count(self) -> int:
         """Number of coefficients of both weights together."""
         return 2 * (self.basis.order + 1)
 
@@ -216,7 +216,7 @@ class WeightProgram:
         Each item needs nu at most; the weights stay clear of zero; a multiplier is at least zero
         and at most `MOST`; nu is at most `LARGEST`.
         """
-        weights = self.weight_count
+        weights = self.coefficient_count
         multipliers = len(scale) - weights
         rows_xy, least_xy = self.weight_rows()
         seen = self.requirement_coefficients()
@@ -240,7 +240,7 @@ class WeightProgram:
     ) -> Float[np.ndarray, "n"]:
         """Enlarge the weights in each frequency band as far as the loop stays proved, at a fixed
         disc radius. A margin of `room` times each free signal's own weight is left in the loop."""
-        multipliers = np.maximum(unknowns[self.weight_count :], 0.0)
+        multipliers = np.maximum(unknowns[self.coefficient_count :], 0.0)
         own = initial_weights(self.forms, self.centre, multipliers)
         root = 1 / np.sqrt(own)
         units = np.outer(root, root)  # each free signal in units of its own weight
@@ -267,7 +267,7 @@ class WeightProgram:
         Each item needs its band's widening times nu at most; a widening lies between one and
         `WIDEST`.
         """
-        weights = self.weight_count
+        weights = self.coefficient_count
         multipliers = len(scale) - weights
         rows_xy, least_xy = self.weight_rows()
         seen = self.requirement_coefficients()

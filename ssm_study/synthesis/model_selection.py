@@ -54,7 +54,8 @@ class LargestCertifiableRate:
         near = [
             identified
             for identified in found
-            if identified.fit_validation_percent >= best_fit - self._within(identified.model)
+            if identified.fit_validation_percent
+            >= best_fit - self._equal_fit_difference(identified.model)
         ]
         if len(near) == 1:
             return near[0]
@@ -79,7 +80,7 @@ class LargestCertifiableRate:
         """Whether a state feedback and an observer of a model can be certified at some rate."""
         return self.largest_rate(model) > 0.0 and has_certified_observer(model)
 
-    def _within(self, model: Any) -> float:
+    def _equal_fit_difference(self, model: Any) -> float:
         """Difference in fit, in percentage points, that counts as equal for models of one kind."""
         if isinstance(model.system, StateSpace):
             return self.one_layer_within_percent

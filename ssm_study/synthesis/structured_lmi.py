@@ -44,9 +44,9 @@ class StructuredLmi:
     def __init__(self, *, problem: Problem, objective: str, fixed: Solution | None = None) -> None:
         self.problem = problem
         self.fixed = fixed
-        neurons = problem.required_neurons.scaled()
+        neurons = problem.required_neurons.in_balanced_units()
         self.of = self._unknowns(neurons)
-        upper, multiplier_rows = self._inequality(self.of, neurons)
+        upper, multiplier_rows = self._inequality_blocks(self.of, neurons)
         if problem.ball.beta == 0:
             upper = _without_rows(upper, multiplier_rows)
         root = np.real(scipy.linalg.sqrtm(problem.state_weight))
@@ -73,7 +73,7 @@ class StructuredLmi:
         of.rate = cp.Parameter()
         return of
 
-    def _inequality(self, of: Any, neurons: Neurons) -> tuple[Blocks, list[int]]:
+    def _inequality_blocks(self, of: Any, neurons: Neurons) -> tuple[Blocks, list[int]]:
         """Blocks of the theorem's matrix, and the indices of the rows that belong to the multiplier
         of the ball."""
         q, m = neurons.g.shape
@@ -127,7 +127,7 @@ class StructuredLmi:
         fixed = Solution(p=one, y=one, k=k, sigma=1.0, status="", k_w=none)
         return cls(problem=problem, objective="largest_margin", fixed=fixed)
 
-    def prove_gain(self, k: Rows) -> Solution:
+    def prove_rate(self, k: Rows) -> Solution:
         """Matrices that prove the problem's rate for a given gain. Raises `NoSolution` if there are
         none."""
         self.of.k.value = k
@@ -148,7 +148,7 @@ def is_confirmed_exactly(problem: Problem, solution: Solution) -> bool:
     theorem: type[Side] = structured_state_feedback.StructuredStateFeedback
     if problem.required_neurons.observes:
         theorem = structured_observer.StructuredObserver
-    return theorem.holds(**theorem.numbers_of(problem, solution))
+    return theorem.holds(**theorem.certificate_numbers(problem, solution))
 
 
 def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
@@ -205,9 +205,9 @@ def certify_largest_rate(part: Any) -> Side | None:
         solution = program.solve(rate)
     except NoSolution:
         return None
-    numbers = part.numbers_of(faster, solution)
+    numbers = part.certificate_numbers(faster, solution)
     status = f"{solution.status}, {INSIDE:.1%} inside the largest rate"
-    proved: Side = part.proved(
+    proved: Side = part.from_numbers(
         numbers, status=status, started=started, rate_limit=part.rate_limit, method=part.method
     )
     return proved if proved.certified else None

@@ -66,7 +66,7 @@ class Game:
     @cached_property
     def neurons(self) -> Neurons:
         """Scaled neurons of the problem. Raises `ValueError` if it has none."""
-        return self.problem.required_neurons.scaled()
+        return self.problem.required_neurons.in_balanced_units()
 
     @cached_property
     def data(self) -> tuple[Any, ...]:

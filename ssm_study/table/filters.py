@@ -88,17 +88,19 @@ class _Prepared(ast.NodeTransformer):
         comparisons: list[ast.expr] = []
         left = node.left
         for operator, right in zip(node.ops, node.comparators, strict=True):
-            comparisons.append(self._compare(left, operator, right))
+            comparisons.append(self._comparison_expression(left, operator, right))
             left = right
         return comparisons[0] if len(comparisons) == 1 else ast.BoolOp(ast.And(), comparisons)
 
-    def _compare(self, left: ast.expr, operator: ast.cmpop, right: ast.expr) -> ast.expr:
+    def _comparison_expression(
+        self, left: ast.expr, operator: ast.cmpop, right: ast.expr
+    ) -> ast.expr:
         """Filter expression that compares two operands and is false where one of them is
         missing."""
         if _is_null(left):
             left, right = right, left  # so that null stands on the right
         if _is_null(right):
-            return self._missing(left, operator)
+            return self._null_comparison(left, operator)
         if isinstance(operator, ast.In | ast.NotIn) and not isinstance(right, LISTS):
             remedy = "write e.g. order in [4, 8]"
             raise BadRequest("where", ast.unparse(right), "'in' needs a list", remedy)
@@ -114,7 +116,7 @@ class _Prepared(ast.NodeTransformer):
         present: list[ast.expr] = [ast.Compare(name, [ast.Eq()], [name]) for name in names]
         return ast.BoolOp(ast.And(), [comparison, *present])
 
-    def _missing(self, side: ast.expr, operator: ast.cmpop) -> ast.expr:
+    def _null_comparison(self, side: ast.expr, operator: ast.cmpop) -> ast.expr:
         """Filter expression that takes the place of `x == null` or `x != null`."""
         is_equality = isinstance(operator, ast.Eq | ast.Is)
         is_comparison = is_equality or isinstance(operator, ast.NotEq | ast.IsNot)
@@ -127,13 +129,13 @@ class _Prepared(ast.NodeTransformer):
     def _refuse_mixed(self, left: ast.expr, right: ast.expr) -> None:
         """Raise `BadRequest` for a comparison of a number with a text, which no row could
         satisfy."""
-        left_kind = self._kind(left)
-        right_kind = self._kind(right)
+        left_kind = self._operand_type(left)
+        right_kind = self._operand_type(right)
         if left_kind and right_kind and left_kind != right_kind:
             problem = f"{ast.unparse(left)} is a {left_kind}"
             raise BadRequest("where", ast.unparse(right), problem, REMEDY)
 
-    def _kind(self, side: ast.expr) -> str:
+    def _operand_type(self, side: ast.expr) -> str:
         """Type of an operand of a comparison: text, number, or empty if it is compound."""
         if isinstance(side, ast.Constant):
             return "text" if isinstance(side.value, str) else "number"

@@ -291,7 +291,7 @@ class Fit(pl.LightningModule):
         """Build the optimiser of the training."""
         return self.settings.optimiser.build(self)
 
-    def conclude(self) -> tuple[Simulator, str]:
+    def trained_model_with_remark(self) -> tuple[Simulator, str]:
         """Trained model as explicit numbers, and a remark on it. Rounding to float32 is removed by
         a few L-BFGS iterations in float64, if they end finite and lower."""
         single = self.training_records.y.dtype == torch.float32

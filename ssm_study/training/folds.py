@@ -28,14 +28,18 @@ def join_consecutive_records(records: Sequence[Trajectory]) -> list[Trajectory]:
     joined: list[Trajectory] = []
     for record in records:
         before = joined[-1] if joined else None
-        if before is not None and before.log == record.log > 0 and directly_follows(record, before):
+        if (
+            before is not None
+            and before.log == record.log > 0
+            and is_direct_continuation(record, before)
+        ):
             joined[-1] = Trajectory.concatenate([before, record])
         else:
             joined.append(record)
     return joined
 
 
-def directly_follows(record: Trajectory, before: Trajectory) -> bool:
+def is_direct_continuation(record: Trajectory, before: Trajectory) -> bool:
     """Whether a record begins directly after the end of another."""
     return record.first == before.first + len(before)
 

@@ -152,7 +152,7 @@ def train_with_lightning(
         kept = {"state_dict": keeper.kept, "fingerprint": belongs_to}
         DurableCheckpointIO().save_checkpoint(kept, folder / BEST)
         fit.load_state_dict(keeper.kept)
-    model, remark = fit.conclude()
+    model, remark = fit.trained_model_with_remark()
     ended = (keeper.ended or early) + remark
     return Identification.from_model(
         model, data, seconds=keeper.seconds, curve=keeper.curve, ended=ended

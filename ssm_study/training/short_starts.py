@@ -59,12 +59,14 @@ def best_seeds(
         announce(f"{done} of {count}, {training_fit_words(float(fits[seed].loss))}")
     finite = [seed for seed, fit in fits.items() if np.isfinite(float(fit.loss))]
     by_loss = sorted(finite, key=lambda seed: float(fits[seed].loss))
-    certified = first_certified(spec, {seed: fits[seed] for seed in by_loss}, best)
+    certified = first_certified_solution(spec, {seed: fits[seed] for seed in by_loss}, best)
     others = [seed for seed in by_loss if seed not in certified]
     return [*certified, *others][:best] or [first]
 
 
-def first_certified(spec: StructuredSpec, fits: dict[int, StructuredFit], most: int) -> list[int]:
+def first_certified_solution(
+    spec: StructuredSpec, fits: dict[int, StructuredFit], most: int
+) -> list[int]:
     """Seeds of the first starts, in the order given, whose models have certificates. All count as
     having them where the specification does not ask."""
     has_certificates = getattr(spec.among_starts, "has_certificates", None)

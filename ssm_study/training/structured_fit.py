@@ -269,7 +269,7 @@ class StructuredFit(pl.LightningModule):
             step_s=self.data.step_s,
         )
 
-    def conclude(self) -> tuple[Model, str]:
+    def trained_model_with_remark(self) -> tuple[Model, str]:
         """Trained model without idle neurons, and a remark on how many were removed.
 
         Without any neuron it is the model of one layer, of which more can be proved.

@@ -124,7 +124,7 @@ def test_gains_at_frozen_slopes_are_taken_where_they_are_proved_for_every_slope(
     problem = candidates.feedback[frozen[0]].problem(stand.system, balls.input).at_rate(0.999)
     structured_lmi = StructuredLmi.for_fixed_gains(problem)
     with pytest.raises(NoSolution):
-        structured_lmi.prove_gain(candidates.ks[frozen[0]])
+        structured_lmi.prove_rate(candidates.ks[frozen[0]])
 
 
 def test_an_uncertain_mismatch_moves_the_choice_away_from_the_edge():

@@ -94,7 +94,9 @@ def test_what_is_not_confirmed_is_not_written(
     run = random_run(folder, kind="linear", channels=1, seed=0)
     record = {"status": "ok"}
     write_record(run, record)
-    monkeypatch.setattr("ssm_study.study.verify.verify", lambda _: type("V", (), {"demand": print}))
+    monkeypatch.setattr(
+        "ssm_study.study.verify.verify", lambda _: type("V", (), {"require_valid": print})
+    )
     monkeypatch.setattr(commands, "may_overwrite", lambda _: False)
     to_path = str(tmp_path / "to")
     assert main(["export", str(run), "--to", to_path]) == DONE
@@ -127,7 +129,7 @@ def test_progress_is_a_line_a_stage_on_a_terminal_alone(
         run = Run(path=root)
         stages = RunStages(root / ".store", run, announces)
         for _ in range(2):  # what is there already is not announced
-            stages.stage_with_key("model", "a" * 64, {}, lambda folder: (folder / "x").touch())
+            stages.stage_result("model", "a" * 64, {}, lambda folder: (folder / "x").touch())
         assert terminal.getvalue().count("model ...") == 1
     string_io = io.StringIO()
     monkeypatch.setattr(sys, "stderr", string_io)

@@ -20,7 +20,7 @@ from ssm_study.synthesis.measured_discs_choice import (
     NOT_COVERED,
     PREDICTED,
     coverage_by_frequency,
-    prefer_covered,
+    first_covering_design,
 )
 from ssm_study.synthesis.measured_discs_run import (
     add_coverage_certificate,
@@ -34,7 +34,7 @@ SLOW = design(input_weight=30.0)
 
 
 def chosen(known, cover: float = 1.0, designs=(FAST, SLOW)):
-    return prefer_covered(iter(designs), lambda one: one, SSM_MODEL, BALLS, known, cover)
+    return first_covering_design(iter(designs), lambda one: one, SSM_MODEL, BALLS, known, cover)
 
 
 def test_the_first_covered_design_is_taken() -> None:

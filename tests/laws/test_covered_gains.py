@@ -21,7 +21,7 @@ from ssm_study.synthesis.measured_discs_choice import (
     NOT_COVERED,
     SEARCHED,
     coverage_by_frequency,
-    prefer_covered,
+    first_covering_design,
 )
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
 
@@ -56,7 +56,7 @@ def coverage_of_grid() -> float:
 
 @pytest.fixture(scope="module")
 def improved(search, coverage_of_grid):
-    return search.improve(
+    return search.improve_design(
         FAST, TARGET_SHARE * coverage_of_grid, rounds=4, largest_area=AREA_TOO_LARGE
     )
 
@@ -82,13 +82,13 @@ def test_the_search_gives_the_same_gains_again(search) -> None:
 
 
 def test_where_nothing_covers_the_search_has_no_design(search) -> None:
-    assert search.improve(FAST, 1e4, rounds=1, largest_area=AREA_TOO_LARGE) is None
+    assert search.improve_design(FAST, 1e4, rounds=1, largest_area=AREA_TOO_LARGE) is None
 
 
 def test_covered_gains_are_made_faster_and_stay_covered(search, coverage_of_grid) -> None:
     target = 0.8 * coverage_of_grid
     slow = design(input_weight=30.0)
-    faster = search.improve(slow, target, rounds=2, largest_area=AREA_TOO_LARGE)
+    faster = search.improve_design(slow, target, rounds=2, largest_area=AREA_TOO_LARGE)
     assert search.response_area(faster.pair) < search.response_area(slow.pair)
     assert coverage_by_frequency(faster, SSM_MODEL, BALLS, PREMISE) >= target
 
@@ -112,7 +112,7 @@ def test_the_choice_searches_only_where_the_grid_does_not_cover(
         return found
 
     pairs = iter([FAST])
-    chosen = prefer_covered(pairs, lambda one: one, SSM_MODEL, BALLS, PREMISE, cover, note)
+    chosen = first_covering_design(pairs, lambda one: one, SSM_MODEL, BALLS, PREMISE, cover, note)
     if searches:
         assert chosen == (found, SEARCHED)
         expected = [(FAST, FAST, 1.0)]
@@ -140,7 +140,7 @@ def test_a_covered_pair_from_far_down_the_order_is_made_faster(monkeypatch, sear
         return slow if place > NEAR else FAST
 
     pairs = iter(range(400))
-    chosen = prefer_covered(pairs, make, SSM_MODEL, BALLS, PREMISE, None, search)
+    chosen = first_covering_design(pairs, make, SSM_MODEL, BALLS, PREMISE, None, search)
     assert chosen == ((found, SEARCHED) if searches else (slow, COVERED))
     assert asked == [(FAST, FAST, 1.0), (FAST, slow, 1.0)]
 
@@ -150,7 +150,7 @@ def test_a_search_without_a_design_leaves_the_first(monkeypatch) -> None:
         "ssm_study.synthesis.measured_discs_choice.coverage_by_frequency", lambda *_: 0.9 * LOST
     )
     pairs = iter([FAST])
-    chosen = prefer_covered(
+    chosen = first_covering_design(
         pairs, lambda one: one, SSM_MODEL, BALLS, PREMISE, None, lambda *_: None
     )
     assert chosen == (FAST, NOT_COVERED)

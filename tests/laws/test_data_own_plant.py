@@ -154,7 +154,7 @@ def test_its_sines_raise_the_mismatch_at_their_frequency_alone(
     assert len(premise.repeating) == len(AMPLITUDES)
     assert len(premise.sines) == len(HIDDEN) * len(SINE_AMPLITUDES)
     seen = {}
-    for item in premise.items(0.0):
+    for item in premise.requirements(0.0):
         if item.place.startswith("one sine") and item.model_power.sum() > 0:
             ratio = np.sqrt(item.seen / item.model_power.sum())
             seen[item.place] = max(seen.get(item.place, 0.0), ratio)

@@ -151,14 +151,14 @@ def test_a_stage_is_whole_or_absent(
 
     def act(nth: int) -> None:
         store = Store(tmp_path / f"{nth}")
-        store.stage_with_key("model", digest_of_value(1), {}, compute)
+        store.stage_result("model", digest_of_value(1), {}, compute)
 
     def judge(nth: int) -> None:
         store = Store(tmp_path / f"{nth}")
         model_path = tmp_path / f"{nth}" / "model"
         for folder in (model_path).glob("[!.]*"):
             assert intact_manifest(folder) is not None
-        stage = store.stage_with_key("model", digest_of_value(1), {}, compute)
+        stage = store.stage_result("model", digest_of_value(1), {}, compute)
         a_path = stage.path / "inner" / "a.json"
         text = a_path.read_text()
         assert text == "12345"
@@ -240,7 +240,7 @@ def no_file_longer_than(size: int) -> Iterator[None]:
 def test_files_that_cannot_grow_are_not_taken_for_finished(tmp_path: Path, size: int) -> None:
     def work(run: Run) -> dict[str, float]:
         store = Store(tmp_path / "store")
-        stage = store.stage_with_key(
+        stage = store.stage_result(
             "model",
             digest_of_value(1),
             {},
@@ -282,7 +282,7 @@ def test_a_study_on_a_full_disk_is_finished_once_there_is_room(small_disk: Path)
     def work(run: Run) -> dict[str, float]:
         number = int(run.path.name)
         store = Store(small_disk / "store")
-        stage = store.stage_with_key(
+        stage = store.stage_result(
             "model",
             digest_of_value(number),
             {},

@@ -82,7 +82,7 @@ def test_a_failure_is_a_record_with_its_traceback_and_waits_for_retry(tmp_path: 
     folder = tmp_path / "study" / "run"
 
     def bad(run: Run) -> None:
-        run.note(fit_test_percent=50.0)
+        run.add_columns(fit_test_percent=50.0)
         raise RuntimeError("the solver\ngave up")
 
     status = execute_run(folder, {"seed": 1}, bad).status

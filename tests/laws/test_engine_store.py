@@ -48,8 +48,8 @@ def content_of(folder: Path) -> dict[str, bytes]:
 
 def test_a_stage_is_computed_once_and_then_found(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    first = store.stage_with_key("model", KEY, {}, write_content)
-    again = store.stage_with_key("model", KEY, {}, refuse_to_compute)
+    first = store.stage_result("model", KEY, {}, write_content)
+    again = store.stage_result("model", KEY, {}, refuse_to_compute)
     assert first.reused is False
     assert again.reused is True
     assert again.path == first.path
@@ -89,11 +89,11 @@ def test_the_canonical_text_does_not_depend_on_the_order_of_keys(value: object) 
 @pytest.mark.parametrize("name", [*CONTENT, MANIFEST])
 def test_damage_is_never_silent(tmp_path: Path, name: str, damage: str) -> None:
     store = Store(tmp_path)
-    stage = store.stage_with_key("model", KEY, {}, write_content)
+    stage = store.stage_result("model", KEY, {}, write_content)
     path = stage.path / name
     harm(path, damage)
     assert intact_manifest(stage.path) is None
-    again = store.stage_with_key("model", KEY, {}, write_content)
+    again = store.stage_result("model", KEY, {}, write_content)
     assert not again.reused
     assert content_of(again.path) == CONTENT
     paths = list((tmp_path / ".corrupt").iterdir())
@@ -112,7 +112,7 @@ def harm(path: Path, damage: str) -> None:
 
 
 def test_no_flipped_bit_anywhere_in_a_stage_is_silent(tmp_path: Path) -> None:
-    stage = Store(tmp_path).stage_with_key("model", KEY, {}, write_content)
+    stage = Store(tmp_path).stage_result("model", KEY, {}, write_content)
     rng = np.random.default_rng(0)
     silent = []
     for name in [*CONTENT, MANIFEST]:
@@ -135,10 +135,10 @@ def test_a_computation_that_raises_leaves_nothing(tmp_path: Path) -> None:
         raise RuntimeError("the solver gave up")
 
     with pytest.raises(RuntimeError, match="gave up"):
-        Store(tmp_path).stage_with_key("model", KEY, {}, halfway)
+        Store(tmp_path).stage_result("model", KEY, {}, halfway)
     paths = list((tmp_path / "model").iterdir())
     assert paths == []
-    stage_result = Store(tmp_path).stage_with_key("model", KEY, {}, write_content)
+    stage_result = Store(tmp_path).stage_result("model", KEY, {}, write_content)
     assert not stage_result.reused
 
 
@@ -153,7 +153,7 @@ def compute(folder):
         stream.write(f"{os.getpid()}\\n")
     time.sleep(0.3)
     (folder / "model.json").write_text("{}")
-stage = Store(root).stage_with_key("model", KEY, {}, compute)
+stage = Store(root).stage_result("model", KEY, {}, compute)
 assert (stage.path / "model.json").read_text() == "{}"
 """
 
@@ -186,7 +186,7 @@ def compute(folder):
     time.sleep(0.2)
     (folder / "model.json").write_text(folder.name.split("-")[1])
 for key in keys:
-    stage = Store(root).stage_with_key("model", 64 * key, {}, compute)
+    stage = Store(root).stage_result("model", 64 * key, {}, compute)
     assert (stage.path / "model.json").read_text() == 32 * key, key
 """
 
@@ -228,7 +228,7 @@ def test_what_another_node_is_at_stays_and_what_it_saved_is_shared(
     def overtaken(folder: Path) -> None:
         (folder / "last.ckpt").write_text("half way")
         monkeypatch.setattr(module.socket, "gethostname", lambda: "elsewhere")
-        Store(tmp_path).stage_with_key(
+        Store(tmp_path).stage_result(
             "model",
             KEY,
             {},
@@ -237,7 +237,7 @@ def test_what_another_node_is_at_stays_and_what_it_saved_is_shared(
         write_content(folder)
         (folder / "last.ckpt").unlink()
 
-    stage = Store(tmp_path).stage_with_key("model", KEY, {}, overtaken)
+    stage = Store(tmp_path).stage_result("model", KEY, {}, overtaken)
     assert content_of(stage.path) == CONTENT
     paths = (tmp_path / "model").iterdir()
     names = [path.name for path in paths]
@@ -249,7 +249,7 @@ def test_leftovers_of_the_killed_are_removed_by_the_next(tmp_path: Path) -> None
     folder = store.stage_folder("model", KEY)
     leftover = folder.with_name(f".tmp-{folder.name}-deadbeef")
     leftover.mkdir(parents=True)
-    store.stage_with_key("model", KEY, {}, write_content)
+    store.stage_result("model", KEY, {}, write_content)
     assert not leftover.exists()
 
 
@@ -272,8 +272,8 @@ def test_what_the_killed_had_saved_goes_to_their_successor(tmp_path: Path) -> No
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        store.stage_with_key("model", KEY, {}, stopped)
-    stage_result = store.stage_with_key("model", KEY, {}, going_on)
+        store.stage_result("model", KEY, {}, stopped)
+    stage_result = store.stage_result("model", KEY, {}, going_on)
     path = stage_result.path
     assert content_of(path)["model.json"] == b"more"
     assert not leftover.exists()
@@ -346,7 +346,7 @@ def test_a_plan_reckons_with_the_mean_of_what_was_timed(
     monkeypatch.setattr(planning, "mean_stage_seconds", lambda _, stage: known.get(stage))
 
     def walk(name: str, number: int) -> object:
-        return lambda stages: stages.stage_with_key(
+        return lambda stages: stages.stage_result(
             name, digest_of_value([name, number]), {}, write_content
         )
 
@@ -372,7 +372,7 @@ def test_a_plan_reckons_with_the_mean_of_what_was_timed(
 @pytest.mark.parametrize("name", ["../model", "a/b", "", ".hidden"])
 def test_a_stage_name_cannot_leave_the_store(tmp_path: Path, name: str) -> None:
     with pytest.raises(BadRequest, match="stage"):
-        Store(tmp_path).stage_with_key(name, KEY, {}, write_content)
+        Store(tmp_path).stage_result(name, KEY, {}, write_content)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), object(), {1, 2}])

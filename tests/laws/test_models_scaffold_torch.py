@@ -107,7 +107,7 @@ def test_every_neuron_of_the_first_layer_starts_with_its_kink_among_the_samples(
     slopes = (LOWER, UPPER)
     frame = MapContext(width=6, slopes=slopes, samples=samples)
     scaffold = spec.build(frame, rng)
-    parts = scaffold.explicit()[0]
+    parts = scaffold.explicit_parameters()[0]
     w, b, *_ = (part.detach().numpy() for part in parts)
     below = (samples @ w.T + b < 0).mean(axis=0)
     assert ((below > 0) & (below < 1)).all()
@@ -119,7 +119,7 @@ def test_neighbouring_kinks_of_one_input_start_with_opposite_bends() -> None:
     samples = rng.normal(size=(50, 1))
     frame = MapContext(width=6, slopes=slopes, samples=samples)
     mlp = Mlp(depth=1, train_slopes=True, certified=False)
-    w, b, *_ = (p.detach() for p in mlp.build(frame, rng).explicit()[0])
+    w, b, *_ = (p.detach() for p in mlp.build(frame, rng).explicit_parameters()[0])
     order = torch.argsort(-b / w[:, 0])
     bends = torch.sign(w[order, 0])
     expected = -bends[:-1]

@@ -44,7 +44,7 @@ def design() -> Design:
         ("input_limits", lambda _: st.control(SYSTEM, rate=0.5, input_limits=(None, 1j))),
         ("y0", lambda design: st.simulate(design, np.array([[1j]]))),
         ("y0", lambda design: design.plot(np.array([[1j]]))),
-        ("lower", lambda design: design.within(np.array([-1j]), 2)),
+        ("lower", lambda design: design.within_limits(np.array([-1j]), 2)),
         ("size", lambda design: design.step(np.complex128(1j))),
         ("u", lambda _: st.fit(1j * np.arange(9.0), np.arange(9.0), 0.1)),
         ("step_s", lambda _: st.fit(np.arange(9.0), np.arange(9.0), np.complex128(0.1))),

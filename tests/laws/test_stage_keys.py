@@ -64,7 +64,7 @@ class KeysOfStages(Stages):
     keys: dict[str, str] = field(default_factory=dict)
     folder: Path = Path("nowhere")
 
-    def stage_with_key(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
+    def stage_result(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
         self.keys[name] = key
         path = self.folder / name
         return StageResult(path=path, key=key, seconds=0.0, reused=False, name=name)
@@ -271,8 +271,8 @@ TOO_NARROW = {
         "bounds/reduction.py", r"^class Reduction", "@edited\nclass Reduction", "bounds"
     ),
     "a function imported inside a function": (
-        "synthesis/deployed.py", r"^def with_gain_certificates\(",
-        "@edited\ndef with_gain_certificates(", "synthesis"
+        "synthesis/deployed.py", r"^def add_gain_certificates\(",
+        "@edited\ndef add_gain_certificates(", "synthesis"
     ),
     "a compiled kernel of the plant": (
         "plants/dc_motor_kernel.py", r"^def advance_batch\(", "@edited\ndef advance_batch(",

@@ -18,7 +18,7 @@ from ssm_study.models.identified import SSM
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.auto import Auto
-from ssm_study.synthesis.deployed import with_gain_certificates
+from ssm_study.synthesis.deployed import add_gain_certificates
 from ssm_study.synthesis.metrics import design_columns
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
@@ -83,7 +83,7 @@ def test_a_design_comes_back(kind: str) -> None:
         auto = Auto(**GRIDS, integral_weights=integral_weights)
         design = auto.design(model, balls, record)
         shown = measure_mismatch(model, record)
-        facts = design_columns(with_gain_certificates(design, model, balls), model, balls, shown)
+        facts = design_columns(add_gain_certificates(design, model, balls), model, balls, shown)
         assert isinstance(facts["controller_certified"], bool)
         assert design.feasible or facts["infeasible_reason"]
 

@@ -98,9 +98,10 @@ def test_an_example_that_is_wrong_is_found(path: Path) -> None:
 
 
 def test_a_class_that_leaves_a_question_open_is_refused() -> None:
-    with pytest.raises(
-        TypeError, match=r"does not answer: .*conditions.*model_data.*numbers_of.*rate_limit_of"
-    ):
+    questions = (
+        r"does not answer: .*conditions.*model_data.*certificate_numbers.*largest_provable_rate"
+    )
+    with pytest.raises(TypeError, match=questions):
 
         class Incomplete(StateFeedback):
             pass
@@ -119,11 +120,11 @@ def test_a_theorem_written_with_the_names_of_version_0_1_answers_by_those_of_tod
                 return {"a": known}
 
             @classmethod
-            def rate_limit_of(cls, known):
+            def largest_provable_rate(cls, known):
                 return known
 
             @staticmethod
-            def numbers_of(problem, found):
+            def certificate_numbers(problem, found):
                 return {"a": problem, "p": found}
 
     with_old_name = WithOldName.model_data(None, 1.0)
@@ -194,11 +195,11 @@ class BothEnds(StateFeedback):
         return {"a": known.controlled.a, "b": known.controlled.b}
 
     @classmethod
-    def rate_limit_of(cls, known: Any) -> None:
+    def largest_provable_rate(cls, known: Any) -> None:
         return None
 
     @staticmethod
-    def numbers_of(problem: Any, found: Any) -> dict[str, Any]:
+    def certificate_numbers(problem: Any, found: Any) -> dict[str, Any]:
         asked = {"alpha": problem.ball.alpha, "beta": problem.ball.beta, "rate": problem.rate}
         room = 1e-9 * np.eye(len(found.p))
         asked |= {"a": problem.a, "b": problem.b, "p": found.p, "k": found.k}

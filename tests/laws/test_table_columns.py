@@ -150,7 +150,7 @@ def test_a_figure_shows_the_best_run(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         model_path = tmp_path / name / "model.json"
         model_path.touch()
-    best = StudyFolder(folder=tmp_path).best
+    best = StudyFolder(folder=tmp_path).best_run
     assert best is not None
     run = rank_runs(table)["run"]
     expected = run.iloc[0]

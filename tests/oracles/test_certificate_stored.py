@@ -11,7 +11,7 @@ from loop_cases import INPUT_BALL, OUTPUT_BALL, motor_model
 
 from ssm_study.certificates.certificate import Design, certificate_digest
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
-from ssm_study.synthesis.deployed import with_gain_certificates
+from ssm_study.synthesis.deployed import add_gain_certificates
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
@@ -25,7 +25,7 @@ def stored() -> tuple[dict, StateSpace]:
     )
     limits = np.array([-4.0]), np.array([6.0])
     design = synthesis.design(model, MOTOR_BALLS)
-    whole = with_gain_certificates(design, model, MOTOR_BALLS, limits)
+    whole = add_gain_certificates(design, model, MOTOR_BALLS, limits)
     expected = {"state_feedback_deployed", "observer_deployed", "tolerance"}
     assert set(whole.extra_certificates) == {
         *expected,

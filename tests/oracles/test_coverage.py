@@ -1,5 +1,4 @@
-"""Coverage: what records show by frequency, two ways; plants that must not come out covered; what
-is refused."""
+"""Coverage from records by frequency, two ways; plants that must not come out as covered."""
 
 from dataclasses import replace
 
@@ -101,18 +100,18 @@ def covered(answer, **options) -> dict:
 @pytest.mark.parametrize("share", [0.3, -0.4])
 @pytest.mark.parametrize("centre", [0.0, -0.25])
 def test_a_gain_that_is_wrong_needs_as_much_in_every_item(share: float, centre: float) -> None:
-    items = premise(scaled_model(share)).items(centre)
+    items = premise(scaled_model(share)).requirements(centre)
     assert len(items) > 100
     for item in items:
         if item.model_power.sum() > 1e-9:
-            need, _ = OUTPUT_ALONE.need([item])
+            need, _ = OUTPUT_ALONE.needed_radius([item])
             expected = abs(share - centre)
             assert need == pytest.approx(expected, rel=1e-6)
 
 
 def test_every_line_but_the_mean_is_in_one_band() -> None:
     amplitudes = (0.1, 1.0)
-    items = premise(scaled_model(0.3), amplitudes=amplitudes).items(0.0)
+    items = premise(scaled_model(0.3), amplitudes=amplitudes).requirements(0.0)
     record = items[0].record
     bands = [item for item in items if item.is_band and item.record == record]
     lines = np.concatenate([band.angles for band in bands])
@@ -126,18 +125,19 @@ def test_an_offset_that_friction_leaves_is_no_mismatch_of_the_disc() -> None:
     """It stays where model and input have come to rest, so no disc bounds it."""
     needs = []
     for offset in (0.0, 0.3):
-        items = premise(lambda u, offset=offset: 1.2 * MODEL.simulate(u)[0] + offset).items(0.0)
-        output_alone = OUTPUT_ALONE.need(items)
+        measured = premise(lambda u, offset=offset: 1.2 * MODEL.simulate(u)[0] + offset)
+        items = measured.requirements(0.0)
+        output_alone = OUTPUT_ALONE.needed_radius(items)
         needs.append(output_alone[0])
     assert needs[1] == pytest.approx(needs[0], rel=1e-6)
 
 
 def test_noise_is_told_from_mismatch_where_an_input_repeats() -> None:
     noisy = premise(scaled_model(0.3), noise=0.02)
-    totals = [item for item in noisy.items(0.0) if item.where.endswith("in total")]
-    output_alone = OUTPUT_ALONE.need(totals[1:])
+    totals = [item for item in noisy.requirements(0.0) if item.where.endswith("in total")]
+    output_alone = OUTPUT_ALONE.needed_radius(totals[1:])
     assert output_alone[0] == pytest.approx(0.3, rel=0.1)
-    small = [item for item in noisy.items(0.0) if item.where.startswith("input of rms 0.0")]
+    small = [item for item in noisy.requirements(0.0) if item.where.startswith("input of rms 0.0")]
     highest = [item for item in small if "around 3.14" in item.where]
     assert highest[0].seen == 0.0
 
@@ -154,7 +154,7 @@ def test_a_record_that_does_not_repeat_counts_its_noise() -> None:
         mismatch = measure_mismatch(model, made)
         known = measure_premise(model, made, mismatch)
         assert not known.repeating
-        output_alone = OUTPUT_ALONE.need(known.items(0.0))
+        output_alone = OUTPUT_ALONE.needed_radius(known.requirements(0.0))
         needs.append(output_alone[0])
     assert needs[0] == pytest.approx(0.3, rel=1e-6)
     assert needs[1] > 1.0
@@ -179,7 +179,7 @@ def test_running_sums_grow_over_a_period_by_what_the_lines_say() -> None:
     sums = running_constraint_sum(weights, centre, kappa, u, m, e)
     growth = sums[3 * PERIOD - 1] - sums[2 * PERIOD - 1]
     made = premise(linear(plant), amplitudes=(1.0,), shape=one)
-    total = next(item for item in made.items(centre) if item.where.endswith("in total"))
+    total = next(item for item in made.requirements(centre) if item.where.endswith("in total"))
     powers = weights.output_weight(total.angles)
     reference = powers @ total.model_power
     powers = weights.input_weight(total.angles)
@@ -286,7 +286,7 @@ def test_the_table_of_bands_is_the_premise_beside_the_proof() -> None:
         assert row.measured / row.proved_radius == pytest.approx(expected)
     assert sum(row.decides for row in rows) >= 1
     largest = max(row.need for row in rows)
-    upper_limit = weights.need(known.items(part.centre))[0]
+    upper_limit = weights.needed_radius(known.requirements(part.centre))[0]
     assert largest <= upper_limit
     assert max(row.need for row in rows) < part.kappa
 
@@ -319,13 +319,13 @@ def test_a_model_that_integrates_has_no_premise() -> None:
     made = records(scaled_model(0.1))
     mismatch = measure_mismatch(model, made)
     shown = replace(mismatch, left_at_rest=None)
-    assert measure_premise(model, made, shown).missing(0.0) == INTEGRATES
+    assert measure_premise(model, made, shown).missing_reason(0.0) == INTEGRATES
 
 
 def test_an_empty_premise_is_refused() -> None:
     nothing = Premise(repeating=(), averaged=())
-    assert nothing.missing(0.0) == EMPTY
-    assert premise(scaled_model(0.0)).missing(0.0) == NO_MISMATCH
+    assert nothing.missing_reason(0.0) == EMPTY
+    assert premise(scaled_model(0.0)).missing_reason(0.0) == NO_MISMATCH
     model = SSM.from_linear(MODEL, 0.01)
     extra_certificates = add_coverage_certificate(
         design(), model, BALLS, nothing

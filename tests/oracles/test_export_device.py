@@ -128,7 +128,7 @@ def test_the_law_is_the_python_loop(
         inputs = law.input(memory, seen[None], target)
         expected.append(np.clip(inputs, made.lower, made.upper))
         memory = law.advance(memory, expected[-1], seen[None], target)
-    applied = made.replay_inputs(y, r)
+    applied = made.recomputed_inputs(y, r)
     difference = np.abs(applied - np.concatenate(expected))
     largest_difference = difference.max()
     assert largest_difference < 1e-7

@@ -47,7 +47,7 @@ def covered() -> tuple[SSM, Design]:
 
 @pytest.fixture(scope="module")
 def monitor(covered: tuple[SSM, Design]) -> Monitor:
-    made = Monitor.of(*covered)
+    made = Monitor.for_design(*covered)
     assert made is not None
     return made
 
@@ -177,7 +177,7 @@ def test_a_decay_from_afar_raises_no_flag(covered: tuple[SSM, Design], watched) 
     """The plant is its model and starts three scales away, the monitor's model at rest."""
     model = covered[0]
     y, u, _, _ = loop(covered[1], lambda m, _: m, 3.0)
-    assert decay_energy(model.linear) * 3.0**2 > 30 * Monitor.of(*covered).limit
+    assert decay_energy(model.linear) * 3.0**2 > 30 * Monitor.for_design(*covered).limit
     assert not watched(y, u)[1].any()
 
 
@@ -202,7 +202,7 @@ def test_it_costs_less_than_the_controller_again(
 
 
 def test_without_a_proof_there_is_none(covered: tuple[SSM, Design]) -> None:
-    assert Monitor.of(covered[0], design()) is None
+    assert Monitor.for_design(covered[0], design()) is None
     bare = Device.from_controller(convert_controller(covered[0], design()), "double", *UNLIMITED)
     text = render_c_files(bare, about="test")["controller.h"]
     assert '#error "no monitor' in text

@@ -21,7 +21,7 @@ from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.synthesis.auto import Auto
-from ssm_study.synthesis.deployed import with_gain_certificates
+from ssm_study.synthesis.deployed import add_gain_certificates
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.input_inversion import mismatch_behind_map, model_behind_map
@@ -40,7 +40,7 @@ def made(request: pytest.FixtureRequest) -> tuple:
     asked = replace(ASKED, internal_model=internal_model)
     balls = certified_balls(stand)
     limits = (np.array([-4.0]), np.array([4.0]))
-    design = with_gain_certificates(asked.design(stand, balls), stand, balls, limits)
+    design = add_gain_certificates(asked.design(stand, balls), stand, balls, limits)
     return (stand, balls, design)
 
 

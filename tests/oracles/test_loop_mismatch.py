@@ -22,7 +22,7 @@ from ssm_study.robustness.bands import ANGLES as BANDS
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import Prediction, predict
 from ssm_study.robustness.sensitivity import (
-    controller_radius,
+    controller_spectral_radius,
     peaks_on_grid,
     sensitivity,
     sensitivity_peak,
@@ -347,16 +347,17 @@ def test_the_controller_alone_is_the_equation_written_out():
         )
         for k, gain in zip(pairs.k, pairs.l, strict=True)
     ]
-    actual = controller_radius(linear, pairs, balls)
+    actual = controller_spectral_radius(linear, pairs, balls)
     np.testing.assert_allclose(actual, expected)
     wider = Gains(k=np.concatenate([pairs.k, np.ones((3, 2, 2))], axis=2), l=pairs.l)
-    actual = controller_radius(linear, wider, balls)
+    actual = controller_spectral_radius(linear, wider, balls)
     np.testing.assert_allclose(actual, expected)
     known = JacobianBall(alpha=0.7, beta=0.0)
     narrow = Balls(input=known, output=known)
     wide = Balls(input=balls.input, output=known)
     assert (
-        controller_radius(linear, pairs, narrow) <= controller_radius(linear, pairs, wide)
+        controller_spectral_radius(linear, pairs, narrow)
+        <= controller_spectral_radius(linear, pairs, wide)
     ).all()
 
 

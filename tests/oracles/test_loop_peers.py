@@ -137,7 +137,7 @@ def test_a_grid_of_gains_is_its_designs_one_by_one():
     l_ = design.pair.l
     gains = Gains(k=np.stack([k, 0.5 * k]), l=np.stack([l_, 0.7 * l_]))
     y0, noise = SHORT.draw_conditions(motor(), seed=2)
-    observer_feedback_gains = gains.at(np.repeat([0, 1], 3))
+    observer_feedback_gains = gains.select_pairs(np.repeat([0, 1], 3))
     grid = ObserverFeedback(model=model, gains=observer_feedback_gains)
     together = SHORT.simulate(motor(), grid, np.tile(y0, (2, 1)), np.tile(noise, (2, 1, 1)))
     for i in range(2):

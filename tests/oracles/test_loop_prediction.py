@@ -21,7 +21,7 @@ from ssm_study.robustness.record_errors import View
 from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
     Responses,
-    controller_radius,
+    controller_spectral_radius,
     largest_singular_values,
     sensitivity,
     slope_combinations,
@@ -197,7 +197,7 @@ def test_the_radius_is_the_growth_of_the_controller_alone(seed):
         norm = np.linalg.norm(memory)
         memory = following * norm / np.linalg.norm(following)
     pair = Gains(k=k, l=gain)
-    radius = controller_radius(model.linear, pair, ONES)
+    radius = controller_spectral_radius(model.linear, pair, ONES)
     mean = np.mean(grown[100:])
     expected = np.log(radius)
     assert mean == pytest.approx(expected, abs=0.05)
@@ -211,7 +211,7 @@ def test_the_integrator_does_not_count():
     with_integral = np.concatenate([k, np.full((1, 1, 1), 0.3)], axis=2)
     pair = Gains(k=with_integral, l=gain)
     gains = Gains(k=k, l=gain)
-    assert controller_radius(model.linear, pair, BALLS) == controller_radius(
+    assert controller_spectral_radius(model.linear, pair, BALLS) == controller_spectral_radius(
         model.linear, gains, BALLS
     )
 

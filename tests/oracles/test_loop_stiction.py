@@ -13,7 +13,7 @@ from ssm_study.loop.regulation import Loop
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.plants.stribeck_drive import StribeckDrive
-from ssm_study.robustness.sensitivity import controller_radius
+from ssm_study.robustness.sensitivity import controller_spectral_radius
 from ssm_study.signals import Scale
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
@@ -67,7 +67,7 @@ def test_a_plant_with_stiction_comes_to_rest_only_under_a_stable_controller(stab
     design = riccati_synthesis.design(model, ONES)
     assert design.certified
     law = ObserverFeedback.from_design(model, design)
-    radius = controller_radius(model.linear, law.gains, ONES)
+    radius = controller_spectral_radius(model.linear, law.gains, ONES)
     assert (radius < 1) == stable
     loop = Loop(initial_conditions=1, horizon_s=6.0)
     run = loop.simulate(plant, law, np.full((1, 1), 1e-6), np.zeros((1, 600, 1)))

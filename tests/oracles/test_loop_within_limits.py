@@ -250,7 +250,7 @@ def test_the_header_says_both(tmp_path: Path, smoke_run: Path) -> None:
         "From everywhere the state feedback, cut at the limits," in header
         or "From everywhere nothing is" in header
     )
-    assert isinstance(design.within([-1e3], [1e3]), WithinLimits)
+    assert isinstance(design.within_limits([-1e3], [1e3]), WithinLimits)
 
 
 @pytest.mark.parametrize(("apart", "shared"), [(0.0, True), (9.0, False)])

@@ -109,13 +109,13 @@ def solvable(known: VerificationContext, weights: Weights, centre: float, kappa:
     from types import SimpleNamespace
 
     bent = known.balls.output.beta > 0
-    measured_discs = MeasuredDiscs.loop_of(known)
+    measured_discs = MeasuredDiscs.loop_matrices(known)
     numbers = measured_discs | vars(known.balls.input)
     numbers |= {"centre": centre, "kappa": kappa, "floor": weights.floor, "lambda_p": 1.0}
     numbers |= {"weight_output": weights.output, "weight_input": weights.input}
     numbers["lambda_out"] = np.ones(3) if bent else np.zeros(0)
     of = SimpleNamespace(**{name: np.atleast_2d(value) for name, value in numbers.items()})
-    rows = MeasuredDiscs.signals(of)
+    rows = MeasuredDiscs.signal_matrices(of)
     measured_discs = MeasuredDiscs.static_map_forms(of, rows)
     forms = [form for _, form in measured_discs]
     order = len(rows.xi)

@@ -140,7 +140,7 @@ def test_integrators_from_elsewhere_are_certified_and_led_to_a_set_point(
     model = control.ss(a, b, c, np.zeros((outputs, len(b[0]))), 0.1)
     design = st.control(model, *asked)
     assert design.certificate.certified
-    reach = design.within([-1.0] * len(b[0]), [1.0] * len(b[0]))
+    reach = design.within_limits([-1.0] * len(b[0]), [1.0] * len(b[0]))
     assert (reach.lower < 0).all()
     assert (reach.upper > 0).all()
     step = ("reference@loop.reference=step", "loop.reference.after=0.3", "loop.horizon_s=30")

@@ -20,7 +20,7 @@ from ssm_study.certificates.theorems.deployed_rate import largest_rate
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.robustness.sensitivity import noise_gain, sensitivity
-from ssm_study.synthesis.deployed import at_largest_rate, with_gain_certificates
+from ssm_study.synthesis.deployed import add_gain_certificates, certificate_at_largest_rate
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_search import INPUT_ALONE, largest_kappa
@@ -98,7 +98,7 @@ def test_sampled_slopes_never_contract_slower_than_proved(seed: int, inputs: int
     rng = np.random.default_rng(seed)
     for part in (design.state_feedback, design.observer):
         assert isinstance(part, StateFeedback | Observer)
-        again = at_largest_rate(part)
+        again = certificate_at_largest_rate(part)
         assert again is not None
         assert again.certified
         np.testing.assert_array_equal(again.gain, part.gain)
@@ -134,7 +134,7 @@ def test_a_rate_beyond_the_largest_is_not_proved_and_a_gain_without_ball_reaches
     spectral_radius = np.abs(eigenvalues).max()
     expected = 1 - spectral_radius**2
     assert largest_rate(part.a, part.b, part.k, jacobian_ball) == pytest.approx(expected, rel=1e-12)
-    again = at_largest_rate(part)
+    again = certificate_at_largest_rate(part)
     assert again is not None
     rate = again.rate + 0.01 * (1 - again.rate)
     bold = replace(again, rate=rate)
@@ -339,7 +339,7 @@ def test_with_integrators_and_a_weight_the_motor_has_a_tolerance() -> None:
     )
     changed_synthesis = replace(synthesis, internal_model=["step"], integral_weight=1e-4)
     design = changed_synthesis.design(model, MOTOR_BALLS)
-    whole = with_gain_certificates(design, model, MOTOR_BALLS)
+    whole = add_gain_certificates(design, model, MOTOR_BALLS)
     assert "tolerance" in whole.extra_certificates
     parts = whole.extra_certificates.values()
     assert all(part.certified for part in parts)

@@ -71,7 +71,7 @@ def test_one_percent_inside_every_method_certifies(seed: int, method: type, inpu
 
 
 def holds(problem: Problem, found: Solution) -> bool:
-    state_feedback_of_ball = StateFeedbackOfBall.numbers_of(problem, found)
+    state_feedback_of_ball = StateFeedbackOfBall.certificate_numbers(problem, found)
     return StateFeedbackOfBall.holds(**state_feedback_of_ball)
 
 

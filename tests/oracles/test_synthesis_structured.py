@@ -216,7 +216,7 @@ def test_a_negative_multiplier_certifies_nothing() -> None:
 def test_injection_where_the_output_sees_the_neurons_is_refused() -> None:
     system = drawn(4, h=0.2)
     problem = asked(system, "observer", KNOWN, 0.1)
-    numbers = StructuredObserver.numbers_of(problem, least_cost(problem))
+    numbers = StructuredObserver.certificate_numbers(problem, least_cost(problem))
     assert StructuredObserver.holds(**numbers)
     l_z = 1e-9 * np.ones_like(numbers["l_z"])
     assert not StructuredObserver.holds(**{**numbers, "l_z": l_z})

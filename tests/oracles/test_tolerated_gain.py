@@ -18,7 +18,7 @@ from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.measured_discs_structured import StructuredMeasuredDiscs
 from ssm_study.robustness.coverage import Weights
 from ssm_study.robustness.sensitivity import sensitivity
-from ssm_study.synthesis.deployed import at_largest_rate, with_gain_certificates
+from ssm_study.synthesis.deployed import add_gain_certificates, certificate_at_largest_rate
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_search import INPUT_ALONE, largest_kappa
@@ -50,7 +50,7 @@ def found(
 def test_gains_are_certified_just_inside_their_largest_rate() -> None:
     design = ASKED.design(_Model(drawn(0)), BALLS)
     for part in (design.state_feedback, design.observer):
-        again = at_largest_rate(part)
+        again = certificate_at_largest_rate(part)
         limit = largest_rate(*part.as_problem())
         assert again.certified
         np.testing.assert_array_equal(again.gain, part.gain)
@@ -183,7 +183,7 @@ def stored(request: pytest.FixtureRequest) -> tuple[dict, object]:
     asked = replace(ASKED, internal_model=internal_model)
     balls = certified_balls(stand)
     design = asked.design(stand, balls)
-    whole = with_gain_certificates(design, stand, balls)
+    whole = add_gain_certificates(design, stand, balls)
     assert "tolerance" in whole.extra_certificates
     text = json.dumps(whole.to_json())
     content = json.loads(text)

@@ -125,7 +125,7 @@ def test_what_never_ends_is_not_read(what: str, name: str, study: Path) -> None:
     expected = "corrupt" if name == "record.json" else "ok"
     assert status == expected
     with pytest.raises(BadRequest, match=r"do not hold|there is no record\.json"):
-        verify(run_of(study)).demand("run", study)
+        verify(run_of(study)).require_valid("run", study)
 
 
 # The table is made anew; what `verify` makes of each damage has tests of its own, and `export`

@@ -300,7 +300,7 @@ def test_a_near_miss_is_handed_on_as_found_and_says_that_it_is_not_certified() -
     y = np.eye(2)
     k = np.zeros((1, 2))
     wrong = Solution(p=p, y=y, k=k, sigma=1.0, status="solved")
-    part = request.first_certified(problem, [lambda: wrong])
+    part = request.first_certified_solution(problem, [lambda: wrong])
     assert isinstance(part, StateFeedback)
     assert not part.certified
     assert part.solver_status.startswith("solved; not positive definite in exact arithmetic")

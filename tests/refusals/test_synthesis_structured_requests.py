@@ -10,7 +10,7 @@ from structured_cases import model
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, certificate_digest
-from ssm_study.synthesis.deployed import at_largest_rate
+from ssm_study.synthesis.deployed import certificate_at_largest_rate
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 
@@ -111,7 +111,7 @@ def test_another_injection_than_the_deployed_one_proves_nothing_of_it(stored: di
     observer = design.observer
     l_z = 0.9 * observer.l_z
     changed_observer = replace(observer, l_z=l_z, rate=1e-3)
-    other = at_largest_rate(changed_observer)
+    other = certificate_at_largest_rate(changed_observer)
     assert other is not None
     assert other.certified
     extra_certificates = {"observer_deployed": other}

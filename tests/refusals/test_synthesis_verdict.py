@@ -59,7 +59,7 @@ def test_an_attempt_without_matrices_is_followed_by_the_next() -> None:
     def nothing() -> Solution:
         raise NoSolution("nothing")
 
-    part = request.first_certified(problem, [nothing, lambda: guaranteed_cost(problem)])
+    part = request.first_certified_solution(problem, [nothing, lambda: guaranteed_cost(problem)])
     assert isinstance(part, StateFeedback)
     assert part.certified
 
@@ -259,7 +259,7 @@ def test_the_margin_is_that_of_the_exact_inequality() -> None:
     expected = scale_to_unit_diagonal(exactly.to_floats())
     np.testing.assert_allclose(ours, expected, atol=1e-13)
     known = {"method": "", "status": "", "rate_limit": 1.0, "started": 0.0}
-    margin = type(part).proved(numbers, **known).margin
+    margin = type(part).from_numbers(numbers, **known).margin
     assert margin == smallest_eigenvalue(ours)
 
 

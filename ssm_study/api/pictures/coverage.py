@@ -24,7 +24,7 @@ def coverage_picture(design: Design, premise: Premise, step_s: float) -> Picture
     part = design.extra_certificates.get(MeasuredDiscs.part)
     if not isinstance(part, MeasuredDiscs):
         raise NothingToShow("No proof speaks of the model error of these gains.")
-    missing = premise.missing(part.centre)
+    missing = premise.missing_reason(part.centre)
     if missing is not None:
         raise NothingToShow(f"Nothing is covered: {missing}.")
     weights = certificate_weights(part)
@@ -37,7 +37,7 @@ def coverage_picture(design: Design, premise: Premise, step_s: float) -> Picture
         own = [row for row in rows if row.record == record]
         colour = style.CYCLE[i % len(style.CYCLE)]
         series += _record_series(own, part.kappa, step_s, record, colour)
-    need, where = weights.need(premise.items(part.centre))
+    need, where = weights.needed_radius(premise.requirements(part.centre))
     coverage = part.kappa / need
     band = next((row for row in rows if row.decides), None)
     if band is not None and np.isclose(band.need, need, rtol=1e-6):

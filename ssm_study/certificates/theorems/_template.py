@@ -23,11 +23,12 @@ base class says what is not answered. The fields are what `certificate.json` sto
 `conditions` is what exact arithmetic decides and `verify` derives again; `model_data` and
 `products` are what a tampered file is held against. Where gains are searched, add a `Synthesis`,
 with `feedback_theorem` (`observer_theorem`) set to the class, whose `solve` returns what
-`numbers_of` stores, and one yaml in `conf/synthesis/` with its `_target_`; for gains that are
-given, call `proved`. A field that Python reserves is written with an underscore (`lambda_`) and
-stored without. A multiplier that must stay diagonal is a vector, `Float[np.ndarray, "q"]`, and
-enters as `theorem.diagonal(of.lambda_)`. A theorem for models with neurons has their matrix `e` for
-a field: without it `verify` takes it for one that knows none.
+`certificate_numbers` stores, and one yaml in `conf/synthesis/` with its `_target_`; for gains that
+are given, call `from_numbers`. A field that Python reserves is written with an underscore
+(`lambda_`) and stored without. A multiplier that must stay diagonal is a vector,
+`Float[np.ndarray, "q"]`, and enters as `theorem.multiplier_matrix(of.lambda_)`. A theorem for
+models with neurons has their matrix `e` as a field: without it `verify` takes it for one that
+knows none.
 """
 
 from collections.abc import Mapping
@@ -64,13 +65,13 @@ class NameOfTheTheorem(StateFeedback, abstract=True):
         return {"a": context.controlled.a, "b": context.controlled.b}
 
     @classmethod
-    def rate_limit_of(cls, context: VerificationContext) -> float | None:  # noqa: ARG003
+    def largest_provable_rate(cls, context: VerificationContext) -> float | None:  # noqa: ARG003
         """Largest rate that the theorem can prove for a model with any gain; None where no formula
         is known."""
         return None
 
     @staticmethod
-    def numbers_of(problem: Any, found: Any) -> dict[str, Any]:
+    def certificate_numbers(problem: Any, found: Any) -> dict[str, Any]:
         """Collect from a problem and its solution every number that `conditions` uses."""
         asked = {"alpha": problem.ball.alpha, "beta": problem.ball.beta, "rate": problem.rate}
         return asked | {"a": problem.a, "b": problem.b, "p": found.p, "k": found.k}

@@ -103,7 +103,7 @@ def largest_rate(
     return float(1 - np.exp(2 * root))
 
 
-def at_largest_rate(part: Any) -> Side | None:
+def certificate_at_largest_rate(part: Any) -> Side | None:
     """Certificate of the same gain at the largest rate that is proved for it, with a new metric;
     None where the certified rate is already that large."""
     started, (problem, found) = time.perf_counter(), part.as_problem()
@@ -124,11 +124,11 @@ def at_largest_rate(part: Any) -> Side | None:
         except NoSolution:
             continue
         status = f"{inside:.1%} inside the largest rate {limit:.6g}"
-        numbers = part.numbers_of(
+        numbers = part.certificate_numbers(
             problem.at_rate(rate), Solution(p=p, y=p, k=found.k, sigma=1.0, status=status)
         )
         told = {"rate_limit": part.rate_limit, "method": part.method}
-        proved: Side = part.proved(numbers, status=status, started=started, **told)
+        proved: Side = part.from_numbers(numbers, status=status, started=started, **told)
         if proved.certified:
             return proved
     return None

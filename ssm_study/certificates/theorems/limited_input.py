@@ -30,7 +30,7 @@ Example. `x+ = 0.5 x + sat(-0.4 x)`: between 0.5 and 0.1 of a distance is left, 
 >>> told = dict(rate_limit=1.0, method="", started=0.0, status="")
 >>> numbers = dict(a=0.5 * one, b=one, k=-0.4 * one, p=one, y=one)
 >>> numbers |= dict(sigma=0.5, alpha=1.0, beta=0.0, rate=0.1)
->>> found = certify_under_limits(StateFeedbackOfBall.proved(numbers, **told))
+>>> found = certify_under_limits(StateFeedbackOfBall.from_numbers(numbers, **told))
 >>> print(f"{found.rate:.2f} < 1 - {0.5}^2, certified: {found.certified}")
 0.75 < 1 - 0.5^2, certified: True
 """
@@ -40,7 +40,7 @@ from dataclasses import dataclass, replace
 
 from ssm_study.certificates.frontier import frontier
 from ssm_study.certificates.theorem import VerificationContext
-from ssm_study.certificates.theorems.deployed_rate import at_largest_rate
+from ssm_study.certificates.theorems.deployed_rate import certificate_at_largest_rate
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import JacobianBall
 
@@ -53,7 +53,7 @@ class LimitedFeedback(StateFeedbackOfBall):
     for a wider ball."""
 
     @classmethod
-    def ball(cls, context: VerificationContext) -> JacobianBall:
+    def required_ball(cls, context: VerificationContext) -> JacobianBall:
         return ball_behind_limits(context.balls.input, context.controlled.b.shape[1])
 
 
@@ -73,6 +73,6 @@ def certify_under_limits(part: StateFeedbackOfBall) -> LimitedFeedback | None:
     rate is proved. The rate is near the largest one with limits."""
     ball = ball_behind_limits(JacobianBall(alpha=part.alpha, beta=part.beta), part.b.shape[1])
     told = {"rate": LEAST, "rate_limit": frontier(part.a, part.b, ball).rate_limit}
-    found = at_largest_rate(LimitedFeedback(**(vars(part) | vars(ball) | told)))
+    found = certificate_at_largest_rate(LimitedFeedback(**(vars(part) | vars(ball) | told)))
     assert found is None or isinstance(found, LimitedFeedback)
     return found and replace(found, method="limited input")

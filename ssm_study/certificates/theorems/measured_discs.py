@@ -129,7 +129,7 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def conditions(cls, of: Any) -> dict[str, Blocks]:
-        signals = cls.signals(of)
+        signals = cls.signal_matrices(of)
         form = signals.xi.T @ of.p @ signals.xi - signals.step.T @ of.p @ signals.step
         form = form + cls.disc_form(of, signals)
         for multiplier, positive in cls.static_map_forms(of, signals):
@@ -166,14 +166,14 @@ class MeasuredDiscs(Theorem):
         return forms
 
     @classmethod
-    def inputs_of(cls, of: Any) -> dict[str, int]:
+    def free_signal_sizes(cls, of: Any) -> dict[str, int]:
         """Number of entries of each free signal of the loop, in the order of the columns."""
         (_, m), (p, _) = of.b.shape, of.c.shape
         bent = {"r1": p, "r2": p} if of.lambda_out.shape[1] else {}
         return {"p": m, "e": p, **bent}
 
     @classmethod
-    def signals(cls, of: Any) -> SimpleNamespace:
+    def signal_matrices(cls, of: Any) -> SimpleNamespace:
         """Matrices that give every signal of the theorem from the states and the free signals."""
         (s, m), (p, n) = of.b.shape, of.c.shape
         filters = {
@@ -181,7 +181,7 @@ class MeasuredDiscs(Theorem):
             "x_v": (count_rows(of.weight_input) - 1) * m,
         }
         states = {"x": s, "eps": n, **filters}
-        rows = SimpleNamespace(**selection_matrices(states | cls.inputs_of(of)))
+        rows = SimpleNamespace(**selection_matrices(states | cls.free_signal_sizes(of)))
         rows.xi = np.vstack([getattr(rows, name) for name in states])
         rows.u = of.k @ rows.x + of.k[:, :n] @ rows.eps
         rows.drive = of.alpha * rows.u + rows.p
@@ -215,7 +215,7 @@ class MeasuredDiscs(Theorem):
         return moved, error
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
-        given = self.loop_of(context)
+        given = self.loop_matrices(context)
         ball = context.balls.output
         linear_map = len(self.lambda_out) == 0
         if linear_map and ball.beta > 0:  # no multiplier for a bend that there is: proves nothing
@@ -223,7 +223,7 @@ class MeasuredDiscs(Theorem):
         return given
 
     @classmethod
-    def loop_of(cls, context: VerificationContext) -> dict[str, Any]:
+    def loop_matrices(cls, context: VerificationContext) -> dict[str, Any]:
         """Matrices of the closed loop, from the model and the gains of the design."""
         names = [field.name for field in fields(cls) if field.name in DUAL]
         loop = {
@@ -234,11 +234,11 @@ class MeasuredDiscs(Theorem):
         return {**loop, **context.gains, "alpha_out": ball.alpha, "beta_out": ball.beta}
 
     @staticmethod
-    def ball(context: VerificationContext) -> JacobianBall:
+    def required_ball(context: VerificationContext) -> JacobianBall:
         return context.balls.input
 
     @classmethod
-    def rate_limit_of(cls, context: VerificationContext) -> None:
+    def largest_provable_rate(cls, context: VerificationContext) -> None:
         """Return None, as this theorem claims no rate."""
 
 

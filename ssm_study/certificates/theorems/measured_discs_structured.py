@@ -72,9 +72,9 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
         return found | {"lambda": [[multiplier_matrix(of.lambda_)]]}
 
     @classmethod
-    def inputs_of(cls, of: Any) -> dict[str, int]:
+    def free_signal_sizes(cls, of: Any) -> dict[str, int]:
         q = of.g.shape[0]
-        return super().inputs_of(of) | {"w": q, "d_w": q}
+        return super().free_signal_sizes(of) | {"w": q, "d_w": q}
 
     @classmethod
     def neuron_contribution(cls, of: Any, rows: Any, letter: str) -> Any:

@@ -35,7 +35,8 @@ Example. `x+ = x + u`, `u = -0.5 x`, `|u| < 1`: no limit acts from within 2.
 >>> numbers = dict(a=one, b=one, k=-0.5 * one, p=one, y=one)
 >>> numbers |= dict(sigma=0.1, alpha=1.0, beta=0.0, rate=0.5)
 >>> limits = np.array([[-1.0, 1.0]])
->>> found = certify_unlimited_start([StateFeedbackOfBall.proved(numbers, **told)], one, limits)
+>>> part = StateFeedbackOfBall.from_numbers(numbers, **told)
+>>> found = certify_unlimited_start([part], one, limits)
 >>> print(f"{found.starts[0, 0]:.6f}, certified: {found.certified}")
 2.000000, certified: True
 """
@@ -115,5 +116,7 @@ def certify_unlimited_start(
         "method": "limited input",
         "status": "level set",
     }
-    proved: UnlimitedStart = UnlimitedStart.proved(part.variables | starts, started=started, **told)
+    proved: UnlimitedStart = UnlimitedStart.from_numbers(
+        part.variables | starts, started=started, **told
+    )
     return proved if proved.certified else None

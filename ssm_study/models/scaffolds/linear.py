@@ -9,9 +9,9 @@ from jaxtyping import Float
 from ssm_study.bounds.network import PortableMap
 from ssm_study.bounds.slopes import (
     SlopeBound,
-    ball_around_identity,
     bound_from_ball,
     bound_from_interval,
+    enclosing_ball_at_scaled_identity,
 )
 from ssm_study.models.lazy_torch import Tensor
 from ssm_study.models.scaffolds.scaffold import Free, Scaffold, Square
@@ -40,7 +40,7 @@ class LinearScaffold(Scaffold, names=("linear",)):
         if self.gain.shape == (1, 1):
             gain = Fraction(float(self.gain[0, 0]))
             return bound_from_interval(gain, gain, "construction")
-        return bound_from_ball(ball_around_identity(self.gain, 0.0), "construction")
+        return bound_from_ball(enclosing_ball_at_scaled_identity(self.gain, 0.0), "construction")
 
     def jacobian_centre(self) -> Square:
         return self.gain
@@ -66,7 +66,7 @@ class Linear(Trainable):
     ) -> dict[str, Float[np.ndarray, "..."]]:
         return {"gain": np.eye(frame.samples.shape[1])}
 
-    def explicit(self, free: Free, slopes: tuple[float, float]) -> Tensor:  # noqa: ARG002
+    def explicit_parameters(self, free: Free, slopes: tuple[float, float]) -> Tensor:  # noqa: ARG002
         return free["gain"]
 
     def evaluate(self, explicit: Tensor, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:  # noqa: ARG002

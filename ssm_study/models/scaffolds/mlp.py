@@ -100,7 +100,7 @@ class Mlp(Trainable):
                 free[f"slope_positive_{i}"] = np.full(h, 2.0)
         return free
 
-    def explicit(self, free: Free, slopes: Sector) -> list[Layer]:
+    def explicit_parameters(self, free: Free, slopes: Sector) -> list[Layer]:
         return [self._layer_weights(free, i, slopes) for i in range(self.depth)]
 
     def _layer_weights(self, free: Free, i: int, slopes: Sector) -> Layer:
@@ -230,7 +230,7 @@ class OneChannel(Trainable):
             free[f"base_{i}"] = np.zeros(1)
         return free
 
-    def explicit(self, free: Free, slopes: Sector) -> list[Pieces]:
+    def explicit_parameters(self, free: Free, slopes: Sector) -> list[Pieces]:
         lower, upper = layer_slope_bounds(*slopes, self.depth, channels=1)
         layers = []
         for i in range(self.depth):

@@ -126,7 +126,7 @@ class Monotone(Trainable):
         free = np.zeros((len(points), frame.width + 1))
         return {"points": points, "free": free}
 
-    def explicit(self, free: Free, slopes: tuple[float, float]) -> Pieces:
+    def explicit_parameters(self, free: Free, slopes: tuple[float, float]) -> Pieces:
         lower, upper = slopes
         points = free["points"].sort(dim=-1).values
         inside = lower + (upper - lower) * torch.sigmoid(free["free"])

@@ -98,7 +98,7 @@ class Residual(Trainable):
         free["last_skew"] = rng.normal(size=(m, m)) * 0.1
         return free | {"last_tail": last.T}
 
-    def explicit(self, free: Free, slopes: tuple[float, float]) -> "Sandwich":
+    def explicit_parameters(self, free: Free, slopes: tuple[float, float]) -> "Sandwich":
         weights: list[Tensor] = []
         left: Any = None
         psis = [torch.exp(free[f"scale_{i}"]) for i in range(self.depth)]

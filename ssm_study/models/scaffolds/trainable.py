@@ -39,7 +39,7 @@ class Trainable(ABC):
         """Initial values of the map's free parameters."""
 
     @abstractmethod
-    def explicit(self, free: Free, slopes: tuple[float, float]) -> Any:
+    def explicit_parameters(self, free: Free, slopes: tuple[float, float]) -> Any:
         """Explicit parameters of the map, which respect its slope sector for any free
         parameters."""
 

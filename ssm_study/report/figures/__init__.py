@@ -31,7 +31,7 @@ def figure_names() -> list[str]:
     return sorted({*extension_modules("figures"), *ours})
 
 
-def _module(name: str) -> ModuleType:
+def _figure_module(name: str) -> ModuleType:
     """Module that draws a figure, by the figure's name."""
     ours = any((Path(place) / f"{name}.py").is_file() for place in __path__)
     return import_module(f"{__name__}.{name}" if ours else extension_modules("figures")[name])
@@ -39,14 +39,14 @@ def _module(name: str) -> ModuleType:
 
 def caption(name: str) -> str:
     """Caption of a figure in a sentence or two, taken from the docstring of its file."""
-    return " ".join((_module(name).__doc__ or "").split())
+    return " ".join((_figure_module(name).__doc__ or "").split())
 
 
 def draw_one_figure(name: str, study: StudyFolder, width: style.Width = "page") -> "Figure":
     """Draw a single figure of a study in the style of the paper. Raises `NothingToDraw` with the
     reason where it would be empty."""
     with style.paper_style(width):
-        figure: Figure = _module(name).draw(study)
+        figure: Figure = _figure_module(name).draw(study)
     return figure
 
 

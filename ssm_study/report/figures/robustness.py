@@ -32,8 +32,8 @@ def draw(study: StudyFolder) -> Figure:
     several = "situation" in compared and compared["situation"].nunique() > 1
     if not several or numeric_column(compared, "stable_fraction").isna().all():
         raise NothingToDraw(NOT_COMPARED)
-    shares = _table(compared, "stable_fraction")
-    times = _table(compared, "settling_time_mean_s")
+    shares = _settling_time_table(compared, "stable_fraction")
+    times = _settling_time_table(compared, "settling_time_mean_s")
     open_loop_s = numeric_column(compared, "settling_time_open_loop_s").dropna()
     ratios = times / float(open_loop_s.iloc[0])
     ratios = ratios.where(shares > WHOLE)
@@ -81,7 +81,7 @@ def _write_cells(
         axes.text(j, i, text, color=colour, **CENTRED)
 
 
-def _table(compared: pd.DataFrame, name: str) -> pd.DataFrame:
+def _settling_time_table(compared: pd.DataFrame, name: str) -> pd.DataFrame:
     """Table of settling times with a row per controller and a column per situation, in the order of
     the comparison."""
     rows = compared.assign(value=numeric_column(compared, name))

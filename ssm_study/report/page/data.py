@@ -153,9 +153,9 @@ def subject_words(table: pd.DataFrame) -> str:
 
 def configuration_text(study: StudyFolder) -> str:
     """Configuration of the best run, or nothing where it left none."""
-    if study.best is None:
+    if study.best_run is None:
         return ""
-    config = study.best.path / ".hydra" / "config.yaml"
+    config = study.best_run.path / ".hydra" / "config.yaml"
     return config.read_text() if config.is_file() else ""
 
 

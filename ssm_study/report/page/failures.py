@@ -38,10 +38,10 @@ def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
         sentence = f"{record['verdict']}: {failure_reason(record)}"
         groups.setdefault(NUMBER.sub("#", sentence), []).append((place, sentence))
     worst_first = sorted(groups, key=lambda sentence: (severity(sentence), sentence))
-    return [group_of(groups[sentence]) for sentence in worst_first]
+    return [make_failure_group(groups[sentence]) for sentence in worst_first]
 
 
-def group_of(runs: list[tuple[int, str]]) -> FailureGroup:
+def make_failure_group(runs: list[tuple[int, str]]) -> FailureGroup:
     """Group of runs that failed for the same reason, each with its row of the table and its
     explanation."""
     reason = merge_number_ranges([sentence for _, sentence in runs])
@@ -71,11 +71,11 @@ def merge_number_ranges(sentences: Sequence[str]) -> str:
     texts = [NUMBER.findall(sentence) for sentence in sentences]
     columns = iter(zip(*texts, strict=True))
 
-    def spanned(match: re.Match[str]) -> str:
+    def number_range(match: re.Match[str]) -> str:
         """Range that takes the place of one number in the merged sentence."""
         column = next(columns)
         low = min(column, key=float)
         high = max(column, key=float)
         return match[0] if float(low) == float(high) else f"{low} to {high}"
 
-    return NUMBER.sub(spanned, sentences[0])
+    return NUMBER.sub(number_range, sentences[0])

@@ -168,7 +168,7 @@ def limit_words(record: Record) -> str:
 
 def predicted_card(record: Record) -> Card | None:
     """Card with the prediction before the loop is closed, and the numbers on which it rests."""
-    title = f"Predicted for the {'model' if is_on_model(record) else 'plant'}"
+    title = f"Predicted for the {'model' if is_loop_closed_on_model(record) else 'plant'}"
     evidence = record.get("evidence")
     if evidence == CANNOT_JUDGE:
         return Card(title=title, number="nothing", text=SUPPORT[CANNOT_JUDGE].lower().rstrip("."))
@@ -211,7 +211,7 @@ def seen_place(record: Record) -> str:
     return loop_place(record).replace("identified model", "model")
 
 
-def is_on_model(record: Record) -> bool:
+def is_loop_closed_on_model(record: Record) -> bool:
     """Whether the loop was closed on the identified model, because a log has no plant."""
     return seen_place(record) == "model"
 

@@ -36,7 +36,7 @@ def compute_synthesis(
     """
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.decay_response import simulate_decays
-    from ssm_study.synthesis.deployed import with_gain_certificates
+    from ssm_study.synthesis.deployed import add_gain_certificates
     from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, is_coverage_sought
 
     model = bounded.model
@@ -53,7 +53,7 @@ def compute_synthesis(
             lower, upper = (model.scale.scaled_input(end) for end in ends)
             method = method.with_input_limits(lower, upper)
     design = method.design(model, balls, data.validation, mismatch)
-    design = with_gain_certificates(design, model, balls, ends)
+    design = add_gain_certificates(design, model, balls, ends)
     if is_coverage_sought(model, getattr(synthesis, "cover", None), premise):
         design = add_coverage_certificate(design, model, balls, premise)
     design.save(folder / "certificate.json")
