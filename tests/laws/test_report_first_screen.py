@@ -10,8 +10,10 @@ from report_browser import complaints, count_shown_runs, groups_shown, wait_for
 from report_runs import random_run, write_recordings
 
 from ssm_study.report.page.data import provenance
+from ssm_study.report.page.first_screen import proved_card, remarks
 from ssm_study.report.page.writing import write_page
 from ssm_study.report.study_folder import StudyFolder
+from ssm_study.report.words import SETTLED
 from ssm_study.table.rank import best_first
 
 
@@ -243,7 +245,7 @@ def write_sweep_page(folder: Path) -> Path:
     study = report_tables.write_study(folder / "study", table)
     for seed, name in enumerate(("a", "b"), start=1):
         run = random_run(study / name, kind="mlp", channels=1, seed=seed)
-        write_recordings(run)
+        write_recordings(run, seed=seed)
     return write_page(study)
 
 
@@ -263,13 +265,20 @@ def test_a_slider_moves_the_responses_through_a_sweep_and_one_start_plays(
         "slide.dispatchEvent(new Event('input')); const words = slide.ariaValueText;"
         f"return [words.split(':')[0], {chart}.data('rows').length]"
     )
+    applied = "document.querySelectorAll('#responses .chart')[2]"
+    wait_for(browser, f"{applied}.view")
+    sum_of_inputs = f"return {applied}.view.data('rows').reduce((a, row) => a + row.value ** 2, 0)"
+    inputs = []
     rate = browser.execute_script("return DATA.slider.title")
     counts = []
     for place, value in enumerate((0.1, 0.2, 0.3)):
         words, count = browser.execute_script(move, place)
         assert words == f"{rate} {value}"
         counts.append(count)
+        inputs.append(browser.execute_script(sum_of_inputs))
     assert counts[1] == 0 < min(counts[0], counts[2])
+    assert inputs[1] == 0
+    assert inputs[0] != inputs[2], "the input moves with the responses"
     player = "document.querySelectorAll('#responses .chart')[3]"
     wait_for(browser, f"{player}.view")
     assert browser.execute_script(f"return {player}.view.signal('moment') === {player}.end")
@@ -284,3 +293,29 @@ def test_a_slider_moves_the_responses_through_a_sweep_and_one_start_plays(
         f"const done = arguments[0]; {chart}.runAsync().then(() => done())"
     )
     assert complaints(browser) == []
+
+
+FRESH = {"verdict": SETTLED.word, "coverage": 1.068, "coverage_needed": 12.047, "fresh_sets": 3}
+
+
+def test_fresh_data_beyond_the_proof_are_a_warning() -> None:
+    """The proof covers the run's own records; data that nobody has used show more."""
+    (remark,) = remarks(FRESH)
+    assert remark.is_warning
+    assert remark.text.endswith("3 fresh data sets need at most 12.05 times, more than is covered.")
+    for harmless in ({"coverage_needed": 1.0}, {"coverage_needed": None}, {"coverage": None}):
+        assert list(remarks(FRESH | harmless)) == []
+
+
+def test_the_card_of_the_proof_says_within_which_limits_it_holds() -> None:
+    record = {"controller_certified_rate": 0.36149, "controller_certified": True}
+    record |= {"observer_certified": True, "limit_lower": -4.9, "limit_upper": 4.97}
+    record |= {"unlimited_from": -0.1309, "unlimited_to": 0.1309}
+    card = proved_card(record)
+    assert card is not None
+    assert card.number == "0.361"
+    assert "between -4.9 and 4.97 that is certain from initial outputs between -0.131" in card.text
+    assert "from everywhere no rate is proved" in card.text
+    limited = proved_card(record | {"limited_rate": 0.02})
+    assert limited is not None
+    assert "from everywhere the rate 0.02 is" in limited.text
