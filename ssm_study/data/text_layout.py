@@ -192,7 +192,8 @@ def separate_comments(text: str) -> tuple[list[NumberedLine], list[str]]:
 
 
 def read_header(path: Path, cells: SampledCells, length: int, stated: bool | None) -> Header:
-    """Read the lines above the first row of values: names, units and prose."""
+    """Read the lines above the first row of values: names, units and prose. Raises `BadRequest` for
+    names where none are stated."""
     above = cells.first[:length]
     titles = [row for row in above if fits_header(row, cells.columns, cells.spread)]
     refuse_shifted_names(path, above, titles, cells.columns)
