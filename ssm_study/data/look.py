@@ -141,21 +141,20 @@ def look(
     if u is None or y is None:
         sentences.append("one column alone: name a file for input and output each")
     else:
-        if None in (stated.input, stated.output):
-            sentences.append(f"guessed: input {u}, output {y} (--input and --output say otherwise)")
-        sentences += set_point_sentences(facts, (u, y), stated)
+        sentences += signal_choice_sentences(facts, (u, y), stated)
         source = stated.as_data_source(path, u, y)
         reading = examine_signals(path, table, clock, source)
         sentences += reading.sentences
         sentences += other_signal_sentences(facts, clock, (u, y, stated.disturbance))
-    is_refused = u is not None and not reading.records
-    command = study_command(path, u, y, stated, reading.step_is_known, sentences)
+    command = NO_COMMAND
+    if u is None or reading.records:
+        command = study_command(path, u, y, stated, reading.step_is_known, sentences)
     return LogLook(
         path=path,
         columns=facts,
         skipped=table.skipped,
         sentences=sentences,
-        command=NO_COMMAND if is_refused else command,
+        command=command,
         records=reading.records,
         input=u,
         output=y,
@@ -191,6 +190,17 @@ def choose_signals(
     if stated.output is not None:
         y = stated.output
     return u, y
+
+
+def signal_choice_sentences(
+    facts: Sequence[ColumnFacts], signals: tuple[str, str], stated: LogSettings
+) -> list[str]:
+    """Sentences on input and output that were guessed, and on columns that may be a set point."""
+    u, y = signals
+    sentences = []
+    if None in (stated.input, stated.output):
+        sentences.append(f"guessed: input {u}, output {y} (--input and --output say otherwise)")
+    return sentences + set_point_sentences(facts, signals, stated)
 
 
 def set_point_sentences(
