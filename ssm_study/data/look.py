@@ -146,9 +146,7 @@ def look(
         reading = examine_signals(path, table, clock, source)
         sentences += reading.sentences
         sentences += other_signal_sentences(facts, clock, (u, y, stated.disturbance))
-    command = NO_COMMAND
-    if u is None or reading.records:
-        command = study_command(path, u, y, stated, reading.step_is_known, sentences)
+    command = study_command(path, u, y, stated, reading, sentences)
     return LogLook(
         path=path,
         columns=facts,
@@ -297,19 +295,21 @@ def study_command(
     u: str | None,
     y: str | None,
     stated: LogSettings,
-    step_is_known: bool,
+    reading: Reading,
     sentences: Sequence[str],
 ) -> str:
     """Command line that runs a study on the log, ready to be pasted."""
     if u is None or y is None:
         return f"ssm-study run data=recorded data.path={quote_for_command(str(path))} ..."
+    if not reading.records:
+        return NO_COMMAND
     words = ["ssm-study run data=recorded", f"data.path={quote_for_command(str(path))}"]
     words += [
         f"data.input={quote_for_command(u)}",
         f"data.output={quote_for_command(y)}",
         *stated.overrides(),
     ]
-    if not step_is_known and stated.step_s is None:
+    if not reading.step_is_known and stated.step_s is None:
         words.append("data.step_s=SECONDS")
     text = " ".join(sentences)
     words += [setting for setting in (INTEGRATOR, FEEDTHROUGH) if setting in text]
