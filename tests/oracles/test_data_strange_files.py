@@ -230,19 +230,21 @@ def test_names_in_a_code_page_are_spelled(tmp_path: Path, page: str, names: str)
     assert f"encoding {page}" in remark
     assert (len(piece), piece.step_s) == (ROWS, pytest.approx(0.1))
     channels = [*source.inputs, *source.outputs]
-    assert len({channel.name for channel in channels}) == len(channels)
-    assert all(channel.name.isidentifier() and channel.name.isascii() for channel in channels)
+    stored = [channel.name for channel in channels]
+    assert stored[0] != stored[1]
+    assert all(map(str.isidentifier, stored))
+    assert all(map(str.isascii, stored))
 
 
 def test_an_ambiguous_code_page_is_read_by_number(tmp_path: Path) -> None:
     """Korean syllables are Chinese characters in another page: the names stay unread."""
-    content = PLAIN.replace("time,u,y", "시간,전압,속도").encode("euc_kr")
-    path = written(tmp_path, content)
+    korean = PLAIN.replace("time,u,y", "시간,전압,속도")
+    path = written(tmp_path, korean.encode("euc_kr"))
+    by_name = RecordedData(path=str(path), input="전압", output="속도")
     with pytest.raises(BadRequest, match="the header has"):
-        RecordedData(path=str(path), input="전압", output="속도").read_pieces(path)
-    (piece,), remark = RecordedData(path=str(path), input="1", output="2", time="0").read_pieces(
-        path
-    )
+        by_name.read_pieces(path)
+    by_number = RecordedData(path=str(path), input="1", output="2", time="0")
+    (piece,), remark = by_number.read_pieces(path)
     assert len(piece) == ROWS
     assert "encoding cp1252" in remark
 
@@ -257,7 +259,8 @@ def test_an_ambiguous_code_page_is_read_by_number(tmp_path: Path) -> None:
 )
 def test_prose_below_the_rows_is_no_row(tmp_path: Path, below: str, lines: int) -> None:
     path = written(tmp_path, PLAIN + below)
-    (piece,), remark = RecordedData(path=str(path), input="u", output="y").read_pieces(path)
+    source = RecordedData(path=str(path), input="u", output="y")
+    (piece,), remark = source.read_pieces(path)
     assert len(piece) == ROWS
     noun = "line" if lines == 1 else "lines"
     assert f"{lines} {noun} of prose below" in remark
@@ -275,5 +278,6 @@ def test_values_that_are_never_together_are_counted(tmp_path: Path) -> None:
 def test_numbers_below_the_rows_are_refused(tmp_path: Path, below: str) -> None:
     """A row cut short, or one of sums, may be a damaged sample."""
     path = written(tmp_path, PLAIN + below)
+    source = RecordedData(path=str(path), input="u", output="y")
     with pytest.raises(BadRequest, match=r"does not fit|no number in line 302"):
-        RecordedData(path=str(path), input="u", output="y").read_pieces(path)
+        source.read_pieces(path)
