@@ -59,7 +59,7 @@ def first_covering_design(
     are looked at, and none where the records cannot tell noise from mismatch unless a coverage is
     asked for.
     """
-    places = LOOKED_AT
+    places: tuple[int, ...] = LOOKED_AT
     if isinstance(model.system, StructuredSystem):
         places = WITH_NEURONS if cover is None else WITH_NEURONS + FARTHER
     lost = proof_loss(model)
@@ -120,13 +120,15 @@ class GridWalk:
     unseen: Design | None = None
 
     def first_design(self) -> Design | None:
-        """First pair that yields a design, whatever its place."""
-        for _, pair in self.pairs:
+        """First of the near pairs that yields a design, whatever its place; None if none does."""
+        for place, pair in self.pairs:
             design = self.make(pair)
             if design is not None:
                 self.first = design
                 self.unseen = design
                 return design
+            if place >= NEAR:
+                break
         return None
 
     def first_covered(

@@ -171,3 +171,14 @@ def test_a_brief_search_ends_at_its_target_or_its_last_round(search) -> None:
     assert not brief._goes_on([0.6, 0.7], 1.0, rounds=1)
     assert not brief._goes_on([1.1], 1.0, rounds=1)
     assert search._goes_on([1.1], 1.0, rounds=1)  # made faster in the rounds that are left
+
+
+def test_a_grid_without_a_design_is_given_up_after_its_near_pairs() -> None:
+    tried = []
+
+    def make(place):
+        tried.append(place)
+
+    chosen = prefer_covered(iter(range(400)), make, SSM_MODEL, BALLS, PREMISE, None)
+    assert chosen[0] is None
+    assert tried == list(range(NEAR + 1))
