@@ -108,8 +108,8 @@ def compare(
 
 
 def read_models(models: Any) -> dict[str, Model]:
-    """Read models by name from a mapping, a list or a single one. Raises `BadRequest` for what
-    holds none, and for what is no model."""
+    """Read models by name from a mapping, a list or a single model. Raises `BadRequest` for any
+    other value."""
     if isinstance(models, Model):
         models = [models]
     remedy = "give a list of models, as st.fit returns them"
@@ -162,7 +162,7 @@ def compare_simulations(
 
 
 def _name_models(models: Sequence[Model]) -> dict[str, Model]:
-    """Name each model by its kind, with a number where several share one."""
+    """Name each model by its kind, with a number if several share one."""
     kinds = [kind_of_model(model) for model in models]
     names = []
     for i, kind in enumerate(kinds):
@@ -186,7 +186,7 @@ def _score_row(
 
 
 def kind_of_model(model: Model) -> str:
-    """Kind of a model as `st.fit(model=...)` takes it, or else the name of its class."""
+    """Kind of a model, as `st.fit(model=...)` takes it, or else the name of its class."""
     for word in model.overrides:
         name, _, value = word.partition("=")
         if name == "model":

@@ -87,7 +87,8 @@ def control(
 
 
 def check_input_limits(limits: Any) -> None:
-    """Refuse what is no pair of the lowest and the highest input, each None or numbers."""
+    """Raise `BadRequest` unless a value is a pair of lowest and highest input, each None or
+    numbers."""
     is_pair = isinstance(limits, tuple | list) and len(limits) == 2
     remedy = "give (lowest, highest); None is what the records visited"
     require(is_pair, "input_limits", limits, "is no pair", remedy)

@@ -337,7 +337,7 @@ class Design:
         return [] if self.origin is None else [record.u for record in self.origin.data.training]
 
     def _loop_place_words(self, plant: "Plant | None") -> str:
-        """Words that say whether a loop was closed on a plant, or on a model and on which."""
+        """Text that says whether a loop was closed on a plant or on a model, and on which model."""
         if plant is not None:
             return "the simulated plant"
         is_identified = self.origin is not None or bool(self.stored_record)

@@ -111,7 +111,7 @@ def summarise_design(design: "Design") -> pd.Series:
 
 
 def summarise_assumptions(certificate: Certificates) -> dict[str, str]:
-    """Lines of the summary on what is assumed of the maps of a system given as matrices."""
+    """Lines of the summary on assumptions about the static maps of a system given as matrices."""
     feedback, observer = certificate.parts()
     assumed = {}
     for name, part in (("input map", feedback), ("output map", observer)):
@@ -125,8 +125,8 @@ def summarise_assumptions(certificate: Certificates) -> dict[str, str]:
 
 
 def round_rate_down(rate: float, digits: int = 3) -> str:
-    """Text of a contraction rate, cut to some significant digits: never more than what is
-    proved."""
+    """Text of a contraction rate, rounded down to a few significant digits, so that it is never
+    more than what is proved."""
     if rate <= 0:
         return f"{rate:.{digits}g}"
     step = 10.0 ** (math.floor(math.log10(rate)) - digits + 1)

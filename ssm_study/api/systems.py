@@ -80,8 +80,8 @@ def read_numbers(
 
 
 def read_slopes(name: str, slopes: Any) -> tuple[float, float]:
-    """Read the smallest and the largest slope of a static map. Raises `BadRequest` for what is no
-    pair of finite numbers."""
+    """Read the smallest and the largest slope of a static map. Raises `BadRequest` unless they are
+    a pair of finite numbers."""
     pair = read_numbers(name, slopes)
     usable = pair.shape == (2,) and bool(np.isfinite(pair).all())
     remedy = "give (lowest, highest), as in (0.8, 1.2)"
@@ -92,7 +92,7 @@ def read_slopes(name: str, slopes: Any) -> tuple[float, float]:
 
 
 def read_folder(name: str, folder: Any) -> Path:
-    """Read the path of a folder. Raises `BadRequest` for what names none."""
+    """Read the path of a folder. Raises `BadRequest` for a value that is no path."""
     is_path = isinstance(folder, str | Path) and "\0" not in str(folder)
     kind = folder if isinstance(folder, str) else type(folder).__name__
     require(is_path, name, kind, "is no path", "give the name of a folder")
@@ -119,8 +119,8 @@ def _build_state_space(matrices: list[Any]) -> StateSpace:
 
 
 def _realise_transfer_function(transfer_function: Any) -> Any:
-    """State-space realisation of a transfer function of python-control or SciPy, by
-    python-control. Raises `BadRequest` for complex coefficients, and where there is none."""
+    """State-space realisation of a transfer function from python-control or SciPy. Raises
+    `BadRequest` for complex coefficients, and if there is none."""
     kind = type(transfer_function).__name__
     try:
         import control as python_control

@@ -86,8 +86,8 @@ def save_run(design: "Design", folder: Path) -> Path:
 
 
 def copy_temporary_logs(word: str, folder: Path) -> str:
-    """Copy the log files that an override names into a folder, if they are deleted when the program
-    ends, and name the copies instead."""
+    """Copy those log files of an override that are deleted when the program ends into a folder, and
+    name the copies instead."""
     scratch = re.escape(str(scratch_folder()))
     for match in re.findall(rf"{scratch}/[^',\]]+\.parquet", word):
         folder.mkdir(parents=True, exist_ok=True)

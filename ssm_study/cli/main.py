@@ -51,8 +51,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _escape_foreign_letters() -> None:
-    """Print letters that the terminal does not have by their numbers: names of a log's columns may
-    be written in any script."""
+    """Replace letters that the terminal cannot print by their numbers, because column names may be
+    in any script."""
     if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="backslashreplace")
 

@@ -62,7 +62,8 @@ def assemble_dataset(
 
 
 def _name_records(parts: Parts) -> dict[str, Any]:
-    """Name the records of each part after it, `training_1`; refuses a part without records."""
+    """Name the records of each part by the part and a number, such as `training_1`. Raises
+    `BadRequest` for a part without records."""
     named: dict[str, Any] = {}
     names = ("training", "validation", "test")
     for part, records in zip(names, parts, strict=True):
@@ -75,7 +76,8 @@ def _name_records(parts: Parts) -> dict[str, Any]:
 
 
 def _check_record(record: Trajectory, step_s: float, start_up_samples: int) -> None:
-    """Refuse a record that is too short, or has another sampling time than the first."""
+    """Raise `BadRequest` for a record that is too short, or whose sampling time differs from the
+    first one's."""
     field = f"{record.name} (samples)"
     is_long = len(record) > start_up_samples + 1
     problem = f"no longer than the start-up window of {start_up_samples} samples"
@@ -90,7 +92,7 @@ def _check_record(record: Trajectory, step_s: float, start_up_samples: int) -> N
 def _refuse_constant_channels(
     values: Float[np.ndarray, "T c"], channels: Sequence[Channel]
 ) -> None:
-    """Refuse a channel that does not move over the training records."""
+    """Raise `BadRequest` for a channel that is constant over all training records."""
     problem = "constant over the training records, so nothing can be identified from it"
     remedy = "excite it, or leave the channel out"
     for column, channel in zip(values.T, channels, strict=True):
@@ -123,7 +125,7 @@ def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."
 
 
 def _record_facts(record: Trajectory) -> dict[str, Any]:
-    """Facts about a record beside its signals."""
+    """Facts on a record other than its signals."""
     return {name: getattr(record, name) for name in TOLD}
 
 

@@ -135,7 +135,7 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
 
 
 def is_nameless(table: Table, title: str) -> bool:
-    """Whether a column has no name of its own in the file."""
+    """Whether a column has no title of its own in the file."""
     return title == "" or table.nameless or title.startswith("Unnamed")
 
 

@@ -132,7 +132,8 @@ def date_seconds(parts: pd.DataFrame, dotted: bool) -> DateSeconds:
 
 
 def days_since_1970(parts: pd.DataFrame, order: str) -> DateSeconds | None:
-    """Days since 1970 of dates whose parts are read in an order; None where some are no dates."""
+    """Days since 1970 of dates in a given order of day, month and year; None if some are no dates
+    in that order."""
     year, month, day = (pd.to_numeric(parts[letter]) for letter in order)
     year = year.where(year > 99, year + 2000)
     ranges = ((year, 1900, 2200), (month, 1, 12), (day, 1, 31))

@@ -188,13 +188,14 @@ def increment_regression(
     """
     du = np.diff(u) / np.std(u)
     dy = np.diff(y) / np.std(y)
-    columns = [delayed(du, lag, LAGS) for lag in range(LAGS + 1)]
-    columns += [delayed(dy, lag, LAGS) for lag in (1, 2)]
+    columns = [delayed_values(du, lag, LAGS) for lag in range(LAGS + 1)]
+    columns += [delayed_values(dy, lag, LAGS) for lag in (1, 2)]
     return np.stack(columns, axis=1), dy[LAGS:]
 
 
-def delayed(values: Signal, lag: int, longest: int) -> Float[np.ndarray, "K"]:
-    """Values of a signal a lag ago, for the samples that have values of the longest lag ago."""
+def delayed_values(values: Signal, lag: int, longest: int) -> Float[np.ndarray, "K"]:
+    """Values of a signal as many samples ago as a lag says, for all samples with a value of the
+    longest lag."""
     return values[longest - lag : len(values) - lag]
 
 
@@ -207,8 +208,8 @@ def feedback_share(u: Signal, y: Signal) -> float:
     """
     affordable = len(u) // (4 * FEWEST_LAGS)
     past = max(FEWEST_LAGS, min(INPUT_LAGS, affordable))
-    earlier_u = [delayed(u, lag, past) for lag in range(1, past + 1)]
-    earlier_y = [delayed(y, lag, past) for lag in range(1, FEWEST_LAGS + 1)]
+    earlier_u = [delayed_values(u, lag, past) for lag in range(1, past + 1)]
+    earlier_y = [delayed_values(y, lag, past) for lag in range(1, FEWEST_LAGS + 1)]
     constant = np.ones(len(u) - past)
     by_input = np.stack([*earlier_u, constant], axis=1)
     outputs = np.stack(earlier_y, axis=1)

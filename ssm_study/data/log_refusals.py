@@ -27,7 +27,7 @@ def refusal_with_look_command(error: BadRequest, path: Path) -> BadRequest:
 def missing_values_error(
     path: Path, values: Float[np.ndarray, "T c"], channels: Sequence[Channel]
 ) -> BadRequest:
-    """Error about a log in which no three rows in a row have all their values."""
+    """Error about a log that has no three successive rows with all their values."""
     missing = np.isnan(values).mean(axis=0)
     shares = [f"{one.name} {share:.0%}" for one, share in zip(channels, missing, strict=True)]
     problem = f"no three rows in a row have all their values; missing: {', '.join(shares)}"

@@ -94,7 +94,8 @@ class AroundRest(RecordedSource):
     def _equilibrium(
         self, side: str, values: Float[np.ndarray, "T c"], stated: list[float] | None
     ) -> Float[np.ndarray, "c"]:
-        """Equilibrium of the inputs or outputs, as stated or by the rule."""
+        """Equilibrium of the inputs or of the outputs, as stated or as the rule `zero` or `mean`
+        gives it."""
         mean = values.mean(axis=0)
         fits = stated is None or len(stated) == len(mean)
         problem = f"there are {len(mean)} channels"
@@ -145,7 +146,8 @@ class RecordedData(Columns, AroundRest):
         self.pair_files("test_path", "test_output_path")
 
     def _check_fractions(self) -> None:
-        """Refuse fractions for validation and test that leave nothing to train on."""
+        """Raise `BadRequest` for fractions of validation and test that leave nothing for
+        training."""
         for name in ("validation_fraction", "test_fraction"):
             value = getattr(self, name)
             remedy = "use 0.2 or so"
@@ -157,7 +159,8 @@ class RecordedData(Columns, AroundRest):
         require(total < 1, both, total, problem, "cut less")
 
     def _check_parts(self) -> None:
-        """Refuse parts of the log that are named in half, or named beside a fold."""
+        """Raise `BadRequest` if only one of validation and test is stated, or if they are stated
+        together with a fold."""
         require_one_of(("auto", "time", "blocks"), "data.split", self.split)
         named = (self.validation, self.test)
         has_test = self.test is not None or self.test_path is not None
@@ -171,7 +174,8 @@ class RecordedData(Columns, AroundRest):
         require(self.fold is None or is_free, "data.fold", self.fold, problem, remedy)
 
     def _check_closed_loop(self) -> None:
-        """Refuse a controller that is no PI, or is named beside its set point."""
+        """Raise `BadRequest` for controller settings that are not those of a PI, or are stated
+        together with a set point."""
         both = (self.reference, self.controller)
         is_single = None in both
         problem = "one is enough"

@@ -43,7 +43,7 @@ def split_pieces(
 def _shared_stretches(
     record: Trajectory, log_pieces: Sequence[Trajectory], shortest: int
 ) -> list[Trajectory]:
-    """Stretches of the pieces of a log that a record of the joined log covers."""
+    """Segments of a log's pieces that a record of the joined log contains."""
     stretches = []
     start = 0
     for piece in log_pieces:
@@ -97,7 +97,8 @@ def split_at_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pi
 
 
 def _interval_samples(record: Trajectory, pair: np.ndarray, field: str) -> tuple[int, int]:
-    """First sample of an interval in seconds, and the one behind its last; refuses no interval."""
+    """First sample of an interval given in seconds, and the sample behind its last. Raises
+    `BadRequest` for any other value."""
     is_pair = pair.shape == (2,) and pair.dtype.kind in "iuf"
     ends = np.rint(pair / record.step_s) if is_pair else np.zeros(2)
     inside = 0 <= ends[0] < ends[1] <= len(record)

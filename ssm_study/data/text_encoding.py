@@ -56,7 +56,8 @@ def decode_text(path: Path, content: bytes) -> tuple[str, str]:
 
 
 def detect_code_page(content: bytes) -> str:
-    """Code page of a text that is not UTF-8: the one in which its foreign words read as words.
+    """Code page of a text that is not UTF-8, found as the one in which its foreign words make
+    sense.
 
     Western European where there are no such words, or where two pages fit. Detectors that count
     letters need more text than the names of a few columns (`docs/data.md`).
@@ -72,7 +73,7 @@ def detect_code_page(content: bytes) -> str:
 
 
 def is_cyrillic_word(word: bytes, page: str) -> bool:
-    """Whether the bytes are Cyrillic letters in a code page, capitals at the beginning alone or
+    """Whether bytes are Cyrillic letters in a given code page, with capitals only first or
     throughout."""
     text = word.decode(page, errors="replace")
     tail = text[1:]
@@ -81,7 +82,7 @@ def is_cyrillic_word(word: bytes, page: str) -> bool:
 
 
 def are_chinese_words(words: list[bytes]) -> bool:
-    """Whether the bytes are pairs of GB2312, and most of them its 3,755 frequent characters."""
+    """Whether bytes are pairs of GB2312, most of which are among its 3,755 frequent characters."""
     leads = b"".join(word[::2] for word in words)
     trails = b"".join(word[1::2] for word in words)
     is_even = all(len(word) % 2 == 0 for word in words)
@@ -92,7 +93,7 @@ def are_chinese_words(words: list[bytes]) -> bool:
 
 
 def are_possibly_korean(words: list[bytes]) -> bool:
-    """Whether the same bytes are Korean syllables in EUC-KR."""
+    """Whether bytes could also be Korean syllables in EUC-KR."""
     return all(lead in KOREAN_SYLLABLES for word in words for lead in word[::2])
 
 

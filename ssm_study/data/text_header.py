@@ -73,7 +73,7 @@ def remove_repeated_header_lines(body: list[NumberedLine]) -> tuple[list[Numbere
 def remove_prose_below(
     body: list[NumberedLine], separator: str, decimal: str, columns: int
 ) -> tuple[list[NumberedLine], int]:
-    """Remove the lines of prose below the rows of a table, and count them.
+    """Remove lines of prose below the rows of a table, and count them.
 
     Prose begins with a word, or draws a line, and is no row of the table: it has another number of
     cells, or no value in any.
@@ -109,7 +109,7 @@ def split_names_and_units(above: list[list[str]]) -> tuple[list[str] | None, lis
 
 
 def parse_units(below: list[list[str]], columns: int) -> list[str]:
-    """Parse the row below the column names, if there is one, to units without brackets."""
+    """Parse the row of units below the column names, if there is one, and remove its brackets."""
     if not below or not are_possible_units(below[0], columns):
         return []
     return [cell.strip("()[] ") for cell in below[0]]

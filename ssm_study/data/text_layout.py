@@ -95,7 +95,7 @@ class TextLayout:
 
 @dataclass(frozen=True, kw_only=True)
 class SampledCells:
-    """Cells of the first lines of a text file, and of lines from all over it.
+    """Cells of the first lines of a text file and of lines sampled from the whole file.
 
     `columns` is the usual number of cells of a line; `numeric` says which of them hold values.
     """
@@ -107,7 +107,7 @@ class SampledCells:
     numeric: list[bool]
 
     @classmethod
-    def of(cls, lines: list[str], separator: str, decimal: str) -> "SampledCells":
+    def from_lines(cls, lines: list[str], separator: str, decimal: str) -> "SampledCells":
         """Split sampled lines into cells, and find the columns of values."""
         first = [split_cells(line, separator) for line in lines[:SAMPLED_ROWS]]
         spread = [split_cells(line, separator) for line in sample_lines(lines)]
@@ -117,7 +117,7 @@ class SampledCells:
         return cls(first=first, spread=spread, decimal=decimal, columns=columns, numeric=numeric)
 
     def header_length(self) -> int | None:
-        """Number of lines above the first row of values; None where there is no such row."""
+        """Number of lines above the first row of values; None if there is no such row."""
         first = first_value_row(self.first, self.columns, self.numeric, self.decimal)
         if first is None or not any(self.numeric):
             return None
@@ -129,7 +129,7 @@ class SampledCells:
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """Names and units of the columns, how many lines they and the prose take, and remarks."""
+    """Names and units of the columns, the number of lines that they and prose take, and remarks."""
 
     names: list[str] | None
     units: list[str]
@@ -148,7 +148,7 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
     require(body, "data.path", path, problem, EXPORT)
     separator, decimal = find_separators([line for _, line in body], settings)
     body, repeats = remove_repeated_header_lines(body)
-    cells = SampledCells.of([line for _, line in body], separator, decimal)
+    cells = SampledCells.from_lines([line for _, line in body], separator, decimal)
     length = cells.header_length()
     if length is None:
         problem = "has no rows of numbers"
@@ -178,7 +178,7 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
 
 
 def separate_comments(text: str) -> tuple[list[NumberedLine], list[str]]:
-    """Separate the comment lines of a text from its other lines, which keep their numbers."""
+    """Separate the comment lines of a text from its other lines, whose numbers stay the same."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     body = []
     comments = []
@@ -210,7 +210,7 @@ def read_header(path: Path, cells: SampledCells, length: int, stated: bool | Non
 
 
 def number_columns(header: Header, cells: SampledCells, stated: bool | None) -> Header:
-    """Header of a table without words, whose first row may hold names that count the columns."""
+    """Header of a table without words; the first row may hold numbers that count the columns."""
     if header.names is not None:
         return header
     names, skipped = numbered_column_names(cells.first, cells.columns, stated)

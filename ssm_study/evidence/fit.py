@@ -74,8 +74,8 @@ def judge_poor_fit(case: Case) -> list[Finding]:
 
 
 def poor_fit_remedy(case: Case) -> str:
-    """End of the sentence on a poor fit: the model is to blame where something simple fits the test
-    record better, the log where nothing does."""
+    """End of a sentence on a poor fit, which says whether the model or the log is to blame. It is
+    the model if something simple fits the test record better."""
     fits = {f"a linear filter of {LAGS} taps": fir_fit_percent(case)}
     other = simulate_other_start(case.model, case.data, case.test)
     if other is not None:

@@ -103,8 +103,8 @@ class Monitor:
         )
 
     def limit_from(self, first_output: Float[np.ndarray, "p"]) -> float:
-        """Limit of the sum for a loop whose first measured output, scaled, is given: the energy of
-        the decay from half a scale, or from `ROOM` times that output."""
+        """Limit of the monitor's sum for a loop with a given first measured output, scaled. It is
+        the energy of the decay from half a scale, or from `ROOM` times that output."""
         farther = (ROOM / START) ** 2 * float((first_output**2).sum())
         return self.limit * max(1.0, farther)
 

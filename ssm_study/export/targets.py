@@ -274,7 +274,7 @@ def _is_certified(run: Path, model: Model, design: Design) -> bool:
 
 
 def _widen_balls(balls: Balls, design: Design) -> Balls:
-    """Balls of a certificate in place of those of the model's own maps that they contain."""
+    """Balls of a certificate, which replace the smaller balls of the model's own maps."""
     wide = {}
     for side, part in zip(("input", "output"), design.parts(), strict=True):
         own = getattr(balls, side)

@@ -281,7 +281,7 @@ class SSMSpec(ModelSpec):
             self._check_ring()
 
     def _check_ring(self) -> None:
-        """Refuse numbers of random modes that no draw can have."""
+        """Raise `BadRequest` for numbers of random modes that cannot be drawn."""
         require_whole_number(0, "real_modes", self.real_modes, "use 2")
         pairs = self.order - self.real_modes
         remedy = "leave an even number of states for the pairs"
@@ -315,12 +315,12 @@ class SSMSpec(ModelSpec):
         return TorchSSM(scaffold_in, lru, scaffold_out)
 
     def _map_context(self, samples: Float[np.ndarray, "N c"]) -> MapContext:
-        """Width, slopes and samples for the static map of these signals."""
+        """Width, slopes and input samples for one of the static maps."""
         slopes = (self.slope_lower, self.slope_upper)
         return MapContext(width=self.hidden_width, slopes=slopes, samples=samples)
 
     def _initial_system(self, records: Pairs, rng: np.random.Generator) -> Initialisation:
-        """Linear system from which the training starts, estimated or drawn."""
+        """Linear system with which the training begins, estimated or drawn at random."""
         if self.start == "data":
             return estimate_initial_system(records, self.order, rng, self.feedthrough)
         u, y = records[0]

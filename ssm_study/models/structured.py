@@ -51,7 +51,8 @@ def softplus_slope(z: Values) -> Values:
 
 
 def clipped_cubic(z: Values) -> Values:
-    """Third of a cube up to one, a line of slope one beyond."""
+    """Cubic function that continues as a straight line of slope one beyond -1 and 1. `z^3 / 3`
+    inside."""
     inside = z**3 / 3.0
     beyond = z - np.copysign(2.0 / 3.0, z)
     return np.where(np.abs(z) < 1.0, inside, beyond)
@@ -78,7 +79,7 @@ def saturation(z: Values) -> Values:
 
 
 def saturation_slope(z: Values) -> Values:
-    """Slope of the saturation; that to the right of a kink."""
+    """Slope of the saturation; at a kink, the slope to its right."""
     return ((z >= -1.0) & (z < 1.0)).astype(float)
 
 

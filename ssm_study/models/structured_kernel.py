@@ -196,7 +196,7 @@ def simulate_with_sensitivities(
 @compile_with_numba
 @no_type_check
 def _sensitivity_loop(k, v, x0, basis, channel, places):
-    """Compiled loop over records for the output's derivatives by the parameters."""
+    """Compiled loop over records for the output's derivatives with respect to the parameters."""
     records, samples, m = v.shape
     n = k.a.shape[0]
     p = k.c.shape[0]
@@ -215,8 +215,8 @@ def _sensitivity_loop(k, v, x0, basis, channel, places):
 @compile_with_numba
 @no_type_check
 def _differentiate_record(k, at_rest, v, x0, moved, places, ybar, out):
-    """Fill in one record's output and derivatives, sample by sample. A state parameter keeps `dx`
-    in one row of `s`; what drives it is sparse and is added by its place."""
+    """Compute one record's output and derivatives, sample by sample, in place. A state parameter
+    keeps `dx` in one row of `s`; what drives it is sparse and is added by its place."""
     still, rest = at_rest
     basis, channel = moved
     samples, m = v.shape
@@ -259,7 +259,8 @@ def _differentiate_record(k, at_rest, v, x0, moved, places, ybar, out):
 @compile_with_numba
 @no_type_check
 def _unset_linearisation(rows, n, m, q):
-    """Arrays that `_linearise_at_slopes` fills for so many rows."""
+    """Empty arrays for the linearisations at a given number of rows, which `_linearise_at_slopes`
+    fills."""
     return np.empty((rows, q)), np.empty((rows, n)), np.empty((rows, m))
 
 

@@ -185,7 +185,7 @@ class StructuredSpec(ModelSpec):
         self._check_integrator()
 
     def _check_sizes(self) -> None:
-        """Refuse settings that are to be whole numbers and are none."""
+        """Raise `BadRequest` for settings that should be whole numbers but are not."""
         for name, least in LEAST.items():
             value = getattr(self, name)
             may_be_chosen = name in AUTOMATIC
@@ -195,7 +195,7 @@ class StructuredSpec(ModelSpec):
             require_whole_number(least, name, value, f"use 4 or so{alternative}")
 
     def _check_options(self) -> None:
-        """Refuse unknown words where a setting has a few values."""
+        """Raise `BadRequest` for an unknown word in a setting that allows only a few."""
         flags = (True, False, AUTO)
         require_one_of(flags, "model.feedthrough", self.feedthrough)
         require_one_of(flags, "model.integrating_output", self.integrating_output)
@@ -205,7 +205,7 @@ class StructuredSpec(ModelSpec):
         require_one_of(("none", "free"), "model.output_path", self.output_path)
 
     def _check_numbers(self) -> None:
-        """Refuse numbers outside their ranges."""
+        """Raise `BadRequest` for numbers outside their ranges."""
         check_slope_bounds(self.slope_lower, self.slope_upper)
         inside = self.rate is None or self.rate == AUTO or 0 < float(self.rate) <= 1
         remedy = "use 0.999, or null for a free model"
@@ -220,7 +220,7 @@ class StructuredSpec(ModelSpec):
         require(fits, "model.start_steps", steps, problem, "use [15, 20, 10]")
 
     def _check_integrator(self) -> None:
-        """Refuse what does not go together with an integrator."""
+        """Raise `BadRequest` for settings that cannot be combined with an integrator."""
         if self.integrating_output is not True:
             return
         problem = "without neurons no integrator is set apart: a mode comes near one by itself"

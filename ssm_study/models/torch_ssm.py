@@ -208,7 +208,7 @@ class LRU(nn.Module):
 
 
 def _real_rows(rows: Complex[np.ndarray, "modes k"], reals: int) -> Float[np.ndarray, "n k"]:
-    """Real rows of modal ones: the real part of a real mode, both parts of a pair."""
+    """Real rows of a modal matrix: the real part for a real mode, both parts for a pair."""
     of_pairs = rows[reals:]
     parts = np.stack([of_pairs.real, of_pairs.imag], 1)
     return np.vstack([rows[:reals].real, parts.reshape(-1, rows.shape[1])])

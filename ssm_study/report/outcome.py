@@ -242,8 +242,8 @@ def fresh_data_words(record: Mapping[str, Any]) -> str:
 
 
 def exceeds_coverage(record: Mapping[str, Any]) -> bool:
-    """Whether data that neither fit nor design has used show a larger model error than a proof
-    covers that holds for the other records."""
+    """Whether fresh data, which neither fit nor design has used, show a larger model error than the
+    proof covers."""
     coverage = record.get("coverage")
     needed = record.get("coverage_needed")
     if coverage is None or needed is None:

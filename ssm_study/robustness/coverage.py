@@ -129,7 +129,8 @@ class Premise:
 
     @property
     def separates_noise(self) -> bool:
-        """Whether an input repeats in any record, so that noise is told from mismatch."""
+        """Whether the input repeats in some record, so that noise can be separated from model
+        error."""
         return bool(self.repeating)
 
     def missing_reason(self, centre: float) -> str | None:

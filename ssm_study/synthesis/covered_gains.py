@@ -128,7 +128,7 @@ class GainSearch:
         step = FIRST_STEP
         slowest = max(FASTER, self._decay_ratios([start.pair])[0])
         reached = [best.coverage]
-        while self._goes_on(reached, target, rounds):
+        while self._needs_another_round(reached, target, rounds):
             proposals = [scale_at_random(best.gains, step, random) for _ in range(PROPOSALS)]
             fast = self._faster_proposals(proposals, slowest)
             trials = self._score_proposals(fast, loop, centre, best, target, allowed)
@@ -139,8 +139,9 @@ class GainSearch:
             reached.append(best.coverage)
         return best
 
-    def _goes_on(self, reached: Sequence[float], target: float, rounds: int) -> bool:
-        """Whether another round follows, given the coverage after each of the rounds so far."""
+    def _needs_another_round(self, reached: Sequence[float], target: float, rounds: int) -> bool:
+        """Whether another round of the search follows, given the coverage after each round so
+        far."""
         if self.is_brief:
             return len(reached) <= rounds and reached[-1] < target
         return is_worth_another_round(reached, target, rounds)
@@ -218,7 +219,8 @@ class GainSearch:
 
 
 def is_worth_another_round(reached: Sequence[float], target: float, rounds: int) -> bool:
-    """Whether a search goes on, given the coverage before it and after each of its rounds.
+    """Whether a further round is worthwhile, given the coverage before the search and after each
+    round.
 
     The first `rounds` always do. Beyond them the search must earn its time: at the pace of the last
     `rounds`, as many again would reach the target.

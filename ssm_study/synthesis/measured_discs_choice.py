@@ -77,17 +77,18 @@ def first_covering_design(
     deciding: dict[float, Any] = {}
 
     def coverage_of(design: Design, least: float) -> float:
-        """Coverage by frequency of one design; below `least` an upper bound."""
+        """Coverage of one design, computed frequency by frequency; below `least` it is an upper
+        bound."""
         return coverage_by_frequency(design, model, balls, premise, target, least, deciding)
 
-    covered = walk.first_covered(coverage_of, NEAR)
+    covered = walk.first_covered_design(coverage_of, NEAR)
     if covered is not None:
         return covered, COVERED
     wanted = target / lost
     found = walk.search_around(search, wanted)
     if found is not None:
         return found, SEARCHED
-    covered = walk.first_covered(coverage_of, walk.places[-1])
+    covered = walk.first_covered_design(coverage_of, walk.places[-1])
     if covered is None:
         return walk.best_substitute()
     found = walk.search_around(search, wanted)
@@ -95,14 +96,15 @@ def first_covering_design(
 
 
 def proof_loss(model: Model) -> float:
-    """Coverage by frequency over that of its certificate, at most (as a rule)."""
+    """Largest usual ratio between the coverage computed by frequency and the coverage that is
+    proved."""
     return LOST_WITH_NEURONS if isinstance(model.system, StructuredSystem) else LOST
 
 
 @dataclass(kw_only=True)
 class GridWalk:
-    """Walk along pairs of gains in the order of expected response, which looks at the coverage of
-    ever fewer of them.
+    """Search through pairs of gains in the order of expected response, which computes the coverage
+    of fewer and fewer of them.
 
     Kept are the first design, the first that is covered `barely`, and the one with the `largest`
     coverage, `most`. `lost` is the loss of a proof.
@@ -120,7 +122,7 @@ class GridWalk:
     unseen: Design | None = None
 
     def first_design(self) -> Design | None:
-        """First of the near pairs that yields a design, whatever its place; None if none does."""
+        """Design of the first pair of gains, in the order, from which one can be made."""
         for place, pair in self.pairs:
             design = self.make(pair)
             if design is not None:
@@ -131,10 +133,11 @@ class GridWalk:
                 break
         return None
 
-    def first_covered(
+    def first_covered_design(
         self, coverage_of: Callable[[Design, float], float], until: int
     ) -> Design | None:
-        """First design up to a place of the order that reaches the target; None if none does."""
+        """First design, up to a given place in the order, that reaches the target; None if none
+        does."""
         for design in self._designs(until):
             coverage = coverage_of(design, self.largest)
             self._add_design(design, coverage)
@@ -143,7 +146,7 @@ class GridWalk:
         return None
 
     def _designs(self, until: int) -> Iterator[Design]:
-        """Designs of the pairs that are looked at, up to a place of the order."""
+        """Designs of those pairs of gains that are examined, up to a given place in the order."""
         if self.unseen is not None:
             design = self.unseen
             self.unseen = None
@@ -157,7 +160,7 @@ class GridWalk:
                 return
 
     def _add_design(self, design: Design, coverage: float) -> None:
-        """Note a design and its coverage."""
+        """Add a design and its coverage to those examined."""
         if self.barely is None and coverage >= self.lost:
             self.barely = design
         if self.most is None or coverage > self.largest:
@@ -165,7 +168,7 @@ class GridWalk:
             self.largest = coverage
 
     def best_substitute(self) -> tuple[Design | None, str]:
-        """Design to take where none reaches the target, and which one it is."""
+        """Design to be taken if none reaches the target, and which kind of substitute it is."""
         if self.barely is not None:
             return self.barely, LESS_COVERED
         return self.first, NOT_COVERED
@@ -213,7 +216,7 @@ class LoopCoverage:
         self, gains: dict[str, Any], centre: float, least: float = 0.0
     ) -> float:
         """Largest radius of a disc of model errors around one centre that given gains tolerate;
-        zero if there is none. Where it is below `least`, an upper bound that is, too."""
+        zero if there is none. If it is below `least`, it may be an upper bound."""
         from ssm_study.synthesis.measured_discs_program import LoopForms
         from ssm_study.synthesis.measured_discs_search import select_theorem
         from ssm_study.synthesis.measured_discs_weights import (

@@ -37,8 +37,9 @@ UNKNOWN = "{} the input has next to no power, so nothing separates mismatch from
 
 
 def is_coverage_sought(model: Model, cover: float | None, premise: Premise) -> bool:
-    """Whether a run searches for a proof that covers the records: with neurons, where it takes a
-    minute, only where the records can tell noise from mismatch or a coverage is asked for."""
+    """Whether a run searches for a proof that covers the records. With neurons, where this takes a
+    minute, it does so only if the records separate noise from model error, or a coverage is
+    requested."""
     return isinstance(model, SSM) or cover is not None or premise.separates_noise
 
 

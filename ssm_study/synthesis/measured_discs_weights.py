@@ -178,7 +178,7 @@ class WeightProgram:
         self, angles: Float[np.ndarray, "D"] = NO_ANGLES, least: float = -np.inf
     ) -> tuple[float, Float[np.ndarray, "n"], Float[np.ndarray, "D2"]]:
         """Largest squared disc radius, with the weights and multipliers that reach it, and the
-        angles that decide it. Raises `NoSolution`.
+        frequencies that decide it. Raises `NoSolution`.
 
         The search begins at the given angles, such as those that decided similar gains. Where the
         radius is below `least`, an upper bound that is below it, too, is returned.

@@ -88,8 +88,8 @@ class LargestCertifiableRate:
 
 
 def has_certified_observer(model: Any) -> bool:
-    """Whether an observer of a model can be certified at some rate. It can for one layer: its modes
-    lie inside the unit circle, so that no injection is needed."""
+    """Whether an observer of a model can be certified at some rate. With one layer it always can,
+    because its modes lie inside the unit circle."""
     system = model.system
     if isinstance(system, StateSpace):
         return True

@@ -130,7 +130,7 @@ class Trial:
             errors.append(relative_rms_error(run, fold))
 
     def add_fit(self, fit: StructuredFit, fold: DataSet) -> None:
-        """Evaluate a structured model on the fold that it was trained without."""
+        """Evaluate a structured model on the fold without which it was trained."""
         loss = float(fit.loss)
         self.fits.append(fit)
         model = fit.as_model() if np.isfinite(loss) else None
@@ -228,7 +228,7 @@ def try_structured_model(
 
 
 def train_further(fits: Sequence[StructuredFit], folds: Sequence[DataSet], steps: int) -> Trial:
-    """Train the models of a candidate further on each fold, and score them again."""
+    """Train the models of a candidate further on each fold, and score them anew."""
     trial = Trial()
     for fit, fold in zip(fits, folds, strict=True):
         dead_time = int(fit.spec.dead_time)

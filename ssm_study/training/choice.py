@@ -61,7 +61,8 @@ def iterate_choices(
 
 
 def make_announcer(progress: bool, task: str = "choice by folds") -> Callable[[str], None]:
-    """Function that prints progress lines of a task, or nothing where nobody watches."""
+    """Function that prints progress lines of a task, or does nothing if progress is switched
+    off."""
     from rich.console import Console
 
     console = Console(stderr=True)

@@ -47,7 +47,7 @@ LARGER: tuple[Settings, ...] = (  # one by one, while all that are smaller are b
 
 
 def drop_needless_integrator(search: Search) -> None:
-    """Decide against an integrator where a model without neurons predicts about as well.
+    """Decide against an integrator if a model without neurons predicts about as well without one.
 
     The two models that were compared have neurons. Where something acts that is not in the log,
     both follow it in the records that they are trained on, and are wrong elsewhere.
@@ -82,7 +82,7 @@ def try_model_sizes(search: Search) -> list[Candidate]:
         needs_order = False
         candidates.append(search.score_structured_model("size", larger))
     free = try_free_models(search)
-    contracting = train_finalists(search, with_other_input_path(search, candidates))
+    contracting = train_finalists(search, candidates_with_other_input_path(search, candidates))
     return [*contracting, *candidates_far_ahead(free, contracting)]
 
 
@@ -98,7 +98,7 @@ def try_free_models(search: Search) -> list[Candidate]:
 
 
 def score_sizes(search: Search, question: str, sizes: Sequence[Settings]) -> list[Candidate]:
-    """Candidates of several sizes, each once: with given settings two sizes may be the same."""
+    """Candidates of several sizes, where equal sizes are scored only once."""
     scored = [search.score_structured_model(question, size) for size in sizes]
     return list({id(candidate): candidate for candidate in scored}.values())
 
@@ -106,7 +106,7 @@ def score_sizes(search: Search, question: str, sizes: Sequence[Settings]) -> lis
 def candidates_far_ahead(
     free: Sequence[Candidate], contracting: Sequence[Candidate]
 ) -> list[Candidate]:
-    """Candidates behind which all that contract in open loop are far."""
+    """Candidates that are far better than all those that contract in open loop."""
     return [
         candidate
         for candidate in free
@@ -114,9 +114,11 @@ def candidates_far_ahead(
     ]
 
 
-def with_other_input_path(search: Search, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates with the input path that was not chosen beside that of the same size: a few steps
-    of training may have decided for the wrong one."""
+def candidates_with_other_input_path(
+    search: Search, candidates: Sequence[Candidate]
+) -> list[Candidate]:
+    """Candidates with the input path that was not chosen, for comparison with those of the same
+    size. A few steps of training may have decided for the wrong path."""
     by_path = [candidate for candidate in search.tried if candidate.question == "input path"]
     rejected = [each for each in by_path if all(each is not one for one in candidates)]
     pool: list[Candidate] = []
@@ -129,12 +131,12 @@ def with_other_input_path(search: Search, candidates: Sequence[Candidate]) -> li
 
 
 def has_free_path(candidate: Candidate) -> bool:
-    """Whether the input reaches the neurons of a candidate directly."""
+    """Whether the input acts directly on the neurons of a candidate."""
     return bool(candidate.settings["input_path"] == "free")
 
 
 def train_finalists(search: Search, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates of which the best structured ones are trained further on the folds.
+    """Candidates, the best structured ones of which are trained further on the folds.
 
     After a few steps large models are less trained than small ones.
     """

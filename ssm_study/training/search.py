@@ -123,7 +123,7 @@ class Search:
 
     def is_certifiable(self, candidate: Candidate) -> bool:
         """Whether a state feedback and an observer can be certified for one of the candidate's
-        models. True where the specification does not ask.
+        models. It is true if the settings do not ask for that.
 
         One of the models that were trained on the folds is enough: the chosen candidate is trained
         from many starts, of which those with a certificate come first.
@@ -138,7 +138,7 @@ class Search:
         return self.certified[id(candidate)]
 
     def train_further(self, candidate: Candidate, steps: int) -> Candidate:
-        """Train a candidate's models further on the folds; a new row of the table."""
+        """Train a candidate's models further on the folds, and add the result to the table."""
         trial = train_further(candidate.fits, self.folds, steps)
         return self.add_candidate("longer training", STRUCTURED, candidate.settings, trial)
 

@@ -27,7 +27,7 @@ def short_spec(spec: StructuredSpec) -> StructuredSpec:
 
 
 def count_starts(spec: StructuredSpec) -> tuple[int, int]:
-    """Numbers of short trainings, and of those that are trained to their end.
+    """Number of short training runs, and number of those that are trained to their end.
 
     A model that need not contract has twice as many: fewer of its trainings end where a state
     feedback can be certified, and each takes less time.
@@ -59,16 +59,16 @@ def best_seeds(
         announce(f"{done} of {count}, {training_fit_words(float(fits[seed].loss))}")
     finite = [seed for seed, fit in fits.items() if np.isfinite(float(fit.loss))]
     by_loss = sorted(finite, key=lambda seed: float(fits[seed].loss))
-    certified = first_certified_solution(spec, {seed: fits[seed] for seed in by_loss}, best)
+    certified = first_certified_seeds(spec, {seed: fits[seed] for seed in by_loss}, best)
     others = [seed for seed in by_loss if seed not in certified]
     return [*certified, *others][:best] or [first]
 
 
-def first_certified_solution(
+def first_certified_seeds(
     spec: StructuredSpec, fits: dict[int, StructuredFit], most: int
 ) -> list[int]:
-    """Seeds of the first starts, in the order given, whose models have certificates. All count as
-    having them where the specification does not ask."""
+    """Seeds of the first training runs, in the given order, whose models have certificates. All
+    count if the settings do not ask for certificates."""
     has_certificates = getattr(spec.among_starts, "has_certificates", None)
     certified: list[int] = []
     for seed, fit in fits.items():
@@ -80,7 +80,7 @@ def first_certified_solution(
 
 
 def training_fit_words(loss: float) -> str:
-    """Words on the fit to the training records at a given loss."""
+    """Text on the fit to the training records at a given loss."""
     if not np.isfinite(loss):
         return "the simulation diverges"
     return f"fit to the training records {fit_from_relative_error(np.sqrt(loss)):.1f} %"

@@ -68,7 +68,7 @@ class StructuredFit(pl.LightningModule):
             self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
 
     def _simulation_problem(self) -> SimulationProblem:
-        """Least-squares problem of the training records."""
+        """Least-squares problem that the training records pose."""
         spec = self.spec
         scale = self.data.scale
         lift, read = spec.build_maps((scale.inputs, scale.outputs), scale.disturbances)
@@ -122,7 +122,7 @@ class StructuredFit(pl.LightningModule):
         self._store_descent(at)
 
     def take_further_steps(self, steps: int) -> None:
-        """Take at most so many steps more from the present parameters."""
+        """Take a limited number of further steps from the present parameters."""
         at = self._descent
         before = np.inf
         for _ in range(steps):
@@ -134,7 +134,7 @@ class StructuredFit(pl.LightningModule):
 
     @property
     def _descent(self) -> Descent:
-        """State of the minimisation as the module's buffers hold it."""
+        """State of the minimisation, read from the module's buffers."""
         theta = {name: part.copy() for name, part in self.parameter_blocks.items()}
         return Descent(theta=theta, loss=float(self.loss), damping=float(self.damping))
 

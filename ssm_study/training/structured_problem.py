@@ -337,8 +337,8 @@ def take_step(problem: SimulationProblem, at: Descent, free: tuple[str, ...]) ->
 def linearise_loss(
     problem: SimulationProblem, theta: Theta, free: tuple[str, ...]
 ) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P P"]]:
-    """Half the gradient of the regularised loss and its Gauss-Newton matrix `J'J + R`, with the
-    penalty on the gain's sign. Second derivatives of the residual are left out."""
+    """Half the gradient of the regularised loss, and its Gauss-Newton matrix. `J'J + R`, with the
+    penalty on the gain's sign; second derivatives of the residual are left out."""
     residual, j, turn = problem.residual_and_jacobian(theta, free)
     ridges = [np.full(theta[name].size, problem.ridge_weight(name)) for name in free]
     weights = np.concatenate(ridges)  # R, its diagonal

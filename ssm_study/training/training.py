@@ -264,8 +264,8 @@ def select_by_training_fit(
 
 
 def can_be_certified(spec: "ModelSpec", model: Any) -> bool:
-    """Whether a state feedback and an observer of a model can be certified. True where the
-    specification does not ask."""
+    """Whether a state feedback and an observer of a model can be certified. It is true if the
+    settings do not ask for that."""
     rule = getattr(spec, "among_starts", None)
     has_certificates = getattr(rule, "has_certificates", None)
     return has_certificates is None or bool(has_certificates(model))

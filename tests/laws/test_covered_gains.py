@@ -167,10 +167,12 @@ def test_rounds_beyond_those_planned_follow_only_while_they_would_reach_the_targ
 
 def test_a_brief_search_ends_at_its_target_or_its_last_round(search) -> None:
     brief = replace(search, is_brief=True)
-    assert brief._goes_on([0.6], 1.0, rounds=1)
-    assert not brief._goes_on([0.6, 0.7], 1.0, rounds=1)
-    assert not brief._goes_on([1.1], 1.0, rounds=1)
-    assert search._goes_on([1.1], 1.0, rounds=1)  # made faster in the rounds that are left
+    assert brief._needs_another_round([0.6], 1.0, rounds=1)
+    assert not brief._needs_another_round([0.6, 0.7], 1.0, rounds=1)
+    assert not brief._needs_another_round([1.1], 1.0, rounds=1)
+    assert search._needs_another_round(
+        [1.1], 1.0, rounds=1
+    )  # made faster in the rounds that are left
 
 
 def test_a_grid_without_a_design_is_given_up_after_its_near_pairs() -> None:

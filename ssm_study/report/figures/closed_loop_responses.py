@@ -40,7 +40,7 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def colours_by_start(starts: Float[np.ndarray, "N"]) -> list[tuple[float, ...]]:
-    """Colours from dark (lowest start) to light, the same in every panel."""
+    """Colours of the initial states, from dark (lowest) to light, the same in every panel."""
     colour_map = mpl.colormaps[style.SEQUENCE]
     rank = starts.argsort().argsort()
     highest = max(len(rank) - 1, 1)
@@ -50,7 +50,7 @@ def colours_by_start(starts: Float[np.ndarray, "N"]) -> list[tuple[float, ...]]:
 def draw_responses(
     axes: Axes, loop: RecordedCases, name: str, colours: list[tuple[float, ...]]
 ) -> None:
-    """Draw one output over time for every start, with the settling band."""
+    """Draw one output over time from every initial state, with the settling band."""
     time_s = loop.time_s("output")
     responses = loop[name][:, :, 0]
     for response, colour in zip(responses, colours, strict=True):

@@ -60,7 +60,7 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def _label_axes(value: Axes, slope: Axes, is_motor: bool) -> None:
-    """Label the axes of map and slope, in volts where the motor is known."""
+    """Label the axes of input map and slope, in volts if the motor's constants are known."""
     for axes in (value, slope):
         style.place_legend_above(axes)
         axes.set_xlabel("Armature voltage (V)" if is_motor else "Input (physical unit)")

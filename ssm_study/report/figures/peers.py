@@ -81,7 +81,7 @@ def create_panels(table: pd.DataFrame) -> list[PeerPanel]:
 
 
 def create_panel(table: pd.DataFrame, name: str, limits: tuple[float, float | None]) -> PeerPanel:
-    """Panel of one column, named and scaled as given."""
+    """Panel of a figure for one column, with given name and scale."""
     values = numeric_column(table, name)
     label = column_words(name)
     return PeerPanel(values=values, label=label, scale={"xlim": limits})

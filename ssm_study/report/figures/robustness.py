@@ -48,7 +48,7 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def _draw_colours(fig: Figure, axes: Axes, ratios: pd.DataFrame) -> None:
-    """Colour each cell by its relative settling time, with a colour bar."""
+    """Colour each cell by its relative settling time, and add a colour bar."""
     axes.grid(False)
     axes.set_facecolor(style.PALE)
     norm = LogNorm(vmin=FASTEST, vmax=1.0, clip=True)

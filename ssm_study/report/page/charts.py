@@ -117,7 +117,7 @@ def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _has_numbers(table: pd.DataFrame, panel: Panel) -> bool:
-    """Whether some run has a number in both columns of a plot."""
+    """Whether at least one run has a number in both columns of a plot."""
     across = numeric_column(table, panel.x)
     up = numeric_column(table, panel.y)
     return bool((across * up).notna().any())
@@ -165,7 +165,7 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
 
 
 def _median_of_rule(panel: Panel, table: pd.DataFrame) -> list[float]:
-    """Height of a plot's horizontal rule, where it has one."""
+    """Height of a plot's horizontal reference line; None if it has none."""
     values = numeric_column(table, panel.rule_y)
     median = float(values.median())
     return [] if np.isnan(median) else [median]
@@ -225,7 +225,7 @@ def _points(*brushed: Axis) -> alt.Chart:
 
 
 def _encode_verdicts() -> dict[str, Any]:
-    """Colour and shape of a point by the verdict of its run."""
+    """Colour and shape of a point in a chart, by the verdict of its run."""
     names = [verdict.word for verdict in VERDICTS]
     colours = [verdict.colour for verdict in VERDICTS]
     shapes = [verdict.shape for verdict in VERDICTS]
@@ -237,7 +237,8 @@ def _encode_verdicts() -> dict[str, Any]:
 
 
 def _encode_choice() -> dict[str, Any]:
-    """Opacity of a point by whether its run is shown, size and edge by whether it is chosen."""
+    """Opacity, size and edge of a point in a chart, by whether its run is shown and whether it is
+    selected."""
     opacity = alt.condition(SHOWN, alt.value(0.85), alt.value(0.06))
     size = alt.condition(CHOSEN, alt.value(220), alt.value(45))
     stroke = alt.condition(CHOSEN, alt.value(style.INK), alt.value(None))

@@ -51,7 +51,7 @@ def controllers_table(rows: pd.DataFrame) -> ComparedTable:
 
 
 def numbers_table(rows: pd.DataFrame) -> ComparedTable:
-    """Table with the numbers of each controller in the one situation."""
+    """Table with the numbers of each controller in a single situation."""
     cells = []
     for name, own in rows.groupby("controller", sort=False):
         first = own.iloc[0]
@@ -60,7 +60,8 @@ def numbers_table(rows: pd.DataFrame) -> ComparedTable:
 
 
 def situations_table(rows: pd.DataFrame, situations: list[str]) -> ComparedTable:
-    """Table with a column per situation: share settled, and the mean time of those."""
+    """Table with one column per situation, with the share that settles and the mean settling
+    time."""
     tried: dict[tuple[str, str], dict[str, Any]] = {}
     for row in rows.to_dict("records"):
         named = {str(name): value for name, value in row.items()}
@@ -127,7 +128,7 @@ def row_html(name: str, cells: list[tuple[str, str]]) -> str:
 
 
 def cell_html(text: str, shade: str) -> str:
-    """Cell of an HTML table, shaded or not."""
+    """HTML of one table cell, shaded or not."""
     background = f' style="background: {shade}"' if shade else ""
     return f"<td{background}>{escape(text)}</td>"
 
@@ -152,7 +153,7 @@ def designs_chart(rows: pd.DataFrame) -> Spec:
 
 
 def margins_and_shares(rows: pd.DataFrame) -> pd.DataFrame:
-    """Mismatch margin and share of settled starts of each design that has both."""
+    """Stability margin and share of settled initial states, for each design that has both."""
     share = rows.get("stable_fraction")
     if share is None:
         share = rows["stable_count"] / rows["initial_conditions"]
@@ -161,7 +162,8 @@ def margins_and_shares(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def settled_sentence(points: pd.DataFrame) -> str:
-    """Sentence on how many designs above and below margin one bring every start to rest."""
+    """Sentence on how many designs with a margin above and below one settle from every initial
+    state."""
     is_above = points["margin"] > 1
     settles = points["share"] >= 1
     above = f"{int((is_above & settles).sum())} of {int(is_above.sum())}"

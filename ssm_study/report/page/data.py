@@ -100,7 +100,7 @@ def slider_settings(table: pd.DataFrame) -> dict[str, Any] | None:
 
 
 def runs_like_the_best(table: pd.DataFrame, settings: list[str]) -> "pd.Series[bool]":
-    """Mark the runs that share these settings with the first run."""
+    """For each run, whether given settings equal those of the best run, the first of the table."""
     alike = pd.Series(True, index=table.index)
     for name in settings:
         values = requested_values(table, name).astype("string").fillna("")
@@ -109,7 +109,7 @@ def runs_like_the_best(table: pd.DataFrame, settings: list[str]) -> "pd.Series[b
 
 
 def swept_numbers(table: pd.DataFrame, name: str) -> pd.Series:
-    """Requested numbers of a column in ascending order, of equal ones the first."""
+    """Requested numbers of a column in ascending order, each only once."""
     requested = requested_values(table, name)
     numbers = pd.to_numeric(requested, errors="coerce").dropna()
     is_repeated = numbers.duplicated()
@@ -140,7 +140,7 @@ def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
 
 
 def subject_words(table: pd.DataFrame) -> str:
-    """Words on the plants and the data of a study, such as `Plant: DC motor. Data: simulated. `."""
+    """Text on the plants and the data of a study, such as `Plant: DC motor. Data: simulated. `."""
     plants = text_column(table, "plant").map(choice_label)
     sources = text_column(table, "data_source")
     words = ""
@@ -152,7 +152,7 @@ def subject_words(table: pd.DataFrame) -> str:
 
 
 def configuration_text(study: StudyFolder) -> str:
-    """Configuration of the best run, or nothing where it left none."""
+    """Configuration of the best run as text, empty if it left none."""
     if study.best_run is None:
         return ""
     config = study.best_run.path / ".hydra" / "config.yaml"
@@ -199,7 +199,7 @@ def page_title(table: pd.DataFrame) -> str:
 
 
 def setting_words(name: str) -> str:
-    """Words for a swept setting in a sentence, without its unit. A setting's key is a name."""
+    """Words for a swept setting in a sentence, without its unit."""
     without_unit = column_words(name).partition(" (")[0]
     word = without_unit.partition(",")[0].lower()
     return word if FURTHER.matches_name(name) else f"the {word}"

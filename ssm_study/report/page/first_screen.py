@@ -152,7 +152,8 @@ def coverage_words(record: Record) -> str:
 
 
 def limit_words(record: Record) -> str:
-    """Words on the input limits, within which the certified rate holds from some outputs only."""
+    """Text on the input limits, under which the certified rate holds only from some initial
+    outputs."""
     lower = record.get("limit_lower")
     upper = record.get("limit_upper")
     first = record.get("unlimited_from")

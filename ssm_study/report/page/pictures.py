@@ -80,7 +80,7 @@ def panel_spec(panel: PicturePanel, description: str) -> Spec:
 
 
 def panel_axes(panel: PicturePanel) -> Spec:
-    """Both axes of a panel with their scales."""
+    """Vega-Lite axes of a panel, with their scales."""
     x_scale = axis_scale(panel.log_x, panel.x_range)
     y_scale = axis_scale(panel.log_y, panel.y_range)
     x = quantitative("x", panel.x_label, **x_scale)
@@ -89,7 +89,7 @@ def panel_axes(panel: PicturePanel) -> Spec:
 
 
 def panel_legend(panel: PicturePanel) -> Legend:
-    """Colour of each named part of a panel: bands, then lines across it, then series."""
+    """Colour of each named part of a panel, in the order bands, guide lines, series."""
     coloured = [(band.name, band.colour) for band in panel.bands]
     coloured += [(rule.name, INK) for rule in panel.rules]
     coloured += [(series.name, series.colour) for series in panel.series]
@@ -199,7 +199,7 @@ def thin_line(x: Values, y: Values) -> tuple[Stretch, Stretch]:
 
 
 def starts_of_gaps(is_seen: Bool[np.ndarray, "T"]) -> Bool[np.ndarray, "T"]:
-    """Mark the first missing point of each gap."""
+    """For each point, whether it is the first missing one of a gap."""
     previous = np.ones_like(is_seen)
     previous[1:] = is_seen[:-1]
     return previous & ~is_seen

@@ -43,7 +43,7 @@ def chart_templates(table: pd.DataFrame) -> Spec:
 
 
 def time_axes() -> Spec:
-    """Vega-Lite axes of values over time; the values need not include zero."""
+    """Vega-Lite axes for values over time, whose range need not include zero."""
     x = quantitative("t", TIME)
     y = quantitative("value", None, zero=False, nice=False)
     return {"x": x, "y": y}
@@ -92,8 +92,7 @@ def slider_parameter(name: str, words: str) -> Spec:
 
 
 def played_parts() -> list[Spec]:
-    """Parts of the played response: the whole line, the line so far, and the point of the
-    moment."""
+    """Parts of the animated response: the whole line, the line so far, and the present point."""
     of_start = {"filter": "datum.case === start"}
     until_moment = {"filter": "datum.t <= moment"}
     latest_time = {"op": "max", "field": "t", "as": "last"}
@@ -109,7 +108,7 @@ def played_parts() -> list[Spec]:
 
 
 def layer_over_time(part: Spec) -> Spec:
-    """Layer of the data set `rows` over time, with the marks of a part."""
+    """Layer that draws the data set `rows` over time, with the marks of one part."""
     return {"data": ROWS, "encoding": time_axes(), **part}
 
 
@@ -131,21 +130,21 @@ def parallel_coordinates(table: pd.DataFrame) -> Spec | None:
 
 
 def parallel_columns(table: pd.DataFrame) -> list[str]:
-    """Swept settings and results that differ between the runs of a table."""
+    """Swept settings and results in which the runs of a table differ."""
     candidates = (*swept_settings(table), *PARALLEL)
     present = [name for name in candidates if name in table]
     return [name for name in present if numeric_column(table, name).nunique() > 1]
 
 
 def fold_columns(names: list[str]) -> list[Spec]:
-    """Vega-Lite transform that makes a row of each run and column with a number."""
+    """Vega-Lite transform that gives each run and column with a number a row of its own."""
     fold = {"fold": names, "as": ["key", "value"]}
     known = {"filter": "isValid(datum.value) && isNumber(datum.value)"}
     return [fold, known]
 
 
 def parallel_lines(fold: list[Spec], x: Spec, runs: int) -> Spec:
-    """Layer with a line per run, each axis scaled to what the runs span."""
+    """Layer with one line per run, where each axis is scaled to the range of the runs."""
     ends = [aggregate_value(end) for end in ENDS]
     add_ends = {"joinaggregate": ends, "groupby": ["key"]}
     share = "datum.max > datum.min ? (datum.value - datum.min) / (datum.max - datum.min) : 0.5"
@@ -159,7 +158,7 @@ def parallel_lines(fold: list[Spec], x: Spec, runs: int) -> Spec:
 
 
 def aggregate_value(operation: str) -> Spec:
-    """Vega-Lite aggregate of the column `value`, named like its operation."""
+    """Vega-Lite aggregate of the column `value`, named after its operation."""
     return {"op": operation, "field": "value", "as": operation}
 
 
