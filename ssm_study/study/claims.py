@@ -142,7 +142,8 @@ def check_settings(run: RunFiles) -> Claims:
     )
     # The record holds the rates of the design, which the theorem may have chosen itself.
     rates = ("rate_controller", "rate_observer") if run.claims_certificate else ()
-    yield Derived({name: value for name, value in settings.items() if name not in rates})
+    columns = {name: value for name, value in settings.items() if name not in rates}
+    yield Derived(columns)
     for rate in rates:
         value = settings.get(rate)
         if value is not None:

@@ -49,12 +49,15 @@ def write_rollouts(
         if alone is not None:
             signals["uncontrolled"] = (plant.outputs, alone.y[case])
         written += signal_groups(f"/case_{case}", run.time_s, signals)
+    input_equilibrium = json.dumps(plant.equilibrium().u.tolist())
+    left_at_sample = json.dumps(run.left_at_sample.tolist())
+    bound = json.dumps(run.bound.tolist())
     facts = {
         "step_s": repr(run.step_s),
         "settling_band": repr(plant.settling_band),
-        "input_equilibrium": json.dumps(plant.equilibrium().u.tolist()),
-        "left_at_sample": json.dumps(run.left_at_sample.tolist()),
-        "bound": json.dumps(run.bound.tolist()),
+        "input_equilibrium": input_equilibrium,
+        "left_at_sample": left_at_sample,
+        "bound": bound,
     }
     write_mcap(path, tuple(written), about | facts)
 
@@ -71,11 +74,13 @@ def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
     is_shared = bool((references == references[:1]).all())
     require(is_shared, "recording", path.name, problem, "run the study again")
     signals: dict[str, Any] = {field: recording[topic] for field, topic in TOPICS.items()}
+    bound = np.array(json.loads(about["bound"]), dtype=float)
+    left_at_sample = np.array(json.loads(about["left_at_sample"]), dtype=int)
     run = Rollouts(
         step_s=float(about["step_s"]),
         reference=references[0],
-        bound=np.array(json.loads(about["bound"]), dtype=float),
-        left_at_sample=np.array(json.loads(about["left_at_sample"]), dtype=int),
+        bound=bound,
+        left_at_sample=left_at_sample,
         **signals,
     )
     return run, recording
@@ -114,12 +119,14 @@ def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
     outputs = recording["uncontrolled"]
     never_stopped = np.full(len(outputs), STAYED)
     input_equilibrium = json.loads(recording.about["input_equilibrium"])
+    uncontrolled = replace(run, y=outputs, left_at_sample=never_stopped)
+    equilibrium_input = np.array(input_equilibrium, dtype=float)
     closed = LoopRuns(
         controlled=run,
-        uncontrolled=replace(run, y=outputs, left_at_sample=never_stopped),
+        uncontrolled=uncontrolled,
         on_model=_read_existing_rollouts(folder / ON_MODEL),
         settling_band=recording.settling_band,
-        input_equilibrium=np.array(input_equilibrium, dtype=float),
+        input_equilibrium=equilibrium_input,
         noise_free=_read_existing_rollouts(folder / NOISE_FREE),
     )
     return closed, recording.about["loop_on"]

@@ -51,6 +51,8 @@ def preload_modules(again: Set[str]) -> None:
     # The motor's compiled step, from its cache on disk: a third of a second that each job would
     # spend on its own.
     constants = MotorConstants(*[1.0] * len(MotorConstants._fields))
-    advance_batch(constants, np.zeros((0, 4)), np.zeros((0, 1)), np.zeros((0, 1)), 1.0, 1)
+    u = np.zeros((0, 1))
+    d = np.zeros((0, 1))
+    advance_batch(constants, np.zeros((0, 4)), u, d, 1.0, 1)
     Plugins.instance()  # Hydra looks for them once per process
     CODE.read_loaded_modules()  # last: what is loaded by now is what counts

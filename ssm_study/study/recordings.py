@@ -121,7 +121,8 @@ class RecordedCases:
         outputs = self.signals("measured")
         for name, u, y, measured in zip(names, inputs, outputs, disturbances, strict=True):
             d = None if measured is None else measured.values
-            records.append(Trajectory(u=u.values, y=y.values, d=d, step_s=step_s, name=name))
+            trajectory = Trajectory(u=u.values, y=y.values, d=d, step_s=step_s, name=name)
+            records.append(trajectory)
         return tuple(records)
 
 

@@ -82,7 +82,8 @@ class RunFiles:
     def working_folder(self) -> Path:
         """Folder to which relative paths in the run's configuration refer. It is the present folder
         if the run has been moved."""
-        below = Path(str(self.config.results_dir), str(self.config.study), str(self.config.run))
+        results_dir = str(self.config.results_dir)
+        below = Path(results_dir, str(self.config.study), str(self.config.run))
         whole, _, after = str(self.path.absolute()).rpartition(f"/{below}")
         return Path(whole) if whole and not after else Path()
 
@@ -173,12 +174,14 @@ class RunFiles:
         (lower,), (upper,) = input_limits(None, None, self.training_inputs)
         model = self.model
         impulse_response_length = model.linear.impulse_response_length(remainder=LEFT_AT_REST)
+        rest = float(model.scale.input_equilibrium[0])
+        settle_s = float(impulse_response_length * model.step_s)
         return {
             "lower": float(lower),
             "upper": float(upper),
-            "rest": float(model.scale.input_equilibrium[0]),
+            "rest": rest,
             "step_s": float(model.step_s),
-            "settle_s": float(impulse_response_length * model.step_s),
+            "settle_s": settle_s,
         }
 
     @property

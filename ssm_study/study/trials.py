@@ -81,7 +81,8 @@ def records_of_loops(run: Rollouts) -> Trajectories:
             u = run.u[i, :end]
             y = run.measured[i, :end]
             name = f"case_{i}"
-            records.append(Trajectory(u=u, y=y, step_s=run.step_s, name=name, closed_loop=True))
+            trajectory = Trajectory(u=u, y=y, step_s=run.step_s, name=name, closed_loop=True)
+            records.append(trajectory)
     return tuple(records)
 
 

@@ -97,10 +97,9 @@ def unreached_places(
         highest = float(signal[:, channel].max(initial=0.0))
         ends = [-np.inf, *points, np.inf]
         pieces = list(pairwise(ends))
-        unreached = {
-            "breakpoints": [not lowest <= point <= highest for point in points],
-            "slopes": [end <= lowest or begin >= highest for begin, end in pieces],
-        }
+        breakpoints = [not lowest <= point <= highest for point in points]
+        slopes = [end <= lowest or begin >= highest for begin, end in pieces]
+        unreached = {"breakpoints": breakpoints, "slopes": slopes}
         for field, flags in unreached.items():
             numbers = ", ".join(map(str, np.flatnonzero(flags)))
             if numbers:

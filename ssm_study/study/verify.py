@@ -88,11 +88,8 @@ class Verification:
 
     def to_json(self) -> str:
         """Verdict as a text of JSON with the keys `holds`, `claims` and `not_checked`."""
-        verdict = {
-            "holds": self.holds,
-            "claims": [asdict(finding) for finding in self.findings],
-            "not_checked": dict(self.unchecked),
-        }
+        claims = [asdict(finding) for finding in self.findings]
+        verdict = {"holds": self.holds, "claims": claims, "not_checked": dict(self.unchecked)}
         return json.dumps(verdict, indent=1)
 
 
@@ -109,7 +106,8 @@ def finding_lines(findings: Sequence[Checked]) -> list[str]:
         if len(claims) == 1:
             lines.append(str(finding))
         elif claims:
-            lines.append(str(replace(finding, claim=", ".join(claims), found=cause)))
+            grouped_line = str(replace(finding, claim=", ".join(claims), found=cause))
+            lines.append(grouped_line)
     return lines
 
 
