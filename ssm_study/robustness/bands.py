@@ -24,8 +24,10 @@ def safe_ratio(
 
 def sort_lines_into_bands(lines: int) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "F"]]:
     """Band of each spectral line except the mean, and the number of lines in each band."""
-    bands = np.rint(np.linspace(0, len(ANGLES) - 1, lines)).astype(int)[1:]
-    return bands, np.maximum(np.bincount(bands, minlength=len(ANGLES)), 1).astype(float)
+    nearest = np.rint(np.linspace(0, len(ANGLES) - 1, lines))
+    bands = nearest.astype(int)[1:]
+    counts = np.bincount(bands, minlength=len(ANGLES))
+    return bands, np.maximum(counts, 1).astype(float)
 
 
 def band_means(lines: Float[np.ndarray, "K"]) -> Float[np.ndarray, "F"]:

@@ -82,13 +82,16 @@ class RepeatingPower:
         powers = [record.input_power[bands == band] for band in range(len(ANGLES))]
         has_lines = np.array([len(power) > 0 for power in powers])
         drive = np.array([power.mean() if len(power) else 0.0 for power in powers])
+        both_periods = line_powers(first) + line_powers(second)
+        measured = sides * both_periods / 2
+        dark = drive < EXCITED * drive[has_lines].mean()
         return cls(
             record=record,
             repeats=repeats,
-            measured=sides * (line_powers(first) + line_powers(second)) / 2,
+            measured=measured,
             variance=variance,
             bands=bands,
-            dark=drive < EXCITED * drive[has_lines].mean(),
+            dark=dark,
             has_lines=has_lines,
         )
 
@@ -113,14 +116,17 @@ class RepeatingPower:
     ) -> Item:
         """Combine spectral lines to one requirement on the weights."""
         record = self.record
+        seen = self.mismatch_power(lines, is_doubtful=is_doubtful, is_dark=is_dark)
+        model_power = record.sides * record.model_power
+        input_power = record.sides * record.input_power
         return Item(
             record=record.name,
             place=place,
             is_band=is_band,
             angles=record.angles[lines],
-            model_power=(record.sides * record.model_power)[lines],
-            input_power=(record.sides * record.input_power)[lines],
-            seen=self.mismatch_power(lines, is_doubtful=is_doubtful, is_dark=is_dark),
+            model_power=model_power[lines],
+            input_power=input_power[lines],
+            seen=seen,
             dark=is_dark,
         )
 
@@ -172,18 +178,18 @@ def requirements_from_average(record: AveragedSpectrum, centre: float) -> list[I
     dark = record.input_power < EXCITED * record.input_power.mean()
     items = list[Item]()
     for k, angle in enumerate(record.angles):
-        items.append(
-            Item(
-                record=record.name,
-                place=f"around {angle:.2f} rad/sample",
-                is_band=True,
-                angles=record.angles[k : k + 1],
-                model_power=record.model_power[k : k + 1],
-                input_power=record.input_power[k : k + 1],
-                seen=float(seen[k]),
-                dark=bool(dark[k]),
-            )
+        bin_of_record = slice(k, k + 1)
+        item = Item(
+            record=record.name,
+            place=f"around {angle:.2f} rad/sample",
+            is_band=True,
+            angles=record.angles[bin_of_record],
+            model_power=record.model_power[bin_of_record],
+            input_power=record.input_power[bin_of_record],
+            seen=float(seen[k]),
+            dark=bool(dark[k]),
         )
+        items.append(item)
     total = Item(
         record=record.name,
         place=TOTAL,

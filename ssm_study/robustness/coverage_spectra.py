@@ -84,15 +84,20 @@ def line_spectrum(run: RecordErrors, noise: Float[np.ndarray, "F"]) -> MismatchS
     assert run.period is not None
     angles = 2 * np.pi * np.arange(run.period // 2 + 1) / run.period
     alone = np.isclose(angles, 0.0) | np.isclose(angles, np.pi)
+    sides = np.where(alone, 1.0, 2.0)
+    model = run.periods(run.model)
+    error = run.periods(run.e)
+    _, second_input = run.periods(run.u)
+    noise_at_lines = np.interp(angles, ANGLES, noise)
     return MismatchSpectrum(
         name=run.name,
         amplitude=run.amplitude,
         angles=angles,
-        sides=np.where(alone, 1.0, 2.0),
-        model=run.periods(run.model),
-        error=run.periods(run.e),
-        input_power=line_powers(run.periods(run.u)[1]),
-        noise=run.period * np.interp(angles, ANGLES, noise),
+        sides=sides,
+        model=model,
+        error=error,
+        input_power=line_powers(second_input),
+        noise=run.period * noise_at_lines,
     )
 
 
@@ -100,10 +105,9 @@ def averaged_spectrum(run: RecordErrors) -> AveragedSpectrum:
     """Power spectra of a record in open loop, by Welch's averages. Its noise counts as model
     error."""
     powers = _welch_powers(run)
-    count = len(powers["angles"])
-    return AveragedSpectrum(
-        name=run.name, amplitude=run.amplitude, drawn=np.zeros(count), sure=np.ones(count), **powers
-    )
+    none = np.zeros_like(powers["angles"])
+    one = np.ones_like(powers["angles"])
+    return AveragedSpectrum(name=run.name, amplitude=run.amplitude, drawn=none, sure=one, **powers)
 
 
 def averaged_spectrum_in_loop(
@@ -121,12 +125,10 @@ def averaged_spectrum_in_loop(
         one_sided = samples * np.interp(angles, ANGLES, noise)
     sides = np.where((angles > 0) & (angles < np.pi), 2.0, 1.0)
     relative_error = float(np.sqrt(1.06 * len(angles) / samples))
+    drawn = sides * one_sided
+    sure = np.full(len(angles), 1 + SURE * relative_error)
     return AveragedSpectrum(
-        name=run.name,
-        amplitude=run.amplitude,
-        drawn=sides * one_sided,
-        sure=np.full(len(angles), 1 + SURE * relative_error),
-        **powers,
+        name=run.name, amplitude=run.amplitude, drawn=drawn, sure=sure, **powers
     )
 
 

@@ -65,7 +65,8 @@ def _band_row(
     proved_radius = None
     if model_power > 0:
         measured = float(np.sqrt(band.seen / model_power))
-        proved_radius = kappa * float(np.sqrt(weights.reference_power(band) / model_power))
+        reference_power = weights.reference_power(band)
+        proved_radius = kappa * float(np.sqrt(reference_power / model_power))
     return CoverageBand(
         record=band.record,
         frequency=float(band.angles.mean()),

@@ -164,14 +164,23 @@ def measure_mismatch(
     own_offsets, swings = _offsets_and_swings_at_rest(moving, response)
     decays = [remaining_offset(errors.output) for errors in resting]
     starts = [float(np.abs(errors.output[0]).max()) for errors in resting]
+    loop = None
+    if closed_loop_errors:
+        loop = mismatch_in_closed_loop(closed_loop_errors, noise)
+    sorted_views = sorted(views, key=lambda view: view.amplitude)
+    noise_by_band = () if noise is None else tuple(noise.tolist())
+    motions_at_rest = [*decays, *still, *swings]
+    left_at_rest = max(motions_at_rest, default=None)
+    stuck = _larger_offsets(own_offsets, offsets)
+    farthest = max(starts, default=1.0)
     return Mismatch(
-        views=tuple(sorted(views, key=lambda view: view.amplitude)),
-        loop=mismatch_in_closed_loop(closed_loop_errors, noise) if closed_loop_errors else None,
+        views=tuple(sorted_views),
+        loop=loop,
         spread=largest.spread(),
-        noise=() if noise is None else tuple(noise.tolist()),
-        left_at_rest=max((*decays, *still, *swings), default=None),
-        stuck=tuple(_larger_offsets(own_offsets, offsets)),
-        farthest=max(starts, default=1.0),
+        noise=noise_by_band,
+        left_at_rest=left_at_rest,
+        stuck=tuple(stuck),
+        farthest=farthest,
         unexcited=_unexcited_bands(largest),
     )
 

@@ -181,7 +181,8 @@ class LoopResponse:
         if np.abs(modes).max() >= 1:
             return None
         grid = FINE_ANGLES if shared is None else shared.angles
-        angles = np.union1d(grid, np.maximum(np.abs(np.angle(modes)), grid[0]))
+        mode_angles = np.abs(np.angle(modes))
+        angles = np.union1d(grid, np.maximum(mode_angles, grid[0]))
         if shared is None:
             closed_loop = frequency_response(loop, angles)
             open_loop = frequency_response(linear, angles)
@@ -195,12 +196,16 @@ class LoopResponse:
         through = slopes[0] * slopes[1] * open_loop @ closed_loop
         is_scalar = closed_loop.shape[1:] == open_loop.shape[1:] == (1, 1)
         at_rest = np.eye(len(through[0])) + through[0]
+        gain_of_constants = np.linalg.norm(at_rest, 2)
+        size = largest_singular_values(closed_loop)
+        scalar_through = through[:, 0, 0] if is_scalar else None
+        is_integrator = np.diagonal(pair.modes) == 1
         return cls(
             angles=angles,
-            size=largest_singular_values(closed_loop),
-            through=through[:, 0, 0] if is_scalar else None,
-            gain_of_constants=float(np.linalg.norm(at_rest, 2)),
-            integrates=bool((np.diagonal(pair.modes) == 1).any()),
+            size=size,
+            through=scalar_through,
+            gain_of_constants=float(gain_of_constants),
+            integrates=bool(is_integrator.any()),
         )
 
     def small_gain(self, by_frequency: Float[np.ndarray, "F"]) -> float:
@@ -247,10 +252,12 @@ class AmplitudeCondition:
         """Evaluate the stability conditions of a loop for the model error at one amplitude. Where
         the plant did not move, no remainder counts."""
         held_still = view.response < HOLDS
+        remainder = np.where(held_still, 0.0, view.rest)
+        small_gain = loop.small_gain(view.by_frequency)
         return cls(
             linear_part=view.linear,
-            remainder=np.where(held_still, 0.0, view.rest),
-            small_gain=loop.small_gain(view.by_frequency),
+            remainder=remainder,
+            small_gain=small_gain,
             is_exempt=held_still and loop.integrates,
         )
 

@@ -278,13 +278,17 @@ def mismatch_from_periods(record: RecordErrors, sure: bool, noise: Float[np.ndar
     rest = np.where(unexcited, measured, rest)
     linear = np.where(unexcited, 0.0, linear)
     answered = (power_model * np.abs(1 + linear) ** 2 + rest).sum()
+    total_gain = np.sqrt(whole.sum() / power_u.sum())
+    by_frequency = np.sqrt(safe_ratio(whole, power_u))
+    remainder = np.sqrt(safe_ratio(rest, power_u))
+    model_power = max(power_model.sum(), np.finfo(float).tiny)
     return View(
         amplitude=record.amplitude,
-        gain=float(np.sqrt(whole.sum() / power_u.sum())),
-        by_frequency=np.sqrt(safe_ratio(whole, power_u)),
+        gain=float(total_gain),
+        by_frequency=by_frequency,
         linear=linear,
-        rest=np.sqrt(safe_ratio(rest, power_u)),
-        response=float(answered / max(power_model.sum(), np.finfo(float).tiny)),
+        rest=remainder,
+        response=float(answered / model_power),
     )
 
 

@@ -82,12 +82,12 @@ def sensitivity(linear: StateSpace, pair: Gains, slope_in: float, slope_out: flo
     state_row = [linear.a + drive, drive, internal]  # u reads the estimate `x + eps`
     error_row = [np.zeros((order, order)), estimation, none.T]
     internal_row = [measured, none, modes]
-    return StateSpace(
-        a=np.block([state_row, error_row, internal_row]),
-        b=np.vstack([np.zeros((order, outputs)), -pair.l, error_input]),
-        c=np.hstack([on_state, on_state, on_internal]),
-        d=np.zeros((len(pair.k), outputs)),
-    )
+    a = np.block([state_row, error_row, internal_row])
+    no_effect = np.zeros((order, outputs))
+    b = np.vstack([no_effect, -pair.l, error_input])
+    c = np.hstack([on_state, on_state, on_internal])
+    d = np.zeros((len(pair.k), outputs))
+    return StateSpace(a=a, b=b, c=c, d=d)
 
 
 def noise_response(
@@ -177,7 +177,8 @@ class Responses:
         order = linear.order
         outputs = ls[0].shape[1]
         on_state = k[:, :order]
-        summed = k[:, order:] @ self.state_response(modes, error_input_matrix(modes, outputs))
+        error_input = error_input_matrix(modes, outputs)
+        summed = k[:, order:] @ self.state_response(modes, error_input)
         state_gain = on_state + slope_out * summed @ linear.c[:outputs]
         loop = state_gain @ self.state_response(linear.a, linear.b)
         observers = [(linear.a + slope_out * l @ linear.c, l) for l in ls]  # noqa: E741

@@ -75,11 +75,11 @@ def measure_sine(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> SineMis
     repeats = max(float((first * second.conj()).real.sum()), 0.0)
     noise_power = errors.period * float(np.interp(angle, ANGLES, noise))
     error = np.sqrt(noise_power**2 / 2 + noise_power * repeats)
-    return SineMismatch(
-        angle=float(angle),
-        amplitude=float(np.sqrt((errors.u[errors.start :] ** 2).mean())),
-        gain=float(np.sqrt((repeats + LIMIT * error) / drive[line])),
-    )
+    upper_limit = repeats + LIMIT * error
+    gain = np.sqrt(upper_limit / drive[line])
+    wave = errors.u[errors.start :]
+    amplitude = np.sqrt((wave**2).mean())
+    return SineMismatch(angle=float(angle), amplitude=float(amplitude), gain=float(gain))
 
 
 def views_with_sines(views: Sequence[View], sines: Sequence[SineMismatch]) -> tuple[View, ...]:
