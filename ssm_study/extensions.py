@@ -52,7 +52,9 @@ def trusted_packages() -> dict[str, Path]:
     """Names and folders of all trusted extension packages. Raises `BadRequest` if Python finds
     another package under the folder's name."""
     points = sorted(point.module.split(".")[0] for point in entry_points(group=GROUP))
-    found = {name: folder for name in points if (folder := _package_folder(name)) is not None}
+    trusted_folders = {
+        name: folder for name in points if (folder := _package_folder(name)) is not None
+    }
     if own := os.environ.get(FOLDER):
         folder = Path(own)
         if str(folder.parent) not in sys.path:
@@ -65,8 +67,8 @@ def trusted_packages() -> dict[str, Path]:
             f"the name {folder.name} is taken by {meant}",
             "rename the folder",
         )
-        found[folder.name] = folder
-    return found
+        trusted_folders[folder.name] = folder
+    return trusted_folders
 
 
 def extension_configuration_folders() -> list[Path]:

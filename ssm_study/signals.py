@@ -226,17 +226,17 @@ def input_limits(lower: Limit, upper: Limit, inputs: Sequence[Float[np.ndarray, 
     """Lower and upper limit of each input, as given or else the range of the recorded inputs.
     Raises `BadRequest` if their number differs from that of the inputs."""
     seen = np.concatenate(inputs)
-    found = []
-    for name, given, end in (
+    limits = []
+    for name, given_limit, end in (
         ("lower", lower, seen.min(axis=0)),
         ("upper", upper, seen.max(axis=0)),
     ):
-        told = end if given is None else np.asarray(given, dtype=float).reshape(-1)
-        fits = len(told) in (1, len(end))
+        limit = end if given_limit is None else np.asarray(given_limit, dtype=float).reshape(-1)
+        fits = len(limit) in (1, len(end))
         remedy = "give one for all, or one for each"
-        require(fits, f"loop.input_{name}", given, f"there are {len(end)} inputs", remedy)
-        found.append(np.broadcast_to(told, end.shape).copy())
-    return found[0], found[1]
+        require(fits, f"loop.input_{name}", given_limit, f"there are {len(end)} inputs", remedy)
+        limits.append(np.broadcast_to(limit, end.shape).copy())
+    return limits[0], limits[1]
 
 
 @dataclass(frozen=True, kw_only=True)

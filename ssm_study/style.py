@@ -72,14 +72,14 @@ def paper_style(width: Width = "page") -> Iterator[None]:
         f"{group}.{name}": v for group, values in _PAPER.items() for name, v in values.items()
     }
     look["axes.prop_cycle"] = cycler(color=CYCLE)
-    asked = _PAGE.set(COLUMN_IN if width == "column" else PAGE_IN)
+    width_token = _PAGE.set(COLUMN_IN if width == "column" else PAGE_IN)
     with mpl.rc_context():
         mpl.rcdefaults()  # a user's own file may ask for TeX, which a run need not have
         try:
             with sns.axes_style("ticks"), mpl.rc_context(look):
                 yield
         finally:
-            _PAGE.reset(asked)
+            _PAGE.reset(width_token)
 
 
 def new_figure(width_in: float = COLUMN_IN, height_in: float = 2.3) -> "Figure":
@@ -107,12 +107,14 @@ def _figure_class() -> "type[Figure]":
 def place_legend_above(axes: "Axes", columns: int = 3, others: "tuple[Axes, ...]" = ()) -> None:
     """Place the legend in one row above the axes, so that it never covers the data. Labels that
     only the `others` have are included."""
-    shown: dict[str, Any] = {}
+    handle_by_label: dict[str, Any] = {}
     for part in (axes, *others):
         handles, labels = part.get_legend_handles_labels()
-        shown |= dict(zip(labels, handles, strict=True))
+        handle_by_label |= dict(zip(labels, handles, strict=True))
     look = {"bbox_to_anchor": (0, 1.0), "borderaxespad": 0.2, "columnspacing": 1.2}
-    axes.legend(shown.values(), shown.keys(), loc="lower left", ncols=columns, **look)
+    axes.legend(
+        handle_by_label.values(), handle_by_label.keys(), loc="lower left", ncols=columns, **look
+    )
 
 
 def save_figure(

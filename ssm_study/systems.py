@@ -166,8 +166,14 @@ class JacobianBall:
 
     def __post_init__(self) -> None:
         sound = np.isfinite(self.alpha) and 0 <= self.beta < np.inf
-        said = "needs a finite centre and radius >= 0"
-        require(sound, "alpha, beta", (self.alpha, self.beta), said, "bound the scaffolding again")
+        requirement = "needs a finite centre and radius >= 0"
+        require(
+            sound,
+            "alpha, beta",
+            (self.alpha, self.beta),
+            requirement,
+            "bound the scaffolding again",
+        )
 
     @classmethod
     def from_slopes(cls, lower: float, upper: float) -> "JacobianBall":

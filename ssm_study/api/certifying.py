@@ -169,8 +169,8 @@ def certify(
         gain = read_matrix("L", L, (n, len(c)))
         ball = slope_ball("output_slopes", output_slopes)
         observer = certify_gain(a.T, c.T, gain.T, ball, ObserverOfBall)
-        told = (float(output_slopes[0]), float(output_slopes[1]))
-        observer = replace(observer, slopes=told)
+        output_range = (float(output_slopes[0]), float(output_slopes[1]))
+        observer = replace(observer, slopes=output_range)
     return Certification(controller=controller, observer=observer)
 
 

@@ -64,9 +64,9 @@ def control(
     True
     """
     check_input_limits(input_limits)
-    for name, asked in (("rate", rate), ("observer_rate", observer_rate)):
-        if asked is not None:
-            require_contraction_rate(name, asked, "try 0.1")
+    for name, requested_rate in (("rate", rate), ("observer_rate", observer_rate)):
+        if requested_rate is not None:
+            require_contraction_rate(name, requested_rate, "try 0.1")
     identified = isinstance(model, Model)
     default = "auto" if identified else "riccati"
     chosen = default if method is None else method

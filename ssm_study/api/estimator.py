@@ -62,8 +62,8 @@ class Estimator:
         """Change settings of the estimator by name. Raises `BadRequest` for an unknown name."""
         names = self.get_params()
         for name, value in parameters.items():
-            known = ", ".join(names)
-            require(name in names, name, value, "is no parameter", f"use one of {known}")
+            known_names = ", ".join(names)
+            require(name in names, name, value, "is no parameter", f"use one of {known_names}")
             setattr(self, name, value)
         return self
 

@@ -201,8 +201,8 @@ class Parts:
             self.numbers[key] = value
             return
         part = key.partition(".")[0]
-        known = part in self.trees and "." in key
-        require(known, key, text, "is no setting of data, model or design", REMEDY)
+        is_known = part in self.trees and "." in key
+        require(is_known, key, text, "is no setting of data, model or design", REMEDY)
         self.details.append(f"{self._override_sign(key)}{key}={text}")
         assign_value(self.trees, key, value)
 

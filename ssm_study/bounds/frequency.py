@@ -66,10 +66,10 @@ def _peak_gain(system: StateSpace) -> float:
         between = np.concatenate(
             [crossings, (crossings[1:] + crossings[:-1]) / 2]
         )  # a peak lies between two crossings
-        found = float(largest_gains(system, 2 * np.arctan(between)).max())
-        if found <= best * (1 + PEAK_TOLERANCE):
+        largest_gain = float(largest_gains(system, 2 * np.arctan(between)).max())
+        if largest_gain <= best * (1 + PEAK_TOLERANCE):
             break
-        best = found
+        best = largest_gain
     return best * (1 + PEAK_TOLERANCE)
 
 

@@ -280,9 +280,9 @@ def invert_map(portable: PortableMap) -> Inverse | None:
     if portable.network is None:
         regular = len(set(gain.shape)) == 1 and np.linalg.matrix_rank(gain) == len(gain)
         return Inverse(matrix=np.linalg.inv(gain)) if regular else None
-    found = [_invert_scalar_map(channel) for channel in _split_into_scalar_maps(portable)]
-    channels = tuple(channel for channel in found if channel is not None)
-    return Inverse(channels=channels) if found and len(channels) == len(found) else None
+    inverses = [_invert_scalar_map(channel) for channel in _split_into_scalar_maps(portable)]
+    channels = tuple(channel for channel in inverses if channel is not None)
+    return Inverse(channels=channels) if inverses and len(channels) == len(inverses) else None
 
 
 def _split_into_scalar_maps(portable: PortableMap) -> list[PortableMap]:
@@ -301,7 +301,7 @@ def _split_into_scalar_maps(portable: PortableMap) -> list[PortableMap]:
     )  # one in, same out
     if len(net.biases) > 1 or not diagonal or not apart:
         return []
-    found = []
+    scalar_maps = []
     for c, gain in enumerate(gains):
         own = inner[:, c] != 0
         layers = {
@@ -309,8 +309,8 @@ def _split_into_scalar_maps(portable: PortableMap) -> list[PortableMap]:
             for name in ("biases", "negative_slopes", "positive_slopes")
         }
         network = Network(weights=(inner[own, c : c + 1], outer[c : c + 1, own]), **layers)
-        found.append(PortableMap(linear=np.array([[gain]]), network=network))
-    return found
+        scalar_maps.append(PortableMap(linear=np.array([[gain]]), network=network))
+    return scalar_maps
 
 
 def _invert_scalar_map(portable: PortableMap) -> tuple[Row, Row, Row] | None:

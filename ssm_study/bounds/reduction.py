@@ -56,6 +56,6 @@ class Reduction:
             return model  # a model that integrates has no such coordinates
         system = model.driven_system  # a mode that only a measured disturbance moves stays, too
         hankel = hankel_singular_values(system)
-        kept = int((hankel > self.drop_below * hankel[0]).sum())
-        order = min(kept, self.truncate_to or system.order)
+        state_count = int((hankel > self.drop_below * hankel[0]).sum())
+        order = min(state_count, self.truncate_to or system.order)
         return model.with_driven_system(balanced_realization(system, order))

@@ -394,7 +394,7 @@ def _read_certificate(label: str, content: dict[str, Any]) -> Any:
         letters = getattr(types[name].type, "dim_str", "").split()
         shape = np.shape(matrix)
         for letter, size in zip(letters, shape, strict=True):
-            known, first = sizes.setdefault(letter, (size, name))
-            problem = f"is to be {' by '.join(letters)}, and {letter} is {known} in {first}"
-            require(size == known, f"certificate.{label}.{name} (shape)", shape, problem, AGAIN)
+            expected, first = sizes.setdefault(letter, (size, name))
+            problem = f"is to be {' by '.join(letters)}, and {letter} is {expected} in {first}"
+            require(size == expected, f"certificate.{label}.{name} (shape)", shape, problem, AGAIN)
     return kind(**{types[n].name: value for n, value in read.items()})

@@ -51,10 +51,10 @@ def symmetric_from_upper(upper: Blocks) -> Blocks:
     def block(i: int, j: int) -> Any:
         """Block at one place of a symmetric block matrix, transposed from the upper triangle where
         necessary."""
-        held = upper[min(i, j)][abs(i - j)]
-        if isinstance(held, int):
+        stored_block = upper[min(i, j)][abs(i - j)]
+        if isinstance(stored_block, int):
             return np.zeros((sizes[i], sizes[j]))
-        return held if i <= j else held.T
+        return stored_block if i <= j else stored_block.T
 
     return [[block(i, j) for j in range(len(sizes))] for i in range(len(sizes))]
 
@@ -188,8 +188,11 @@ class Theorem(ABC):
     @classmethod
     def as_floats(cls, **numbers: Any) -> dict[str, Float[np.ndarray, "s s"]]:
         """Matrices of the certificate's inequalities in floats, each scaled to a unit diagonal."""
-        found = cls._evaluate_conditions(np.atleast_2d, numbers)
-        return {label: scale_to_unit_diagonal(np.block(blocks)) for label, blocks in found.items()}
+        blocks_by_label = cls._evaluate_conditions(np.atleast_2d, numbers)
+        return {
+            label: scale_to_unit_diagonal(np.block(blocks))
+            for label, blocks in blocks_by_label.items()
+        }
 
     @classmethod
     def exact_conditions(cls, **numbers: Any) -> dict[str, Exact]:
@@ -249,25 +252,27 @@ class Theorem(ABC):
         """
         if isinstance(context.system, StructuredSystem) != hasattr(self, "e"):
             return [f": {UNFIT}"]
-        given = self.model_data(context)
+        model_matrices = self.model_data(context)
         stored = vars(self)
         try:
             conditions = self.exact_conditions(**self.variables)
-            fits = all(np.shape(stored[name]) == np.shape(value) for name, value in given.items())
+            fits = all(
+                np.shape(stored[name]) == np.shape(value) for name, value in model_matrices.items()
+            )
         except ValueError:
             fits = False
         if not fits:
             return [f": {UNFIT}"]
-        derived = given | self._rounded_products(stored)
+        derived = model_matrices | self._rounded_products(stored)
         wrong = [name for name, value in derived.items() if not np.array_equal(stored[name], value)]
         broken = [
             f".{name}: differs from what the model and the other matrices give" for name in wrong
         ]
         failing = [name for name, matrix in conditions.items() if not is_positive_definite(matrix)]
         if (not failing) != self.certified:
-            found = f"fails ({', '.join(failing)})" if failing else "holds"
+            verdict = f"fails ({', '.join(failing)})" if failing else "holds"
             broken.append(
-                f".certified = {self.certified}: in exact arithmetic the inequality {found}"
+                f".certified = {self.certified}: in exact arithmetic the inequality {verdict}"
             )
         return broken
 
@@ -285,9 +290,15 @@ def find_theorem(name: str) -> type[Theorem]:
     kinds: list[Any] = [Theorem]
     for kind in kinds:  # grows while it is read: subclasses of subclasses
         kinds += kind.__subclasses__()
-    found = [kind for kind in kinds if kind.final and kind.name() == name]
-    require(bool(found), "certificate.theorem", name, "is not a theorem that is known here", AGAIN)
-    return found[-1]
+    named_theorems = [kind for kind in kinds if kind.final and kind.name() == name]
+    require(
+        bool(named_theorems),
+        "certificate.theorem",
+        name,
+        "is not a theorem that is known here",
+        AGAIN,
+    )
+    return named_theorems[-1]
 
 
 def convert_field(where: str, kind: Any, value: Any) -> Any:

@@ -224,8 +224,10 @@ def report_study(options: argparse.Namespace) -> None:
             paths = draw_figures(
                 wanted, options.study, reasons.append, width=options.width or "page"
             )
-            told = bool(options.verbose or wanted)
-            lines = [*reasons, *map(str, paths)] if told else [figures_line(paths, len(reasons))]
+            says_more = bool(options.verbose or wanted)
+            lines = (
+                [*reasons, *map(str, paths)] if says_more else [figures_line(paths, len(reasons))]
+            )
             print("\n".join(lines))
 
 

@@ -34,17 +34,19 @@ def print_run_summary(config: DictConfig) -> bool:
     figures = [study / "figures" / f"{name}.{kind}" for name in drawn for kind in ("png", "pdf")]
     # What was told of a study that has not changed is told again: reading it takes pandas, half a
     # second to import.
-    told = study / ".told" / f"{config.run}.json"
+    stored_text_path = study / ".told" / f"{config.run}.json"
     about = [__version__, str(Path.cwd()), str(study), width]
-    known = _read_stored_list(told, study, [*figures, study / "runs.parquet", study / "runs.csv"])
-    if known[:-1] != about or record.get("status") != OK:
-        known = [*about, _outcome_text(study, record, drawn, figures, width)]
+    stored_text = _read_stored_list(
+        stored_text_path, study, [*figures, study / "runs.parquet", study / "runs.csv"]
+    )
+    if stored_text[:-1] != about or record.get("status") != OK:
+        stored_text = [*about, _outcome_text(study, record, drawn, figures, width)]
         with suppress(OSError, BadRequest):  # a study that may only be read
-            told.parent.mkdir(exist_ok=True)
-            refuse_symbolic_link(told.parent)
+            stored_text_path.parent.mkdir(exist_ok=True)
+            refuse_symbolic_link(stored_text_path.parent)
             # Last: it vouches for tables and figures.
-            write_atomically(told, json.dumps(known).encode(), durable=False)
-    console.print(Text.from_ansi(known[-1]), soft_wrap=True)
+            write_atomically(stored_text_path, json.dumps(stored_text).encode(), durable=False)
+    console.print(Text.from_ansi(stored_text[-1]), soft_wrap=True)
     return record.get("status") not in (OK, INFEASIBLE) or (
         config.strict and record.get("evidence") == "cannot judge"
     )
@@ -75,8 +77,8 @@ def _outcome_text(
     from ssm_study.table.gather import gather
 
     gather(study)
-    shown = figures if record.get("status") == OK else []
-    if shown:
+    printed_figures = figures if record.get("status") == OK else []
+    if printed_figures:
         draw_figures(drawn, study, run=record["run"])
     page = Console(
         file=io.StringIO(),
@@ -85,9 +87,9 @@ def _outcome_text(
         color_system="standard",
         no_color=False,
     )
-    with page.capture() as said:
-        print_outcome(record, [path for path in shown if path.is_file()], page)
-    return said.get().rstrip("\n")
+    with page.capture() as captured:
+        print_outcome(record, [path for path in printed_figures if path.is_file()], page)
+    return captured.get().rstrip("\n")
 
 
 def print_sweep_summary(config: DictConfig) -> bool:

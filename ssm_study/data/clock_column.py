@@ -127,10 +127,10 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     times = table.columns[first]
     if not is_increasing(times) or are_row_numbers(times):
         return None
-    known = times[np.isfinite(times)]
-    increases = np.diff(known) > 0
+    finite_times = times[np.isfinite(times)]
+    increases = np.diff(finite_times) > 0
     mostly = bool(increases.mean() > 0.5)
-    is_clock = mostly or rounded_period_s(known) is not None
+    is_clock = mostly or rounded_period_s(finite_times) is not None
     return first if is_clock else None
 
 

@@ -118,7 +118,7 @@ def unwrap_midnight(seconds: DateSeconds) -> DateSeconds:
 def date_seconds(parts: pd.DataFrame, dotted: bool) -> DateSeconds:
     """Convert dates to seconds since 1970, in the order of day, month and year that fits all of
     them."""
-    within = seconds_since_midnight(parts)
+    time_of_day_s = seconds_since_midnight(parts)
     zones = parts["zone"].map(zone_seconds, na_action="ignore")
     shift = zones.fillna(0.0).to_numpy(dtype=float)
     readings = []
@@ -127,7 +127,7 @@ def date_seconds(parts: pd.DataFrame, dotted: bool) -> DateSeconds:
             continue
         days = days_since_1970(parts, order)
         if days is not None:
-            readings.append(DAY_S * days + within - shift)
+            readings.append(DAY_S * days + time_of_day_s - shift)
     return choose_increasing_reading(readings, len(parts))
 
 

@@ -134,6 +134,6 @@ def _read_recordings(folder: Path, recordings: list[Recording]) -> list[Trajecto
     records = []
     for recording in recordings:
         path = find_record_file(folder, recording.path)
-        found = replace(recording, path=str(path))
-        records.append(found.read())
+        recording_in_folder = replace(recording, path=str(path))
+        records.append(recording_in_folder.read())
     return records

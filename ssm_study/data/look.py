@@ -233,8 +233,8 @@ def examine_signals(path: Path, table: Table, clock: str | None, source: Recorde
         refusal = f"not read yet: {error.field} = {error.value}: {error.problem}; {remedy}"
         sentences = [refusal, *clock_sentences(table, clock)]
         if error.field != "data.step_s" or error.value is not None:
-            known = clock is not None
-            return Reading(records=[], step_is_known=known, sentences=sentences)
+            clock_is_known = clock is not None
+            return Reading(records=[], step_is_known=clock_is_known, sentences=sentences)
         try:
             records, _ = replace(source, step_s=1.0).read_pieces(path)
         except BadRequest:

@@ -38,9 +38,9 @@ def missing_code_remarks(table: Table, signals: Sequence[str]) -> list[str]:
     """Remarks on signals with a number that may stand for missing values."""
     remarks = []
     for name in signals:
-        found = find_missing_code(table.columns[name])
-        if found is not None:
-            code, count = found
+        code_and_count = find_missing_code(table.columns[name])
+        if code_and_count is not None:
+            code, count = code_and_count
             rows = "row" if count == 1 else "rows"
             remarks.append(f"{name} is {code:g} in {count} {rows}: {CODES}")
     return remarks

@@ -123,8 +123,8 @@ def _redirect_output(folder: Path) -> None:
     """Redirect all output of this process into `folder/run.log`."""
     folder.mkdir(parents=True, exist_ok=True)
     log = os.open(folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    for source, target in ((nothing, 0), (log, 1), (log, 2)):
+    null_device = os.open(os.devnull, os.O_RDONLY)
+    for source, target in ((null_device, 0), (log, 1), (log, 2)):
         # The descriptors themselves: native code and what the job starts write there, too.
         os.dup2(source, target)
     faulthandler.enable()  # a crash in native code leaves its Python traceback in the log

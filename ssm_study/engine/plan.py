@@ -67,8 +67,8 @@ def plan_lines(
     for name, count in needed.items():  # in the order of the line
         seconds_each = mean_stage_seconds(store, name)
         missing = count - there[name]
-        known = "unknown" if seconds_each is None else f"{seconds_each:.2f} s"
-        lines.append(f"{name:<14}{count:>8}{there[name]:>8}{missing:>9}{known:>10}")
+        time_each = "unknown" if seconds_each is None else f"{seconds_each:.2f} s"
+        lines.append(f"{name:<14}{count:>8}{there[name]:>8}{missing:>9}{time_each:>10}")
         seconds += missing * (seconds_each or 0.0) / jobs_at_once
         bound = "at least" if missing and seconds_each is None else bound
     return [

@@ -93,14 +93,14 @@ def wait_for_outcome(job: Job, submitted: submitit.Job, patience_s: float = FORG
 def wait_for_end(submitted: submitit.Job, patience_s: float) -> str:
     """Wait until a job that was submitted to Slurm has ended, and return its state. Without
     accounting, a job cancelled in the queue is `FORGOTTEN`."""
-    asked = time.monotonic()
+    asked_at = time.monotonic()
     unheard = 0
     while not submitted.done():
         time.sleep(0.5)  # of files that the job leaves; Slurm itself is asked far less often
-        if time.monotonic() - asked > patience_s:
+        if time.monotonic() - asked_at > patience_s:
             submitted.watcher.clear()  # it remembers for ever what Slurm once said
             unknown = submitted.watcher.get_state(submitted.job_id, mode="force") == "UNKNOWN"
-            asked = time.monotonic()
+            asked_at = time.monotonic()
             unheard = unheard + 1 if unknown else 0
         if unheard == 2:  # once may be a hiccup
             return FORGOTTEN

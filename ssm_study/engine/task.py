@@ -103,8 +103,8 @@ class Task(ABC, Generic[R]):
         folder = run_folder(settings).absolute()
         if folder not in _CHECKED:
             _CHECKED[folder] = self.check(settings)
-        found: R = _CHECKED[folder]
-        return found
+        checked_request: R = _CHECKED[folder]
+        return checked_request
 
     def job(self, config: DictConfig | Settings) -> Outcome:
         """Execute the run that a configuration describes, unless it is finished, and leave its

@@ -159,8 +159,8 @@ def _build_controller_graph(controller: PortableController) -> _GraphBuilder:
     from_state = graph.append_product("state", controller.c)
     read = graph.append_operator("Add", from_state, graph.append_product(lifted, controller.d))
     if neurons and neurons.h.any():
-        within = graph.append_neurons(neurons, "state", lifted)
-        read = graph.append_operator("Add", read, graph.append_product(within, neurons.h))
+        neuron_outputs = graph.append_neurons(neurons, "state", lifted)
+        read = graph.append_operator("Add", read, graph.append_product(neuron_outputs, neurons.h))
     predicted = graph.append_map(controller.s_out, read)
     shifted = graph.append_operator("Sub", "y", scale.output_equilibrium)
     measured = graph.append_operator("Div", shifted, scale.output_scale)

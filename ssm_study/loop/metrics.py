@@ -167,19 +167,19 @@ def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
         times_s += settling_times_s(loop.runs_for_settling, loop.settling_band)
         alone_s += settling_times_s(loop.uncontrolled, loop.settling_band)
         motion.update(classify_motions(loop.runs_for_settling, loop.settling_band))
-    settled = [time_s for time_s in times_s if time_s is not None]
+    known_times_s = [time_s for time_s in times_s if time_s is not None]
     unsettled = [f"{count} {kind}" for kind, count in sorted(motion.items()) if kind != "settled"]
-    stable_fraction = len(settled) / cases
+    stable_fraction = len(known_times_s) / cases
     unsettled_as = ", ".join(unsettled) or None
     judged_noise_free = any(loop.noise_free is not None for loop in loops)
-    settling_time_worst_s = max(settled) if len(settled) == cases else None
+    settling_time_worst_s = max(known_times_s) if len(known_times_s) == cases else None
     return {
         "initial_conditions": cases,
-        "stable_count": len(settled),
+        "stable_count": len(known_times_s),
         "stable_fraction": stable_fraction,
         "unsettled_as": unsettled_as,
         "judged_noise_free": judged_noise_free,
-        "settling_time_mean_s": mean_of_known(settled),
+        "settling_time_mean_s": mean_of_known(known_times_s),
         "settling_time_worst_s": settling_time_worst_s,
         "settling_time_open_loop_s": mean_of_known(alone_s),
         "faster_than_open_loop": settles_faster(times_s, alone_s),

@@ -248,7 +248,7 @@ def classify_motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
     the last. Oscillating: over these two, the swing about a straight line exceeds what the line
     itself rises. Drifting: the rest, an error that stays where it is among them.
     """
-    settled = [time_s is not None for time_s in settling_times_s(rollouts, band)]
+    has_settled = [time_s is not None for time_s in settling_times_s(rollouts, band)]
     error = rollouts.y - rollouts.reference
     size = np.linalg.norm(error, axis=2)
     quarter = max(size.shape[1] // 4, 1)
@@ -262,7 +262,7 @@ def classify_motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
     moving = np.where(oscillates, "oscillating", "drifting")
     kinds = np.where(last_quarter < STEADY * third_quarter, "slow", moving)
     kinds = np.where(rollouts.stayed_within_bound, kinds, "lost")
-    kinds = np.where(settled, "settled", kinds)
+    kinds = np.where(has_settled, "settled", kinds)
     return tuple(str(kind) for kind in kinds)
 
 

@@ -245,10 +245,10 @@ def _linearise_output(
     # Here, for it loads numba.
     from ssm_study.models.structured_kernel import simulate_with_sensitivities
 
-    nothing = np.zeros((1, len(lifted), 0))
+    empty_columns = np.zeros((1, len(lifted), 0))
     none = np.zeros(0, dtype=np.int64)
     matrices = model.driven_matrices if model.scale.disturbances else model.matrices
-    ybar, by = simulate_with_sensitivities(matrices, lifted[None], x0[None], nothing, none)
+    ybar, by = simulate_with_sensitivities(matrices, lifted[None], x0[None], empty_columns, none)
     return ybar[0], by["x0"][0]
 
 

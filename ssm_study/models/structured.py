@@ -97,10 +97,12 @@ NEURONS["saturation"] = Activation(saturation, saturation_slope, "fmin(fmax(z, -
 def activation_codes(kinds: tuple[str, ...]) -> Int[np.ndarray, "q"]:
     """Integer codes of the neurons' activation functions, for compiled code. Raises `BadRequest`
     for an unknown activation."""
-    known = list(NEURONS)
+    known_kinds = list(NEURONS)
     for kind in kinds:
-        require(kind in known, "neurons", kind, "unknown neuron", f"use {', '.join(known)}")
-    return np.array([known.index(kind) for kind in kinds], dtype=np.int64)
+        require(
+            kind in known_kinds, "neurons", kind, "unknown neuron", f"use {', '.join(known_kinds)}"
+        )
+    return np.array([known_kinds.index(kind) for kind in kinds], dtype=np.int64)
 
 
 def evaluate_activations(

@@ -52,16 +52,16 @@ class ChunkedRecurrence(torch.autograd.Function):
         lift = _as_real(lift_by_sample.flatten(0, 1))
         read_by_sample = power[:-1, None] * c
         read = _as_real(read_by_sample.flatten(0, 1).conj_physical())
-        within = _toeplitz_table(d, read, _as_real(b.mT.contiguous()))
+        within_block = _toeplitz_table(d, read, _as_real(b.mT.contiguous()))
         blocks = _split_into_blocks(u)
         members = math.isqrt(len(blocks) - 1) + 1  # of a group of the scan, and powers of lambda^64
         steps = torch.arange(1, members + 1, device=u.device)[:, None, None]
         turns = torch.exp(steps * (rate * CHUNK)).to(decay.dtype)
         rise = _as_complex(blocks @ lift)
         x = _scan_blocks(turns, rise, x0)  # the state at the start of each block
-        y = (blocks @ within).view(-1, within.shape[1])
+        y = (blocks @ within_block).view(-1, within_block.shape[1])
         y = y.addmm_(_as_real(x).flatten(0, 1), read.mT)
-        ctx.save_for_backward(turns, power, b, c, lift, read, within, blocks, x)
+        ctx.save_for_backward(turns, power, b, c, lift, read, within_block, blocks, x)
         ctx.samples = u.shape[1]
         ctx.starts_moving = x0 is not None
         return _join_blocks(y.view(*blocks.shape[:2], -1), ctx.samples, len(d))
@@ -70,7 +70,7 @@ class ChunkedRecurrence(torch.autograd.Function):
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         """Gradients of the loss with respect to the recurrence's parameters, its input and its
         initial state."""
-        turns, power, b, c, lift, read, within, blocks, x = ctx.saved_tensors
+        turns, power, b, c, lift, read, within_block, blocks, x = ctx.saved_tensors
         m = b.shape[1]
         p = len(c)
         error_blocks = _split_into_blocks(upstream[0])
@@ -81,7 +81,7 @@ class ChunkedRecurrence(torch.autograd.Function):
         errors = error_blocks.flatten(0, 1)  # adjoint of the states, rows by block
         d_u = None
         if ctx.needs_input_grad[4]:
-            d_blocks = (errors @ within.mT).addmm_(pushed, lift.mT)
+            d_blocks = (errors @ within_block.mT).addmm_(pushed, lift.mT)
             d_u = _join_blocks(d_blocks.view(blocks.shape), ctx.samples, m)
 
         inputs = blocks.flatten(0, 1)

@@ -41,13 +41,13 @@ class InputMapping(nn.Module):
         values, where = torch.unique(u.flatten(0, 1), dim=0, return_inverse=True)
         self.levels = FEW_LEVELS * len(values) <= where.numel()  # as with multilevel signals
         self.sorts = sorts and not self.levels and u.shape[2] == 1
-        kept = {"u": u}
+        buffers = {"u": u}
         if self.levels:
-            kept |= {"values": values, "where": where.view(u.shape[:2])}
+            buffers |= {"values": values, "where": where.view(u.shape[:2])}
         if self.sorts:
             ranked, order = u.flatten().sort()
-            kept |= {"values": ranked, "order": order, "back": order.argsort()}
-        for name, tensor in kept.items():
+            buffers |= {"values": ranked, "order": order, "back": order.argsort()}
+        for name, tensor in buffers.items():
             self.register_buffer(name, tensor, persistent=False)
 
     def forward(self, scaffold: TorchScaffold) -> Float[Tensor, "e T k"]:

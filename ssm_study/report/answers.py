@@ -41,12 +41,12 @@ class Answer:
 
 def answers(table: pd.DataFrame) -> list[Answer]:
     """Questions that a study's table can answer, each with its answer."""
-    found = [
+    all_answers = [
         Answer("Where does feasibility end, and why?", feasibility_sentences(table)),
         Answer("Does a better fit mean a better loop?", fit_sentences(table)),
         Answer(prediction_question(table), prediction_sentences(table)),
     ]
-    return [answer for answer in found if answer.sentences]
+    return [answer for answer in all_answers if answer.sentences]
 
 
 def parameters_line(table: pd.DataFrame) -> str:
@@ -98,18 +98,18 @@ def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
     rate = numeric_column(table, f"rate_{side}")
     limit = numeric_column(table, f"{side}_rate_limit")
     certified = boolean_column(table, f"{side}_certified")
-    known = rate.notna() & limit.notna()
-    beyond = known & (rate >= limit)  # at the limit itself no certificate exists
-    missed = known & (rate < limit) & ~certified
+    has_both = rate.notna() & limit.notna()
+    beyond = has_both & (rate >= limit)  # at the limit itself no certificate exists
+    missed = has_both & (rate < limit) & ~certified
     failed = beyond | missed
-    if not known.any() or (side == "observer" and not failed.any()):
+    if not has_both.any() or (side == "observer" and not failed.any()):
         return
     yield limit_sentence(side, limit)
     if beyond.any():
         yield exceeded_limit_sentence(
-            int(beyond.sum()), int(known.sum()), int((beyond & certified).sum())
+            int(beyond.sum()), int(has_both.sum()), int((beyond & certified).sum())
         )
-    elif known.sum() > 1:
+    elif has_both.sum() > 1:
         yield "Every rate is below the limit of its model."
     else:
         yield "The rate is below it."
@@ -154,14 +154,14 @@ def fit_sentence(table: pd.DataFrame) -> str:
     fit = numeric_column(table, "fit_test_percent")
     for name, outcome, meaning in OUTCOMES_OF_FIT:
         other = numeric_column(table, name)
-        known = certified & fit.notna() & other.notna()
-        fits = fit[known]
-        if known.sum() < FEWEST_RANKED or fits.nunique() < FEWEST_RANKED:
+        has_all = certified & fit.notna() & other.notna()
+        fits = fit[has_all]
+        if has_all.sum() < FEWEST_RANKED or fits.nunique() < FEWEST_RANKED:
             continue
-        if other[known].nunique() > 1:
-            rank = float(np.corrcoef(fits.rank(), other[known].rank())[0, 1])
+        if other[has_all].nunique() > 1:
+            rank = float(np.corrcoef(fits.rank(), other[has_all].rank())[0, 1])
             return (
-                f"Over {int(known.sum())} certified runs, fit and {outcome} have a rank "
+                f"Over {int(has_all.sum())} certified runs, fit and {outcome} have a rank "
                 f"correlation of {rank:.2f} ({meaning}; 0: unrelated)."
             )
     return (
@@ -184,12 +184,12 @@ def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
     often the prediction may fail."""
     share = numeric_column(table, "stable_fraction")
     stable = predicted_stable(table)
-    known = numeric_column(table, "predicted_stable").notna() & share.notna()
-    if not known.any():
+    has_both = numeric_column(table, "predicted_stable").notna() & share.notna()
+    if not has_both.any():
         return ()
     sides = {
-        "Where the loop was predicted to stay stable": share[known & stable],
-        "Where it was not": share[known & ~stable],
+        "Where the loop was predicted to stay stable": share[has_both & stable],
+        "Where it was not": share[has_both & ~stable],
     }
     sentences = [
         f"{side}, every start settles in {int((shares >= 1).sum())} of {len(shares)} runs."
@@ -200,8 +200,8 @@ def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
         sentences.append(
             "All runs are on one side, so this study cannot show where the prediction fails."
         )
-    models = text_column(table, "stage_bounds_key")[known & stable]
-    return (*sentences, *failure_bound(models, share[known & stable]))
+    models = text_column(table, "stage_bounds_key")[has_both & stable]
+    return (*sentences, *failure_bound(models, share[has_both & stable]))
 
 
 def failure_bound(models: pd.Series, share: pd.Series) -> list[str]:

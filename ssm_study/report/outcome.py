@@ -62,10 +62,10 @@ def outcome_table(record: Mapping[str, Any]) -> Table:
         ("SEEN", f"on the {loop_place(record)}", seen_rows(record)),
     )
     for title, subject, rows in blocks:
-        known = [(label, value) for name, label, value in rows if record.get(name) is not None]
-        if known:
+        known_rows = [(label, value) for name, label, value in rows if record.get(name) is not None]
+        if known_rows:
             table.add_row(Text(title, style="bold"), subject)
-        for label, value in known:
+        for label, value in known_rows:
             table.add_row(f"  {label}", Text(value))
     return table
 
@@ -160,13 +160,13 @@ def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:
         limit = f"at most {format_column(record, f'{side}_rate_limit')}"
         chosen = "chosen by auto" if side in str(record.get("rates_chosen")) else "requested"
         requested = f"{format_column(record, f'rate_{side}')} {chosen}"
-        asked = f"{requested}, {limit}: {certified_word(record, side)}"
+        requested_words = f"{requested}, {limit}: {certified_word(record, side)}"
         label = f"{side.capitalize()} rate"
         if record.get(name) is None:
-            yield f"rate_{side}", label, asked
+            yield f"rate_{side}", label, requested_words
         else:
             proved = f"{format_column(record, name)} per sample ({theorem})"
-            yield name, label, f"{proved}; {asked}"
+            yield name, label, f"{proved}; {requested_words}"
     yield from limit_rows(record)
     yield from coverage_rows(record)
 

@@ -58,8 +58,8 @@ class RunFolder:
         path = self.path / f"{name}.mcap"
         if not path.is_file():
             return None
-        kept = RecordedCases.from_file(path)
-        return replace(kept, cases=dict(islice(kept.cases.items(), most)))
+        recording = RecordedCases.from_file(path)
+        return replace(recording, cases=dict(islice(recording.cases.items(), most)))
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -75,15 +75,15 @@ class RunFolder:
     def model(self) -> SSM | None:
         """Identified model that can be certified; None for a baseline or a model with neurons."""
         data = self._parse_file("model.json")
-        found = None if data is None else read_model_json(data)
-        return found if isinstance(found, SSM) else None
+        stored_model = None if data is None else read_model_json(data)
+        return stored_model if isinstance(stored_model, SSM) else None
 
     @cached_property
     def any_model(self) -> Model | None:
         """Identified model, with or without neurons; None for a baseline."""
         data = self._parse_file("model.json")
-        found = None if data is None else read_model_json(data)
-        return found if isinstance(found, SSM | StructuredSSM) else None
+        stored_model = None if data is None else read_model_json(data)
+        return stored_model if isinstance(stored_model, SSM | StructuredSSM) else None
 
     @cached_property
     def design(self) -> Design | None:
@@ -215,10 +215,10 @@ class StudyFolder:
     def read_from_best(self, *parts: str, otherwise: str) -> list[Any]:
         """Read named parts of the study's best run, such as `model` or `closed_loop`. Raises
         `NothingToDraw` that names a missing part."""
-        found = [getattr(self.best_run, part, None) for part in parts]
-        if any(part is None for part in found):
+        values = [getattr(self.best_run, part, None) for part in parts]
+        if any(part is None for part in values):
             raise NothingToDraw(otherwise)
-        return found
+        return values
 
 
 def gather_table(folder: Path) -> pd.DataFrame:

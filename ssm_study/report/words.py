@@ -151,9 +151,9 @@ def verdict_per_run(table: pd.DataFrame) -> pd.Series:
     """Verdict of every run in a table: its outcome class, where a run that is only certified may
     have closed no loop."""
     classes = outcome_class(table)
-    found = classes.map(lambda place: BY_CLASS[place]).astype(object)
+    verdict_column = classes.map(lambda place: BY_CLASS[place]).astype(object)
     is_untried = numeric_column(table, "stable_fraction").isna()
-    return found.mask((found == LOST) & is_untried, UNTRIED)
+    return verdict_column.mask((verdict_column == LOST) & is_untried, UNTRIED)
 
 
 def verdicts(table: pd.DataFrame) -> pd.Series:

@@ -80,8 +80,10 @@ def _group_by_input(
     """Scaled outputs of the records that return to a constant input, grouped by that input."""
     groups: dict[bytes, list[Float[np.ndarray, "T p"]]] = {}
     for record in records:
-        held = scale.with_disturbances_as_inputs().scaled_input(record.inputs_and_disturbances[-1])
-        level = np.round(held, SAME_INPUT) + 0.0  # no negative zero
+        final_input = scale.with_disturbances_as_inputs().scaled_input(
+            record.inputs_and_disturbances[-1]
+        )
+        level = np.round(final_input, SAME_INPUT) + 0.0  # no negative zero
         output = scale.scaled_output(record.y[1:])
         groups.setdefault(level.tobytes(), []).append(output)
     return groups
@@ -116,13 +118,13 @@ def output_after_motion(
 ) -> Float[np.ndarray, "K p"]:
     """Part of an output after the effect of the input's last motion has died out; empty unless the
     record is that long."""
-    nothing = y[:0]
+    empty_output = y[:0]
     if not u.any():
-        return nothing
+        return empty_output
     last_motion = int(np.flatnonzero(u.any(axis=1))[-1])
     rest = y[last_motion + 1 :]
     is_long = len(rest) >= max(RESPONSES * response, FEWEST)
-    return rest if is_long else nothing
+    return rest if is_long else empty_output
 
 
 def remaining_offset(y: Float[np.ndarray, "T p"]) -> float:

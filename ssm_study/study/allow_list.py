@@ -106,9 +106,13 @@ def _refuse_in_hydra(path: str, key: str, value: Any) -> None:
         remedy = "use a handler class of logging"
         require(standard, path, value, "logging is not made by foreign classes", remedy)
     if path in FOLDERS:
-        kept = value in FOLDERS[path]
+        is_usual = value in FOLDERS[path]
         require(
-            kept, path, value, "a run lies in results_dir/study/run", "choose results_dir and study"
+            is_usual,
+            path,
+            value,
+            "a run lies in results_dir/study/run",
+            "choose results_dir and study",
         )
     if path.startswith("hydra.job.env_set."):
         require(

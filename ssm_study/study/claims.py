@@ -75,8 +75,8 @@ def check_files(run: RunFiles) -> Claims:
     manifest = read_sealed_json(read_limited_bytes(path)) if path.is_file() else None
     damaged = damaged_files(run.path, manifest) if manifest else [MANIFEST]
     changed = f"changed since: {', '.join(damaged)}"
-    found = changed if damaged else "as they were written"
-    yield Checked(claim="files", holds=not damaged, found=found)
+    observation = changed if damaged else "as they were written"
+    yield Checked(claim="files", holds=not damaged, found=observation)
     if not (run.path / CONFIGURATION).is_file():
         yield Checked(claim=CONFIGURATION, holds=False, found="is absent")
         return
@@ -105,9 +105,9 @@ def find_foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Ch
         "is not sealed": present - sealed,
         "no stage of such a run writes it": sealed - written,
     }
-    for found, names in wrong.items():
+    for observation, names in wrong.items():
         for name in sorted(names):
-            yield Checked(claim=name, holds=False, found=found)
+            yield Checked(claim=name, holds=False, found=observation)
 
 
 def list_files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
@@ -212,8 +212,8 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
     if run.claims_certificate:
         judged = evidence_columns(run.judgement)
         stated = evidence_columns(read_judgement(run.path))
-        found = f"records and model give {judged['evidence']}"
-        yield Checked(claim="evidence.json", holds=stated == judged, found=found)
+        observation = f"records and model give {judged['evidence']}"
+        yield Checked(claim="evidence.json", holds=stated == judged, found=observation)
         yield Derived(judged)
     if "benchmark" in records.metadata:
         scores_again = data_metrics.benchmark_rmse(records, run.simulated.test.simulated)
@@ -221,10 +221,10 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
     excitation = excitation_pairs(run, records)
     yield check_agreement("excitation.mcap", excitation, ITERATED, "the configuration gives it")
     for file, wrong in find_wrong_labels(run, records):
-        found = "times, names, units and words are the run's"
+        observation = "times, names, units and words are the run's"
         if wrong:
-            found = f"not those of the run: {', '.join(wrong)}"
-        yield Checked(claim=f"{file} labels", holds=not wrong, found=found)
+            observation = f"not those of the run: {', '.join(wrong)}"
+        yield Checked(claim=f"{file} labels", holds=not wrong, found=observation)
 
 
 def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, Any]]:
@@ -267,8 +267,8 @@ def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[
         return
     is_past_chosen = any(state is not None for state in starts.chosen_states(split))
     agrees = starts.is_undecided or is_from_past == is_past_chosen
-    found = f"training and validation records prefer {starts.choice}"
-    yield Checked(claim=f"{split}.mcap start", holds=agrees, found=found)
+    observation = f"training and validation records prefer {starts.choice}"
+    yield Checked(claim=f"{split}.mcap start", holds=agrees, found=observation)
 
 
 def check_model(run: RunFiles) -> Claims:
@@ -361,11 +361,11 @@ def check_loop_signals(
     """Check that the controller computes the recorded input from the recorded output. What the loop
     was closed on is checked, too."""
     error = replay_error(controller, stored.controlled, run.loop.limits)
-    found = f"the certified gains give it from the measured output to {error:.1e}"
-    yield Checked(claim="closed_loop.mcap input", holds=error <= ITERATED, found=found)
+    observation = f"the certified gains give it from the measured output to {error:.1e}"
+    yield Checked(claim="closed_loop.mcap input", holds=error <= ITERATED, found=observation)
     holds = loop_on == loop_subject(run.specification.plant)
-    found = f"recorded on the {loop_on}"
-    yield Checked(claim="closed_loop.mcap loop_on", holds=holds, found=found)
+    observation = f"recorded on the {loop_on}"
+    yield Checked(claim="closed_loop.mcap loop_on", holds=holds, found=observation)
 
 
 def check_loop_on_plant(stored: LoopRuns, again: LoopRuns) -> Checked:

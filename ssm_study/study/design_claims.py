@@ -100,8 +100,8 @@ def check_part(
     reason = part.reason if isinstance(part, Infeasible) else part.solver_status
     verdict = "certified" if part.certified else f"without certificate: {reason}"
     at_rate = f" at rate {part.rate:.6g}" if hasattr(part, "rate") else ""
-    found = "; ".join(wrong) or f"exact arithmetic finds it {verdict}"
-    return Checked(claim=f"certificate.{label}{at_rate}", holds=not wrong, found=found)
+    observation = "; ".join(wrong) or f"exact arithmetic finds it {verdict}"
+    return Checked(claim=f"certificate.{label}{at_rate}", holds=not wrong, found=observation)
 
 
 def check_internal_model(run: RunFiles) -> Iterator[Checked]:
@@ -144,8 +144,8 @@ def check_stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] |
     """Check that the initial states in one certificate are those computed from the model."""
     claim = "certificate starts"
     if starts is None or starts.shape != part.starts.shape:
-        found = "the outputs at rest do not tell the states of this model"
-        return Checked(claim=claim, holds=False, found=found)
+        observation = "the outputs at rest do not tell the states of this model"
+        return Checked(claim=claim, holds=False, found=observation)
     source = "states at rest at the corners of a box of outputs"
     comparison = check_agreement(claim, {"starts": (part.starts, starts)}, ITERATED, source)
     derived_variables = part.variables | {"starts": starts}

@@ -51,14 +51,14 @@ def check_agreement(
     largest = distances[worst]
     # So written that NaN is wrong.
     wrong = [name for name in distances if not distances[name] <= tolerance]
-    found = f"{source} to {largest:.1e}"
+    observation = f"{source} to {largest:.1e}"
     if wrong:
-        found = f"{', '.join(wrong)} differ by up to {largest:.1e}"
-    return Checked(claim=claim, holds=not wrong, found=found)
+        observation = f"{', '.join(wrong)} differ by up to {largest:.1e}"
+    return Checked(claim=claim, holds=not wrong, found=observation)
 
 
 def check_entries(run: RunFiles, file: str, read: Any) -> Checked:
     """Finding on whether a file contains only entries that its reader uses."""
     extra = find_unknown_entries(run.stored_object(file), read.to_json())
-    found = f"unknown: {', '.join(extra)}" if extra else "known"
-    return Checked(claim=f"{file} entries", holds=not extra, found=found)
+    observation = f"unknown: {', '.join(extra)}" if extra else "known"
+    return Checked(claim=f"{file} entries", holds=not extra, found=observation)

@@ -34,15 +34,15 @@ def check_form(run: RunFiles) -> Claims:
     yield from _report_byte_order_marks(run.path)
     for name in ERRORS:
         if run.record.get(name) is not None:
-            found = "stands in the record of a run that did not fail"
-            yield Checked(claim=name, holds=False, found=found)
+            observation = "stands in the record of a run that did not fail"
+            yield Checked(claim=name, holds=False, found=observation)
     for name, value in run.record.items():
         column = find_declaration(name)
         if column is None or column.is_pattern:  # those of one pattern may differ in kind
             continue
         if not has_declared_kind(column, value):
-            found = f"is a {type(value).__name__}, not a {column.kind}"
-            yield Checked(claim=f"{name} kind", holds=False, found=found)
+            observation = f"is a {type(value).__name__}, not a {column.kind}"
+            yield Checked(claim=f"{name} kind", holds=False, found=observation)
     yield from _check_unreduced_fit(run)
     if run.claims_certificate:
         yield from _check_reasons(run)
@@ -116,5 +116,5 @@ def _check_settling_bands(run: RunFiles) -> Iterator[Checked]:
         plant = twin if name == "closed_loop_model.mcap" else run.plant
         stored = RecordedCases.from_file(path).settling_band
         same = abs(stored - plant.settling_band) <= 1e-9 * abs(plant.settling_band)
-        found = f"{stored}, and the plant's is {plant.settling_band}"
-        yield Checked(claim=f"{name} settling_band", holds=same, found=found)
+        observation = f"{stored}, and the plant's is {plant.settling_band}"
+        yield Checked(claim=f"{name} settling_band", holds=same, found=observation)

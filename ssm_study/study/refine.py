@@ -178,11 +178,11 @@ def _outcome_sentence(child: RunFiles, trial: TrialMismatch, outcome: Outcome) -
         False: "not predicted to be stable",
         None: "not judged",
     }
-    settled = ""
+    settled_words = ""
     if "stable_count" in record:
         stable = record.get("stable_count")
         cases = record.get("initial_conditions")
-        settled = f", {stable:.0f} of {cases:.0f} settle"
+        settled_words = f", {stable:.0f} of {cases:.0f} settle"
     prediction = predictions[record["predicted_stable"]]
     cause = f"the loop showed a mismatch of {trial.gain:.3g}, which the proof does not cover"
-    return f"{name}: {cause}; chosen again: {prediction}{settled}"
+    return f"{name}: {cause}; chosen again: {prediction}{settled_words}"

@@ -41,13 +41,13 @@ def unreached_numbers(run: RunFiles) -> dict[str, str]:
         signal = scale.scaled_output(np.concatenate(outputs))
         bends = scaffold_out(scaffold_out.breakpoints.T).T
         places += unreached_places("scaffold_out", bends, signal)
-    found = dict.fromkeys(places, UNREACHED)
+    reasons = dict.fromkeys(places, UNREACHED)
     if isinstance(scaffold_in, MlpScaffold):
         signal = scale.scaled_input(np.concatenate(inputs))
-        found |= cancelled_biases("scaffold_in", scaffold_in.network, signal)
+        reasons |= cancelled_biases("scaffold_in", scaffold_in.network, signal)
     if isinstance(scaffold_out, MlpScaffold):
-        found |= cancelled_biases("scaffold_out", scaffold_out.network, None)
-    return found
+        reasons |= cancelled_biases("scaffold_out", scaffold_out.network, None)
+    return reasons
 
 
 def cancelled_biases(

@@ -216,8 +216,8 @@ def compare_column(name: str, stored: Any, value: Any) -> Checked:
     )  # as a record holds it: an infinite margin is the text `inf`
     if _is_equal_to_rounding(stored, value, column):
         return Checked(claim=name, holds=True, found=f"{value}")
-    found = f"derived {value}, stored {_short_text(stored)}"
-    return Checked(claim=name, holds=False, found=found)
+    observation = f"derived {value}, stored {_short_text(stored)}"
+    return Checked(claim=name, holds=False, found=observation)
 
 
 def _is_equal_to_rounding(stored: Any, value: Any, column: Column) -> bool:

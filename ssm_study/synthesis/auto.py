@@ -282,12 +282,14 @@ class CertifiedDesigns:
         one is predicted."""
         if self.has_faster and not ranked.is_faster:
             return None
-        known = self.response
-        design = known.candidates.specification(ranked.pair).design(known.model, known.balls)
+        response = self.response
+        design = response.candidates.specification(ranked.pair).design(
+            response.model, response.balls
+        )
         if not design.certified:
             return None
-        prediction = predict(known.model, design.pair, known.balls, known.mismatch)
-        if not prediction.predicts_stability(known.margin):
+        prediction = predict(response.model, design.pair, response.balls, response.mismatch)
+        if not prediction.predicts_stability(response.margin):
             return None
         self.has_faster = self.has_faster or ranked.is_faster
         return design

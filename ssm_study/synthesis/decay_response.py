@@ -86,8 +86,8 @@ def decay_ratios(
     sizes = np.linalg.norm(decays, axis=2)
     alone = _settled_sample(sizes, band)
     outputs = _closed_loop_outputs(model, gains, decays, limits or (-LARGEST, LARGEST))
-    settled = _settled_sample(np.linalg.norm(outputs, axis=3), band)
-    return np.asarray(settled.mean(axis=1) / max(float(alone.mean()), 1.0))
+    settled_samples = _settled_sample(np.linalg.norm(outputs, axis=3), band)
+    return np.asarray(settled_samples.mean(axis=1) / max(float(alone.mean()), 1.0))
 
 
 def _settled_sample(

@@ -209,12 +209,12 @@ def limits_proof(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> Wi
     problem = "do not enclose the input at rest"
     remedy = "widen them or choose another operating point"
     require(((lower < rest) & (rest < upper)).all(), "input limits", limits, problem, remedy)
-    found = WithinLimits.from_certificate(model, certify_input_limits(model, design, lower, upper))
-    if found is None:
+    proof = WithinLimits.from_certificate(model, certify_input_limits(model, design, lower, upper))
+    if proof is None:
         raise BadRequest(
             "input limits", limits, "nothing is proved within them", "request lower rates"
         )
-    return found
+    return proof
 
 
 def output_range(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs, Outputs]:

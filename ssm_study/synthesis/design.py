@@ -88,35 +88,35 @@ class DesignAttempt:
         limit = self.frontier.rate_limit
         by = self.frontier.decided_by
         slopes = by == "the slopes"
-        said = f"rate {self.rate:.6g} is infeasible: {by} allow{'s' * (not slopes)}"
+        sentence = f"rate {self.rate:.6g} is infeasible: {by} allow{'s' * (not slopes)}"
         remedies = ["raise the slope floor (model.slope_lower)"] if slopes else []
         remedies.append("drop states (reduction.truncate_to)")
         if limit <= 0:
-            return f"{said} no positive rate; {' or '.join(remedies)}"
+            return f"{sentence} no positive rate; {' or '.join(remedies)}"
         remedy = ", ".join(["request a smaller rate", *remedies[:-1]])
-        return f"{said} only rates below {limit:.6g}; {remedy} or {remedies[-1]}"
+        return f"{sentence} only rates below {limit:.6g}; {remedy} or {remedies[-1]}"
 
     def without_certificate(self, reason: str, status: str, proved: bool = False) -> Infeasible:
         """Result of an attempt that gave no certificate, with the reason."""
         theorem = self.theorem.name()
         rate_limit = self.frontier.rate_limit
-        asked: Any = {"theorem": theorem, "rate": self.rate, "rate_limit": rate_limit}
+        request: Any = {"theorem": theorem, "rate": self.rate, "rate_limit": rate_limit}
         alpha = self.ball.alpha
         beta = self.ball.beta
-        asked |= {"alpha": alpha, "beta": beta, "method": self.method}
+        request |= {"alpha": alpha, "beta": beta, "method": self.method}
         seconds = time.perf_counter() - self.started
         return Infeasible(
-            **asked, proved=proved, reason=reason, solver_status=status, seconds=seconds
+            **request, proved=proved, reason=reason, solver_status=status, seconds=seconds
         )
 
     def certify_solution(self, problem: Problem, solution: Solution) -> Any:
         """Certificate made from a solution and decided in exact arithmetic. `problem` has the form
         of Theorem 1, transposed for an observer."""
         numbers = self.theorem.certificate_numbers(problem, solution)
-        told: dict[str, Any] = {"method": self.method, "started": self.started}
+        information: dict[str, Any] = {"method": self.method, "started": self.started}
         rate_limit = self.frontier.rate_limit
         return self.theorem.from_numbers(
-            numbers, rate_limit=rate_limit, status=solution.status, **told
+            numbers, rate_limit=rate_limit, status=solution.status, **information
         )
 
     def first_certified_solution(

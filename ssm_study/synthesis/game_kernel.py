@@ -234,14 +234,14 @@ def _goal_gradient(f, moved, m, r, logs, barrier, saddle, reach, shadow):
     )  # what drives each neuron there
     driven = multiply(z, reach)
     played = multiply(saddle, reach)
-    held = multiply(moved, shadow[:inputs, :inputs].copy())
+    moved_shadow = multiply(moved, shadow[:inputs, :inputs].copy())
     gradient = np.full(len(logs), barrier)
     for i in range(q):
         flow = barrier * -shadow[inputs + i, inputs + i]
         for j in range(n):
             flow += driven[i, j] * z[i, j] - played[inputs + i, j] * saddle[inputs + i, j]
         for j in range(inputs):
-            flow += barrier * held[i, j] * moved[i, j]
+            flow += barrier * moved_shadow[i, j] * moved[i, j]
         gradient[i] += exp(logs[i]) * flow / 2 / r**2
     if inputs > m:
         size = 0.0
@@ -279,12 +279,12 @@ def saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs
         for j in range(len(room)):
             room[i, j] = -room[i, j]
     trace = 0.0
-    known = 0.0
+    log_volume = 0.0
     for i in range(n):
         trace += x[i, i]
     for i in range(len(logs)):
-        known += logs[i] if i < q else m * logs[i]
-    goal = log(trace) - barrier * (log_det(room) - known)
+        log_volume += logs[i] if i < q else m * logs[i]
+    goal = log(trace) - barrier * (log_det(room) - log_volume)
     saddle = solve_linear(h, toward)
     for i in range(len(saddle)):
         for j in range(n):

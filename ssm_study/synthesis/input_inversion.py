@@ -34,8 +34,8 @@ def model_behind_map(model: Model) -> Model:
     remedy = "use scaffold@model.scaffold_in=monotone"
     kind = model.scaffold_in.kind
     portable = model.scaffold_in.as_portable()
-    known = invert_map(portable) is not None
-    require(known, "synthesis.invert_input", kind, problem, remedy)
+    is_invertible = invert_map(portable) is not None
+    require(is_invertible, "synthesis.invert_input", kind, problem, remedy)
     channels = model.scaffold_in.outputs
     input_scale = np.ones(channels)
     input_equilibrium = np.zeros(channels)

@@ -69,14 +69,14 @@ def _constant_loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.
     without effect are left out."""
     if linear.integrates:  # a unit of each channel holds no state: the one that it reaches
         response = linear.simulate(np.eye(linear.b.shape[1])[:, None].repeat(horizon, axis=1))
-        held = response[1]
+        held_states = response[1]
     else:
-        held = linear.steady_states()[0].T
-    no_input = np.zeros((len(held), linear.b.shape[1]))
-    scaled = model.scaled_output_at(held, no_input)
+        held_states = linear.steady_states()[0].T
+    no_input = np.zeros((len(held_states), linear.b.shape[1]))
+    scaled = model.scaled_output_at(held_states, no_input)
     reach = np.linalg.norm(scaled, axis=1)
     counts = reach > 1e-6 * reach.max()
-    channels = np.eye(len(held))[counts]
+    channels = np.eye(len(held_states))[counts]
     loads = [level * channels / reach[counts, None] for level in LEVELS]
     return np.concatenate(loads)
 
@@ -143,7 +143,7 @@ def _response_areas(
     x_hat = np.zeros_like(x)
     z = np.zeros((*x.shape[:2], k.shape[1] - n))
     area = np.zeros(x.shape[:2])
-    settled = np.zeros(x.shape[:2])
+    settled_at = np.zeros(x.shape[:2])
     for sample in range(horizon):
         requested = x_hat @ k[:, :n] + z @ k[:, n:]
         u = np.clip(requested, *limits)
@@ -153,7 +153,7 @@ def _response_areas(
         innovation = model.scaled_output_at(x_hat, lifted) - y
         size = np.linalg.norm(y, axis=2)
         area = area + size
-        settled = np.where(size > SETTLED, sample + 1.0, settled)
+        settled_at = np.where(size > SETTLED, sample + 1.0, settled_at)
         is_free = (u == requested).all(axis=2, keepdims=True)
         moved = z @ modes.T + y @ into_modes.T
         frozen = z @ frozen_modes(modes).T
@@ -162,4 +162,4 @@ def _response_areas(
         injected = () if l_z is None else (innovation @ l_z,)
         estimate = model.advance(x_hat, lifted, *injected) + innovation @ l_
         x_hat = np.clip(estimate, -LARGEST, LARGEST)
-    return area + settled
+    return area + settled_at

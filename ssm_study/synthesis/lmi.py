@@ -80,8 +80,8 @@ class CompiledLmi:
         parts = self.parts
         alpha = problem.ball.alpha
         beta = problem.ball.beta
-        known = {"rate": problem.rate, "alpha": alpha, "beta": beta}
-        for name, value in known.items():
+        parameters = {"rate": problem.rate, "alpha": alpha, "beta": beta}
+        for name, value in parameters.items():
             parts[name].value = value
         status = solve_program(self.problem, solver)
         p = symmetric_part(parts["p"].value)

@@ -85,14 +85,14 @@ def first_covering_design(
     if covered is not None:
         return covered, COVERED
     wanted = target / lost
-    found = walk.search_around(search, wanted)
-    if found is not None:
-        return found, SEARCHED
+    substitute = walk.search_around(search, wanted)
+    if substitute is not None:
+        return substitute, SEARCHED
     covered = walk.first_covered_design(coverage_of, walk.places[-1])
     if covered is None:
         return walk.best_substitute()
-    found = walk.search_around(search, wanted)
-    return (covered, COVERED) if found is None else (found, SEARCHED)
+    substitute = walk.search_around(search, wanted)
+    return (covered, COVERED) if substitute is None else (substitute, SEARCHED)
 
 
 def proof_loss(model: Model) -> float:

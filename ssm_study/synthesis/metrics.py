@@ -33,18 +33,18 @@ OPINION = "another solver's opinion, which decides nothing"
 
 def _side_columns(side: str, short: str, gain: str) -> tuple[Column, ...]:
     """Declarations of the columns that describe controller or observer."""
-    said = side.capitalize()
-    rate = _rate_column(f"rate_{side}", f"{said} rate, ρ", setting=f"synthesis.rate_{side}")
-    margin = f"{said} LMI margin"
-    norm = f"{said} gain ‖{gain}‖"
+    title = side.capitalize()
+    rate = _rate_column(f"rate_{side}", f"{title} rate, ρ", setting=f"synthesis.rate_{side}")
+    margin = f"{title} LMI margin"
+    norm = f"{title} gain ‖{gain}‖"
     return (
         replace(rate, better="", head=f"r {short}"),
-        Column(f"{side}_feasible", "boolean", "high", word=f"{said} feasible"),
-        Column(f"{side}_certified", "boolean", "high", f"{short} cert", f"{said} certified"),
+        Column(f"{side}_feasible", "boolean", "high", word=f"{title} feasible"),
+        Column(f"{side}_certified", "boolean", "high", f"{short} cert", f"{title} certified"),
         Column(f"{side}_reason", "string", word=f"Why there is no {side}"),
         Column(f"{side}_margin", "Float64", "high", "", margin, "", ITERATED, EIGENVALUE),
-        _rate_column(f"{side}_rate_limit", f"{said} rate limit, ρ"),
-        _rate_column(f"{side}_certified_rate", f"{said} rate proved"),
+        _rate_column(f"{side}_rate_limit", f"{title} rate limit, ρ"),
+        _rate_column(f"{side}_certified_rate", f"{title} rate proved"),
         Column(f"{side}_gain_norm", "Float64", "low", "", norm, "scaled", ITERATED),
     )
 

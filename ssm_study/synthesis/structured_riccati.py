@@ -162,8 +162,8 @@ def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
     if near is not None and near.logs is None:
         return near  # it is the solution itself
     game = Game(problem=problem, r=problem.contraction)
-    known = None if near is None else near.logs
-    for logs in () if known is None else known + ROOM[:, None]:
+    near_logs = None if near is None else near.logs
+    for logs in () if near_logs is None else near_logs + ROOM[:, None]:
         goal = evaluate_saddle(game, logs, 0.0).goal
         if np.isfinite(goal):
             return theorem_matrices(game, least_cost_multipliers(game, logs))
@@ -245,11 +245,11 @@ def theorem_matrices(game: Game, logs: Vector) -> Solution:
     q = neurons.e.shape[1]
     if neurons.allows_injection:
         inputs = len(h) - q
-        known = np.linalg.solve(
+        player_gains = np.linalg.solve(
             h[:inputs, :inputs], np.hstack([toward[:inputs], h[:inputs, inputs:]])
         )[:m]
-        k = known[:, len(x) :] @ neurons.f - known[:, : len(x)]
-        k_w = -2 * known[:, len(x) :]
+        k = player_gains[:, len(x) :] @ neurons.f - player_gains[:, : len(x)]
+        k_w = -2 * player_gains[:, len(x) :]
     else:
         k = -np.linalg.solve(h, toward)[:m]
         k_w = np.zeros((m, q))
@@ -265,10 +265,10 @@ def theorem_matrices(game: Game, logs: Vector) -> Solution:
         r2 = 1 - problem.rate
         weights = r2 / weights
         sigma = r2 * beta**2 * sigma if beta > 0 else sigma
-    found = Solution(
+    solution = Solution(
         p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status="game", logs=logs
     )
-    return found.undo_neuron_scaling(problem.required_neurons)
+    return solution.undo_neuron_scaling(problem.required_neurons)
 
 
 def multiplier_without_ball(

@@ -176,14 +176,14 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
     outcomes. Of each run's name only its digits, both certificates in one word, and how many starts
     settled of how many.
     """
-    settled = table["stable_count"].astype("string")
-    settled = settled + "/" + table["initial_conditions"].astype("string")
+    settled_text = table["stable_count"].astype("string")
+    settled_text = settled_text + "/" + table["initial_conditions"].astype("string")
     varied, telling = _varied_settings(table)
     run = short_names(table["run"])
     table = table.assign(
         run=run,
         certified=certificate_words(table),
-        settled=settled,
+        settled=settled_text,
         predicted_stable=prediction_words(table),
     )
     first = ["run", "status"] if by is None else ["run", by, "status"]

@@ -149,8 +149,8 @@ def train_with_lightning(
         else f"{settings.max_epochs} epochs done"
     )
     if keeper.kept is not None:
-        kept = {"state_dict": keeper.kept, "fingerprint": belongs_to}
-        DurableCheckpointIO().save_checkpoint(kept, folder / BEST)
+        checkpoint = {"state_dict": keeper.kept, "fingerprint": belongs_to}
+        DurableCheckpointIO().save_checkpoint(checkpoint, folder / BEST)
         fit.load_state_dict(keeper.kept)
     model, remark = fit.trained_model_with_remark()
     ended = (keeper.ended or early) + remark

@@ -73,5 +73,9 @@ class NameOfTheTheorem(StateFeedback, abstract=True):
     @staticmethod
     def certificate_numbers(problem: Any, found: Any) -> dict[str, Any]:
         """Collect from a problem and its solution every number that `conditions` uses."""
-        asked = {"alpha": problem.ball.alpha, "beta": problem.ball.beta, "rate": problem.rate}
-        return asked | {"a": problem.a, "b": problem.b, "p": found.p, "k": found.k}
+        requested_numbers = {
+            "alpha": problem.ball.alpha,
+            "beta": problem.ball.beta,
+            "rate": problem.rate,
+        }
+        return requested_numbers | {"a": problem.a, "b": problem.b, "p": found.p, "k": found.k}

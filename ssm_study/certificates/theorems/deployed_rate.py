@@ -106,11 +106,11 @@ def largest_rate(
 def certificate_at_largest_rate(part: Any) -> Side | None:
     """Certificate of the same gain at the largest rate that is proved for it, with a new metric;
     None where the certified rate is already that large."""
-    started, (problem, found) = time.perf_counter(), part.as_problem()
-    limit = largest_rate(problem.a, problem.b, found.k, problem.ball)
+    started, (problem, solution) = time.perf_counter(), part.as_problem()
+    limit = largest_rate(problem.a, problem.b, solution.k, problem.ball)
     try:
         right = np.linalg.cholesky(
-            found.p / found.sigma
+            solution.p / solution.sigma
         )  # coordinates in which the known metric is the identity
     except np.linalg.LinAlgError:
         return None  # definite by a margin that floats do not see
@@ -120,15 +120,17 @@ def certificate_at_largest_rate(part: Any) -> Side | None:
             return None
         between = (1 - limit) ** ((1 - BETWEEN) / 2) * (1 - rate) ** (BETWEEN / 2)
         try:
-            p = least_metric(problem, found.k, float(between), right, np.linalg.inv(right), slack)
+            p = least_metric(
+                problem, solution.k, float(between), right, np.linalg.inv(right), slack
+            )
         except NoSolution:
             continue
         status = f"{inside:.1%} inside the largest rate {limit:.6g}"
         numbers = part.certificate_numbers(
-            problem.at_rate(rate), Solution(p=p, y=p, k=found.k, sigma=1.0, status=status)
+            problem.at_rate(rate), Solution(p=p, y=p, k=solution.k, sigma=1.0, status=status)
         )
-        told = {"rate_limit": part.rate_limit, "method": part.method}
-        proved: Side = part.from_numbers(numbers, status=status, started=started, **told)
+        information = {"rate_limit": part.rate_limit, "method": part.method}
+        proved: Side = part.from_numbers(numbers, status=status, started=started, **information)
         if proved.certified:
             return proved
     return None

@@ -67,21 +67,23 @@ def parse_frequencies(words: Sequence[str]) -> dict[float, int]:
 
     Raises `BadRequest` for other words, and for the frequency zero.
     """
-    found: dict[float, int] = {}
+    mode_counts: dict[float, int] = {}
     for word in words:
         sine = SINE.fullmatch(word)
         ramp = word == "ramp"
         hertz = float(sine[1]) if sine else 0.0
-        known = hertz > 0 if sine else word in ("step", "ramp")
+        is_known = hertz > 0 if sine else word in ("step", "ramp")
         require(
-            known,
+            is_known,
             FIELD,
             word,
             "is no internal model",
             "use step, ramp, or a sine such as sine(0.5Hz)",
         )
-        found[hertz] = max(found.get(hertz, 0), 1 + ramp)
-    return dict(sorted(found.items()))  # modes at one come first, as the exported code has them
+        mode_counts[hertz] = max(mode_counts.get(hertz, 0), 1 + ramp)
+    return dict(
+        sorted(mode_counts.items())
+    )  # modes at one come first, as the exported code has them
 
 
 def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Float[np.ndarray, "z z"]:
@@ -171,11 +173,11 @@ def augmented_system(
 def linear_output_gain(model: Model) -> Float[np.ndarray, "p k"]:
     """Gain of the model's output map, which has to be linear for an internal model. `G` of `S_y(v)
     = G v`. Raises `BadRequest` for any other output map."""
-    found = model.scaffold_out.as_portable()
+    portable_map = model.scaffold_out.as_portable()
     problem = "it needs a linear output map, so that it is part of the recurrence"
     remedy = "use scaffold@model.scaffold_out=linear"
-    require(found.network is None, FIELD, model.scaffold_out.kind, problem, remedy)
-    return found.linear
+    require(portable_map.network is None, FIELD, model.scaffold_out.kind, problem, remedy)
+    return portable_map.linear
 
 
 def controlled_system(model: Model, feedback: StateFeedback) -> System:

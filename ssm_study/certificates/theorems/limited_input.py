@@ -72,7 +72,7 @@ def certify_under_limits(part: StateFeedbackOfBall) -> LimitedFeedback | None:
     """Certificate that a gain contracts under input limits from every initial state; None where no
     rate is proved. The rate is near the largest one with limits."""
     ball = ball_behind_limits(JacobianBall(alpha=part.alpha, beta=part.beta), part.b.shape[1])
-    told = {"rate": LEAST, "rate_limit": frontier(part.a, part.b, ball).rate_limit}
-    found = certificate_at_largest_rate(LimitedFeedback(**(vars(part) | vars(ball) | told)))
-    assert found is None or isinstance(found, LimitedFeedback)
-    return found and replace(found, method="limited input")
+    rates = {"rate": LEAST, "rate_limit": frontier(part.a, part.b, ball).rate_limit}
+    certificate = certificate_at_largest_rate(LimitedFeedback(**(vars(part) | vars(ball) | rates)))
+    assert certificate is None or isinstance(certificate, LimitedFeedback)
+    return certificate and replace(certificate, method="limited input")

@@ -215,12 +215,12 @@ class MeasuredDiscs(Theorem):
         return moved, error
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
-        given = self.loop_matrices(context)
+        matrices = self.loop_matrices(context)
         ball = context.balls.output
         linear_map = len(self.lambda_out) == 0
         if linear_map and ball.beta > 0:  # no multiplier for a bend that there is: proves nothing
-            given["beta_out"] = np.nan
-        return given
+            matrices["beta_out"] = np.nan
+        return matrices
 
     @classmethod
     def loop_matrices(cls, context: VerificationContext) -> dict[str, Any]:

@@ -68,8 +68,8 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
 
     @classmethod
     def conditions(cls, of: Any) -> dict[str, Blocks]:
-        found = super().conditions(of)
-        return found | {"lambda": [[multiplier_matrix(of.lambda_)]]}
+        matrices = super().conditions(of)
+        return matrices | {"lambda": [[multiplier_matrix(of.lambda_)]]}
 
     @classmethod
     def free_signal_sizes(cls, of: Any) -> dict[str, int]:

@@ -69,19 +69,19 @@ class UnlimitedStart(StateFeedbackOfBall):
 
     @classmethod
     def conditions(cls, of: Any) -> dict[str, Blocks]:  # of the class, to extend its parent's
-        found = super().conditions(of)
+        matrices = super().conditions(of)
         for i, (row, k) in enumerate(
             (of.limits[i : i + 1, :], of.k[i : i + 1, :]) for i in range(of.limits.shape[0])
         ):
             taken = of.level * (k @ of.p @ k.T)
             for name, end in (("lower", -1 * row[:, 0:1]), ("upper", row[:, 1:2])):
-                found |= {
+                matrices |= {
                     f"{name} limit {i}": [[end]],
                     f"{name} limit {i} is not reached": [[end @ end - taken]],
                 }
         for j in range(of.starts.shape[1]):
-            found[f"start {j}"] = [[of.level, of.starts[:, j : j + 1].T], [of.p]]
-        return found
+            matrices[f"start {j}"] = [[of.level, of.starts[:, j : j + 1].T], [of.p]]
+        return matrices
 
 
 def certify_unlimited_start(
@@ -96,7 +96,7 @@ def certify_unlimited_start(
     room = np.minimum(-limits[:, 0], limits[:, 1])
     if not (room > 0).all() or not corners.any():
         return None
-    found = []
+    candidates = []
     for part in parts:
         reach = np.einsum("ij,jk,ik->i", part.k, part.p, part.k)
         far = (corners * scipy.linalg.solve(part.p, corners, assume_a="pos")).sum(axis=0).max()
@@ -104,19 +104,19 @@ def certify_unlimited_start(
             float((room**2 / np.maximum(reach, np.finfo(float).tiny)).min()),
             float(far) * FARTHEST**2,
         )
-        found.append((float(np.sqrt(level / far)), level, part))
-    share, level, part = max(found, key=lambda one: one[0])
+        candidates.append((float(np.sqrt(level / far)), level, part))
+    share, level, part = max(candidates, key=lambda one: one[0])
     starts = {
         "limits": limits,
         "starts": (1 - ROUNDING) * share * corners,
         "level": level * (1 - ROUNDING),
     }
-    told: Any = {
+    information: Any = {
         "rate_limit": parts[0].rate_limit,
         "method": "limited input",
         "status": "level set",
     }
     proved: UnlimitedStart = UnlimitedStart.from_numbers(
-        part.variables | starts, started=started, **told
+        part.variables | starts, started=started, **information
     )
     return proved if proved.certified else None

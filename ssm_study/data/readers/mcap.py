@@ -22,7 +22,7 @@ class McapReader(Reader, names=(".mcap",)):
             for group in groups
             for index, channel in enumerate(group.channels)
         ]
-        known = ", ".join(f"{group.topic}.{channel.name}" for group, _, channel in fields)
+        known_names = ", ".join(f"{group.topic}.{channel.name}" for group, _, channel in fields)
         columns = {}
         units = {}
         time_s = None
@@ -35,7 +35,7 @@ class McapReader(Reader, names=(".mcap",)):
                 for one in fields
                 if {name, slashed} & {one[2].name, f"{one[0].topic}.{one[2].name}"}
             ]
-            problem = "several topics have it" if matches else f"the recording has {known}"
+            problem = "several topics have it" if matches else f"the recording has {known_names}"
             remedy = "name one as topic.field"
             require(len(matches) == 1, f"{path.name} (field)", name, problem, remedy)
             ((group, index, channel),) = matches

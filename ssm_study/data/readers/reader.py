@@ -254,7 +254,7 @@ def arrow_columns(
         column = table.column(stored)
         values = column.to_numpy()
         if values.dtype.kind == "M":
-            known = values[~np.isnat(values)]
-            values = (values - known[:1]) / np.timedelta64(1, "s")
+            known_values = values[~np.isnat(values)]
+            values = (values - known_values[:1]) / np.timedelta64(1, "s")
         columns[name] = np.ascontiguousarray(values, dtype=np.float64)
     return columns

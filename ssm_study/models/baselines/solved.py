@@ -72,11 +72,11 @@ class N4SID(SolvedSpec):
         columns = {"output_columns": outputs, "input_columns": inputs}
         method = nfoursid.NFourSID(table, num_block_rows=self.block_rows, **columns)
         method.subspace_identification()
-        found, _ = method.system_identification(rank=self.order)
-        radius = float(np.abs(np.linalg.eigvals(found.a)).max())
-        a = found.a * min(1.0, SLOWEST / radius)
-        b = estimate_input_matrix(a, found.c, scale_records(data))
-        system = StateSpace(a=a, b=b, c=found.c, d=np.zeros_like(found.d))
+        identified, _ = method.system_identification(rank=self.order)
+        radius = float(np.abs(np.linalg.eigvals(identified.a)).max())
+        a = identified.a * min(1.0, SLOWEST / radius)
+        b = estimate_input_matrix(a, identified.c, scale_records(data))
+        system = StateSpace(a=a, b=b, c=identified.c, d=np.zeros_like(identified.d))
         return SSM.from_linear(system, data.step_s, data.scale)
 
 

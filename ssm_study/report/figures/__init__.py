@@ -112,9 +112,9 @@ def draw_figures(
         there = {path.stem for path in (study.folder / "figures").glob("*.png")} & set(
             figure_names()
         )
-        told = "".join(
+        remarks = "".join(
             f"![{name}]({name}.png)\n\n**{name}.** {caption(name)}\n\n" for name in sorted(there)
         )
         captions = study.folder / "figures" / "captions.md"
-        write_atomically(captions, told.encode(), durable=False)
+        write_atomically(captions, remarks.encode(), durable=False)
     return paths

@@ -20,13 +20,13 @@ LONGEST_SEGMENT = 256  # samples per periodogram: frequency resolution against a
 def draw(study: StudyFolder) -> Figure:
     """Draw the amplitude histogram and the spectrum of the first input of the training records.
     Coverage, order and warning are those found when the data set was made."""
-    kept, record = study.read_from_best(
+    recording, record = study.read_from_best(
         "excitation", "record", otherwise="No run left an excitation to draw."
     )
     fig = style.new_figure(style.PAGE_IN, 2.2)
     amplitude, spectrum = fig.subplots(1, 2)
-    inputs = kept.signals("input")
-    label = kept.label("input")
+    inputs = recording.signals("input")
+    label = recording.label("input")
     records = [signal.values[:, 0] for signal in inputs]
     u = np.concatenate(records)
     counts, edges = np.histogram(u, bins=40)
@@ -40,7 +40,7 @@ def draw(study: StudyFolder) -> Figure:
         LONGEST_SEGMENT, *map(len, records)
     )  # equal for all, so that the densities can be averaged
     powers = [
-        welch(own - u.mean(), fs=1 / kept.step_s("input"), nperseg=segment) for own in records
+        welch(own - u.mean(), fs=1 / recording.step_s("input"), nperseg=segment) for own in records
     ]
     frequency = powers[0][0]
     power = np.mean([density for _, density in powers], axis=0)

@@ -23,8 +23,8 @@ def draw(study: StudyFolder) -> Figure:
     table = study.table
     ratio = numeric_column(table, "input_slope_lower") / numeric_column(table, "input_slope_upper")
     rate = numeric_column(table, RATE)
-    known = ratio.notna() & rate.notna()
-    if known.sum() < 2:
+    has_both = ratio.notna() & rate.notna()
+    if has_both.sum() < 2:
         raise NothingToDraw(f"It takes two runs with slopes and a rate ({verdict_counts(table)}).")
     spreads_far = ratio.max() > 20 * ratio[ratio > 0].min()
     fig = style.new_figure(style.COLUMN_IN, 2.8)
@@ -37,7 +37,7 @@ def draw(study: StudyFolder) -> Figure:
         (~feasible & ~certified, "no certificate", style.VERMILLION, "x"),
     )
     for here, label, colour, marker in groups:
-        if (here & known).any():
+        if (here & has_both).any():
             look: dict[str, Any] = {"c": colour, "marker": marker, "s": 16, "lw": 0.9, "zorder": 3}
             axes.scatter(ratio[here], rate[here], label=label, **look)
     draw_frontier(axes, ratio, numeric_column(table, LIMIT))

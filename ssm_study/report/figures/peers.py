@@ -42,12 +42,14 @@ def draw(study: StudyFolder) -> Figure:
     panels = create_panels(table)
     numbers = pd.concat([panel.values for panel in panels], axis=1)
     is_measured = numbers.notna().any(axis=1)
-    known = method.ne("") & is_measured
-    if method[known].nunique() < 2:
+    has_value = method.ne("") & is_measured
+    if method[has_value].nunique() < 2:
         counts = verdict_counts(study.table)
         raise NothingToDraw(f"It takes two controllers in the closed loop ({counts}).")
-    methods = list(dict.fromkeys(method[known]))  # in the order of the table, which tells a story
-    if panels[0].values[known].nunique() < 2:  # the share that settles is the same for all
+    methods = list(
+        dict.fromkeys(method[has_value])
+    )  # in the order of the table, which tells a story
+    if panels[0].values[has_value].nunique() < 2:  # the share that settles is the same for all
         panels = panels[1:]
     rows = len(methods)
     labels = list(map(choice_label, methods))

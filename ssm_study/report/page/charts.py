@@ -204,8 +204,8 @@ def groups_specification() -> dict[str, Any]:
     axis = alt.Axis(labelLimit=220, grid=True)
     x = alt.X("value:Q", title="", scale=scale)
     y = alt.Y("label:N", title=None, sort=None, axis=axis)
-    shown = alt.Chart().transform_filter(SHOWN)
-    grouped = shown.transform_aggregate(value="mean(value)", groupby=["label"])
+    visible = alt.Chart().transform_filter(SHOWN)
+    grouped = visible.transform_aggregate(value="mean(value)", groupby=["label"])
     means = grouped.mark_tick(**MEAN_LOOK)
     parts = (means, _ring(), _points("x"))
     layers = [part.encode(x=x, y=y) for part in parts]

@@ -219,11 +219,13 @@ def encode_repeats(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
     """Compact form of a column with repeated values: the distinct values, and an index for each
     row. Without repeats it is the plain values."""
     at, distinct = pd.factorize(values, use_na_sentinel=False)
-    shown = [_plain_json(value) for value in distinct]
-    if 4 * len(shown) >= len(values):  # an index takes about a quarter of what a number takes
-        return [shown[k] for k in at]
-    places = at.tolist() if len(shown) > 1 else []
-    return {"values": shown, "at": places}
+    plain_values = [_plain_json(value) for value in distinct]
+    if 4 * len(plain_values) >= len(
+        values
+    ):  # an index takes about a quarter of what a number takes
+        return [plain_values[k] for k in at]
+    places = at.tolist() if len(plain_values) > 1 else []
+    return {"values": plain_values, "at": places}
 
 
 def _plain_json(value: Any) -> Any:
@@ -240,23 +242,23 @@ def _plain_json(value: Any) -> Any:
 def trajectories(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """Closed-loop trajectories of the best runs, keyed by the name of the run. Only runs that left
     recordings have them."""
-    found = {}
+    by_run = {}
     for name in text_column(table, "run").head(MOST_TRAJECTORIES):
         recordings = _run_recordings(study.run(name)) if name else {}
         if recordings:
-            found[name] = recordings
-    return found
+            by_run[name] = recordings
+    return by_run
 
 
 def pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """Pictures of the best few runs, keyed by the name of the run. Each picture takes 50 kB and a
     second or two."""
-    found = {}
+    by_run = {}
     for name in text_column(table, "run").head(MOST_PICTURED):
         pictured = pictures_of_run(study.run(name)) if name else []
         if pictured:
-            found[name] = pictured
-    return found
+            by_run[name] = pictured
+    return by_run
 
 
 def comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
@@ -270,7 +272,7 @@ def comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
 
 def _run_recordings(run: RunFolder) -> dict[str, Any]:
     """Closed loop and validation free run of one run, in a compact form for the page."""
-    found: dict[str, Any] = {}
+    recordings: dict[str, Any] = {}
     loop = run.closed_loop
     if loop is not None:
         time_s = loop.time_s("output")
@@ -279,11 +281,11 @@ def _run_recordings(run: RunFolder) -> dict[str, Any]:
         packed_loop["band"] = loop.settling_band
         reference = loop["reference"]
         packed_loop["goal"] = float(reference[0, -1, 0])
-        found["loop"] = packed_loop
+        recordings["loop"] = packed_loop
     record = run.validation
     if record is not None:
-        found["validation"] = _encode_signals(record, LONGEST, y="measured", model="simulated")
-    return found
+        recordings["validation"] = _encode_signals(record, LONGEST, y="measured", model="simulated")
+    return recordings
 
 
 def _encode_signals(recording: RecordedCases, until: int, **names: str) -> dict[str, Any]:

@@ -59,9 +59,9 @@ def failure_reason(record: dict[str, Any]) -> str:
     if record["verdict"] == UNTRIED.word:
         return record_verdict(record).sentence
     if record["verdict"] == LOST.word:
-        settled = record.get("stable_count") or 0
+        settled_count = record.get("stable_count") or 0
         starts = record.get("initial_conditions") or 0
-        return f"{settled:.0f} of {starts:.0f} starts settle"
+        return f"{settled_count:.0f} of {starts:.0f} starts settle"
     return " ".join(reasons(record)) or "no reason was recorded"
 
 

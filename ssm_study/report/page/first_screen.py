@@ -131,8 +131,8 @@ def proved_card(record: Record) -> Card | None:
         return Card(title="Proved of the model", number=round_rate_down(rate), text=text)
     if limit is None:
         return Card(title="Proved of the model", number="nothing", text="there is no certificate")
-    asked = "" if requested is None else f"; requested: {requested:.3g}"
-    text = f"largest rate that can be certified{asked}"
+    requested_words = "" if requested is None else f"; requested: {requested:.3g}"
+    text = f"largest rate that can be certified{requested_words}"
     return Card(title="Proved of the model", number=f"{limit:.3g}", text=text)
 
 

@@ -69,10 +69,10 @@ class LivePage:
         records."""
         records = (read_record(path.parent) for path in self.study.glob(f"*/{RECORD}"))
         counts = Counter(str(record["status"]) for record in records if record is not None)
-        told = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
+        progress_text = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
         return {
             "mark": self.current_mark(),
-            "line": f"Live: {counts.total()} runs: {told or 'none yet'}",
+            "line": f"Live: {counts.total()} runs: {progress_text or 'none yet'}",
         }
 
 

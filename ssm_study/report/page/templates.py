@@ -139,8 +139,8 @@ def parallel_columns(table: pd.DataFrame) -> list[str]:
 def fold_columns(names: list[str]) -> list[Spec]:
     """Vega-Lite transform that gives each run and column with a number a row of its own."""
     fold = {"fold": names, "as": ["key", "value"]}
-    known = {"filter": "isValid(datum.value) && isNumber(datum.value)"}
-    return [fold, known]
+    known_filter = {"filter": "isValid(datum.value) && isNumber(datum.value)"}
+    return [fold, known_filter]
 
 
 def parallel_lines(fold: list[Spec], x: Spec, runs: int) -> Spec:
