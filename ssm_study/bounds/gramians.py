@@ -84,19 +84,21 @@ def balanced_realization(linear: StateSpace, order: int | None = None) -> StateS
     scale = 1 / np.sqrt(hankel[:order])
     t = root_c @ right_t[:order].T * scale  # T = R_c V Sigma^{-1/2}
     t_inverse = scale[:, None] * (left[:, :order].T @ root_o.T)  # Sigma^{-1/2} U^T R_o^T
-    return StateSpace(
-        a=t_inverse @ linear.a @ t, b=t_inverse @ linear.b, c=linear.c @ t, d=linear.d
-    )
+    a = t_inverse @ linear.a @ t
+    b = t_inverse @ linear.b
+    c = linear.c @ t
+    return StateSpace(a=a, b=b, c=c, d=linear.d)
 
 
 def _gramian_factors(linear: StateSpace) -> list[Float[np.ndarray, "n n"]]:
     """Square-root factors of the controllability and observability Gramians. `R` with `R R^T = W`,
     by eigenvalues, so that a singular Gramian is no error."""
-    both = (
-        np.linalg.eigh(controllability_gramian(*pair))
-        for pair in ((linear.a, linear.b), (linear.a.T, linear.c.T))
-    )
-    return [vectors * np.sqrt(np.maximum(values, 0.0)) for values, vectors in both]
+    factors = []
+    for a, b in ((linear.a, linear.b), (linear.a.T, linear.c.T)):
+        values, vectors = np.linalg.eigh(controllability_gramian(a, b))
+        roots = np.sqrt(np.maximum(values, 0.0))
+        factors.append(vectors * roots)
+    return factors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,8 +134,8 @@ def bound_local_controllability(
     # Popov-Belevitch-Hautus: a mode lambda is out of reach iff [A - lambda I, B] loses rank.
     tests = [np.hstack([a - mode * np.eye(len(a)), b]) for mode in np.linalg.eigvals(a)]
     distance = min(float(np.linalg.svd(test, compute_uv=False)[-1]) for test in tests)
-    return LocalProperty(
-        holds=bool(mu > 0 and distance > RANK_FLOOR * np.linalg.norm(np.hstack([a, b]), 2)),
-        lower=float(max(mu, 0.0) ** 2 * max(values[0], 0.0)),
-        upper=float(nu**2 * values[-1]),
-    )
+    size = np.linalg.norm(np.hstack([a, b]), 2)
+    is_reached = distance > RANK_FLOOR * size
+    lower = max(mu, 0.0) ** 2 * max(values[0], 0.0)
+    upper = nu**2 * values[-1]
+    return LocalProperty(holds=bool(mu > 0 and is_reached), lower=float(lower), upper=float(upper))

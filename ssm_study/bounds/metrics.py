@@ -93,19 +93,17 @@ def model_bound_columns(model: Any) -> dict[str, Any]:
     if model.linear.spectral_radius < 1:
         hankel = hankel_singular_values(model.linear)
         facts |= {"hankel_largest": float(hankel[0]), "hankel_smallest": float(hankel[-1])}
-    if not isinstance(getattr(model, "system", None), StructuredSystem):
-        for name, local in (
-            (
-                "controllability",
-                bound_local_controllability(model.linear.a, model.linear.b, bounds["input"].ball),
-            ),
-            (
-                "observability",
-                bound_local_controllability(
-                    model.linear.a.T, model.linear.c.T, bounds["output"].ball
-                ),
-            ),
-        ):
-            facts |= {f"local_{name}": local.holds, f"{name}_gramian_lower": local.lower}
-            facts |= {f"{name}_gramian_upper": local.upper}
+    if isinstance(getattr(model, "system", None), StructuredSystem):
+        return facts
+    linear = model.linear
+    input_ball = bounds["input"].ball
+    output_ball = bounds["output"].ball
+    properties = {
+        "controllability": bound_local_controllability(linear.a, linear.b, input_ball),
+        "observability": bound_local_controllability(linear.a.T, linear.c.T, output_ball),
+    }
+    for name, local in properties.items():
+        facts[f"local_{name}"] = local.holds
+        facts[f"{name}_gramian_lower"] = local.lower
+        facts[f"{name}_gramian_upper"] = local.upper
     return facts

@@ -123,26 +123,24 @@ class PortableMap:
             slopes = {"negative_slopes": (one,), "positive_slopes": (one,)}
             return Network(weights=(through, self.linear), biases=(zero,), **slopes)
         net = self.network
-        added = [through] * len(self.network.biases)
-        inner = (
-            scipy.linalg.block_diag(w, i) for w, i in zip(net.weights[1:-1], added[1:], strict=True)
-        )
+        first = np.vstack([net.weights[0], through])
+        inner = [scipy.linalg.block_diag(weight, through) for weight in net.weights[1:-1]]
+        last = np.hstack([net.weights[-1], self.linear])
+        biases = [np.append(bias, zero) for bias in net.biases]
+        negative_slopes = [np.append(slopes, one) for slopes in net.negative_slopes]
+        positive_slopes = [np.append(slopes, one) for slopes in net.positive_slopes]
         return Network(
-            weights=(
-                np.vstack([net.weights[0], through]),
-                *inner,
-                np.hstack([net.weights[-1], self.linear]),
-            ),
-            biases=tuple(np.append(b, zero) for b in net.biases),
-            negative_slopes=tuple(np.append(s, one) for s in net.negative_slopes),
-            positive_slopes=tuple(np.append(s, one) for s in net.positive_slopes),
+            weights=(first, *inner, last),
+            biases=tuple(biases),
+            negative_slopes=tuple(negative_slopes),
+            positive_slopes=tuple(positive_slopes),
         )
 
     def to_json(self) -> dict[str, Any]:
         """Linear part and network as nested lists for JSON."""
-        return {"linear": self.linear.tolist()} | (
-            {} if self.network is None else self.network.to_json()
-        )
+        columns = {"linear": self.linear.tolist()}
+        network = {} if self.network is None else self.network.to_json()
+        return columns | network
 
 
 Exact = tuple[np.ndarray, int]  # integers and bits: the value is integers / 2^bits
@@ -172,10 +170,11 @@ def slope_interval(network: Network) -> tuple[Fraction, Fraction]:
     the lower bound of [Z26] (docs/theory.md).
     """
     last, bits = _as_scaled_integers(network.weights[-1])
-    values = [
-        Fraction((last @ piece.slope).item(), 1 << (bits + piece.bits))
-        for piece in _affine_pieces(network)
-    ]
+    values = []
+    for piece in _affine_pieces(network):
+        slope = (last @ piece.slope).item()
+        power_of_two = 1 << (bits + piece.bits)
+        values.append(Fraction(slope, power_of_two))
     return min(values), max(values)
 
 
@@ -296,37 +295,40 @@ def _split_into_scalar_maps(portable: PortableMap) -> list[PortableMap]:
     inner = net.weights[0]
     outer = net.weights[-1]
     diagonal = np.array_equal(portable.linear, np.diag(gains))
-    apart = ((inner != 0).sum(axis=1) <= 1).all() and not np.any(
-        (outer.T != 0) & (inner == 0)
-    )  # one in, same out
+    has_one_input = (inner != 0).sum(axis=1) <= 1
+    leads_elsewhere = (outer.T != 0) & (inner == 0)
+    apart = has_one_input.all() and not np.any(leads_elsewhere)
     if len(net.biases) > 1 or not diagonal or not apart:
         return []
     scalar_maps = []
     for c, gain in enumerate(gains):
         own = inner[:, c] != 0
-        layers = {
-            name: (getattr(net, name)[0][own],)
-            for name in ("biases", "negative_slopes", "positive_slopes")
-        }
-        network = Network(weights=(inner[own, c : c + 1], outer[c : c + 1, own]), **layers)
-        scalar_maps.append(PortableMap(linear=np.array([[gain]]), network=network))
+        channel = slice(c, c + 1)
+        network = Network(
+            weights=(inner[own, channel], outer[channel, own]),
+            biases=(net.biases[0][own],),
+            negative_slopes=(net.negative_slopes[0][own],),
+            positive_slopes=(net.positive_slopes[0][own],),
+        )
+        linear = np.array([[gain]])
+        scalar_maps.append(PortableMap(linear=linear, network=network))
     return scalar_maps
 
 
 def _invert_scalar_map(portable: PortableMap) -> tuple[Row, Row, Row] | None:
     """Break points, slopes and offsets of the inverse of a scalar piecewise-linear map. None where
     the map is not strictly monotone."""
-    knots = np.unique(
-        [float(t) for t in break_points(portable.as_network())]
-    )  # pieces of one slope share a point
-    t = (
-        np.concatenate([[knots[0] - 1], knots, [knots[-1] + 1]])
-        if len(knots)
-        else np.array([-1.0, 1.0])
-    )
+    points = [float(t) for t in break_points(portable.as_network())]
+    knots = np.unique(points)  # pieces of one slope share a point
+    t = np.array([-1.0, 1.0])
+    if len(knots):
+        t = np.concatenate([[knots[0] - 1], knots, [knots[-1] + 1]])
     w = portable(t[:, None])[:, 0]
-    t, w = (t[::-1], w[::-1]) if w[-1] < w[0] else (t, w)  # a falling map, from its other end
+    if w[-1] < w[0]:  # a falling map, from its other end
+        t = t[::-1]
+        w = w[::-1]
     if not (np.diff(w) > 0).all():
         return None
     slopes = np.diff(t) / np.diff(w)  # of the inverse
-    return w[1:-1].copy(), slopes, t[:-1] - slopes * w[:-1]
+    offsets = t[:-1] - slopes * w[:-1]
+    return w[1:-1].copy(), slopes, offsets

@@ -73,9 +73,10 @@ def enclosing_ball_at_scaled_identity(
     synthesis refuses.
     """
     alpha = float(np.trace(centre)) / len(centre)
-    distance = (
-        float(np.linalg.norm(centre - alpha * np.eye(len(centre)), 2)) if len(centre) > 1 else 0.0
-    )
+    distance = 0.0
+    if len(centre) > 1:
+        deviation = centre - alpha * np.eye(len(centre))
+        distance = float(np.linalg.norm(deviation, 2))
     return JacobianBall(alpha=alpha, beta=distance * (1 + ROUNDING_SHARE) + radius)
 
 
