@@ -22,13 +22,13 @@ def compile_with_numba(function: Callable[..., Any]) -> Callable[..., Any]:
     process, which is said once. Division is that of C: no checks inside the loops.
     """
     try:
-        made: Callable[..., Any] = njit(cache=True, error_model="numpy")(function)
+        compiled: Callable[..., Any] = njit(cache=True, error_model="numpy")(function)
     except RuntimeError as error:  # numba's, for no place to write to
         if "cannot cache" not in str(error):
             raise
         _warn_of_missing_cache()
-        made = njit(error_model="numpy")(function)
-    return made
+        compiled = njit(error_model="numpy")(function)
+    return compiled
 
 
 @cache

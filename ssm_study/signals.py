@@ -225,11 +225,11 @@ Ends = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]
 def input_limits(lower: Limit, upper: Limit, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> Ends:
     """Lower and upper limit of each input, as given or else the range of the recorded inputs.
     Raises `BadRequest` if their number differs from that of the inputs."""
-    seen = np.concatenate(inputs)
+    recorded = np.concatenate(inputs)
     limits = []
     for name, given_limit, end in (
-        ("lower", lower, seen.min(axis=0)),
-        ("upper", upper, seen.max(axis=0)),
+        ("lower", lower, recorded.min(axis=0)),
+        ("upper", upper, recorded.max(axis=0)),
     ):
         limit = end if given_limit is None else np.asarray(given_limit, dtype=float).reshape(-1)
         fits = len(limit) in (1, len(end))

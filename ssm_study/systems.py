@@ -142,10 +142,12 @@ class StructuredSystem(_Recurrence):
     def linearise_at_slopes(self, slopes: Float[np.ndarray, "q"]) -> StateSpace:
         """Linear system in which each neuron is replaced by a constant gain, its slope."""
         driven = self.e * slopes
-        seen = self.h * slopes
+        output_slopes = self.h * slopes
         a = self.a + driven @ self.f
         b = self.b + driven @ self.g
-        return StateSpace(a=a, b=b, c=self.c + seen @ self.f, d=self.d + seen @ self.g)
+        return StateSpace(
+            a=a, b=b, c=self.c + output_slopes @ self.f, d=self.d + output_slopes @ self.g
+        )
 
 
 System = StateSpace | StructuredSystem

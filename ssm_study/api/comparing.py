@@ -144,7 +144,7 @@ def compare_simulations(
     whole = np.concatenate([record[scored] for record in measured])
     rows = {}
     for name, outputs in simulated.items():
-        output = np.concatenate([one[scored] for one in outputs])
+        output = np.concatenate([values[scored] for values in outputs])
         rows[name] = _score_row(whole, output, output_names) | {"states": states[name]}
     table = pd.DataFrame.from_dict(rows, orient="index").sort_values("fit_percent", ascending=False)
     table.index.name = "model"

@@ -56,7 +56,7 @@ class Estimator:
     def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002
         """Settings of the estimator by name, as scikit-learn reads them. `deep` changes nothing,
         since no setting has settings of its own."""
-        return {one.name: getattr(self, one.name) for one in fields(self) if one.init}
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.init}
 
     def set_params(self, **parameters: Any) -> "Estimator":
         """Change settings of the estimator by name. Raises `BadRequest` for an unknown name."""

@@ -126,7 +126,7 @@ def read_data(content: dict[str, Any], arrays: dict[str, Any]) -> DataSet:
     for part in PARTS:
         fields[part] = read_records(part, content["records"][part], arrays)
     for side in CHANNELS:
-        fields[side] = tuple(Channel(**one) for one in content["channels"][side])
+        fields[side] = tuple(Channel(**description) for description in content["channels"][side])
     return DataSet(
         **fields,
         scale=Scale(**scale),

@@ -50,9 +50,9 @@ def read_matrix(
     """
     matrix = np.atleast_2d(read_numbers(name, values, "is no matrix of numbers"))
     sides = zip(matrix.shape, shape, strict=True) if matrix.ndim == 2 else ()
-    fits = matrix.ndim == 2 and all(wanted in (None, side) for side, wanted in sides)
-    wanted = " by ".join("any" if side is None else str(side) for side in shape)
-    require(fits, f"{name} (shape)", matrix.shape, f"is to be {wanted}", "check the matrices")
+    fits = matrix.ndim == 2 and all(wanted_side in (None, side) for side, wanted_side in sides)
+    wanted_side = " by ".join("any" if side is None else str(side) for side in shape)
+    require(fits, f"{name} (shape)", matrix.shape, f"is to be {wanted_side}", "check the matrices")
     finite = bool(np.isfinite(matrix).all())
     require(finite, name, "NaN or infinity", "is not finite", "correct its entries")
     return matrix

@@ -76,10 +76,10 @@ def _peak_gain(system: StateSpace) -> float:
 def _continuous_equivalent(system: StateSpace) -> StateSpace:
     """Continuous-time system with the same H-infinity norm as a discrete-time one, by the bilinear
     transform."""
-    one = np.eye(system.order)
+    identity = np.eye(system.order)
     root2 = np.sqrt(2)
-    shifted = np.linalg.inv(one + system.a)  # exists: no eigenvalue at -1, A is stable
-    a = shifted @ (system.a - one)
+    shifted = np.linalg.inv(identity + system.a)  # exists: no eigenvalue at -1, A is stable
+    a = shifted @ (system.a - identity)
     d = system.d - system.c @ shifted @ system.b
     return StateSpace(a=a, b=root2 * shifted @ system.b, c=root2 * system.c @ shifted, d=d)
 

@@ -168,11 +168,11 @@ class ProblemCertificate(Side, abstract=True):
             Neurons(e=of["e"], f=of["f"], g=of["g"], observes=self.observes) if "e" in of else None
         )
         ball = JacobianBall(alpha=self.alpha, beta=self.beta)
-        one = np.eye(len(self.a))
+        eye = np.eye(len(self.a))
         data = {"a": of["a"], "b": of["b"], "ball": ball, "rate": self.rate, "neurons": neurons}
         found = {"p": of["p"], "y": of["y"], "k": of["k"], "k_w": of.get("k_w"), "status": ""}
         sigma = of["eta" if self.observes else "sigma"]
-        return Problem(**data, state_weight=one, input_weight=1.0), Solution(**found, sigma=sigma)
+        return Problem(**data, state_weight=eye, input_weight=1.0), Solution(**found, sigma=sigma)
 
 
 @dataclass(frozen=True, kw_only=True)

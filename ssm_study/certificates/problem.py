@@ -46,8 +46,10 @@ class Neurons:
         """Scale of each neuron that balances its input and output weights. Powers of two `d` that
         make `|e_i| / d_i` and `d_i |f_i|` alike, since trained neurons differ by many decades."""
         into = np.linalg.norm(self.e, axis=0)
-        seen = np.linalg.norm(self.f, axis=1)
-        ratio = np.divide(into, seen, out=np.ones_like(into), where=(into > 0) & (seen > 0))
+        input_norms = np.linalg.norm(self.f, axis=1)
+        ratio = np.divide(
+            into, input_norms, out=np.ones_like(into), where=(into > 0) & (input_norms > 0)
+        )
         return np.exp2(np.round(np.log2(ratio) / 2))
 
     def in_balanced_units(self) -> "Neurons":

@@ -220,11 +220,11 @@ def report_study(options: argparse.Namespace) -> None:
         if not options.others:
             announce_drawing()
             reasons: list[str] = []
-            wanted = options.only or (PAPER_FIGURES if options.width else None)
+            wanted_figures = options.only or (PAPER_FIGURES if options.width else None)
             paths = draw_figures(
-                wanted, options.study, reasons.append, width=options.width or "page"
+                wanted_figures, options.study, reasons.append, width=options.width or "page"
             )
-            says_more = bool(options.verbose or wanted)
+            says_more = bool(options.verbose or wanted_figures)
             lines = (
                 [*reasons, *map(str, paths)] if says_more else [figures_line(paths, len(reasons))]
             )

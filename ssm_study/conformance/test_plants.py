@@ -13,8 +13,8 @@ HALF = 15
 @pytest.fixture(params=list_choices("plant"))
 def plant(request: pytest.FixtureRequest) -> Plant:
     """Plant of one choice of the configuration group `plant`."""
-    made: Plant = construct_choice("plant", request.param)
-    return made
+    chosen_plant: Plant = construct_choice("plant", request.param)
+    return chosen_plant
 
 
 def inputs(plant: Plant, cases: int) -> np.ndarray:
@@ -67,9 +67,9 @@ def test_states_at_reads_back(plant: Plant) -> None:
     """The state that a plant gives for an output produces that output."""
     offsets = np.linspace(*plant.initial_range, 5)
     of_each_output = offsets[:, None] * np.ones(len(plant.outputs))
-    wanted = plant.equilibrium().y + of_each_output
-    states = plant.states_at(wanted)
-    np.testing.assert_allclose(plant.output(states), wanted, rtol=1e-12)
+    wanted_output = plant.equilibrium().y + of_each_output
+    states = plant.states_at(wanted_output)
+    np.testing.assert_allclose(plant.output(states), wanted_output, rtol=1e-12)
 
 
 def test_the_output_never_sees_the_input_that_acts_after_it(plant: Plant) -> None:

@@ -207,8 +207,8 @@ def refuse_nonfinite(table: SignalTable, values: Any, name: str) -> None:
     if not len(bad):
         return
     row, column = (int(k) for k in bad[0])
-    one = np.ndim(values) == 1
-    where = f"{name}[{row}]" if one else f"{name}[{row}, {column}]"
+    is_vector = np.ndim(values) == 1
+    where = f"{name}[{row}]" if is_vector else f"{name}[{row}, {column}]"
     word = "NaN" if np.isnan(table[row, column]) else "infinite"
     count = f"{where} is {word}, and {len(bad) - 1} more" if len(bad) > 1 else f"{where} is {word}"
     raise BadRequest(where, word, count, INTERPOLATE_OR_CUT)

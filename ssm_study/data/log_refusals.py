@@ -29,7 +29,9 @@ def missing_values_error(
 ) -> BadRequest:
     """Error about a log that has no three successive rows with all their values."""
     missing = np.isnan(values).mean(axis=0)
-    shares = [f"{one.name} {share:.0%}" for one, share in zip(channels, missing, strict=True)]
+    shares = [
+        f"{channel.name} {share:.0%}" for channel, share in zip(channels, missing, strict=True)
+    ]
     problem = f"no three rows in a row have all their values; missing: {', '.join(shares)}"
     remedy = "fill in what is held between its changes, or name other columns"
     return BadRequest(path.name, "missing values", problem, remedy)

@@ -25,12 +25,12 @@ def find_missing_code(values: Float[np.ndarray, "T"]) -> tuple[float, int] | Non
         return None
     for code in (float(finite.min()), float(finite.max())):
         is_code = code in FULL_SCALE or bool(NINES.fullmatch(f"{code:.12g}"))
-        others = finite[finite != code]
-        if not is_code or len(others) < 2 or np.ptp(others) == 0:
+        other_values = finite[finite != code]
+        if not is_code or len(other_values) < 2 or np.ptp(other_values) == 0:
             continue
-        distance = float(np.abs(others - code).min())
-        if distance > FAR * np.ptp(others):
-            return code, len(finite) - len(others)
+        distance = float(np.abs(other_values - code).min())
+        if distance > FAR * np.ptp(other_values):
+            return code, len(finite) - len(other_values)
     return None
 
 

@@ -198,14 +198,14 @@ class RecordedData(Columns, AroundRest):
         problem = "the same column twice"
         require(not twice, "data.disturbance", twice[:1], problem, "name each column once")
         outputs = () if self.has_output_files else as_name_list(self.output)
-        taken = {
+        signal_names = {
             "an input": as_name_list(self.input),
             "an output": outputs,
             "the set point": as_name_list(self.reference or ()),
         }
         if self.time is not None:
-            taken["the clock"] = (str(self.time),)
-        for role, columns in taken.items():
+            signal_names["the clock"] = (str(self.time),)
+        for role, columns in signal_names.items():
             both = sorted(set(names) & set(columns))
             remedy = "name a column that is measured and nothing else"
             require(not both, "data.disturbance", both, f"is {role} too", remedy)
@@ -351,9 +351,9 @@ class RecordedData(Columns, AroundRest):
         splitter, words = self._choose_splitter(logs)
         cuts = [self._split_log(log, splitter) for log in logs]
         samples = sum(len(piece) for log in logs for piece in log)
-        taken = sum(len(record) for cut in cuts for part in cut for record in part)
-        short = f"; {samples - taken} samples in stretches that are too short are left out"
-        return cuts, words + (short if taken < samples else "")
+        used_samples = sum(len(record) for cut in cuts for part in cut for record in part)
+        short = f"; {samples - used_samples} samples in stretches that are too short are left out"
+        return cuts, words + (short if used_samples < samples else "")
 
     def _split_log(self, log: list[Trajectory], splitter: Splitter) -> Pieces:
         """Split one log, of one or several pieces, into training, validation and test."""

@@ -142,9 +142,9 @@ class Columns:
         """
         pieces, remark = self.read_pieces(path, output_path, first=first, last=last)
         remedy = "cut the file there, or name it data.path alone"
-        one = len(pieces) == 1
+        is_single_piece = len(pieces) == 1
         problem = f"{remark}: not one record"
-        require(one, f"{path.name} (pieces)", len(pieces), problem, remedy)
+        require(is_single_piece, f"{path.name} (pieces)", len(pieces), problem, remedy)
         return replace(pieces[0], first=0)
 
     def read_pieces(
@@ -233,12 +233,12 @@ class Columns:
             (path, as_name_list(self.input), self.inputs),
             (output_path, as_name_list(self.output), self.measured_outputs),
         ]
-        wanted: dict[Path, dict[str, str]] = {}
+        wanted_columns: dict[Path, dict[str, str]] = {}
         for file, names, channels in sides:
             units = [channel.unit for channel in channels]
             named = dict(zip(names, units, strict=True))
-            wanted.setdefault(file, {}).update(named)
-        logs = {file: self._read_file(file, units) for file, units in wanted.items()}
+            wanted_columns.setdefault(file, {}).update(named)
+        logs = {file: self._read_file(file, units) for file, units in wanted_columns.items()}
         columns = []
         for file, names, _ in sides:
             table = logs[file].table
@@ -276,10 +276,10 @@ class Columns:
     def _read_file(self, file: Path, units: dict[str, str]) -> "_LogFile":
         """Read the requested columns and the clock of one file."""
         reader = choose_reader(file, self.text_settings)
-        wanted = dict(units)
+        wanted_columns = dict(units)
         if self.time is not None:
-            wanted[str(self.time)] = ""
-        table = read_table(file, wanted, missing=True, reader=reader)
+            wanted_columns[str(self.time)] = ""
+        table = read_table(file, wanted_columns, missing=True, reader=reader)
         remarks = [f"{file.name}: {table.remark}"] if table.remark else []
         remarks += missing_code_remarks(table, list(units))
         refuse_equal_columns(table, list(units), file)
@@ -304,11 +304,11 @@ class Columns:
         length = len(table.columns[signals[0]])
         own = [table.columns[name] for name in signals]
         columns = contents.columns.items()
-        taken = [title for title, values in columns if equals_any_column(values, own)]
-        refuse_clock_as_signal(contents, taken, file)
-        title = find_clock_column(contents, taken)
+        signal_titles = [title for title, values in columns if equals_any_column(values, own)]
+        refuse_clock_as_signal(contents, signal_titles, file)
+        title = find_clock_column(contents, signal_titles)
         if title is None or len(contents.columns[title]) != length:
-            refuse_backward_clock(contents, taken, file, is_stated=self.step_s is not None)
+            refuse_backward_clock(contents, signal_titles, file, is_stated=self.step_s is not None)
             time_s, remarks = self._row_number_times(contents, length)
             return time_s, [*remarks, *unread_clock_remarks(contents)]
         time_s, words = clock_column_seconds(title, contents, is_stated=self.step_s is not None)

@@ -103,17 +103,17 @@ class Code:
     def dependency_closure(self, roots: Iterable[Symbol]) -> set[Symbol]:
         """All symbols on which given symbols depend, directly or through others; libraries are not
         followed."""
-        seen = set[Symbol]()
+        visited = set[Symbol]()
         waiting = {self._followed_symbol(symbol) for symbol in roots}
         while waiting:
             symbol = waiting.pop()
-            seen.add(symbol)
+            visited.add(symbol)
             if symbol not in self.steps:
                 self.steps[symbol] = frozenset(
                     map(self._followed_symbol, self._symbols_used(*symbol))
                 )
-            waiting |= self.steps[symbol] - seen
-        return seen
+            waiting |= self.steps[symbol] - visited
+        return visited
 
     def read_loaded_modules(self) -> None:
         """Read the source of every loaded module of this package, so that later edits of the files

@@ -77,11 +77,11 @@ class StageOutput(Generic[T]):
     def value_key(self) -> str:
         """Key by which later stages identify this value. It is the key of the stage, or a checksum
         of its files, and the version of its reader."""
-        made: Any = self.result.key
+        origin: Any = self.result.key
         files = [self.result.path / name for name in self.stage.files]
         if self.stage.known_by_content and all(path.is_file() for path in files):
-            made = [sha256_of_file(path) for path in files]
-        return digest_of_value([made, code_version(self.stage.read)])
+            origin = [sha256_of_file(path) for path in files]
+        return digest_of_value([origin, code_version(self.stage.read)])
 
 
 class Stages(ABC):

@@ -195,7 +195,7 @@ def growth_statistics(data: DataSet) -> tuple[float, float]:
     """
     parts = (*data.training, *data.validation, *data.test)
     scale = data.scale
-    records = [(scale.scaled_input(one.u), scale.scaled_output(one.y)) for one in parts]
+    records = [(scale.scaled_input(record.u), scale.scaled_output(record.y)) for record in parts]
     inputs = np.concatenate([u for u, _ in records])
     shares = np.linspace(0, 1, KNOTS)
     nodes = [np.unique(np.quantile(column, shares)) for column in inputs.T]

@@ -250,7 +250,7 @@ def _render_replay(device: Device, name: str) -> str:
     white_noise = rng.standard_normal(levels[0].shape)
     noisy = levels[0] + 0.05 * white_noise  # scaled
     measured = scale.physical_output(noisy)
-    wanted = scale.physical_output(np.roll(levels[1], 7, axis=0))
+    set_points = scale.physical_output(np.roll(levels[1], 7, axis=0))
     signals = {"measured": measured}
     disturbance = None
     if scale.disturbances:
@@ -259,7 +259,7 @@ def _render_replay(device: Device, name: str) -> str:
             -2, 2, shape
         ).repeat(20, axis=0)
         signals["disturbance"] = disturbance
-    applied = device.recomputed_inputs(measured, wanted, disturbance)
+    applied = device.recomputed_inputs(measured, set_points, disturbance)
     passed = "" if disturbance is None else ", disturbance[k]"
 
     signals["expected"] = applied
@@ -270,7 +270,7 @@ def _render_replay(device: Device, name: str) -> str:
         f"        {name}_advance(&state, measured[k], u{passed});"
     )
     if device.set_point_maps is not None:
-        signals["wanted"] = wanted
+        signals["wanted"] = set_points
         begin = f"{name}_init(&state, measured[0]);"
         act = f"{name}_track(&state, measured[k], wanted[k], u{passed});"
 

@@ -43,8 +43,8 @@ def _render_neuron_function(device: Device, name: str) -> list[str]:
     g = ("lifted", neurons.g.shape[1])
     l_z = ("error", neurons.l_z.shape[1])
     arguments = {"f": f, "g": g, "l_z": l_z}
-    taken = ", ".join(f"const {real} *{vector}" for vector, _ in arguments.values())
-    lines = [f"static inline void {name}_neurons({taken}, {real} *w) {{"]
+    parameters = ", ".join(f"const {real} *{vector}" for vector, _ in arguments.values())
+    lines = [f"static inline void {name}_neurons({parameters}, {real} *w) {{"]
     lines.append(f"    {real} z;")
     lines.append(f"    for (int i = 0; i < {count}; ++i) w[i] = {name}_bias[i];")
     for matrix, (vector, size) in arguments.items():

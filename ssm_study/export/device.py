@@ -154,17 +154,17 @@ class Device:
         stored = EquilibriumCurve(lifted=lifted, x=full.x[::2], read=equilibrium_curve_read)
         below = len(controller.a) - stored.x.shape[1]
         states = np.pad(stored.x, ((0, 0), (0, below)))
-        seen = PiecewiseLinear.interpolate(stored.lifted, stored.read[:, None])
+        output_map = PiecewiseLinear.interpolate(stored.lifted, stored.read[:, None])
         errors = []
         for v, read in zip(full.lifted, full.read, strict=True):
-            on_line = float(seen(v[None])[0])
+            on_line = float(output_map(v[None])[0])
             errors.append(abs(on_line - read))
         to_lifted = PiecewiseLinear.interpolate(stored.read, stored.lifted[:, None])
         at_rest = PiecewiseLinear.interpolate(stored.lifted, states)
         joined = SetPoints(
             to_lifted=to_lifted,
             at_rest=at_rest,
-            seen=seen,
+            seen=output_map,
             inward=inward,
             outward=outward,
             missed=max(errors),

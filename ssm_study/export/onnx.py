@@ -130,7 +130,7 @@ def build_onnx_model(controller: PortableController, about: str) -> Any:
     if controller.scale.disturbances:
         disturbances = controller.scale.disturbances
         inputs.append(declare_signal("d", disturbances))
-    made = helper.make_graph(
+    onnx_graph = helper.make_graph(
         graph.nodes,
         "controller",
         inputs,
@@ -139,7 +139,7 @@ def build_onnx_model(controller: PortableController, about: str) -> Any:
         about,
     )
     opset_imports = [helper.make_opsetid("", OPSET)]
-    model: onnx.ModelProto = helper.make_model(made, opset_imports=opset_imports)
+    model: onnx.ModelProto = helper.make_model(onnx_graph, opset_imports=opset_imports)
     model.ir_version = IR_VERSION
     model.producer_name = "ssm-study"
     checker.check_model(model, full_check=True)

@@ -157,7 +157,11 @@ def preceding_log(data: DataSet, piece: Trajectory) -> Trajectory | None:
     joined: list[Trajectory] = []
     first = piece.first
     while first > 0:
-        holders = [one for one in all_records if one.first < first <= one.first + len(one)]
+        holders = [
+            candidate
+            for candidate in all_records
+            if candidate.first < first <= candidate.first + len(candidate)
+        ]
         if not holders:
             break
         before = holders[0]

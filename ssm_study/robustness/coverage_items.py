@@ -116,7 +116,7 @@ class RepeatingPower:
     ) -> Item:
         """Combine spectral lines to one requirement on the weights."""
         record = self.record
-        seen = self.mismatch_power(lines, is_doubtful=is_doubtful, is_dark=is_dark)
+        measured_power = self.mismatch_power(lines, is_doubtful=is_doubtful, is_dark=is_dark)
         model_power = record.sides * record.model_power
         input_power = record.sides * record.input_power
         return Item(
@@ -126,7 +126,7 @@ class RepeatingPower:
             angles=record.angles[lines],
             model_power=model_power[lines],
             input_power=input_power[lines],
-            seen=seen,
+            seen=measured_power,
             dark=is_dark,
         )
 
@@ -174,7 +174,7 @@ def requirement_from_sine(record: MismatchSpectrum, centre: float) -> Item:
 def requirements_from_average(record: AveragedSpectrum, centre: float) -> list[Item]:
     """Requirements on the weights from a record that does not repeat, one for each frequency bin
     and one for the total power."""
-    seen = record.deviation_power(centre)
+    measured_power = record.deviation_power(centre)
     dark = record.input_power < EXCITED * record.input_power.mean()
     items = list[Item]()
     for k, angle in enumerate(record.angles):
@@ -186,7 +186,7 @@ def requirements_from_average(record: AveragedSpectrum, centre: float) -> list[I
             angles=record.angles[bin_of_record],
             model_power=record.model_power[bin_of_record],
             input_power=record.input_power[bin_of_record],
-            seen=float(seen[k]),
+            seen=float(measured_power[k]),
             dark=bool(dark[k]),
         )
         items.append(item)
@@ -197,7 +197,7 @@ def requirements_from_average(record: AveragedSpectrum, centre: float) -> list[I
         angles=record.angles,
         model_power=record.model_power,
         input_power=record.input_power,
-        seen=float(seen.sum()),
+        seen=float(measured_power.sum()),
         dark=False,
     )
     return [*items, total]

@@ -106,8 +106,8 @@ def averaged_spectrum(run: RecordErrors) -> AveragedSpectrum:
     error."""
     powers = _welch_powers(run)
     none = np.zeros_like(powers["angles"])
-    one = np.ones_like(powers["angles"])
-    return AveragedSpectrum(name=run.name, amplitude=run.amplitude, drawn=none, sure=one, **powers)
+    ones = np.ones_like(powers["angles"])
+    return AveragedSpectrum(name=run.name, amplitude=run.amplitude, drawn=none, sure=ones, **powers)
 
 
 def averaged_spectrum_in_loop(

@@ -232,10 +232,10 @@ def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, An
     one."""
     inputs = [record.u for record in records.training]
     pairs = label_pairs(run.inputs, inputs, "u ")
-    made = [record.d for record in records.training if record.d is not None]
-    pairs["disturbances"] = (len(run.disturbances), len(made))
-    if len(run.disturbances) == len(made):
-        pairs |= label_pairs(run.disturbances, made, "d ")
+    recomputed = [record.d for record in records.training if record.d is not None]
+    pairs["disturbances"] = (len(run.disturbances), len(recomputed))
+    if len(run.disturbances) == len(recomputed):
+        pairs |= label_pairs(run.disturbances, recomputed, "d ")
     return pairs
 
 

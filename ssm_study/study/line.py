@@ -87,8 +87,8 @@ class Study(Task["Specification"]):
 
                 read_logs(specification.refine, specification.data, records.step_s)
         elif specification.plant and specification.excitation.amplitude is not None:
-            others = "validation, test and trials are at the plant's own amplitude"
-            message = f"excitation.amplitude moves the training records alone; {others}."
+            other_records = "validation, test and trials are at the plant's own amplitude"
+            message = f"excitation.amplitude moves the training records alone; {other_records}."
             warnings.warn(message, TrainingAlone, 2)
         if self.trains_on_accelerator(specification, settings):
             from ssm_study.training.saving import build_trainer

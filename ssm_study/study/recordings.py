@@ -136,11 +136,11 @@ def signal_groups(
     prefix: str, time_s: Float[np.ndarray, "T"], signals: Signals
 ) -> list[SignalGroup]:
     """Groups of signals that share their times, each under its own topic of a recording."""
-    made = []
+    groups = []
     for name, (channels, values) in signals.items():
         topic = f"{prefix}/{name}"
-        made.append(SignalGroup(topic=topic, time_s=time_s, channels=channels, values=values))
-    return made
+        groups.append(SignalGroup(topic=topic, time_s=time_s, channels=channels, values=values))
+    return groups
 
 
 def write_records(
@@ -215,11 +215,12 @@ def states_from_text(text: str, records: int) -> tuple[Any, ...]:
         return (None,) * records
     try:
         states = [
-            None if one is None else np.array(one, dtype=np.float64) for one in json.loads(text)
+            None if state is None else np.array(state, dtype=np.float64)
+            for state in json.loads(text)
         ]
     except (TypeError, ValueError) as error:
         raise BadRequest("start_states", text[:40], "no list of states", "run again") from error
-    sound = len(states) == records and all(one is None or one.ndim == 1 for one in states)
+    sound = len(states) == records and all(state is None or state.ndim == 1 for state in states)
     require(sound, "start_states", text[:40], f"not one state for {records} records", "run again")
     return tuple(states)
 

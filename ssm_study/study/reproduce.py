@@ -36,10 +36,10 @@ def reproduce(run: Path, job: Callable[[DictConfig], object]) -> tuple[list[str]
     with tempfile.TemporaryDirectory() as scratch:
         config.update(results_dir=scratch, retry_failed=False, dry_run=False)
         job(config)
-        made = [read_record(path.parent) for path in Path(scratch).glob("*/*/record.json")]
-        problem = f"made {len(made)} records when run again"
-        require(len(made) == 1, "run", run, problem, "report this configuration")
-        return compare_records(then, made[0] or {})
+        new_records = [read_record(path.parent) for path in Path(scratch).glob("*/*/record.json")]
+        problem = f"made {len(new_records)} records when run again"
+        require(len(new_records) == 1, "run", run, problem, "report this configuration")
+        return compare_records(then, new_records[0] or {})
 
 
 def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str], bool]:

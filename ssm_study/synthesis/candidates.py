@@ -38,6 +38,6 @@ class Candidates:
         feedback = self.feedback[pair[0]]
         observing = self.observing[pair[1]]
         names = ("rate_observer", "input_noise", "state_noise", "output_noise")
-        taken: Any = {name: getattr(observing, name) for name in names}
+        observer_fields: Any = {name: getattr(observing, name) for name in names}
         near = {**feedback.near, **observing.near}
-        return replace(feedback, near=near, **taken)
+        return replace(feedback, near=near, **observer_fields)

@@ -91,17 +91,17 @@ class GainSearch:
         A proof keeps a little less than its frequencies promise: where it keeps too little, the
         search goes on for as much more.
         """
-        wanted = proof_loss(self.model) * target
+        wanted_coverage = proof_loss(self.model) * target
         for _ in range(1 if self.is_brief else CERTIFICATES):
-            best = self.search(start, wanted, rounds, largest_area)
+            best = self.search(start, wanted_coverage, rounds, largest_area)
             design = self.certify_gains(start, best.gains)
-            if best.coverage < wanted or design is None:
+            if best.coverage < wanted_coverage or design is None:
                 return None
             proved = self.proved_coverage(design)
             if proved >= target:
                 return design
             start = design
-            wanted = MORE * wanted * target / max(proved, LEAST_PROVED * target)
+            wanted_coverage = MORE * wanted_coverage * target / max(proved, LEAST_PROVED * target)
         return None
 
     def proved_coverage(self, design: Design) -> float:

@@ -157,10 +157,10 @@ def predicts_faster_response(
     states of recorded decays. Input limits are not considered."""
     l_z = None if pair.l_z is None else pair.l_z[None]
     k = pair.k[None]
-    one = replace(pair, k=k, l=pair.l[None], l_z=l_z)
-    area = relative_areas(model, one, validation)[0]
+    single_pair = replace(pair, k=k, l=pair.l[None], l_z=l_z)
+    area = relative_areas(model, single_pair, validation)[0]
     decays = simulate_decays(model, trials, validation)
-    ratio = largest_decay_ratios(model, one, decays, mismatch.band)[0]
+    ratio = largest_decay_ratios(model, single_pair, decays, mismatch.band)[0]
     return bool(max(area, ratio) < FASTER)
 
 

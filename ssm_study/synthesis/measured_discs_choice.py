@@ -84,14 +84,14 @@ def first_covering_design(
     covered = walk.first_covered_design(coverage_of, NEAR)
     if covered is not None:
         return covered, COVERED
-    wanted = target / lost
-    substitute = walk.search_around(search, wanted)
+    wanted_coverage = target / lost
+    substitute = walk.search_around(search, wanted_coverage)
     if substitute is not None:
         return substitute, SEARCHED
     covered = walk.first_covered_design(coverage_of, walk.places[-1])
     if covered is None:
         return walk.best_substitute()
-    substitute = walk.search_around(search, wanted)
+    substitute = walk.search_around(search, wanted_coverage)
     return (covered, COVERED) if substitute is None else (substitute, SEARCHED)
 
 

@@ -80,8 +80,8 @@ def exclusion_reason(design: Design, model: Model) -> str | None:
         return INVERTS
     observer = design.observer
     injects = isinstance(observer, Observer) and np.any(getattr(observer, "l_z", 0.0))
-    seen = getattr(model.system, "h", np.zeros(1)).any()
-    return INJECTED if injects and seen else None
+    reaches_output = getattr(model.system, "h", np.zeros(1)).any()
+    return INJECTED if injects and reaches_output else None
 
 
 def coverage_columns(

@@ -168,8 +168,8 @@ def _program_in_box(
     constant: Any, linear: Any, scale: Float[np.ndarray, "n"], most: Float[np.ndarray, "n"]
 ) -> AngleProgram:
     """Optimisation problem whose scaled unknowns lie between zero and given bounds."""
-    one = np.eye(len(scale))
-    rows = np.concatenate([one, -one])
+    identity = np.eye(len(scale))
+    rows = np.concatenate([identity, -identity])
     bounds = np.concatenate([np.zeros(len(scale)), -most])
     scaled = linear / scale[:, None, None, None]
     return AngleProgram(constant=constant, linear=scaled, rows=rows, bounds=bounds)

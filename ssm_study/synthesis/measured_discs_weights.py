@@ -219,20 +219,20 @@ class WeightProgram:
         weights = self.coefficient_count
         multipliers = len(scale) - weights
         rows_xy, least_xy = self.weight_rows()
-        seen = self.requirement_coefficients()
-        on_weights = np.concatenate([seen, rows_xy]) / scale[:weights]
+        requirement_rows = self.requirement_coefficients()
+        on_weights = np.concatenate([requirement_rows, rows_xy]) / scale[:weights]
         top = np.zeros((len(on_weights), 1 + len(scale)))
-        top[: len(seen), 0] = -1.0
+        top[: len(requirement_rows), 0] = -1.0
         top[:, 1 : 1 + weights] = on_weights
-        one = np.eye(1 + len(scale))
-        at_least_zero = one[1 + weights :]
+        identity = np.eye(1 + len(scale))
+        at_least_zero = identity[1 + weights :]
         at_most = -at_least_zero
-        nu_at_most = -one[:1]
+        nu_at_most = -identity[:1]
         rows = np.concatenate([top, at_least_zero, at_most, nu_at_most])
         zeros = np.zeros(multipliers)
         most = np.full(multipliers, -MOST)
         largest_nu = np.array([-LARGEST])
-        bounds = [np.zeros(len(seen)), least_xy, zeros, most, largest_nu]
+        bounds = [np.zeros(len(requirement_rows)), least_xy, zeros, most, largest_nu]
         return rows, np.concatenate(bounds)
 
     def widen_weights(
@@ -270,19 +270,19 @@ class WeightProgram:
         weights = self.coefficient_count
         multipliers = len(scale) - weights
         rows_xy, least_xy = self.weight_rows()
-        seen = self.requirement_coefficients()
+        requirement_rows = self.requirement_coefficients()
         places = {item.place for item in self.items}
         bands = sorted(places)
         band_of_item = np.array([bands.index(item.place) for item in self.items])
         total = len(scale) + len(bands)
-        top = np.zeros((len(seen) + len(rows_xy), total))
-        top[:, :weights] = np.concatenate([seen, rows_xy]) / scale[:weights]
-        top[np.arange(len(seen)), len(scale) + band_of_item] = -nu
-        one = np.eye(total)[weights:]
-        rows = np.concatenate([top, one, -one])
+        top = np.zeros((len(requirement_rows) + len(rows_xy), total))
+        top[:, :weights] = np.concatenate([requirement_rows, rows_xy]) / scale[:weights]
+        top[np.arange(len(requirement_rows)), len(scale) + band_of_item] = -nu
+        unit_rows = np.eye(total)[weights:]
+        rows = np.concatenate([top, unit_rows, -unit_rows])
         least = np.concatenate([np.zeros(multipliers), np.ones(len(bands))])
         most = np.concatenate([np.full(multipliers, MOST), np.full(len(bands), WIDEST)])
-        bounds = np.concatenate([np.zeros(len(seen)), least_xy, least, -most])
+        bounds = np.concatenate([np.zeros(len(requirement_rows)), least_xy, least, -most])
         return rows, bounds, len(bands)
 
     def weights_from_unknowns(self, nu: float, unknowns: Float[np.ndarray, "n"]) -> Weights:

@@ -120,11 +120,11 @@ class StructuredLmi:
     def for_fixed_gains(cls, problem: Problem) -> "StructuredLmi":
         """Program that proves rates for fixed gains that do not act on the neurons."""
         n, m = problem.b.shape
-        one = np.eye(n)
+        identity = np.eye(n)
         required_neurons_e = problem.required_neurons.e
         none = np.zeros((m, required_neurons_e.shape[1]))
         k = np.zeros((m, n))
-        fixed = Solution(p=one, y=one, k=k, sigma=1.0, status="", k_w=none)
+        fixed = Solution(p=identity, y=identity, k=k, sigma=1.0, status="", k_w=none)
         return cls(problem=problem, objective="largest_margin", fixed=fixed)
 
     def prove_rate(self, k: Rows) -> Solution:

@@ -69,8 +69,8 @@ def _write_run(client: Any, experiment: str, study: Path, row: dict[str, Any]) -
     scored = [name for name in row if _is_metric(name)]
     metrics = [Metric(name, float(row[name]), end or 0, 0) for name in scored]
     client.log_batch(number, metrics=metrics)
-    others = [name for name in row if name not in scored]
-    parameters = [Param(name, str(row[name])[:500]) for name in others]
+    parameter_names = [name for name in row if name not in scored]
+    parameters = [Param(name, str(row[name])[:500]) for name in parameter_names]
     for first in range(0, len(parameters), AT_ONCE):
         params = parameters[first : first + AT_ONCE]
         client.log_batch(number, params=params)

@@ -39,9 +39,11 @@ def export_mcap(study: Path) -> Path:
     names = {name: path.parent.name for name, path in by_name.items()}
     file = study / "closed_loops.mcap"
     with TemporaryDirectory(dir=study, prefix=".export-") as folder:
-        made = Path(folder) / file.name
-        write_mcap(made, tuple(groups), names)
-        made.replace(file)  # whatever stood there: a link of a stranger is replaced, not followed
+        temporary_file = Path(folder) / file.name
+        write_mcap(temporary_file, tuple(groups), names)
+        temporary_file.replace(
+            file
+        )  # whatever stood there: a link of a stranger is replaced, not followed
     return file
 
 

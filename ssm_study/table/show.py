@@ -189,16 +189,16 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
     first = ["run", "status"] if by is None else ["run", by, "status"]
     outcomes = [name for name in OUTCOMES if table[name].notna().any()]
     columns: dict[str, list[str]] = {}
-    taken = 0
+    used_width = 0
     by_importance = dict.fromkeys([*first, *telling, *outcomes, *varied])  # each name once
     for name in by_importance:
         cells = [column_head(name), *map(format_cell, table[name])]
         room = max(map(len, cells))
-        if taken + room + 2 > width and columns:  # a narrower one may still fit
+        if used_width + room + 2 > width and columns:  # a narrower one may still fit
             continue
         is_left = name in ("run", "status")
         columns[name] = [text.ljust(room) if is_left else text.rjust(room) for text in cells]
-        taken += room + 2
+        used_width += room + 2
     order = dict.fromkeys([*first, *varied, *outcomes])
     fitting_columns = [columns[name] for name in order if name in columns]
     lines = ["  ".join(line).rstrip() for line in zip(*fitting_columns, strict=True)]

@@ -127,7 +127,7 @@ def train_with_lightning(
     stopping = EarlyStopping(
         **watched, min_delta=settings.min_gain_percent, patience=settings.patience
     )
-    one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type] # the records are in Fit
+    single_batch: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type] # the records are in Fit
     resume_from = find_resumable_checkpoint(folder, belongs_to)
     with warnings.catch_warnings():
         warnings.filterwarnings(
@@ -138,7 +138,7 @@ def train_with_lightning(
         trainer = build_trainer(settings, [stopping, keeper, *line, OriginalSignals()], folder)
         try:
             with raise_on_interrupt():
-                trainer.fit(fit, one, one, ckpt_path=resume_from)
+                trainer.fit(fit, single_batch, single_batch, ckpt_path=resume_from)
         except KeyboardInterrupt:
             if not keep_on_interrupt or not keeper.curve:
                 raise

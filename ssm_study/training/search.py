@@ -87,12 +87,15 @@ class Search:
 
     def complete_settings(self, settings: Settings) -> StructuredSpec:
         """Model settings made from given ones, from those decided so far, and from defaults."""
-        wanted = self.decided | settings
-        if wanted.get("neurons") == 0:
-            wanted["input_path"] = "none"  # there are no neurons for it to reach
+        wanted_settings = self.decided | settings
+        if wanted_settings.get("neurons") == 0:
+            wanted_settings["input_path"] = "none"  # there are no neurons for it to reach
         automatic = self.spec.automatic_settings
         return fill_in_defaults(
-            replace(self.spec, **{name: wanted[name] for name in automatic if name in wanted})
+            replace(
+                self.spec,
+                **{name: wanted_settings[name] for name in automatic if name in wanted_settings},
+            )
         )
 
     def score_linear_model(self, question: str, order: int, delay: int) -> Candidate:
@@ -191,7 +194,7 @@ class Search:
         """Rows of the table of the candidates that were tried."""
         return tuple(
             candidate.table_row(
-                chosen=any(candidate is one for one in chosen),
+                chosen=any(candidate is other for other in chosen),
                 certified=self.certified.get(id(candidate)),
             )
             for candidate in self.tried

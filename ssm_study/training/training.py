@@ -205,7 +205,9 @@ class Training:
         averaged = select_by_training_fit(identified, records, members)
         rule = getattr(starts[0], "among_starts", None)
         if only_certified:
-            certified = [one for one in identified if can_be_certified(starts[0], one.model)]
+            certified = [
+                result for result in identified if can_be_certified(starts[0], result.model)
+            ]
             identified = certified or identified
         if rule is None:
             best = max(identified, key=lambda start: start.fit_validation_percent)

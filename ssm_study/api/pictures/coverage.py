@@ -66,9 +66,9 @@ def _record_series(
     hertz = np.array(frequencies) / (2 * np.pi * step_s)
     times = np.minimum([kappa / row.need for row in rows], HIGHEST)
     is_dark = np.array([row.is_dark for row in rows])
-    seen = hertz > 0
-    lit = Series(x=hertz[seen], y=times[seen], colour=colour, name=name)
-    dark = is_dark & seen
+    is_drawn = hertz > 0
+    lit = Series(x=hertz[is_drawn], y=times[is_drawn], colour=colour, name=name)
+    dark = is_dark & is_drawn
     if not dark.any():
         return [lit]
     series = Series(x=hertz[dark], y=times[dark], mark="crosses", colour=colour)

@@ -81,7 +81,9 @@ def _error_colour(i: int) -> str:
 
 def _recolour_single_error(errors: list[Series]) -> tuple[Series, ...]:
     """Give the error of a single model a colour of its own."""
-    return tuple(Series(x=one.x, y=one.y, colour=style.VERMILLION, thin=True) for one in errors)
+    return tuple(
+        Series(x=series.x, y=series.y, colour=style.VERMILLION, thin=True) for series in errors
+    )
 
 
 def _label_unit(label: str) -> str:

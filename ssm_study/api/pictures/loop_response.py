@@ -71,13 +71,13 @@ def set_point_picture(
     scale = float(output_scale.min())
     sizes = (size,) if size is not None else tuple(share * scale for share in SIZES)
     reason = "No step of the set point can be held."
-    for one in sizes:
+    for candidate in sizes:
         try:
-            run = _simulate_step(plant, controller, loop, one)
+            run = _simulate_step(plant, controller, loop, candidate)
         except BadRequest as refusal:
             reason = f"No step of the set point can be held: {refusal}"
             continue
-        return _step_picture(run, plant, recorded, place, one)
+        return _step_picture(run, plant, recorded, place, candidate)
     raise NothingToShow(reason)
 
 
@@ -94,7 +94,7 @@ def _simulate_step(plant: Any, controller: ObserverFeedback, loop: Loop, size: f
 def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size: float) -> Picture:
     """Picture of a step response: the output beside its reference, and the input."""
     (time_s,) = settling_times_s(run, plant.settling_band)
-    seen = _drawn_time_range(run, time_s)
+    time_range = _drawn_time_range(run, time_s)
     at_s = BEFORE * len(run.time_s) * run.step_s
     ahead = _first_motion_s(run) < at_s - run.step_s
     set_point_name = "set point, known in advance" if ahead else "set point"
@@ -117,10 +117,12 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
             y_label=channel_label(channel),
             series=series,
             bands=(band,),
-            x_range=seen,
+            x_range=time_range,
         )
         upper.append(panel)
-    lower = [replace(panel, x_range=seen) for panel in _input_panels(run, plant.inputs, recorded)]
+    lower = [
+        replace(panel, x_range=time_range) for panel in _input_panels(run, plant.inputs, recorded)
+    ]
     panels = (*_pad_panels(upper, columns), *_pad_panels(lower, columns))
     ending = "does not settle" if time_s is None else f"settles in {time_s:.3g} s"
     unit = f" {plant.outputs[0].unit}" if plant.outputs[0].unit else ""
@@ -172,7 +174,7 @@ def _input_panels(
     for j, channel in enumerate(inputs):
         rules: tuple[GuideLine, ...] = ()
         if len(recorded):
-            values = np.concatenate([one[:, j] for one in recorded])
+            values = np.concatenate([record[:, j] for record in recorded])
             guide_line = GuideLine(y=float(values.min()), name="recorded range")
             y = float(values.max())
             rules = (guide_line, GuideLine(y=y))

@@ -77,18 +77,18 @@ def inequality(of: Any, row: tuple[Any, Any, Any]) -> Blocks:
     """Blocks of the theorem's inequality, with the neurons' row scaled by a diagonal matrix. For
     any diagonal S, `row` is `(S, S T, S T S)`."""
     scale, scaled_t, t = row
-    one = np.eye(of.b.shape[1])
+    identity = np.eye(of.b.shape[1])
     step = (of.a @ of.y + of.alpha * (of.b @ of.x)).T
     neurons = (of.f @ of.y + of.alpha * (of.g @ of.x)).T @ scale
     return [
         [(1 - of.rate) * (of.y + of.y.T - of.p), 0, -1.0 * neurons, step, of.x.T],
         [
-            of.sigma * one,
+            of.sigma * identity,
             (of.sigma * (-1.0 * of.beta)) * (of.g.T @ scale),
             (of.sigma * of.beta) * of.b.T,
             0,
         ],
         [2.0 * t, scaled_t @ of.e.T, 0],
         [of.p, 0],
-        [of.sigma * one],
+        [of.sigma * identity],
     ]

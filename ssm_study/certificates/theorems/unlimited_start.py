@@ -73,11 +73,11 @@ class UnlimitedStart(StateFeedbackOfBall):
         for i, (row, k) in enumerate(
             (of.limits[i : i + 1, :], of.k[i : i + 1, :]) for i in range(of.limits.shape[0])
         ):
-            taken = of.level * (k @ of.p @ k.T)
+            used_share = of.level * (k @ of.p @ k.T)
             for name, end in (("lower", -1 * row[:, 0:1]), ("upper", row[:, 1:2])):
                 matrices |= {
                     f"{name} limit {i}": [[end]],
-                    f"{name} limit {i} is not reached": [[end @ end - taken]],
+                    f"{name} limit {i} is not reached": [[end @ end - used_share]],
                 }
         for j in range(of.starts.shape[1]):
             matrices[f"start {j}"] = [[of.level, of.starts[:, j : j + 1].T], [of.p]]

@@ -213,10 +213,10 @@ def find_column(path: Path, name: str, titles: list[str], header: bool | None = 
     folded = [fold_title(title) for title in titles]
     folded_plain = [fold_title(title) for title in plain]
     ways = (list(titles), plain, folded, folded_plain)
-    wanted = (name, name, fold_title(name), fold_title(name))
+    wanted_forms = (name, name, fold_title(name), fold_title(name))
     number = int(name) if name.isascii() and name.isdigit() else None
     numbered = number is not None and number < len(titles)
-    for word, titles_in_form in zip(wanted, ways, strict=True):
+    for word, titles_in_form in zip(wanted_forms, ways, strict=True):
         if not word or word not in titles_in_form:
             continue
         check_column_names(where, [word], titles_in_form, "header")

@@ -232,11 +232,11 @@ class _OutputErrorProblem:
 
     def initial_parameters(self, f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "P"]:
         """Initial parameters with a given denominator; all others are found by least squares."""
-        others = np.zeros(self.extra_count + self._input_coefficient_count)
-        parameters = np.concatenate([f, others])
+        other_parameters = np.zeros(self.extra_count + self._input_coefficient_count)
+        parameters = np.concatenate([f, other_parameters])
         residual, jacobian = self.residual_and_jacobian(parameters)
-        others = np.linalg.lstsq(jacobian[:, self.order :], -residual, rcond=None)[0]
-        return np.concatenate([f, others])
+        other_parameters = np.linalg.lstsq(jacobian[:, self.order :], -residual, rcond=None)[0]
+        return np.concatenate([f, other_parameters])
 
     @property
     def _input_coefficient_count(self) -> int:

@@ -40,10 +40,10 @@ def read_mismatch(folder: Path) -> Mismatch:
     content = json.loads((folder / FILE).read_text(encoding="utf-8"))
     views = tuple(_read_view(view) for view in content.pop("views"))
     loop = content.pop("loop")
-    others: dict[str, Any] = {}
+    other_fields: dict[str, Any] = {}
     for name, value in content.items():
-        others[name] = tuple(value) if isinstance(value, list) else value
-    return Mismatch(views=views, loop=loop and _read_view(loop), **others)
+        other_fields[name] = tuple(value) if isinstance(value, list) else value
+    return Mismatch(views=views, loop=loop and _read_view(loop), **other_fields)
 
 
 def _read_view(content: dict[str, Any]) -> View:
