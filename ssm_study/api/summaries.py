@@ -11,7 +11,7 @@ import pandas as pd
 
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.certificates.certificate import Infeasible
-from ssm_study.evidence.finding import DOUBT
+from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.signals import DataSet
@@ -117,7 +117,8 @@ def summarise_assumptions(certificate: Certificates) -> dict[str, str]:
     for name, part in (("input map", feedback), ("output map", observer)):
         lower = part.alpha - part.beta
         upper = part.alpha + part.beta
-        assumed[f"slopes of the {name}"] = f"{lower:.6g} to {upper:.6g}"
+        slopes = f"{lower:.6g} to {upper:.6g}" if lower < upper else f"{lower:.6g}"
+        assumed[f"slopes of the {name}"] = slopes
     if feedback.beta > 0:
         words = "the observer knows the input map; files and simulations take the identity"
         assumed["assumed"] = words
@@ -153,6 +154,8 @@ def summarise_prediction(facts: dict[str, Any]) -> dict[str, str]:
     covered = "not covered"
     if coverage is not None and coverage >= 1:
         covered = f"a model error {coverage:.3g} times as large as the records show"
+        if facts["evidence"] == CANNOT_JUDGE:
+            covered = "withheld: the records do not show the model error"
     prediction = STABILITY[facts.get("predicted_stable")]
     if facts.get("predicted_faster") is False:
         prediction += ", no faster than without control"

@@ -268,6 +268,12 @@ def test_a_design_that_helps_nobody_says_so() -> None:
     assert line == expected
 
 
+def test_coverage_of_an_error_that_the_records_do_not_show_is_withheld() -> None:
+    facts = {"predicted_stable": None, "evidence": "cannot judge", "coverage": 2740.0}
+    line = summarise_prediction(facts)["covered by the proof"]
+    assert line == "withheld: the records do not show the model error"
+
+
 def test_models_and_designs_say_what_they_are(design: Design) -> None:
     """Ten lines or so with numbers and units, in a notebook a table; pictures are figures."""
     model = design.origin

@@ -139,7 +139,7 @@ def proved_card(record: Record) -> Card | None:
 def coverage_words(record: Record) -> str:
     """Text on the model error that the proof covers. Below one it covers nothing."""
     coverage = record.get("coverage")
-    if coverage is None:
+    if coverage is None or record.get("evidence") == CANNOT_JUDGE:
         return ""
     if coverage < 1:
         return "; the model error that the records show is not covered"
