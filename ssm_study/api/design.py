@@ -227,12 +227,12 @@ class Design:
         By default from one output scale above and below the equilibrium, on the identified model or
         on `plant`; dashed is the range of the recorded inputs. Returns the Matplotlib figure.
         """
-        from ssm_study.api.loops import make_identified_plant, simulate_loop
+        from ssm_study.api.loops import choose_plant, simulate_loop
         from ssm_study.api.pictures.drawing import draw_picture
         from ssm_study.api.pictures.loop_response import initial_response_picture
         from ssm_study.loop.controller import Uncontrolled
 
-        on = plant or make_identified_plant(self)
+        on = choose_plant(self, plant)
         scale = self.model.scale
         if y0 is None:
             outer_product = np.outer(STARTS, scale.output_scale)
@@ -253,12 +253,12 @@ class Design:
         cannot hold so much. Returns the Matplotlib figure. Raises `BadRequest` for a step that no
         input holds.
         """
-        from ssm_study.api.loops import make_identified_plant
+        from ssm_study.api.loops import choose_plant
         from ssm_study.api.pictures.loop_response import set_point_picture
 
         if size is not None:
             size = float(read_numbers("size", size))
-        on = plant or make_identified_plant(self)
+        on = choose_plant(self, plant)
         loop = Loop().with_default_horizon(self.model)
         recorded = self._recorded_inputs
         if recorded:

@@ -1,7 +1,7 @@
 """Simulation of a design's closed loop, on a plant or on the identified model in its place."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -13,6 +13,7 @@ from ssm_study.loop.controller import Controller, ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.rollout import Rollouts
 from ssm_study.plants.plant import Plant
+from ssm_study.refusal import require
 
 if TYPE_CHECKING:
     from ssm_study.api.design import Design
@@ -26,6 +27,18 @@ def make_identified_plant(design: "Design") -> IdentifiedPlant:
         return IdentifiedPlant.from_model(design.model)
     data = design.origin.data
     return IdentifiedPlant.from_model(design.model, data.inputs, data.outputs)
+
+
+def choose_plant(design: "Design", plant: Any) -> Plant | IdentifiedPlant:
+    """Plant on which a loop is closed: the given one, else the identified model in its place.
+    Raises `BadRequest` for what is no plant."""
+    if plant is None:
+        return make_identified_plant(design)
+    remedy = "give one of ssm_study.plants, or your own (docs/howto_plant.md)"
+    is_plant = isinstance(plant, Plant | IdentifiedPlant)
+    require(is_plant, "plant", type(plant).__name__, "is no plant", remedy)
+    chosen: Plant | IdentifiedPlant = plant
+    return chosen
 
 
 def simulate_loop(

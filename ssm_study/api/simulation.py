@@ -5,10 +5,11 @@ import pandas as pd
 
 from ssm_study.api.arguments import Values
 from ssm_study.api.design import Design
-from ssm_study.api.loops import make_identified_plant, simulate_loop, tabulate_rollouts
+from ssm_study.api.loops import choose_plant, simulate_loop, tabulate_rollouts
 from ssm_study.api.model import Model
 from ssm_study.data.arrays import check_time_index, signal_columns
 from ssm_study.plants.plant import Plant
+from ssm_study.refusal import require
 
 
 def simulate(
@@ -20,8 +21,8 @@ def simulate(
 ) -> pd.DataFrame:
     """Simulate a model for given inputs, or the closed loop of a design from given initial outputs.
 
-    A model runs from rest for the inputs `given (T, m)`. A loop runs on the identified model, or
-    on `plant`, from each row of `given (N, p)` or number of `given (N,)`, without noise, as the
+    A model runs from rest for the inputs `values (T, m)`. A loop runs on the identified model, or
+    on `plant`, from each row of `values (N, p)` or number of `values (N,)`, without noise, as the
     settings of `loop` say (`"loop.horizon_s=3"`, `"reference@loop.reference=step"`). One row per
     case and sample: `case, time_s`, inputs and outputs by name. A measured `disturbance (T, k)`
     drives model and observer; a loop then lasts as long as it, on the identified model. Without it
@@ -37,6 +38,9 @@ def simulate(
         predicted = pd.DataFrame(subject.predict(table, disturbance))
         time_s = np.arange(len(predicted)) * subject.data.step_s
         return predicted.assign(time_s=time_s)
-    on = plant or make_identified_plant(subject)
+    is_design = isinstance(subject, Design)
+    remedy = "give what st.fit or st.control returned"
+    require(is_design, "subject", type(subject).__name__, "is no model and no design", remedy)
+    on = choose_plant(subject, plant)
     rollouts = simulate_loop(subject, values, on, overrides, disturbance=disturbance)
     return tabulate_rollouts(rollouts, on)

@@ -105,6 +105,18 @@ def skipped_column_lines(skipped: dict[str, str]) -> list[str]:
     return lines + ([f"  {others} texts, empty and single values skipped"] if others else [])
 
 
+def refuse_wrong_kinds(path: object, step_s: object, settings: object) -> None:
+    """Raise `BadRequest` for a path, a sampling time or settings of another kind."""
+    is_path = isinstance(path, str | Path)
+    require(is_path, "path", type(path).__name__, "is no path", "give the name of a file")
+    is_number = isinstance(step_s, int | float) and not isinstance(step_s, bool)
+    fits = step_s is None or is_number
+    require(fits, "step_s", step_s, "is no sampling time", "give it in seconds")
+    is_settings = settings is None or isinstance(settings, TextSettings)
+    kind = type(settings).__name__
+    require(is_settings, "settings", kind, "are no TextSettings", "leave them out")
+
+
 def look(
     path: str | Path,
     *,
@@ -120,6 +132,7 @@ def look(
     Input and output are guessed by their names and by which column holds levels, unless they are
     named. Raises `BadRequest` for a file that cannot be read at all.
     """
+    refuse_wrong_kinds(path, step_s, settings)
     path = Path(path)
     stated = LogSettings(
         input=column_name(input),

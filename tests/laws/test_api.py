@@ -18,7 +18,6 @@ import ssm_study as st
 from ssm_study.api import parts
 from ssm_study.api.design import Design
 from ssm_study.api.model import Model
-from ssm_study.api.scratch import scratch_folder
 from ssm_study.api.summaries import choice_words, chosen_sizes, size_words, summarise_prediction
 from ssm_study.cli.main import main
 from ssm_study.refusal import BadRequest
@@ -106,18 +105,6 @@ def test_a_saved_design_is_the_run_of_the_command(design: Design, tmp_path: Path
                     for timing in ("seconds", "digest"):
                         part.pop(timing, None)
         assert ours == theirs
-
-
-def test_a_saved_design_takes_the_log_of_its_arrays_along(
-    log: pd.DataFrame, tmp_path: Path
-) -> None:
-    """What the program deletes at its end is not needed any more: `verify` reads the copy."""
-    u, y = log.to_numpy().T
-    saved = st.control(st.fit(u, y, STEP_S, *QUICK), *GIVEN).save(tmp_path / "saved")
-    (copied,) = (saved / "logs").iterdir()
-    settings = (saved / ".hydra" / "config.yaml").read_text()
-    assert str(copied) in settings
-    assert str(scratch_folder()) not in settings
 
 
 def test_a_saved_design_verifies_and_loads(design: Design, tmp_path: Path) -> None:
@@ -266,12 +253,6 @@ def test_a_design_that_helps_nobody_says_so() -> None:
     line = summarise_prediction(facts | {"resolved_margin": 1.24})["predicted for the plant"]
     expected = "stays stable, no faster than without control, with doubts (stability margin 1.24)"
     assert line == expected
-
-
-def test_coverage_of_an_error_that_the_records_do_not_show_is_withheld() -> None:
-    facts = {"predicted_stable": None, "evidence": "cannot judge", "coverage": 2740.0}
-    line = summarise_prediction(facts)["covered by the proof"]
-    assert line == "withheld: the records do not show the model error"
 
 
 def test_models_and_designs_say_what_they_are(design: Design) -> None:

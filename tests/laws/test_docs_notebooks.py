@@ -23,7 +23,7 @@ SHORTER = {
         "STEP_S, **SETTINGS": 'STEP_S, "training.max_epochs=12", **SETTINGS',
         "st.control(model)": f"st.control(model, {FEW_WORDS})",
     },
-    "reading_a_sweep": {'"progress=false"]': '"progress=false", "hydra.launcher.n_jobs=1"]'},
+    "reading_a_sweep": {'"progress=false"]': '"progress=false", "hydra/launcher=basic"]'},
 }
 
 

@@ -249,6 +249,30 @@ def write_sweep_page(folder: Path) -> Path:
     return write_page(study)
 
 
+CHART = "document.querySelector('#responses .chart').view"
+APPLIED = "document.querySelectorAll('#responses .chart')[2].view"
+MOVE = (
+    "const slide = document.querySelector('.slider input'); slide.value = arguments[0];"
+    "slide.dispatchEvent(new Event('input')); const words = slide.ariaValueText;"
+    f"return [words.split(':')[0], {CHART}.data('rows').length,"
+    f" {APPLIED}.data('rows').reduce((sum, row) => sum + row.value ** 2, 0)]"
+)
+
+
+def move_through(browser: Any, values: tuple[float, ...]) -> tuple[list[int], list[float]]:
+    """Move the slider through its places: how many rows are drawn there, and the inputs' energy."""
+    wait_for(browser, APPLIED)
+    rate = browser.execute_script("return DATA.slider.title")
+    counts = []
+    energies = []
+    for place, value in enumerate(values):
+        words, count, energy = browser.execute_script(MOVE, place)
+        assert words == f"{rate} {value}"
+        counts.append(count)
+        energies.append(energy)
+    return counts, energies
+
+
 def test_a_slider_moves_the_responses_through_a_sweep_and_one_start_plays(
     browser: Any, tmp_path: Path
 ) -> None:
@@ -258,24 +282,8 @@ def test_a_slider_moves_the_responses_through_a_sweep_and_one_start_plays(
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     expected = [0.1, 0.2, 0.3]
     assert browser.execute_script("return DATA.slider.values") == expected
-    chart = "document.querySelector('#responses .chart').view"
-    wait_for(browser, chart)
-    move = (
-        "const slide = document.querySelector('.slider input'); slide.value = arguments[0];"
-        "slide.dispatchEvent(new Event('input')); const words = slide.ariaValueText;"
-        f"return [words.split(':')[0], {chart}.data('rows').length]"
-    )
-    applied = "document.querySelectorAll('#responses .chart')[2]"
-    wait_for(browser, f"{applied}.view")
-    sum_of_inputs = f"return {applied}.view.data('rows').reduce((a, row) => a + row.value ** 2, 0)"
-    inputs = []
-    rate = browser.execute_script("return DATA.slider.title")
-    counts = []
-    for place, value in enumerate((0.1, 0.2, 0.3)):
-        words, count = browser.execute_script(move, place)
-        assert words == f"{rate} {value}"
-        counts.append(count)
-        inputs.append(browser.execute_script(sum_of_inputs))
+    wait_for(browser, CHART)
+    counts, inputs = move_through(browser, (0.1, 0.2, 0.3))
     assert counts[1] == 0 < min(counts[0], counts[2])
     assert inputs[1] == 0
     assert inputs[0] != inputs[2], "the input moves with the responses"
@@ -288,9 +296,9 @@ def test_a_slider_moves_the_responses_through_a_sweep_and_one_start_plays(
     assert browser.execute_script("return document.querySelector('[aria-pressed]').innerText") == (
         "Play"
     )
-    browser.execute_script(move, 1)  # no recording: empty charts, and no complaint about them
+    browser.execute_script(MOVE, 1)  # no recording: empty charts, and no complaint about them
     browser.execute_async_script(
-        f"const done = arguments[0]; {chart}.runAsync().then(() => done())"
+        f"const done = arguments[0]; {CHART}.runAsync().then(() => done())"
     )
     assert complaints(browser) == []
 

@@ -118,3 +118,32 @@ def test_slopes_of_a_fit_are_two_numbers() -> None:
 def test_only_models_are_compared(models: object) -> None:
     with pytest.raises(st.BadRequest, match=r"give a list of models, as st\.fit returns them"):
         st.compare(models, np.ones(10), np.ones(10))
+
+
+@pytest.mark.parametrize("kind", [3, "text", None, [1.0]])
+def test_only_models_and_designs_are_simulated_and_only_on_plants(kind: object) -> None:
+    with pytest.raises(st.BadRequest, match="is no model and no design"):
+        st.simulate(kind, np.ones(10))
+    if kind is not None:
+        design = st.control(SYSTEM, rate=0.5)
+        for run in (
+            lambda: st.simulate(design, [1.0], plant=kind),
+            lambda: design.plot(plant=kind),
+        ):
+            with pytest.raises(st.BadRequest, match="is no plant"):
+                run()
+
+
+@pytest.mark.parametrize(
+    ("path", "settings", "words"),
+    [
+        (3, {}, "is no path"),
+        ("log.csv", {"step_s": "fast"}, "is no sampling time"),
+        ("log.csv", {"settings": {"separator": ","}}, "are no TextSettings"),
+    ],
+)
+def test_a_log_is_looked_at_with_the_right_kinds(
+    path: object, settings: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(st.BadRequest, match=words):
+        st.look(path, **settings)

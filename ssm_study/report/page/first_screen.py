@@ -148,6 +148,8 @@ def coverage_words(record: Record) -> str:
         f"; a model error {times:.2f} times as large as the records show is covered, at every "
     )
     covered += f"frequency above zero{refit_words(record)}"
+    if exceeds_coverage(record):  # a remark of its own says so
+        return covered
     return covered + fresh_data_words(record)
 
 

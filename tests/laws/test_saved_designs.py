@@ -1,0 +1,33 @@
+"""Designs that are saved and read again say what they said before, wherever they lie."""
+
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import lfilter
+
+import ssm_study as st
+from ssm_study.api.scratch import scratch_folder
+from ssm_study.api.summaries import summarise_prediction
+
+QUICK = ("model.hidden_width=4", "training.max_epochs=3")
+
+
+def test_a_saved_design_takes_the_log_of_its_arrays_along(tmp_path: Path) -> None:
+    """The file that the program deletes at its end is needed no more: `verify` reads the copy."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.uniform(-3, 3, 60), 8)
+    y = lfilter([0, 0.2], [1, -0.9], np.tanh(u))
+    model = st.fit(u, y, 0.1, *QUICK, model="ssm", order=2, slopes=(0.5, 1.0), progress=False)
+    design = st.control(model, method="riccati", rate=0.3, observer_rate=0.5)
+    saved = design.save(tmp_path / "saved")
+    (copied,) = (saved / "logs").iterdir()
+    settings = (saved / ".hydra" / "config.yaml").read_text()
+    assert str(copied) in settings
+    assert str(scratch_folder()) not in settings
+    assert repr(st.load(saved)) == repr(design), "evidence and prediction are not lost"
+
+
+def test_coverage_of_an_error_that_the_records_do_not_show_is_withheld() -> None:
+    facts = {"predicted_stable": None, "evidence": "cannot judge", "coverage": 2740.0}
+    line = summarise_prediction(facts)["covered by the proof"]
+    assert line == "withheld: the records do not show the model error"
