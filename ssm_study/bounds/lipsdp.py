@@ -64,11 +64,10 @@ def lipsdp_ball(
         f"the solver reports {problem.status}",
         "use interval",
     )
-    centre_matrix = np.asarray(centre.value, dtype=float).reshape(shape)
+    best = np.asarray(centre.value, dtype=float).reshape(shape)
     values = [np.asarray(t.value, dtype=float) for t in multipliers]
     radius = min(
-        _proved_radius(network, [(1 + share) * t for t in values], centre_matrix)
-        for share in ENLARGED
+        _proved_radius(network, [(1 + share) * t for t in values], best) for share in ENLARGED
     )
     require(
         np.isfinite(radius),
@@ -77,7 +76,7 @@ def lipsdp_ball(
         "the multipliers do not prove a bound",
         "use interval",
     )
-    return centre_matrix, radius
+    return best, radius
 
 
 def _proved_radius(

@@ -150,14 +150,7 @@ def measure_mismatch(
     largest = max(periodic or moving, key=RecordErrors.strength)
     views = [mismatch_from_averages(moving)]
     if noise is not None:
-        strength = largest.strength()
-        views = [
-            mismatch_from_periods(errors, errors.strength() == strength, noise)
-            for errors in periodic
-        ]
-        views = sorted(views, key=lambda view: view.amplitude)
-        sines = [measure_sine(errors, noise) for errors in steady_sines(repeating)]
-        views = [*views_with_sines(views, sines)]
+        views = _views_from_periods(periodic, repeating, noise)
     response = model.linear.impulse_response_length()
     returns = [trial for trial in mismatch_records if is_return_to_rest(trial)]
     still, offsets = offsets_after_returns(model.scale, returns, response)
@@ -183,6 +176,19 @@ def measure_mismatch(
         farthest=farthest,
         unexcited=_unexcited_bands(largest),
     )
+
+
+def _views_from_periods(
+    periodic: list[RecordErrors], repeating: list[RecordErrors], noise: Float[np.ndarray, "F"]
+) -> list[View]:
+    """Model error at the amplitude of each record with two periods, single sines included."""
+    strength = max(errors.strength() for errors in periodic)
+    views = [
+        mismatch_from_periods(errors, errors.strength() == strength, noise) for errors in periodic
+    ]
+    views = sorted(views, key=lambda view: view.amplitude)
+    sines = [measure_sine(errors, noise) for errors in steady_sines(repeating)]
+    return [*views_with_sines(views, sines)]
 
 
 def _offsets_and_swings_at_rest(

@@ -26,12 +26,12 @@ DENSITY = {
     "ssm_study/evidence": (11.3, 1.0),
     "ssm_study/export": (11.1, 2.7),
     "ssm_study/loop": (12.0, 2.4),
-    "ssm_study/models": (13.8, 7.0),
+    "ssm_study/models": (12.7, 3.6),
     "ssm_study/robustness": (12.9, 4.8),
     "ssm_study/study": (10.6, 1.6),
     "ssm_study/synthesis": (11.5, 3.4),
     "ssm_study/table": (11.5, 1.4),
-    "ssm_study/training": (12.6, 4.5),
+    "ssm_study/training": (12.1, 3.2),
     "tests": (12.1, 3.5),
 }
 LONGEST_FILE = 400  # lines
@@ -42,9 +42,6 @@ LONG_FILES = frozenset({"ssm_study/renamed.py"})
 LONG_BODIES = frozenset(
     {
         "ssm_study/evidence/records.py: _judge_rest",
-        "ssm_study/models/structured_kernel.py: _sensitivity_loop",
-        "ssm_study/models/structured_spec.py: __post_init__",
-        "ssm_study/models/torch_recurrence.py: backward",
         "ssm_study/training/saving.py: train_with_lightning",
     }
 )
