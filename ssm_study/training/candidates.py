@@ -24,6 +24,7 @@ NEARLY = 0.05  # of the best error: candidates nearer than this are about as goo
 HOPELESS = 1.5  # times the best error after two folds: not tried on the others
 FEWEST_FOLDS = 2
 EXPLAINS_LESS = 1.25  # times the error on the training records of the folds
+EXPLAINED = 15.0  # percent: the largest error on these records for which that counts
 Settings = dict[str, Any]
 Row = dict[str, Any]
 
@@ -66,8 +67,19 @@ class Candidate:
 
     def explains_less(self, other: "Candidate") -> bool:
         """Whether another candidate fits the records on which it was trained far better than this
-        one."""
+        one, and nearly wholly.
+
+        What it leaves unexplained may come from a load that is not in the log; then what it
+        explains of that is chance.
+        """
+        if other.training_error >= EXPLAINED:
+            return False
         return self.training_error > EXPLAINS_LESS * other.training_error
+
+    def fails_alone(self, other: "Candidate") -> bool:
+        """Whether a candidate predicts some fold no better than the mean, and another predicts all
+        of them better."""
+        return bool(self.errors.max() >= LARGEST_ERROR > other.errors.max())
 
     def table_row(self, *, chosen: bool, certified: bool | None) -> Row:
         """Row of the table of candidates. `certified` is None if that was not examined."""
@@ -97,12 +109,11 @@ def simplest_good_candidate(candidates: Sequence[Candidate], by: float = NEARLY)
     """First candidate, in the given order, that is not clearly worse than the best of all. This
     holds for held-out pieces and for the records on which it was trained."""
     best = best_candidate(candidates)
-    return next(
-        candidate
-        for candidate in candidates
-        if candidate is best
-        or not (candidate.is_clearly_worse(best, by) or candidate.explains_less(best))
-    )
+    for candidate in candidates:
+        is_behind = candidate.is_clearly_worse(best, by) or candidate.explains_less(best)
+        if candidate is best or not (is_behind or candidate.fails_alone(best)):
+            return candidate
+    return best
 
 
 @dataclass

@@ -82,7 +82,7 @@ def try_model_sizes(search: Search) -> list[Candidate]:
         needs_order = False
         candidates.append(search.score_structured_model("size", larger))
     free = try_free_models(search)
-    contracting = train_finalists(search, candidates_with_other_input_path(search, candidates))
+    contracting = train_finalists(search, candidates)
     return [*contracting, *candidates_far_ahead(free, contracting)]
 
 
@@ -112,27 +112,6 @@ def candidates_far_ahead(
         for candidate in free
         if all(other.is_clearly_worse(candidate, FREE_GAIN) for other in contracting)
     ]
-
-
-def candidates_with_other_input_path(
-    search: Search, candidates: Sequence[Candidate]
-) -> list[Candidate]:
-    """Candidates with the input path that was not chosen, for comparison with those of the same
-    size. A few steps of training may have decided for the wrong path."""
-    by_path = [candidate for candidate in search.tried if candidate.question == "input path"]
-    rejected = [each for each in by_path if all(each is not one for one in candidates)]
-    pool: list[Candidate] = []
-    for candidate in candidates:
-        pair = [candidate]
-        if any(candidate is one for one in by_path):
-            pair = sorted([candidate, *rejected], key=has_free_path)
-        pool += pair
-    return pool
-
-
-def has_free_path(candidate: Candidate) -> bool:
-    """Whether the input acts directly on the neurons of a candidate."""
-    return bool(candidate.settings["input_path"] == "free")
 
 
 def train_finalists(search: Search, candidates: Sequence[Candidate]) -> list[Candidate]:

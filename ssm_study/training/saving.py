@@ -109,54 +109,67 @@ def train_with_lightning(
     ended; raises `KeyboardInterrupt` otherwise.
     """
     # More epochs or patience only continue a training, so a checkpoint is good for those too.
-    belongs_to = training_fingerprint(
-        (spec, seed), replace(settings, max_epochs=1, patience=1), data
-    )
-    keeper = BestModelCheckpoint(
-        settings.validation_tolerance_percent, folder, belongs_to, settings.checkpoint_every_s
-    )
-    fit: Fit | StructuredFit
-    if isinstance(spec, StructuredSpec):
-        from ssm_study.training import structured_fit  # compiles
-
-        fit = structured_fit.StructuredFit(spec, data, seed)
-    else:
-        fit = Fit(spec.build(data, seed), data, settings)
-        fit.to(torch.float32 if settings.precision == 32 else torch.float64)
-    watched: Any = {"monitor": FITS[1], "mode": "max", "check_finite": False}
+    lasting = replace(settings, max_epochs=1, patience=1)
+    belongs_to = training_fingerprint((spec, seed), lasting, data)
+    tolerance = settings.validation_tolerance_percent
+    keeper = BestModelCheckpoint(tolerance, folder, belongs_to, settings.checkpoint_every_s)
+    fit = build_lightning_module(settings, spec, data, seed)
     stopping = EarlyStopping(
-        **watched, min_delta=settings.min_gain_percent, patience=settings.patience
+        monitor=FITS[1],
+        mode="max",
+        check_finite=False,
+        min_delta=settings.min_gain_percent,
+        patience=settings.patience,
     )
-    single_batch: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type] # the records are in Fit
-    resume_from = find_resumable_checkpoint(folder, belongs_to)
-    with warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", module="lightning"
-        )  # advice on Slurm, workers, loggers: of no use here
-        line = [ProgressLine(settings.max_epochs)] if progress else []
-        # Saved is what stopping has counted.
-        trainer = build_trainer(settings, [stopping, keeper, *line, OriginalSignals()], folder)
-        try:
-            with raise_on_interrupt():
-                trainer.fit(fit, single_batch, single_batch, ckpt_path=resume_from)
-        except KeyboardInterrupt:
-            if not keep_on_interrupt or not keeper.curve:
-                raise
-            keeper.ended = f"{INTERRUPTED} after {len(keeper.curve)} epochs"
-    early = (
-        "validation fit no longer grows"
-        if stopping.stopped_epoch > 0
-        else f"{settings.max_epochs} epochs done"
-    )
+    line = [ProgressLine(settings.max_epochs)] if progress else []
+    # Saved is what stopping has counted.
+    callbacks = [stopping, keeper, *line, OriginalSignals()]
+    try:
+        run_trainer(settings, fit, callbacks, folder, find_resumable_checkpoint(folder, belongs_to))
+    except KeyboardInterrupt:
+        if not keep_on_interrupt or not keeper.curve:
+            raise
+        keeper.ended = f"{INTERRUPTED} after {len(keeper.curve)} epochs"
+    early = f"{settings.max_epochs} epochs done"
+    if stopping.stopped_epoch > 0:
+        early = "validation fit no longer grows"
     if keeper.kept is not None:
         checkpoint = {"state_dict": keeper.kept, "fingerprint": belongs_to}
         DurableCheckpointIO().save_checkpoint(checkpoint, folder / BEST)
         fit.load_state_dict(keeper.kept)
-    model, remark = fit.trained_model_with_remark()
-    ended = (keeper.ended or early) + remark
-    return Identification.from_model(
-        model, data, seconds=keeper.seconds, curve=keeper.curve, ended=ended
-    )
+    model, remark = fit.conclude()
+    how = {"seconds": keeper.seconds, "curve": keeper.curve}
+    return Identification.from_model(model, data, ended=(keeper.ended or early) + remark, **how)
+
+
+def build_lightning_module(
+    settings: "Training", spec: ModelSpec, data: DataSet, seed: int
+) -> "Fit | StructuredFit":
+    """Build the Lightning module that trains a model of given specification."""
+    if isinstance(spec, StructuredSpec):
+        from ssm_study.training import structured_fit  # compiles
+
+        return structured_fit.StructuredFit(spec, data, seed)
+    fit = Fit(spec.build(data, seed), data, settings)
+    fit.to(torch.float32 if settings.precision == 32 else torch.float64)
+    return fit
+
+
+def run_trainer(
+    settings: "Training",
+    fit: pl.LightningModule,
+    callbacks: list[Callback],
+    folder: Path,
+    resume_from: Path | None,
+) -> None:
+    """Train a Lightning module until a callback or the number of epochs ends it."""
+    one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type] # the records are in Fit
+    with warnings.catch_warnings():
+        # Advice on Slurm, workers, loggers: of no use here.
+        warnings.filterwarnings("ignore", module="lightning")
+        trainer = build_trainer(settings, callbacks, folder)
+        with raise_on_interrupt():
+            trainer.fit(fit, one, one, ckpt_path=resume_from)
 
 
 @contextmanager

@@ -60,6 +60,23 @@ def test_what_explains_its_own_records_far_worse_is_not_taken_for_its_size() -> 
     assert simplest_good_candidate([better, worse]) is better
 
 
+def test_what_explains_more_of_an_unmeasured_load_is_not_taken_for_that() -> None:
+    """Both leave a fifth or more unexplained: the smaller model is as good."""
+    small = replace(candidate("small", 51.0, 52.0, 50.0, 51.0), training_error=45.0)
+    large = replace(candidate("large", 50.0, 51.0, 50.0, 51.0), training_error=20.0)
+    assert simplest_good_candidate([small, large]) is small
+    assert simplest_good_candidate([small, replace(large, training_error=10.0)]) is not small
+
+
+def test_what_fails_on_a_fold_is_not_taken_for_its_size() -> None:
+    """One failed fold makes the standard error so large that the mean says nothing."""
+    small = candidate("small", 40.0, 40.0, 45.0, 100.0)
+    large = candidate("large", 47.0, 48.0, 49.0, 60.0)
+    assert not small.is_clearly_worse(large)
+    assert simplest_good_candidate([small, large]) is large
+    assert simplest_good_candidate([small, candidate("large", 38.0, 38.0, 43.0, 100.0)]) is small
+
+
 def test_what_folds_chose_is_trained_on_training_and_validation_records(tmp_path: Path) -> None:
     spec = StructuredSpec(**FIXED | BRIEF | {"feedthrough": AUTO})  # type: ignore[arg-type]
     data = data_set(noise=0.02, samples=250, records=4)
