@@ -106,14 +106,23 @@ def best_candidate(candidates: Iterable[Candidate]) -> Candidate:
 
 
 def simplest_good_candidate(candidates: Sequence[Candidate], by: float = NEARLY) -> Candidate:
-    """First candidate, in the given order, that is not clearly worse than the best of all. This
-    holds for held-out pieces and for the records on which it was trained."""
+    """First candidate, in the given order, that is about as good as the best of all."""
+    return good_candidates(candidates, by)[0]
+
+
+def good_candidates(candidates: Sequence[Candidate], by: float = NEARLY) -> list[Candidate]:
+    """Candidates, in the given order, that are not clearly worse than the best of all.
+
+    This holds for held-out pieces and for the records on which they were trained; and none fails on
+    a fold while the best does not.
+    """
     best = best_candidate(candidates)
+    good = []
     for candidate in candidates:
         is_behind = candidate.is_clearly_worse(best, by) or candidate.explains_less(best)
         if candidate is best or not (is_behind or candidate.fails_alone(best)):
-            return candidate
-    return best
+            good.append(candidate)
+    return good
 
 
 @dataclass

@@ -14,6 +14,7 @@ from ssm_study.signals import DataSet
 from ssm_study.training.choice_of_paths import choose_delay, choose_input_path, choose_integrator
 from ssm_study.training.choice_of_size import (
     drop_needless_integrator,
+    other_structures,
     simplest_certifiable_candidate,
     try_model_sizes,
 )
@@ -53,7 +54,7 @@ def iterate_choices(
         yield search.make_choice(None)
     while candidates:
         chosen = simplest_certifiable_candidate(search, candidates)
-        yield search.make_choice(chosen)
+        yield search.make_choice(chosen, other_structures(candidates, chosen))
         if not search.is_certifiable(chosen):  # then none of them can
             return
         search.certified[id(chosen)] = False  # trained on all records it was not

@@ -8,6 +8,7 @@ from ssm_study.training.candidates import (
     Candidate,
     Settings,
     best_candidate,
+    good_candidates,
     simplest_good_candidate,
 )
 from ssm_study.training.choice_of_paths import DELAY_GAIN, TRIED_SIZE
@@ -177,3 +178,15 @@ def simplest_certifiable_candidate(search: Search, candidates: Sequence[Candidat
             return chosen
         left.remove(chosen)
     return simplest_good_candidate(candidates)
+
+
+def other_structures(candidates: Sequence[Candidate], chosen: Candidate) -> list[Candidate]:
+    """Contracting candidates with states and maps of their own that are about as good as the best,
+    the best first. Their mean with the chosen one contracts."""
+    good = [
+        candidate
+        for candidate in good_candidates(candidates)
+        if candidate is not chosen and candidate.settings.get("rate", 0.0) is not None
+    ]
+    structured = [candidate for candidate in good if candidate.fits]
+    return sorted(structured, key=lambda candidate: candidate.mean_error)

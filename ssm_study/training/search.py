@@ -30,13 +30,15 @@ class Choice:
     """Model settings that are all decided, with the table of candidates. The table is empty if
     nothing was tried.
 
-    `is_linear`: the output-error model itself is to be taken, of this order and delay.
+    `is_linear`: the output-error model itself is to be taken, of this order and delay. `others` are
+    settings of other structures that the folds cannot tell from the chosen one.
     """
 
     spec: StructuredSpec
     rows: tuple[Row, ...] = ()
     error: float | None = None
     is_linear: bool = False
+    others: tuple[StructuredSpec, ...] = ()
 
     def describe(self, automatic: Sequence[str]) -> str:
         """Text on the settings that the records chose, and from how many candidates; empty if they
@@ -173,22 +175,28 @@ class Search:
         self.chosen.append(candidate)
         self.decided |= {name: value for name, value in settings.items() if self.is_open(name)}
 
-    def make_choice(self, candidate: Candidate | None) -> Choice:
-        """Make the choice of all decided settings, with the sizes of a candidate."""
-        decided = dict(self.decided)
-        is_linear = candidate is not None and candidate.model == LINEAR
-        if candidate is not None:
-            without_neurons = {"neurons": 0, "knots": 0, "input_path": "none"}
-            decided |= candidate.settings | (without_neurons if is_linear else {})
-        automatic = self.spec.automatic_settings
-        open_settings = {name: decided[name] for name in automatic if name in decided}
+    def make_choice(self, candidate: Candidate | None, others: Sequence[Candidate] = ()) -> Choice:
+        """Make the choice of all decided settings, with the sizes of a candidate. The mean that
+        predicts may have models of the others."""
         chosen = [*self.chosen] if candidate is None else [*self.chosen, candidate]
         return Choice(
-            spec=fill_in_defaults(replace(self.spec, **open_settings)),
+            spec=self._decided_spec(candidate),
             rows=self.candidate_rows(chosen),
             error=None if candidate is None else candidate.mean_error,
-            is_linear=is_linear,
+            is_linear=candidate is not None and candidate.model == LINEAR,
+            others=tuple(self._decided_spec(other) for other in others),
         )
+
+    def _decided_spec(self, candidate: Candidate | None) -> StructuredSpec:
+        """Specification with all decided settings and the sizes of a candidate."""
+        decided = dict(self.decided)
+        if candidate is not None:
+            decided |= candidate.settings
+            if candidate.model == LINEAR:
+                decided |= {"neurons": 0, "knots": 0, "input_path": "none"}
+        automatic = self.spec.automatic_settings
+        settings = {name: decided[name] for name in automatic if name in decided}
+        return fill_in_defaults(replace(self.spec, **settings))
 
     def candidate_rows(self, chosen: Sequence[Candidate]) -> tuple[Row, ...]:
         """Rows of the table of the candidates that were tried."""

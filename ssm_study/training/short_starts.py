@@ -34,7 +34,7 @@ def count_starts(spec: StructuredSpec) -> tuple[int, int]:
     """
     more = 2 if spec.rate is None else 1
     ended = max(ceil(more * spec.starts / 2), spec.members)
-    return more * 2 * spec.starts, ended
+    return max(more * 2 * spec.starts, ended), ended
 
 
 def best_seeds(

@@ -154,7 +154,8 @@ class Training:
     ) -> "Identification":
         """Train the linear or structured model that a choice of settings describes."""
         if not choice.is_linear:
-            return self._train_from_best_starts(choice.spec, data, session)
+            best = self._train_from_best_starts(choice.spec, data, session)
+            return self._with_other_structures(best, choice, data, session)
         from ssm_study.training.candidates import fit_linear_model
         from ssm_study.training.metrics import Identification
 
@@ -168,6 +169,26 @@ class Training:
         seconds = time.perf_counter() - began
         ended = "the error of a linear free run no longer falls"
         return Identification.from_model(model, data, seconds=seconds, curve=[], ended=ended)
+
+    def _with_other_structures(
+        self, best: "Identification", choice: "Choice", data: DataSet, session: "TrainingSession"
+    ) -> "Identification":
+        """Replace the last of several members by models of other structures, one of each.
+
+        Folds cannot tell these from the chosen one; where structures err differently, their mean
+        errs less than that of one structure's trainings.
+        """
+        count = min(len(choice.others), len(best.members) - 1)
+        if count < 1:
+            return best
+        members = [*best.members[: len(best.members) - count]]
+        seconds = best.seconds
+        for k, spec in enumerate(choice.others[:count], start=1):
+            apart = replace(session, folder=session.folder / f"structure_{k}")
+            other = self._train_from_best_starts(replace(spec, members=1), data, apart)
+            members.append(other.model)
+            seconds += other.seconds
+        return replace(best, members=tuple(members), seconds=seconds)
 
     def _train_from_best_starts(
         self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"

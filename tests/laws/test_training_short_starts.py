@@ -9,19 +9,22 @@ import numpy as np
 from models_cases import data_set
 
 from ssm_study.models.structured_spec import AUTO, StructuredSpec
+from ssm_study.signals import DataSet
 from ssm_study.training.candidates import Candidate, simplest_good_candidate
 from ssm_study.training.choice_of_size import (
     candidates_far_ahead,
     drop_needless_integrator,
+    other_structures,
     train_finalists,
     try_free_models,
 )
 from ssm_study.training.folds import make_folds
+from ssm_study.training.metrics import Identification
 from ssm_study.training.optimisers import Lbfgs
-from ssm_study.training.search import Search
+from ssm_study.training.search import Choice, Search
 from ssm_study.training.short_starts import STEPS, best_seeds, training_fit_words
 from ssm_study.training.structured_fit import StructuredFit
-from ssm_study.training.training import Training
+from ssm_study.training.training import Training, TrainingSession
 
 BRIEF = {"starts": 1, "draws": 1, "start_steps": (5, 3, 3)}
 FIXED = {"order": 2, "neurons": 1, "knots": 0, "input_path": "none"}
@@ -66,6 +69,33 @@ def test_what_explains_more_of_an_unmeasured_load_is_not_taken_for_that() -> Non
     large = replace(candidate("large", 50.0, 51.0, 50.0, 51.0), training_error=20.0)
     assert simplest_good_candidate([small, large]) is small
     assert simplest_good_candidate([small, replace(large, training_error=10.0)]) is not small
+
+
+def test_members_are_of_the_structures_that_folds_cannot_tell_apart(tmp_path: Path) -> None:
+    """One training of the chosen structure, and one of each other that is about as good."""
+    spec = StructuredSpec(**FIXED | BRIEF | {"order": AUTO, "members": 3})  # type: ignore[arg-type]
+    data = data_set(noise=0.02, samples=250, records=4)
+    other = replace(spec, order=1)
+    choice = Choice(spec=replace(spec, order=2), others=(other,))
+    session = TrainingSession(seed=0, folder=tmp_path)
+    orders = [member.order for member in train_choice(choice, data, session).members]
+    assert orders == [2, 2, 1]
+    alone = replace(choice, spec=replace(choice.spec, members=1))
+    assert train_choice(alone, data, session).members == ()
+
+
+def train_choice(choice: Choice, data: DataSet, session: TrainingSession) -> Identification:
+    """Train a choice for one epoch."""
+    return training(max_epochs=1)._train_choice(choice, data, session)
+
+
+def test_other_structures_contract_and_are_about_as_good() -> None:
+    chosen = replace(candidate("structured", 10.0, 10.0, 10.0, 10.0), fits=(1,))
+    near = replace(chosen, errors=np.array([9.9, 10.0, 10.0, 9.9]), settings={"rate": 0.999})
+    behind = replace(chosen, errors=np.array([12.0, 12.0, 12.0, 12.0]))
+    free = replace(near, settings={"rate": None})
+    linear = replace(near, fits=())
+    assert other_structures([chosen, near, behind, free, linear], chosen) == [near]
 
 
 def test_what_fails_on_a_fold_is_not_taken_for_its_size() -> None:
