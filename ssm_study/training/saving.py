@@ -137,7 +137,7 @@ def train_with_lightning(
         checkpoint = {"state_dict": keeper.kept, "fingerprint": belongs_to}
         DurableCheckpointIO().save_checkpoint(checkpoint, folder / BEST)
         fit.load_state_dict(keeper.kept)
-    model, remark = fit.conclude()
+    model, remark = fit.trained_model_with_remark()
     how = {"seconds": keeper.seconds, "curve": keeper.curve}
     return Identification.from_model(model, data, ended=(keeper.ended or early) + remark, **how)
 
