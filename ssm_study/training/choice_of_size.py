@@ -121,12 +121,9 @@ def train_finalists(search: Search, candidates: Sequence[Candidate]) -> list[Can
     After a few steps large models are less trained than small ones.
     """
     best = best_candidate(candidates)
-    near = [
-        candidate
-        for candidate in candidates
-        if len(candidate.fits) == len(best.errors)
-        and candidate.mean_error <= FINALIST * best.mean_error
-    ]
+    trained = [candidate for candidate in candidates if len(candidate.fits) == len(best.errors)]
+    most = FINALIST * best.mean_error
+    near = [candidate for candidate in trained if candidate.mean_error <= most]
     by_error = sorted(near, key=lambda candidate: candidate.mean_error)
     finalists = [id(candidate) for candidate in by_error[:MOST_FINALISTS]]
     return [
@@ -183,10 +180,9 @@ def simplest_certifiable_candidate(search: Search, candidates: Sequence[Candidat
 def other_structures(candidates: Sequence[Candidate], chosen: Candidate) -> list[Candidate]:
     """Contracting candidates with states and maps of their own that are about as good as the best,
     the best first. Their mean with the chosen one contracts."""
-    good = [
-        candidate
-        for candidate in good_candidates(candidates)
-        if candidate is not chosen and candidate.settings.get("rate", 0.0) is not None
-    ]
+    good = [candidate for candidate in good_candidates(candidates) if candidate is not chosen]
     structured = [candidate for candidate in good if candidate.fits]
-    return sorted(structured, key=lambda candidate: candidate.mean_error)
+    contracting = [
+        candidate for candidate in structured if candidate.settings.get("rate", 0.0) is not None
+    ]
+    return sorted(contracting, key=lambda candidate: candidate.mean_error)

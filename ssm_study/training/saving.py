@@ -67,12 +67,12 @@ class DurableCheckpointIO(CheckpointIO):
         target = Path(path)
         memory = io.BytesIO()
         target.parent.mkdir(parents=True, exist_ok=True)
-        torch.save(
-            checkpoint, memory
-        )  # into a file it would hide a full disk behind an error of its own
+        # Into a file it would hide a full disk behind an error of its own.
+        torch.save(checkpoint, memory)
         for left in target.parent.glob(f".{target.name}.*.tmp"):  # by a writer that was killed
             left.unlink()
-        write_atomically(target, memory.getvalue() + hashlib.sha256(memory.getvalue()).digest())
+        content = memory.getvalue()
+        write_atomically(target, content + hashlib.sha256(content).digest())
 
     def load_checkpoint(
         self, path: str | Path, map_location: Any | None = None, weights_only: bool | None = True
@@ -84,9 +84,8 @@ class DurableCheckpointIO(CheckpointIO):
         seal = whole[-SEAL_BYTES:]
         if hashlib.sha256(content).digest() != seal:
             raise ValueError("not what was written")
-        return torch.load(
-            io.BytesIO(content), map_location=map_location or "cpu", weights_only=True
-        )
+        device = map_location or "cpu"
+        return torch.load(io.BytesIO(content), map_location=device, weights_only=True)
 
     def remove_checkpoint(self, path: str | Path) -> None:
         """Remove a checkpoint file."""
@@ -215,20 +214,12 @@ def build_trainer(settings: "Training", callbacks: list[Callback], folder: Path)
     """Build the Lightning trainer. Raises `BadRequest` for an accelerator that this machine does
     not have."""
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
-    options: Any = dict.fromkeys(
-        ("enable_checkpointing", "enable_progress_bar", "enable_model_summary"), False
-    )
-    options |= {
-        "devices": 1,
-        "log_every_n_steps": 1,
-        "num_sanity_val_steps": 0,
-        "plugins": [DurableCheckpointIO()],
-    }
-    options |= {
-        "callbacks": callbacks,
-        "default_root_dir": folder,
-        "max_epochs": settings.max_epochs,
-    }
+    switched_off = ("enable_checkpointing", "enable_progress_bar", "enable_model_summary")
+    options: Any = dict.fromkeys(switched_off, False)
+    options |= {"devices": 1, "log_every_n_steps": 1, "num_sanity_val_steps": 0}
+    options |= {"callbacks": callbacks, "default_root_dir": folder}
+    options["plugins"] = [DurableCheckpointIO()]
+    options["max_epochs"] = settings.max_epochs
     options["logger"] = settings.logger.build(folder) or False  # its own refusals pass
     try:
         return pl.Trainer(accelerator=settings.accelerator, **options)
@@ -241,9 +232,8 @@ def build_trainer(settings: "Training", callbacks: list[Callback], folder: Path)
 def training_fingerprint(spec: object, settings: object, data: DataSet) -> str:
     """Hash of model, settings and records, by which a checkpoint is recognised as one of the same
     training."""
-    digest = hashlib.sha256(
-        f"{spec!r} {settings!r} {data.scale!r} {data.start_up_samples} {data.step_s}".encode()
-    )
+    scored = f"{data.scale!r} {data.start_up_samples} {data.step_s}"
+    digest = hashlib.sha256(f"{spec!r} {settings!r} {scored}".encode())
     for record in (*data.training, *data.validation):
         digest.update(np.ascontiguousarray(record.inputs_and_disturbances).tobytes())
         digest.update(np.ascontiguousarray(record.y).tobytes())
@@ -256,15 +246,10 @@ def find_resumable_checkpoint(folder: Path, expected: str) -> Path | None:
     path = folder / LAST
     if not path.exists():
         return None
-    stored_fingerprint = read_checkpoint(path).get("fingerprint")
+    is_expected = read_checkpoint(path).get("fingerprint") == expected
     problem = "the checkpoint there is of another model, training or data set"
-    require(
-        stored_fingerprint == expected,
-        "training folder",
-        folder,
-        problem,
-        "choose an empty folder or remove last.ckpt",
-    )
+    remedy = "choose an empty folder or remove last.ckpt"
+    require(is_expected, "training folder", folder, problem, remedy)
     return path
 
 
@@ -396,9 +381,8 @@ class BestModelCheckpoint(Callback):
         why to stop, if so."""
         if not (math.isfinite(training) and math.isfinite(validation)):
             remedy = "lower the learning rate, or start from modes further inside the unit circle"
-            self.ended = (
-                f"the loss was not finite in epoch {epoch}; the last good state is kept; {remedy}"
-            )
+            problem = f"the loss was not finite in epoch {epoch}"
+            self.ended = f"{problem}; the last good state is kept; {remedy}"
             return
         self.still = self.still + 1 if (training, validation) == self.seen else 0
         self.seen = (training, validation)
