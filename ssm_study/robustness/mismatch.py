@@ -50,6 +50,9 @@ from ssm_study.robustness.single_sines import (
 )
 from ssm_study.signals import Trajectories
 
+Records = list[RecordErrors]
+BandPowers = Float[np.ndarray, "F"]
+
 # share of the farthest start on record (of the output's scale without one) that counts as settled
 BAND = 0.05
 # where friction leaves the output is uniform up to the worst; all of N below `p^(1/N)` of it:
@@ -178,9 +181,7 @@ def measure_mismatch(
     )
 
 
-def _views_from_periods(
-    periodic: list[RecordErrors], repeating: list[RecordErrors], noise: Float[np.ndarray, "F"]
-) -> list[View]:
+def _views_from_periods(periodic: Records, repeating: Records, noise: BandPowers) -> list[View]:
     """Model error at the amplitude of each record with two periods, single sines included."""
     strength = max(errors.strength() for errors in periodic)
     views = [
