@@ -263,5 +263,5 @@ def _acquire_socket_lock(descriptor: int, held_name: ExitStack) -> bool:
 def refuse_symbolic_link(folder: Path) -> None:
     """Raise `BadRequest` for a folder that is a symbolic link, since files written into it would
     land elsewhere."""
-    problem = "is a link to another place, where nothing is written"
+    problem = "is a link, and the program does not write through links"
     require(not folder.is_symlink(), "folder", folder, problem, "remove the link")

@@ -149,9 +149,13 @@ class Scale:
             sound = (
                 len(gains) == len(rest) and (gains > 0).all() and np.isfinite([gains, rest]).all()
             )
-            problem = "needs positive gains about as many finite numbers"
+            problem = "needs positive scales, and one finite equilibrium value for each"
             require(
-                sound, f"{side}_scale, {side}_equilibrium", (gains, rest), problem, "scale again"
+                sound,
+                f"{side}_scale, {side}_equilibrium",
+                (gains, rest),
+                problem,
+                "compute the scaling again",
             )
 
     @classmethod

@@ -31,7 +31,7 @@ def read_stored_yaml(path: Path) -> str:
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise BadRequest(field, path, f"cannot be read ({error})", remedy) from error
     require(count <= MOST_VALUES, field, path, f"aliases make {count:.0e} values of it", remedy)
-    problem = "holds interpolations, which a stored configuration has none of"
+    problem = "contains ${...}, which a stored configuration never does"
     require("${" not in text, field, path, problem, remedy)
     return text
 

@@ -174,7 +174,7 @@ class JacobianBall:
             "alpha, beta",
             (self.alpha, self.beta),
             requirement,
-            "bound the scaffolding again",
+            "compute the slope bounds again",
         )
 
     @classmethod

@@ -79,7 +79,7 @@ def control(
         rate, observer_rate = _rates_for_bare_system(parts, rate, observer_rate)
     parts.set_fields("synthesis", rate_controller=rate, rate_observer=observer_rate, **settings)
     if isinstance(model, Model):
-        problem = "are bounds of a bare system's maps; this model has its own"
+        problem = "are for a bare system of matrices; this model has slope bounds of its own"
         settings_given = output_slopes if slopes is None else slopes
         require(settings_given is None, "slopes", settings_given, problem, "leave them out")
         return _design_for_model(model, parts, input_limits)
@@ -90,7 +90,7 @@ def check_input_limits(limits: Any) -> None:
     """Raise `BadRequest` unless a value is a pair of lowest and highest input, each None or
     numbers."""
     is_pair = isinstance(limits, tuple | list) and len(limits) == 2
-    remedy = "give (lowest, highest); None is what the records visited"
+    remedy = "give (lowest, highest), or None for the range that the records visited"
     require(is_pair, "input_limits", limits, "is no pair", remedy)
     for name, limit in zip(("lower", "upper"), limits, strict=True):
         if limit is not None:
@@ -101,7 +101,7 @@ def refuse_model_settings(overrides: tuple[str, ...]) -> None:
     """Refuse settings of a control design that would change the model."""
     for word in overrides:
         part = part_name(word)
-        remedy = "give it to fit"
+        remedy = "give it to st.fit"
         require(
             part not in OF_THE_MODEL,
             "overrides",
@@ -117,7 +117,7 @@ def _rates_for_bare_system(
     """Contraction rates of the design for a linear system that comes without records. Raises
     `BadRequest` where records would be needed to choose them."""
     choice = parts.choices["synthesis"]
-    problem = "chooses by a validation record, and there is none"
+    problem = "needs a validation record to choose by, and there is none"
     remedy = "use method='riccati' with rate and observer_rate"
     require(not choice.startswith("auto"), "synthesis", choice, problem, remedy)
     return rate, rate if observer_rate is None else observer_rate

@@ -172,7 +172,7 @@ class Design:
         Raises `BadRequest` for a model with neurons, about which nothing is proved within limits.
         """
         if not isinstance(self.model, SSM):
-            problem = "nothing is proved within limits: the theorems on them know no neurons"
+            problem = "has neurons, and the theorems on input limits hold only without them"
             raise BadRequest("model", type(self.model).__name__, problem, "fit model=ssm")
         limits = (("lower", lower), ("upper", upper))
         ends = [read_numbers(name, limit).reshape(-1) for name, limit in limits]

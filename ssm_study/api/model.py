@@ -93,7 +93,7 @@ class Model:
         if isinstance(self.simulator, SSM | StructuredSSM):
             return self.simulator
         kind = type(self.simulator).__name__
-        problem = "a baseline is scored only, nothing is certified of it"
+        problem = "is a baseline: it can be scored, but no controller can be certified for it"
         raise BadRequest("model", kind, problem, "fit model=structured or ssm")
 
     @property

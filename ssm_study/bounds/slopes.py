@@ -174,7 +174,7 @@ def jacobian_ball(scaffold: Any) -> SlopeBound:
         "scaffold",
         shape,
         "the theorems need a square scaffolding",
-        "lift to m channels",
+        "use a square scaffolding",
     )
     return scaffold.bound()
 

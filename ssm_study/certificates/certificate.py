@@ -277,7 +277,10 @@ class Design:
             part = self.parts_by_name[name]
             if isinstance(part, Infeasible):
                 raise BadRequest(
-                    f"design.{name}", "infeasible", part.reason.rstrip("."), "close no loop with it"
+                    f"design.{name}",
+                    "infeasible",
+                    part.reason.rstrip("."),
+                    "no loop can be closed with it; change the request",
                 )
         return self.state_feedback, self.observer  # type: ignore[return-value]  # Infeasible has just been refused
 

@@ -295,7 +295,7 @@ def find_theorem(name: str) -> type[Theorem]:
         bool(named_theorems),
         "certificate.theorem",
         name,
-        "is not a theorem that is known here",
+        "is not a theorem that this installation has",
         AGAIN,
     )
     return named_theorems[-1]

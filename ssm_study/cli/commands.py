@@ -72,7 +72,13 @@ def excite(options: argparse.Namespace) -> None:
     for name in names:
         words = f"--{name.replace('_', '-')}"
         remedy = "give it, or --after RUN of a first log"
-        require(name in settings, words, "not given", "no record is known", remedy)
+        require(
+            name in settings,
+            words,
+            "not given",
+            "it is needed when no earlier run is named",
+            remedy,
+        )
     record = OwnPlantRecord(**{name: settings[name] for name in names})
     print(record.write(options.to))
 
@@ -127,7 +133,7 @@ def show_run(options: argparse.Namespace) -> None:
     for name in ("by", "where", "columns", "cost"):
         value = getattr(options, name)
         remedy = "leave it out, or name the study"
-        require(not value, f"--{name}", value, "one run is no table", remedy)
+        require(not value, f"--{name}", value, "is for a study, not for one run", remedy)
     print_run(options.study_or_run, Console(highlight=False))
 
 

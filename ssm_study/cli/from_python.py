@@ -80,7 +80,7 @@ def save_run(design: "Design", folder: Path) -> Path:
         gather(outcome.folder.parent)
         saved = _read_gains(outcome.folder)
         same = saved == {name: gain.tolist() for name, gain in design.certificate.gains.items()}
-        problem = "the command designs other gains from the same words"
+        problem = "the command designs other gains from the same settings"
         require(same, "design", folder, problem, "report this, please")
         return Path(shutil.copytree(outcome.folder, folder, dirs_exist_ok=True))
 

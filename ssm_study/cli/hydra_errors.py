@@ -88,7 +88,9 @@ def refuse_dashes(overrides: list[str], folder: Path) -> None:
         # It would load a pickle: foreign code.
         rerun = word.startswith("--e") and "experimental-rerun".startswith(key)
         remedy = "use `ssm-study reproduce RUN`"
-        require(not rerun, "request", word, "a stored job is not run again", remedy)
+        require(
+            not rerun, "request", word, "a stored job of Hydra cannot be run again here", remedy
+        )
 
 
 def refuse_misspelt_option(word: str) -> None:

@@ -11,7 +11,7 @@ WORDS = "compare the free runs of several runs on the test record that they shar
 def add_overlay(commands: Any) -> None:
     """Add the command `overlay RUN RUN ...` to the parser."""
     parser = commands.add_parser("overlay", help=WORDS, description=WORDS[0].upper() + WORDS[1:])
-    run_help = "a run folder, or a study with the begin or the end of a run's name"
+    run_help = "a run folder, or a study with the first or last letters of a run's name"
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help=run_help)
     parser.add_argument(
         "--picture", type=Path, default=Path(PICTURE), metavar="PNG", help=f"where ({PICTURE})"

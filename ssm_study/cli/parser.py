@@ -24,7 +24,7 @@ EPILOG = (
 )
 SUBJECTS = {
     "study": "the study folder, e.g. results/paper",
-    "run": "the run folder, or the study with the begin or the end of one name: "
+    "run": "the run folder, or the study with the first or last letters of the run's name: "
     "results/paper/1a2b3c4d5e",
     "study_or_run": "the study folder, e.g. results/paper, or one run of it: results/paper/1a2b",
 }
@@ -70,7 +70,7 @@ def add_excite(subparsers: Subparsers) -> None:
     command = add_command(subparsers, "excite", summary)
     file_help = "the CSV file to write: time_s, input"
     command.add_argument("--to", type=Path, metavar="FILE", required=True, help=file_help)
-    after_help = "the run of a first log: what is not given below is its own"
+    after_help = "a run of an earlier log, which gives the values left out below"
     command.add_argument("--after", type=Path, metavar="RUN", help=after_help)
     command.add_argument("--lower", type=float, metavar="U", help="smallest input, in its unit")
     command.add_argument("--upper", type=float, metavar="U", help="largest input")
@@ -92,15 +92,19 @@ def add_look(subparsers: Subparsers) -> None:
     command.add_argument("file", type=Path, metavar="FILE", help="the log")
     for name in ("input", "output", "time"):
         command.add_argument(f"--{name}", metavar="COLUMN", help=f"the column of the {name}")
-    disturbance_help = "a column that moves the output and is not commanded, as a load or weather"
+    disturbance_help = (
+        "a column that moves the output and is not commanded, such as a load or the weather"
+    )
     command.add_argument("--disturbance", metavar="COLUMN", help=disturbance_help)
     command.add_argument("--step-s", type=float, metavar="S", help="sampling time, seconds")
-    separator_help = "of a text: tabs, semicolons, commas, bars, spaces"
+    separator_help = "separator of a text file: tabs, semicolons, commas, bars, spaces"
     command.add_argument("--separator", metavar="NAME", help=separator_help)
-    command.add_argument("--decimal", metavar="MARK", help='of a text: "." or ","')
-    header_help = "whether the first line of a text holds names"
+    command.add_argument(
+        "--decimal", metavar="MARK", help='decimal mark of a text file: "." or ","'
+    )
+    header_help = "whether the first line of a text file holds names"
     command.add_argument("--header", choices=("true", "false"), help=header_help)
-    picture_help = "where to draw it (FILE_look.png in this folder)"
+    picture_help = "file for the picture (default: FILE_look.png in this folder)"
     command.add_argument("--picture", type=Path, metavar="PNG", help=picture_help)
     command.set_defaults(command=commands.look_at_log)
 
@@ -130,9 +134,9 @@ def add_action(subparsers: Subparsers, name: str, action: Action) -> None:
 
 def add_show_options(command: argparse.ArgumentParser) -> None:
     """Add the options of `show`."""
-    by_help = "sort by this column of runs.csv, in its better direction"
+    by_help = "sort by this column, best value first"
     command.add_argument("--by", metavar="COLUMN", help=by_help)
-    where_help = "keep runs for which this holds, e.g. 'order == 8 and seed < 5'"
+    where_help = "show only runs for which this holds, e.g. 'order == 8 and seed < 5'"
     command.add_argument("--where", metavar="EXPR", help=where_help)
     columns_help = "list the columns that hold values, with unit and meaning"
     command.add_argument("--columns", action="store_true", help=columns_help)
@@ -142,7 +146,7 @@ def add_show_options(command: argparse.ArgumentParser) -> None:
 
 def add_verify_options(command: argparse.ArgumentParser) -> None:
     """Add the options of `verify`."""
-    json_help = "for machines: every claim, and what was not checked"
+    json_help = "print JSON: every claim, and what was not checked"
     command.add_argument("--json", action="store_true", help=json_help)
 
 
@@ -150,7 +154,7 @@ def add_refine_options(command: argparse.ArgumentParser) -> None:
     """Add the options of `refine`."""
     record_help = "log of a trial, with the columns of the run's data"
     command.add_argument("--record", type=Path, metavar="LOG", help=record_help)
-    times_help = "stop after N iterations, each a run (4)"
+    times_help = "stop after N iterations, each a run (default: 4)"
     command.add_argument("--times", type=int, default=4, metavar="N", help=times_help)
 
 

@@ -123,7 +123,7 @@ def explain_value(error: ValueError, overrides: list[str]) -> BadRequest | None:
     unclearly. None for any other error."""
     message = str(error)
     if "integer string conversion" in message:
-        problem = "holds a number of thousands of digits"
+        problem = "contains a number with thousands of digits"
         return BadRequest("request", " ".join(overrides), problem, "write it shorter")
     if "Config group override" in message:
         return explain_hydra_error(error, overrides, configuration_folder())

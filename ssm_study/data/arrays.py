@@ -121,7 +121,7 @@ def signal_columns(
         values = select_columns(values, name, columns)
     table = as_real_matrix(values, name)
     problem = f"needs one column per channel: {channels}"
-    remedy = "give those that the model was fitted to"
+    remedy = "give the channels that the model was fitted to"
     fits = channels in (None, table.shape[1])
     require(fits, name, table.shape, problem, remedy)
     refuse_nonfinite(table, values, name)
@@ -258,7 +258,7 @@ def refuse_uneven_index(times_s: Float[np.ndarray, "T"], name: str) -> None:
     late = np.abs(times_s - even_s) / median_s
     row = int(late.argmax())
     problem = f"is {late[row]:.2g} periods off an even clock"
-    remedy = f"put it on one: {name}.resample(...).interpolate()"
+    remedy = f"resample it: {name}.resample(...).interpolate()"
     require(late[row] <= LATEST, where, f"row {row}", problem, remedy)
 
 

@@ -85,7 +85,7 @@ def refuse_repeated_row(time_s: ClockTimes, values: RowValues, where: str) -> No
     before = values[row - 1]
     if np.array_equal(values[row], before, equal_nan=True):
         problem = f"row {row} of the file repeats the one before, time and all"
-        remedy = "take out what was written twice"
+        remedy = "remove the repeated rows"
         raise BadRequest(f"{where} (time)", time_s[row], problem, remedy)
 
 
@@ -217,7 +217,7 @@ def cut_at_gaps(
         rows = EvenRows(values=cut, starts=starts, step_s=period_s, remarks=remarks)
         return cut_at_missing_values(rows)
     problem = "no stretch without a hole is left"
-    remedy = "log on"
+    remedy = "record for longer, without interruptions"
     require(stretches, f"{where} (time)", "holes", problem, remedy)
     refuse_uneven_times(steps, median_s, where, resample)
     if not resample:

@@ -52,7 +52,7 @@ def clock_unit_s(title: str, stated: str) -> float | None:
     if stated:
         unit = stated.strip().replace("µ", "μ")
         seconds = SECONDS.get(unit.lower().rstrip("."))
-        problem = f"states the unit {unit}, which is none of time"
+        problem = f"states the unit {unit}, which is not a unit of time"
         if seconds is None:
             remedy = "use s, ms, us, ns, min or h, or data.step_s"
             raise BadRequest("data.time", title, problem, remedy)

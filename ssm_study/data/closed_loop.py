@@ -72,7 +72,7 @@ def reconstruct_pi_set_point(log: Trajectory, gain: float, integral_s: float) ->
     u = log.u[:, 0]
     remedy = "name the set point"
     require(shape == (1, 1), field, shape, "inputs and outputs, of which a PI has one each", remedy)
-    problem = "of the samples are at a limit of the input, where a PI does not do what it asks"
+    problem = "of the samples are at a limit of the input, where the applied input is not the PI's"
     at_lowest = float((u == u.min()).mean())
     at_highest = float((u == u.max()).mean())
     share = max(at_lowest, at_highest)

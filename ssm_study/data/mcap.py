@@ -66,7 +66,7 @@ class SignalGroup:
     def __post_init__(self) -> None:
         shape = (len(self.time_s), len(self.channels))
         found = self.values.shape
-        remedy = "match them"
+        remedy = "give values of that shape"
         require(found == shape, f"{self.topic} (values)", found, f"expected {shape}", remedy)
         names = [channel.name for channel in self.channels]
         problem = "must be a unique identifier of letters, digits and underscores"
@@ -92,7 +92,7 @@ def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, 
     """
     topics = [group.topic for group in groups]
     problem = "two groups share a topic"
-    remedy = "name them apart"
+    remedy = "give each group its own topic"
     is_unique = len(set(topics)) == len(topics)
     require(is_unique, "topics", topics, problem, remedy)
     temporary = path.with_name(f".{path.name}.part")
@@ -322,7 +322,7 @@ def _decode_groups(
 def _require_fields(message: Any) -> dict[str, Any]:
     """Raise `BadRequest` for a JSON message that is not an object with fields."""
     problem = "not an object with fields"
-    remedy = "log fields"
+    remedy = "log each message as an object with named fields"
     require(isinstance(message, dict), "path", "message", problem, remedy)
     return dict(message)
 

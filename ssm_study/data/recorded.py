@@ -76,7 +76,7 @@ class AroundRest(RecordedSource):
     ) -> DataSet:
         """Assemble a data set that is scaled about the equilibrium of its records. Raises
         `BadRequest` as `assemble_dataset` does."""
-        remedy = "cut less"
+        remedy = "leave more of the records to training"
         require(len(parts[0]) > 0, "data.training", "none", "no record is left to train on", remedy)
         inputs = np.concatenate([record.u for record in parts[0]])
         outputs = np.concatenate([record.y for record in parts[0]])
@@ -156,7 +156,7 @@ class RecordedData(Columns, AroundRest):
         total = self.validation_fraction + tested
         both = "data.validation_fraction, data.test_fraction"
         problem = "nothing is left to train on"
-        require(total < 1, both, total, problem, "cut less")
+        require(total < 1, both, total, problem, "leave more of the records to training")
 
     def _check_parts(self) -> None:
         """Raise `BadRequest` if only one of validation and test is stated, or if they are stated

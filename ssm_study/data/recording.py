@@ -180,7 +180,7 @@ class Columns:
                 record = self._build_record(values[a:b], pieces.step_s, path)
                 at = (start + a) // self.decimate
                 records.append(replace(record, first=at))
-        remedy = "log on"
+        remedy = "record for longer, without interruptions"
         require(records, "samples", 0, "no stretch without holes is long enough", remedy)
         return records, "; ".join(remarks)
 
@@ -246,7 +246,7 @@ class Columns:
             columns.append(np.stack(own, axis=1))
         u, y = columns
         problem = f"has {len(y)} rows, {path.name} {len(u)}"
-        remedy = "cut them alike"
+        remedy = "cut them to the same length"
         require(len(u) == len(y), "data.output_path", output_path, problem, remedy)
         times = [log.time_s for log in logs.values() if log.time_s is not None]
         tables = [log.table for log in logs.values()]

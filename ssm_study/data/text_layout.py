@@ -199,7 +199,7 @@ def read_header(path: Path, cells: SampledCells, length: int, stated: bool | Non
     refuse_shifted_names(path, above, titles, cells.columns)
     names, units = split_names_and_units(titles)
     if names is not None and stated is False:
-        problem = "the first line is no numbers"
+        problem = "the first line does not hold numbers"
         remedy = "leave data.header out"
         raise BadRequest("data.header", False, problem, remedy)
     prose = length - len(titles)

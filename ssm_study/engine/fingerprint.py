@@ -83,7 +83,7 @@ class Code:
         for module, name in roots:
             symbol = f"{module}.{name}"
             is_defined = self._is_defined(module, name)
-            require(is_defined, "code", symbol, "is defined nowhere", "correct the name")
+            require(is_defined, "code", symbol, "is not defined in this module", "correct the name")
         lines = []
         for module, name in self.dependency_closure(roots):
             lines.append(f"{module}:{name} {self._digest(module, name)}")

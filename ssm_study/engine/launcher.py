@@ -99,9 +99,21 @@ class Processes(Launcher):
         cores = len(os.sched_getaffinity(0))
         remedy = "give 1 or more"
         has_thread = self.threads >= 1
-        require(has_thread, "hydra.launcher.threads", self.threads, "a job needs a thread", remedy)
+        require(
+            has_thread,
+            "hydra.launcher.threads",
+            self.threads,
+            "each job needs at least one thread",
+            remedy,
+        )
         has_job = self.parallel_jobs >= 1
-        require(has_job, "hydra.launcher.n_jobs", self.n_jobs, "no job could run", remedy)
+        require(
+            has_job,
+            "hydra.launcher.n_jobs",
+            self.n_jobs,
+            "at least one job must run at a time",
+            remedy,
+        )
         most = cores if self.n_jobs is not None else max(cores, self.threads)
         require(
             self.parallel_jobs * self.threads <= most,

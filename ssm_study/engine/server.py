@@ -126,7 +126,7 @@ class Server:
                 cause = f"{type(error).__name__}: {error}"
                 problem = f"{where}: importing it for the jobs failed ({cause})"
                 name = Path(source.filename).name
-                raise BadRequest("program", name, problem, "mend it") from error
+                raise BadRequest("program", name, problem, "correct this import error") from error
             gc.freeze()  # what has been imported is not looked at again: a job would copy all of it
             for stream in (sys.stdout, sys.stderr):
                 stream.flush()  # what waits in a buffer would be written again by every job

@@ -133,7 +133,7 @@ def _refuse_unexportable_design(design: Design) -> None:
         if isinstance(part, Infeasible):
             reason = part.reason.rstrip(".")
             raise BadRequest(f"certificate.{name}", "infeasible", reason, "export another run")
-    problem = "the law undoes the input map, which no target computes"
+    problem = "this control law undoes the input map, which the exported code cannot do"
     require(
         not design.inverts_input_map,
         "synthesis.invert_input",

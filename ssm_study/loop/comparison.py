@@ -53,7 +53,7 @@ class Comparison(ComparisonTable):
         rate = self.rate
         share = self.spread_share
         require(0 < rate < 1, "loop.comparison.rate", rate, "a rate lies in (0, 1)", "try 0.05")
-        problem = "parameters would change sign"
+        problem = "a share of 1 or more would change the sign of parameters"
         require(0 <= share < 1, "loop.comparison.spread_share", share, problem, "use 0.2")
         require_at_least(1, "loop.comparison.spread_plants", self.spread_plants, "use 20")
         is_pi = self.own_pi is None or (len(self.own_pi) == 2 and self.own_pi[1] > 0)

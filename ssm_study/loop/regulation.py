@@ -228,7 +228,7 @@ class Loop:
         require_positive("loop.horizon_s", self.horizon_s, "give it in seconds")
         require_at_least(0, "loop.measurement_noise_variance", variance, "use 0 for no noise")
         require_at_least(0, "loop.noise_factor", self.noise_factor, "use 0 for no noise")
-        problem = "cases would start outside the bound"
+        problem = "the cases would start outside this bound"
         require(bound > 1, "loop.bound_in_initial_ranges", bound, problem, "use more than 1")
         low, high = self.limits
         names = "loop.input_lower, loop.input_upper"

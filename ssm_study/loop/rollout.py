@@ -202,7 +202,7 @@ def _check_reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None
     lowest = demanded.min()
     highest = demanded.max()
     values = tuple(np.asarray(end).tolist() for end in limits)
-    problem = f"what the loop is to hold is held by inputs from {lowest:.4g} to {highest:.4g}"
+    problem = f"holding the reference takes inputs from {lowest:.4g} to {highest:.4g}"
     remedy = f"widen the limits by {excess:.4g}, or choose a smaller loop.reference"
     raise BadRequest("loop.input_lower, loop.input_upper", values, problem, remedy)
 

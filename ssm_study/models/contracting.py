@@ -154,7 +154,7 @@ def project_to_contracting(
         without_neurons = RecurrenceMatrices(a=average, e=0.0 * core.e, f=core.f)
         contracting = find_contraction_metric(without_neurons, rate)
     if contracting is None:
-        problem = "its linear part has none at this rate"
+        problem = "the linear part of the model does not contract at this rate"
         raise BadRequest("model", "no metric", problem, "use a larger rate")
     return contracting
 

@@ -355,4 +355,4 @@ def check_slope_bounds(lower: float, upper: float) -> None:
     fits = lower < upper < np.inf
     names = "model.slope_lower, model.slope_upper"
     problem = "the lower slope must lie below the upper one"
-    require(fits, names, (lower, upper), problem, "swap or separate them")
+    require(fits, names, (lower, upper), problem, "give lower < upper")

@@ -113,7 +113,7 @@ class Plant(ABC):
     def disturbance_effect(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
         """Contribution of a measured disturbance to the plant's next state. Only identified models
         have one."""
-        problem = f"{type(self).__name__} has no path for a measured disturbance"
+        problem = f"{type(self).__name__} has no input for a measured disturbance"
         remedy = "close the loop on the identified model, or use the plant's own disturbance"
         raise refusal.BadRequest("disturbance", len(measured), problem, remedy)
 

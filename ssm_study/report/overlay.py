@@ -25,7 +25,7 @@ def overlay(folders: Sequence[Path]) -> ModelComparison:
     enough = several >= FEWEST
     require(enough, "run", several, "is no comparison", "name two different runs or more")
     unlike = several == len(folders)
-    require(unlike, "run", "one run twice", "would be compared with itself", "name it once")
+    require(unlike, "run", "one run twice", "a run cannot be compared with itself", "name it once")
     names = short_names([folder.resolve() for folder in folders])
     recordings = [_read_test_free_run(folder) for folder in folders]
     first = recordings[0]

@@ -79,7 +79,7 @@ def _refuse_in_task(tree: Any) -> None:
             key != "_target_" or is_allowed_target(value),
             path,
             value,
-            "this may not be instantiated",
+            "a configuration may not create this class",
             REMEDY,
         )
         is_plain = has_only_allowed_interpolations(INTERPOLATION, value)
@@ -98,13 +98,19 @@ def _refuse_in_hydra(path: str, key: str, value: Any) -> None:
     require(is_plain, path, value, problem, "write the value itself")
     if key == "_target_":
         allowed = PLUGINS.fullmatch(str(value)) is not None
-        require(allowed, path, value, "this may not be instantiated", "use Hydra's own plugins")
+        require(
+            allowed,
+            path,
+            value,
+            "a configuration may not create this class",
+            "use Hydra's own plugins",
+        )
     if (
         key in ("()", "class") and "_logging." in path
     ):  # `()` is the factory of logging.config: any function at all
         standard = key == "class" and str(value).startswith("logging.")
         remedy = "use a handler class of logging"
-        require(standard, path, value, "logging is not made by foreign classes", remedy)
+        require(standard, path, value, "only classes of Python's logging are allowed here", remedy)
     if path in FOLDERS:
         is_usual = value in FOLDERS[path]
         require(

@@ -51,7 +51,7 @@ class Study(Task["Specification"]):
         rename_old_settings(config)
         refuse_foreign_targets(config)
         known_keys = {*KEYS, *PARTS}
-        remedy = "leave it out, or name its part"
+        remedy = "remove it, or write its part before it, as in model.order"
         for key in map(str, config):
             require(key in known_keys, key, config[key], "is no part of a study", remedy)
 

@@ -92,15 +92,21 @@ def _check_refinable_run(run: Path, log: Path | None) -> RunFiles:
     require(status == OK, "run", run, f"its status is {status}", "give a run that is ok")
     name = files.record.get("run")
     require(name == run.name, "run", run, f"was made as {name}", remedy)
-    problem = "is a baseline's, which has no controller"
+    problem = "is the run of a baseline, which has no controller"
     require(files.claims_certificate, "run", run, problem, "use model=ssm")
     if log is None:
         has_plant = files.record.get("loop_on") == "plant"
         remedy = "give the log of a trial: --record log.csv"
-        require(has_plant, "run", run, "its data are recorded, so no plant is known", remedy)
+        require(
+            has_plant,
+            "run",
+            run,
+            "its data are a log, so there is no plant to close the loop on",
+            remedy,
+        )
     else:
         has_no_plant = files.specification.plant is None
-        problem = "the run has a plant of its own, on which the loop is closed"
+        problem = "the run has a plant of its own, and refine closes the loop on that plant"
         require(has_no_plant, "--record", log, problem, "leave it out")
         require(log.is_file(), "--record", log, "no such file", "check the spelling")
     return files

@@ -92,7 +92,7 @@ class RunFiles:
         refinement. Raises `BadRequest` for a real device."""
         spec = self.specification
         real = getattr(self.specification.plant, "real", False)
-        problem = "is a device, which is not run again"
+        problem = "is a device, and a device cannot be simulated again"
         require(not real, "plant", type(spec.plant).__name__, problem, "keep its records")
         source: Any = spec.data
         if spec.plant is None:
@@ -235,7 +235,7 @@ def refuse_repeated_keys(file: str, pairs: list[tuple[str, Any]]) -> dict[str, A
     """
     keys = [key for key, _ in pairs]
     twice = next((key for key in keys if keys.count(key) > 1), None)
-    require(twice is None, file, twice, "stands twice in one object", "run the study again")
+    require(twice is None, file, twice, "appears twice in one object", "run the study again")
     return dict(pairs)
 
 

@@ -212,7 +212,7 @@ def limits_proof(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> Wi
     proof = WithinLimits.from_certificate(model, certify_input_limits(model, design, lower, upper))
     if proof is None:
         raise BadRequest(
-            "input limits", limits, "nothing is proved within them", "request lower rates"
+            "input limits", limits, "nothing is proved within them", "request smaller rates"
         )
     return proof
 

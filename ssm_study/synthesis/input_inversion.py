@@ -80,7 +80,7 @@ def mark_as_inverting(design: Design) -> Design:
         name in INVERTED,
         "synthesis.invert_input",
         name,
-        "is no theorem that it is stated for",
+        "does not support undoing the input map",
         "use riccati",
     )
     if isinstance(part, Infeasible):

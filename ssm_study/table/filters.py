@@ -121,7 +121,9 @@ class _Prepared(ast.NodeTransformer):
         is_equality = isinstance(operator, ast.Eq | ast.Is)
         is_comparison = is_equality or isinstance(operator, ast.NotEq | ast.IsNot)
         if not isinstance(side, ast.Name) or not is_comparison:
-            raise BadRequest("where", "null", "this comparison does not apply here", REMEDY)
+            raise BadRequest(
+                "where", "null", "only a column can be compared with null, by == or !=", REMEDY
+            )
         self.visit(side)
         missing = ast.Name(f"{side.id}{IS_MISSING}")
         return missing if is_equality else ast.UnaryOp(ast.Not(), missing)

@@ -223,21 +223,25 @@ def test_control_refuses(log: pd.DataFrame) -> None:
     with pytest.raises(BadRequest, match="must be positive"):
         st.fit(u, y, 0.0)
     model = st.fit(u, y, STEP_S, *QUICK)
-    with pytest.raises(BadRequest, match="changes model, and with it the model; give it to fit"):
+    with pytest.raises(
+        BadRequest, match=r"changes model, and with it the model; give it to st\.fit"
+    ):
         st.control(model, "model.order=3")
     infeasible = st.control(model, *GIVEN[:1], "synthesis.rate_controller=0.999", GIVEN[2])
     with pytest.raises(
         BadRequest, match=r"rate 0\.999 is infeasible: the slopes allow only rates below"
     ):
         infeasible.to_c("never.h")
-    with pytest.raises(BadRequest, match="a baseline is scored only"):
+    with pytest.raises(BadRequest, match="is a baseline: it can be scored, but"):
         st.control(st.fit(u, y, STEP_S, "model=gru", "training.max_epochs=1"))
     a = [[0.9]]
     b = [[1.0]]
     c = [[1.0]]
     d = [[0.0]]
     plant = control.StateSpace(a, b, c, d, 0.1)
-    with pytest.raises(BadRequest, match="chooses by a validation record, and there is none"):
+    with pytest.raises(
+        BadRequest, match="needs a validation record to choose by, and there is none"
+    ):
         st.control(plant, method="auto")
     a = [[-0.9]]
     b = [[1.0]]

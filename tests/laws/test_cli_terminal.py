@@ -84,7 +84,7 @@ def test_show_prints_one_run_by_its_first_digits(
     assert re.search(r"Stability margin \(–\) +0.99996", printed), "not rounded across one"
     assert "Fit on test record" not in printed
     assert main(["show", str(tmp_path / "1a2b"), "--by", "seed"]) == WRONG_REQUEST
-    assert "one run is no table" in capsys.readouterr().err
+    assert "is for a study, not for one run" in capsys.readouterr().err
 
 
 def test_what_is_not_confirmed_is_not_written(

@@ -206,7 +206,7 @@ def test_a_file_is_taken_as_it_is(tmp_path: Path) -> None:
 def test_a_band_without_lines_is_refused() -> None:
     multisine = Multisine(band_low_hz=1.0, band_high_hz=1.05)
     rng = np.random.default_rng(0)
-    with pytest.raises(BadRequest, match="holds 1 lines"):
+    with pytest.raises(BadRequest, match="holds 1 frequencies"):
         multisine.signal(ONE, rng)
     with pytest.raises(BadRequest, match="not below band_high_hz"):
         Multisine(band_low_hz=2.0, band_high_hz=1.0)

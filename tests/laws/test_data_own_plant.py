@@ -222,7 +222,7 @@ def test_without_a_log_each_number_is_asked_for(
     input_path = str(tmp_path / "input.csv")
     assert main(["excite", "--to", input_path, "--lower", "0", "--rest", "1"]) == 2
     assert (
-        "--upper = not given: no record is known; give it, or --after RUN"
+        "--upper = not given: it is needed when no earlier run is named; give it, or --after RUN"
         in capsys.readouterr().err
     )
 
@@ -234,7 +234,10 @@ def test_without_a_log_each_number_is_asked_for(
         ({"upper": math.inf}, "rest must lie strictly between"),
         ({"settle_s": math.inf}, "settle_s = inf: must be positive and finite"),
         ({"step_s": 0.0}, "must be positive"),
-        ({"settle_s": 1.9}, "fewer than twenty samples, too few to see how; sample faster"),
+        (
+            {"settle_s": 1.9},
+            "fewer than twenty samples, too few to see its dynamics; sample faster",
+        ),
     ],
 )
 def test_refusals(changed: dict[str, float], said: str) -> None:

@@ -144,7 +144,7 @@ def test_a_folder_of_ones_own_runs_as_it_was_made(
     named = OmegaConf.create({"plant": plant})
     with monkeypatch.context() as there:
         there.syspath_prepend(tmp_path)  # importable, and yet not trusted
-        with pytest.raises(BadRequest, match="may not be instantiated"):
+        with pytest.raises(BadRequest, match="may not create this class"):
             refuse_foreign_targets(named)
     assert main([*asked, "--with", "own_study"]) == 0
     returncode = python(

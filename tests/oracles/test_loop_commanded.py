@@ -148,7 +148,7 @@ def test_what_the_records_show_is_relative_to_the_command() -> None:
 
 def test_a_flat_map_and_an_export_are_refused_in_a_sentence(made: tuple) -> None:
     stand, _, design = made
-    with pytest.raises(BadRequest, match="undoes the input map, which no target computes"):
+    with pytest.raises(BadRequest, match="undoes the input map, which the exported code cannot do"):
         convert_controller(stand, design)
     breakpoints = np.array([[-0.2, 0.2]])
     slopes = np.array([[1.0, 0.0, 0.9]])

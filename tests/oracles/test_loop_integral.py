@@ -186,7 +186,9 @@ def test_a_step_that_needs_the_limit_for_a_while_is_followed(design):
     largest = run.y.max()
     assert largest < 1.1 * 8.0
     changed_limited = replace(limited, input_upper=0.9 * held)
-    with pytest.raises(BadRequest, match=r"is held by inputs from .* widen the limits by"):
+    with pytest.raises(
+        BadRequest, match=r"holding the reference takes inputs from .* widen the limits by"
+    ):
         changed_limited.run_design(motor(), motor_model(), design, seed=0)
 
 

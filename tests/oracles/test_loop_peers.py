@@ -246,7 +246,7 @@ def test_what_cannot_be_built_says_why():
     known = Identified(model=model, balls=BALLS, validation=validation)
     controller, said = build_compared_controller("pi", motor(), known)
     assert controller is None
-    assert "tunes one loop" in said["reason"]
+    assert "tuning rule needs one input and one output" in said["reason"]
 
 
 @pytest.mark.parametrize(

@@ -232,7 +232,7 @@ def test_a_run_that_cannot_be_refined_is_refused(logged, first, tmp_path):
     good = write(tmp_path / "good.csv", moving, moving)
     refused = {
         "is no run folder": (tmp_path, None),
-        "no plant is known; give the log of a trial": (logged, None),
+        "there is no plant to close the loop on; give the log of a trial": (logged, None),
         "the run has a plant of its own": (first, good),
         "no such file": (logged, tmp_path / "absent.csv"),
         "the header has voltage, speed": (

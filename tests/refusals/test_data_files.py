@@ -237,7 +237,8 @@ def test_two_files_that_do_not_go_together(tmp_path: Path) -> None:
     sides = ("u", "y")
     u, y = (pd.DataFrame({"t": GOOD["t"], "value": GOOD[side]}) for side in sides)
     with pytest.raises(
-        BadRequest, match=r"data.output_path = .*out.csv: has 199 rows, in.csv 200; cut them alike"
+        BadRequest,
+        match=r"data.output_path = .*out.csv: has 199 rows, in.csv 200; cut them to the same",
     ):
         apart(tmp_path, u, y[:-1]).build(0)
     t = y.t + 0.2

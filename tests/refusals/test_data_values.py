@@ -111,7 +111,9 @@ def test_scales_that_are_none(change: dict[str, list[float]]) -> None:
         "input_equilibrium": input_equilibrium,
     }
     numbers = sides | {"output_equilibrium": [0.0]} | change
-    with pytest.raises(BadRequest, match="needs positive gains about as many finite numbers"):
+    with pytest.raises(
+        BadRequest, match="needs positive scales, and one finite equilibrium value for each"
+    ):
         Scale(**{name: np.array(values) for name, values in numbers.items()})
 
 

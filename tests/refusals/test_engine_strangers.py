@@ -156,7 +156,7 @@ def test_an_evil_experiment_given_to_the_command_does_nothing(
         f"results_dir={tmp_path / 'results'}",
     ]
     assert main(["run", *words]) == 2
-    assert "may not be instantiated" in capsys.readouterr().err
+    assert "may not create this class" in capsys.readouterr().err
     assert not marker.exists()
 
 

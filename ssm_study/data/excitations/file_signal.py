@@ -55,7 +55,7 @@ class OwnSignal(Excitation):
         table = read_table(Path(self.path), dict.fromkeys(names, ""))
         columns = [table.columns[name] for name in names]
         values = np.stack(columns, axis=1)
-        problem = f"has {len(values)} rows and records of {request.samples} samples are asked for"
+        problem = f"has {len(values)} rows and records of {request.samples} samples are needed"
         remedy = "lengthen the file, or shorten data.samples"
         require(len(values) >= request.samples, "excitation.path", self.path, problem, remedy)
         for name, column in zip(names, values.T, strict=True):

@@ -53,7 +53,7 @@ class Multisine(Excitation):
         field = "excitation.band_low_hz, excitation.band_high_hz"
         lines = int(band.sum())
         problem = (
-            f"holds {lines} lines of a record of {request.samples} samples every "
+            f"holds {lines} frequencies of a record of {request.samples} samples every "
             f"{request.step_s:g} s"
         )
         remedy = "widen the band or lengthen the record"

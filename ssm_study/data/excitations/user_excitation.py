@@ -53,7 +53,9 @@ class OwnPlantRecord:
         require_positive("step_s", self.step_s, "give it in seconds")
         require_positive("settle_s", self.settle_s, "give it in seconds")
         enough = self.settle_s >= 2 * HOLDS_PER_SETTLING * self.step_s
-        problem = "the plant comes to rest in fewer than twenty samples, too few to see how"
+        problem = (
+            "the plant comes to rest within fewer than twenty samples, too few to see its dynamics"
+        )
         require(enough, "settle_s", self.settle_s, problem, "sample faster: a smaller --step-s")
 
     def signal(self) -> Float[np.ndarray, "T"]:

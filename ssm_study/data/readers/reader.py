@@ -115,7 +115,7 @@ def read_table(
     table = chosen.read(path, list(wanted))
     lengths = {name: len(table.columns[name]) for name in wanted}
     same = len(set(lengths.values())) <= 1
-    remedy = "cut them alike"
+    remedy = "cut them to the same length"
     require(same, f"{path.name} (lengths)", lengths, "columns differ in length", remedy)
     for name, unit in wanted.items():
         refuse_unusable_values(path, name, table, missing)
@@ -140,9 +140,11 @@ def refuse_unusable_values(path: Path, name: str, table: Table, missing: bool) -
     largest = float(np.abs(finite).max(initial=0.0))
     span = float(np.ptp(finite)) if len(finite) else 0.0
     fits = largest < LARGEST and (span == 0 or span > 1 / LARGEST)
-    problem = f"floats hold no squares beyond {LARGEST:g}, or of differences below {1 / LARGEST:g}"
+    problem = "too large for floats, or its differences too small"
     where = f"{path.name}, column {name} (largest)"
-    remedy = "convert it to another unit"
+    remedy = (
+        f"convert it to a unit with values below {LARGEST:g}, differences above {1 / LARGEST:g}"
+    )
     require(fits, where, largest, problem, remedy)
 
 

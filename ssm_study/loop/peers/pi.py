@@ -78,7 +78,7 @@ def ultimate_gain(model: SSM) -> UltimateGain:
     """
     scale = model.scale
     shape = (scale.inputs, scale.outputs)
-    problem = "this rule tunes one loop"
+    problem = "the PI's tuning rule needs one input and one output"
     remedy = "compare other controllers"
     require(shape == (1, 1), "model inputs, outputs", shape, problem, remedy)
     outward = model.scaffold_out
@@ -100,7 +100,7 @@ def ultimate_gain(model: SSM) -> UltimateGain:
 
     grid = np.geomspace(1e-3, 1e6, 2000)  # the first crossing, then bisection
     first_unstable = next((i for i, gain in enumerate(grid) if instability_margin(gain) >= 0), 0)
-    problem = "no gain brings the loop to oscillate"
+    problem = "no gain makes the loop oscillate, so the tuning rule does not apply"
     require(first_unstable > 0, "model", sign, problem, "leave the PI peer out")
     below = grid[first_unstable - 1]
     above = grid[first_unstable]
