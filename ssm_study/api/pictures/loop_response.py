@@ -126,7 +126,8 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
     panels = (*_pad_panels(upper, columns), *_pad_panels(lower, columns))
     ending = "does not settle" if time_s is None else f"settles in {time_s:.3g} s"
     unit = f" {plant.outputs[0].unit}" if plant.outputs[0].unit else ""
-    title = f"Step of the set point by {size:.3g}{unit} on {place}: {ending}"
+    known = ", known in advance," if ahead else ""
+    title = f"Step of the set point by {size:.3g}{unit}{known} on {place}: {ending}"
     return Picture(title=title, panels=panels, columns=columns, wide=True)
 
 

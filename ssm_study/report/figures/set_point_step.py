@@ -1,6 +1,7 @@
 """Step of the set point on the identified model, without noise: output, settling band and input,
 the range of the recorded inputs dashed. The step is half the output's scale, or less where the
-recorded inputs cannot hold so much."""
+recorded inputs cannot hold so much. It is known in advance here; the exported code, which hears of
+a step when it comes, answers later."""
 
 from matplotlib.figure import Figure
 
