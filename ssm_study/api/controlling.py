@@ -3,6 +3,8 @@
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
+
 from ssm_study.api.arguments import Slopes
 from ssm_study.api.design import Design
 from ssm_study.api.model import Model
@@ -13,6 +15,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import SIDES, Infeasible
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.models.identified import SSM
+from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.refusal import require
 from ssm_study.synthesis.design import require_contraction_rate
 from ssm_study.systems import JacobianBall
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
     import control as python_control
 
 LOOP = {"loop": "regulation"}
+IDENTITY = (1.0, 1.0)  # the slopes of a map that is not given
 REMEDIES = {
     "raise the slope floor (model.slope_lower)": "give slopes that lie closer together",
     "drop states (reduction.truncate_to)": "give a model with fewer states",
@@ -48,7 +52,9 @@ def control(
     (`method="auto"`), unless `rate` and `observer_rate` ask for some. Or it is a discrete-time
     linear system: `control.StateSpace`, `control.TransferFunction`, or `(A, B, C, D, step_s)`,
     behind an input map with `slopes` and before an output map with `output_slopes`; it has no
-    records, so the default is `method="riccati"` with `observer_rate=rate`.
+    records, so the default is `method="riccati"` with `observer_rate=rate`. The observer is proved
+    for maps that it computes itself: a design whose slopes leave a map open is no controller to
+    export (`unknown_maps`), one with equal slopes `(g, g)` is.
 
     `method` is a choice of `conf/synthesis`, `settings` are its further fields, `overrides` the
     same as the command takes them (`"synthesis.input_weight=0.1"`). `input_limits` are the lowest
@@ -159,16 +165,26 @@ def _design_for_system(
     """Design a controller for a linear system behind static maps with known slopes."""
     linear, step_s = read_linear_system(system)
     model = SSM.from_linear(linear, step_s)
+    inner = slope_ball("slopes", slopes or IDENTITY)
+    outer = slope_ball("output_slopes", output_slopes or IDENTITY)
+    inward = _linear_map(inner, model.scale.inputs)
+    outward = _linear_map(outer, model.scale.outputs)
+    model = replace(model, scaffold_in=inward, scaffold_out=outward)
     balls = certified_balls(model)
-    if slopes is not None:
-        jacobian_ball = slope_ball("slopes", slopes)
-        balls = replace(balls, input=jacobian_ball)
-    if output_slopes is not None:
-        output = slope_ball("output_slopes", output_slopes)
-        balls = replace(balls, output=output)
+    if inner.beta:
+        balls = replace(balls, input=inner)
+    if outer.beta:
+        balls = replace(balls, output=outer)
     certificate = parts.build("synthesis").design(model, balls)
     certificate = replace_study_remedies(certificate)
     return Design(certificate=certificate, model=model, overrides=overrides)
+
+
+def _linear_map(ball: JacobianBall, channels: int) -> LinearScaffold:
+    """Static map of a model whose true map has slopes in a ball: the gain itself where they are
+    all equal, else the identity, at which pictures are drawn."""
+    gain = 1.0 if ball.beta else ball.alpha
+    return LinearScaffold(gain=gain * np.eye(channels))
 
 
 def replace_study_remedies(certificate: Certificates) -> Certificates:

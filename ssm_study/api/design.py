@@ -14,6 +14,7 @@ from jaxtyping import Complex, Float
 from ssm_study import save_as_run
 from ssm_study.api.arguments import Values
 from ssm_study.api.design_files import write_records
+from ssm_study.api.known_maps import name_unknown_maps, refuse_unknown_maps
 from ssm_study.api.model import Model, draw_or_refuse
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.summaries import html_table, render_text_table, summarise_design
@@ -90,8 +91,22 @@ class Design:
 
     @property
     def certified(self) -> bool:
-        """Whether both certificates hold in exact arithmetic."""
+        """Whether both certificates hold in exact arithmetic: state feedback and observer each
+        contract, with an observer that computes the plant's own maps.
+
+        Where `unknown_maps` has an entry it cannot compute them; nothing is then claimed of a loop
+        of both, and the design is not exported.
+        """
         return self.certificate.certified
+
+    @cached_property
+    def unknown_maps(self) -> dict[str, str]:
+        """Static maps of which only the slopes were given to `control`; empty for an identified
+        model, whose maps are known, and where the lowest slope is the highest."""
+        is_identified = self.origin is not None or bool(self.stored_record)
+        if is_identified or self.certificate.inverts_input_map:
+            return {}
+        return name_unknown_maps(self.model, self.certificate)
 
     @cached_property
     def facts(self) -> dict[str, Any]:
@@ -182,23 +197,32 @@ class Design:
         """Write the controller as C99: header `path`, and beside it the source and a replay
         program.
 
-        `real` is "double" or "float". Raises `BadRequest` where there is no controller.
+        `real` is "double" or "float". Raises `BadRequest` where there is no controller, and where
+        the observer cannot compute the plant's maps (`unknown_maps`).
         """
+        refuse_unknown_maps(self.unknown_maps)
         path = read_folder("path", path)
-        sources = targets.render_controller(self.folder, real=real, prefix=path.stem)
+        name = path.stem if self.run_folder is None else ""
+        sources = targets.render_controller(self.folder, real=real, prefix=path.stem, name=name)
         for name, text in sources.items():
             (path.parent / name).write_text(text, encoding="utf-8")
         return path
 
     def to_control(self) -> "python_control.NonlinearIOSystem":
-        """Controller as a python-control system from measured outputs to inputs."""
+        """Controller as a python-control system from measured outputs to inputs, which clamps none.
+
+        Raises `BadRequest` as `to_c` does.
+        """
+        refuse_unknown_maps(self.unknown_maps)
         return targets.as_python_control(self.folder)
 
     def save(self, folder: str | Path) -> Path:
         """Save the design as a run folder that `ssm-study verify`, `export` and `load` read.
 
-        Raises `BadRequest` for a folder that exists.
+        Raises `BadRequest` for a folder that exists, and as `to_c` does for a design with
+        `unknown_maps`.
         """
+        refuse_unknown_maps(self.unknown_maps)
         folder = read_folder("folder", folder)
         require(not folder.exists(), "to", folder, "exists", "name a new folder")
         if self.run_folder is not None:

@@ -98,6 +98,9 @@ def summarise_design(design: "Design") -> pd.Series:
             lines[name] = f"no certificate: {part.reason}"
             continue
         lines |= summarise_side(name, part, certificate.certified_rate(side))
+    if design.unknown_maps:
+        maps = " and the ".join(design.unknown_maps.values())
+        lines["loop of both"] = f"not certified: the observer would have to know the {maps}"
     if not certificate.feasible:
         return pd.Series(lines, name="design", dtype=object)
     slowest = {name: np.abs(poles).max() for name, poles in design.eigenvalues().items()}
@@ -119,9 +122,6 @@ def summarise_assumptions(certificate: Certificates) -> dict[str, str]:
         upper = part.alpha + part.beta
         slopes = f"{lower:.6g} to {upper:.6g}" if lower < upper else f"{lower:.6g}"
         assumed[f"slopes of the {name}"] = slopes
-    if feedback.beta > 0:
-        words = "the observer knows the input map; files and simulations take the identity"
-        assumed["assumed"] = words
     return assumed
 
 

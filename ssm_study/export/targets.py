@@ -4,7 +4,6 @@ import hashlib
 import json
 import runpy
 import shutil
-from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,7 +15,7 @@ from omegaconf import OmegaConf
 
 from ssm_study.bounds.network import PortableMap
 from ssm_study.bounds.slopes import certified_balls, network_bound
-from ssm_study.certificates.certificate import Design
+from ssm_study.certificates.certificate import SIDES, Design
 from ssm_study.certificates.theorem import Theorem, VerificationContext
 from ssm_study.certificates.theorems.integral_action import augmented_system, controlled_system
 from ssm_study.data.mcap import read_mcap
@@ -72,10 +71,13 @@ def write_controller(
 
 
 def render_controller(
-    run: Path, *, real: str = "double", prefix: str = "controller"
+    run: Path, *, real: str = "double", prefix: str = "controller", name: str = ""
 ) -> dict[str, str]:
     """Names and texts of the C files of a run's controller. Raises `BadRequest` as
-    `write_controller` does."""
+    `write_controller` does.
+
+    `name` stands in the header in place of the run's, for a design without a run folder.
+    """
     controller = load_controller(run)
     design = Design.load(run / "certificate.json")
     device = Device.from_controller(controller, real, *find_input_limits(run))
@@ -85,7 +87,7 @@ def render_controller(
     return render_c_files(
         device,
         prefix,
-        about=describe_origin(run),
+        about=describe_origin(run, name),
         signals=_describe_signals(run, device),
         digest=hashlib.sha256((run / "certificate.json").read_bytes()).hexdigest(),
         rates=(
@@ -241,47 +243,43 @@ def _load_model(run: Path) -> Model:
     return model  # type: ignore[return-value]  # just asked
 
 
-def describe_origin(run: Path) -> str:
+def describe_origin(run: Path, name: str = "") -> str:
     """Line of text that names the run from which a controller comes and the exact verdict on its
-    certificate."""
+    certificate, with the reason where it does not hold.
+
+    `name` names a design that has no run folder.
+    """
     model = _load_model(run)
     design = Design.load(run / "certificate.json")
-    verdict = "NOT certified"
-    # An internal model behind an output map that is not linear: no theorem covers it.
-    with suppress(BadRequest):
-        if _is_certified(run, model, design):
-            verdict = (
-                f"certified for its model at rates {design.state_feedback.rate:g} (controller), "
-                f"{design.observer.rate:g} (observer) per sample"
-            )
-    name = f"run {run.resolve().parent.name}/{run.resolve().name}"
+    reason = _doubt_of_certificate(run, model, design)
+    verdict = f"NOT certified: {reason}"
+    if not reason:
+        verdict = (
+            f"certified for its model at rates {design.state_feedback.rate:g} (controller), "
+            f"{design.observer.rate:g} (observer) per sample"
+        )
+    if name:
+        return f"Controller {name}, {verdict}."
+    place = f"run {run.resolve().parent.name}/{run.resolve().name}"
     if not (run / "record.json").is_file():
-        name = "a design from Python"
-    return f"Controller of {name}, {verdict}; see certificate.json."
+        place = "a design from Python"
+    return f"Controller of {place}, {verdict}; see certificate.json."
 
 
-def _is_certified(run: Path, model: Model, design: Design) -> bool:
-    """Whether exact arithmetic confirms every claim of the stored certificate of a run."""
+def _doubt_of_certificate(run: Path, model: Model, design: Design) -> str:
+    """First reason why exact arithmetic does not confirm the stored certificate of a run; empty
+    where it confirms every claim."""
     content = json.loads((run / "certificate.json").read_text())
-    feedback = design.parts()[0]
-    controlled = controlled_system(model, feedback)
-    if not design.certified:
-        return False
-    balls = certified_balls(model)
-    if not (run / "record.json").is_file():  # matrices with slopes that the user gave
-        balls = _widen_balls(balls, design)
-    return not failed_checks(content, model.system, balls, controlled)
-
-
-def _widen_balls(balls: Balls, design: Design) -> Balls:
-    """Balls of a certificate, which replace the smaller balls of the model's own maps."""
-    wide = {}
-    for side, part in zip(("input", "output"), design.parts(), strict=True):
-        own = getattr(balls, side)
-        stored = JacobianBall(alpha=part.alpha, beta=part.beta)
-        is_inside = abs(own.alpha - stored.alpha) + own.beta <= stored.beta
-        wide[side] = stored if is_inside else own
-    return Balls(**wide)
+    for side in SIDES:
+        if not design.parts_by_name[side].certified:
+            return f"exact arithmetic does not confirm the {side.replace('_', ' ')}"
+    try:
+        # Refused for an internal model behind a nonlinear output map, which no theorem covers.
+        controlled = controlled_system(model, design.parts()[0])
+        failed = failed_checks(content, model.system, certified_balls(model), controlled)
+    except BadRequest as refused:
+        return str(refused).rstrip(".")
+    return failed[0].rstrip(".") if failed else ""
 
 
 def _describe_rounding_error(run: Path, device: Device) -> tuple[str, ...]:

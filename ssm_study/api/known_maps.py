@@ -1,0 +1,49 @@
+"""Whether an observer knows the static maps that the certificates of a design suppose.
+
+The observer `xh+ = A xh + B S_u(u) + L (S_y(C xh) - y)` of [Z26] computes S_u and S_y themselves.
+Of a linear system only the slopes of its maps are given: the certificates then hold for every such
+map that the observer knows, and an exported observer with another map is not covered. Example: `A =
+[[1.3, 1], [0, 1.17]], B = [0, 1]', C = [1, 0]`, slopes (0.8, 1.2), rate 0.3: an observer with slope
+1 loses the plant with slope 1.2, at spectral radius 1.065.
+"""
+
+from typing import Any
+
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import SIDES
+from ssm_study.certificates.certificate import Design as Certificates
+from ssm_study.refusal import require
+
+SAME_SLOPE = 1e-9  # two slopes that differ by no larger share are one
+MAPS = {"state_feedback": ("input map", "slopes"), "observer": ("output map", "output_slopes")}
+
+
+def name_unknown_maps(model: Any, certificate: Certificates) -> dict[str, str]:
+    """Static maps that are given by a range of slopes alone, each with that range as text. Keyed by
+    the argument of `control` that gives the range."""
+    balls = certified_balls(model)
+    computed = {"state_feedback": balls.input, "observer": balls.output}
+    unknown = {}
+    for side in SIDES:
+        part: Any = certificate.parts_by_name[side]
+        ball = computed[side]
+        difference = abs(part.alpha - ball.alpha) + abs(part.beta - ball.beta)
+        if difference > SAME_SLOPE * abs(part.alpha):
+            name, argument = MAPS[side]
+            lower = part.alpha - part.beta
+            upper = part.alpha + part.beta
+            unknown[argument] = f"{name} with slopes {lower:.4g} to {upper:.4g}"
+    return unknown
+
+
+def refuse_unknown_maps(unknown: dict[str, str]) -> None:
+    """Refuse the export of a controller whose observer would compute another map than the plant
+    has."""
+    maps = " and ".join(unknown.values())
+    problem = (
+        f"the observer has to compute the {maps}, of which only the slopes are given; with another "
+        "map nothing is proved of the loop"
+    )
+    same = " and ".join(f"{argument}=(g, g)" for argument in unknown)
+    remedy = f"give {same} for a map that is the known gain g, or identify the map with st.fit"
+    require(not unknown, "design", "maps known by their slopes", problem, remedy)

@@ -1,0 +1,108 @@
+"""A design for matrices is exported only where its observer can compute the plant's maps."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ssm_study as st
+from ssm_study.api.design import Design
+from ssm_study.export.targets import describe_origin
+from ssm_study.refusal import BadRequest
+
+A = np.array([[1.3, 1.0], [0.0, 1.17]])
+B = np.array([[0.0], [1.0]])
+C = np.array([[1.0, 0.0]])
+SYSTEM = (A, B, C, np.zeros((1, 1)), 0.1)
+SLOPES = (0.8, 1.2)
+
+
+@pytest.fixture(scope="module")
+def uncertain() -> Design:
+    return st.control(SYSTEM, slopes=SLOPES, rate=0.3)
+
+
+def loop_radius(design: Design, plant_slope: float, observer_slope: float) -> float:
+    """Spectral radius of a plant with one slope under an observer that computes another."""
+    gains = design.certificate.pair
+    plant = np.hstack([A, plant_slope * B @ gains.k])
+    correction = gains.l @ C
+    own = A + observer_slope * B @ gains.k + correction
+    observer = np.hstack([-correction, own])
+    loop = np.vstack([plant, observer])
+    poles = np.linalg.eigvals(loop)
+    radius = np.abs(poles).max()
+    return float(radius)
+
+
+def test_an_observer_with_another_map_can_lose_the_plant(uncertain: Design) -> None:
+    """Both certificates hold, of an observer with the plant's own map; with the mean slope in its
+    place the same gains lose a plant whose slope is in the range."""
+    assert uncertain.certified
+    assert loop_radius(uncertain, 1.2, 1.2) < 1
+    assert loop_radius(uncertain, 1.2, 1.0) == pytest.approx(1.065, abs=1e-3)
+
+
+def test_a_controller_with_an_unknown_map_is_not_exported(
+    uncertain: Design, tmp_path: Path
+) -> None:
+    words = r"only the slopes are given.*give slopes=\(g, g\)"
+    with pytest.raises(BadRequest, match=words):
+        uncertain.to_c(tmp_path / "controller.h")
+    with pytest.raises(BadRequest, match=words):
+        uncertain.to_control()
+    with pytest.raises(BadRequest, match=words):
+        uncertain.save(tmp_path / "saved")
+    files = list(tmp_path.iterdir())
+    assert files == []
+    summary = uncertain.summary()
+    line = "not certified: the observer would have to know the input map with slopes 0.8 to 1.2"
+    assert summary["loop of both"] == line
+
+
+def test_an_output_map_that_is_not_known_counts_too() -> None:
+    design = st.control(SYSTEM, output_slopes=(0.9, 1.1), rate=0.3)
+    assert list(design.unknown_maps) == ["output_slopes"]
+    with pytest.raises(BadRequest, match=r"output map with slopes 0\.9 to 1\.1"):
+        design.to_control()
+
+
+@pytest.mark.parametrize("gain", [1.0, 2.0])
+def test_a_known_gain_is_exported_with_the_design_s_own_verdict(
+    gain: float, tmp_path: Path
+) -> None:
+    """Header and design agree, and the exported observer computes the map that was given."""
+    design = st.control(SYSTEM, slopes=(gain, gain), rate=0.3)
+    assert design.certified
+    assert not design.unknown_maps
+    assert "loop of both" not in design.summary()
+    radius = loop_radius(design, gain, gain)
+    assert radius < 1
+    path = design.to_c(tmp_path / "pump.h")
+    text = path.read_text()
+    words = "/* Controller pump, certified for its model at rates 0.3 (controller)"
+    assert text.startswith(words)
+    gains = design.certificate.pair
+    state = np.array([0.3, -0.2])
+    measured = np.zeros(1)
+    controller = design.to_control()
+    after = controller.dynamics(0.0, state, measured)
+    own = A + gain * B @ gains.k + gains.l @ C
+    expected = own @ state
+    assert np.allclose(after, expected, rtol=1e-12)
+    saved = design.save(tmp_path / "saved")
+    assert st.load(saved).certified
+
+
+def test_a_header_says_why_it_is_not_certified(tmp_path: Path) -> None:
+    """A folder whose certificate is of other slopes than its model's: one verdict, its reason."""
+    design = st.control(SYSTEM, slopes=(1.0, 1.0), rate=0.3)
+    saved = design.save(tmp_path / "saved")
+    other = st.control(SYSTEM, slopes=SLOPES, rate=0.3)
+    path = saved / "certificate.json"
+    other.certificate.save(path)
+    loaded = st.load(saved)
+    assert list(loaded.unknown_maps) == ["slopes"]
+    words = describe_origin(saved)
+    assert "NOT certified: state_feedback" in words
+    assert words.endswith("see certificate.json.")
