@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -70,6 +71,11 @@ class Estimator:
     def fit(self, u: Signals, y: Signals, disturbance: Signals | None = None) -> "Estimator":
         """Identify the model from inputs and outputs. Raises `BadRequest` for all data that
         `st.fit` refuses."""
+        settings = {} if self.settings is None else self.settings
+        kind = type(settings).__name__
+        is_mapping = isinstance(settings, Mapping) and all(isinstance(one, str) for one in settings)
+        remedy = 'give names and values, as in {"hidden_width": 8}'
+        require(is_mapping, "settings", kind, "are no settings by name", remedy)
         self.model_ = fit(
             u,
             y,
@@ -83,7 +89,7 @@ class Estimator:
             feedthrough=self.feedthrough,
             seed=self.seed,
             progress=False,
-            **dict(self.settings or {}),
+            **settings,
         )
         return self
 
@@ -100,7 +106,10 @@ class Estimator:
         before `fit`, and for a record that is no longer than its start.
         """
         model = self._require_model()
-        require_at_least(0, "start_up_samples", self.start_up_samples, "use 20")
+        is_count = isinstance(self.start_up_samples, Integral)
+        remedy = "use 20"
+        require(is_count, "start_up_samples", self.start_up_samples, "is no whole number", remedy)
+        require_at_least(0, "start_up_samples", self.start_up_samples, remedy)
         channels = len(model.data.inputs)
         inputs = signal_columns(u, "u", channels, model.input_names)[1]
         outputs = signal_columns(y, "y", len(model.data.outputs), model.output_names)[1]

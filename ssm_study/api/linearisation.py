@@ -1,5 +1,6 @@
 """Linear models at the equilibrium: python-control systems and frequency responses."""
 
+from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,6 +70,8 @@ def tabulate_frequency_response(
 ) -> pd.DataFrame:
     """Table of the frequency response from each input to each output, up to half the sampling
     rate."""
+    is_count = isinstance(points, Integral) and not isinstance(points, bool) and points >= 1
+    require(is_count, "points", points, "is no number of frequencies", "use 200")
     nyquist = np.pi / system.dt
     omega = np.geomspace(nyquist * 1e-4, nyquist, points)
     z = np.exp(1j * omega * system.dt)

@@ -23,7 +23,10 @@ SHORTER = {
         "STEP_S, **SETTINGS": 'STEP_S, "training.max_epochs=12", **SETTINGS',
         "st.control(model)": f"st.control(model, {FEW_WORDS})",
     },
-    "reading_a_sweep": {'"progress=false"]': '"progress=false", "hydra/launcher=basic"]'},
+    "reading_a_sweep": {
+        '"progress=false"]': '"progress=false", "hydra/launcher=basic"]',
+        '"model.slope_lower=0.01,0.2"': '"model.slope_lower=0.2", "training.max_epochs=2"',
+    },
 }
 
 

@@ -13,6 +13,7 @@ import torch
 from scipy import signal
 
 import ssm_study as st
+from ssm_study.api.linearisation import tabulate_frequency_response
 
 A = [[0.9, 0.1], [0.0, 0.8]]
 B = [[0.0], [1.0]]
@@ -147,3 +148,17 @@ def test_a_log_is_looked_at_with_the_right_kinds(
 ) -> None:
     with pytest.raises(st.BadRequest, match=words):
         st.look(path, **settings)
+
+
+@pytest.mark.parametrize("settings", [3, "hidden_width", [1, 2], {1: 2}])
+def test_settings_of_an_estimator_are_named(settings: object) -> None:
+    estimator = st.Estimator(step_s=0.1, settings=settings)
+    with pytest.raises(st.BadRequest, match="are no settings by name"):
+        estimator.fit(FITTED["u"], FITTED["y"])
+
+
+@pytest.mark.parametrize("points", [0.5, "many", True, 0])
+def test_a_frequency_response_has_a_number_of_points(points: object) -> None:
+    system = control.StateSpace(A, B, C, D, 0.1)
+    with pytest.raises(st.BadRequest, match="is no number of frequencies"):
+        tabulate_frequency_response(system, ["u"], ["y"], points)
