@@ -276,12 +276,8 @@ class Design:
         for name in SIDES:
             part = self.parts_by_name[name]
             if isinstance(part, Infeasible):
-                raise BadRequest(
-                    f"design.{name}",
-                    "infeasible",
-                    part.reason.rstrip("."),
-                    "no loop can be closed with it; change the request",
-                )
+                reason = part.reason.rstrip(".")
+                raise BadRequest(f"design.{name}", "infeasible", reason, "change the request")
         return self.state_feedback, self.observer  # type: ignore[return-value]  # Infeasible has just been refused
 
     @property

@@ -223,9 +223,7 @@ def test_control_refuses(log: pd.DataFrame) -> None:
     with pytest.raises(BadRequest, match="must be positive"):
         st.fit(u, y, 0.0)
     model = st.fit(u, y, STEP_S, *QUICK)
-    with pytest.raises(
-        BadRequest, match=r"changes model, and with it the model; give it to st\.fit"
-    ):
+    with pytest.raises(BadRequest, match="changes model, and with it the model; give it to st"):
         st.control(model, "model.order=3")
     infeasible = st.control(model, *GIVEN[:1], "synthesis.rate_controller=0.999", GIVEN[2])
     with pytest.raises(
@@ -239,9 +237,7 @@ def test_control_refuses(log: pd.DataFrame) -> None:
     c = [[1.0]]
     d = [[0.0]]
     plant = control.StateSpace(a, b, c, d, 0.1)
-    with pytest.raises(
-        BadRequest, match="needs a validation record to choose by, and there is none"
-    ):
+    with pytest.raises(BadRequest, match="needs a validation record to choose by, and there is"):
         st.control(plant, method="auto")
     a = [[-0.9]]
     b = [[1.0]]
