@@ -18,7 +18,7 @@ from ssm_study.api.known_maps import name_unknown_maps, refuse_unknown_maps
 from ssm_study.api.model import Model, draw_or_refuse
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.summaries import html_table, render_text_table, summarise_design
-from ssm_study.api.systems import read_folder, read_numbers
+from ssm_study.api.systems import read_folder, read_limit, read_number
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.evidence.metrics import withhold_predictions
@@ -190,7 +190,8 @@ class Design:
             problem = "has neurons, and the theorems on input limits hold only without them"
             raise BadRequest("model", type(self.model).__name__, problem, "fit model=ssm")
         limits = (("lower", lower), ("upper", upper))
-        ends = [read_numbers(name, limit).reshape(-1) for name, limit in limits]
+        inputs = self.model.scale.inputs
+        ends = [read_limit(name, limit, inputs) for name, limit in limits]
         return limits_proof(self.model, self.certificate, *ends)
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
@@ -281,7 +282,7 @@ class Design:
         from ssm_study.api.pictures.loop_response import set_point_picture
 
         if size is not None:
-            size = float(read_numbers("size", size))
+            size = read_number("size", size)
         on = choose_plant(self, plant)
         loop = Loop().with_default_horizon(self.model)
         recorded = self._recorded_inputs

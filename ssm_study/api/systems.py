@@ -91,6 +91,23 @@ def read_slopes(name: str, slopes: Any) -> tuple[float, float]:
     return lower, upper
 
 
+def read_number(name: str, value: Any) -> float:
+    """Read one finite number. Raises `BadRequest` for anything else."""
+    numbers = read_numbers(name, value)
+    is_one = numbers.size == 1 and bool(np.isfinite(numbers).all())
+    require(is_one, name, value, "is no finite number", "give one number")
+    return float(numbers.reshape(-1)[0])
+
+
+def read_limit(name: str, values: Any, channels: int) -> Float[np.ndarray, "m"]:
+    """Read one finite number for each channel. Raises `BadRequest` for anything else."""
+    numbers = read_numbers(name, values).reshape(-1)
+    fits = len(numbers) == channels and bool(np.isfinite(numbers).all())
+    problem = f"is not {channels} finite numbers, one for each input"
+    require(fits, name, values, problem, "give the limits in the input's unit")
+    return numbers
+
+
 def read_folder(name: str, folder: Any) -> Path:
     """Read the path of a folder. Raises `BadRequest` for a value that is no path."""
     is_path = isinstance(folder, str | Path) and "\0" not in str(folder)

@@ -162,3 +162,11 @@ def test_a_frequency_response_has_a_number_of_points(points: object) -> None:
     system = control.StateSpace(A, B, C, D, 0.1)
     with pytest.raises(st.BadRequest, match="is no number of frequencies"):
         tabulate_frequency_response(system, ["u"], ["y"], points)
+
+
+@pytest.mark.parametrize("value", [[], "text", np.inf, [1.0, 2.0], np.ones((2, 2))])
+def test_limits_and_steps_of_a_design_are_finite_numbers(value: object) -> None:
+    design = st.control(SYSTEM, rate=0.5)
+    for call in (lambda: design.within(value, 3.0), lambda: design.step(value)):
+        with pytest.raises(st.BadRequest, match="number"):
+            call()
