@@ -19,7 +19,7 @@ from ssm_study.systems import StateSpace, StructuredSystem, System
 if TYPE_CHECKING:
     from ssm_study.models.structured_kernel import KernelMatrices
 
-Values = Float[np.ndarray, "*batch"]
+Values = Float[np.ndarray, "*batch"] | float  # of one argument NumPy makes a float
 
 
 class Activation(NamedTuple):
@@ -70,7 +70,7 @@ def relu(z: Values) -> Values:
 
 def relu_slope(z: Values) -> Values:
     """Slope of the positive part; one at zero."""
-    return (z >= 0.0).astype(float)
+    return np.asarray(z >= 0.0, dtype=float)
 
 
 def saturation(z: Values) -> Values:
@@ -80,7 +80,8 @@ def saturation(z: Values) -> Values:
 
 def saturation_slope(z: Values) -> Values:
     """Slope of the saturation; at a kink, the slope to its right."""
-    return ((z >= -1.0) & (z < 1.0)).astype(float)
+    inside = np.logical_and(z >= -1.0, z < 1.0)
+    return np.asarray(inside, dtype=float)
 
 
 SOFTPLUS_IN_C = "(z > 0.0 ? z : 0.0) + log1p(exp(-fabs(z)))"
