@@ -181,6 +181,6 @@ def test_a_grid_without_a_design_is_given_up_after_its_near_pairs() -> None:
     def make(place):
         tried.append(place)
 
-    chosen = prefer_covered(iter(range(400)), make, SSM_MODEL, BALLS, PREMISE, None)
+    chosen = first_covering_design(iter(range(400)), make, SSM_MODEL, BALLS, PREMISE, None)
     assert chosen[0] is None
     assert tried == list(range(NEAR + 1))
