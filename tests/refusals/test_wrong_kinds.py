@@ -167,6 +167,6 @@ def test_a_frequency_response_has_a_number_of_points(points: object) -> None:
 @pytest.mark.parametrize("value", [[], "text", np.inf, [1.0, 2.0], np.ones((2, 2))])
 def test_limits_and_steps_of_a_design_are_finite_numbers(value: object) -> None:
     design = st.control(SYSTEM, rate=0.5)
-    for call in (lambda: design.within(value, 3.0), lambda: design.step(value)):
+    for call in (lambda: design.within_limits(value, 3.0), lambda: design.step(value)):
         with pytest.raises(st.BadRequest, match="number"):
             call()
