@@ -80,8 +80,9 @@ def render_c_files(
         "signals": _format_comment(signals),
         "rates": _format_comment(rates),
     }
+    header = _render_header(device, comments, name, monitor)
     return {
-        f"{name}.h": _render_header(device, comments, name, monitor),
+        f"{name}.h": header,
         f"{name}.c": _render_source(name),
         f"{name}_replay.c": _render_replay(device, name),
     }
