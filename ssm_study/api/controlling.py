@@ -58,7 +58,10 @@ def control(
 
     `method` is a choice of `conf/synthesis`, `settings` are its further fields, `overrides` the
     same as the command takes them (`"synthesis.input_weight=0.1"`). `input_limits` are the lowest
-    and the highest input, physical; None is what the records visited.
+    and the highest input, physical; None is what the records visited. The rates hold without limits
+    on the input, for slopes that hold everywhere; `record["limited_rate"]` holds within them. Of a
+    bare system `rate` is 0.05 unless it is given, a larger one may hold (`st.certify`); limits are
+    refused; with D nonzero it is certified and exported, but `st.simulate` and pictures refuse it.
 
     Where the request is infeasible the design says so, and how much is possible. Raises
     `BadRequest` for a baseline, and for what the command refuses.
@@ -82,6 +85,11 @@ def control(
     choices = LOOP | {"synthesis": chosen}
     parts = Parts(choices, words)
     if not identified:
+        problem = (
+            "bound the inputs of a loop with records; of a bare system nothing is proved there"
+        )
+        is_unlimited = all(limit is None for limit in input_limits)
+        require(is_unlimited, "input_limits", input_limits, problem, "leave them out")
         rate, observer_rate = _rates_for_bare_system(parts, rate, observer_rate)
     parts.set_fields("synthesis", rate_controller=rate, rate_observer=observer_rate, **settings)
     if isinstance(model, Model):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Complex
 
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.certificates.certificate import Infeasible
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from ssm_study.api.model import Model
 
 PROVED = {True: "certified in exact arithmetic", False: "not certified"}
+LEAST_EFFECT = 1e-3  # distance of a pole, in the unit circle
 STABILITY = {True: "stays stable", False: "may not stay stable", None: "no prediction"}
 
 
@@ -103,14 +105,46 @@ def summarise_design(design: "Design") -> pd.Series:
         lines["loop of both"] = f"not certified: the observer would have to know the {maps}"
     if not certificate.feasible:
         return pd.Series(lines, name="design", dtype=object)
-    slowest = {name: np.abs(poles).max() for name, poles in design.eigenvalues().items()}
+    poles = design.eigenvalues()
+    slowest = {name: np.abs(values).max() for name, values in poles.items()}
+    if isinstance(design.model, SSM):
+        rate = 1 - slowest["model"] ** 2
+        lines["without control"] = "the model does not contract"
+        if rate > 0:
+            lines["without control"] = f"the model contracts at rates below {round_rate_down(rate)}"
+    acts = has_effect(poles["model"], poles["controlled"])
+    if not acts:
+        lines["effect of the controller"] = "hardly any: the poles are those without control"
     lines["slowest pole, open loop"] = f"{slowest['model']:.4f} per sample"
     lines["slowest pole, controlled"] = f"{slowest['controlled']:.4f} per sample"
     if "evidence" in design.facts:
-        lines |= summarise_prediction(design.facts)
+        lines |= summarise_limits(design.facts)
+        lines |= summarise_prediction(design.facts, acts)
     elif design.origin is None and not design.stored_record:
         lines |= summarise_assumptions(certificate)
     return pd.Series(lines, name="design", dtype=object)
+
+
+def has_effect(
+    uncontrolled: Complex[np.ndarray, "n"], controlled: Complex[np.ndarray, "m"]
+) -> bool:
+    """Whether a controller moves the poles of a model by more than `LEAST_EFFECT`."""
+    if len(uncontrolled) != len(controlled):  # an internal model
+        return True
+    before = np.sort_complex(uncontrolled)
+    after = np.sort_complex(controlled)
+    return bool(np.abs(before - after).max(initial=0.0) > LEAST_EFFECT)
+
+
+def summarise_limits(facts: dict[str, Any]) -> dict[str, str]:
+    """Lines of the summary on what is proved where the input is limited to the recorded range."""
+    rate = facts.get("limited_rate")
+    lower = facts.get("limit_lower")
+    upper = facts.get("limit_upper")
+    if rate is None or lower is None or upper is None:
+        return {}
+    words = f"rate {round_rate_down(rate)} per sample with inputs from {lower:.3g} to {upper:.3g}"
+    return {"controller, input limited": words}
 
 
 def summarise_assumptions(certificate: Certificates) -> dict[str, str]:
@@ -146,15 +180,21 @@ def summarise_side(name: str, part: Any, rate: float | None) -> dict[str, str]:
     return lines
 
 
-def summarise_prediction(facts: dict[str, Any]) -> dict[str, str]:
-    """Lines of the summary that predict how the plant behaves in closed loop."""
+def summarise_prediction(facts: dict[str, Any], acts: bool = True) -> dict[str, str]:
+    """Lines of the summary that predict how the plant behaves in closed loop. Of a controller that
+    hardly acts neither a margin nor a coverage is praised."""
     margin = facts.get("resolved_margin")
-    suffix = "" if margin is None else f" (stability margin {margin:.3g})"
+    judged = facts["evidence"] != CANNOT_JUDGE
+    suffix = ""
+    if margin is not None and judged and acts:
+        suffix = f" (stability margin {margin:.3g})"
     coverage = facts.get("coverage")
     covered = "not covered"
     if coverage is not None and coverage >= 1:
         covered = f"a model error {coverage:.3g} times as large as the records show"
-        if facts["evidence"] == CANNOT_JUDGE:
+        if not acts:
+            covered = "withheld: the controller hardly acts"
+        if not judged:
             covered = "withheld: the records do not show the model error"
     prediction = STABILITY[facts.get("predicted_stable")]
     if facts.get("predicted_faster") is False:

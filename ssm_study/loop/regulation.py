@@ -49,7 +49,7 @@ class IdentifiedPlant(Plant):
 
     def __post_init__(self) -> None:
         model = self.model
-        remedy = "identify with model.feedthrough=false"
+        remedy = "identify with model.feedthrough=false, or give matrices with D = 0"
         value = "the input reaches the output at once"
         problem = "the loop samples the output before the input acts"
         require(not has_direct_feedthrough(model), "model.feedthrough", value, problem, remedy)

@@ -88,6 +88,15 @@ class DesignAttempt:
         limit = self.frontier.rate_limit
         by = self.frontier.decided_by
         slopes = by == "the slopes"
+        if limit <= 0 and by == "a mode out of reach":
+            modulus = self.frontier.contraction_limit
+            cause = "the output does not show it"
+            if not self.theorem.observes:
+                cause = "the input does not reach it"
+            return (
+                f"rate {self.rate:.6g} is infeasible: a mode of modulus {modulus:.4g} is not "
+                f"stable and {cause}, so no gain stabilises it; use another actuator or sensor"
+            )
         sentence = f"rate {self.rate:.6g} is infeasible: {by} allow{'s' * (not slopes)}"
         remedies = ["raise the slope floor (model.slope_lower)"] if slopes else []
         remedies.append("drop states (reduction.truncate_to)")

@@ -107,9 +107,10 @@ def test_a_side_that_arithmetic_does_not_confirm_prints_why() -> None:
 
 
 def test_certify_says_in_words_that_no_rate_is_possible() -> None:
-    proof = st.certify(A, B, K=[[-1.0, -1.0]], slopes=(0.2, 3.0))
+    coupled = np.array([[0.9, 1.0], [0.0, 0.8]])
+    proof = st.certify(coupled, B, K=[[-0.5, -0.8]], slopes=(0.2, 2.0))
     assert not proof.certified
-    assert "no single metric proves a rate for every slope from 0.2 to 3" in repr(proof)
+    assert "no single constant metric proves a rate for every slope from 0.2 to 2" in repr(proof)
 
 
 def test_a_rate_of_no_design_is_refused_by_its_own_name() -> None:

@@ -1,0 +1,134 @@
+"""Statements of `st.certify` and `print(design)` on a rate: metric, growth, reason, no control."""
+
+import numpy as np
+import pytest
+
+import ssm_study as st
+from ssm_study.api.summaries import has_effect, summarise_prediction
+from ssm_study.refusal import BadRequest
+
+A = np.array([[0.9, 0.1], [0.0, 0.8]])
+B = np.array([[0.0], [1.0]])
+C = np.array([[1.0, 0.0]])
+K = np.array([[-0.1, -0.5]])
+L = np.array([[-0.5], [-0.1]])
+SLOPES = (0.8, 1.2)
+NO_DIRECT_PATH = np.zeros((1, 1))
+
+
+@pytest.fixture(scope="module")
+def proof() -> st.Certification:
+    return st.certify(A, B, C, K=K, L=L, slopes=SLOPES, output_slopes=(0.9, 1.1))
+
+
+@pytest.mark.parametrize("side", ["controller", "observer"])
+def test_distances_contract_in_the_metric(proof: st.Certification, side: str) -> None:
+    """The metric of both sides, at both extreme slopes and for a whole walk between them."""
+    gain = getattr(proof, side)
+    through = B @ K if side == "controller" else L @ C
+    metric = gain.metric
+    for slope in gain.slopes:
+        step = A + slope * through
+        slack = (1 - gain.rate) * metric - step.T @ metric @ step
+        least = np.linalg.eigvalsh(slack).min()
+        assert least > 0
+    rng = np.random.default_rng(0)
+    start = rng.normal(size=(2, 200))
+    distance = start
+    growth = 0.0
+    for _ in range(30):
+        slope = rng.uniform(*gain.slopes)
+        distance = (A + slope * through) @ distance
+        ratio = np.linalg.norm(distance, axis=0) / np.linalg.norm(start, axis=0)
+        growth = max(growth, ratio.max())
+    assert growth <= gain.overshoot
+    assert "Euclidean distances grow at most" in proof.summary()[f"{side}, overshoot"]
+
+
+def test_p_itself_is_no_metric() -> None:
+    """A reader who takes `p` for the metric finds the inequality broken."""
+    a = np.array([[1.05, 0.2, 0.0], [-0.1, 0.9, 0.3], [0.0, -0.05, 0.7]])
+    b = np.array([[0.1], [0.3], [1.0]])
+    k = np.array([[-1.5, -1.5, -0.6]])
+    gain = st.certify(a, b, K=k, slopes=SLOPES).controller
+    assert gain is not None
+    assert gain.certificate is not None
+    p = gain.certificate.p
+    step = a + 0.8 * b @ k
+    slack = (1 - gain.rate) * p - step.T @ p @ step
+    least = np.linalg.eigvalsh(slack).min()
+    assert least < 0
+    assert np.allclose(gain.metric @ p, np.eye(3))
+
+
+def test_a_gain_without_a_certificate_has_no_metric() -> None:
+    gain = st.certify(A, B, K=[[1.0, 1.0]], slopes=SLOPES).controller
+    assert gain is not None
+    assert gain.metric is None
+    assert gain.overshoot is None
+
+
+@pytest.mark.parametrize(
+    ("k", "slopes", "words"),
+    [
+        (-1.2, (0.3, 1.7), "not stable at slope 0.3 (spectral radius 1.14)"),
+        (1.2, (0.9, 1.1), "stable with the opposite sign: gains enter as u = K x"),
+    ],
+)
+def test_a_reason_names_the_slope_that_is_lost(
+    k: float, slopes: tuple[float, float], words: str
+) -> None:
+    proof = st.certify([[1.5]], [[1.0]], K=[[k]], slopes=slopes)
+    assert proof.controller is not None
+    assert words in proof.controller.reason
+
+
+def test_a_gain_is_compared_with_none(proof: st.Certification) -> None:
+    """Zero gain: the rate is the system's own, and the print says it."""
+    idle = st.certify(A, B, K=0 * K, slopes=SLOPES)
+    summary = idle.summary()
+    assert summary["controller, without it"] == summary["controller, this gain"]
+    assert proof.controller is not None
+    assert proof.controller.rate_without == pytest.approx(1 - 0.9**2)
+
+
+def test_an_idle_controller_is_not_praised() -> None:
+    system = (np.array([[0.0, 1.0], [0.0, 0.0]]), B, C, NO_DIRECT_PATH, 0.1)
+    idle = st.control(system, rate=0.3)
+    words = "hardly any: the poles are those without control"
+    assert idle.summary()["effect of the controller"] == words
+    facts = {"coverage": 2700.0, "resolved_margin": 3e8, "evidence": "sound"}
+    facts |= {"predicted_stable": True}
+    lines = summarise_prediction(facts, acts=False)
+    text = " ".join(lines.values())
+    assert "withheld: the controller hardly acts" in text
+    assert "margin" not in text
+    praised = summarise_prediction(facts, acts=True)
+    assert "2.7e+03 times" in praised["covered by the proof"]
+    active = st.control((A, B, C, NO_DIRECT_PATH, 0.1), rate=0.5)
+    assert "effect of the controller" not in active.summary()
+    assert "rates below 0.189" in active.summary()["without control"]
+
+
+def test_poles_that_move_are_an_effect() -> None:
+    poles = np.array([0.9 + 0j, 0.8 + 0j])
+    assert not has_effect(poles, poles[::-1])
+    assert has_effect(poles, poles - 0.01)
+
+
+def test_no_gain_is_promised_where_an_unstable_mode_is_out_of_reach() -> None:
+    """Fewer states would hide the mode: the certificate would be of a plant that explodes."""
+    unstable = np.diag([1.1, 0.5])
+    c = np.array([[0.0, 1.0]])
+    printed = repr(st.control((unstable, B, c, NO_DIRECT_PATH, 0.1), rate=0.3))
+    assert "a mode of modulus 1.1 is not stable and the input does not reach it" in printed
+    assert "the output does not show it, so no gain stabilises it" in printed
+    assert "fewer states" not in printed
+    slow = np.diag([0.99, 0.5])
+    printed = repr(st.control((slow, B, c, NO_DIRECT_PATH, 0.1), rate=0.3))
+    assert "allows only rates below 0.0199" in printed
+
+
+def test_limits_of_a_bare_system_are_refused() -> None:
+    with pytest.raises(BadRequest, match="of a bare system nothing is proved there; leave them"):
+        st.control((A, B, C, NO_DIRECT_PATH, 0.1), rate=0.5, input_limits=(-1.0, 1.0))
