@@ -22,13 +22,19 @@ records, which takes minutes. Pictures are Matplotlib figures: `model.plot()`, `
 `coverage_plot()`, `nyquist()`, `poles()`.
 
 A certified rate `rho` is proved for the model: distances, in the metric of the certificate, are
-multiplied by at most `sqrt(1 - rho)` each sample. Gains come from Riccati equations or a solver of
-matrix inequalities, verdicts from rational arithmetic on the stored numbers. Two entries are about
-the plant: `design.record["predicted_stable"]`, a prediction (None where the records allow none),
-and `design.record["coverage"]`, the model error that the proof covers over the error that the
-records show (below one nothing is covered). `coverage_needed` is the same ratio that data need
-which neither fit nor design has used. A fit of 100 % is a perfect free run. A wrong request raises
-`st.BadRequest` in one sentence, before any long work.
+multiplied by at most `sqrt(1 - rho)` each sample, between two trajectories of the state feedback
+`u = K x` and from the observer's estimate to the state (Theorems 1 and 2 of Zakwan et al., arXiv
+2604.07069, called [Z26]; `help(st.GainCertificate)` has the inequalities). The proof supposes that
+every slope of S_u and S_y lies in the stated range, at any amplitude, that the observer computes
+the plant's own S_u and S_y, and that no limit clamps the input. Gains come from Riccati equations
+or a solver of matrix inequalities, verdicts from rational arithmetic on the stored numbers.
+
+Two entries are about the plant: `design.record["predicted_stable"]`, a prediction near the recorded
+amplitudes (None where the records allow none), and `design.record["coverage"]`, the model error
+that the proof covers over the error that the records show (below one nothing is covered).
+`coverage_needed` is the same ratio that data need which neither fit nor design has used. A fit of
+100 % is a perfect free run. A wrong request raises `st.BadRequest` in one sentence, before any long
+work.
 """
 
 import os

@@ -213,5 +213,11 @@ def slope_ball(name: str, slopes: Slopes) -> JacobianBall:
     """Ball of Jacobians of a static map with a given smallest and largest slope."""
     lower, upper = read_slopes(name, slopes)
     remedy = "give (lowest, highest), as in (0.8, 1.2)"
-    require(0 < lower <= upper, name, slopes, "are not positive and ascending", remedy)
+    require(
+        0 < lower <= upper,
+        name,
+        slopes,
+        "are not positive and ascending, so an input might have no effect",
+        remedy,
+    )
     return JacobianBall.from_slopes(lower, upper)

@@ -34,7 +34,7 @@ def read_sampling_time(step_s: Any) -> float:
     `BadRequest` for any other value."""
     is_number = isinstance(step_s, float | int) and not isinstance(step_s, bool)
     discrete = is_number and 0 < step_s <= LARGEST_FLOAT
-    remedy = "give the sampling period: control.StateSpace(P.A, P.B, P.C, P.D, step_s)"
+    remedy = "give the sampling period in seconds, as in control.StateSpace(A, B, C, D, 0.1)"
     if is_number and step_s == 0:  # python-control's word for continuous time
         remedy = "sample it: control.c2d(system, step_s)"
     require(discrete, "system.dt", step_s, "not a sampling time", remedy)
@@ -51,8 +51,13 @@ def read_matrix(
     matrix = np.atleast_2d(read_numbers(name, values, "is no matrix of numbers"))
     sides = zip(matrix.shape, shape, strict=True) if matrix.ndim == 2 else ()
     fits = matrix.ndim == 2 and all(wanted_side in (None, side) for side, wanted_side in sides)
-    wanted_side = " by ".join("any" if side is None else str(side) for side in shape)
-    require(fits, f"{name} (shape)", matrix.shape, f"is to be {wanted_side}", "check the matrices")
+    needed = []
+    for side, word in zip(shape, ("row", "column"), strict=True):
+        if side is not None:
+            plural = "" if side == 1 else "s"
+            needed.append(f"{side} {word}{plural}")
+    problem = f"must have {' and '.join(needed) or 'rows and columns'}"
+    require(fits, f"{name} (shape)", matrix.shape, problem, "check the matrices")
     finite = bool(np.isfinite(matrix).all())
     require(finite, name, "NaN or infinity", "is not finite", "correct its entries")
     return matrix

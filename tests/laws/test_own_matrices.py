@@ -61,6 +61,14 @@ def test_complex_numbers_are_refused_wherever_they_enter(
     assert refused.value.field.startswith(name)
 
 
+def test_a_shape_that_does_not_fit_says_what_is_needed() -> None:
+    """A vector is read as one row: the sentence names the rows that are missing."""
+    with pytest.raises(BadRequest, match=r"B \(shape\) = \(1, 2\): must have 2 rows; check"):
+        st.certify(A, np.ones(2), K=K)
+    with pytest.raises(BadRequest, match="so an input might have no effect"):
+        st.certify(A, B, K=K, slopes=(0.0, 1.0))
+
+
 def test_masked_entries_are_refused() -> None:
     masked = np.ma.masked_array(A, mask=[[False, True], [False, False]])
     with pytest.raises(BadRequest, match="has masked entries"):
