@@ -212,7 +212,7 @@ def test_an_uncontrollable_unstable_mode_is_refused_by_its_modulus() -> None:
     assert isinstance(part, Infeasible)
     expected = 1 - 1.2**2
     assert part.rate_limit == pytest.approx(expected)
-    assert "out of reach" in part.reason
+    assert "a mode of modulus 1.2 is not stable and the input does not reach it" in part.reason
     assert ratio_limit(plant.a, plant.b, 0.9) == 0.0
 
 
