@@ -1,8 +1,10 @@
 """Assignment of evenly spaced times to the rows of a log.
 
 A clock that is even to within a jitter gives the mean period. One with holes gives the period
-between them, and the log is cut there: nothing is invented. One that wanders is interpolated onto
-its median period, inputs that hold levels held; how much was interpolated is stated.
+between them, and the log is cut there: nothing is invented. One whose times scatter around an even
+clock without drift was written late or rounded: its rows are numbered. One that wanders is
+interpolated onto its median period, inputs that hold levels held; how much was interpolated is
+stated.
 """
 
 from dataclasses import dataclass
@@ -12,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ssm_study.data.rounded_times import rounded_period_s
+from ssm_study.data.scattered_times import SCATTERS, ScatteredClock, find_scattered_clock
 from ssm_study.refusal import BadRequest, require, require_at_least
 
 ClockTimes = Float[np.ndarray, "T"]
@@ -23,6 +26,7 @@ AGREEMENT = 1e-3
 HOLE = 1.5  # periods from one row to the next from which on a row is missing
 WANDERS = 0.5  # spread of the periods, of the median, beyond which rows are no samples of a clock
 FEW_REPEATS = 0.01  # share of rows with the time of the one before, up to which each is named
+INTERPOLATED = "of the samples interpolated"
 HELD = 0.5  # share of samples at which a held input does not change
 
 
@@ -216,6 +220,10 @@ def cut_at_gaps(
         cut = [values[a:b] for a, b in stretches]
         rows = EvenRows(values=cut, starts=starts, step_s=period_s, remarks=remarks)
         return cut_at_missing_values(rows)
+    clock = None if resample else find_scattered_clock(time_s, stretches)
+    if clock is not None:
+        require_equal_period(step_s, clock.period_s, where)
+        return number_rows(time_s, values, stretches, clock, step_s, remarks)
     problem = "no stretch without a hole is left"
     remedy = "record for longer, without interruptions"
     require(stretches, f"{where} (time)", "holes", problem, remedy)
@@ -224,6 +232,27 @@ def cut_at_gaps(
         require_equal_period(step_s, median_s, where)
     period_s = median_s if step_s is None else step_s
     return interpolate_pieces(time_s, values, inputs, stretches, period_s, remarks)
+
+
+def number_rows(
+    time_s: ClockTimes,
+    values: RowValues,
+    stretches: list[tuple[int, int]],
+    clock: ScatteredClock,
+    step_s: float | None,
+    remarks: list[str],
+) -> EvenRows:
+    """Number the rows of a log whose times scatter around an even clock, and cut it at gaps."""
+    period_s = clock.period_s if step_s is None else step_s
+    since_s = time_s - time_s[0]
+    starts = [round(since_s[a] / period_s) for a, _ in stretches]
+    remark = (
+        f"times scatter by up to {clock.largest:.0%} of a step around an even clock, without "
+        "drift: rows numbered, nothing interpolated (data.jitter_tolerance)"
+    )
+    cut = [values[a:b] for a, b in stretches]
+    rows = EvenRows(values=cut, starts=starts, step_s=period_s, remarks=[*remarks, remark])
+    return cut_at_missing_values(rows)
 
 
 def gap_remarks(steps: ClockTimes, holes: Int[np.ndarray, "H"], period_s: float) -> list[str]:
@@ -279,7 +308,10 @@ def interpolate_pieces(
         cut.append(np.stack(columns, axis=1))
         since_s = times[0] - time_s[0]
         starts.append(round(since_s / period_s))
-    remark = f"uneven clock: {between / samples:.0%} of the samples interpolated"
+    remark = f"uneven clock: {between / samples:.0%} {INTERPOLATED}"
+    late = max(largest_jitter(time_s[a:b]) for a, b in stretches)
+    if late < SCATTERS:
+        remark += f"; data.jitter_tolerance={late + 0.01:.2f} numbers the rows instead"
     remarks = [*remarks, remark]
     rows = EvenRows(values=cut, starts=starts, step_s=period_s, remarks=remarks)
     return cut_at_missing_values(rows)

@@ -80,6 +80,16 @@ def is_clock_name(title: str) -> bool:
     return fold_title(without_unit) in WORDS
 
 
+def runs_like_clock(title: str, unit: str, times: ClockTimes) -> bool:
+    """Whether a column has the title or the unit of a clock, and its values increase from row to
+    row but for a few."""
+    has_unit = unit.strip().lower().rstrip(".") in SECONDS
+    if not has_unit and not is_clock_name(title):
+        return False
+    steps = np.diff(times[np.isfinite(times)])
+    return len(steps) > 1 and bool((steps > 0).mean() > MOSTLY)
+
+
 def has_clock_word(title: str) -> bool:
     """Whether a title begins or ends with a word for a clock, such as `t_now` and
     `sensor_timestamp`."""
@@ -242,7 +252,9 @@ def refuse_backward_clock(
     rows = {len(contents.columns[title]) for title in taken}
     for title, times in contents.columns.items():
         plain = title_without_unit(title).strip()
-        if title in taken or not is_clock_name(title) or (is_stated and len(plain) == 1):
+        unit = contents.units.get(title, "")
+        is_clock = is_clock_name(title) or runs_like_clock(title, unit, times)
+        if title in taken or not is_clock or (is_stated and len(plain) == 1):
             continue
         if len(times) not in rows:
             continue

@@ -7,6 +7,7 @@ Lags come from least squares on increments: `dy[k]` on `du[k] ... du[k - LAGS]` 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -31,6 +32,11 @@ FORGETS = 1.0  # times over that an output without an integrator loses its level
 DRIFTS = 0.3  # share of its level by which one with an integrator may seem to grow
 INTEGRATES = 0.15  # by so much more the input explains the output's change than its level
 COARSE = 0.1  # distinct outputs, of all samples, below which a sensor is called coarse
+SETTLED = 0.1  # share of an output's movement that may be left where it has settled
+NOISE_RANGE = 6.0  # standard deviations of noise, from its lowest to its highest value
+MEDIAN_OF_BENDS = 1.652  # median magnitude of second differences of white noise of deviation one
+STANDS_STILL = 0.01  # of the output's range
+NEAR_ZERO = 0.02  # of the output's range
 ENOUGH_RESTS = 2  # returns of the input that show whether the output comes back
 FEEDTHROUGH = "model.feedthrough=true"
 INTEGRATOR = "model.integrating_output=true"
@@ -58,9 +64,15 @@ class InputShares:
         return changes and self.lost > -DRIFTS and self.lost_in_log < FORGETS
 
 
-def describe_log_dynamics(records: Sequence[Trajectory]) -> list[str]:
+def describe_log_dynamics(
+    records: Sequence[Trajectory], *, is_interpolated: bool = False
+) -> list[str]:
     """Describe in sentences how the plant behaves in a log: delay, integrator, closed loop and
-    noise."""
+    noise.
+
+    Between interpolated samples an output moves before its input does, so that they show no
+    feedthrough.
+    """
     record = max(records, key=len)
     u = record.u[:, 0]
     y = record.y[:, 0]
@@ -68,10 +80,11 @@ def describe_log_dynamics(records: Sequence[Trajectory]) -> list[str]:
     if len(record) < 4 * LAGS or is_still:
         return ["too short, or nothing moves: no dynamics measured"]
     shares = input_shares(u, y)
-    rests = sum(len(rest_segments(piece)) for piece in records)
-    sentences = [input_return_sentence(rests)]
+    sentences = [*standstill_sentences(records), input_return_sentence(count_rests(records))]
     fed_back = feedback_share(u, y)
     answer = response_delay_sentence(u, y, shares)
+    if FEEDTHROUGH in answer and is_interpolated:
+        answer = interpolated_answer_sentence()
     is_ambiguous = FEEDTHROUGH in answer and fed_back > MAYBE_FED_BACK
     sentences.append(same_sample_sentence() if is_ambiguous else answer)
     if fed_back > FED_BACK:
@@ -94,15 +107,80 @@ def same_sample_sentence() -> str:
     return "input and output move within the same sample: which of them answers is not to be seen"
 
 
+def interpolated_answer_sentence() -> str:
+    """Sentence on an output that seems to respond within the same sample where samples were
+    interpolated."""
+    return "the output answers within a sample or two: samples were interpolated, which blurs it"
+
+
+def count_rests(records: Sequence[Trajectory]) -> int:
+    """Number of times that the input rests at the value at which it rests most often, until the
+    output has settled."""
+    counts: dict[float, int] = {}
+    for piece in records:
+        for rest in rest_segments(piece):
+            level = float(rest.u[0, 0])
+            counts[level] = counts.get(level, 0) + has_settled(rest.y[:, 0])
+    return max(counts.values(), default=0)
+
+
+def has_settled(y: Signal) -> bool:
+    """Whether an output moves in the last third of a segment by a tenth at most of what it moves in
+    all, apart from noise."""
+    end = y[-(len(y) // 3 + 1) :]
+    allowed = max(SETTLED * float(np.ptp(y)), NOISE_RANGE * noise_deviation(y))
+    return float(np.ptp(end)) <= allowed
+
+
+def noise_deviation(y: Signal) -> float:
+    """Standard deviation of the noise of a signal, from its second differences."""
+    bends = np.abs(np.diff(y, n=2))
+    return float(np.median(bends)) / MEDIAN_OF_BENDS if len(bends) else 0.0
+
+
+def standstill_sentences(records: Sequence[Trajectory]) -> list[str]:
+    """Sentence on the longest stretch in which neither input nor output moves; none if there is no
+    long one."""
+    longest: tuple[int, Trajectory, int] | None = None
+    for piece in records:
+        start, end = longest_constant_stretch(piece)
+        if end - start > (longest[0] if longest else LAGS):
+            longest = (end - start, piece, start)
+    if longest is None:
+        return []
+    length, piece, start = longest
+    u = float(piece.u[start, 0])
+    y = float(np.median(piece.y[start : start + length, 0]))
+    seconds = length * piece.step_s
+    words = f"standstill: input {u:.4g}, output {y:.3g}, for {seconds:.3g} s"
+    at_zero = u == 0.0 and abs(y) <= NEAR_ZERO * float(np.ptp(piece.y[:, 0]))
+    return [f"{words} (data.equilibrium=zero makes it the goal)" if at_zero else words]
+
+
+def longest_constant_stretch(record: Trajectory) -> tuple[int, int]:
+    """First sample and end of the longest stretch with one value of the input in which the output
+    does not move either, apart from noise."""
+    u = record.u[:, 0]
+    y = record.y[:, 0]
+    changes = np.flatnonzero(np.diff(u)) + 1
+    bounds = [0, *changes.tolist(), len(u)]
+    best = (0, 0)
+    for start, end in pairwise(bounds):
+        is_longer = end - start > best[1] - best[0]
+        if is_longer and np.ptp(y[start:end]) <= STANDS_STILL * np.ptp(y):
+            best = (start, end)
+    return best
+
+
 def input_return_sentence(rests: int) -> str:
-    """Sentence on how often the input returns to its last value and stays there."""
+    """Sentence on how often the input returns to its last value until the output has settled."""
     if rests >= ENOUGH_RESTS:
-        return (
-            f"the input rests {rests} times at its last value: long rests show where the output "
-            "settles"
-        )
+        return f"the input rests {rests} times at one value until the output has settled"
     often = "rests once" if rests == 1 else "never rests"
-    return f"the input {often} at its last value: two long rests show where the output settles"
+    return (
+        f"the input {often} at its last value until the output has settled: two long rests show "
+        "where it settles"
+    )
 
 
 def response_delay_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
@@ -128,7 +206,10 @@ def response_delay_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
             "no single step of the input stands out of the noise, but its level explains "
             f"{max(level, shares.change):.0%} of the {explained}"
         )
-    return f"no answer to the input within {LAGS} samples stands out of the noise"
+    return (
+        f"no answer to the input within {LAGS} samples stands out of the noise: are these the "
+        "right columns?"
+    )
 
 
 def block_means(values: Signal, length: int) -> Float[np.ndarray, "B"]:
@@ -305,8 +386,7 @@ def sensor_noise_sentence(y: Signal) -> str:
     moving = steps[steps > 0]
     resolution = float(moving.min()) if len(moving) else 0.0
     is_coarse = len(np.unique(y)) < COARSE * len(y)
-    bends = np.abs(np.diff(y, n=2))
-    noise = float(1.4826 * np.median(bends) / np.sqrt(6.0))
+    noise = noise_deviation(y)
     if noise < 0.5 * resolution:
         coarse = "a coarse sensor: " if is_coarse else ""
         return f"{coarse}no noise beyond the sensor's steps of {resolution:.3g}"

@@ -5,29 +5,34 @@ Each sentence is a measurement on the log alone; none of them decides anything a
 """
 
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
+from ssm_study.data.clock import INTERPOLATED
 from ssm_study.data.clock_column import (
     clock_column_seconds,
     find_clock_column,
     first_column_counts_rows,
     is_evenly_spaced,
+    runs_like_clock,
 )
 from ssm_study.data.column_facts import ColumnFacts, column_facts
 from ssm_study.data.log_dynamics import FEEDTHROUGH, INTEGRATOR, describe_log_dynamics
 from ssm_study.data.readers.reader import Table, choose_reader, fold_title, title_without_unit
 from ssm_study.data.recorded import RecordedData
-from ssm_study.data.signal_guess import guess_signals, is_set_point_title
+from ssm_study.data.signal_guess import doubtful_guess_sentences, guess_signals, is_set_point_title
 from ssm_study.data.text_layout import TextSettings
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Trajectory
 
 MOST_SKIPPED = 6  # entries that are listed one by one
+MOST_LETTERS = 40  # of the name of a study
 MOST_NAMED = 4  # columns that move besides input and output, by name in the sentence on them
+NO_SIGNALS = "no command yet: name the columns with --input and --output, and look again"
 NO_COMMAND = "no command yet: change what the line `not read yet` names, and look again"
 
 
@@ -85,12 +90,16 @@ class LogLook:
     output: str | None
     disturbance: str | None = None
     step_is_known: bool = True
+    disturbed_command: str = ""
 
     def __str__(self) -> str:
         lines = [f"{self.path.name}", *(column.table_line() for column in self.columns)]
         lines += skipped_column_lines(self.skipped)
         lines += [f"- {sentence}" for sentence in self.sentences]
-        return "\n".join([*lines, "", self.command])
+        lines += ["", self.command]
+        if self.disturbed_command:
+            lines += ["", "or with what was measured too:", self.disturbed_command]
+        return "\n".join(lines)
 
 
 def skipped_column_lines(skipped: dict[str, str]) -> list[str]:
@@ -142,24 +151,36 @@ def look(
         disturbance=column_name(disturbance),
         text=settings or TextSettings(),
     )
+    return look_with_settings(path, stated)
+
+
+def look_with_settings(path: Path, stated: LogSettings) -> LogLook:
+    """Examine a log file with stated settings."""
     table = choose_reader(path, stated.text).contents(path)
-    problem = "has no column of numbers"
-    remedy = "export it as CSV"
-    require(table.columns, "data.path", path, problem, remedy)
+    require(table.columns, "data.path", path, "has no column of numbers", "export it as CSV")
     facts = [column_facts(name, table) for name in table.columns]
     clock = stated.time if stated.time is not None else clock_column_name(table)
     u, y = choose_signals(table, facts, clock, stated)
     sentences = [f"read: {table.remark}"] if table.remark else []
+    are_named = (stated.input is not None, stated.output is not None)
+    doubts = doubtful_guess_sentences(facts, table.skipped, (u, y), are_named)
     reading = Reading(records=[], step_is_known=True, sentences=[])
+    others: list[str] = []
     if u is None or y is None:
         sentences.append("one column alone: name a file for input and output each")
+    elif doubts:
+        sentences += doubts
+        u = y = None
     else:
         sentences += signal_choice_sentences(facts, (u, y), stated)
         source = stated.as_data_source(path, u, y)
         reading = examine_signals(path, table, clock, source)
         sentences += reading.sentences
-        sentences += other_signal_sentences(facts, clock, (u, y, stated.disturbance))
-    command = study_command(path, u, y, stated, reading, sentences)
+        clocks = [column.name for column in facts if is_clock(column, table)]
+        others = other_signals(facts, clock, (u, y, stated.disturbance))
+        others = [name for name in others if name not in clocks]
+        sentences += other_signal_sentences(others)
+    command = NO_SIGNALS if doubts else study_command(path, u, y, stated, reading, sentences)
     return LogLook(
         path=path,
         columns=facts,
@@ -171,6 +192,7 @@ def look(
         output=y,
         disturbance=stated.disturbance,
         step_is_known=reading.step_is_known,
+        disturbed_command=add_disturbance(command, others, stated) if reading.records else "",
     )
 
 
@@ -193,14 +215,23 @@ def choose_signals(
     table: Table, facts: Sequence[ColumnFacts], clock: str | None, stated: LogSettings
 ) -> tuple[str | None, str | None]:
     """Names of the input and output columns, as stated by the user or else guessed."""
-    uneven = [column for column in facts if not is_evenly_spaced(table.columns[column.name])]
-    free = [column for column in uneven if column.name != stated.disturbance]
+    free = []
+    for column in facts:
+        is_even = is_evenly_spaced(table.columns[column.name])
+        is_stated = column.name == stated.disturbance
+        if not (is_even or is_stated or is_clock(column, table)):
+            free.append(column)
     u, y = guess_signals(free, clock)
     if stated.input is not None:
         u = stated.input
     if stated.output is not None:
         y = stated.output
     return u, y
+
+
+def is_clock(column: ColumnFacts, table: Table) -> bool:
+    """Whether a column has the title or the unit of a clock and runs like one."""
+    return runs_like_clock(column.name, column.unit, table.columns[column.name])
 
 
 def signal_choice_sentences(
@@ -244,7 +275,10 @@ def examine_signals(path: Path, table: Table, clock: str | None, source: Recorde
     except BadRequest as error:
         remedy = error.remedy.split("; `ssm-study look")[0]
         refusal = f"not read yet: {error.field} = {error.value}: {error.problem}; {remedy}"
-        sentences = [refusal, *clock_sentences(table, clock)]
+        concerns_step = error.field == "data.step_s"
+        sentences = [refusal]
+        if concerns_step or clock is not None:
+            sentences += clock_sentences(table, clock)
         if error.field != "data.step_s" or error.value is not None:
             clock_is_known = clock is not None
             return Reading(records=[], step_is_known=clock_is_known, sentences=sentences)
@@ -255,20 +289,25 @@ def examine_signals(path: Path, table: Table, clock: str | None, source: Recorde
         sentences += describe_log_dynamics(records)
         return Reading(records=records, step_is_known=False, sentences=sentences)
     prefix = f"{path.name}: {table.remark}; "
-    sentences = [remark.removeprefix(prefix), *describe_log_dynamics(records)]
+    is_interpolated = INTERPOLATED in remark
+    dynamics = describe_log_dynamics(records, is_interpolated=is_interpolated)
+    sentences = [remark.removeprefix(prefix), *dynamics]
     return Reading(records=records, step_is_known=True, sentences=sentences)
 
 
-def other_signal_sentences(
+def other_signals(
     facts: Sequence[ColumnFacts], clock: str | None, signals: Sequence[str | None]
 ) -> list[str]:
-    """Sentence that lists the varying columns other than input and output, because they may be
-    disturbances."""
+    """Names of the varying columns other than input and output, which may be disturbances."""
     titles = [column.name for column in facts]
     places = [column_index(titles, name) for name in (*signals, clock)]
     others = [column for k, column in enumerate(facts) if k not in places]
     moving = [column.name for column in others if column.levels > 1]
-    moving = [name for name in moving if not is_set_point_title(name)]
+    return [name for name in moving if not is_set_point_title(name)]
+
+
+def other_signal_sentences(moving: Sequence[str]) -> list[str]:
+    """Sentence that lists columns that may be disturbances; none without such a column."""
     if not moving:
         return []
     named = ", ".join(moving[:MOST_NAMED])
@@ -312,11 +351,12 @@ def study_command(
     sentences: Sequence[str],
 ) -> str:
     """Command line that runs a study on the log, ready to be pasted."""
+    study = f"study={study_name(path)} data=recorded"
     if u is None or y is None:
-        return f"ssm-study run data=recorded data.path={quote_for_command(str(path))} ..."
+        return f"ssm-study run {study} data.path={quote_for_command(str(path))} ..."
     if not reading.records:
         return NO_COMMAND
-    words = ["ssm-study run data=recorded", f"data.path={quote_for_command(str(path))}"]
+    words = [f"ssm-study run {study}", f"data.path={quote_for_command(str(path))}"]
     words += [
         f"data.input={quote_for_command(u)}",
         f"data.output={quote_for_command(y)}",
@@ -327,6 +367,20 @@ def study_command(
     text = " ".join(sentences)
     words += [setting for setting in (INTEGRATOR, FEEDTHROUGH) if setting in text]
     return " ".join(words)
+
+
+def add_disturbance(command: str, others: Sequence[str], stated: LogSettings) -> str:
+    """Command line with the one further signal of a log as a measured disturbance; empty if there
+    is none, or several."""
+    if len(others) != 1 or stated.disturbance is not None:
+        return ""
+    return f"{command} data.disturbance={quote_for_command(others[0])}"
+
+
+def study_name(path: Path) -> str:
+    """Name of a study for a log: the name of its file in plain letters, without suffix."""
+    letters = unicodedata.normalize("NFKD", path.stem).encode("ascii", "ignore").decode()
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", letters).strip("_-")[:MOST_LETTERS] or "log"
 
 
 def quote_for_command(text: str) -> str:

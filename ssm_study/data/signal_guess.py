@@ -4,10 +4,13 @@ import re
 from collections.abc import Sequence
 
 from ssm_study.data.column_facts import ColumnFacts
+from ssm_study.data.written_numbers import AMBIGUOUS
 
 HOLDS_COUNT = 0.4  # weight, against a word of the name, of how long a column holds its levels
 FEW_LEVELS_COUNT = 0.2  # the same of how few levels it has
 STEADY_COUNTS = 0.3  # the same, against an input, of a column that hardly moves from its mean
+# Reasons why a column of numbers was skipped; a column of other texts has none of them.
+HAS_NUMBERS = re.compile(rf" in line \d+: |{AMBIGUOUS}")
 STEADY = 0.1  # range over the largest magnitude, below which a column hardly moves
 INPUT_WORDS_TEXT = """
     u in input command cmd pwm duty valve heater voltage power signal inputsignal servo
@@ -62,3 +65,37 @@ def title_word_score(name: str, words: tuple[str, ...]) -> float:
         return 1.0
     long_words = [word for word in words if len(word) > 3]
     return 0.5 if any(part.startswith(word) for part in parts for word in long_words) else 0.0
+
+
+def doubtful_guess_sentences(
+    facts: Sequence[ColumnFacts],
+    skipped: dict[str, str],
+    signals: tuple[str | None, str | None],
+    are_named: tuple[bool, bool],
+) -> list[str]:
+    """Sentences on columns that would be guessed as input or output if they could be read or if
+    they moved. The guess would go around them.
+
+    `are_named` says of input and output whether the user named them, so that nothing is guessed.
+    """
+    unusable = {name: why for name, why in skipped.items() if HAS_NUMBERS.search(why)}
+    for column in facts:
+        if column.levels == 1:
+            unusable[column.name] = f"it is {column.low:g} throughout"
+    sides = [
+        ("input", signals[0], are_named[0], INPUT_WORDS, OUTPUT_WORDS),
+        ("output", signals[1], are_named[1], OUTPUT_WORDS, INPUT_WORDS),
+    ]
+    sentences = []
+    for side, guess, is_named, words, other_words in sides:
+        if is_named or guess is None:
+            continue
+        score = title_word_score(guess, words)
+        for title, why in unusable.items():
+            own = title_word_score(title, words)
+            is_other_side = own < title_word_score(title, other_words)
+            counts_if_equal = score == 0.0 or title in skipped
+            is_better = own > score or (own == score and counts_if_equal)
+            if is_better and not is_other_side:
+                sentences.append(f"no guess: {title} may be the {side}, but {why}")
+    return list(dict.fromkeys(sentences))

@@ -1,0 +1,53 @@
+"""Sampling time of a clock whose times scatter around an even one, because they were written late
+or rounded."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.data.rounded_times import roundest_number
+
+ClockTimes = Float[np.ndarray, "T"]
+
+SCATTERS = 0.5  # periods beside an even clock, within which a time belongs to one row alone
+WANDERS = 0.3  # correlation of a deviation with the one before, from which on a clock wanders
+STANDARD_ERRORS = 3.0  # on both sides of a period
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScatteredClock:
+    """Period of an even clock around which written times scatter, and the largest distance of a
+    time from it, in periods."""
+
+    period_s: float
+    largest: float
+
+
+def find_scattered_clock(
+    time_s: ClockTimes, stretches: list[tuple[int, int]]
+) -> ScatteredClock | None:
+    """Find the even clock around which the times of a log scatter without drift. None if there is
+    none.
+
+    A line through the times of all stretches, with one slope `h`. Every time lies within half a
+    period of it, and a deviation says nothing about the next one: a clock that wanders, or jumps,
+    is late for many rows on end.
+    """
+    if not stretches:
+        return None
+    rows = np.concatenate([np.arange(b - a) - (b - a - 1) / 2 for a, b in stretches])
+    times = np.concatenate([time_s[a:b] - time_s[a:b].mean() for a, b in stretches])
+    power = float(rows @ rows)
+    period_s = float(rows @ times) / power
+    deviations = times - period_s * rows
+    scatter_s = float(deviations.std())
+    largest = float(np.abs(deviations).max()) / period_s
+    if largest >= SCATTERS or scatter_s == 0.0:
+        return None
+    following = float((deviations[1:] * deviations[:-1]).mean()) / scatter_s**2
+    if following > WANDERS:
+        return None
+    uncertainty_s = STANDARD_ERRORS * scatter_s / np.sqrt(power)
+    plain_s = roundest_number(period_s - uncertainty_s, period_s + uncertainty_s)
+    return ScatteredClock(period_s=plain_s, largest=largest)
