@@ -292,13 +292,15 @@ def _split_into_scalar_maps(portable: PortableMap) -> list[PortableMap]:
     if portable.linear.shape == (1, 1):
         return [portable]
     assert net is not None
+    if len(net.biases) > 1:
+        return []
     inner = net.weights[0]
     outer = net.weights[-1]
     diagonal = np.array_equal(portable.linear, np.diag(gains))
     has_one_input = (inner != 0).sum(axis=1) <= 1
     leads_elsewhere = (outer.T != 0) & (inner == 0)
     apart = has_one_input.all() and not np.any(leads_elsewhere)
-    if len(net.biases) > 1 or not diagonal or not apart:
+    if not diagonal or not apart:
         return []
     scalar_maps = []
     for c, gain in enumerate(gains):

@@ -29,15 +29,14 @@ def read_template(name: str) -> Template:
 _HEADER = read_template("controller.h.txt")
 _SET_POINTS = read_template("set_points.h.txt")
 _REPLAY = read_template("replay.c.txt")
-# The header's comment on use within limits, with set points and without them; `#` is the prefix.
+# The header's comment on use within limits, with set points and without them; `#` is the
+# prefix, `@` the reason why there are none.
 WITHIN = {
     True: """ * Within limits, to set points r:
  *     #_init(&state, y);             once: the estimate starts at rest at the first measurement
  *     #_track(&state, y, r, u);      every sample: u is clamped to the limits, the estimate \
 knows it""",
-    False: """ * Within limits, to rest. No set points: the model integrates, a map couples \
-channels, no constant input
- * reaches every output, or neurons stand between several inputs or outputs.
+    False: """ * Within limits, to rest. No set points: @.
  *     #_reset(&state);               once: the estimate starts at rest at the equilibrium
  *     #_input(&state, u), #_clamp(u), apply, #_advance(&state, y, u);      every sample""",
 }
@@ -217,7 +216,7 @@ def _template_values(device: Device, name: str) -> dict[str, object]:
 def _render_limits_comment(device: Device, has_set_points: bool) -> str:
     """C comment that says how to use the controller within input limits. Measured disturbances are
     the last argument."""
-    comment = WITHIN[has_set_points]
+    comment = WITHIN[has_set_points].replace("@", device.no_set_points_reason)
     if not device.controller.scale.disturbances:
         return comment
     return comment.replace("y, r, u)", "y, r, u, d)").replace("y, u);   ", "y, u, d);")

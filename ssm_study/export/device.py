@@ -115,6 +115,23 @@ class Device:
             return self._linear_set_point_maps(model, inward, outward)
         return self._interpolated_set_point_maps(controller, inward, outward)
 
+    @property
+    def no_set_points_reason(self) -> str:
+        """Reason why a device cannot compute set points, as a clause; empty if it can."""
+        if self.set_point_maps is not None:
+            return ""
+        controller = convert_floats(self.controller, np.float64)
+        maps = (controller.s_in, controller.s_out)
+        if any(invert_map(part) is None for part in maps):
+            return "a map couples channels"
+        model = controller.recurrence()
+        if isinstance(model, StateSpace):
+            integrates = "the model integrates"
+            return integrates if model.integrates else "no constant input reaches every output"
+        if len(self.lower) > 1 or len(model.c) > 1:
+            return "neurons stand between several inputs or outputs"
+        return "two equilibria of the model have one output, or one was not found"
+
     def _linear_set_point_maps(
         self, model: StateSpace, inward: Inverse, outward: Inverse
     ) -> SetPoints | None:

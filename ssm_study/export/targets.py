@@ -152,7 +152,8 @@ def _describe_signals(run: Path, device: Device) -> tuple[str, ...]:
         lines += _describe_ranges("disturbance", "measured, seen from", *disturbances)
     outputs = _read_recorded_ranges(run, "validation.mcap", "/measured")
     if outputs is not None:
-        lines += _describe_ranges("output", "seen from", *outputs)
+        seen = _describe_ranges("output", "seen from", *outputs)
+        lines += [f"{line} in the validation records" for line in seen]
     return tuple(lines)
 
 

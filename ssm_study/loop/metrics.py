@@ -65,7 +65,14 @@ COLUMNS = (
         "settling_time_pi_s", "Float64", word="Mean settling time, PI from the same model", unit="s"
     ),
     Column("overshoot_worst", "Float64", "low", word="Worst overshoot", unit="share of the start"),
-    Column("input_peak_v", "Float64", "low", "peak u", "Input peak", "unit of the input"),
+    Column(
+        "input_peak_v",
+        "Float64",
+        "low",
+        "peak u",
+        "Input peak, from equilibrium",
+        "unit of the input",
+    ),
     Column("control_energy", "Float64", "low", "energy", "Control energy", "squared input, s"),
     Column(
         "integral_squared_error",

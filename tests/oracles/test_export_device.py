@@ -307,6 +307,8 @@ def test_refusals(tmp_path: Path) -> None:
         device(tmp_path / "half", kind="linear", real="half")
     coupled = device(tmp_path / "two", kind="mlp", channels=2)
     assert coupled.set_point_maps is None
+    header = render_c_files(coupled, about="")["controller.h"]
+    assert "No set points: a map couples channels." in header
     assert (
         "controller_track(controller_state" not in render_c_files(coupled, about="")["controller.h"]
     )
