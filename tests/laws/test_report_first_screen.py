@@ -10,7 +10,7 @@ from report_browser import complaints, count_shown_runs, groups_shown, wait_for
 from report_runs import random_run, write_recordings
 
 from ssm_study.report.page.data import provenance
-from ssm_study.report.page.first_screen import proved_card, remarks
+from ssm_study.report.page.first_screen import remarks
 from ssm_study.report.page.writing import write_page
 from ssm_study.report.study_folder import StudyFolder
 from ssm_study.report.words import SETTLED
@@ -313,17 +313,3 @@ def test_fresh_data_beyond_the_proof_are_a_warning() -> None:
     assert remark.text.endswith("3 fresh data sets need at most 12.05 times, more than is covered.")
     for harmless in ({"coverage_needed": 1.0}, {"coverage_needed": None}, {"coverage": None}):
         assert list(remarks(FRESH | harmless)) == []
-
-
-def test_the_card_of_the_proof_says_within_which_limits_it_holds() -> None:
-    record = {"controller_certified_rate": 0.36149, "controller_certified": True}
-    record |= {"observer_certified": True, "limit_lower": -4.9, "limit_upper": 4.97}
-    record |= {"unlimited_from": -0.1309, "unlimited_to": 0.1309}
-    card = proved_card(record)
-    assert card is not None
-    assert card.number == "0.361"
-    assert "between -4.9 and 4.97 that is certain from initial outputs between -0.131" in card.text
-    assert "from everywhere no rate is proved" in card.text
-    limited = proved_card(record | {"limited_rate": 0.02})
-    assert limited is not None
-    assert "from everywhere the rate 0.02 is" in limited.text

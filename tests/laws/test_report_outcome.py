@@ -9,7 +9,7 @@ import report_tables
 from rich.console import Console
 
 from ssm_study.report.outcome import pi_words, print_outcome
-from ssm_study.report.page.first_screen import coverage_words
+from ssm_study.report.page.proof_card import coverage_words
 from ssm_study.training.choice import REFIT_WORDS
 
 RADIUS = "spectral radius of the controller"

@@ -20,6 +20,7 @@ from ssm_study.report.page.first_screen import (
     settings_line,
 )
 from ssm_study.report.page.pictures import pictures_of_run
+from ssm_study.report.page.proof_card import ShownLoop
 from ssm_study.report.study_folder import RecordedCases, RunFolder, StudyFolder
 from ssm_study.report.words import VERDICTS, choice_label, column_words, verdict_counts, verdicts
 from ssm_study.table.columns import (
@@ -134,9 +135,16 @@ def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
         first = row_as_record(table.iloc[0])
         parts["introduction"] = introduction(table)
         parts["settings"] = settings_line(table)
-        parts["cards"] = outcome_cards(first)
+        parts["cards"] = outcome_cards(first, shown_loop(study, first))
         parts["remarks"] = list(remarks(first))
     return parts
+
+
+def shown_loop(study: StudyFolder, record: dict[str, Any]) -> ShownLoop | None:
+    """Facts on the closed loop of a run, given its record; None if it left no recording."""
+    name = record.get("run")
+    recording = study.run(name).closed_loop if name else None
+    return None if recording is None else ShownLoop.from_recording(recording)
 
 
 def subject_words(table: pd.DataFrame) -> str:

@@ -1,14 +1,12 @@
 """First screen of the report page, with the best run in four cards, and remarks below them."""
 
-import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
 
-from ssm_study.api.summaries import round_rate_down
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
 from ssm_study.report.outcome import (
     exceeds_coverage,
@@ -17,10 +15,11 @@ from ssm_study.report.outcome import (
     pi_words,
     refit_words,
 )
+from ssm_study.report.page.card import Card, Record
+from ssm_study.report.page.proof_card import ShownLoop, proved_card, start_words
 from ssm_study.report.words import SETTLED, VERDICTS, Verdict, column_words, digits_beside_bound
 from ssm_study.table.columns import swept_settings
 
-Record = Mapping[str, Any]
 SUPPORT = {
     "sound": "No check of the records speaks against the prediction.",
     DOUBT: "The records leave a doubt.",
@@ -28,15 +27,6 @@ SUPPORT = {
 }
 FINDING = re.compile(r" (?=(?:note|doubt|cannot judge): )")
 REASONS = ("infeasible_reason", "uncertified_reason", "error_message")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Card:
-    """One block of a run's outcome, with a number and a sentence about it."""
-
-    title: str
-    number: str
-    text: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,11 +80,15 @@ def setting_text(record: Record, name: str) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def outcome_cards(record: Record) -> list[Card]:
+def outcome_cards(record: Record, loop: ShownLoop | None = None) -> list[Card]:
     """Cards of a run on its model, its proof, its prediction and its closed loop, as far as it has
     them."""
-    builders = (model_card, proved_card, predicted_card, seen_card)
-    built = [build(record) for build in builders]
+    built = [
+        model_card(record),
+        proved_card(record, loop),
+        predicted_card(record),
+        seen_card(record, loop),
+    ]
     return [card for card in built if card is not None]
 
 
@@ -108,65 +102,6 @@ def model_card(record: Record) -> Card | None:
         number=f"{fit:.1f} %",
         text="fit on the test record, which training has not seen (100 %: a perfect free run)",
     )
-
-
-def proved_card(record: Record) -> Card | None:
-    """Card with the certified rates and what they cover, or with the largest rate that could be
-    certified."""
-    rate = record.get("controller_certified_rate")
-    requested = record.get("rate_controller")
-    limit = record.get("controller_rate_limit")
-    if rate is None:
-        rate = requested
-    if rate is None:
-        return None
-    if record.get("controller_certified") and record.get("observer_certified"):
-        shrinks = 100 - 100 * math.sqrt(1 - rate)
-        observer = record.get("observer_certified_rate")
-        also = "" if observer is None else f"; the observer at {observer:.3g}"
-        text = (
-            "certified rate per sample (Theorem 1): under control, distances shrink by "
-            f"{shrinks:.2g} % or more a sample{also}{limit_words(record)}{coverage_words(record)}"
-        )
-        return Card(title="Proved of the model", number=round_rate_down(rate), text=text)
-    if limit is None:
-        return Card(title="Proved of the model", number="nothing", text="there is no certificate")
-    requested_words = "" if requested is None else f"; requested: {requested:.3g}"
-    text = f"largest rate that can be certified{requested_words}"
-    return Card(title="Proved of the model", number=f"{limit:.3g}", text=text)
-
-
-def coverage_words(record: Record) -> str:
-    """Text on the model error that the proof covers. Below one it covers nothing."""
-    coverage = record.get("coverage")
-    if coverage is None or record.get("evidence") == CANNOT_JUDGE:
-        return ""
-    if coverage < 1:
-        return "; the model error that the records show is not covered"
-    times = math.floor(100 * coverage) / 100  # never rounded up to what is not proved
-    covered = (
-        f"; a model error {times:.2f} times as large as the records show is covered, at every "
-    )
-    covered += f"frequency above zero{refit_words(record)}"
-    if exceeds_coverage(record):  # a remark of its own says so
-        return covered
-    return covered + fresh_data_words(record)
-
-
-def limit_words(record: Record) -> str:
-    """Text on the input limits, under which the certified rate holds only from some initial
-    outputs."""
-    lower = record.get("limit_lower")
-    upper = record.get("limit_upper")
-    first = record.get("unlimited_from")
-    last = record.get("unlimited_to")
-    if lower is None or upper is None or first is None or last is None:
-        return ""
-    rate = record.get("limited_rate")
-    everywhere = "no rate is proved" if rate is None else f"the rate {rate:.3g} is"
-    inside = f"with the input between {lower:.3g} and {upper:.3g} that is certain from initial "
-    inside += f"outputs between {first:.3g} and {last:.3g}"
-    return f"; {inside}, from everywhere {everywhere}"
 
 
 def predicted_card(record: Record) -> Card | None:
@@ -191,7 +126,7 @@ def predicted_card(record: Record) -> Card | None:
     return Card(title=title, number=digits_beside_bound(margin), text=text)
 
 
-def seen_card(record: Record) -> Card | None:
+def seen_card(record: Record, loop: ShownLoop | None = None) -> Card | None:
     """Card that says how many initial states settled, how fast, and how a PI controller does."""
     count = record.get("stable_count")
     if count is None:
@@ -206,7 +141,9 @@ def seen_card(record: Record) -> Card | None:
     if record.get("stable_count_pi") is not None:
         text += f"; a PI tuned from the same model: {pi_words(record)}"
     number = f"{count:.0f} of {record.get('initial_conditions'):.0f}"
-    return Card(title=f"Seen on the {seen_place(record)}", number=number, text=text)
+    lines = tuple(filter(None, [start_words(record, loop)]))
+    title = f"Seen on the {seen_place(record)}"
+    return Card(title=title, number=number, text=text, lines=lines)
 
 
 def seen_place(record: Record) -> str:

@@ -1,0 +1,21 @@
+"""A card of the report page: one block of a run's outcome."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+Record = Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Card:
+    """One block of a run's outcome, with a number, a sentence about it, and further short lines.
+
+    `not_covered` lists what a proof says nothing about.
+    """
+
+    title: str
+    number: str
+    text: str
+    lines: tuple[str, ...] = ()
+    not_covered: tuple[str, ...] = ()

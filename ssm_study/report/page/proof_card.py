@@ -1,0 +1,173 @@
+"""Card of the report page on what is proved of a run, and on what the proof does not cover."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.api.summaries import round_rate_down
+from ssm_study.evidence.finding import CANNOT_JUDGE
+from ssm_study.report.outcome import exceeds_coverage, fresh_data_words, refit_words
+from ssm_study.report.page.card import Card, Record
+from ssm_study.study.recordings import RecordedCases
+
+TITLE = "Proved of the model"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShownLoop:
+    """Facts on the recorded closed loop that the cards compare with the proof, in physical
+    units."""
+
+    initial_outputs: Float[np.ndarray, "N p"]
+    input_range: tuple[float, float]
+    output_unit: str
+    input_unit: str
+    step_s: float
+
+    @classmethod
+    def from_recording(cls, recording: RecordedCases) -> "ShownLoop":
+        """Facts on a recorded closed loop."""
+        inputs = recording["input"]
+        return cls(
+            initial_outputs=recording["output"][:, 0],
+            input_range=(float(inputs.min()), float(inputs.max())),
+            output_unit=recording.unit("output"),
+            input_unit=recording.unit("input"),
+            step_s=recording.step_s("output"),
+        )
+
+    def count_inside(self, lower: float, upper: float) -> int:
+        """Number of starts all of whose outputs lie in a range."""
+        is_inside = (self.initial_outputs >= lower) & (self.initial_outputs <= upper)
+        return int(is_inside.all(axis=1).sum())
+
+
+def proved_card(record: Record, loop: ShownLoop | None = None) -> Card | None:
+    """Card with the certified rates and what they cover, or with the largest rate that could be
+    certified."""
+    rate = record.get("controller_certified_rate")
+    requested = record.get("rate_controller")
+    limit = record.get("controller_rate_limit")
+    if rate is None:
+        rate = requested
+    if rate is None:
+        return None
+    if record.get("controller_certified") and record.get("observer_certified"):
+        lines = (rate_line(record, rate, loop), coverage_words(record), limit_line(record, loop))
+        return Card(
+            title=TITLE,
+            number=round_rate_down(rate),
+            text="certified rate per sample (Theorem 1)",
+            lines=tuple(filter(None, lines)),
+            not_covered=tuple(exclusions(record, loop)),
+        )
+    if limit is None:
+        return Card(title=TITLE, number="nothing", text="there is no certificate")
+    requested_words = "" if requested is None else f"; requested: {requested:.3g}"
+    text = f"largest rate that can be certified{requested_words}"
+    return Card(title=TITLE, number=f"{limit:.3g}", text=text)
+
+
+def rate_line(record: Record, rate: float, loop: ShownLoop | None) -> str:
+    """Line that says by how much a rate makes distances shrink; a rate is of squared distances."""
+    shrinks = 100 - 100 * math.sqrt(1 - rate)
+    step = "" if loop is None else f" ({1000 * loop.step_s:.3g} ms)"
+    observer = record.get("observer_certified_rate")
+    also = "" if observer is None else f"; observer: rate {observer:.3g}"
+    return f"Under control, distances shrink by {shrinks:.2g} % or more a sample{step}{also}"
+
+
+def coverage_words(record: Record) -> str:
+    """Sentence on the model error that the proof covers. Below one it covers nothing."""
+    coverage = record.get("coverage")
+    if coverage is None or record.get("evidence") == CANNOT_JUDGE:
+        return ""
+    if coverage < 1:
+        return "The model error that the records show is not covered"
+    covered = f"A model error {covered_times(coverage)} times as large as the records show is "
+    covered += f"covered, at every frequency above zero{refit_words(record)}"
+    if exceeds_coverage(record):  # a remark of its own says so
+        return covered
+    return covered + fresh_data_words(record)
+
+
+def covered_times(coverage: float) -> str:
+    """Text of a coverage, never rounded up to what is not proved."""
+    return f"{math.floor(100 * coverage) / 100:.2f}"
+
+
+def limited_start_range(record: Record) -> tuple[float, float] | None:
+    """Range of initial outputs from which the full rate holds with a limited input; None if there
+    is none."""
+    names = ("limit_lower", "limit_upper", "unlimited_from", "unlimited_to")
+    if any(record.get(name) is None for name in names):
+        return None
+    return float(record["unlimited_from"]), float(record["unlimited_to"])
+
+
+def limit_line(record: Record, loop: ShownLoop | None) -> str:
+    """Line on the input limits, under which the certified rate holds only from some initial
+    outputs."""
+    start_range = limited_start_range(record)
+    if start_range is None:
+        return ""
+    first, last = start_range
+    input_unit = "" if loop is None else f" {loop.input_unit}"
+    output_unit = "" if loop is None else f" {loop.output_unit}"
+    rate = record.get("limited_rate")
+    everywhere = "no rate is proved" if rate is None else f"the rate {rate:.3g}"
+    limits = f"{record['limit_lower']:.3g} and {record['limit_upper']:.3g}{input_unit}"
+    outputs = f"{first:.3g} and {last:.3g}{output_unit}"
+    return (
+        f"With the input between {limits}: this rate from rest at outputs between {outputs}, "
+        f"from everywhere {everywhere}"
+    )
+
+
+def exclusions(record: Record, loop: ShownLoop | None) -> list[str]:
+    """Short list of what the proof says nothing about."""
+    coverage = record.get("coverage")
+    is_covered = bool(coverage_words(record)) and coverage is not None and coverage >= 1
+    excluded = ["the plant: how far it differs from the model is not in the proof"]
+    if is_covered:
+        times = covered_times(coverage)
+        excluded = [
+            f"a plant whose error in the loop exceeds {times} times what the records show",
+            "a steady offset (frequency zero), such as friction leaves",
+        ]
+    start_range = limited_start_range(record)
+    if start_range is not None:
+        excluded.append(f"with the input limited, {outside_words(start_range, loop)}")
+    excluded.append("how far noise and disturbances move the output")
+    if is_covered:
+        excluded.append("other set points of the plant: what is proved is that it comes to rest")
+    return excluded
+
+
+def outside_words(start_range: tuple[float, float], loop: ShownLoop | None) -> str:
+    """Words for the starts outside the range of outputs that is proved under an input limit."""
+    first, last = start_range
+    words = f"starts outside {first:.3g} to {last:.3g}"
+    if loop is None:
+        return words
+    total = len(loop.initial_outputs)
+    outside = total - loop.count_inside(*start_range)
+    return f"{words} {loop.output_unit}: {outside} of the {total} shown"
+
+
+def start_words(record: Record, loop: ShownLoop | None) -> str:
+    """Line that says how many of the shown starts lie in the range that is proved with a limited
+    input, and whether the input met a limit."""
+    start_range = limited_start_range(record)
+    if start_range is None or loop is None or not record.get("controller_certified"):
+        return ""
+    inside = loop.count_inside(*start_range)
+    total = len(loop.initial_outputs)
+    verb = "lies" if inside == 1 else "lie"
+    words = f"{inside} of the {total} starts {verb} where the proof holds with a limited input"
+    low, high = loop.input_range
+    is_free = record["limit_lower"] <= low and high <= record["limit_upper"]
+    met = "stayed within the limits" if is_free else "went beyond the limits"
+    return f"{words}; the input {met} ({low:.3g} to {high:.3g} {loop.input_unit})"
