@@ -106,7 +106,7 @@ def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -
     asked = []
 
     class Asked(Badly):
-        def preload(self, again: Set[str]) -> None:
+        def preload_modules(self, again: Set[str]) -> None:
             asked.append(again)
 
     def job(run: str, seed: int, rate: int) -> Job:
@@ -127,7 +127,9 @@ def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -
 
 
 def test_a_sweep_that_trains_nothing_imports_nothing_that_trains() -> None:
-    program = "import sys; from ssm_study.study.preload import preload; preload(set()); "
+    program = (
+        "import sys; from ssm_study.study.preload import preload_modules; preload_modules(set()); "
+    )
     program += "print({'cvxpy', 'torch', 'lightning'} & set(sys.modules))"
     ended = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True

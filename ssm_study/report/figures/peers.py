@@ -71,7 +71,7 @@ def create_panels(table: pd.DataFrame) -> list[PeerPanel]:
     """Panels of the figure: share settled, relative settling time and peak input of each
     controller."""
     share = create_panel(table, "stable_fraction", (-0.05, 1.05))
-    peak = create_panel(table, "input_peak_v", (0, None))
+    peak = create_panel(table, "input_peak_v", (0.0, None))
     time_s = numeric_column(table, "settling_time_mean_s")
     open_loop_s = numeric_column(table, "settling_time_open_loop_s")
     ratio = time_s / open_loop_s
