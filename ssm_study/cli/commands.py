@@ -6,6 +6,8 @@ numerics.
 """
 
 import argparse
+import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -180,8 +182,25 @@ def export_controller(options: argparse.Namespace) -> None:
     if not options.yes and not may_overwrite(options.to):
         print("nothing written")
         return
-    for path in write_controller(options.run, options.to, real=options.real, prefix=options.prefix):
+    paths = write_controller(options.run, options.to, real=options.real, prefix=options.prefix)
+    for path in paths:
         print(path)
+    for warning in export_warnings(options.run, options.to / f"{options.prefix}.h"):
+        print(warning)
+
+
+def export_warnings(run: Path, header_path: Path) -> list[str]:
+    """Sentences on what an exported controller cannot do, or what its run has not tried."""
+    warnings = []
+    reason = re.search(r"No set points: (.*)\.", header_path.read_text(encoding="utf-8"))
+    if reason is not None:
+        warnings.append(f"No set points: {reason[1]}.")
+    record_path = run / "record.json"
+    if record_path.is_file():
+        record = json.loads(record_path.read_text(encoding="utf-8"))
+        if record.get("stable_count") is None:
+            warnings.append("Not tried: this run closed no loop with the controller.")
+    return warnings
 
 
 def may_overwrite(folder: Path) -> bool:

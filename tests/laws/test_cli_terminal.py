@@ -13,7 +13,7 @@ from report_runs import random_run, write_recordings
 from ssm_study import style
 from ssm_study.cli import commands
 from ssm_study.cli.browser import open_page, page_link
-from ssm_study.cli.commands import figures_line, may_overwrite
+from ssm_study.cli.commands import export_warnings, figures_line, may_overwrite
 from ssm_study.cli.main import DONE, WRONG_REQUEST, main
 from ssm_study.cli.request import translate_arguments
 from ssm_study.cli.run import print_progress
@@ -194,3 +194,16 @@ def test_in_a_column_panels_stand_one_below_the_other(tmp_path: Path) -> None:
             widths[width] = size_inches[0]
     expected = {"page": style.PAGE_IN, "column": style.COLUMN_IN}
     assert widths == expected
+
+
+def test_an_export_warns_of_what_its_run_has_not_tried(tmp_path: Path) -> None:
+    header_path = tmp_path / "controller.h"
+    header_path.write_text(" * Within limits, to rest. No set points: a map couples channels.\n")
+    record_path = tmp_path / "record.json"
+    record_path.write_text('{"stable_count": null}')
+    warnings = export_warnings(tmp_path, header_path)
+    assert warnings[0] == "No set points: a map couples channels."
+    assert warnings[1].startswith("Not tried")
+    header_path.write_text(" * Within limits, to set points r:\n")
+    record_path.write_text('{"stable_count": 10}')
+    assert export_warnings(tmp_path, header_path) == []
