@@ -362,5 +362,7 @@ def cut_at_missing_values(pieces: EvenRows) -> EvenRows:
                 starts.append(start + a)
     remarks = list(pieces.remarks)
     if missing:
-        remarks.append(f"cut at {missing} rows with missing values in {gaps} places")
+        rows = "row" if missing == 1 else "rows"
+        places = "place" if gaps == 1 else "places"
+        remarks.append(f"cut at {missing} {rows} with missing values in {gaps} {places}")
     return EvenRows(values=cut, starts=starts, step_s=pieces.step_s, remarks=remarks)

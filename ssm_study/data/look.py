@@ -240,8 +240,10 @@ def signal_choice_sentences(
     """Sentences on input and output that were guessed, and on columns that may be a set point."""
     u, y = signals
     sentences = []
-    if None in (stated.input, stated.output):
-        sentences.append(f"guessed: input {u}, output {y} (--input and --output say otherwise)")
+    guessed = [f"input {u}"] if stated.input is None else []
+    guessed += [f"output {y}"] if stated.output is None else []
+    if guessed:
+        sentences.append(f"guessed: {', '.join(guessed)} (--input and --output say otherwise)")
     return sentences + set_point_sentences(facts, signals, stated)
 
 

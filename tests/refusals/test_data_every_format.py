@@ -99,7 +99,7 @@ def test_a_missing_value_cuts_the_record(tmp_path: Path, suffix: str) -> None:
     np.testing.assert_array_equal(actual, expected)
     first = built.training[1].first
     assert first == 51
-    assert "cut at 1 rows with missing values in 1 places" in built.metadata["reading"]
+    assert "cut at 1 row with missing values in 1 place" in built.metadata["reading"]
 
 
 def test_text_in_a_number_column_of_parquet(tmp_path: Path) -> None:
