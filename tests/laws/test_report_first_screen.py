@@ -9,7 +9,7 @@ import report_tables
 from report_browser import complaints, count_shown_runs, groups_shown, wait_for
 from report_runs import random_run, write_recordings
 
-from ssm_study.report.page.data import provenance
+from ssm_study.report.page.data import provenance, slider_settings
 from ssm_study.report.page.first_screen import remarks
 from ssm_study.report.page.writing import write_page
 from ssm_study.report.study_folder import StudyFolder
@@ -296,11 +296,33 @@ def test_a_slider_moves_the_responses_through_a_sweep_and_one_start_plays(
     assert browser.execute_script("return document.querySelector('[aria-pressed]').innerText") == (
         "Play"
     )
-    browser.execute_script(MOVE, 1)  # no recording: empty charts, and no complaint about them
+    browser.execute_script(MOVE, 1)  # no recording: charts that say so, and no complaint about them
+    empty = "return [...document.querySelectorAll('#responses .chart')].map(c => c.dataset.empty)"
+    assert browser.execute_script(empty)[0].startswith("No response: ")
     browser.execute_async_script(
         f"const done = arguments[0]; {CHART}.runAsync().then(() => done())"
     )
     assert complaints(browser) == []
+
+
+def test_the_slider_says_why_a_run_is_infeasible_and_what_all_its_runs_share() -> None:
+    table = pd.DataFrame(
+        {
+            "verdict": [SETTLED.word, "infeasible", "infeasible", SETTLED.word],
+            "rate_controller": [0.2, 0.4, 0.1, 0.2],
+            "controller_rate_limit": [0.219, 0.2191, 0.2191, 0.3],
+            "infeasible_reason": [None, "rate 0.4 is infeasible", "the solver failed", None],
+            "seed": [1, 1, 1, 0],
+        }
+    )
+    slider = slider_settings(table)
+    assert slider is not None
+    assert slider["runs"] == [2, 0, 1]
+    assert slider["notes"] == [
+        "infeasible at this rate, with seed 1: the solver failed",
+        f"{SETTLED.word}, with seed 1",
+        "infeasible at this rate, with seed 1: the largest possible is 0.219",
+    ]
 
 
 FRESH = {"verdict": SETTLED.word, "coverage": 1.068, "coverage_needed": 12.047, "fresh_sets": 3}

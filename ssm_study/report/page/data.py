@@ -15,14 +15,24 @@ from ssm_study.report.page.failures import MOST_REASONS, MOST_RUNS, failure_grou
 from ssm_study.report.page.first_screen import (
     introduction,
     outcome_cards,
+    plain_setting_name,
     remarks,
     row_as_record,
+    setting_text,
     settings_line,
 )
 from ssm_study.report.page.pictures import pictures_of_run
 from ssm_study.report.page.proof_card import ShownLoop
+from ssm_study.report.page.runner_up import runner_up
 from ssm_study.report.study_folder import RecordedCases, RunFolder, StudyFolder
-from ssm_study.report.words import VERDICTS, choice_label, column_words, verdict_counts, verdicts
+from ssm_study.report.words import (
+    INFEASIBLE,
+    VERDICTS,
+    choice_label,
+    column_words,
+    verdict_counts,
+    verdicts,
+)
 from ssm_study.table.columns import (
     DECLARED,
     FURTHER,
@@ -96,8 +106,30 @@ def slider_settings(table: pd.DataFrame) -> dict[str, Any] | None:
         if len(numbers) > 1:
             title = column_words(name).partition(" (")[0]
             runs = numbers.index.tolist()
-            return {"title": title, "runs": runs, "values": numbers.tolist()}
+            same = same_settings(table, others)
+            notes = [slider_note(row_as_record(table.loc[run]), name, same) for run in runs]
+            return {"title": title, "runs": runs, "values": numbers.tolist(), "notes": notes}
     return None
+
+
+def same_settings(table: pd.DataFrame, names: list[str]) -> str:
+    """Text of the settings that all runs of the slider share, such as `, with seed 1`."""
+    record = row_as_record(table.iloc[0])
+    parts = [f"{plain_setting_name(name)} {setting_text(record, name)}" for name in names]
+    return f", with {', '.join(parts)}" if parts else ""
+
+
+def slider_note(record: dict[str, Any], name: str, same: str) -> str:
+    """Words for a run at one place of the slider; an infeasible run says why, and which rate is
+    possible."""
+    if record["verdict"] != INFEASIBLE.word:
+        return f"{record['verdict']}{same}"
+    limit = record.get(f"{name.removeprefix('rate_')}_rate_limit")
+    reason = record.get("infeasible_reason") or "no certificate exists"
+    if limit is not None and record[name] >= limit:
+        reason = f"the largest possible is {limit:.3g}"
+    noun = "rate" if name.startswith("rate_") else "value"
+    return f"infeasible at this {noun}{same}: {reason}"
 
 
 def runs_like_the_best(table: pd.DataFrame, settings: list[str]) -> "pd.Series[bool]":
@@ -135,6 +167,7 @@ def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
         first = row_as_record(table.iloc[0])
         parts["introduction"] = introduction(table)
         parts["settings"] = settings_line(table)
+        parts["runner_up"] = runner_up(table)
         parts["cards"] = outcome_cards(first, shown_loop(study, first))
         parts["remarks"] = list(remarks(first))
     return parts

@@ -129,9 +129,10 @@ def limit_line(record: Record, loop: ShownLoop | None) -> str:
 def exclusions(record: Record, loop: ShownLoop | None) -> list[str]:
     """Short list of what the proof says nothing about."""
     coverage = record.get("coverage")
-    is_covered = bool(coverage_words(record)) and coverage is not None and coverage >= 1
     excluded = ["the plant: how far it differs from the model is not in the proof"]
-    if is_covered:
+    is_judged = bool(coverage_words(record))
+    is_covered = coverage is not None and coverage >= 1 and is_judged
+    if coverage is not None and is_covered:
         times = covered_times(coverage)
         excluded = [
             f"a plant whose error in the loop exceeds {times} times what the records show",

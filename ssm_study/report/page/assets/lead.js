@@ -39,7 +39,7 @@ function inputRows(loop) {
 }
 
 /** Moves the ten responses and their inputs through the runs of a sweep. */
-function sliderOf({ title, runs, values }, charts, applied) {
+function sliderOf({ title, runs, values, notes }, charts, applied) {
   const said = element("output", {});
   const slide = element("input", {
     type: "range",
@@ -52,8 +52,9 @@ function sliderOf({ title, runs, values }, charts, applied) {
     const i = runs[slide.value];
     const loop = loopOf(i); // an infeasible run has none
     const rows = loop ? overTime(unpack(loop.y), loop.step_s) : [];
-    said.textContent = `${title} ${printed(values[slide.value])}: ${COLUMNS.verdict[i]} (run ${printed(COLUMNS.run[i])})`;
+    said.textContent = `${title} ${printed(values[slide.value])}: ${notes[slide.value]} (run ${printed(COLUMNS.run[i])})`;
     slide.setAttribute("aria-valuetext", said.textContent);
+    for (const { dataset } of [...charts, applied]) dataset.empty = loop ? "" : `No response: ${notes[slide.value]}`;
     for (const { view } of charts) if (view) view.data("rows", rows).runAsync();
     if (applied.view) applied.view.data("rows", loop ? inputRows(loop) : []).runAsync();
   };

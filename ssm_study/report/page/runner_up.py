@@ -1,0 +1,63 @@
+"""Runner-up of a study: a certified run that is more robust than the best, which is the fastest."""
+
+from dataclasses import dataclass
+
+import pandas as pd
+
+from ssm_study.report.page.first_screen import row_as_record
+from ssm_study.report.words import SETTLED, digits_beside_bound
+from ssm_study.table.columns import numeric_column, text_column
+from ssm_study.table.rank import predicted_stable
+
+SLOWEST = 2.0  # settling time over that of the best run: a slower run is another trade
+MUCH = 2.0  # factor in margin or gain from which a run is much more robust
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunnerUp:
+    """A more robust run: its place in the table, and a sentence that compares it with the best."""
+
+    place: int
+    text: str
+
+
+def runner_up(table: pd.DataFrame) -> RunnerUp | None:
+    """Fastest run with at least twice the best run's margin, otherwise with at most half its gain.
+
+    The table has the best run first. None if no run that settles in at most twice the time is
+    that much more robust.
+    """
+    if not len(table) or table["verdict"].iloc[0] != SETTLED.word:
+        return None
+    margin = numeric_column(table, "resolved_margin")
+    gain = numeric_column(table, "controller_gain_norm")
+    eligible = eligible_runs(table) & margin.notna() & gain.notna()
+    for is_robust in (margin >= MUCH * margin.iloc[0], MUCH * gain <= gain.iloc[0]):
+        places = table.index[eligible & is_robust]
+        if len(places):
+            place = int(places[0])
+            return RunnerUp(place=place, text=comparison_words(table, place))
+    return None
+
+
+def eligible_runs(table: pd.DataFrame) -> "pd.Series[bool]":
+    """Runs that may replace the best: on the same plant, certified, predicted to be stable, and
+    settling in at most twice the time."""
+    time_s = numeric_column(table, "settling_time_mean_s")
+    plants = text_column(table, "plant")
+    is_settled = text_column(table, "verdict") == SETTLED.word
+    is_alike = (plants == plants.iloc[0]) & (time_s <= SLOWEST * time_s.iloc[0])
+    return is_settled & predicted_stable(table) & is_alike
+
+
+def comparison_words(table: pd.DataFrame, place: int) -> str:
+    """Words that compare a run with the best in settling time, stability margin and gain."""
+    own = row_as_record(table.iloc[place])
+    best = row_as_record(table.iloc[0])
+    time_s = f"{own['settling_time_mean_s']:.3g} s"
+    own_margin = digits_beside_bound(own["resolved_margin"])
+    best_margin = digits_beside_bound(best["resolved_margin"])
+    margins = f"stability margin {own_margin} (best run: {best_margin})"
+    own_gain = f"{own['controller_gain_norm']:.3g}"
+    gains = f"gain {own_gain} ({best['controller_gain_norm']:.3g})"
+    return f"settles in {time_s}, with {margins} and {gains}"

@@ -1,0 +1,44 @@
+"""The runner-up of the page: much more robust than the best run, hardly slower."""
+
+from typing import Any
+
+import pandas as pd
+
+from ssm_study.report.page.runner_up import RunnerUp, runner_up
+from ssm_study.report.words import SETTLED
+
+
+def run(time_s: float, margin: float, gain: float, **values: Any) -> dict[str, Any]:
+    record = {"verdict": SETTLED.word, "plant": "DCMotor", "predicted_stable": True}
+    numbers = {"settling_time_mean_s": time_s, "resolved_margin": margin}
+    return record | numbers | {"controller_gain_norm": gain} | values
+
+
+def found(*runs: dict[str, Any]) -> RunnerUp | None:
+    return runner_up(pd.DataFrame(list(runs)))
+
+
+BEST = run(0.08, 1.36, 33.0)
+
+
+def test_the_fastest_run_with_twice_the_margin_is_named_with_its_numbers() -> None:
+    less_gain = run(0.099, 1.83, 4.2)
+    robust = run(0.103, 3.83, 5.9)
+    named = found(BEST, less_gain, robust, run(0.117, 4.06, 3.5))
+    words = "settles in 0.103 s, with stability margin 3.83 (best run: 1.36) and gain 5.9 (33)"
+    assert named == RunnerUp(place=2, text=words)
+    second = found(BEST, less_gain)
+    assert second is not None
+    assert second.place == 1, "half the gain where no run has twice the margin"
+
+
+def test_a_run_that_is_no_real_alternative_is_not_named() -> None:
+    assert found(BEST) is None
+    assert found(BEST, run(0.09, 1.5, 30.0)) is None, "hardly more robust"
+    assert found(BEST, run(0.17, 4.0, 5.0)) is None, "more than twice as slow"
+    assert found(BEST, run(0.1, 4.0, 5.0, plant="Drive")) is None, "another plant's seconds"
+    assert found(BEST, run(0.1, 4.0, 5.0, predicted_stable=False)) is None
+    assert found(BEST, run(0.1, 4.0, 5.0, verdict="infeasible")) is None
+    assert found(BEST, run(0.1, 4.0, float("nan"))) is None, "no number to compare"
+    assert found(BEST | {"verdict": "infeasible"}, run(0.1, 4.0, 5.0)) is None
+    assert runner_up(pd.DataFrame()) is None
