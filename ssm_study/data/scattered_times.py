@@ -36,8 +36,16 @@ def find_scattered_clock(
     """
     if not stretches:
         return None
-    rows = np.concatenate([np.arange(b - a) - (b - a - 1) / 2 for a, b in stretches])
-    times = np.concatenate([time_s[a:b] - time_s[a:b].mean() for a, b in stretches])
+    centred_rows = []
+    centred_times = []
+    for first, end in stretches:
+        count = end - first
+        centre = (count - 1) / 2
+        centred_rows.append(np.arange(count) - centre)
+        stretch = time_s[first:end]
+        centred_times.append(stretch - stretch.mean())
+    rows = np.concatenate(centred_rows)
+    times = np.concatenate(centred_times)
     power = float(rows @ rows)
     period_s = float(rows @ times) / power
     deviations = times - period_s * rows
