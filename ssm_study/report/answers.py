@@ -22,6 +22,7 @@ from ssm_study.table.columns import (
 from ssm_study.table.rank import predicted_stable
 
 CONFIDENCE = 0.95
+LARGEST_TELLING = 0.5  # upper bound on a share of models, above which it says nothing
 MOST_LISTED = 8  # values of a setting that are listed; of more the first and the last
 FEWEST_RANKED = 3  # runs, and different fits: with fewer a rank correlation says nothing
 # Column that the fit is compared with, its name in a sentence, and what the better end means.
@@ -217,6 +218,8 @@ def failure_bound(models: pd.Series, share: pd.Series) -> list[str]:
     if count < 2 or failed == count:
         return []
     bound = scipy.special.betaincinv(failed + 1, count - failed, CONFIDENCE)
+    if bound > LARGEST_TELLING:
+        return [f"{count} models are too few to say how often a prediction fails."]
     of_them = f"{failed} had" if failed else "none had"
     return [
         f"Each model counted once: of {count} models {of_them} a predicted loop that does not "

@@ -6,7 +6,8 @@ import report_tables
 import scipy
 
 from ssm_study.report.answers import answers, parameters_line
-from ssm_study.report.page.data import page_title
+from ssm_study.report.page.charts import panels
+from ssm_study.report.page.data import compared_columns, page_title
 from ssm_study.table.columns import swept_settings
 
 QUESTIONS = ("Where does feasibility end", "better fit", "prediction hold")
@@ -71,6 +72,30 @@ def test_what_a_study_can_show_of_the_prediction_is_counted_by_model() -> None:
     assert scipy.stats.binom.cdf(1, 20, bound) == pytest.approx(0.05, abs=0.01)
     table = pd.DataFrame(runs[10:20])
     assert "confidence" not in said(table, "prediction hold")  # one model shows nothing
+    two = said(pd.DataFrame(runs[10:30]), "prediction hold")
+    assert two.endswith("2 models are too few to say how often a prediction fails.")
+
+
+def test_a_question_that_is_answered_in_words_names_no_plot() -> None:
+    table = report_tables.table(40)
+    questions = [answer.question for answer in answers(table)]
+    titles = [panel["question"] for panel in panels(table, questions)]
+    assert "Initial states settled against stability margin" in titles
+    assert "What does a faster rate buy?" in titles
+    stems = {" ".join(question.split()[:3]) for question in questions}
+    assert not [title for title in titles if title.startswith(tuple(stems))]
+    assert "Does the prediction hold on the plant?" in [
+        panel["question"] for panel in panels(table)
+    ]
+
+
+def test_numbers_in_total_leave_the_page_where_one_by_frequency_decides() -> None:
+    table = report_tables.table(40).assign(coverage=1.1, certified_tolerance=0.05)
+    weaker = {"mismatch_margin", "mismatch_gain", "certified_tolerance"}
+    assert weaker.isdisjoint(compared_columns(table))
+    assert "resolved_margin" in compared_columns(table)
+    bare = table.assign(coverage=None, resolved_margin=None)
+    assert weaker <= set(compared_columns(bare)), "else they are all that there is"
 
 
 def test_plants_are_answered_one_by_one_since_their_seconds_do_not_compare() -> None:

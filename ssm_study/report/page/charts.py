@@ -1,6 +1,7 @@
 """Plots of the report page as Vega-Lite specifications, with one point per run, coloured by
 verdict. A selection in one plot applies to all."""
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -97,11 +98,12 @@ RING_LOOK |= {"opacity": 1, "aria": False}
 RULE_LOOK: dict[str, Any] = {"strokeDash": [4, 3], "color": style.GREY, "aria": False}
 
 
-def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
+def panels(table: pd.DataFrame, answered: Collection[str] = ()) -> list[dict[str, Any]]:
     """Plots for which a study's table has numbers, as question, columns, and specification without
     data.
 
-    Fits that all but agree say nothing.
+    Fits that all but agree say nothing. `answered` are the questions that the page answers in
+    words; their plots are named after their columns.
     """
     fits = numeric_column(table, "fit_test_percent")
     alike = fits.max() - fits.min() < SAME_FIT
@@ -112,8 +114,28 @@ def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
         panel = _telling(table, candidate)
         if _has_numbers(table, panel):
             spec = specification(panel, table)
-            drawn.append(vars(panel) | {"spec": spec})
+            drawn.append(vars(panel) | {"spec": spec, "question": panel_title(panel, answered)})
     return drawn
+
+
+def panel_title(panel: Panel, answered: Collection[str]) -> str:
+    """Question of a plot; its columns where the page answers the same question in words."""
+    if question_stem(panel.question) not in map(question_stem, answered):
+        return panel.question
+    up = short_column_words(panel.y)
+    across = short_column_words(panel.x)
+    return f"{up} against {across[:1].lower()}{across[1:]}"
+
+
+def short_column_words(name: str) -> str:
+    """Printed name of a column without symbol and unit."""
+    without_unit = column_words(name).partition(" (")[0]
+    return without_unit.partition(",")[0]
+
+
+def question_stem(question: str) -> str:
+    """First three words of a question, which tell the page's questions apart."""
+    return " ".join(question.split()[:3])
 
 
 def _has_numbers(table: pd.DataFrame, panel: Panel) -> bool:

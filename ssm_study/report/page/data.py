@@ -49,6 +49,13 @@ MOST_TRAJECTORIES = 200  # best runs whose trajectories are embedded: about 10 k
 MOST_PICTURED = 3  # best runs whose pictures are embedded
 LARGEST_STEP = 32767  # of 16-bit steps
 LONGEST = 400  # samples of a validation record shown: more than a phone has pixels
+WEAKER = {
+    "certified_tolerance": "coverage",  # one gain for all frequencies
+    "mismatch_margin": "resolved_margin",
+    "mismatch_gain": "resolved_margin",
+    "mismatch_seen": "resolved_margin",
+    "mismatch_spread": "resolved_margin",
+}  # numbers in total, and the number by frequency that decides in their place
 MACHINE = ("machine", "machine_processor", "machine_cores")
 PACKAGES = ("ssm_study", "torch", "cvxpy", "clarabel")
 VERSIONS = tuple(f"version_{name}" for name in ("python", *PACKAGES))
@@ -74,7 +81,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     data["columns"] = {name: encode_repeats(table[name]) for name in names}
     data["words"] = {name: column_words(name) for name in names}
     data["menus"] = group_by_part(names)
-    data["known_columns"] = [column.name for column in DECLARED if column.word]
+    data["known_columns"] = compared_columns(table)
     data["first"] = first_columns(table)
     data["parameters"] = swept_settings(table)
     data["trajectories"] = trajectories(study, table)
@@ -82,6 +89,15 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     data["comparisons"] = comparisons(study, table)
     data["slider"] = slider_settings(table)
     return data
+
+
+def compared_columns(table: pd.DataFrame) -> list[str]:
+    """Columns that the page lists of a run, without those whose stronger test the study has. All
+    columns stay in the record and in the CSV."""
+    replaced = {
+        name for name, better in WEAKER.items() if numeric_column(table, better).notna().any()
+    }
+    return [column.name for column in DECLARED if column.word and column.name not in replaced]
 
 
 def first_columns(table: pd.DataFrame) -> list[str]:

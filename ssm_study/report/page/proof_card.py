@@ -76,7 +76,8 @@ def rate_line(record: Record, rate: float, loop: ShownLoop | None) -> str:
     step = "" if loop is None else f" ({1000 * loop.step_s:.3g} ms)"
     observer = record.get("observer_certified_rate")
     also = "" if observer is None else f"; observer: rate {observer:.3g}"
-    return f"Under control, distances shrink by {shrinks:.2g} % or more a sample{step}{also}"
+    shrinking = f"distances shrink by {shrinks:.2g} % or more a sample{step}"
+    return f"Under control, {shrinking}, their squares by the rate{also}"
 
 
 def coverage_words(record: Record) -> str:

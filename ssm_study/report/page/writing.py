@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ssm_study.durable import write_atomically
 from ssm_study.refusal import BadRequest
+from ssm_study.report.answers import answers
 from ssm_study.report.page.data import page_data, sort_for_page, written_parts
 from ssm_study.report.page.templates import chart_templates
 from ssm_study.report.study_folder import StudyFolder
@@ -40,7 +41,7 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
     study = StudyFolder(folder=study_folder, others=others)
     table = sort_for_page(study.table)
     data = page_data(study) | {
-        "panels": panels(table),
+        "panels": panels(table, [answer.question for answer in answers(table)]),
         "explorer": specification(EXPLORER, table),
         "groups": groups_specification(),
         "templates": chart_templates(table),
