@@ -189,10 +189,9 @@ def _design_for_system(
 
 
 def _linear_map(ball: JacobianBall, channels: int) -> LinearScaffold:
-    """Static map of a model whose true map has slopes in a ball: the gain itself where they are
-    all equal, else the identity, at which pictures are drawn."""
-    gain = 1.0 if ball.beta else ball.alpha
-    return LinearScaffold(gain=gain * np.eye(channels))
+    """Static map of a model whose true map has slopes in a ball: the gain in the middle of the
+    slopes, which is the map itself where they are all equal. Pictures are drawn with it."""
+    return LinearScaffold(gain=ball.alpha * np.eye(channels))
 
 
 def replace_study_remedies(certificate: Certificates) -> Certificates:

@@ -117,6 +117,7 @@ def summarise_design(design: "Design") -> pd.Series:
         lines["effect of the controller"] = "hardly any: the poles are those without control"
     lines["slowest pole, open loop"] = f"{slowest['model']:.4f} per sample"
     lines["slowest pole, controlled"] = f"{slowest['controlled']:.4f} per sample"
+    lines["slowest pole, observer"] = f"{slowest['estimate']:.4f} per sample"
     if "evidence" in design.facts:
         lines |= summarise_limits(design.facts)
         lines |= summarise_prediction(design.facts, acts)
@@ -199,6 +200,8 @@ def summarise_prediction(facts: dict[str, Any], acts: bool = True) -> dict[str, 
     prediction = STABILITY[facts.get("predicted_stable")]
     if facts.get("predicted_faster") is False:
         prediction += ", no faster than without control"
+    elif facts.get("predicted_faster") and facts.get("predicted_stable"):
+        prediction += ", settles sooner than without control"
     if facts["evidence"] == DOUBT:
         prediction += ", with doubts"
     return {

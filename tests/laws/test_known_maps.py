@@ -106,3 +106,16 @@ def test_a_header_says_why_it_is_not_certified(tmp_path: Path) -> None:
     words = describe_origin(saved)
     assert "NOT certified: state_feedback" in words
     assert words.endswith("see certificate.json.")
+
+
+def test_poles_of_a_design_are_those_at_the_middle_of_its_slopes() -> None:
+    """Slope one may lie outside the range for which the design is certified."""
+    lag = ([[0.9]], [[1.0]], [[0.1]], [[0.0]], 0.1)
+    design = st.control(lag, rate=0.3, slopes=(0.4, 0.8))
+    gain = design.certificate.pair.k.item()
+    poles = design.eigenvalues()
+    assert poles["controlled"].item() == pytest.approx(0.9 + 0.6 * gain)
+    correction = design.certificate.pair.l.item()
+    assert poles["estimate"].item() == pytest.approx(0.9 + 0.1 * correction)
+    printed = design.summary()["slowest pole, observer"]
+    assert printed == f"{abs(poles['estimate'].item()):.4f} per sample"
