@@ -325,6 +325,14 @@ def test_the_slider_says_why_a_run_is_infeasible_and_what_all_its_runs_share() -
     ]
 
 
+def test_a_reason_does_not_say_once_more_that_the_run_is_infeasible() -> None:
+    reason = "rate 0.4 is infeasible: the slopes allow only rates below 0.219"
+    record = {"verdict": "infeasible", "infeasible_reason": reason}
+    (outcome,) = remarks(record)
+    assert outcome.text.endswith(" Rate 0.4: the slopes allow only rates below 0.219.")
+    assert outcome.text.lower().count("infeasible") == 1
+
+
 FRESH = {"verdict": SETTLED.word, "coverage": 1.068, "coverage_needed": 12.047, "fresh_sets": 3}
 
 

@@ -237,6 +237,12 @@ def test_a_link_keeps_what_was_chosen(opened: Any, page: Path) -> None:
     element = opened.find_element("css selector", "[data-column=fit_test_percent]")
     element.click()
     wait_for(opened, "document.querySelectorAll('#side thead th').length === 3")
+    rows = "[...document.querySelectorAll('#side tbody th')].map(th => th.textContent)"
+    first = "DATA.first.map(name => DATA.words[name])"
+    is_first = opened.execute_script(f"return {rows}.map(word => {first}.includes(word))")
+    assert True in is_first
+    assert False in is_first
+    assert is_first == sorted(is_first, reverse=True), "what the table shows stands first"
     wait_for(opened, "location.hash.includes('fit_test_percent')")
     link = opened.current_url
     picked = opened.execute_script("return [...state.picked].sort()")

@@ -162,8 +162,12 @@ def record_verdict(record: Record) -> Verdict:
 
 
 def reasons(record: Record) -> list[str]:
-    """Reasons, taken from its record, why a run is infeasible, not certified or failed."""
-    return [str(record[name]) for name in REASONS if record.get(name)]
+    """Reasons, taken from its record, why a run is infeasible, not certified or failed.
+
+    The verdict stands before them, so an infeasible rate is not called infeasible once more.
+    """
+    texts = [str(record[name]) for name in REASONS if record.get(name)]
+    return [text.replace(" is infeasible: ", ": ", 1) for text in texts]
 
 
 def remarks(record: Record) -> Iterator[Remark]:

@@ -221,9 +221,10 @@ function drawSideBySide() {
       responsesOf(loopOf(i), loopOf(i).y, "Under control", range),
     ]),
   );
-  const differ = Object.keys(COLUMNS).filter(
+  const differ = [...new Set([...DATA.first, ...Object.keys(COLUMNS)])].filter(
     (name) =>
       name !== "run" &&
+      COLUMNS[name] &&
       DATA.known_columns.includes(name) &&
       new Set(runs.map((i) => printed(COLUMNS[name][i]))).size > 1,
   );
