@@ -29,9 +29,15 @@ every slope of S_u and S_y lies in the stated range, at any amplitude, that the 
 the plant's own S_u and S_y, and that no limit clamps the input. Gains come from Riccati equations
 or a solver of matrix inequalities, verdicts from rational arithmetic on the stored numbers.
 
+Of the loop of both, `u = K xh`, it follows that the model comes to rest: the error of the observer
+shrinks by itself and enters the state feedback with a bounded gain.
+
 Two entries are about the plant: `design.record["predicted_stable"]`, a prediction near the recorded
 amplitudes (None where the records allow none), and `design.record["coverage"]`, the model error
-that the proof covers over the error that the records show (below one nothing is covered).
+that the proof covers over the error that the records show (below one nothing is covered). That
+error, plant minus model, is compared by frequency with the output and the input of the model, at
+each recorded amplitude; from one on the loop comes to rest on every plant whose error stays within.
+Amplitudes, frequencies and starts that no record visits stay unproved.
 `coverage_needed` is the same ratio that data need which neither fit nor design has used. A fit of
 100 % is a perfect free run. A wrong request raises `st.BadRequest` in one sentence, before any long
 work.

@@ -173,8 +173,8 @@ def _design_for_system(
     """Design a controller for a linear system behind static maps with known slopes."""
     linear, step_s = read_linear_system(system)
     model = SSM.from_linear(linear, step_s)
-    inner = slope_ball("slopes", slopes or IDENTITY)
-    outer = slope_ball("output_slopes", output_slopes or IDENTITY)
+    inner = slope_ball("slopes", IDENTITY if slopes is None else slopes)
+    outer = slope_ball("output_slopes", IDENTITY if output_slopes is None else output_slopes)
     inward = _linear_map(inner, model.scale.inputs)
     outward = _linear_map(outer, model.scale.outputs)
     model = replace(model, scaffold_in=inward, scaffold_out=outward)
