@@ -98,9 +98,8 @@ def test_an_example_that_is_wrong_is_found(path: Path) -> None:
 
 
 def test_a_class_that_leaves_a_question_open_is_refused() -> None:
-    questions = (
-        r"does not answer: .*conditions.*model_data.*certificate_numbers.*largest_provable_rate"
-    )
+    names = "certificate_numbers, conditions, largest_provable_rate, model_data"
+    questions = f"does not answer: {names}$"  # by the names of today alone
     with pytest.raises(TypeError, match=questions):
 
         class Incomplete(StateFeedback):
