@@ -82,7 +82,8 @@ def test_missing_values_cut_the_record(name: str, rows: int, truth: np.ndarray) 
     missing = len(truth) - len(whole(data, "y"))
     assert missing >= rows
     said = data.metadata["reading"]
-    assert f"cut at {missing} rows with missing values" in said
+    rows = "row" if missing == 1 else "rows"
+    assert f"cut at {missing} {rows} with missing values" in said
     for record in (*data.training, *data.validation, *data.test):
         rows_there = slice(record.first, record.first + len(record))
         actual = record.y[:, 0]
