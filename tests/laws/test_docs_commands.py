@@ -228,7 +228,7 @@ def lock_of(command: str) -> str:
     named = [word.split("=")[1] for word in words if word.startswith(("study=", "experiment="))]
     read = [word.split("/")[1] for word in words if word.startswith("results/")]
     script = [Path(word).stem for word in words if word.endswith(".py")]
-    return (script + read + named + ["none"])[0]
+    return (read + script + named + ["none"])[0]
 
 
 def executed(command: str, clone: Path, written: Path | None = None) -> None:
