@@ -6,6 +6,7 @@ copy of the folder writes beside the copy; what runs as `python -m benchmarks.NA
 `benchmarks.common`.
 """
 
+import argparse
 import csv
 import multiprocessing
 import time
@@ -51,6 +52,13 @@ def keep(
     fresh = {tuple(str(row[name]) for name in key) for row in rows}
     others = [row for row in rows_of(path) if tuple(row[name] for name in key) not in fresh]
     write(path, sorted([*rows, *others], key=order), columns)
+
+
+def add_table_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a script that makes a table with several jobs at a time."""
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--to", type=Path)
+    parser.add_argument("--table", type=Path)
 
 
 def study_of(*settings: str) -> Any:

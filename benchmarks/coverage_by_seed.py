@@ -27,7 +27,7 @@ import pandas as pd
 
 from benchmarks.adversarial import __main__ as adversarial
 from benchmarks.aside_plants import ASIDE
-from benchmarks.common import finished_results, keep, rows_of, study_of
+from benchmarks.common import add_table_options, finished_results, keep, rows_of, study_of
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
@@ -284,10 +284,8 @@ def main() -> None:
     parser.add_argument("--cover", type=float)
     parser.add_argument("--fresh", type=int, default=3)
     parser.add_argument("--set", nargs="*", default=[])
-    parser.add_argument("--to", type=Path)
-    parser.add_argument("--table", type=Path)
     parser.add_argument("--again", action="store_true")
-    parser.add_argument("--jobs", type=int, default=1)
+    add_table_options(parser)
     arguments = parser.parse_args()
     if arguments.table is not None:
         print(summary(arguments.table).to_string(float_format=lambda value: f"{value:.3f}"))

@@ -21,7 +21,7 @@ import pandas as pd
 
 from benchmarks.adversarial import __main__ as adversarial
 from benchmarks.aside_plants import ASIDE
-from benchmarks.common import finished_results, keep, rows_of
+from benchmarks.common import add_table_options, finished_results, keep, rows_of
 from benchmarks.coverage_by_seed import IdentifiedCase
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.design_grid import DesignGrid
@@ -135,9 +135,7 @@ def main() -> None:
     parser.add_argument("--plant", nargs="+", default=[*ASIDE, *MADE])
     parser.add_argument("--seed", nargs="+", type=int, default=[0])
     parser.add_argument("--designs", type=int, default=100)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--to", type=Path)
-    parser.add_argument("--table", type=Path)
+    add_table_options(parser)
     arguments = parser.parse_args()
     if arguments.table is not None:
         print(summary(arguments.table).to_string())

@@ -22,7 +22,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from benchmarks.aside_plants import ASIDE
-from benchmarks.common import finished_results, keep, rows_of
+from benchmarks.common import add_table_options, finished_results, keep, rows_of
 from benchmarks.coverage_by_seed import IdentifiedCase
 from benchmarks.coverage_designs import MADE, ORDER
 from ssm_study.certificates.certificate import Design
@@ -134,9 +134,7 @@ def summary(path: Path) -> pd.DataFrame:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--plant", nargs="+", default=[*ASIDE, *MADE])
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--to", type=Path)
-    parser.add_argument("--table", type=Path)
+    add_table_options(parser)
     arguments = parser.parse_args()
     if arguments.table is not None:
         print(summary(arguments.table).to_string())
