@@ -33,8 +33,8 @@ FICLONE = 0x40049409  # Linux: two files share their blocks until one of them is
 
 
 def write_atomically(path: Path, content: bytes, durable: bool = True) -> None:
-    """Write a file atomically, so that readers see the old or the new content, never a part. A
-    temporary file beside it (never in TMPDIR) is flushed and renamed, then the folder is flushed.
+    """Write a file atomically, so that readers see either the old or the new content. A temporary
+    file beside it (never in TMPDIR) is flushed and renamed, then the folder is flushed.
 
     Raises `OSError` with the old version untouched and no temporary left behind. Not `durable`:
     survives every kill but not a power loss; for what is synchronised later, or counts as absent

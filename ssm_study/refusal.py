@@ -44,8 +44,7 @@ def escape_control_characters(text: str) -> str:
 
 
 def require(condition: Any, field: str, value: Any, problem: str, remedy: str) -> None:
-    """Raise `BadRequest` with a field, its value, a problem and a remedy unless a condition
-    holds."""
+    """Raise `BadRequest` with field, value, problem and remedy unless a condition holds."""
     if not condition:
         raise BadRequest(field, value, problem, remedy)
 

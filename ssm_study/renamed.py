@@ -32,7 +32,7 @@ CHANGELOG = "CHANGELOG.md, version 0.2.0"
 
 
 class OldName(FutureWarning):
-    """Warning that a name of an earlier version was used, which is understood for one version."""
+    """Warning about a name of an earlier version, which still works for one version."""
 
 
 # Modules, below `ssm_study`. An entry of a package counts for the modules in it as well, except for
@@ -243,9 +243,9 @@ COLUMNS: Mapping[str, str] = {}
 
 @dataclass(frozen=True, kw_only=True)
 class Withdrawn:
-    """Description of a removed setting or class: since which version, and what to use instead.
-    `neutral` is a value of a setting that changed nothing; a stored configuration with it is read
-    without it."""
+    """Description of a removed setting or class: the version that removed it, and what to use
+    instead. `neutral` is a value of a setting that changed nothing; a stored configuration with it
+    is read without it."""
 
     since: str
     remedy: str
@@ -481,7 +481,7 @@ class OldModules(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Any = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Specification by which Python imports a module under an old name, or one with renamed
+        """Module specification for an import under an old name, or of a module with renamed
         contents; None for any other."""
         del target
         if not fullname.startswith(f"{OURS}."):
@@ -574,8 +574,7 @@ def support_old_methods(base: type, methods: Mapping[str, str]) -> None:
     defined = vars(base).get("__init_subclass__")
 
     def redirect_renamed_overrides(cls: type, **options: Any) -> None:
-        """Let a method that a new subclass defines under an old name override the renamed
-        method."""
+        """Let a method of a new subclass override the renamed method if it has the old name."""
         add_method_aliases(cls, methods)
         if defined is None:
             super(base, cls).__init_subclass__(**options)  # type: ignore[arg-type]

@@ -227,7 +227,7 @@ Ends = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]
 
 
 def input_limits(lower: Limit, upper: Limit, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> Ends:
-    """Lower and upper limit of each input, as given or else the range of the recorded inputs.
+    """Lower and upper limit of each input, as given or from the range of the recorded inputs.
     Raises `BadRequest` if their number differs from that of the inputs."""
     recorded = np.concatenate(inputs)
     limits = []
@@ -323,8 +323,8 @@ def fit_percent(
 
 
 def fit_from_relative_error(share: float | np.floating) -> float:
-    """Convert a relative error to a fit in percent, `100 (1 - share)`. The error is relative to the
-    output's deviation from its mean."""
+    """Convert a relative error to a fit in percent, `100 (1 - relative error)`. The error is
+    relative to the output's deviation from its mean."""
     return float(100.0 * (1.0 - share))
 
 

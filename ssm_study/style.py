@@ -55,7 +55,7 @@ _PAGE: ContextVar[float] = ContextVar("_PAGE", default=PAGE_IN)
 
 
 def is_narrow() -> bool:
-    """Whether figures are drawn for a single column of a paper."""
+    """Whether figures are drawn for a single column of a paper, not for its full width."""
     return _PAGE.get() == COLUMN_IN
 
 

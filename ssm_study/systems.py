@@ -132,8 +132,8 @@ class StructuredSystem(_Recurrence):
         return self.e.shape[1]
 
     def corners(self, most: int = 10) -> Float[np.ndarray, "k q"]:
-        """Corners of the cube of neuron slopes: all combinations of zero and one, or a few of them
-        if there are many neurons. With up to `most` neurons all, one per row."""
+        """Corners of the cube of neuron slopes: all combinations of zero and one, or a few if there
+        are many neurons. With up to `most` neurons all, one per row."""
         q = self.neurons
         if q <= most:
             return np.array(list(product((0.0, 1.0), repeat=q))).reshape(-1, q)
@@ -195,8 +195,7 @@ class JacobianBall:
 
     @property
     def relative_radius(self) -> float:
-        """Radius of the ball divided by the size of its centre, `beta / |alpha|`, on which the
-        exact limit of the rate depends."""
+        """Radius of the ball divided by the size of its centre."""
         return float("inf") if self.alpha == 0 else self.beta / abs(self.alpha)
 
 
@@ -245,8 +244,8 @@ def error_input_matrix(modes: Float[np.ndarray, "z z"], outputs: int) -> Float[n
 
 
 def frozen_modes(modes: Float[np.ndarray, "z z"]) -> Float[np.ndarray, "z z"]:
-    """State matrix of the controller's internal model while an input limit is active. Integrators
-    (ones on the diagonal) hold their state, oscillators go on."""
+    """State matrix of the controller's internal model while an input limit holds its integrators.
+    Integrators (ones on the diagonal) hold their state, oscillators go on."""
     return np.where(np.diagonal(modes)[:, None] == 1, np.eye(len(modes)), modes)
 
 

@@ -128,7 +128,7 @@ def refuse_model_settings(overrides: tuple[str, ...]) -> None:
 def _rates_for_bare_system(
     parts: Parts, rate: float | None, observer_rate: float | None
 ) -> tuple[float | None, float | None]:
-    """Contraction rates of the design for a linear system that comes without records. Raises
+    """Contraction rates for the design of a linear system that comes without records. Raises
     `BadRequest` where records would be needed to choose them."""
     choice = parts.choices["synthesis"]
     problem = "needs a validation record to choose by, and there is none"
@@ -189,8 +189,8 @@ def _design_for_system(
 
 
 def _linear_map(ball: JacobianBall, channels: int) -> LinearScaffold:
-    """Static map of a model whose true map has slopes in a ball: the gain in the middle of the
-    slopes, which is the map itself where they are all equal. Pictures are drawn with it."""
+    """Linear static map whose gain is the middle of a range of slopes. Pictures are drawn with
+    it."""
     return LinearScaffold(gain=ball.alpha * np.eye(channels))
 
 

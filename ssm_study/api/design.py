@@ -101,8 +101,7 @@ class Design:
 
     @cached_property
     def unknown_maps(self) -> dict[str, str]:
-        """Static maps of which only the slopes were given to `control`; empty for an identified
-        model, whose maps are known, and where the lowest slope is the highest."""
+        """Static maps of which only the slope range was given to `control`, not the map itself."""
         is_identified = self.origin is not None or bool(self.stored_record)
         if is_identified or self.certificate.inverts_input_map:
             return {}
@@ -362,7 +361,7 @@ class Design:
         return [] if self.origin is None else [record.u for record in self.origin.data.training]
 
     def _loop_place_words(self, plant: "Plant | None") -> str:
-        """Text that says whether a loop was closed on a plant or on a model, and on which model."""
+        """Text that says on which plant or model a loop was closed."""
         if plant is not None:
             return "the simulated plant"
         is_identified = self.origin is not None or bool(self.stored_record)

@@ -108,7 +108,7 @@ def describe_record(record: Trajectory) -> dict[str, Any]:
 
 
 def signal_arrays(data: DataSet) -> dict[str, Any]:
-    """Samples of all records, under `<part>/<number>/<signal>`."""
+    """Samples of all records by name, `<part of the data set>/<record number>/<signal>`."""
     arrays = {}
     for part in PARTS:
         for number, record in enumerate(getattr(data, part)):

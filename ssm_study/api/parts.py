@@ -140,8 +140,8 @@ def _parse_numbers(value: Any) -> Any:
 
 
 def split_words(words: Iterable[str]) -> list[tuple[str, str]]:
-    """Split words such as `model.order=4` into keys and values. Raises `BadRequest` for words of
-    another form."""
+    """Split settings written as `model.order=4` into keys and values. Raises `BadRequest` for words
+    of another form."""
     pairs = []
     for word in words:
         key, equals, value = str(word).partition("=")
@@ -152,7 +152,7 @@ def split_words(words: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def part_name(word: str) -> str:
-    """Name of the part of a study that a word such as `model.order=4` sets."""
+    """Name of the part of a study that a setting such as `model.order=4` belongs to."""
     key = str(word).partition("=")[0].lstrip("+").rpartition("@")[2]
     return key.replace("/", ".").partition(".")[0]
 
@@ -240,11 +240,11 @@ class Parts:
         return construct_part(part, tree)
 
     def words_for_parts(self, *names: str) -> tuple[str, ...]:
-        """Words of the command line that set the named parts or the seeds."""
+        """Command-line overrides that set the named parts of a study or the seeds."""
         return tuple(word for word in self.given if part_name(word) in names)
 
     def words_for_command(self) -> tuple[str, ...]:
-        """Choices and settings as words for the command line `ssm-study run`."""
+        """Choices and settings as overrides for the command line `ssm-study run`."""
         chosen = [f"{name}={choice}" for name, choice in self.choices.items()]
         numbers = [f"{name}={value}" for name, value in self.numbers.items()]
         return (*chosen, *self.details, *numbers)

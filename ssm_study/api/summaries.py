@@ -69,16 +69,15 @@ def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dic
 
 
 def choice_words(chosen: str) -> str:
-    """Text on the settings that the records chose, with a plain name for the value of
-    `input_path`."""
+    """Text on the model settings that were chosen from the records."""
     for value, answer in (("none", "no"), ("free", "yes")):
         chosen = chosen.replace(f"input path {value}", f"input drives the neurons {answer}")
     return chosen
 
 
 def chosen_sizes(chosen: str) -> dict[str, int]:
-    """Numbers of states and neurons that were chosen by the records, before training removed unused
-    ones."""
+    """Numbers of states and neurons that were chosen from the records, before training removed
+    unused ones."""
     sizes = re.findall(r"\b(order|neurons) (\d+)", chosen)
     return {name: int(size) for name, size in sizes}
 
@@ -129,7 +128,7 @@ def summarise_design(design: "Design") -> pd.Series:
 def has_effect(
     uncontrolled: Complex[np.ndarray, "n"], controlled: Complex[np.ndarray, "m"]
 ) -> bool:
-    """Whether a controller moves the poles of a model by more than `LEAST_EFFECT`."""
+    """Whether a controller moves the poles of a model by more than a small threshold."""
     if len(uncontrolled) != len(controlled):  # an internal model
         return True
     before = np.sort_complex(uncontrolled)

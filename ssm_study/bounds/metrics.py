@@ -70,8 +70,9 @@ COLUMNS = (
 
 
 def model_bound_columns(model: Any) -> dict[str, Any]:
-    """Columns with the proved properties of the model alone: slopes, local Gramians and its linear
-    part. The paper's slopes, which are not a sound lower bound, stand beside them.
+    """Columns with the properties of the model without a controller: slopes, spectral radius,
+    Hankel singular values, local Gramians. The paper's slopes, which are not a sound lower bound,
+    stand beside them.
 
     Local controllability and observability, [Z26] Propositions 1 and 2, are of a recurrence without
     neurons. One that integrates has no Hankel values.

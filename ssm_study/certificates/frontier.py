@@ -105,8 +105,8 @@ def frontier(
 
 
 def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) -> float:
-    """Largest `|lambda|` of a mode that the input does not reach (Popov-Belevitch-Hautus test); 0
-    if it reaches all.
+    """Largest modulus of an eigenvalue that the input does not control (Popov-Belevitch-Hautus
+    test); 0 if it controls all.
 
     A repeated eigenvalue has no single eigenvector to test: there the rank of `[A - lambda I, B]`
     decides.

@@ -163,7 +163,7 @@ def symmetric_part(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]
 
 
 class NoSolution(Exception):
-    """Raised when a synthesis method ends without a gain. The message is the solver's; it is
+    """Error raised when a synthesis method ends without a gain. The message is the solver's; it is
     information, not a verdict."""
 
 

@@ -70,8 +70,7 @@ def assemble_blocks(rows: Blocks) -> Any:
 
 
 def multiplier_matrix(entries: Any) -> Any:
-    """Diagonal matrix with a stored vector of multipliers on its diagonal, so that the zeros beside
-    it cannot be altered."""
+    """Diagonal matrix with a stored vector of multipliers on its diagonal."""
     return entries.diagonal_matrix() if isinstance(entries, Exact) else np.diagflat(entries)
 
 
@@ -236,7 +235,8 @@ class Theorem(ABC):
 
     @property
     def variables(self) -> dict[str, Any]:
-        """Stored numbers that the theorem introduces itself, in contrast to those of the model."""
+        """Stored unknowns of the theorem's inequalities, such as metric and multipliers, without
+        the model's matrices."""
         return {
             name: value
             for name, value in vars(self).items()

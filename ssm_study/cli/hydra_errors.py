@@ -56,7 +56,7 @@ def suggest_choice(group: str, name: str, choices: list[str]) -> str:
 
 
 def suggest_with_place(key: str, at: list[str], overrides: list[str]) -> str:
-    """Suggestion for a configuration group that has to be written with its place, such as
+    """Suggestion for a configuration group that must be overridden with its package, such as
     `reference@loop.reference`."""
     values = [word.partition("=")[2] for word in overrides if word.split("=")[0] == key]
     value = values[0] if values else "VALUE"
@@ -119,8 +119,8 @@ def suggest_for_key(key: str, overrides: list[str], folder: Path) -> str:
 
 
 def compose_without_mistake(key: str, overrides: list[str], folder: Path) -> DictConfig:
-    """Compose the configuration without the settings that may be wrong. Only choices stay, and of a
-    sweep the first of each.
+    """Compose the configuration without the overrides of a misspelt key. Only choices stay, and of
+    a sweep the first of each.
 
     What names no choice says nothing about what was meant.
     """
@@ -143,7 +143,7 @@ def compose_without_mistake(key: str, overrides: list[str], folder: Path) -> Dic
 
 
 def groups_with_place(group: str, message: str, folder: Path) -> list[str]:
-    """Names of a configuration group with its place, such as `reference@loop.reference`."""
+    """Names of a configuration group with its package, such as `reference@loop.reference`."""
     if match := re.search(r"Did you mean to override (?:one of )?(.+)\?", message):
         return match[1].split(", ")
     found_places: set[str] = set()

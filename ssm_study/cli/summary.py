@@ -53,8 +53,8 @@ def print_run_summary(config: DictConfig) -> bool:
 
 
 def _read_stored_list(told: Path, study: Path, files: Sequence[Path]) -> list[Any]:
-    """Read a JSON list from a file that is newer than the study's records and all `files`;
-    otherwise the list is empty.
+    """Cached JSON list; empty if its file is older than the study's records or than one of the
+    given files.
 
     Figures that are younger show another run of the study.
     """

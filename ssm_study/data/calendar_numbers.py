@@ -88,7 +88,8 @@ def parse_digit_dates(times: Times) -> Times | None:
 
 
 def describe_day_numbers(title: str, finite: Times) -> str:
-    """Sentence that says which calendar numbers that count days belong to; empty for other numbers.
+    """Sentence that names the calendar to which numbers that count days belong; empty for other
+    numbers.
 
     The name says it, or the step is a round number of seconds as days and none as it stands.
     """

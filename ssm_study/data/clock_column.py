@@ -81,8 +81,8 @@ def is_clock_name(title: str) -> bool:
 
 
 def runs_like_clock(title: str, unit: str, times: ClockTimes) -> bool:
-    """Whether a column has the title or the unit of a clock, and its values increase from row to
-    row but for a few."""
+    """Whether a column has the title or the unit of a clock, and its values nearly always increase
+    from row to row."""
     has_unit = unit.strip().lower().rstrip(".") in SECONDS
     if not has_unit and not is_clock_name(title):
         return False

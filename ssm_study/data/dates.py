@@ -25,7 +25,7 @@ ORDERS = {"year first": "abc", "day first": "cba", "month first": "cab"}
 
 
 class AmbiguousDates(ValueError):
-    """Raised when dates can be read in two ways, because day and month can be exchanged."""
+    """Error raised when dates can be read in two ways, because day and month can be exchanged."""
 
 
 def is_date(cell: str) -> bool:
@@ -37,8 +37,8 @@ def is_date(cell: str) -> bool:
 
 
 def guess_date_format(cell: str) -> str | None:
-    """Format of a date that names its month, or that has digits around a letter T; None for any
-    other text."""
+    """Format of a date with a named month or with digits around a letter T; None for any other
+    text."""
     has_letter = any(letter.isalpha() for letter in cell)
     has_digit = any(letter.isdigit() for letter in cell)
     if not (has_letter and has_digit) or len(cell) > LONGEST:
@@ -116,8 +116,8 @@ def unwrap_midnight(seconds: DateSeconds) -> DateSeconds:
 
 
 def date_seconds(parts: pd.DataFrame, dotted: bool) -> DateSeconds:
-    """Convert dates to seconds since 1970, in the order of day, month and year that fits all of
-    them."""
+    """Convert dates given as numbers to seconds since 1970, in the order of day, month and year
+    that fits all of them."""
     time_of_day_s = seconds_since_midnight(parts)
     zones = parts["zone"].map(zone_seconds, na_action="ignore")
     shift = zones.fillna(0.0).to_numpy(dtype=float)
@@ -162,7 +162,7 @@ def zone_seconds(zone: str) -> float:
 
 
 def choose_increasing_reading(readings: list[np.ndarray], samples: int) -> DateSeconds:
-    """Choose, among several interpretations of the same dates, the one in which time increases
+    """Choose, among several interpretations of the same dates, the one whose times increase
     evenly."""
     if not readings:
         return np.full(samples, np.nan)

@@ -46,9 +46,9 @@ Signal = Float[np.ndarray, "T"]
 
 @dataclass(frozen=True, kw_only=True)
 class InputShares:
-    """Share of the output's variance that the input explains, for its level and for its change over
-    a window. Also the share of its level that the output loses over that window, and at that pace
-    over the log."""
+    """Share of the output's variance that the input explains, for the output's level and for its
+    change over a window. Also the share of its level that the output loses over that window, and at
+    that pace over the log."""
 
     level: float
     change: float
@@ -58,8 +58,8 @@ class InputShares:
 
     @property
     def is_integrator(self) -> bool:
-        """Whether the logged plant integrates its input, because the input explains changes of the
-        output better than its level."""
+        """Whether the input explains changes of the output better than its level, as for an
+        integrating plant."""
         changes = self.change > self.level + INTEGRATES
         return changes and self.lost > -DRIFTS and self.lost_in_log < FORGETS
 
@@ -103,7 +103,7 @@ def describe_log_dynamics(
 
 def same_sample_sentence() -> str:
     """Sentence on an output that responds within the same sample, so that cause and effect cannot
-    be told apart."""
+    be distinguished."""
     return "input and output move within the same sample: which of them answers is not to be seen"
 
 
@@ -114,7 +114,7 @@ def interpolated_answer_sentence() -> str:
 
 
 def count_rests(records: Sequence[Trajectory]) -> int:
-    """Number of times that the input rests at the value at which it rests most often, until the
+    """Number of times that the input returns to its most frequent resting value and stays until the
     output has settled."""
     counts: dict[float, int] = {}
     for piece in records:
@@ -125,8 +125,8 @@ def count_rests(records: Sequence[Trajectory]) -> int:
 
 
 def has_settled(y: Signal) -> bool:
-    """Whether an output moves in the last third of a segment by a tenth at most of what it moves in
-    all, apart from noise."""
+    """Whether the output's motion in the last third of a segment is at most a tenth of its whole
+    motion, apart from noise."""
     end = y[-(len(y) // 3 + 1) :]
     allowed = max(SETTLED * float(np.ptp(y)), NOISE_RANGE * noise_deviation(y))
     return float(np.ptp(end)) <= allowed
@@ -158,8 +158,8 @@ def standstill_sentences(records: Sequence[Trajectory]) -> list[str]:
 
 
 def longest_constant_stretch(record: Trajectory) -> tuple[int, int]:
-    """First sample and end of the longest stretch with one value of the input in which the output
-    does not move either, apart from noise."""
+    """First sample of the longest stretch in which input and output are constant apart from noise,
+    and the sample after it."""
     u = record.u[:, 0]
     y = record.y[:, 0]
     changes = np.flatnonzero(np.diff(u)) + 1
@@ -275,8 +275,7 @@ def increment_regression(
 
 
 def delayed_values(values: Signal, lag: int, longest: int) -> Float[np.ndarray, "K"]:
-    """Values of a signal as many samples ago as a lag says, for all samples with a value of the
-    longest lag."""
+    """Values of a signal shifted back by a lag, for all samples that also have the longest lag."""
     return values[longest - lag : len(values) - lag]
 
 
@@ -330,7 +329,8 @@ def input_shares(u: Signal, y: Signal) -> InputShares:
 
 
 def add_long_window_loss(u: Signal, y: Signal, shares: InputShares) -> InputShares:
-    """Input shares in which the loss of level is the largest one over longer windows."""
+    """Input shares of the output's variance, with the loss of level taken as the largest one over
+    longer windows."""
     longer = [w for w in WINDOWS if shares.window < w <= LONGER * shares.window]
     able = [window for window in longer if len(u) >= 8 * window]
     losses = [input_shares_over_window(u, y, window).lost_in_log for window in able]
@@ -338,7 +338,7 @@ def add_long_window_loss(u: Signal, y: Signal, shares: InputShares) -> InputShar
 
 
 def largest_explained_level(u: Signal, y: Signal) -> float:
-    """Largest share of the output's level that the mean input over a window explains, among several
+    """Largest share of the output's level that window means of the input explain, among several
     window lengths."""
     windows = [window for window in WINDOWS if len(u) >= 8 * window]
     levels = [input_shares_over_window(u, y, window).level for window in windows]
@@ -346,8 +346,7 @@ def largest_explained_level(u: Signal, y: Signal) -> float:
 
 
 def input_shares_over_window(u: Signal, y: Signal, window: int) -> InputShares:
-    """Shares of the output's level and of its changes that the mean input over windows of one
-    length explains."""
+    """Shares of the output's level and of its changes that window means of the input explain."""
     weights = np.full(window, 1 / window)
     mean = np.convolve(u, weights, mode="valid")[:-1:window]
     ends = y[window::window][: len(mean)]
@@ -370,7 +369,7 @@ def input_shares_over_window(u: Signal, y: Signal, window: int) -> InputShares:
 
 
 def explained_variance_share(x: Float[np.ndarray, "K d"], target: Float[np.ndarray, "K"]) -> float:
-    """Share of the target's variance that a least-squares fit explains; 0 for a constant target."""
+    """Share of a signal's variance that a least-squares fit explains; 0 for a constant signal."""
     if np.ptp(target) == 0:
         return 0.0
     gains = np.linalg.lstsq(x, target, rcond=1e-9)[0]

@@ -63,7 +63,7 @@ class LogSettings:
         )
 
     def overrides(self) -> list[str]:
-        """Command-line words for those settings of a log that the user states."""
+        """Command-line overrides for those settings of a log that the user states."""
         words = [f"data.time={quote_for_command(self.time)}"] if self.time is not None else []
         words += [f"data.step_s={self.step_s:g}"] if self.step_s is not None else []
         if self.disturbance is not None:
@@ -198,8 +198,7 @@ def look_with_settings(path: Path, stated: LogSettings) -> LogLook:
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """Records of a log as a run would read them, with sentences on how they were read and whether
-    the sampling time is known."""
+    """Records of a log as a run would read them, with sentences on how they were read."""
 
     records: list[Trajectory]
     step_is_known: bool
@@ -352,7 +351,7 @@ def study_command(
     reading: Reading,
     sentences: Sequence[str],
 ) -> str:
-    """Command line that runs a study on the log, ready to be pasted."""
+    """Command line that fits a model to the log, ready to be pasted."""
     study = f"study={study_name(path)} data=recorded"
     if u is None or y is None:
         return f"ssm-study run {study} data.path={quote_for_command(str(path))} ..."
@@ -372,8 +371,8 @@ def study_command(
 
 
 def add_disturbance(command: str, others: Sequence[str], stated: LogSettings) -> str:
-    """Command line with the one further signal of a log as a measured disturbance; empty if there
-    is none, or several."""
+    """Command line that reads the one remaining signal of a log as a measured disturbance; empty if
+    there is none, or several."""
     if len(others) != 1 or stated.disturbance is not None:
         return ""
     return f"{command} data.disturbance={quote_for_command(others[0])}"

@@ -186,8 +186,8 @@ def _open_channel(
 def _message_layout(
     counts: list[int], nested: bool
 ) -> tuple[UInt8[np.ndarray, "b"], Int[np.ndarray, "k"]]:
-    """Layout in bytes of a protobuf message of doubles: a message of zeros, and where the bytes of
-    each double are."""
+    """Byte layout of a protobuf message of doubles: an empty message, and the positions of the
+    bytes of each double."""
     message = b""
     at = list[int]()
     for number, channels in enumerate(counts, start=1):

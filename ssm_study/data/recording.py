@@ -364,15 +364,15 @@ class Recording(Columns):
 
 
 def equals_any_column(values: ClockTimes, columns: list[np.ndarray]) -> bool:
-    """Whether a column holds the same numbers as at least one of several columns."""
+    """Whether a column holds the same numbers as one of several columns."""
     return any(np.array_equal(values, column, equal_nan=True) for column in columns)
 
 
 def decimate_record(
     u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], every: int
 ) -> tuple[Float[np.ndarray, "T2 m"], Float[np.ndarray, "T2 p"]]:
-    """Decimate a record to every n-th output, with the mean input up to the next output. A hold
-    would have applied that mean."""
+    """Decimate a record to every n-th output and the mean input between these outputs. A hold would
+    have applied that mean."""
     periods = len(u) // every
     blocks = u[: periods * every].reshape(periods, every, -1)
     return blocks.mean(axis=1), y[: periods * every : every]

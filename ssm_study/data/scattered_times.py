@@ -1,5 +1,4 @@
-"""Sampling time of a clock whose times scatter around an even one, because they were written late
-or rounded."""
+"""Sampling time of a clock whose written times scatter around evenly spaced ones."""
 
 from dataclasses import dataclass
 
@@ -17,8 +16,8 @@ STANDARD_ERRORS = 3.0  # on both sides of a period
 
 @dataclass(frozen=True, kw_only=True)
 class ScatteredClock:
-    """Period of an even clock around which written times scatter, and the largest distance of a
-    time from it, in periods."""
+    """Period of an evenly spaced clock, and the largest distance of a written time from it, in
+    periods."""
 
     period_s: float
     largest: float
@@ -27,8 +26,8 @@ class ScatteredClock:
 def find_scattered_clock(
     time_s: ClockTimes, stretches: list[tuple[int, int]]
 ) -> ScatteredClock | None:
-    """Find the even clock around which the times of a log scatter without drift. None if there is
-    none.
+    """Find the evenly spaced clock around which the times of a log scatter without drift. None if
+    there is none.
 
     A line through the times of all stretches, with one slope `h`. Every time lies within half a
     period of it, and a deviation says nothing about the next one: a clock that wanders, or jumps,

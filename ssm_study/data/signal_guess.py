@@ -48,8 +48,8 @@ def is_set_point_title(name: str) -> bool:
 
 
 def input_score(column: ColumnFacts) -> float:
-    """Score of how much a column looks like an input of the plant: by its name, its number of
-    levels, and its range. Columns with equal scores are taken in their order."""
+    """Score of how much a column looks like an input of the plant, from its name, number of levels
+    and range. Columns with equal scores are taken in their order."""
     few_levels = max(0.0, 1.0 - 2.0 * column.levels / column.rows)
     by_levels = HOLDS_COUNT * round(column.held, 1) + FEW_LEVELS_COUNT * round(few_levels, 1)
     magnitude = max(abs(column.low), abs(column.high))
@@ -73,8 +73,8 @@ def doubtful_guess_sentences(
     signals: tuple[str | None, str | None],
     are_named: tuple[bool, bool],
 ) -> list[str]:
-    """Sentences on columns that would be guessed as input or output if they could be read or if
-    they moved. The guess would go around them.
+    """Sentences on columns that would be guessed as input or output, but cannot be read or are
+    constant. The guess would go around them.
 
     `are_named` says of input and output whether the user named them, so that nothing is guessed.
     """

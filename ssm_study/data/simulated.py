@@ -119,7 +119,8 @@ class SimulatedData:
         return assemble_dataset(parts, (rest.u, rest.y), channels, self.start_up_samples, **fields)
 
     def simulate_fresh_sets(self, plant: Plant, seed: int) -> Iterator[FreshRecords]:
-        """Simulate further records that neither fit nor design uses, each set with its own seed."""
+        """Simulate further records that neither fit nor design uses, each set from its own random
+        seed."""
         for number in range(self.fresh_sets):
             rng = np.random.default_rng([seed, FRESH, number])
             scoring = self.scoring_excitation
@@ -132,7 +133,7 @@ class SimulatedData:
     def simulate_sines(
         self, plant: Plant, seed: int, lines: Sequence[int]
     ) -> tuple[Trajectory, ...]:
-        """Simulate single-sine experiments at the frequencies to which a design is most
+        """Simulate single-sine experiments at given frequencies, those to which a design is most
         sensitive."""
         return simulate_sine_records(
             plant, np.random.default_rng([seed, SINES]), self.noise_deviation(plant), lines

@@ -43,7 +43,7 @@ def split_pieces(
 def _shared_stretches(
     record: Trajectory, log_pieces: Sequence[Trajectory], shortest: int
 ) -> list[Trajectory]:
-    """Segments of a log's pieces that a record of the joined log contains."""
+    """Cut a record of a joined log at the gaps between the log's pieces."""
     stretches = []
     start = 0
     for piece in log_pieces:
@@ -57,8 +57,8 @@ def _shared_stretches(
 
 
 def split_by_time(record: Trajectory, validation: float, test: float) -> Pieces:
-    """Split a record in the order of time, the first part for training and the last for the test.
-    Contiguous pieces, in the order of time: training first."""
+    """Split a record by time, the first part for training and the last for the test. Contiguous
+    pieces, in the order of time: training first."""
     first = round(len(record) * (1 - validation - test))
     second = round(len(record) * (1 - test))
     training = record[:first]
@@ -97,7 +97,7 @@ def split_at_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pi
 
 
 def _interval_samples(record: Trajectory, pair: np.ndarray, field: str) -> tuple[int, int]:
-    """First sample of an interval given in seconds, and the sample behind its last. Raises
+    """First sample of an interval given in seconds, and the sample after its last. Raises
     `BadRequest` for any other value."""
     is_pair = pair.shape == (2,) and pair.dtype.kind in "iuf"
     ends = np.rint(pair / record.step_s) if is_pair else np.zeros(2)
@@ -174,8 +174,8 @@ def _rest_ranges(record: Trajectory, first: bool = False) -> list[tuple[int, int
 
 
 def _group_by_part(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
-    """Cut a record into runs of successive samples that belong to training, validation or test. 0
-    trains, 1 validates, 2 tests."""
+    """Cut a record into its stretches for training, validation and test. 0 trains, 1 validates, 2
+    tests."""
     pieces: Pieces = ([], [], [])
     changes = np.diff(part, prepend=-1, append=-1)
     edges = np.flatnonzero(changes)

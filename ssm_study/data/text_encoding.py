@@ -56,8 +56,7 @@ def decode_text(path: Path, content: bytes) -> tuple[str, str]:
 
 
 def detect_code_page(content: bytes) -> str:
-    """Code page of a text that is not UTF-8, found as the one in which its foreign words make
-    sense.
+    """Code page of a text that is not UTF-8, chosen so that its foreign words make sense.
 
     Western European where there are no such words, or where two pages fit. Detectors that count
     letters need more text than the names of a few columns (`docs/data.md`).
@@ -82,7 +81,7 @@ def is_cyrillic_word(word: bytes, page: str) -> bool:
 
 
 def are_chinese_words(words: list[bytes]) -> bool:
-    """Whether bytes are pairs of GB2312, most of which are among its 3,755 frequent characters."""
+    """Whether byte pairs are GB2312 characters, most of them among its 3,755 frequent ones."""
     leads = b"".join(word[::2] for word in words)
     trails = b"".join(word[1::2] for word in words)
     is_even = all(len(word) % 2 == 0 for word in words)

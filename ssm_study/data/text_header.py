@@ -144,8 +144,8 @@ def parse_names_in_comment(
 def numbered_column_names(
     cells: list[list[str]], columns: int, header: bool | None
 ) -> tuple[list[str] | None, int]:
-    """Column names `0,1,2` or `1,2,3` in the first row of a table, and the number of rows that hold
-    names.
+    """Column names in a table whose first row holds the column numbers `0,1,2` or `1,2,3`, and the
+    number of rows that hold names.
 
     Counting from 0 they are names if the numbers below are unlike whole numbers, as pandas writes
     an array; counting from 1, always (a reader that is asked for a number refuses to guess).

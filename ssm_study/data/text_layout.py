@@ -210,7 +210,7 @@ def read_header(path: Path, cells: SampledCells, length: int, stated: bool | Non
 
 
 def number_columns(header: Header, cells: SampledCells, stated: bool | None) -> Header:
-    """Header of a table without words; the first row may hold numbers that count the columns."""
+    """Header of a table without column names, whose first row may hold the column numbers."""
     if header.names is not None:
         return header
     names, skipped = numbered_column_names(cells.first, cells.columns, stated)

@@ -168,7 +168,7 @@ class ComposedChoices:
 
     @cached_property
     def settings_in_run_name(self) -> tuple[str, ...] | None:
-        """Settings that appear in the name of the run; None if the name depends on more than plain
+        """Settings that appear in the run's name; None if the name depends on more than plain
         settings. OmegaConf has to resolve such a name, which is slow."""
         interpolation = NAME.fullmatch(str(self.tree.get("run", "")))
         others = [value for key, value in self.tree.items() if key != "run"]
@@ -276,8 +276,8 @@ class Composer:
         return plain_settings(config)
 
     def _split_overrides(self, overrides: list[str]) -> tuple[ComposedChoices, list[Override]]:
-        """Separate the overrides of a job into a composition that other jobs share and the job's
-        own plain values."""
+        """Separate a job's overrides into a composition that other jobs share and the job's own
+        plain values."""
         parsed = [self._parse_override(word) for word in overrides]
         chosen = self._composition(parsed)
         marked = []
@@ -289,7 +289,8 @@ class Composer:
         return chosen, [override for override, is_own in marked if is_own]
 
     def _composition(self, parsed: list[tuple[Override, bool]]) -> ComposedChoices:
-        """Composition for parsed overrides, which Hydra loads when it is first needed."""
+        """Configuration composed from parsed overrides, which Hydra loads when it is first
+        needed."""
         choices = [str(override.input_line) for override, is_plain in parsed if not is_plain]
         # The paths, too: values are put into the composition itself, so all its jobs must give the
         # same.

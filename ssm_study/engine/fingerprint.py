@@ -101,8 +101,8 @@ class Code:
         )
 
     def dependency_closure(self, roots: Iterable[Symbol]) -> set[Symbol]:
-        """All symbols on which given symbols depend, directly or through others; libraries are not
-        followed."""
+        """All symbols that given symbols depend on, directly or through others, without those of
+        libraries."""
         visited = set[Symbol]()
         waiting = {self._followed_symbol(symbol) for symbol in roots}
         while waiting:
@@ -123,7 +123,8 @@ class Code:
                 self._read_module(module)
 
     def _followed_symbol(self, symbol: Symbol) -> Symbol:
-        """Symbol as it is followed: a library as a whole, others under their present names."""
+        """Symbol whose source is followed: the whole library, or a symbol under its present
+        name."""
         top = symbol[0].split(".")[0]
         if not self._is_followed(top):
             return (top, LIBRARY)
@@ -279,7 +280,7 @@ def _distributions_with_files() -> list[tuple[metadata.Distribution, str]]:
 
 
 def _scan_module(path: Path, module: str) -> Module:
-    """Scan a source file for names and dependencies, or take the result from the cache."""
+    """Scan a source file for names and dependencies, or read the result from the cache."""
     content = path.read_bytes()
     digest = hashlib.sha256(FORM.encode() + content).hexdigest()
     file = CACHE / f"{hashlib.sha256(str(path).encode()).hexdigest()[:32]}.json"

@@ -176,8 +176,8 @@ class Processes(Launcher):
 
 
 def preload_for_jobs(task: Task[Any], jobs: list[Job]) -> None:
-    """Import in advance everything that the jobs of a sweep would import, and read the code on
-    which their keys depend."""
+    """Import everything that the jobs of a sweep need, and read the code on which their keys
+    depend."""
     planned = KeyedStages(shared_store(jobs[0].settings))
     for job in jobs:
         with contextlib.suppress(Exception):  # the job itself says what is wrong with it

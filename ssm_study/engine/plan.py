@@ -22,8 +22,7 @@ class PlannedStages(Stages):
     noted: dict[str, StageResult] = field(default_factory=dict)
 
     def stage_result(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
-        """Note that a run needs the stage with a given key and whether the store has it, without
-        computing it."""
+        """Record that a run needs a stage and whether the store has it, without computing it."""
         if key in self.noted:  # many runs share a stage: its folder is looked for once
             return self.noted[key]
         folder = self.store.stage_folder(name, key)
@@ -82,8 +81,7 @@ def plan_lines(
 
 
 def mean_stage_seconds(store: Store, stage: str) -> float | None:
-    """Mean computing time of one stage in the store, in seconds, without stages whose manifests are
-    damaged."""
+    """Mean computing time of one stage in the store, in seconds."""
     seconds = []
     for manifest in store.root.glob(f"{stage}/[!.]*/{MANIFEST}"):
         with suppress(OSError, ValueError, KeyError, TypeError):

@@ -56,8 +56,7 @@ class Run:
     def record_stage(
         self, stage: StageResult, files: Iterable[str], facts: Mapping[str, Any]
     ) -> None:
-        """Record a finished stage (columns, key, seconds, whether it was reused) and copy its files
-        into the run folder."""
+        """Record a finished stage and copy its files into the run folder."""
         about = {"key": stage.key, "seconds": stage.seconds, "reused": stage.reused}
         self.add_columns(
             **facts, **{f"stage_{stage.name}_{name}": value for name, value in about.items()}
@@ -136,8 +135,8 @@ def run_status(folder: Path, mine: bool = False) -> dict[str, Any] | None:
 
 
 def needs_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
-    """Whether a run has to be executed, given the status in its folder. Finished runs need not;
-    failed ones only with `retry_failed`, or if the machine was at fault (disk, signal)."""
+    """Whether a run has to be executed, given the earlier status in its folder. Finished runs need
+    not; failed ones only with `retry_failed`, or if the machine was at fault (disk, signal)."""
     if before is None:
         return not retry_failed
     status = before["status"]

@@ -37,9 +37,10 @@ def judge_autonomous_motion(case: Case) -> list[Finding]:
 
 
 def predicted_power_shares(case: Case) -> tuple[float, float] | None:
-    """Shares of the output's power that the model predicts from two kinds of initial state. One is
-    estimated in each piece, the other continues from the log before the piece: `1 - |y - y_hat|^2 /
-    |y|^2`, about the means of each piece, over those that validate or test behind others.
+    """Shares of the output's power that the model predicts from an estimated initial state, and
+    from a simulation of the log before. One is estimated in each piece, the other continues from
+    the log before the piece: `1 - |y - y_hat|^2 / |y|^2`, about the means of each piece, over those
+    that validate or test behind others.
 
     The first is of free runs from the piece's own estimated state, the second of runs from the
     beginning of the log. Means are taken off, for an integrator keeps an offset. None where no

@@ -107,8 +107,8 @@ def feedback_sentence(earlier: float, present: float) -> str:
 
 
 def responds_within_sample(data: DataSet) -> bool:
-    """Whether a response within one sample is the plant's to its input, rather than a controller's
-    to the output.
+    """Whether an output responds to the input within one sample because of the plant, not because
+    of a controller.
 
     A controller with negative feedback makes the first coefficient of the finite impulse response
     point against the plant's further response; a plant that answers within the sample does not.
@@ -174,8 +174,8 @@ def judge_instability(
 
 
 def integrator_share(data: DataSet) -> float | None:
-    """Share of the output's changes that the mean of its input explains, where the longest piece of
-    a log shows an integrator; None elsewhere. For one input only."""
+    """Share of the output's changes that the mean input explains; None unless the longest piece of
+    the log shows an integrator. For one input only."""
     stretches = join_log_stretches(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
         return None
@@ -185,8 +185,8 @@ def integrator_share(data: DataSet) -> float | None:
 
 
 def growth_statistics(data: DataSet) -> tuple[float, float]:
-    """Share of the output's rise that the input explains, and a statistic of whether the output
-    grows with its own level.
+    """Share of the output's rise that the input explains, and a statistic of its growth with its
+    own level.
 
     Least squares `y[k + h] - y[k] = h (f(u) + g(u before)) + c y[k - h]` with f and g piecewise
     linear: an integrator behind a dead zone or a curve has c = 0. Returns the share of the power of

@@ -24,8 +24,8 @@ FEW = 300  # samples below which the fits of two parts are not compared
 
 
 def judge_fit(case: Case) -> list[Finding]:
-    """Findings about the fit: its size, its differences between training, validation and test, and
-    the part of the output that the model misses."""
+    """Findings about the fit: its size, its differences between data sets, and the part of the
+    output that the model misses."""
     validation = case.validation.fit_percent
     test = case.test.fit_percent
     findings = judge_poor_fit(case)
@@ -74,8 +74,8 @@ def judge_poor_fit(case: Case) -> list[Finding]:
 
 
 def poor_fit_remedy(case: Case) -> str:
-    """End of a sentence on a poor fit, which says whether the model or the log is to blame. It is
-    the model if something simple fits the test record better."""
+    """End of a sentence that says whether a poor fit is due to the model or to the log. It is the
+    model if something simple fits the test record better."""
     fits = {f"a linear filter of {LAGS} taps": fir_fit_percent(case)}
     other = simulate_other_start(case.model, case.data, case.test)
     if other is not None:
@@ -136,7 +136,8 @@ def pooled_fit_percent(case: Case) -> float:
 def scaled_output_and_error(
     case: Case, part: Simulation
 ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
-    """Scaled outputs and simulation errors of several records, joined, without start-up samples."""
+    """Scaled outputs and simulation errors of several records, concatenated, without start-up
+    samples."""
     start = part.start_up_samples
     scale = case.data.scale
     y = [scale.scaled_output(record.y)[start:] for record in part.records]
@@ -146,8 +147,8 @@ def scaled_output_and_error(
 
 
 def relative_rms_error(case: Case) -> float:
-    """Root mean square simulation error as a share of the range of the training output, for the
-    output with the largest share."""
+    """Root mean square simulation error relative to the range of the training output, for the worst
+    output."""
     parts = [scaled_output_and_error(case, part)[1] for part in (case.validation, case.test)]
     rms = np.sqrt((np.concatenate(parts) ** 2).mean(axis=0))
     trained = np.concatenate([case.scale_record(record)[1] for record in case.data.training])

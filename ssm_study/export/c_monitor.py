@@ -62,9 +62,9 @@ class Filter:
 
 @dataclass(frozen=True, kw_only=True)
 class Monitor:
-    """Numbers of the monitor, in scaled units: the disc's centre and floor, its weights, and the
-    limits of each sample and of the sum. Kappa is included. `states` of the model come first among
-    the controller's."""
+    """Numbers of the monitor for the exported C code, in scaled units: centre and floor of the
+    disc, weights and limits. Kappa is included. `states` of the model come first among the
+    controller's."""
 
     states: int
     centre: float
@@ -103,15 +103,15 @@ class Monitor:
         )
 
     def limit_from(self, first_output: Float[np.ndarray, "p"]) -> float:
-        """Limit of the monitor's sum for a loop with a given first measured output, scaled. It is
-        the energy of the decay from half a scale, or from `ROOM` times that output."""
+        """Limit of the monitor's sum for a loop with a given first measured output. It is the
+        energy of the decay from half a scale, or from `ROOM` times that output."""
         farther = (ROOM / START) ** 2 * float((first_output**2).sum())
         return self.limit * max(1.0, farther)
 
 
 def decay_energy(linear: StateSpace) -> float:
-    """Energy of the free decay from equilibria with one output at one, for each output in turn.
-    `sum |y|^2`."""
+    """Energy of the free decay from the equilibria at which one output is one, for each output in
+    turn. `sum |y|^2`."""
     rest, _, gain = linear.steady_states()
     starts = rest @ np.linalg.pinv(gain)
     observability = scipy.linalg.solve_discrete_lyapunov(linear.a.T, linear.c.T @ linear.c)

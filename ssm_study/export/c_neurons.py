@@ -8,7 +8,8 @@ from ssm_study.models.structured import NEURONS
 
 
 def render_neurons(device: Device, name: str) -> dict[str, str]:
-    """Parts of the C header on the neurons of the model; empty texts for a model without neurons.
+    """C code for the neurons of the model, keyed by its place in the header; empty texts for a
+    model without neurons.
 
     `include` is math.h, `neurons` their function, `read` its call where the observer's error is
     not known yet, `driven` the call where it is.

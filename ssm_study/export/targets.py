@@ -100,8 +100,8 @@ def render_controller(
 
 
 def find_input_limits(run: Path) -> tuple[Range, Range]:
-    """Lower and upper limits of the input in physical units, as set or else as recorded; infinite
-    for a run without records.
+    """Lower and upper limits of the input in physical units, from the settings or else from the
+    recorded range.
 
     `loop.input_lower` and `loop.input_upper` where they were given, else what the training records
     and rest visited: beyond that range nothing is known of S_u.
@@ -169,8 +169,7 @@ def _describe_ranges(
 
 
 def _describe_limits(run: Path, design: Design, device: Device) -> tuple[str, ...]:
-    """Sentences on what the certificate proves under the input limits; empty if it proves
-    nothing."""
+    """Sentences on what the certificate proves under the input limits."""
     lower = np.asarray(device.lower, dtype=float)
     upper = np.asarray(device.upper, dtype=float)
     if max(-lower.min(), upper.max()) >= UNLIMITED:
@@ -245,8 +244,8 @@ def _load_model(run: Path) -> Model:
 
 
 def describe_origin(run: Path, name: str = "") -> str:
-    """Line of text that names the run from which a controller comes and the exact verdict on its
-    certificate, with the reason where it does not hold.
+    """Line of text with the run that a controller comes from, and the exact verdict on its
+    certificate.
 
     `name` names a design that has no run folder.
     """
@@ -268,8 +267,8 @@ def describe_origin(run: Path, name: str = "") -> str:
 
 
 def _doubt_of_certificate(run: Path, model: Model, design: Design) -> str:
-    """First reason why exact arithmetic does not confirm the stored certificate of a run; empty
-    where it confirms every claim."""
+    """First claim of a run's stored certificate that exact arithmetic does not confirm; empty if it
+    confirms all."""
     content = json.loads((run / "certificate.json").read_text())
     for side in SIDES:
         if not design.parts_by_name[side].certified:
@@ -284,8 +283,7 @@ def _doubt_of_certificate(run: Path, model: Model, design: Design) -> str:
 
 
 def _describe_rounding_error(run: Path, device: Device) -> tuple[str, ...]:
-    """Line of text that says how much rounding changes the simulated closed loop; empty in double
-    precision.
+    """Text on how much rounding changes the simulated closed loop; empty in double precision.
 
     From rest one output scale off.
     """

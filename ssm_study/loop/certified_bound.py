@@ -83,7 +83,7 @@ def distance_bound(
 
 
 def estimation_error_gain(feedback: StateFeedback, observer: Observer) -> float:
-    """Gain from the estimation error to the state's distance from the equilibrium one sample later,
+    """Gain from the estimation error to the state's distance from the equilibrium after one sample,
     in the certified metrics.
 
     `c = nu max_S ||M^{1/2} (B + E S G)||_2 ||K_x Q^{-1/2}||_2`, `K_x` the columns of K that act on

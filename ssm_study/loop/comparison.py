@@ -1,5 +1,5 @@
-"""Table that compares controllers in several situations, with the same plant, initial conditions
-and noise."""
+"""Table that compares controllers under several test conditions, with the same plant, initial
+conditions and noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -25,8 +25,8 @@ Case = tuple[Plant, Loop]
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison(ComparisonTable):
-    """Settings of a table that compares controllers in several situations. It has one row for each
-    controller in each situation.
+    """Settings of a table that compares controllers under several test conditions. It has one row
+    for each controller in each situation.
 
     It is explained in docs/closed_loop.md, "Robustness".
 
@@ -69,7 +69,7 @@ class Comparison(ComparisonTable):
         require(not unknown, f"loop.comparison.{field_name}", unknown, problem, remedy)
 
     def rows(self, plant: Plant, identified: Identified, loop: Loop, seed: int) -> list[Row]:
-        """Rows of the comparison table, one for each controller in each situation.
+        """Rows of the comparison table, one for each controller under each test condition.
 
         A controller that does not exist for this model has rows with the reason and no numbers.
         """
@@ -95,8 +95,8 @@ class Comparison(ComparisonTable):
         return rows
 
     def situation_cases(self, plant: Plant, loop: Loop, situation: str, seed: int) -> list[Case]:
-        """Plants and loop experiments of one situation, such as a load step; empty if the plant
-        cannot show it."""
+        """Plants and loop experiments of one test condition, such as a load step; empty if the
+        plant cannot show it."""
         horizon_s = loop.horizon_samples(plant.step_s) * plant.step_s
         match situation:
             case "spread":
@@ -125,8 +125,8 @@ class Comparison(ComparisonTable):
                 return [(plant, replace(loop, disturbance=step))] if plant.disturbances else []
 
     def perturbed_plants(self, plant: Plant, seed: int) -> list[Plant]:
-        """Plants whose physical constants are multiplied by random factors that fill a range
-        evenly. The range is `1 +- spread_share`."""
+        """Plants whose physical constants are multiplied by evenly distributed random factors. The
+        range is `1 +- spread_share`."""
         if not self.spread_fields:
             return []
         missing = sorted(name for name in self.spread_fields if not hasattr(plant, name))

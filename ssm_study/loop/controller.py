@@ -64,7 +64,8 @@ class Controller(ABC):
 
     @abstractmethod
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
-        """Input that the control law applies over the coming sample."""
+        """Inputs that the control law needs to hold the extreme values of the reference; empty
+        unless overridden."""
 
     def advance(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
@@ -74,12 +75,11 @@ class Controller(ABC):
         return memory
 
     def estimate(self, memory: Memory) -> Estimate:
-        """Estimate of the model's state, the part of the controller's memory that holds it."""
+        """Estimate of the model's state, taken from the controller's memory."""
         return memory[:, :0]
 
     def select_cases(self, stayed: Bool[np.ndarray, "N"]) -> "Controller":
-        """Control law for a selection of the simulated cases, because each case may have its own
-        gains."""
+        """Control law restricted to a selection of the simulated cases."""
         return self
 
 
@@ -197,7 +197,7 @@ class ObserverFeedback(EstimateFeedback):
         return cls(model=model, gains=design.pair, inverse=inverse)
 
     def unlimited_input(self, u: ScaledInputs, feedback: ScaledInputs) -> np.ndarray:
-        """Scaled input that the control law computes before input limits are applied.
+        """Scaled input of the control law before input limits are applied.
 
         `u* + K (...)`; or, where `S_u` is undone, `S_u^{-1}(S_u(u*) + K (...))`.
         """

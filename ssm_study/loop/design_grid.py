@@ -1,5 +1,5 @@
-"""Table of hundreds of certified designs, all simulated on the true plant, which tests how well the
-stability margin predicts."""
+"""Table of randomly chosen certified designs that are simulated on the true plant, to test the
+stability margin."""
 
 from dataclasses import dataclass, field
 from functools import partial
@@ -88,7 +88,7 @@ class DesignGrid(ComparisonTable):
 
 
 def _prepend_gains(pair: Gains, gains: Gains) -> Gains:
-    """Put the gains of one more controller and observer before an array of gains."""
+    """Put the gains of one more controller and observer in front of an array of gains."""
     stacked = {}
     for name, gain in vars(pair).items():
         if gain is not None:

@@ -165,8 +165,7 @@ def pool_columns(loops: list[LoopRuns]) -> Columns:
 
 
 def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
-    """Columns on how many cases settle and how fast, compared with the uncontrolled plant, and on
-    how the other cases move."""
+    """Columns on how many cases settle and how fast, compared with the uncontrolled plant."""
     times_s: list[float | None] = []
     alone_s: list[float | None] = []
     motion: Counter[str] = Counter()
@@ -195,7 +194,7 @@ def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
 
 
 def settles_faster(times_s: list[float | None], alone_s: list[float | None]) -> bool:
-    """Whether every controlled case settles, and on average sooner than the uncontrolled plant.
+    """Whether every controlled case settles, and on average sooner than without control.
 
     A case that never settles without control counts as slower there. A word of success stands only
     where this holds: a controller may be certified, and settle, and help nobody.
@@ -212,7 +211,7 @@ def settles_faster(times_s: list[float | None], alone_s: list[float | None]) -> 
 
 
 def largest_residual_oscillation(loops: list[LoopRuns]) -> float | None:
-    """Largest oscillation that remains in any settled case, in units of the settling band; None if
+    """Largest oscillation that remains in any settled case, relative to the settling band; None if
     no case settles."""
     swings = []
     for loop in loops:

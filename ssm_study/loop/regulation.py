@@ -95,7 +95,7 @@ class IdentifiedPlant(Plant):
         return Equilibrium(u=scale.input_equilibrium, x=x, y=scale.output_equilibrium)
 
     def states_at(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
-        """States in which a constant input would hold the outputs at given values.
+        """States in which a constant input holds the outputs at given values.
 
         Where no input holds it (neurons may rectify or saturate; fewer inputs than outputs hold
         few outputs), the smallest state that the linear part reads as it.
@@ -103,7 +103,7 @@ class IdentifiedPlant(Plant):
         return np.stack([self._steady_state(y) for y in y0])
 
     def _steady_state(self, y: Float[np.ndarray, "p"]) -> Float[np.ndarray, "n"]:
-        """State in which a constant input would hold the output at a given value."""
+        """State in which a constant input holds the output at a given value."""
         try:
             return scaled_equilibrium(self.model, y)[0]
         except BadRequest:
@@ -183,8 +183,8 @@ class LoopRuns:
 
     @property
     def runs_for_settling(self) -> Rollouts:
-        """Runs by which settling is judged. They are without noise if noise alone would leave the
-        settling band."""
+        """Closed-loop runs from which it is judged whether the loop settles. They are without noise
+        if noise alone would leave the settling band."""
         return self.noise_free or self.controlled
 
 
@@ -245,8 +245,8 @@ class Loop:
         return np.asarray(low, dtype=float), np.asarray(high, dtype=float)
 
     def with_default_limits(self, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> "Loop":
-        """Copy of the experiment in which missing input limits are replaced by the range of
-        recorded inputs."""
+        """Copy of the experiment with the range of recorded inputs as input limits, where none are
+        set."""
         low, high = input_limits(self.input_lower, self.input_upper, inputs)
         input_lower = low.tolist()
         input_upper = high.tolist()
@@ -289,8 +289,8 @@ class Loop:
     def _noise_crosses_band(
         self, plant: Plant, controller: Controller, noise: Float[np.ndarray, "N T p"]
     ) -> bool:
-        """Whether measurement noise alone makes a plant that starts at the equilibrium leave the
-        settling band."""
+        """Whether measurement noise alone drives a plant at its equilibrium out of the settling
+        band."""
         still = replace(self, reference=EquilibriumReference(), disturbance=NoDisturbance())
         equilibrium = plant.equilibrium()
         y0 = np.tile(equilibrium.y, (len(noise), 1))
@@ -313,8 +313,8 @@ class Loop:
         return quiet.simulate(twin, controller, y0, no_noise)
 
     def with_default_horizon(self, model: Model) -> "Loop":
-        """Copy of the experiment in which a missing horizon is replaced by one that suits the
-        model. It is `RESPONSES` times the model's response."""
+        """Copy of the experiment with a horizon that suits the model, where none is set. It is
+        `RESPONSES` times the model's response."""
         if self.horizon_s is not None:
             return self
         response = linearise_at_equilibrium(model).impulse_response_length(SAMPLES[1], REMAINDER)
@@ -331,8 +331,7 @@ class Loop:
     def draw_conditions(
         self, plant: Plant, seed: int
     ) -> tuple[Float[np.ndarray, "N p"], Float[np.ndarray, "N T p"]]:
-        """Draw initial outputs and measurement noise, which for one seed are the same for every
-        controller."""
+        """Draw initial outputs and measurement noise, the same for every controller."""
         cases = self.initial_conditions
         samples = self.horizon_samples(plant.step_s)
         outputs = len(plant.outputs)

@@ -132,8 +132,8 @@ def simulate_closed_loop(
 def _write_stopped_cases(
     log: Log, plant: Plant, stopped: Int[np.ndarray, "S"], k: int, last: dict[str, np.ndarray]
 ) -> None:
-    """Write the last values of cases that have left the simulation's bound to the remaining samples
-    of the log."""
+    """Repeat the last values of cases that were stopped at the simulation's bound in all remaining
+    samples of the log."""
     at_rest = np.tile(plant.equilibrium().u, (len(stopped), 1))
     values = {name: value[:, None] for name, value in {"u": at_rest, **last}.items()}
     _write_samples(log, stopped, slice(k, None), values)
@@ -208,7 +208,7 @@ def _check_reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None
 
 
 def last_step_sample(reference: OutputSignal) -> int:
-    """Sample at which a step reference takes its last value.
+    """Sample at which a step reference reaches its final value.
 
     0 if the reference still moves in the second half.
     """

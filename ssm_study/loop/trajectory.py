@@ -133,7 +133,7 @@ def feedback_trajectory(
     reference: Reference,
     law: Callable[..., Vector] = np.add,
 ) -> Plan:
-    """Trajectory along which a feedback leads a model with neurons to each set point of the
+    """Trajectory on which a feedback brings a model with neurons to each set point of the
     reference.
 
     One row `(x*[k], u*[k])` per sample: `u* = us + K (x* - xs)` from the model's equilibrium,
@@ -162,7 +162,7 @@ def set_point_equilibria(model: Model, reference: Reference) -> Plan:
 
 
 def invert_map(scaffold: Scaffold, w: Matrix) -> Matrix:
-    """Argument at which a static map has a given value, row by row. Solves `S(v) = w` for `v`.
+    """Argument at which a static map has a given value, for each row. Solves `S(v) = w` for `v`.
 
     Scalar maps, which are monotone, are inverted in a bracket; others by damped Newton steps.
     Raises `BadRequest` when the map does not reach `w`.
@@ -184,7 +184,7 @@ def invert_map(scaffold: Scaffold, w: Matrix) -> Matrix:
 
 
 def _invert_scalar_map(scaffold: Scaffold, w: Vector) -> Vector:
-    """Arguments at which a scalar map has given values, all at once by Chandrupatla's method.
+    """Arguments at which a scalar map has given values, by Chandrupatla's root-finding method.
     Solves `S(v) = w`.
 
     Not a number where no bracket is found.
@@ -202,8 +202,8 @@ def _invert_scalar_map(scaffold: Scaffold, w: Vector) -> Vector:
 
 
 def _invert_vector_map(scaffold: Scaffold, w: Matrix) -> Matrix:
-    """Arguments at which a map of several channels has given values, row by row by Newton's method.
-    Solves `S(v) = w`."""
+    """Arguments at which a map of several channels has given values, by Newton's method. Solves
+    `S(v) = w`."""
     values, index = np.unique(w, axis=0, return_inverse=True)
     start = np.zeros(scaffold.inputs)
     tolerance = 1e-2 * INVERSION_TOLERANCE
@@ -219,8 +219,7 @@ def _invert_vector_map(scaffold: Scaffold, w: Matrix) -> Matrix:
 
 
 def _require_solved(is_reached: np.bool_, value: Vector, problem: str, more: str) -> None:
-    """Raise `BadRequest` for a reference for which no equilibrium or input of the model was
-    found."""
+    """Raise `BadRequest` for a reference that no equilibrium or input of the model reaches."""
     remedy = f"choose a reference within the reach of the inputs{more}"
     rounded = np.round(value, 4).tolist()
     require(bool(is_reached), "loop.reference", rounded, problem, remedy)

@@ -57,8 +57,8 @@ class ContractingRecurrence(NamedTuple):
 
 
 def matrices_from_parameters(free: FreeParameters, rate: float) -> RecurrenceMatrices:
-    """Matrices of the contracting recurrence that unconstrained parameters stand for. It contracts
-    with `r = rate` in the metric `M = I`."""
+    """Matrices of a contracting recurrence from its unconstrained parameters. It contracts with `r
+    = rate` in the metric `M = I`."""
     n = free.x_g.shape[1]
     e = np.sqrt(2.0) * _cayley_contraction(free.x_e)[0]
     stacked = rate * _cayley_contraction(free.x_g)[0]
@@ -217,8 +217,8 @@ def _balancing_scales(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]
 
 
 def _cayley_contraction(x: Tall) -> tuple[Tall, Square]:
-    """Matrix `con(X)` of norm below one from any matrix, and the Cholesky factor L that defines it:
-    `L L' = I + X'X`."""
+    """Matrix of norm below one that the Cayley transform gives for any matrix, and the Cholesky
+    factor in it."""
     low = np.linalg.cholesky(np.eye(x.shape[1]) + x.T @ x)
     return np.linalg.solve(low, x.T).T, low
 
@@ -231,7 +231,7 @@ def _invert_cayley_contraction(y: Tall) -> Tall:
 
 
 def _differentiate_contraction(x: Tall, dx: Moved, con: Tall, low: Square) -> Moved:
-    """Directional derivatives of the contraction `con(X)` along dx."""
+    """Directional derivatives of the matrix that the Cayley transform gives."""
     dlow = _differentiate_cholesky(low, dx.mT @ x + x.T @ dx)
     return (dx - con @ dlow.mT) @ np.linalg.inv(low).T
 

@@ -240,7 +240,8 @@ class SSM(ScaffoldedModel):
         return x @ self.linear.a.T + ubar @ self.linear.b.T
 
     def scaled_output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
-        """Scaled output `S_y(C x + D ubar)`."""
+        """Scaled output `S_y(C x + D ubar)`: the output map `S_y`, applied to the linear
+        recurrence's output."""
         return self.scaffold_out(x @ self.linear.c.T + ubar @ self.linear.d.T)
 
     def simulate_mapped(
@@ -253,12 +254,12 @@ class SSM(ScaffoldedModel):
         return system.simulate(ubar, x0)
 
     def with_linear(self, linear: StateSpace) -> "SSM":
-        """Copy of the model with another linear part of as many states."""
+        """Copy of the model with another linear part `(A, B, C, D)` of as many states."""
         return replace(self, linear=linear)
 
     def with_driven_system(self, system: StateSpace) -> "SSM":
-        """Copy of the model with another linear part, disturbances included, of any order. The
-        inverse of `driven_system`."""
+        """Copy of the model with its linear part, including the disturbance inputs, replaced by one
+        of any order. The inverse of `driven_system`."""
         m = self.linear.b.shape[1]
         linear = StateSpace(a=system.a, b=system.b[:, :m], c=system.c, d=system.d[:, :m])
         b_d = system.b[:, m:] if self.scale.disturbances else self.b_d
@@ -276,8 +277,8 @@ class SSM(ScaffoldedModel):
         return replace(self, linear=late, b_d=line.lengthen_columns(self.b_d))
 
     def absorb_map_centres(self) -> "SSM":
-        """Move linear factors of the static maps into the linear part where that makes their balls
-        of Jacobians smaller. The input-output map stays the same.
+        """Move linear factors of the static maps into the linear part, if their balls of Jacobians
+        become smaller. The input-output map stays the same.
 
         `B S_u(v) = (B M) (M^{-1} S_u(v))` and `S_y(C x) = (S_y M^{-1})(M C x)`, whose scaffoldings
         then have Jacobians around the identity. The theorems speak of a ball around `alpha I`; a
@@ -302,8 +303,8 @@ class SSM(ScaffoldedModel):
 def _factor_out_centre(
     scaffold: Scaffold, method: str
 ) -> tuple[Scaffold, Float[np.ndarray, "m m"]] | None:
-    """Static map without the centre matrix of its Jacobians, and that matrix; None if this does not
-    make the ball of Jacobians smaller."""
+    """Static map without the centre matrix of its Jacobians, and that matrix; None if the ball of
+    Jacobians becomes no smaller."""
     if scaffold.inputs != scaffold.outputs or scaffold.inputs == 1:
         return None
     m = scaffold.jacobian_centre()

@@ -47,8 +47,8 @@ def mean_of_runs(runs: Sequence[Simulation]) -> Simulation:
 
 
 def member_columns(members: Sequence[Any], data: DataSet) -> dict[str, Any]:
-    """Columns on the mean of several models' outputs: number of models, and fits of the mean in
-    percent; empty for a single model."""
+    """Columns on the mean output of several models: their number and the fits of the mean; empty
+    for a single model."""
     if len(members) < 2:
         return {}
     validation, test = simulate_with_mean(members, data)

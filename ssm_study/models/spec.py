@@ -33,7 +33,7 @@ Pairs = Sequence[Record]  # their lengths may differ
 
 @dataclass(frozen=True, kw_only=True)
 class Initialisation:
-    """Linear system with which a training begins, in modal form.
+    """Linear system from which the training starts, in modal form.
 
     `y = Re(c_r x_r) + 2 Re(c_c x_c) + d u`: the factor two of the pairs is not in `c`.
     """
@@ -240,8 +240,8 @@ class ModelSpec(ABC):
         """Build the trainable model with initial parameters that are drawn from a seed."""
 
     def for_training_run(self, start: int) -> "ModelSpec":  # noqa: ARG002
-        """Settings for one of several training runs, given by its number. By default they are the
-        same for all; each has its own seed."""
+        """Copy of the settings with the initial values for one of several training runs. By default
+        they are the same for all; each has its own seed."""
         return self
 
 
@@ -281,7 +281,7 @@ class SSMSpec(ModelSpec):
             self._check_ring()
 
     def _check_ring(self) -> None:
-        """Raise `BadRequest` for numbers of random modes that cannot be drawn."""
+        """Raise `BadRequest` for an impossible ring or number of random modes."""
         require_whole_number(0, "real_modes", self.real_modes, "use 2")
         pairs = self.order - self.real_modes
         remedy = "leave an even number of states for the pairs"
@@ -295,8 +295,8 @@ class SSMSpec(ModelSpec):
             require(fits, f"model.{name}", ends, problem, "correct the range")
 
     def for_training_run(self, start: int) -> "SSMSpec":
-        """Settings for one of several training runs, given by its number. The first begins with an
-        estimated system, the others with random modes."""
+        """Copy of the settings with the initial values for one of several training runs. The first
+        begins with an estimated system, the others with random modes."""
         if not start:
             return self
         pairs = (self.order - 1) // 2

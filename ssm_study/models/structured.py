@@ -229,7 +229,8 @@ class StructuredSSM(ScaffoldedModel):
         return x @ self.a.T + ubar @ self.b.T + w @ self.e.T
 
     def scaled_output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
-        """Scaled output `S_y(C x + D v + H w)`."""
+        """Scaled output `S_y(C x + D v + H w)`: the output map `S_y`, applied to the recurrence's
+        output."""
         w = self.neuron_outputs(x, ubar)
         ybar = x @ self.c.T + ubar @ self.d.T + w @ self.h.T
         return self.scaffold_out(ybar)

@@ -132,7 +132,7 @@ def split_blocks(
 @compile_with_numba
 @no_type_check
 def _add_sample_sensitivity(row, weights, s, inner, scaled, through, here, basis, channel, own, at):
-    """Add one sample's contribution to the derivatives of one state or output with respect to all
+    """Add one sample's contribution to the derivatives of a state or output with respect to all
     parameters. It comes from `weights s`, from this row's own entries (from `own` on), and from the
     neurons.
 
@@ -215,8 +215,9 @@ def _sensitivity_loop(k, v, x0, basis, channel, places):
 @compile_with_numba
 @no_type_check
 def _differentiate_record(k, at_rest, v, x0, moved, places, ybar, out):
-    """Compute one record's output and derivatives, sample by sample, in place. A state parameter
-    keeps `dx` in one row of `s`; what drives it is sparse and is added by its place."""
+    """Compute one record's output and its derivatives with respect to the parameters, sample by
+    sample, in place. A state parameter keeps `dx` in one row of `s`; what drives it is sparse and
+    is added by its place."""
     still, rest = at_rest
     basis, channel = moved
     samples, m = v.shape
@@ -259,8 +260,7 @@ def _differentiate_record(k, at_rest, v, x0, moved, places, ybar, out):
 @compile_with_numba
 @no_type_check
 def _unset_linearisation(rows, n, m, q):
-    """Empty arrays for the linearisations at a given number of rows, which `_linearise_at_slopes`
-    fills."""
+    """Empty arrays for the linearisations of a recurrence at a number of samples."""
     return np.empty((rows, q)), np.empty((rows, n)), np.empty((rows, m))
 
 

@@ -129,7 +129,7 @@ class TrainablePieces:
         return values, at, np.concatenate([*frees, *moves], axis=-1)
 
     def values(self, theta: Free, v: Signals) -> Signals:
-        """Values of the map, followed by the channels that it leaves unchanged."""
+        """Values of the trainable map; channels without a trained map are returned unchanged."""
         mapped = self.freeze(theta)(v[..., : self.channels])
         if not self.passed:
             return mapped
@@ -137,7 +137,7 @@ class TrainablePieces:
         return np.concatenate([mapped, unchanged], axis=-1)
 
     def freeze(self, theta: Free) -> Scaffold:
-        """Trained map as explicit numbers, without the channels that it leaves unchanged."""
+        """Trained map as explicit numbers, for the channels that it changes."""
         if not self.knots:
             return LinearScaffold.identity(self.channels)
         slopes, _, points = self._slopes_and_points(theta)
@@ -195,7 +195,7 @@ class StructuredSpec(ModelSpec):
             require_whole_number(least, name, value, f"use 4 or so{alternative}")
 
     def _check_options(self) -> None:
-        """Raise `BadRequest` for an unknown word in a setting that allows only a few."""
+        """Raise `BadRequest` for a setting whose value is none of the allowed words."""
         flags = (True, False, AUTO)
         require_one_of(flags, "model.feedthrough", self.feedthrough)
         require_one_of(flags, "model.integrating_output", self.integrating_output)
@@ -220,7 +220,7 @@ class StructuredSpec(ModelSpec):
         require(fits, "model.start_steps", steps, problem, "use [15, 20, 10]")
 
     def _check_integrator(self) -> None:
-        """Raise `BadRequest` for settings that cannot be combined with an integrator."""
+        """Raise `BadRequest` for settings that contradict an integrator."""
         if self.integrating_output is not True:
             return
         problem = "without neurons no integrator is set apart: a mode comes near one by itself"
@@ -247,8 +247,8 @@ class StructuredSpec(ModelSpec):
         return max(self.starts + (self.among_starts is not None), self.members)
 
     def for_training_run(self, start: int) -> "StructuredSpec":
-        """Settings for one of several training runs, given by its number. With `among_starts` each
-        odd number and the last have half the states, the last no neurons.
+        """Copy of the settings with the initial values for one of several training runs. With
+        `among_starts` each odd number and the last have half the states, the last no neurons.
 
         More can be certified of such models, where they suffice.
         """
@@ -286,6 +286,5 @@ class StructuredSpec(ModelSpec):
         )
 
     def build(self, data: Any, seed: int) -> Any:  # noqa: ARG002
-        """Raise an error, since a structured model is trained without torch
-        (`training.structured_fit`)."""
+        """Raise an error, since a structured model is trained without torch."""
         raise TypeError("it has a training of its own")

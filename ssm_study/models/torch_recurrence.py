@@ -238,8 +238,9 @@ def simulate_in_chunks(modes: ModalForm, u: Input, x0: Modal | None = None) -> O
 
 
 def power_tables(decay: Complex[Tensor, "n"], samples: int) -> Tables:
-    """Two tables whose products are the powers of the modes up to a number of samples. `F_ri =
-    lambda_i^r` and `C_qi = lambda_i^(s q)`, so that `lambda^k = C_q F_r` with `k = q s + r`.
+    """Two tables of powers of the modes, whose products give every power up to a number of samples.
+    `F_ri = lambda_i^r` and `C_qi = lambda_i^(s q)`, so that `lambda^k = C_q F_r` with `k = q s +
+    r`.
 
     About sqrt(samples) rows each; the powers are taken in complex128.
     """

@@ -217,7 +217,7 @@ def _real_rows(rows: Complex[np.ndarray, "modes k"], reals: int) -> Float[np.nda
 def _split_parameters(
     values: Complex[Tensor, "n k"], reals: int, trained: bool
 ) -> tuple[nn.Parameter, nn.Parameter]:
-    """Real and imaginary parts of complex modal values, as separate parameters."""
+    """Real and imaginary parts of complex modal values as separate trainable parameters."""
     real = nn.Parameter(values.real.contiguous().clone(), requires_grad=trained)
     return real, nn.Parameter(values.imag[reals:].contiguous().clone(), requires_grad=trained)
 

@@ -1,5 +1,5 @@
-"""Choice of a record's initial state: estimated from its first samples, or simulated from the part
-of the log before it.
+"""Choice of a record's initial state: estimated from its first samples, or simulated from the log
+before it.
 
 A piece that is cut out of a log has a past: the model, run from the beginning of the log to the
 piece, arrives there in a state that owes nothing to the piece's outputs. The first samples of the
@@ -34,8 +34,8 @@ States = tuple[State | None, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class PieceStarts:
-    """Initial states of validation and test records that are simulated from the log before them,
-    and whether they predict better than the first samples.
+    """Initial states of validation and test records, simulated from the log before them, and
+    whether they improve the prediction.
 
     `choice` is None where no record has a past: then its first samples are all there is.
     `is_undecided` says that the two are so near that rounding on another machine may choose the
@@ -48,8 +48,8 @@ class PieceStarts:
     is_undecided: bool = False
 
     def chosen_states(self, part: str) -> States:
-        """Chosen initial states of the validation or test records; None means that they are
-        estimated from the first samples."""
+        """Chosen initial states of the validation or test records; None where they are estimated
+        from the first samples."""
         from_past: States = getattr(self, part)
         return from_past if self.choice == PAST else (None,) * len(from_past)
 
@@ -81,8 +81,8 @@ def choose_piece_starts(model: Any, data: DataSet) -> PieceStarts:
 
 
 def start_errors(model: Any, data: DataSet) -> dict[str, float] | None:
-    """Mean free-run error for each of the two ways to choose a record's initial state; None if no
-    record has a log before it.
+    """Mean free-run error with initial states from the first samples, and with those from the log
+    before; None without such a log.
 
     Of every piece the error's power counts as a share of the
     piece's own, at most one: one divergent piece must not decide.
@@ -102,7 +102,7 @@ def start_errors(model: Any, data: DataSet) -> dict[str, float] | None:
 
 
 def records_for_start_choice(data: DataSet) -> Trajectories:
-    """Training and validation records on which the ways to choose an initial state are compared.
+    """Training and validation records on which the two ways to find an initial state are compared.
     Long ones are cut into pieces as long as a test record."""
     records = [record for record in (*data.training, *data.validation) if record.log]
     tested = max((len(record) for record in data.test), default=0)
@@ -119,8 +119,8 @@ def records_for_start_choice(data: DataSet) -> Trajectories:
 def mean_relative_error_power(
     model: Any, data: DataSet, records: Trajectories, states: Sequence[Any]
 ) -> float:
-    """Mean relative power of the free-run error over several records, where each record counts at
-    most one."""
+    """Mean relative power of the free-run error over several records, limited to one for each
+    record."""
     scale = data.scale.output_scale
     run = Simulation.simulate_records(model, records, data.start_up_samples, tuple(states))
     shares = []
@@ -150,8 +150,7 @@ def state_from_past(model: Any, data: DataSet, piece: Trajectory) -> State | Non
 
 
 def preceding_log(data: DataSet, piece: Trajectory) -> Trajectory | None:
-    """Part of a log that directly precedes a record, joined from other records; None if there is
-    none."""
+    """Stretch of the log that directly precedes a record; None if there is none."""
     records = [*data.training, *data.validation, *data.test]
     all_records = [record for record in records if record.log and record.log == piece.log]
     joined: list[Trajectory] = []
@@ -171,7 +170,7 @@ def preceding_log(data: DataSet, piece: Trajectory) -> Trajectory | None:
 
 
 def join_log_stretches(data: DataSet) -> list[Trajectory]:
-    """Pieces of the logs without gaps, joined again from the records of a data set."""
+    """Stretches of the logs without gaps, joined again from the records of a data set."""
     records = [*data.training, *data.validation, *data.test]
     all_records = sorted((one for one in records if one.log), key=lambda one: (one.log, one.first))
     stretches: list[list[Trajectory]] = []
@@ -190,8 +189,7 @@ def join_log_stretches(data: DataSet) -> list[Trajectory]:
 
 
 def simulate_validation_and_test(model: Any, data: DataSet) -> tuple[Simulation, Simulation]:
-    """Free runs of the validation and test records, from those initial states (of two kinds) that
-    predict better."""
+    """Free runs of the validation and test records from the chosen initial states."""
     starts = choose_piece_starts(model, data)
     window = data.start_up_samples
     validation = Simulation.simulate_records(
@@ -202,8 +200,8 @@ def simulate_validation_and_test(model: Any, data: DataSet) -> tuple[Simulation,
 
 
 def simulate_other_start(model: Any, data: DataSet, test: Simulation) -> Simulation | None:
-    """Free run of the test records from those initial states (of two kinds) that were not chosen;
-    None if there are none."""
+    """Free run of the test records from the initial states that were not chosen; None if there are
+    none."""
     if len(test.starts) != len(data.test) or not isinstance(model, ScaffoldedModel):
         return None
     states: States = (None,) * len(data.test)
@@ -215,8 +213,8 @@ def simulate_other_start(model: Any, data: DataSet, test: Simulation) -> Simulat
 
 
 def piece_start_columns(model: Any, data: DataSet, test: Simulation) -> dict[str, Any]:
-    """Columns that name how initial states were chosen (from first samples or from the log before),
-    with the test fit of the other way. They are null where no test record has a log before it."""
+    """Columns on how the initial states of validation and test records were found, with the test
+    fit of the other way. They are null where no test record has a log before it."""
     other = simulate_other_start(model, data, test)
     if other is None:
         return {"piece_start": None, "fit_test_other_start_percent": None}

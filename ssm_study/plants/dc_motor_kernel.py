@@ -66,8 +66,7 @@ def _evaluate_series(c, j, t):
 @compile_with_numba
 @no_type_check
 def _mode_margin(p, c, t, load, body, mode):
-    """Margin by which a body stays in its friction mode (stuck or sliding), positive while the mode
-    lasts and negative afterwards."""
+    """Margin by which a body stays stuck or sliding; negative once that friction mode has ended."""
     if mode != 0:
         return mode * _evaluate_series(c, 1 + body, t)
     tm, tl = _torques_without_coulomb(
@@ -84,8 +83,8 @@ def _mode_margin(p, c, t, load, body, mode):
 @compile_with_numba
 @no_type_check
 def _mode_switch_time(p, c, h, load, body, mode):
-    """Time at which a body leaves its friction mode (stuck or sliding), by bisection; larger than h
-    if it does not."""
+    """Time at which a body changes between stuck and sliding, by bisection; larger than h if it
+    does not."""
     if _mode_margin(p, c, h, load, body, mode) >= 0.0:
         return 2.0 * h
     low = 0.0
@@ -102,8 +101,8 @@ def _mode_switch_time(p, c, h, load, body, mode):
 @compile_with_numba
 @no_type_check
 def _friction_mode(speed, torque, coulomb):
-    """Friction mode of a body: 0 if it is stuck, otherwise the sign of its motion or of the motion
-    about to begin."""
+    """Friction mode of a body: 0 if it is stuck, otherwise the sign of its motion or of its
+    beginning motion."""
     if speed != 0.0:
         return 1 if speed > 0.0 else -1
     if abs(torque) <= coulomb:

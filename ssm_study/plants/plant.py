@@ -98,12 +98,11 @@ class Plant(ABC):
 
     @abstractmethod
     def equilibrium(self) -> Equilibrium:
-        """Input, state and output at the equilibrium of the plant."""
+        """Input, state and output of the plant at its equilibrium."""
 
     @abstractmethod
     def states_at(self, y0: Outputs) -> States:
-        """States of the plant in which the outputs have given values and everything else is in
-        equilibrium."""
+        """States of the plant at given outputs, with everything else in equilibrium."""
 
     @abstractmethod
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
@@ -147,7 +146,8 @@ class Plant(ABC):
 
 
 def field_property(field: str, factors: tuple[int, ...] = ()) -> Any:
-    """Property that returns a field of the plant, multiplied by other fields if some are named."""
+    """Property that returns a field of the plant, multiplied by further fields if some are
+    named."""
 
     def read_field(plant: Plant) -> Any:
         """Value of a field of the plant, multiplied by the factors."""

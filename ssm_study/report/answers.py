@@ -72,8 +72,8 @@ def list_values(values: pd.Series) -> str:
 
 
 def group_by_plant(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Groups of runs with the same plant, each with the plant's name, such as `DC motor: `, for the
-    first sentence. The name is empty for a single plant.
+    """Runs grouped by plant, each group with the words that name the plant. The name is empty for a
+    single plant.
 
     Settling times of different plants do not compare.
     """
@@ -94,8 +94,8 @@ def feasibility_sentences(table: pd.DataFrame) -> tuple[str, ...]:
 
 
 def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
-    """Sentences on the largest certifiable rates of the study's models, and on how many requests
-    exceeded them."""
+    """Sentences on the largest certifiable rates of the study's models, and on how many requested
+    rates exceed them."""
     rate = numeric_column(table, f"rate_{side}")
     limit = numeric_column(table, f"{side}_rate_limit")
     certified = boolean_column(table, f"{side}_certified")

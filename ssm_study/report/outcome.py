@@ -90,7 +90,7 @@ def _is_on_plant(record: Mapping[str, Any]) -> bool:
 
 
 def loop_place(record: Mapping[str, Any]) -> str:
-    """Words that say where the loop was closed: `simulated plant` or `identified model`."""
+    """Text that says where the loop was closed: `simulated plant` or `identified model`."""
     if not _is_on_plant(record):
         return "identified model"
     place = record.get("loop_on")
@@ -222,8 +222,7 @@ def refit_words(record: Mapping[str, Any]) -> str:
 
 
 def fresh_data_words(record: Mapping[str, Any]) -> str:
-    """Text on how much of the proved disc is needed by fresh data, which neither fit nor design has
-    used."""
+    """Text on how much of the proved disc the model error in fresh data needs."""
     needed = record.get("coverage_needed")
     if needed is None:
         return ""
@@ -242,8 +241,7 @@ def fresh_data_words(record: Mapping[str, Any]) -> str:
 
 
 def exceeds_coverage(record: Mapping[str, Any]) -> bool:
-    """Whether fresh data, which neither fit nor design has used, show a larger model error than the
-    proof covers."""
+    """Whether fresh data show a larger model error than the proof covers."""
     coverage = record.get("coverage")
     needed = record.get("coverage_needed")
     if coverage is None or needed is None:
@@ -293,8 +291,7 @@ def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def pi_words(record: Mapping[str, Any]) -> str:
-    """Text on how a textbook PI controller does from the same initial states, and on whether it is
-    better."""
+    """Text that compares a textbook PI controller with the design from the same initial states."""
     count = format_column(record, "stable_count_pi", ".0f")
     starts = format_column(record, "initial_conditions", ".0f")
     pi_time_s = record.get("settling_time_pi_s")
@@ -336,7 +333,7 @@ def certified_word(record: Mapping[str, Any], side: str) -> str:
 
 
 def reasons(record: Mapping[str, Any]) -> Iterator[str]:
-    """Reasons, taken from its record, why a run is doubted, infeasible, not certified or failed."""
+    """Reasons why a run is in doubt, infeasible, not certified or failed, from its record."""
     findings = str(record.get("evidence_reasons") or "")
     for finding in re.split(r" (?=(?:note|doubt|cannot judge): )", findings):
         if finding.startswith(("doubt: ", "cannot judge: ")):

@@ -38,7 +38,8 @@ def picture_of_run(name: str, run: RunFolder) -> Picture:
 
 
 def read_parts(run: RunFolder, *parts: str) -> list[Any]:
-    """Read named parts of a run's folder. Raises `NothingToDraw` that names a missing part."""
+    """Read the named files of a run, such as model and design. Raises `NothingToDraw` that names a
+    missing part."""
     values = [getattr(run, part) for part in parts]
     missing = [part for part, value in zip(parts, values, strict=True) if value is None]
     if missing:

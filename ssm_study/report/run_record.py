@@ -38,7 +38,7 @@ def record_table(record: Mapping[str, Any]) -> Table:
 
 
 def format_value(value: Any) -> str:
-    """Text of a recorded value, where a number is never rounded to the other side of one."""
+    """Text of a recorded value, rounded so that it stays on its side of one."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     return digits_beside_bound(value) if isinstance(value, float) else str(value)

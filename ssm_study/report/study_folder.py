@@ -213,7 +213,7 @@ class StudyFolder:
         )
 
     def read_from_best(self, *parts: str, otherwise: str) -> list[Any]:
-        """Read named parts of the study's best run, such as `model` or `closed_loop`. Raises
+        """Read the named files of the study's best run, such as `model` or `closed_loop`. Raises
         `NothingToDraw` that names a missing part."""
         values = [getattr(self.best_run, part, None) for part in parts]
         if any(part is None for part in values):

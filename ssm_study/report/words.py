@@ -31,7 +31,8 @@ CHOICES: dict[str, str] = {
 
 
 def choice_label(choice: object) -> str:
-    """Printed name of a controller, situation or plant, such as `paper's LMI` for `paper_lmi`."""
+    """Printed name of a controller, test condition or plant, such as `paper's LMI` for
+    `paper_lmi`."""
     return CHOICES.get(str(choice), str(choice).replace("_", " "))
 
 
@@ -43,7 +44,7 @@ def column_words(name: object) -> str:
 def prediction_grounds(
     margin: float | None, radius: float | None, noise: float | None = None
 ) -> str:
-    """Text with the numbers that decide a prediction, each beside its bound.
+    """Text with the numbers that decide a prediction, each next to its bound.
 
     `stability margin 2.03 > 1, spectral radius of the controller 0.892 < 1`; noise where it counts.
     """
@@ -148,8 +149,8 @@ VERDICTS = (SETTLED, NO_FASTER, LOST, UNTRIED, *BY_CLASS[3:])
 
 
 def verdict_per_run(table: pd.DataFrame) -> pd.Series:
-    """Verdict of every run in a table: its outcome class, where a run that is only certified may
-    have closed no loop."""
+    """Verdict of every run in a table: its outcome class, or that it is certified without a closed
+    loop."""
     classes = outcome_class(table)
     verdict_column = classes.map(lambda place: BY_CLASS[place]).astype(object)
     is_untried = numeric_column(table, "stable_fraction").isna()
@@ -157,7 +158,7 @@ def verdict_per_run(table: pd.DataFrame) -> pd.Series:
 
 
 def verdicts(table: pd.DataFrame) -> pd.Series:
-    """Verdict of every run in a table, as one word."""
+    """Verdict of every run in a table as one word."""
     words = verdict_per_run(table).map(lambda verdict: verdict.word)
     return words.astype(object).rename("verdict")
 

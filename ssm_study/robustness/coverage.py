@@ -1,5 +1,4 @@
-"""Distance of the plant from its model by frequency, measured as the premise of the certificate
-`measured_discs`.
+"""Model error by frequency in all records, which the certificate `measured_discs` has to cover.
 
 A disc with two references bounds the mismatch `e = y - m` of the model's output m for the input u:
 
@@ -73,21 +72,21 @@ class Weights:
         return squared_gain(self.input, angles)
 
     def needed_radius(self, items: Sequence[Item]) -> tuple[float, str]:
-        """Smallest disc radius at which every requirement of the records is met, and the
-        requirement that decides it. It is infinite where a reference signal vanishes."""
+        """Smallest disc radius that meets every requirement of the records, and the deciding
+        requirement. It is infinite where a reference signal vanishes."""
         needs = [(self.required_radius(item), item.where) for item in items]
         return max(needs, default=(0.0, ""))
 
     def required_radius(self, item: Item) -> float:
-        """Smallest disc radius at which one requirement of the records is met."""
+        """Smallest disc radius that meets one requirement of the records."""
         if item.seen <= 0:
             return 0.0
         reference = self.reference_power(item)
         return float(np.sqrt(item.seen / reference)) if reference > 0 else float("inf")
 
     def reference_power(self, item: Item) -> float:
-        """Weighted power of output and input, with which the power of the error is compared. `sum
-        over the item's lines of (X model + Y input)`."""
+        """Weighted power of model output and input, to which the power of the error is compared.
+        `sum over the item's lines of (X model + Y input)`."""
         of_output = self.output_weight(item.angles) @ item.model_power
         return float(of_output + self.input_weight(item.angles) @ item.input_power)
 
@@ -106,7 +105,7 @@ def squared_gain(weight: Float[np.ndarray, "v v"], angles: Powers) -> Powers:
 
 @dataclass(frozen=True, kw_only=True)
 class Premise:
-    """Measured premise of a proof about the plant: spectra of the model error in all records.
+    """Spectra of the model error in all records, which a proof about the plant has to cover.
     `sines` are those of single sines; `reason` says why nothing can be covered, and is None where
     it can."""
 
@@ -116,8 +115,8 @@ class Premise:
     reason: str | None = None
 
     def requirements(self, centre: float) -> list[Item]:
-        """Requirements that all records put on the weights of a disc with a given centre. The
-        repeating record with the largest amplitude counts without doubt."""
+        """Requirements of all records on the weights of a disc with a given centre. The repeating
+        record with the largest amplitude counts without doubt."""
         largest = max((record.amplitude for record in self.repeating), default=0.0)
         items = list[Item]()
         for record in self.repeating:
@@ -129,13 +128,13 @@ class Premise:
 
     @property
     def separates_noise(self) -> bool:
-        """Whether the input repeats in some record, so that noise can be separated from model
+        """Whether some record repeats its input, so that noise can be separated from model
         error."""
         return bool(self.repeating)
 
     def missing_reason(self, centre: float) -> str | None:
-        """Reason why the records cannot be the premise of a proof with a given disc centre; None if
-        they can."""
+        """Reason why the records do not suffice to measure a disc with a given centre; None if they
+        do."""
         if self.reason is not None:
             return self.reason
         items = self.requirements(centre)
@@ -151,8 +150,8 @@ def measure_premise(
     start_up_samples: int = 0,
     trials: Trajectories = (),
 ) -> Premise:
-    """Measure the premise of a proof about the plant from the records. Where they are not enough,
-    its `reason` says why."""
+    """Measure the spectra of the model error that a proof about the plant has to cover. Where they
+    are not enough, its `reason` says why."""
     reason = None
     if not mismatch.comes_to_rest:
         reason = NOT_AT_REST

@@ -1,4 +1,4 @@
-"""Columns of the coverage: how much more model error the proof tolerates than the records show."""
+"""Columns of the coverage: how many times the measured model error the proof tolerates."""
 
 from ssm_study.columns import ITERATED, Column
 

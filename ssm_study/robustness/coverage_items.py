@@ -26,8 +26,8 @@ TOTAL = "in total"
 
 @dataclass(frozen=True, kw_only=True)
 class Item:
-    """Requirement on the disc's weights that one part of a record's spectrum makes. It is `seen <=
-    sum over lines of (X model + Y input)` at its angles.
+    """Requirement on the disc's weights from one frequency range of a record. It is `seen <= sum
+    over lines of (X model + Y input)` at its angles.
 
     X is `floor^2 + |W|^2` and Y `|V|^2`. `dark`: its input has next to no power here, so noise is
     part of what is seen. `is_band`: one band of the record, no group of bands, mean or total.
@@ -44,14 +44,14 @@ class Item:
 
     @property
     def where(self) -> str:
-        """Label that names a record and the frequency range of its spectrum."""
+        """Label with the name of a record and the frequency range of the requirement."""
         return f"{self.record}, {self.place}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RepeatingPower:
-    """Spectral powers of the model error, minus the disc's centre, in a record with two periods.
-    Powers of `e - c m` in its lines.
+    """Spectral powers of the model error about the disc's centre, in a record with two equal
+    periods. Powers of `e - c m` in its lines.
 
     `repeats` is the product of both periods, `measured` their mean power, noise included,
     `variance` that of `repeats`. `bands` holds the band of each line; `dark` says of each band

@@ -72,8 +72,7 @@ def _counted_gain(
 
 
 class _WorstCurve:
-    """Largest loop gain over the slopes at each frequency of a grid, and the largest of all with
-    its frequency."""
+    """Largest loop gain over all slopes of the static maps, at each frequency of a grid."""
 
     def __init__(self) -> None:
         self.gain = np.zeros(len(FINE_ANGLES))
@@ -81,8 +80,7 @@ class _WorstCurve:
         self.angle = float(FINE_ANGLES[0])
 
     def include_gain(self, angles: Float[np.ndarray, "K"], gain: Float[np.ndarray, "K"]) -> None:
-        """Include the loop gain of one combination of slopes in the largest loop gain at each
-        frequency."""
+        """Update the largest loop gain at each frequency by that of one combination of slopes."""
         on_grid = gain[np.searchsorted(angles, FINE_ANGLES)]
         self.gain = np.maximum(self.gain, on_grid)
         peak = int(np.argmax(gain))

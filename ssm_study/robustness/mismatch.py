@@ -1,5 +1,4 @@
-"""Error between a plant and its model, `e = y - y_model`, as records show it at each amplitude,
-with noise removed.
+"""Model error `e = y - y_model` in the records, by frequency and amplitude, with noise removed.
 
 A closed loop maps `e` back to `u`; what it tolerates is `synthesis.prediction`. What a record shows
 of `e` holds where it has been, so there is one `View` for each amplitude:
@@ -84,8 +83,8 @@ class Mismatch:
 
     @property
     def offset(self) -> float:
-        """Largest output offset that may remain at constant input, in settling bands, with 95 %
-        confidence."""
+        """Largest output offset that may remain at constant input, relative to the settling band,
+        with 95 % confidence."""
         worst = max(self.stuck) * MISSED ** (-1 / len(self.stuck)) if self.stuck else 0.0
         return worst / self.band
 
@@ -112,12 +111,12 @@ class Mismatch:
 
     @property
     def all_views(self) -> tuple[View, ...]:
-        """Model error at each recorded amplitude, and in closed loop."""
+        """Model error at each recorded amplitude, followed by the error measured in closed loop."""
         return self.views if self.loop is None else (*self.views, self.loop)
 
     @property
     def by_frequency(self) -> Float[np.ndarray, "F"]:
-        """Gain of the model error in each frequency band, the larger of that at the largest
+        """Gain of the model error in each frequency band: the larger of that at the largest
         amplitude and that in closed loop."""
         largest = self.views[-1].by_frequency
         return largest if self.loop is None else np.maximum(largest, self.loop.by_frequency)

@@ -57,8 +57,8 @@ PEAK = 4.5  # standard deviations, which normal noise exceeds once in 150,000 sa
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
-    """Prediction of how a design behaves on the plant. Tables use the names of its fields as
-    columns (all -)."""
+    """Prediction of whether a loop is stable on the plant, with its stability margins. Tables use
+    the names of its fields as columns (all -)."""
 
     mismatch_margin: float
     resolved_margin: float
@@ -118,8 +118,7 @@ def robustness_measure(
 def loops_to_test(
     model: Model, pair: Gains, balls: Balls, mismatch: Mismatch
 ) -> Iterator[tuple[StateSpace, Gains, tuple[float, float], Mismatch]]:
-    """Closed loops at every combination of constant slopes, each with the model error that applies
-    to it."""
+    """Closed loops at every combination of constant slopes, each with its model error."""
     for met_balls, records in _group_by_amplitude(model, balls, mismatch):
         for linear, own_gains, slope_in, slope_out in slope_combinations(
             model.system, pair, met_balls
@@ -209,12 +208,12 @@ class LoopResponse:
         )
 
     def small_gain(self, by_frequency: Float[np.ndarray, "F"]) -> float:
-        """Small-gain product of the loop and a model error, the largest over frequency."""
+        """Small-gain product of the loop and a model error, the largest over all frequencies."""
         return float((np.interp(self.angles, ANGLES, by_frequency) * self.size).max())
 
     def return_difference(self, linear_part: Complex[np.ndarray, "F"]) -> Complex[np.ndarray, "K"]:
-        """Return difference of the loop after the linear part of the model error is closed into it,
-        `1 - M Q`."""
+        """Return difference `1 - M Q` of the closed loop M, as the model error sees it, and the
+        error's linear part Q."""
         real = np.interp(self.angles, ANGLES, linear_part.real)
         imaginary = np.interp(self.angles, ANGLES, linear_part.imag)
         assert self.through is not None
@@ -223,8 +222,8 @@ class LoopResponse:
     def gain_with_phase(
         self, linear_part: Complex[np.ndarray, "F"], remainder: Float[np.ndarray, "F"]
     ) -> float:
-        """Small-gain product of the nonlinear remainder, after the linear part of the model error
-        is closed into the loop. Infinite if `1 - M Q` winds around zero, so that its phase at pi is
+        """Small-gain product for the nonlinear remainder of the model error, with its linear part
+        included in the loop. Infinite if `1 - M Q` winds around zero, so that its phase at pi is
         not the one at 0."""
         if self.through is None:
             return float("inf")
@@ -299,7 +298,8 @@ def _needs_mixtures(smaller: AmplitudeCondition, larger: AmplitudeCondition, gai
 def _largest_interpolated_gain(
     smaller: AmplitudeCondition, larger: AmplitudeCondition, loop: LoopResponse
 ) -> float:
-    """Largest small-gain bound over mixtures of the model error at two neighbouring amplitudes."""
+    """Largest small-gain product over mixtures of the model errors at two neighbouring
+    amplitudes."""
     gains = []
     for share in MIXTURES:
         linear_part = (1 - share) * smaller.linear_part + share * larger.linear_part

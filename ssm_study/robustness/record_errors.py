@@ -109,8 +109,8 @@ class RecordErrors:
         return float((self.u**2).mean())
 
     def spread(self) -> float:
-        """Standard error of the logarithm of a record's gain from input to model error, from the
-        deviation among `BLOCKS` pieces."""
+        """Standard error of the logarithm of a record's gain from input to model error, from pieces
+        of the record."""
         errors = np.array_split(self.e, BLOCKS)
         inputs = np.array_split(self.u, BLOCKS)
         ratios = []
@@ -149,8 +149,7 @@ def open_loop_errors(
 def moving_loop_errors(
     model: Model, trials: Trajectories, start_up_samples: int
 ) -> list[RecordErrors]:
-    """Errors of the model in closed-loop records that keep moving, without the samples that
-    estimate the initial state."""
+    """Errors of the model in closed-loop records that keep moving, without start-up samples."""
     loops = []
     for trial in trials:
         if trial.closed_loop:
@@ -189,7 +188,8 @@ def mismatch_from_averages(records: list[RecordErrors]) -> View:
 def _mismatch_from_total_gain(
     records: list[RecordErrors], resolved: Float[np.ndarray, "F"], gain: float
 ) -> View:
-    """Model error from records that only show the total gain of the error."""
+    """Model error at one amplitude from records that show only its gain over all frequencies
+    together."""
     amplitude = float(np.sqrt(np.mean(np.concatenate([r.u for r in records]) ** 2)))
     linear = np.zeros(len(ANGLES), dtype=complex)
     return View(amplitude=amplitude, gain=gain, by_frequency=resolved, linear=linear, rest=resolved)

@@ -65,8 +65,8 @@ def offsets_after_returns(
 
 
 def equilibrium_spread(scale: Scale, records: list[Trajectory]) -> float:
-    """Largest distance between the final outputs of records that return to the same constant input;
-    zero if one is still moving."""
+    """Largest distance between the final outputs of records that end at the same constant input;
+    zero if one still moves."""
     offsets = list[float]()
     for outputs in _group_by_input(scale, records).values():
         if max(map(oscillation_amplitude, outputs)) < AT_REST:

@@ -105,7 +105,7 @@ def noise_response(
 
 def noise_gain(system: System, pair: Gains, balls: Balls) -> float:
     """Largest gain from a sensor's noise to the model's output, over all frequencies and constant
-    slopes; infinite if one of these loops is unstable.
+    slopes.
 
     A number of the model, not a claim: slopes that vary may do more, and white noise does less.
     """

@@ -30,8 +30,8 @@ FEWEST_LINES = 4  # periods of the sine in one period of the record, at least
 
 
 def peak_frequencies(model: Model, pair: Gains, balls: Balls) -> list[float]:
-    """Frequencies (rad/sample) of the local peaks of the loop's sensitivity over all constant
-    slopes, the largest first. The sensitivity is `|T_ue|`."""
+    """Frequencies (rad/sample) at which the loop's sensitivity has local peaks, the largest first.
+    The sensitivity is `|T_ue|`."""
     size = np.zeros(len(FINE_ANGLES))
     for end in slope_combinations(model.system, pair, balls):
         response = frequency_response(sensitivity(*end), FINE_ANGLES)
@@ -43,8 +43,8 @@ def peak_frequencies(model: Model, pair: Gains, balls: Balls) -> list[float]:
 
 
 def peak_lines(model: Model, pair: Gains, balls: Balls, period: int) -> list[int]:
-    """Frequencies for single-sine experiments, where the loop's sensitivity is largest. They are
-    lines of a period, at peaks of `|T_ue|`."""
+    """Spectral lines for single-sine experiments, at which the loop's sensitivity is largest. They
+    are lines of a period, at peaks of `|T_ue|`."""
     lines: list[int] = []
     for angle in peak_frequencies(model, pair, balls):
         line = int(np.rint(angle * period / (2 * np.pi)))

@@ -34,8 +34,7 @@ class SineMismatch:
 
 
 def repeats_one_line(errors: RecordErrors) -> bool:
-    """Whether the part of a record's input that repeats has nearly all its power at one
-    frequency."""
+    """Whether the periodic part of a record's input has nearly all its power at one frequency."""
     if errors.period is None:
         return False
     drive = (np.abs(errors.periods(errors.u)[1][1:]) ** 2).sum(axis=1)

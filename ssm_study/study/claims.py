@@ -163,7 +163,8 @@ def check_folder_name(folder: Path, name: str) -> Checked:
 
 
 def check_status(run: RunFiles) -> Claims:
-    """Check that the run is infeasible exactly if a part of its design is missing."""
+    """Check that the run is recorded as infeasible exactly if its design lacks a controller or
+    observer."""
     is_feasible = not run.claims_certificate or run.design.feasible
     yield Derived({"status": OK if is_feasible else INFEASIBLE})
 
@@ -248,8 +249,7 @@ def label_pairs(
 
 
 def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checked]:
-    """Check that the free runs of one part of the data begin with the kind of initial state that
-    the record names.
+    """Check that the free runs begin with the kind of initial state that the record names.
 
     Records of 0.1 know no choice: they begin with the first samples.
     """
@@ -332,8 +332,8 @@ def check_loops(run: RunFiles) -> Claims:
 
 
 def check_textbook_pi(run: RunFiles) -> Claims:
-    """Check the PI controller that a textbook rule gives for the stored model, by simulating it
-    again on the configured plant."""
+    """Check the columns of the textbook PI controller by simulating it again on the configured
+    plant."""
     specification = run.specification
     fitted = specification.loop.with_default_horizon(run.model)
     yield Derived(

@@ -203,7 +203,7 @@ class Study(Task["Specification"]):
         return data, model, bounded
 
     def run(self, request: "Specification", run: Run) -> Facts:
-        """Final columns of a run, with its status, which is infeasible if controller or observer is
+        """Final columns of a run, with the status `infeasible` if controller or observer is
         missing."""
         del request
         sides = ("controller_feasible", "observer_feasible")
@@ -272,7 +272,7 @@ def check_retry(config: DictConfig, run: str = "*") -> None:
 
 
 def undeclared_settings(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
-    """Columns for those numbers of the configuration that have no declared column.
+    """Columns for the numbers of the configuration that have no declared column.
 
     A part, as `training/optimiser` or `peer@loop.peer`, is named by its kind.
     """
@@ -295,7 +295,7 @@ def is_number_or_none(value: Any) -> bool:
 
 
 def sides_with_chosen_rate(values: Mapping[str, Any]) -> str:
-    """Text that names the sides, controller or observer, whose rate is chosen automatically."""
+    """Text that names the gains, controller or observer, whose rate is chosen automatically."""
     if values["rates_chosen"] != "auto":
         return "neither"
     sides = [side for side in ("controller", "observer") if values[f"rate_{side}"] == "auto"]
@@ -303,7 +303,7 @@ def sides_with_chosen_rate(values: Mapping[str, Any]) -> str:
 
 
 def kind_of_part(part: Any) -> str | None:
-    """Short name of the class of a part, such as `monotone` for
+    """Short name of the class of a configured object, such as `monotone` for
     `...scaffolds.monotone.Monotone`."""
     target = str(part.get("_target_", "")) if isinstance(part, dict) else ""
     return target.rsplit(".", 1)[-1].lower() or None

@@ -235,7 +235,7 @@ def record_signal_pairs(stored: Trajectories, made: Trajectories) -> Pairs:
 
 
 def relative_distance(stored: Any, made: Any) -> float:
-    """Largest difference of two arrays, relative to the largest entry.
+    """Largest difference between two arrays, relative to the largest entry of the recomputed one.
 
     Infinite for another shape or a missing side; NaN where a number is none, which agrees with
     nothing.

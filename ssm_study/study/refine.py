@@ -1,5 +1,5 @@
-"""Refinement of a run by closed-loop trials, until the proof covers records and trial or the loop
-comes to rest. Each trial closes the loop, measures the mismatch from it, and designs again.
+"""Refinement of a run: trial in closed loop, new measurement of the model error, new design. Each
+trial closes the loop, measures the mismatch from it, and designs again.
 
 Each iteration is a run of the study: the configuration of the one before with one trial more
 (`study.trials`).
@@ -114,15 +114,17 @@ def _check_refinable_run(run: Path, log: Path | None) -> RunFiles:
 
 @dataclass(frozen=True, kw_only=True)
 class TrialMismatch:
-    """Largest gain of the model error in a closed-loop trial, zero if the loop comes to rest. With
-    it goes the coverage of records and trial together by the run's own proof (None without one)."""
+    """Largest gain from input to model error in a closed-loop trial; zero if the loop comes to
+    rest. With it goes the coverage of records and trial together by the run's own proof (None
+    without one)."""
 
     gain: float
     coverage: float | None
 
     @property
     def ends_refinement(self) -> bool:
-        """Whether the refinement ends, because the loop comes to rest or the proof covers it."""
+        """Whether the refinement ends because the loop comes to rest or the proof covers the
+        trial's model error."""
         return self.gain == 0 or (self.coverage is not None and self.coverage >= 1)
 
     @property

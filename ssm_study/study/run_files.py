@@ -61,8 +61,8 @@ class RunFiles:
 
     @cached_property
     def specification(self) -> Specification:
-        """Parts of the run, built from its configuration. Raises `BadRequest` for classes that are
-        not allowed; old names are understood."""
+        """Objects of a run (plant, model, training, ...), built from its configuration. Raises
+        `BadRequest` for classes that are not allowed; old names are understood."""
         config = self.config.copy()
         rename_old_settings(config)
         refuse_foreign_targets(config)
@@ -186,9 +186,8 @@ class RunFiles:
 
     @property
     def sine_angles(self) -> tuple[float, ...]:
-        """Frequencies (rad/sample) of single sines for a next excitation signal, where this run's
-        loop is most sensitive to model errors. Empty without a design, or behind an inverted input
-        map."""
+        """Frequencies (rad/sample) of single sines at which this run's loop is most sensitive to
+        model errors. Empty without a design, or behind an inverted input map."""
         from ssm_study.robustness.sine_trials import PEAKS, peak_frequencies
 
         if not self.claims_certificate:
@@ -214,8 +213,7 @@ class RunFiles:
 
     @property
     def claims_certificate(self) -> bool:
-        """Whether the run's model is of a kind that can be certified, so that the run has a
-        design."""
+        """Whether the run has a design, because its model can be certified."""
         return self.specification.model.gives_ssm
 
     @property
@@ -240,7 +238,7 @@ def refuse_repeated_keys(file: str, pairs: list[tuple[str, Any]]) -> dict[str, A
 
 
 def find_unknown_entries(stored: Any, written: Any, at: str = "") -> list[str]:
-    """Dotted paths of entries in a stored object that its reader does not use.
+    """Dotted paths of entries in a stored JSON object that its reader does not use.
 
     Nobody checks them.
     """

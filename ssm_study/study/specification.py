@@ -163,8 +163,8 @@ class Specification:
     def stage_settings(
         self, *names: str, computed: Mapping[str, Any] = NONE, unkeyed: Mapping[str, Any] = NONE
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Named settings and call arguments of a stage, built together so that its key and its
-        arguments cannot disagree.
+        """Settings that form a stage's cache key, and the arguments of its call, built from one
+        list so that they agree.
 
         The settings, of which its key is made, are those of the named parts and the `computed`
         values; the arguments the parts themselves, the same values, and those that are `unkeyed`.
@@ -187,8 +187,8 @@ class Specification:
         return self._stage_settings_with_data("seed", "plant")
 
     def _stage_settings_with_data(self, *names: str) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Named settings, and call arguments, of a stage that also reads the data source. The
-        number of fresh data sets is left out."""
+        """Settings for the cache key, and call arguments, of a stage that also reads the data
+        source. The number of fresh data sets is left out."""
         settings, arguments = self.stage_settings("data", *names)
         if isinstance(self.data, SimulatedData):
             own = {name: value for name, value in settings["data"].items() if name != "fresh_sets"}

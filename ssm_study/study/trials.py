@@ -38,7 +38,7 @@ FEWEST = 30  # samples of a trial: a third of them tell its initial state
 def compute_with_tried_loops(
     folder: Path, data: DataSet, *tried: "Design | Experiment | None"
 ) -> None:
-    """Write the data set, extended by the records of all closed loops that were tried.
+    """Write the data set together with the records of all closed-loop trials.
 
     `tried` is a design, its loops, the next design, its loops, ...
     """
@@ -55,14 +55,14 @@ def compute_with_tried_loops(
 def compute_with_logged_trials(
     folder: Path, records: DataSet, *, refine: list[str], data: "RecordedSource"
 ) -> None:
-    """Write the data set, extended by the user's logs of closed-loop trials."""
+    """Write the data set together with the user's logs of closed-loop trials."""
     trials = read_logs(refine, data, records.step_s)
     _write_data_and_trials(folder, records, trials)
 
 
 def _write_data_and_trials(folder: Path, data: DataSet, trials: Trajectories) -> None:
-    """Write the data set with closed-loop trials added to the records that measure the model error,
-    and write the trials as a recording."""
+    """Write the data set with closed-loop trials as further mismatch records, and write the trials
+    as a recording."""
     mismatch_records = (*data.mismatch_records, *trials)
     write_dataset(folder, replace(data, mismatch_records=mismatch_records))
     write_records(folder / LOOPS, data, trials)
@@ -139,8 +139,7 @@ def repeat_trials(request: "Specification", run: Path) -> Trajectories:
 
 
 def lineage_columns(settings: Any) -> Facts:
-    """Columns on the history of a run: the number of refinements that led to it, and the run that
-    it refines.
+    """Columns on the refinement of a run: the number of refinements, and the run that was refined.
 
     That is the same run with one iteration, or one log, less.
     """

@@ -1,5 +1,4 @@
-"""Numbers of a model that its run's records cannot check, because other values would give the same
-run."""
+"""Numbers of a model that the records of its run cannot verify."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -17,8 +16,7 @@ UNREACHED = "no record reaches this part of the map, and training is not repeate
 
 
 def unreached_numbers(run: RunFiles) -> dict[str, str]:
-    """Entries of `model.json` that cannot be checked against the run's records, each with the
-    reason.
+    """Entries of `model.json` that the run's records cannot verify, each with the reason.
 
     A monotone map is written by break points and slopes. Beyond the inputs (or outputs) of all
     records they change no signal; what is proved holds for every break point, and the smallest and
@@ -88,7 +86,7 @@ def leaky_rectifier(
 def unreached_places(
     name: str, bends: Float[np.ndarray, "m h"], signal: Float[np.ndarray, "T m"]
 ) -> Iterator[str]:
-    """Texts on those parts of a piecewise-linear map that a recorded signal does not reach.
+    """Texts on the parts of a piecewise-linear map that a recorded signal does not reach.
 
     Of each row of numbers one place: `model.json scaffold_in.slopes.0: 0, 1, 16`.
     """

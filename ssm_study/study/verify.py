@@ -36,7 +36,7 @@ UNGIVEN = "nothing in the run's files gives it"
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """Verdict on every claim of a run, with the findings on which it rests."""
+    """Result of checking every claim of a run, with its findings."""
 
     findings: tuple[Checked, ...]
     unchecked: Mapping[str, str]
@@ -94,7 +94,7 @@ class Verification:
 
 
 def finding_lines(findings: Sequence[Checked]) -> list[str]:
-    """Text lines, one for each claim that holds, and one for each cause of failed claims."""
+    """Text lines with each claim that holds, and with each cause of failed claims."""
     failing: dict[str, list[str]] = {}
     for finding in findings:
         if not finding.holds:
@@ -118,7 +118,7 @@ def _finding_text(finding: Checked) -> str:
 
 
 def verify(run: Path) -> Verification:
-    """Check every claim of a run again, from its files alone.
+    """Check every claim of a run again from its files.
 
     Raises `BadRequest` if `run` is no finished run folder, or is made of parts that are not trusted
     here.
@@ -160,7 +160,8 @@ def verify_files(run: RunFiles) -> Verification:
 
 
 def _findings_of_sections(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
-    """Findings of all sections of the check. An error in a section becomes a failed claim."""
+    """Findings of all sections of the verification of a run. An error in a section becomes a failed
+    claim."""
     for section in (check_form, *_sections(run)):
         try:
             yield from section(run)
@@ -170,14 +171,13 @@ def _findings_of_sections(run: RunFiles) -> Iterator[Checked | Derived | NotChec
 
 
 def section_claim(function: str) -> str:
-    """Words for the claim of a section that could not be checked, from the name of the section's
-    function."""
+    """Text for the claim of a section of checks that could not be carried out."""
     subject = function.removeprefix("check_")
     return SECTION_CLAIMS.get(subject, subject)
 
 
 def _sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
-    """Sections of the check that apply to the run."""
+    """Sections of the verification that apply to a run."""
     try:
         return SECTIONS if run.claims_certificate else OF_A_BASELINE
     except Exception as error:

@@ -1,5 +1,5 @@
-"""Automatic choice of rates and weights from the model and the records alone. It takes the
-certified design with the best expected response.
+"""Automatic choice of contraction rates and cost weights from the model and the records alone. It
+takes the certified design with the best expected response.
 
 Nothing of the closed-loop test enters. The order of the candidates: `synthesis.expected_response`.
 Source: docs/closed_loop.md, "Rates chosen for you"; docs/theory.md.
@@ -49,8 +49,8 @@ LEAST_RATE = 1e-3  # the least demanding request, where a side is left to `auto`
 
 @dataclass(frozen=True, kw_only=True)
 class Auto:
-    """Synthesis that chooses the certified design with the best expected response, with a stability
-    margin above `margin`.
+    """Synthesis that chooses the certified design with the best expected response, among those with
+    a sufficient stability margin.
 
     Grids, steps and the choice where no candidate passes: docs/closed_loop.md, "Rates chosen for
     you". With an `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the weights of its states are one
@@ -124,7 +124,7 @@ class Auto:
         )
 
     def _own_or_common_rate(self, rate: float | str) -> float | str:
-        """Rate of controller or observer, or the common rate if it has none of its own."""
+        """Contraction rate of controller or observer, or the common rate if none is set for it."""
         return self.rate if rate == "auto" else rate
 
     def candidates(self, model: Model, balls: Balls) -> Candidates | None:
@@ -180,8 +180,8 @@ class Auto:
     def _search_covered_gains(
         self, response: ExpectedResponse, premise: Premise, validation: Trajectories
     ) -> Search:
-        """Make the function that searches, around the gains of the grid, for gains whose proof
-        covers the records. The search is longer, and accepts slower gains, if a coverage is
+        """Make the function that searches near the gains of the grid for gains whose proof covers
+        the recorded model error. The search is longer, and accepts slower gains, if a coverage is
         requested."""
         is_asked = self.cover is not None
         has_neurons = not isinstance(response.model, SSM)
@@ -201,7 +201,7 @@ class Auto:
         slower = SLOWER_ASKED if is_asked else unasked
 
         def covered_gains(first: Design, most: Design, cover: float) -> Design | None:
-            """Search around one design for gains whose proof covers the records."""
+            """Search near one design for gains whose proof covers the recorded model error."""
             largest_area = min(slower * search.response_area(first.pair), FASTER)
             return search.improve_design(most, cover, rounds, largest_area)
 
@@ -210,8 +210,8 @@ class Auto:
     def _largest_margin_design(
         self, model: Model, balls: Balls, candidates: Candidates, peaks: Float[np.ndarray, "C O"]
     ) -> Design:
-        """Choose the design with the largest stability margin on a coarse grid, and note why the
-        other candidates were dropped."""
+        """Design with the largest stability margin on a coarse grid of gains, with the reasons
+        against the others."""
         best = np.array(np.unravel_index(np.argmin(peaks), peaks.shape))
         design = candidates.specification(best).design(model, balls)
         status = f"no stable controller with margin above {self.margin:g}; largest margin taken"
@@ -244,8 +244,7 @@ class Auto:
         return replace(self, margin=float("inf"))
 
     def _slowest_design(self, model: Model, balls: Balls) -> Design:
-        """Design at the slowest rates and smallest weights, made to learn the reason why no design
-        succeeds."""
+        """Design at the slowest rates and smallest weights, which shows why no design succeeds."""
         grid = self.grid
         rates = {"rate_controller": grid.rate_controller, "rate_observer": grid.rate_observer}
         least: Any = {
@@ -254,8 +253,7 @@ class Auto:
         return replace(grid.specifications()[0], **least).design(model, balls)
 
     def _with_search_outcome(self, design: Design, status: str) -> Design:
-        """Copy of a design with the name of this method and with the outcome of the search in its
-        status."""
+        """Copy of a design that states this method and the outcome of its search."""
         feedback = design.state_feedback
         observer = design.observer
         return Design(
@@ -270,16 +268,16 @@ class Auto:
 
 @dataclass(kw_only=True)
 class CertifiedDesigns:
-    """Certified designs of ranked gains, each made when it is first needed. Once one is faster than
-    the open loop, slower ones are left out."""
+    """Certified designs of ranked gains, each computed when it is first needed. Once one is faster
+    than the open loop, slower ones are left out."""
 
     response: ExpectedResponse
     has_faster: bool = False
 
     def certified_stable_design(self, ranked: RankedPair) -> Design | None:
-        """Certified design of one controller and observer; None if it is not certified or not
-        predicted to be stable. A controller that is no faster than none is left out while a faster
-        one is predicted."""
+        """Certified design of one controller and observer; None if it is not certified, or not
+        predicted stable on the plant. A controller that is no faster than none is left out while a
+        faster one is predicted."""
         if self.has_faster and not ranked.is_faster:
             return None
         response = self.response

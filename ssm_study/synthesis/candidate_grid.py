@@ -227,8 +227,8 @@ def equilibrium_slopes(model: Model) -> Slopes | None:
 
 
 def stack_neuron_injections(observers: list[GainCandidate]) -> Float[np.ndarray, "O q p"] | None:
-    """Gains by which several observers correct the neurons, as one array; None if the first
-    observer has none."""
+    """Neuron-injection gains of several observers as one array; None if the first observer has
+    none."""
     gains = [solution.k_w for _, solution in observers]
     if gains[0] is None:
         return None

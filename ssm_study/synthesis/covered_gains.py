@@ -1,4 +1,4 @@
-"""Random search around given gains for gains whose proof covers more of the records.
+"""Random search near given gains for gains whose proof covers more of the recorded model error.
 
 Each round scales every entry of K and L at random (`exp(step * normal)`), drops what is slower than
 allowed, and keeps the best of the rest: the largest coverage until the target is met, then the
@@ -48,16 +48,15 @@ SEED = 0
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredGains:
-    """Gains of controller and observer with two scores: their response area on the model, relative
-    to the open loop, and their coverage."""
+    """Gains with two scores: their response area on the model, relative to the open loop, and their
+    coverage."""
 
     gains: Gains
     area: float
     coverage: float
 
     def is_better_than(self, other: "ScoredGains", target: float) -> bool:
-        """Whether these gains cover more than other gains or, if both cover the target, are
-        faster."""
+        """Whether these gains cover more than others or, if both cover enough, respond faster."""
         if min(self.coverage, other.coverage) >= target:
             return self.area < other.area
         return self.coverage > other.coverage
@@ -65,7 +64,7 @@ class ScoredGains:
 
 @dataclass(frozen=True, kw_only=True)
 class GainSearch:
-    """Random search around a design, with the model and the records by which proposals are judged.
+    """Random search near a design for gains with a larger coverage or a faster response.
 
     `largest_area` is the slowest response allowed, in areas of the open loop on the model; `margin`
     the stability margin that the prediction must exceed. A search that `is_brief` takes no round
@@ -85,7 +84,7 @@ class GainSearch:
     def improve_design(
         self, start: Design, target: float, rounds: int, largest_area: float
     ) -> Design | None:
-        """Fastest certified design that the search finds and whose certificate covers the target;
+        """Fastest certified design from the search whose certificate reaches the required coverage;
         None if there is none.
 
         A proof keeps a little less than its frequencies promise: where it keeps too little, the
@@ -140,8 +139,7 @@ class GainSearch:
         return best
 
     def _needs_another_round(self, reached: Sequence[float], target: float, rounds: int) -> bool:
-        """Whether another round of the search follows, given the coverage after each round so
-        far."""
+        """Whether the search continues, given the coverage after each round so far."""
         if self.is_brief:
             return len(reached) <= rounds and reached[-1] < target
         return is_worth_another_round(reached, target, rounds)
@@ -174,8 +172,8 @@ class GainSearch:
     def _best_predicted(
         self, trials: list[ScoredGains], best: ScoredGains, target: float
     ) -> ScoredGains | None:
-        """Best of the proposed gains that are predicted to be stable and improve on the best so
-        far; None if there are none."""
+        """Best of the proposed gains that are predicted stable and improve on the best so far; None
+        if there are none."""
         leader: ScoredGains | None = None
         for trial in trials:
             if not trial.is_better_than(leader or best, target):
@@ -186,8 +184,7 @@ class GainSearch:
         return leader
 
     def _faster_proposals(self, proposals: list[Gains], slowest: float) -> list[Gains]:
-        """Proposed gains with which the loop settles in less than a given share of the time of
-        recorded decays."""
+        """Proposed gains whose loop settles faster than recorded decays by a required factor."""
         ratios = self._decay_ratios(proposals)
         return [gains for gains, ratio in zip(proposals, ratios, strict=True) if ratio < slowest]
 
@@ -219,8 +216,7 @@ class GainSearch:
 
 
 def is_worth_another_round(reached: Sequence[float], target: float, rounds: int) -> bool:
-    """Whether a further round is worthwhile, given the coverage before the search and after each
-    round.
+    """Whether a further round of the search is worthwhile, given the coverage after each round.
 
     The first `rounds` always do. Beyond them the search must earn its time: at the pace of the last
     `rounds`, as many again would reach the target.
@@ -234,8 +230,8 @@ def is_worth_another_round(reached: Sequence[float], target: float, rounds: int)
 
 
 def certify_other_gains(part: Any, **gains: Any) -> Any:
-    """Certificate of other gains by the theorem of a given certificate, at the largest rate that it
-    proves; None if it proves none."""
+    """Certificate of other gains by the same theorem, at the largest provable rate; None if no rate
+    is provable."""
     try:
         with linear_algebra_failures_as_no_solution():
             return certificate_at_largest_rate(replace(part, rate=LEAST_RATE, **gains))

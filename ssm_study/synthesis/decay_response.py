@@ -62,9 +62,9 @@ def largest_decay_ratios(
     band: float,
     limits: Ends | None = None,
 ) -> Float[np.ndarray, "P"]:
-    """Settling time of each loop relative to the decays without control, for the settling band (of
-    two) with the larger ratio. Zero without decays, and with an internal model, which settles at
-    its own pace."""
+    """Settling time of each loop relative to decays without control, the larger ratio of two
+    settling bands. Zero without decays, and with an internal model, which settles at its own
+    pace."""
     if gains.modes.size:
         return np.zeros(len(gains.k))
     ratios = [decay_ratios(model, gains, decays, size * band, limits) for size in BANDS]
@@ -78,8 +78,8 @@ def decay_ratios(
     band: float,
     limits: Ends | None = None,
 ) -> Float[np.ndarray, "P"]:
-    """Settling time of each loop relative to that of the decays without control, averaged over the
-    decays. Zero without decays."""
+    """Settling time of each loop relative to decays without control, averaged over the decays. Zero
+    without decays."""
     pairs = len(gains.k)
     if not len(decays):
         return np.zeros(pairs)
@@ -93,7 +93,7 @@ def decay_ratios(
 def _settled_sample(
     sizes: Float[np.ndarray, "*pairs T"], band: float
 ) -> Float[np.ndarray, "*pairs"]:
-    """First sample from which on the size of a signal stays within a band."""
+    """First sample after which a signal stays within a band."""
     outside = sizes > band
     samples = np.arange(1, sizes.shape[-1] + 1)
     return np.asarray((outside * samples).max(axis=-1).astype(float))

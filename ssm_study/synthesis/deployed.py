@@ -91,8 +91,7 @@ def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem
 
 
 def certificate_at_largest_rate(part: Side) -> Side | None:
-    """Certificate of the same gain at the largest rate that is proved for it; None if the certified
-    rate is already that large.
+    """Certificate of the same gain at the largest rate that is proved for it.
 
     A plug-in's theorem says itself how (`Side.certificate_at_largest_rate`).
     """
@@ -139,8 +138,8 @@ def certify_input_limits(
 
 
 def equilibrium_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
-    """Equilibrium states with outputs at the corners of a box, one of each pair of mirror images;
-    None if there is no such box.
+    """Equilibrium states with outputs at the corners of a box, one of each mirrored pair; None if
+    there is no such box.
 
     Their hull with the mirror images holds every rest point whose outputs lie in the box. With
     outputs that answer at once (D), several rest points of one output, or outputs that a nonlinear
@@ -166,8 +165,8 @@ def equilibrium_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
 def equilibrium_starts(
     model: SSM, starts: Float[np.ndarray, "s j"]
 ) -> Float[np.ndarray, "s j"] | None:
-    """Equilibrium states nearest to the stored initial states, each at the same fraction of the
-    distance to its corner of the box of outputs; None if there are none."""
+    """Equilibrium states nearest to stored initial states, as fractions of the corners of an output
+    box; None if there are none."""
     corners = equilibrium_corners(model)
     if corners is None or not corners.any() or len(starts) < len(corners):
         return None
@@ -179,8 +178,8 @@ def equilibrium_starts(
 
 @dataclass(frozen=True, kw_only=True)
 class WithinLimits:
-    """Proof that no input limit is reached from equilibria whose outputs lie in a range, `lower,
-    upper (p,)`. `everywhere` is the proof with inputs cut at the limits, or None."""
+    """Proof that no input limit is reached from equilibria whose outputs lie in a range.
+    `everywhere` is the proof with inputs cut at the limits, or None."""
 
     lower: Outputs
     upper: Outputs
@@ -188,8 +187,8 @@ class WithinLimits:
 
     @classmethod
     def from_certificate(cls, model: Model, parts: Mapping[str, Any]) -> "WithinLimits | None":
-        """Limits and proved outputs, from the parts of a certificate; None if it has no set of
-        initial states."""
+        """Input limits and range of initial outputs from stored certificates; None if no set of
+        initial states is certified."""
         if SETS not in parts or not isinstance(model, SSM):
             return None
         starts = equilibrium_starts(model, parts[SETS].starts)
@@ -227,7 +226,7 @@ def output_range(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs,
 
 
 def none_if_unsolved(find: Callable[[], Theorem | None]) -> Theorem | None:
-    """Certificate that a search returns; None if the search ends without a solution. Numbers that
+    """Certificate that a search returns; None if the search raises `NoSolution`. Numbers that
     exceed floating point end it, too; the design remains."""
     try:
         with linear_algebra_failures_as_no_solution():

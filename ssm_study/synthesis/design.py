@@ -55,8 +55,7 @@ FRONTIER_ROUNDING = (
 
 @dataclass(frozen=True, kw_only=True)
 class DesignAttempt:
-    """Attempt to design a controller or an observer: its request, the theoretical limit, the method
-    and the time at which it began."""
+    """Attempt to design a controller or an observer at a requested rate."""
 
     theorem: type[Side]
     rate: float
@@ -131,8 +130,7 @@ class DesignAttempt:
     def first_certified_solution(
         self, problem: Problem, attempts: Iterable[Callable[[], Solution]]
     ) -> Any:
-        """First certified solution; otherwise the result of the last attempt: its rejected
-        certificate, or the reason that there is none.
+        """First certified solution among several attempts; otherwise the result of the last one.
 
         Matrices that floats could have held are handed on as found, not certified; hopeless ones
         are refused.
@@ -358,8 +356,7 @@ class Synthesis(ABC):
         return request.first_certified_solution(problem, self.attempts(problem, limit))
 
     def problem(self, system: System, ball: JacobianBall, observes: bool = False) -> Problem:
-        """Synthesis problem of the controller; with `observes`, that of the observer on the dual
-        system."""
+        """Synthesis problem of the controller or, on the dual system, of the observer."""
         weights = (self.output_weight, self.state_weight, self.input_weight, self.rate_controller)
         if observes:
             weights = (self.input_noise, self.state_noise, self.output_noise, self.rate_observer)
@@ -374,7 +371,7 @@ class Synthesis(ABC):
         return Problem(**data, ball=ball, rate=rate)
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
-        """Functions that solve the problem at the requested rate, then at larger rates, which leave
+        """Functions that solve the problem at the requested rate and at larger rates, which leave
         more margin."""
         r = problem.contraction
         floor = max(frontier.contraction_limit, REPAIR_FLOOR * problem.contraction)

@@ -78,13 +78,13 @@ class ExpectedResponse:
         return robustness_measure(self.model, gains, self.balls, self.mismatch, shared, refused)
 
     def expected_pair_area(self, pair: Pair, area: float, shared: Responses) -> float:
-        """Expected response area of one design, with its loop gain on a coarse frequency grid."""
+        """Expected response area of one design, from its loop gain on a coarse frequency grid."""
         loop_gain = self.loop_gain(pair, shared)
         spread = self.mismatch.spread
         return expected_area(float(area), loop_gain, spread)
 
     def resists_noise(self, pair: Pair) -> bool:
-        """Whether the output stays within the settling band if only sensor noise acts."""
+        """Whether sensor noise alone leaves the output within the settling band."""
         gains = self.candidates.gains(pair)
         return noise_peak(self.model, gains, self.balls, self.mismatch) < 1
 
@@ -143,8 +143,8 @@ class ExpectedResponse:
 
 
 def compared_indices(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"]) -> list[int]:
-    """Indices of the designs that are compared: those with the smallest response areas, and as many
-    spread over the others."""
+    """Indices of the designs to compare: those with the smallest response areas, and some spread
+    over the others."""
     order = np.lexsort((areas, slow))
     step = max(len(order) // COMPARED, 1)
     return [*order[:COMPARED].tolist(), *order[COMPARED::step].tolist()]
@@ -153,8 +153,8 @@ def compared_indices(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"])
 def predicts_faster_response(
     model: Model, pair: Gains, mismatch: Mismatch, validation: Trajectories, trials: Trajectories
 ) -> bool:
-    """Whether a design is clearly faster than the open loop, both on the model and from the initial
-    states of recorded decays. Input limits are not considered."""
+    """Whether a design is clearly faster than the open loop on the model and in the recorded
+    decays. Input limits are not considered."""
     l_z = None if pair.l_z is None else pair.l_z[None]
     k = pair.k[None]
     single_pair = replace(pair, k=k, l=pair.l[None], l_z=l_z)

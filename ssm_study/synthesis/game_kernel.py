@@ -135,8 +135,8 @@ def _add_step(total, step):
 @compile_with_numba
 @no_type_check
 def riccati_limit(a, g, h):
-    """Limit of the Riccati iteration `H <- H + A'H (I + G H)^{-1} A`, by doubling. Raises an error
-    if there is none. G and H are overwritten."""
+    """Stabilising solution of `H = Q + A'H (I + G H)^{-1} A`, by the doubling algorithm. Raises an
+    error if there is none. G and H are overwritten."""
     n = len(a)
     ended = 0
     for _ in range(DOUBLINGS):
@@ -223,7 +223,8 @@ def _constraint(h, m, inputs, injects):
 @compile_with_numba
 @no_type_check
 def _goal_gradient(f, moved, m, r, logs, barrier, saddle, reach, shadow):
-    """Gradient of the goal with respect to the log multipliers, from the saddle point of the game.
+    """Gradient of the guaranteed cost with respect to the log multipliers, at the saddle point of
+    the game.
 
     At a saddle point the players' own changes count only in second order: the multipliers act on
     the cost alone.
@@ -257,7 +258,8 @@ def _goal_gradient(f, moved, m, r, logs, barrier, saddle, reach, shadow):
 @compile_with_numba
 @no_type_check
 def saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs, barrier):
-    """Saddle point of the game at given log multipliers, with the goal and its gradient."""
+    """Saddle point of the game at given log multipliers, with the guaranteed cost and its gradient
+    there."""
     (q, n), inputs = f.shape, moved.shape[1]
     cost, own, s = _cost_matrices(f, moved, state_weight, input_weight, m, r, logs)
     across = transpose(b)

@@ -180,7 +180,7 @@ class RiccatiSynthesis(Synthesis):
         return least_cost(problem, near)
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
-        """Functions that solve the problem for the given weights; near the rate limit also by the
+        """Functions that solve the problem for the given weights, and near the largest rate by the
         minimum-energy gain."""
         weighted = super().attempts(problem, frontier)[:WEIGHTED_ATTEMPTS]
         if problem.neurons is not None:

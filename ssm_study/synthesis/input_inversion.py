@@ -63,8 +63,8 @@ def mismatch_behind_map(
 
 
 def mismatch_for_law(law: Any, model: Model, data: DataSet, mismatch: Mismatch) -> Mismatch:
-    """Model error with the control law's computed input as the input. This is u, or v where the law
-    inverts the input map; `mismatch` is relative to u."""
+    """Model error in the variables of a control law that inverts the input map. This is u, or v
+    where the law inverts the input map; `mismatch` is relative to u."""
     inverts = law.inverts_input_map if isinstance(law, Design) else law.invert_input
     if not inverts:
         return mismatch
@@ -73,7 +73,7 @@ def mismatch_for_law(law: Any, model: Model, data: DataSet, mismatch: Mismatch) 
 
 
 def mark_as_inverting(design: Design) -> Design:
-    """The same gains as a design whose control law inverts the input map."""
+    """Copy of a design whose control law inverts the input map, with the same gains."""
     part = design.state_feedback
     name = part.theorem if isinstance(part, Infeasible) else part.name()
     require(
@@ -91,8 +91,8 @@ def mark_as_inverting(design: Design) -> Design:
 
 
 def commanded_model_and_balls(design: Design, model: Model, balls: Balls) -> tuple[Model, Balls]:
-    """Model, and its balls of Jacobians, with the control law's computed input as the model input.
-    They are the model itself, or the model with input v."""
+    """Model and balls of Jacobians as a control law that inverts the input map sees them. They are
+    the model itself, or the model with input v."""
     if not design.inverts_input_map:
         return model, balls
     inner_model = model_behind_map(model)

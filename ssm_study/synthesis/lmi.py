@@ -108,7 +108,7 @@ def _smallest_gain(upper: Blocks, p: cp.Expression, y: cp.Expression, x: cp.Expr
 def _compiled_inequality(
     data: tuple[bytes, bytes, bytes], order: int, objective: str, full: bool, input_weight: float
 ) -> Any:
-    """Compiled linear matrix inequality, cached for problems with the same data."""
+    """Linear matrix inequality compiled for CVXPY, cached for problems with the same data."""
     a, b, weight = (np.frombuffer(part).reshape(order, -1) for part in data)
     return CompiledLmi(
         a=a, b=b, objective=objective, full=full, state_weight=weight, input_weight=input_weight

@@ -1,5 +1,5 @@
-"""Choice of the fastest design whose proof covers the records, among designs that are predicted to
-be stable.
+"""Choice of the fastest design whose proof covers the recorded model error, among designs predicted
+stable.
 
 Neighbours in the order of expected response are alike, so ever fewer of them are looked at: the
 first, second, third, fifth, ... . Coverage is that of the frequency inequality, without filters and
@@ -50,9 +50,9 @@ def first_covering_design(
     cover: float | None,
     search: Search | None = None,
 ) -> tuple[Design | None, str]:
-    """First design whose proof covers the records, otherwise the best substitute, and which of
-    these it is. Substitutes are the result of a search around the design that covers most, then the
-    first that is covered at all, then the first.
+    """First design whose proof covers the recorded model error, otherwise the best substitute, with
+    a word for which it is. Substitutes are the result of a search around the design that covers
+    most, then the first that is covered at all, then the first.
 
     `search(first, most, cover)` is given the first design, the one that covers most, and the
     coverage wanted of its certificate. With neurons, where one look takes a second, fewer pairs
@@ -77,8 +77,7 @@ def first_covering_design(
     deciding: dict[float, Any] = {}
 
     def coverage_of(design: Design, least: float) -> float:
-        """Coverage of one design, computed frequency by frequency; below `least` it is an upper
-        bound."""
+        """Coverage of one design, computed frequency by frequency."""
         return coverage_by_frequency(design, model, balls, premise, target, least, deciding)
 
     covered = walk.first_covered_design(coverage_of, NEAR)
@@ -96,15 +95,14 @@ def first_covering_design(
 
 
 def proof_loss(model: Model) -> float:
-    """Largest usual ratio between the coverage computed by frequency and the coverage that is
-    proved."""
+    """Usual largest ratio of the coverage computed frequency by frequency to the proved one."""
     return LOST_WITH_NEURONS if isinstance(model.system, StructuredSystem) else LOST
 
 
 @dataclass(kw_only=True)
 class GridWalk:
-    """Search through pairs of gains in the order of expected response, which computes the coverage
-    of fewer and fewer of them.
+    """Search through pairs of gains, fastest expected response first, that computes the coverage of
+    ever fewer pairs.
 
     Kept are the first design, the first that is covered `barely`, and the one with the `largest`
     coverage, `most`. `lost` is the loss of a proof.
@@ -122,7 +120,7 @@ class GridWalk:
     unseen: Design | None = None
 
     def first_design(self) -> Design | None:
-        """Design of the first pair of gains, in the order, from which one can be made."""
+        """First pair of gains, fastest expected response first, that gives a certified design."""
         for place, pair in self.pairs:
             design = self.make(pair)
             if design is not None:
@@ -136,8 +134,7 @@ class GridWalk:
     def first_covered_design(
         self, coverage_of: Callable[[Design, float], float], until: int
     ) -> Design | None:
-        """First design, up to a given place in the order, that reaches the target; None if none
-        does."""
+        """First design up to a given place whose coverage reaches the target; None if none does."""
         for design in self._designs(until):
             coverage = coverage_of(design, self.largest)
             self._add_design(design, coverage)
@@ -146,7 +143,7 @@ class GridWalk:
         return None
 
     def _designs(self, until: int) -> Iterator[Design]:
-        """Designs of those pairs of gains that are examined, up to a given place in the order."""
+        """Designs of the pairs of gains that are examined, up to a given place."""
         if self.unseen is not None:
             design = self.unseen
             self.unseen = None
@@ -168,14 +165,15 @@ class GridWalk:
             self.largest = coverage
 
     def best_substitute(self) -> tuple[Design | None, str]:
-        """Design to be taken if none reaches the target, and which kind of substitute it is."""
+        """Best design if none reaches the target coverage, with a word for the kind of
+        substitute."""
         if self.barely is not None:
             return self.barely, LESS_COVERED
         return self.first, NOT_COVERED
 
     def search_around(self, search: Search | None, wanted: float) -> Design | None:
-        """Design found by a random search around the one with the largest coverage; None if there
-        is none."""
+        """Design from a random search near the one with the largest coverage; None if there is
+        none."""
         if search is None or self.first is None or self.most is None:
             return None
         return search(self.first, self.most, wanted)
@@ -183,9 +181,9 @@ class GridWalk:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopCoverage:
-    """Coverage of any gains of one loop, frequency by frequency, for the records of one premise.
-    `deciding` holds the angles around each centre that decided the last gains, where solving is
-    slow."""
+    """Coverage of any gains in one loop, computed frequency by frequency from the recorded model
+    error. `deciding` holds the angles around each centre that decided the last gains, where solving
+    is slow."""
 
     context: VerificationContext
     items: dict[float, tuple[Item, ...]]
@@ -200,8 +198,8 @@ class LoopCoverage:
         premise: Premise,
         deciding: dict[float, Float[np.ndarray, "D"]] | None = None,
     ) -> "LoopCoverage":
-        """Prepare the computation of the coverage for one loop, with the requirements that the
-        records make."""
+        """Prepare to compute, for one loop, which multiple of the recorded model error given gains
+        tolerate."""
         from ssm_study.synthesis.measured_discs_search import CENTRES
 
         context = VerificationContext(
@@ -215,8 +213,8 @@ class LoopCoverage:
     def largest_radius_around(
         self, gains: dict[str, Any], centre: float, least: float = 0.0
     ) -> float:
-        """Largest radius of a disc of model errors around one centre that given gains tolerate;
-        zero if there is none. If it is below `least`, it may be an upper bound."""
+        """Largest radius of a disc of model errors around a given centre that given gains tolerate.
+        If it is below `least`, it may be an upper bound."""
         from ssm_study.synthesis.measured_discs_program import LoopForms
         from ssm_study.synthesis.measured_discs_search import select_theorem
         from ssm_study.synthesis.measured_discs_weights import (
@@ -253,9 +251,9 @@ class LoopCoverage:
     def largest_radius(
         self, gains: dict[str, Any], enough: float = np.inf, least: float = 0.0
     ) -> tuple[float, float]:
-        """Largest radius of a disc of model errors that given gains tolerate, over all centres, and
-        the best centre. The search ends at the first radius that is `enough`; below `least` the
-        radius may be an upper bound."""
+        """Largest radius of a disc of model errors that given gains tolerate, with the best centre
+        of the disc. The search ends at the first radius that is `enough`; below `least` the radius
+        may be an upper bound."""
         best = (0.0, next(iter(self.items)))
         for centre in self.items:
             radius = self.largest_radius_around(gains, centre, max(best[0], least))

@@ -1,5 +1,5 @@
-"""Convex program behind the certificate `measured_discs`, which optimises weights, multipliers and
-disc radius together at selected frequencies.
+"""Convex program that optimises weights, multipliers and radius of the measured disc at selected
+frequencies.
 
 With every signal of the loop as a row over its free signals at `z = e^{jw}` the theorem's
 inequality is, by the Kalman-Yakubovich-Popov lemma, a Hermitian matrix that must be positive at
@@ -40,8 +40,8 @@ Forms = Complex[np.ndarray, "A F G G"]
 
 @dataclass(frozen=True, kw_only=True)
 class LoopForms:
-    """Quadratic forms of the loop in its states and free signals: parts of the disc, and one form
-    for each multiplier."""
+    """Quadratic forms of the loop's states and free signals: one for the disc, and one for each
+    multiplier."""
 
     a: Float[np.ndarray, "x x"]
     b: Float[np.ndarray, "x g"]
@@ -105,7 +105,7 @@ class LoopForms:
 
     @property
     def frequency_grid(self) -> Float[np.ndarray, "F"]:
-        """Frequency grid that is fine around the loop's own modes."""
+        """Frequency grid that is fine near the loop's own modes."""
         modes = np.linalg.eigvals(self.a)
         own = np.abs(np.angle(modes))
         width = np.maximum(1 - np.abs(modes), 1e-4)
@@ -144,7 +144,7 @@ def loop_without_filters(
     theorem: type[MeasuredDiscs], context: VerificationContext
 ) -> tuple[Any, dict[str, int]]:
     """Fields of the theorem with trivial weights and zero multipliers, and the number of
-    multipliers of each name."""
+    multipliers by name."""
     loop = theorem.loop_matrices(context)
     zero = np.zeros((1, 1))
     lambda_out = 3 if loop["beta_out"] > 0 else 0
@@ -160,7 +160,7 @@ def loop_without_filters(
 def _multiplier_form(
     theorem: type[MeasuredDiscs], of: Any, counts: dict[str, int], name: str, index: int
 ) -> Float[np.ndarray, "N N"]:
-    """Quadratic form that one multiplier multiplies."""
+    """Quadratic form that belongs to one multiplier."""
     unit = np.zeros((1, counts[name]))
     unit[0, index] = 1.0
     alone = SimpleNamespace(**{**vars(of), name: unit})
@@ -262,8 +262,8 @@ class AngleProgram:
         first: Sequence[int] = (),
         least: float = -np.inf,
     ) -> tuple[Float[np.ndarray, "n"], list[int]]:
-        """Maximise a linear goal by cutting planes, and return the solution with the frequencies
-        that decided it. Raises `NoSolution`.
+        """Maximise a linear goal by cutting planes, with the frequencies that decide the solution.
+        Raises `NoSolution`.
 
         The `first` angles, by default spread evenly, are solved first. Angles that are far from
         deciding leave again. Fewer angles give an upper bound of the goal: once it is below

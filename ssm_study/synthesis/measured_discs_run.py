@@ -37,9 +37,9 @@ UNKNOWN = "{} the input has next to no power, so nothing separates mismatch from
 
 
 def is_coverage_sought(model: Model, cover: float | None, premise: Premise) -> bool:
-    """Whether a run searches for a proof that covers the records. With neurons, where this takes a
-    minute, it does so only if the records separate noise from model error, or a coverage is
-    requested."""
+    """Whether a run searches for a proof that covers the recorded model error. With neurons, where
+    this takes a minute, it does so only if the records separate noise from model error, or a
+    coverage is requested."""
     return isinstance(model, SSM) or cover is not None or premise.separates_noise
 
 
@@ -114,7 +114,7 @@ def coverage_columns(
 
 @runtime_checkable
 class MismatchRecords(Protocol):
-    """Records of a data set by which the model error is measured."""
+    """Records of a data set from which the model error is measured."""
 
     @property
     def validation(self) -> Trajectories: ...
@@ -131,8 +131,8 @@ def fresh_data_needs(
     fresh_sets: Iterable[MismatchRecords],
     start_up_samples: int,
 ) -> list[float]:
-    """Disc radius that each fresh data set needs, relative to the radius that the run's own records
-    need; empty without a coverage certificate from these records."""
+    """Disc radius that each fresh data set needs, relative to that of the run's own records; empty
+    without a certificate."""
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs) or premise.missing_reason(part.centre) is not None:
         return []
@@ -155,8 +155,7 @@ def fresh_data_column(needs: Sequence[float]) -> dict[str, Any]:
 def null_coverage_of_unknown_band(
     kappa: float, weights: Weights, items: Sequence[Item]
 ) -> dict[str, Any]:
-    """Columns without a coverage, and with the name of the frequency band without excitation that
-    prevents one."""
+    """Columns without a coverage, which name the frequency band without excitation."""
     lit = [item for item in items if not item.dark]
     if kappa < weights.needed_radius(lit)[0]:
         return {}

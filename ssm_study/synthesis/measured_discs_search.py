@@ -57,7 +57,7 @@ FLOOR = 1e-10  # directions of the loop that no signal reaches keep this share o
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """Coverage certificate with the ratio of proved to recorded model error, or the reason why
+    """Coverage certificate with its ratio of proved to recorded model error, or the reason why
     there is none."""
 
     certificate: MeasuredDiscs | None
@@ -67,7 +67,7 @@ class Coverage:
 
 
 def select_theorem(context: VerificationContext) -> type[MeasuredDiscs]:
-    """Coverage theorem that suits a model with or without neurons."""
+    """Coverage theorem for a model with or without neurons."""
     neurons = isinstance(context.system, StructuredSystem)
     return StructuredMeasuredDiscs if neurons else MeasuredDiscs
 
@@ -78,8 +78,8 @@ def largest_kappa(
     centre: float = 0.0,
     inside: Sequence[float] = CLOSE,
 ) -> MeasuredDiscs | None:
-    """Certificate with the largest disc radius for given weights; None if none is certified, and if
-    no model error has an effect. Default weights are those of the tolerated gain."""
+    """Certificate with the largest disc radius for given weights; None if none is certified.
+    Default weights are those of the tolerated gain."""
     started = time.perf_counter()
     theorem = select_theorem(context)
     try:
@@ -145,7 +145,7 @@ def _deciding_optimum(
 def angles_around(
     deciding: Float[np.ndarray, "D"], angles: Float[np.ndarray, "F"]
 ) -> Float[np.ndarray, "N"]:
-    """Finer frequency grid between the neighbours of each deciding frequency."""
+    """Frequency grid refined near each deciding frequency."""
     ascending = np.sort(angles)
     last = len(ascending) - 1
     fine = []
@@ -307,7 +307,7 @@ def largest_coverage(
     centres: Sequence[float] = CENTRES,
     basis: WeightBasis | None = None,
 ) -> Coverage:
-    """Certificate that covers most of the recorded model error, over all disc centres, or the
+    """Certificate that covers most of the recorded model error, over all given disc centres, or the
     reason why there is none.
 
     Where bands without excitation alone keep it from covering, the proof is that of the other

@@ -1,5 +1,4 @@
-"""Weights of the measured disc as cosine polynomials over fixed poles, their optimisation with the
-multipliers, and the resulting filters.
+"""Weights of the measured disc as cosine polynomials over fixed poles, and their optimisation.
 
 `WeightProgram` gives the largest kappa with its weights and multipliers, and widens the weights
 where the loop does not mind. Source: docs/theory.md, "Measured discs".
@@ -137,7 +136,7 @@ class WeightProgram:
 
     @property
     def unknown_matrices(self) -> Any:
-        """Matrix that multiplies each unknown except the disc radius, at each frequency."""
+        """Matrix that each unknown multiplies in the constraint at each frequency."""
         angles = self.grid.angles
         phi = self.basis.values_at(angles)[:, :, None, None]
         of_x = -phi * self.grid.model
@@ -238,8 +237,8 @@ class WeightProgram:
     def widen_weights(
         self, nu: float, unknowns: Float[np.ndarray, "n"], room: float
     ) -> Float[np.ndarray, "n"]:
-        """Enlarge the weights in each frequency band as far as the loop stays proved, at a fixed
-        disc radius. A margin of `room` times each free signal's own weight is left in the loop."""
+        """Enlarge the weights in each frequency band as far as the proof allows, at a fixed disc
+        radius. A margin of `room` times each free signal's own weight is left in the loop."""
         multipliers = np.maximum(unknowns[self.coefficient_count :], 0.0)
         own = initial_weights(self.forms, self.centre, multipliers)
         root = 1 / np.sqrt(own)
@@ -261,8 +260,7 @@ class WeightProgram:
     def _rows_with_bands(
         self, scale: Float[np.ndarray, "n"], nu: float
     ) -> tuple[Float[np.ndarray, "R N"], Float[np.ndarray, "R"], int]:
-        """Linear constraints on weights, multipliers and the widening of each band, with their
-        bounds and the number of bands.
+        """Linear constraints on weights, multipliers and the widening of each frequency band.
 
         Each item needs its band's widening times nu at most; a widening lies between one and
         `WIDEST`.
@@ -306,7 +304,7 @@ def scale_unknowns(forms: Any, scale: Float[np.ndarray, "n"]) -> Any:
 
 
 def denominator_coefficients(poles: Sequence[float], size: int) -> Float[np.ndarray, "K"]:
-    """Cosine coefficients of the squared gain of the weights' denominator, from its poles."""
+    """Cosine coefficients of the weights' squared denominator, from its poles."""
     denominator = np.real(np.poly(poles)) if len(poles) else np.ones(1)
     whole = np.convolve(denominator, denominator[::-1])[len(denominator) - 1 :]
     return np.pad(whole, (0, size - len(whole)))

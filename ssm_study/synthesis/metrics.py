@@ -1,4 +1,5 @@
-"""Columns that describe a design: feasible, certified, distance from the limit, prediction.
+"""Columns that describe a design: feasible, certified, distance from the largest provable rate,
+predicted stability.
 
 Rates and limits: docs/theory.md, [Z26]; margins: `synthesis.mismatch`.
 """
@@ -204,8 +205,8 @@ COLUMNS = (
 def design_columns(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch
 ) -> dict[str, Any]:
-    """Columns of a design: feasible, certified, distance from the limit, gain sizes and predicted
-    stability.
+    """Columns of a design: feasible, certified, distance from the largest provable rate, gain
+    sizes, predicted stability.
 
     `mismatch` is relative to what the law commands (`synthesis.input_inversion`).
     """
@@ -225,8 +226,7 @@ def design_columns(
 
 
 def proof_columns(design: Design) -> dict[str, Any]:
-    """Table columns of a design that follow from its certificates alone: rates, limits, gain sizes,
-    and reasons for a missing certificate."""
+    """Columns of a design that follow from its certificates alone, such as rates and gain sizes."""
     feedback = design.state_feedback
     observer = design.observer
     facts = certificate_columns("controller", feedback) | certificate_columns("observer", observer)
@@ -246,8 +246,7 @@ def infeasible_reason(design: Design) -> str:
 
 
 def uncertified_reason(design: Design) -> str:
-    """Text on controller and observer where exact arithmetic does not confirm their
-    certificates."""
+    """Text on which certificates exact arithmetic does not confirm, and why."""
     sides = {"controller": design.state_feedback, "observer": design.observer}
     missed = []
     for side, part in sides.items():
@@ -294,8 +293,7 @@ def shared_range(
 
 
 def second_opinion_columns(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
-    """Columns with a second opinion on feasibility, from the paper's matrix inequalities solved at
-    the same rates."""
+    """Columns on whether the paper's matrix inequalities are feasible at the same rates."""
     from ssm_study.synthesis.lmi import paper_lmi  # CVXPY takes half a second to import
 
     model, balls = commanded_model_and_balls(design, model, balls)

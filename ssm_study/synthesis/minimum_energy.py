@@ -102,7 +102,7 @@ def minimum_energy_gain(
 
 def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:
     """Functions that solve the problem by minimum-energy gains at several rates up to the limit,
-    with metrics that are cheap to compute first."""
+    the cheapest first."""
     attempts: list[Callable[[], Solution]] = []
     for share in SHARES:
         attempts.append(partial(minimum_energy_solution, problem, share))
@@ -112,7 +112,7 @@ def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:
 
 
 def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solution:
-    """Minimum-energy gain with its contraction metric, at a rate between the requested rate and the
+    """Minimum-energy gain and its contraction metric, at a rate between the requested and the
     largest provable one.
 
     At the faster rate and wider ball the fast part of the inequality is an equality; the room in
@@ -134,8 +134,8 @@ def solution_with_full_metric(problem: Problem, share: float, scale: float) -> S
 
 
 def _gain_at_share(problem: Problem, share: float) -> tuple[Modes, FastGain, float]:
-    """Modes, minimum-energy gain and contraction factor at a rate between the requested rate and
-    the limit, given by a share of the way."""
+    """Modes, minimum-energy gain and contraction factor at a rate between the requested and the
+    largest provable one."""
     ball = problem.ball
     r = problem.contraction
     contraction_limit = frontier(problem.a, problem.b, ball).contraction_limit

@@ -71,13 +71,13 @@ class LargestCertifiableRate:
         return near[int(np.argmax(rates))]
 
     def largest_rate(self, model: Any) -> float:
-        """Largest rate that any state feedback can be certified with for a model; zero if there is
+        """Largest rate that a state feedback for a model can be certified for; zero if there is
         none."""
         ball = certified_balls(model).input
         return max(0.0, largest_certifiable_rate(model.system, ball))
 
     def has_certificates(self, model: Any) -> bool:
-        """Whether a state feedback and an observer of a model can be certified at some rate."""
+        """Whether some state feedback and some observer for a model can be certified."""
         return self.largest_rate(model) > 0.0 and has_certified_observer(model)
 
     def _equal_fit_difference(self, model: Any) -> float:
@@ -88,8 +88,8 @@ class LargestCertifiableRate:
 
 
 def has_certified_observer(model: Any) -> bool:
-    """Whether an observer of a model can be certified at some rate. With one layer it always can,
-    because its modes lie inside the unit circle."""
+    """Whether some observer for a model can be certified. With one layer it always can, because its
+    modes lie inside the unit circle."""
     system = model.system
     if isinstance(system, StateSpace):
         return True
@@ -101,7 +101,7 @@ def has_certified_observer(model: Any) -> bool:
 
 
 def largest_certifiable_rate(system: System, ball: JacobianBall) -> float:
-    """Largest rate that any state feedback can be certified with for a system."""
+    """Largest contraction rate that can be certified for a system with any state feedback."""
     if isinstance(system, StateSpace):
         return controller_frontier(system, ball).rate_limit
     from ssm_study.synthesis.structured_lmi import (

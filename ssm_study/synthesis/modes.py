@@ -86,8 +86,7 @@ def split_modes(
 def weighted_block_metric(
     problem: Problem, modes: Modes, fast: FastGain
 ) -> Float[np.ndarray, "n n"]:
-    """Contraction metric of the whole system from those of fast and slow modes, with as much weight
-    on the slow ones as the margin allows.
+    """Contraction metric of the whole system, composed from those of fast and slow modes.
 
     `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + I`.
     """

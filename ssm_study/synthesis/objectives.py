@@ -39,8 +39,8 @@ def goal_and_constraints(
 
 
 def _append_performance_rows(upper: Blocks, at: int, performance: list[cp.Expression]) -> Blocks:
-    """Extend a block matrix, given by its upper triangle, by the rows of a performance measure. The
-    rows are coupled to block `at`."""
+    """Extend a symmetric block matrix by the rows of a performance measure. The rows are coupled to
+    block `at`."""
     zeros: list[Any] = [0] * len(performance)
     bordered = [[*row, *zeros] for row in upper]
     bordered[at][-len(zeros) :] = [rows.T for rows in performance]

@@ -23,8 +23,8 @@ from ssm_study.systems import Balls
 def frequencies_to_test(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, period: int
 ) -> list[int]:
-    """Frequencies, as lines of a period, at which a design is to be tested with single sines. Empty
-    for a law that inverts the input map, and if the noise is unknown."""
+    """Spectral lines at which a design is to be tested with single sines. Empty for a law that
+    inverts the input map, and if the noise is unknown."""
     if not design.feasible or design.inverts_input_map or not mismatch.noise:
         return []
     return peak_lines(model, design.pair, balls, period)

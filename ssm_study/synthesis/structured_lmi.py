@@ -152,7 +152,7 @@ def is_confirmed_exactly(problem: Problem, solution: Solution) -> bool:
 
 
 def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
-    """Largest contraction rate that the solver finds for a problem with neurons; 0 if there is
+    """Largest contraction rate that the solver finds for a model with neurons; 0 if there is
     none."""
     return fastest_solution(problem, fixed)[0]
 
@@ -193,7 +193,7 @@ def _confirmed_solution(program: StructuredLmi, problem: Problem, rate: float) -
 
 def certify_largest_rate(part: Any) -> Side | None:
     """Certificate of the same gain, for a model with neurons, at the largest rate that is proved
-    for it; None if the certified rate is already that large."""
+    for it."""
     started = time.perf_counter()
     problem, gains = part.as_problem()
     rate = largest_rate(problem, gains) * (1 - INSIDE)

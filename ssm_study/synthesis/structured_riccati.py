@@ -70,7 +70,7 @@ class Game:
 
     @cached_property
     def data(self) -> tuple[Any, ...]:
-        """Arguments of the compiled solver `saddle_point`, without the multipliers.
+        """Arguments of the compiled solver of the game, without the multipliers.
 
         `w = (z + v) / 2`, so half of each neuron is linear; without a radius of the ball there is
         no p.
@@ -93,7 +93,7 @@ class Game:
 
 
 class Saddle(NamedTuple):
-    """Saddle point of the game: the goal, its gradient and the Riccati solution."""
+    """Saddle point of the game: the guaranteed cost, its gradient and the Riccati solution."""
 
     goal: float
     gradient: Vector
@@ -119,7 +119,7 @@ def evaluate_saddle(game: Game, logs: Vector, barrier: float) -> Saddle:
 
 
 def minimise_goal(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vector:
-    """Log multipliers that minimise the goal, by BFGS from admissible ones. A step to an
+    """Log multipliers that minimise the guaranteed cost, by BFGS from admissible ones. A step to an
     inadmissible point is shortened."""
     at = evaluate_saddle(game, logs, barrier)
     metric = np.eye(len(logs))

@@ -1,5 +1,4 @@
-"""Columns of `runs.parquet`, collected from the rooms that declare them, in the order of the
-stages.
+"""Columns of `runs.parquet`, collected from the modules that declare them.
 
 First which run it is, then what was requested, then the results, room by room, and last the
 circumstances.
@@ -68,7 +67,7 @@ def setting_path(name: str) -> str:
 
 
 def setting_columns(table: pd.DataFrame) -> list[str]:
-    """Names of the columns that hold settings of the configuration, except `rates_chosen`."""
+    """Names of the columns that hold settings of the configuration."""
     declared_names = [column.name for column in SETTINGS]
     further = sorted(name for name in map(str, table) if FURTHER.matches_name(name))
     names = [*declared_names, *further]

@@ -60,8 +60,7 @@ def _as_comparable(table: pd.DataFrame) -> pd.DataFrame:
 
 
 class _Prepared(ast.NodeTransformer):
-    """Checker of filter expressions, which also rewrites the parts that pandas would read
-    differently."""
+    """Checker of filter expressions, which also rewrites what pandas would read differently."""
 
     def __init__(self, table: pd.DataFrame) -> None:
         self.table = table

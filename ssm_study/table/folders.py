@@ -1,5 +1,4 @@
-"""Search for the folder that a command means: a study by its path, a run by its path or a part of
-its name."""
+"""Search for the folder of a study, by its path, or of a run, by its path or a part of its name."""
 
 from difflib import get_close_matches
 from pathlib import Path
@@ -74,8 +73,7 @@ def find_run_folder(path: Path) -> Path:
 
 
 def _matching_names(names: list[str], part: str) -> list[str]:
-    """Names that end with a given text; if none does, names that begin with it; then names whose
-    digits do."""
+    """Names that end with a text, else those that begin with it, else those whose digits match."""
     ending = [name for name in names if name.endswith(part)]
     beginning = [name for name in names if name.startswith(part)]
     digits = [name for name in names if name.rpartition("-")[2].startswith(part)]

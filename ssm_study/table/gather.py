@@ -1,5 +1,5 @@
-"""Gathering of run folders into one table with one row per run: `runs.parquet` and `runs.csv`, one
-row per run, missing is null."""
+"""Table of a study with one row per run, gathered from its run folders: `runs.parquet` and
+`runs.csv`."""
 
 import io
 import os
@@ -75,7 +75,7 @@ def gather(study: Path, anew: bool = False) -> pd.DataFrame:
 
 
 def _write_table(study: Path, table: pd.DataFrame, marks: Marks) -> None:
-    """Write the table's files, then the file times by which they are recognised as up to date."""
+    """Write the table's files, and the file times that show whether they are up to date."""
     parquet = io.BytesIO()
     table.to_parquet(parquet, index=False)
     csv = _escape_formulas(table).to_csv(index=False)
@@ -116,7 +116,7 @@ def _read_last_table(study: Path) -> tuple[pd.DataFrame, Marks]:
 
 
 def contradicts_records(study: Path, rows: pd.DataFrame) -> bool:
-    """Whether a declared column in one of several rows differs from the record of its run."""
+    """Whether any of the given rows differs from its run's record in a declared column."""
     for run, row in _records_by_run(rows).items():
         record = (read_record(study / run) or {}) | {"study": row["study"], "run": run}
         for name, shown_value in row.items():
@@ -167,8 +167,8 @@ def table_from_records(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def _typed_column(values: list[Any], column: Column | None) -> pd.Series:
-    """Values as a column of the declared type, or else of their own type, in which values may be
-    missing."""
+    """Values as a column of the declared type, or else of their own type, with room for missing
+    values."""
     kind = column.kind if column else None
     if kind is None:
         present = [INFINITE.get(value, value) for value in values if value is not None]

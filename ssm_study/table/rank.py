@@ -51,7 +51,7 @@ def settling_ratio(table: pd.DataFrame) -> pd.Series:
 
 
 def predicted_stable(table: pd.DataFrame) -> pd.Series:
-    """For each run, whether the plant was predicted to be stable, from model and records alone.
+    """For each run, whether the plant was predicted to be stable in closed loop.
 
     False where nothing is said.
     """

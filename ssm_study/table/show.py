@@ -232,8 +232,8 @@ def prediction_words(table: pd.DataFrame) -> pd.Series:
 
 
 def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
-    """Settings in which the runs differ, and those of them that distinguish more runs than the
-    settings before."""
+    """Settings in which the runs differ, and those among them that are needed to tell the runs
+    apart."""
     values = {name: requested_values(table, name) for name in setting_columns(table)}
     varied = [name for name in values if values[name].nunique(dropna=False) > 1]
     telling: list[str] = []
@@ -260,7 +260,8 @@ def format_cell(value: object) -> str:
 
 
 def summary_lines(table: pd.DataFrame, shown: int) -> list[str]:
-    """Text lines with the number of runs by status, and the reasons of runs without success."""
+    """Text lines with the number of runs by status, and the reasons of failed and infeasible
+    runs."""
     run = short_names(table["run"])
     table = table.assign(run=run)
     counts = table["status"].value_counts()
@@ -306,8 +307,8 @@ def fold_statistics_lines(table: pd.DataFrame) -> list[str]:
 
 
 def _reason_lines(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
-    """Text lines with the reasons of unsuccessful runs, where reasons that differ only in numbers
-    are merged."""
+    """Text lines with the reasons of failed or infeasible runs, merged where only numbers
+    differ."""
     columns = [name for name in ("run", *REASONS) if name in rows]
     runs: dict[str, list[tuple[str, str]]] = {}
     for row in rows[columns].to_dict("records"):
@@ -331,8 +332,8 @@ def _reason_lines(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]
 
 
 def merge_with_ranges(sentences: list[str]) -> str:
-    """Merge several sentences that differ only in numbers into one with ranges, such as `rate 0.4
-    to 0.9`."""
+    """Merge sentences that differ only in numbers into one with ranges, such as `rate 0.4 to
+    0.9`."""
     numbers = [NUMBER.findall(sentence) for sentence in sentences]
     ranges = []
     for column in zip(*numbers, strict=True):

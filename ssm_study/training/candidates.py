@@ -53,9 +53,9 @@ class Candidate:
         return float(self.errors.mean())
 
     def is_clearly_worse(self, other: "Candidate", by: float = NEARLY) -> bool:
-        """Whether a candidate's error is clearly larger than another's. It exceeds the other's by
-        that share of it, and by one standard error or on all folds but one: a single odd piece
-        makes the standard error large."""
+        """Whether a candidate's error on the folds is clearly larger than another's. It exceeds the
+        other's by that share of it, and by one standard error or on all folds but one: a single odd
+        piece makes the standard error large."""
         if len(self.errors) < len(other.errors):
             return True
         excess = self.errors[: len(other.errors)] - other.errors
@@ -66,8 +66,8 @@ class Candidate:
         return is_large and (is_consistent or bool(excess.mean() > standard_error))
 
     def explains_less(self, other: "Candidate") -> bool:
-        """Whether another candidate fits the records on which it was trained far better than this
-        one, and nearly wholly.
+        """Whether another candidate fits its training records nearly perfectly and far better than
+        this one.
 
         What it leaves unexplained may come from a load that is not in the log; then what it
         explains of that is chance.
@@ -77,8 +77,8 @@ class Candidate:
         return self.training_error > EXPLAINS_LESS * other.training_error
 
     def fails_alone(self, other: "Candidate") -> bool:
-        """Whether a candidate predicts some fold no better than the mean, and another predicts all
-        of them better."""
+        """Whether a candidate predicts some fold no better than the mean, while another predicts
+        all folds better."""
         return bool(self.errors.max() >= LARGEST_ERROR > other.errors.max())
 
     def table_row(self, *, chosen: bool, certified: bool | None) -> Row:
@@ -106,12 +106,12 @@ def best_candidate(candidates: Iterable[Candidate]) -> Candidate:
 
 
 def simplest_good_candidate(candidates: Sequence[Candidate], by: float = NEARLY) -> Candidate:
-    """First candidate, in the given order, that is about as good as the best of all."""
+    """First candidate, in the given order, that is not clearly worse than the best."""
     return good_candidates(candidates, by)[0]
 
 
 def good_candidates(candidates: Sequence[Candidate], by: float = NEARLY) -> list[Candidate]:
-    """Candidates, in the given order, that are not clearly worse than the best of all.
+    """Candidates, in the given order, that are not clearly worse than the best.
 
     This holds for held-out pieces and for the records on which they were trained; and none fails on
     a fold while the best does not.
@@ -136,8 +136,8 @@ class Trial:
     fits: list[StructuredFit] = field(default_factory=list)
 
     def add_fold(self, model: Any, fold: DataSet, training_error: float = 0.0) -> None:
-        """Evaluate a model on the held-out part of one more fold. A model that is None counts as
-        failed."""
+        """Add the error of a model on the held-out part of one more fold. A model that is None
+        counts as failed."""
         self.example = model
         self.training_errors.append(training_error)
         states = () if model is None else states_from_past(model, fold, fold.test)
@@ -150,7 +150,7 @@ class Trial:
             errors.append(relative_rms_error(run, fold))
 
     def add_fit(self, fit: StructuredFit, fold: DataSet) -> None:
-        """Evaluate a structured model on the fold without which it was trained."""
+        """Add the error of a structured model on the fold without which it was trained."""
         loss = float(fit.loss)
         self.fits.append(fit)
         model = fit.as_model() if np.isfinite(loss) else None
@@ -158,8 +158,7 @@ class Trial:
 
     @property
     def best_start_kind(self) -> str:
-        """Kind of initial state with the smaller mean error, which is the first samples if both are
-        equal."""
+        """Kind of initial state with the smaller mean error."""
         return PAST if sum(self.by_start[PAST]) < sum(self.by_start[SAMPLES]) else SAMPLES
 
     @property
@@ -216,14 +215,15 @@ def fit_linear_model(data: DataSet, order: int, *, direct: bool) -> SSM:
 
 
 def delay_disturbances(data: DataSet) -> DataSet:
-    """Training records in which measured disturbances come one sample later. An effect within the
-    sample for the input is then one of the sample before for them."""
+    """Training records in which measured disturbances are delayed by one sample. An effect within
+    the sample for the input is then one of the sample before for them."""
     late = tuple(delay_disturbance(record) for record in data.training)
     return replace(data, training=late)
 
 
 def delay_disturbance(record: Trajectory) -> Trajectory:
-    """Record in which measured disturbances come one sample later, with the first value twice."""
+    """Record in which measured disturbances are delayed by one sample, with the first value
+    repeated."""
     if record.d is None:
         return record
     late = np.vstack([record.d[:1], record.d[:-1]])

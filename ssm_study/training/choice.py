@@ -38,8 +38,8 @@ def choose_model(
 def iterate_choices(
     spec: StructuredSpec, data: DataSet, seed: int, announce: Callable[[str], None]
 ) -> Iterator[Choice]:
-    """Iterate over the best choice of settings and alternatives, for use if no model of the first
-    can be certified. The paths are the same in all."""
+    """Iterate over choices of settings, the best first, in case no model of the first can be
+    certified. The paths are the same in all."""
     folds = make_folds(data) if spec.automatic_settings else ()
     if not folds:
         yield Choice(spec=fill_in_defaults(spec))

@@ -79,7 +79,7 @@ def choose_integrator(search: Search, data: DataSet) -> None:
 
 
 def nearly_integrates(data: DataSet) -> bool:
-    """Whether very slow modes of a linear model make up a large part of the output.
+    """Whether very slow modes make up a large part of a linear model's output.
 
     A mode that a zero cancels says nothing: a model of more states than the records need has such
     modes anywhere.

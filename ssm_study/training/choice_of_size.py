@@ -65,8 +65,8 @@ def drop_needless_integrator(search: Search) -> None:
 
 
 def try_model_sizes(search: Search) -> list[Candidate]:
-    """Candidates of increasing order, number of neurons and number of break points; empty if all of
-    these are given.
+    """Candidates of increasing order, number of neurons and number of break points; empty if all
+    three are set.
 
     Linear models of growing order are tried by output error first.
     """
@@ -99,7 +99,7 @@ def try_free_models(search: Search) -> list[Candidate]:
 
 
 def score_sizes(search: Search, question: str, sizes: Sequence[Settings]) -> list[Candidate]:
-    """Candidates of several sizes, where equal sizes are scored only once."""
+    """Candidates of several sizes, scored on the folds, equal sizes only once."""
     scored = [search.score_structured_model(question, size) for size in sizes]
     return list({id(candidate): candidate for candidate in scored}.values())
 
@@ -107,7 +107,7 @@ def score_sizes(search: Search, question: str, sizes: Sequence[Settings]) -> lis
 def candidates_far_ahead(
     free: Sequence[Candidate], contracting: Sequence[Candidate]
 ) -> list[Candidate]:
-    """Candidates that are far better than all those that contract in open loop."""
+    """Candidates that are far better than all that contract in open loop."""
     return [
         candidate
         for candidate in free
@@ -116,7 +116,7 @@ def candidates_far_ahead(
 
 
 def train_finalists(search: Search, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates, the best structured ones of which are trained further on the folds.
+    """Candidates on the folds, with the best structured ones trained further.
 
     After a few steps large models are less trained than small ones.
     """
@@ -151,7 +151,8 @@ def try_sizes_without_neurons(search: Search) -> list[Candidate]:
 
 
 def choose_linear_order(search: Search) -> Candidate:
-    """Linear output-error model of the smallest order that is not clearly worse than the best."""
+    """Linear output-error model of the smallest order that is not clearly worse than the best
+    one."""
     feedthrough = search.setting_value("feedthrough") is True
     delay = 0 if feedthrough else 1 + int(search.setting_value("dead_time"))
     tried = [search.score_linear_model("linear order", order, delay) for order in LINEAR_ORDERS]
@@ -163,8 +164,8 @@ def choose_linear_order(search: Search) -> Candidate:
 
 
 def simplest_certifiable_candidate(search: Search, candidates: Sequence[Candidate]) -> Candidate:
-    """Smallest candidate that can be certified and is not clearly worse than the best certifiable
-    one. If none can be certified, all count.
+    """Smallest certifiable candidate that is not clearly worse than the best certifiable one. If
+    none can be certified, all count.
 
     Certificates are asked for as they are needed, of the models trained on the folds.
     """
@@ -178,8 +179,8 @@ def simplest_certifiable_candidate(search: Search, candidates: Sequence[Candidat
 
 
 def other_structures(candidates: Sequence[Candidate], chosen: Candidate) -> list[Candidate]:
-    """Contracting candidates with states and maps of their own that are about as good as the best,
-    the best first. Their mean with the chosen one contracts."""
+    """Contracting candidates of other structure that are about as good as the best, the best first.
+    Their mean with the chosen one contracts."""
     good = [candidate for candidate in good_candidates(candidates) if candidate is not chosen]
     structured = [candidate for candidate in good if candidate.fits]
     contracting = [

@@ -14,8 +14,8 @@ MOST_SAMPLES = 12_000  # of training and validation together: of longer records,
 
 
 def join_training_and_validation(data: DataSet) -> DataSet:
-    """Data set in which training and validation records are one part. Pieces that follow each other
-    in the same log are joined."""
+    """Data set whose training and validation records are joined. Pieces that follow each other in
+    the same log are joined."""
     records = sorted(
         (*data.training, *data.validation), key=lambda record: (record.log, record.first)
     )
@@ -45,8 +45,8 @@ def is_direct_continuation(record: Trajectory, before: Trajectory) -> bool:
 
 
 def make_folds(data: DataSet) -> tuple[DataSet, ...]:
-    """Data sets for cross-validation, each with another fold as its test part; empty for short
-    records.
+    """Data sets for cross-validation, each with another fold as its test part; empty if the records
+    are too short.
 
     Whole records are held out where there are enough, else pieces of the long ones. A piece starts
     in motion, so its first samples estimate its state and are not scored. No test record of `data`
@@ -73,13 +73,13 @@ def make_folds(data: DataSet) -> tuple[DataSet, ...]:
 
 
 def hold_out_records(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
-    """Training records without those of one fold (about every fourth), and the held-out records."""
+    """Training records without about every fourth one, and the records left out."""
     trained = tuple(record for k, record in enumerate(records) if k % FOLDS != fold)
     return trained, records[fold::FOLDS]
 
 
 def hold_out_pieces(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
-    """Training records without one piece of each, and the held-out pieces."""
+    """Training records without one piece of each record, and the pieces left out."""
     training: list[Trajectory] = []
     held_out: list[Trajectory] = []
     for record in records:
@@ -93,7 +93,7 @@ def hold_out_pieces(records: Trajectories, fold: int) -> tuple[Trajectories, Tra
 
 
 def shorten_records(records: Trajectories) -> Trajectories:
-    """Records that are cut at their ends, so that they have a given total length."""
+    """Records cut at their ends to a given total length."""
     share = MOST_SAMPLES / sum(len(record) for record in records)
     if share >= 1.0:
         return records

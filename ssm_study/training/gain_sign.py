@@ -25,7 +25,7 @@ DIFFERENCE = 1e-6  # of a parameter, for the derivatives of few residuals
 
 
 def corner_gains(matrices: KernelMatrices) -> Float[np.ndarray, "corners"]:
-    """Gain from input to output at each corner of the neurons' slopes, for one input and one
+    """Gain from input to output at each combination of extreme neuron slopes, for one input and one
     output."""
     n = len(matrices.a)
     q = matrices.e.shape[1]
@@ -37,8 +37,8 @@ def corner_gains(matrices: KernelMatrices) -> Float[np.ndarray, "corners"]:
 
 
 def missing_gain(matrices: KernelMatrices, least_share: float) -> Float[np.ndarray, "corners"]:
-    """Weighted amount by which each corner's gain is below a given share of the largest one; zero
-    if it is not below."""
+    """Weighted amount by which the gain at each combination of extreme slopes is below a share of
+    the largest."""
     with np.errstate(all="ignore"):
         gains = corner_gains(matrices)
     largest = gains[np.argmax(np.abs(gains))]
@@ -53,7 +53,7 @@ def slopes_by_differences(
     present: Float[np.ndarray, "V"],
     moving: Shaped[np.ndarray, "M"],
 ) -> Float[np.ndarray, "V P"]:
-    """Derivatives of residuals with respect to the parameters that affect them, by central
+    """Jacobian of residuals with respect to the parameters that affect them, by central
     differences."""
     slopes = np.zeros((len(present), len(flat)))
     for i in moving:

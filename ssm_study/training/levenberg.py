@@ -60,8 +60,8 @@ def levenberg_marquardt_step(
 
 
 def damping_factor(gained: float, expected: float) -> float:
-    """Factor by which the damping changes after a step, from the gained and the expected decrease
-    of the loss."""
+    """Factor for the damping after a step, from the actual and the expected decrease of the
+    loss."""
     if gained > 0.75 * expected:
         return 0.3
     return 1.0 if gained > 0.25 * expected else 2.0

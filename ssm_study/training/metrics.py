@@ -1,4 +1,4 @@
-"""Result of an identification: the model, its validation fit, and columns on the training."""
+"""Result of an identification: the model, its validation fit, and columns on its training."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -144,7 +144,7 @@ def train_with_lightning(
 def build_lightning_module(
     settings: "Training", spec: ModelSpec, data: DataSet, seed: int
 ) -> "Fit | StructuredFit":
-    """Build the Lightning module that trains a model of given specification."""
+    """Build the Lightning module that trains a model from its settings."""
     if isinstance(spec, StructuredSpec):
         from ssm_study.training import structured_fit  # compiles
 
@@ -230,8 +230,8 @@ def build_trainer(settings: "Training", callbacks: list[Callback], folder: Path)
 
 
 def training_fingerprint(spec: object, settings: object, data: DataSet) -> str:
-    """Hash of model, settings and records, by which a checkpoint is recognised as one of the same
-    training."""
+    """Hash of model settings, training settings and records, by which a checkpoint is matched to
+    its training."""
     scored = f"{data.scale!r} {data.start_up_samples} {data.step_s}"
     digest = hashlib.sha256(f"{spec!r} {settings!r} {scored}".encode())
     for record in (*data.training, *data.validation):

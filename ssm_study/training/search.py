@@ -41,8 +41,7 @@ class Choice:
     others: tuple[StructuredSpec, ...] = ()
 
     def describe(self, automatic: Sequence[str]) -> str:
-        """Text on the settings that the records chose, and from how many candidates; empty if they
-        chose none."""
+        """Text on the settings that were chosen from the records, and from how many candidates."""
         if not self.rows:
             return ""
         settings = ", ".join(
@@ -52,7 +51,7 @@ class Choice:
 
 
 def setting_words(value: object) -> str:
-    """Name or value of a setting in words, such as `dead time`, `yes` or `5`."""
+    """Text of a setting's name or value, such as `dead time`, `yes` or `5`."""
     return {"True": "yes", "False": "no", "None": "none"}.get(
         str(value), str(value).replace("_", " ")
     )
@@ -88,7 +87,7 @@ class Search:
         )
 
     def complete_settings(self, settings: Settings) -> StructuredSpec:
-        """Model settings made from given ones, from those decided so far, and from defaults."""
+        """Model settings completed from those decided so far and from defaults."""
         wanted_settings = self.decided | settings
         if wanted_settings.get("neurons") == 0:
             wanted_settings["input_path"] = "none"  # there are no neurons for it to reach

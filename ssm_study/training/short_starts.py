@@ -18,8 +18,7 @@ DRAWS = 3  # of several random neurons for such a training
 
 
 def short_spec(spec: StructuredSpec) -> StructuredSpec:
-    """Model settings with short training starts, each of which tries only few random draws of
-    neurons.
+    """Model settings for short training starts with few random draws of neurons.
 
     A single neuron is drawn as often as ever: its draws are cheap, and more of them end badly.
     """
@@ -45,7 +44,7 @@ def best_seeds(
     best: int,
     announce: Callable[[str], object] = str,
 ) -> list[int]:
-    """Seeds of so many starts with the least loss after a few steps, the best first.
+    """Random seeds of the training starts with the smallest loss after a few steps, the best first.
 
     Starts whose model has no certified state feedback and observer come behind all that have, where
     the specification asks for them. Each start is announced when it is done.
@@ -67,8 +66,8 @@ def best_seeds(
 def first_certified_seeds(
     spec: StructuredSpec, fits: dict[int, StructuredFit], most: int
 ) -> list[int]:
-    """Seeds of the first training runs, in the given order, whose models have certificates. All
-    count if the settings do not ask for certificates."""
+    """Random seeds of the first training runs, in the given order, whose models can be certified.
+    All count if the settings do not ask for certificates."""
     has_certificates = getattr(spec.among_starts, "has_certificates", None)
     certified: list[int] = []
     for seed, fit in fits.items():

@@ -113,8 +113,7 @@ class StructuredFit(pl.LightningModule):
         }
 
     def take_steps(self, steps: int) -> None:
-        """Make the initial parameters and take a limited number of steps, without Lightning's work
-        around each."""
+        """Make the initial parameters, and take a limited number of training steps."""
         start = self._initial_parameters()
         if self.problem.gain_share:
             start = self._without_gain_penalty(start)
@@ -122,7 +121,7 @@ class StructuredFit(pl.LightningModule):
         self._store_descent(at)
 
     def take_further_steps(self, steps: int) -> None:
-        """Take a limited number of further steps from the present parameters."""
+        """Take a limited number of further training steps."""
         at = self._descent
         before = np.inf
         for _ in range(steps):
@@ -139,14 +138,14 @@ class StructuredFit(pl.LightningModule):
         return Descent(theta=theta, loss=float(self.loss), damping=float(self.damping))
 
     def _without_gain_penalty(self, start: Theta) -> Theta:
-        """Parameters after some steps without the penalty on the gain's sign. With the penalty from
-        the beginning, the training would end in far worse local minima."""
+        """Parameters after some training steps without the penalty on the gain's sign. With the
+        penalty from the beginning, the training would end in far worse local minima."""
         free = replace(self.problem, gain_share=0.0)
         return minimise_simulation_error(free, start, self._trained_blocks, UNPENALISED).theta
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are in the problem
-        """Make the initial parameters in the first epoch, and take one accepted step, or none, in
-        each further epoch."""
+        """Make the initial parameters in the first epoch, and take one training step in each
+        further epoch."""
         if torch.isnan(self.loss):
             self.take_steps(0)
             return

@@ -163,8 +163,8 @@ class SimulationProblem:
             return (self.records.weight * error).ravel()
 
     def missing_gain(self, theta: Theta) -> Float[np.ndarray, "V"]:
-        """Residuals of the penalty on a gain that changes its sign with the neurons' slopes; empty
-        if the penalty is not requested, or there are several inputs or outputs."""
+        """Residuals of the penalty on sign changes of the steady-state gain; empty without this
+        penalty."""
         inputs = self.lift.channels + self.lift.passed
         is_asked = self.gain_share > 0.0 and 0 < len(self.neurons) <= MOST_NEURONS
         if not is_asked or (inputs, self.read.channels) != (1, 1):
@@ -174,8 +174,8 @@ class SimulationProblem:
     def missing_gain_linearised(
         self, theta: Theta, free: tuple[str, ...]
     ) -> tuple[Float[np.ndarray, "V"], Float[np.ndarray, "V P"]]:
-        """Residuals of the penalty on a gain that changes its sign, and their derivatives by
-        differences, since they are few."""
+        """Residuals of the penalty on sign changes of the steady-state gain, and their Jacobian by
+        differences."""
         missing = self.missing_gain(theta)
         flat = pack_parameters(theta, free)
         moves_gain = [np.full(theta[name].size, name in GAIN_BLOCKS) for name in free]
@@ -237,8 +237,8 @@ class SimulationProblem:
     def _zero_disturbance_feedthrough(
         self, columns: dict[str, Float[np.ndarray, "N T p _"]]
     ) -> None:
-        """Set the derivatives to zero through which measured disturbances would act on the output
-        directly. These entries stay zero."""
+        """Set to zero the derivatives by which measured disturbances would act directly on the
+        output. These entries stay zero."""
         inputs = self.lift.channels + self.lift.passed
         for name in ("d", "g"):
             column = columns[name]
@@ -276,8 +276,7 @@ def free_parameters(theta: Theta) -> FreeParameters:
 
 
 def running_sum(y: Float[np.ndarray, "N T *rest"]) -> Float[np.ndarray, "N T *rest"]:
-    """Cumulative sum of a signal over the samples before each one, as an integrator from zero gives
-    it."""
+    """Sum of a signal over all earlier samples, as an integrator gives it."""
     total = np.cumsum(y, axis=1)
     return np.concatenate([np.zeros_like(total[:, :1]), total[:, :-1]], axis=1)
 

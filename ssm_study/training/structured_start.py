@@ -174,8 +174,8 @@ def least_squares_output_matrix(
     decay: Float[np.ndarray, "T n n"],
     estimates: bool,
 ) -> Float[np.ndarray, "p n"]:
-    """Output matrix that explains the outputs best, for states that the input drives from zero.
-    Each record may also have a free decay, if it may begin in motion."""
+    """Output matrix that fits the outputs best, for states that the input drives from zero. Each
+    record may also have a free decay, if it may begin in motion."""
     count, samples, n = x.shape
     regressors = x
     if estimates:
@@ -194,8 +194,7 @@ def least_squares_initial_states(
     c: Float[np.ndarray, "p n"],
     decay: Float[np.ndarray, "T n n"],
 ) -> Float[np.ndarray, "N n"]:
-    """Initial states whose free decay best explains the part of the output that the input does not
-    explain."""
+    """Initial states whose free decay fits best what the input leaves unexplained in the output."""
     count = len(residual)
     n = c.shape[1]
     observed = (weight[..., None] * (c @ decay)).reshape(count, -1, n)

@@ -173,7 +173,7 @@ class Training:
     def _with_other_structures(
         self, best: "Identification", choice: "Choice", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Replace the last of several members by models of other structures, one of each.
+        """Replace some of several averaged models by models of other structures.
 
         Folds cannot tell these from the chosen one; where structures err differently, their mean
         errs less than that of one structure's trainings.
@@ -271,8 +271,7 @@ class Training:
 def select_by_training_fit(
     identified: Sequence["Identification"], data: DataSet, count: int
 ) -> list[Any]:
-    """Models with the best fits to the training records, whose mean is the prediction; empty for a
-    single model.
+    """Models with the best fits to the training records, whose mean output is the prediction.
 
     A mean of models that were not ranked can be worse than one of them.
     """
@@ -287,7 +286,7 @@ def select_by_training_fit(
 
 
 def can_be_certified(spec: "ModelSpec", model: Any) -> bool:
-    """Whether a state feedback and an observer of a model can be certified. It is true if the
+    """Whether some state feedback and some observer for a model can be certified. It is true if the
     settings do not ask for that."""
     rule = getattr(spec, "among_starts", None)
     has_certificates = getattr(rule, "has_certificates", None)

@@ -79,8 +79,8 @@ def largest_rate(
         return 1 - smallest**2
 
     def excess(log_r: float) -> float:
-        """Contraction factor that a metric proves, minus the factor for which the metric was built,
-        as a function of the latter's logarithm."""
+        """Contraction factor that a metric proves minus the assumed factor, by the logarithm of the
+        assumed one."""
         r = float(np.exp(log_r))
         none = np.zeros((len(k), b.shape[1]))
         norm = (

@@ -62,8 +62,8 @@ SINE = re.compile(r"sine\((\d+(?:\.\d*)?(?:e-?\d+)?) ?Hz\)")
 
 
 def parse_frequencies(words: Sequence[str]) -> dict[float, int]:
-    """Number of modes at each frequency (Hz) that the words `step`, `ramp` and `sine(f)` stand for.
-    `step` is one at zero, `ramp` two, `sine(0.5Hz)` one at 0.5.
+    """Number of internal-model modes at each frequency (Hz) for signals such as `step`, `ramp` and
+    `sine(f)`. `step` is one at zero, `ramp` two, `sine(0.5Hz)` one at 0.5.
 
     Raises `BadRequest` for other words, and for the frequency zero.
     """
@@ -87,8 +87,8 @@ def parse_frequencies(words: Sequence[str]) -> dict[float, int]:
 
 
 def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Float[np.ndarray, "z z"]:
-    """State matrix of the internal model that generates given references or disturbances. `A_z` has
-    the modes of one output, each state repeated for every output. Raises `BadRequest` for sines
+    """State matrix of the internal model that generates the given references or disturbances. `A_z`
+    has the modes of one output, each state repeated for every output. Raises `BadRequest` for sines
     faster than the sampling allows."""
     blocks = []
     nyquist = 0.5 / step_s

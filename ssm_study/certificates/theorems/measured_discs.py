@@ -142,8 +142,8 @@ class MeasuredDiscs(Theorem):
 
     @staticmethod
     def disc_form(of: Any, signals: Any) -> Any:
-        """Quadratic form that is negative where the model error lies in the measured disc. `|e - c
-        m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`."""
+        """Quadratic form of the loop's signals that is negative where the model error lies in the
+        measured disc. `|e - c m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`."""
         deviation = signals.e - of.centre * signals.m
         reference = of.floor * of.floor * (signals.m.T @ signals.m)
         reference = reference + signals.w_m.T @ signals.w_m + signals.v_u.T @ signals.v_u
@@ -151,8 +151,8 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def static_map_forms(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
-        """Quadratic forms of the static maps, which no signal of the loop makes positive, each with
-        its multiplier."""
+        """Quadratic constraints on the static maps' inputs and outputs, each with its
+        multiplier."""
         u = signals.u
         p = signals.p
         forms = [(of.lambda_p, p.T @ p - of.beta * of.beta * (u.T @ u))]

@@ -88,8 +88,8 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
 
     @classmethod
     def neuron_pairs(cls, of: Any, rows: Any) -> list[tuple[Any, Any]]:
-        """Differences of the neurons' outputs and inputs between model, observer and equilibrium,
-        each compared with each."""
+        """Differences of the neurons' outputs and inputs for each pair of model, observer and
+        equilibrium."""
         n = of.c.shape[1]
         z = of.f @ rows.x + of.g @ rows.drive
         dz = of.f[:, :n] @ rows.eps + of.l_z @ rows.injected

@@ -65,8 +65,8 @@ class Multisine(Excitation):
     def _channel_signal(
         self, band: np.ndarray, samples: int, rng: np.random.Generator
     ) -> Float[np.ndarray, "T"]:
-        """Generate the multisine of one input channel: of several random choices of phases, the one
-        with the lowest crest factor."""
+        """Generate the multisine of one input channel, with the lowest crest factor of several
+        random choices of phases."""
         phases = np.exp(2j * np.pi * rng.random(len(band)))
         best = np.fft.irfft(np.where(band, phases, 0.0), samples)
         for _ in range(self.crest_iterations):

@@ -63,7 +63,7 @@ class Text(str):
 
 
 def _require_intact(condition: bool, otherwise: str) -> None:
-    """Raise `ValueError` if a condition that every intact MATLAB file meets does not hold."""
+    """Raise `ValueError` for a damaged MATLAB file if a condition does not hold."""
     if not condition:
         raise ValueError(otherwise)
 
@@ -113,8 +113,8 @@ class MatReader(Reader, names=(".mat",)):
 def stated_step_s(
     columns: dict[str, ColumnValues], texts: dict[str, str], owners: list[str]
 ) -> float | None:
-    """Sampling time in seconds that MATLAB objects such as `iddata` state in their field `Ts`; None
-    if none does or they differ."""
+    """Sampling time in seconds from the field `Ts` of MATLAB objects such as `iddata`; None if none
+    states it or they differ."""
     steps = set()
     for owner in owners:
         ts = columns.get(f"{owner}.Ts", np.empty(0))

@@ -66,7 +66,7 @@ def iterate_datasets(name: str, node: Any) -> Iterator[tuple[str, Any]]:
 
 
 def matlab_class(node: Any) -> str:
-    """MATLAB class that the attributes of an HDF5 node state; empty if none is stated."""
+    """MATLAB class that an HDF5 node states; empty if none is stated."""
     stated = node.attrs.get("MATLAB_class", b"")
     if isinstance(stated, bytes):
         return stated.decode("ascii", errors="replace")

@@ -128,8 +128,8 @@ def read_table(
 
 
 def refuse_unusable_values(path: Path, name: str, table: Table, missing: bool) -> None:
-    """Raise `BadRequest` for a column whose values are not finite, too large, or too close together
-    for squares of them."""
+    """Raise `BadRequest` for a column with values that are not finite, too large, or too close
+    together to compute their variance."""
     values = table.columns[name]
     is_bad = np.isinf(values) if missing else ~np.isfinite(values)
     bad = np.flatnonzero(is_bad)

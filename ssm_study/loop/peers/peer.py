@@ -39,8 +39,7 @@ class Identified:
 
     @classmethod
     def from_data_set(cls, model: Model, balls: Balls, data: DataSet) -> "Identified":
-        """Data that the compared methods may use, from a model and the data set from which it was
-        identified."""
+        """Data that the compared methods may use, from an identified model and its data set."""
         return cls(
             model=model,
             balls=balls,

@@ -116,8 +116,7 @@ def regression_arrays(
 
 
 def _delayed_signal(u: np.ndarray, y: np.ndarray, code: int, first: int) -> Float[np.ndarray, "N"]:
-    """Samples of the delayed input or output, or of the constant one, that an integer code stands
-    for."""
+    """Samples of the delayed signal that an integer code of a regressor stands for."""
     if code == CONSTANT:
         return np.ones(len(u) - first)
     lag = code % 1000

@@ -139,7 +139,7 @@ Sandwich = tuple[tuple[float, float], list[Tensor], list[Tensor], list[Tensor]]
 def cayley_transform(
     skew: Float[Tensor, "h h"], tail: Float[Tensor, "m h"]
 ) -> tuple[Float[Tensor, "h h"], Float[Tensor, "h m"]]:
-    """Cayley transform of free matrices to a pair of matrices with orthonormal rows. `(A, B)` with
+    """Orthonormal rows `(A, B)` from unconstrained matrices, by the Cayley transform. `(A, B)` with
     `A A^T + B B^T = I` for any real `skew, tail`.
 
     `Z = X - X^T + Y^T Y`, `A^T = (I + Z)^-1 (I - Z)`, `B^T = -2 Y (I + Z)^-1`.

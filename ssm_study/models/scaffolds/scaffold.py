@@ -149,8 +149,7 @@ class Scaffold(Family, Explicit):
 
     @abstractmethod
     def jacobian_centre(self) -> Square | None:
-        """Centre matrix of the map's Jacobians, which may be moved into the linear part; None if
-        there is none."""
+        """Centre matrix of the map's Jacobians, which may be moved into the linear part."""
 
     def compose_with_output_matrix(self, m: Square) -> "Scaffold":
         """Static map whose output is multiplied by a matrix. `v -> m S(v)`, m the inverse of

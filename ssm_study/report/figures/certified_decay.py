@@ -1,6 +1,6 @@
-"""Certified against measured contraction, on the model: the distance of pairs of trajectories in
-the certified metric, relative to its start (worst and median of many pairs), under the bound r^k
-that is proved of the gains. Left the feedback, right the observer."""
+"""Measured decay of the distance between trajectories of the model, below the certified bound r^k.
+The distance is in the certified metric, relative to its initial value (worst and median of many
+pairs). Left the state feedback, right the observer."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -45,8 +45,7 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def certificate_part(certificate: Mapping[str, Any], side: str) -> dict[str, Any]:
-    """Stored certificate of controller or observer, with the largest proved rate if there are
-    two."""
+    """Stored certificate of controller or observer, with its largest proved rate."""
     designed = certificate.get(side) or {}
     deployed = certificate.get(f"{side}_deployed") or {}
     return designed | deployed

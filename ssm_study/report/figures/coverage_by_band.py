@@ -1,6 +1,7 @@
-"""How many times the measured model error the proof tolerates, band by band, one line for each
-record. Below the line at one the proof does not cover the record; the dot marks the band that
-decides, crosses are bands in which the input has no power, so that noise counts as error."""
+"""Model error that the proof tolerates in each frequency band, as a multiple of the measured one.
+There is one line for each record. Below the line at one the proof does not cover the record; the
+dot marks the band that decides, crosses are bands in which the input has no power, so that noise
+counts as error."""
 
 from matplotlib.figure import Figure
 

@@ -1,6 +1,6 @@
-"""Coverage of the records: how often each input amplitude was visited (left; where none was
-visited, slopes come from the initial weights, not from data), at which frequencies the input has
-power, and of which order it is persistently exciting (right)."""
+"""How well the inputs excite the plant: how often each input amplitude occurs (left), at which
+frequencies the input has power, and its order of persistent excitation (right). At amplitudes that
+never occur, slopes come from the initial weights, not from data."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,7 @@
-"""Frequency response of the model at rest (line) beside the estimate that the validation record
-gives without any model (dots: averaged cross spectra, where the input has power and output and
-input are coherent). Shaded: gains that the slopes of the input map allow. First input to first
-output, in physical units."""
+"""Frequency response of the model at its equilibrium (line) and as estimated from the validation
+record alone (dots). Dots are averaged cross spectra, where the input has power and output and input
+are coherent. Shaded: gains that the slopes of the input map allow. First input to first output, in
+physical units."""
 
 from matplotlib.figure import Figure
 

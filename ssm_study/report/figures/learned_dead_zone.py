@@ -1,6 +1,6 @@
-"""Nonlinearity that the network learned of the motor: S_u scaled to volts over the true dead-zone
-(left), and its local slope inside the certified interval (right). Coulomb friction widens the
-dead-zone seen at rest; the dotted line includes it."""
+"""Input nonlinearity of the motor, as the network learned it: S_u scaled to volts over the true
+dead zone (left), and its slope inside the certified interval (right). Coulomb friction widens the
+dead zone seen at rest; the dotted line includes it."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,6 +1,6 @@
-"""Where the linear part of the model, of the controlled model and of the observer's error have
-their poles, at the slopes of rest. The dashed circle is the factor per sample that is proved of the
-controller's gain for every slope; the full one is the unit circle."""
+"""Poles of the model, of the controlled model and of the observer's error, linearised at the
+equilibrium. Dashed: the contraction factor per sample that is proved for the controller; solid: the
+unit circle."""
 
 from matplotlib.figure import Figure
 

@@ -1,6 +1,7 @@
-"""How much larger the measured model error could be at each frequency before the prediction of
-stability is lost: one line for each recorded amplitude, at the worst of the constant slopes. The
-dot is where the design's margin is decided; below the line at one nothing is predicted."""
+"""How many times larger the measured model error could be at each frequency before the loop is no
+longer predicted stable. There is one line for each recorded amplitude, at the worst of the constant
+slopes. The dot marks the stability margin of the design; if a curve falls below one, the loop is
+not predicted stable."""
 
 from matplotlib.figure import Figure
 

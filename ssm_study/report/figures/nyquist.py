@@ -1,6 +1,6 @@
-"""Nyquist curve of the loop broken at the plant's input, at the slopes of rest, with a disc of the
-measured model error around each band: of the amplitude whose discs come nearest to -1. A disc that
-holds -1 would mean that the records do not exclude an unstable loop."""
+"""Nyquist curve of the loop gain at the equilibrium, with a disc of the measured model error around
+each frequency band. The loop is broken at the plant's input. The discs are those of the amplitude
+that comes nearest to -1; if a disc contains -1, the records do not exclude an unstable loop."""
 
 from matplotlib.figure import Figure
 

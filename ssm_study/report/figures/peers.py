@@ -1,6 +1,7 @@
-"""Controllers side by side: settling time relative to the uncontrolled plant, on a logarithmic
-axis, peak input, and the share of starts settled where it is not the same for all (one dot per run,
-a bar at the median of several). From the runs' own comparisons where they made one."""
+"""Comparison of controllers by settling time, peak input and share of settled starts. The settling
+time is relative to the uncontrolled plant, on a logarithmic axis; the share is left out where it is
+the same for all. One dot per run, a bar at the median of several. From the runs' own comparisons
+where they made one."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -1,6 +1,6 @@
-"""Correlation of the error of the free run on the test record with itself (left) and with each
-input. Outside the grey band (95 % for white noise) something is left to explain; a free run of a
-nonlinear plant hardly ever stays inside."""
+"""Correlation of the free run's error on the test record with itself (left) and with each input
+(right). Outside the grey band (95 % for white noise) the error still contains structure that the
+model could explain; a free run of a nonlinear plant hardly ever stays inside."""
 
 from matplotlib.figure import Figure
 

@@ -1,7 +1,7 @@
-"""How each controller copes with what it was not designed for: mean settling time (s) of the
-starts that settle, its ratio to the uncontrolled plant in the nominal situation as colour (pale: as
-slow as no control). Where some start does not settle, the share that does stands there instead, on
-red. Mean over the runs that compared them."""
+"""Mean settling time of every controller under test conditions that it was not designed for.
+Numbers: seconds, over the starts that settle. Colour: ratio to the uncontrolled plant under nominal
+conditions (pale: as slow as no control). Where some start does not settle, the share that does
+stands there instead, on red. Mean over the runs that compared the controllers."""
 
 from typing import Any
 
@@ -27,7 +27,7 @@ WHOLE = 1 - 1e-9  # share of starts above which all of them settle
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw a grid of pictures with one row per controller and one column per situation."""
+    """Draw the settling time of every controller (rows) in every test condition (columns)."""
     compared = study.comparison
     several = "situation" in compared and compared["situation"].nunique() > 1
     if not several or numeric_column(compared, "stable_fraction").isna().all():
@@ -82,8 +82,7 @@ def _write_cells(
 
 
 def _settling_time_table(compared: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Table of settling times with a row per controller and a column per situation, in the order of
-    the comparison."""
+    """Table of settling times with a row per controller and a column per test condition."""
     rows = compared.assign(value=numeric_column(compared, name))
     means = rows.pivot_table(
         index="controller", columns="situation", values="value", aggfunc="mean", dropna=False

@@ -1,7 +1,7 @@
-"""Step of the set point on the identified model, without noise: output, settling band and input,
-the range of the recorded inputs dashed. The step is half the output's scale, or less where the
-recorded inputs cannot hold so much. It is known in advance here; the exported code, which hears of
-a step when it comes, answers later."""
+"""Response of the identified model's loop to a step of the set point, without noise: output with
+settling band, and input. Dashed: the range of the recorded inputs. The step is half the output's
+scale, or smaller if the recorded inputs cannot hold it. The loop knows the step in advance here;
+the exported code does not, and responds later."""
 
 from matplotlib.figure import Figure
 

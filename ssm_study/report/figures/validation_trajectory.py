@@ -1,6 +1,6 @@
-"""Free run of the identified model on the test record (top; its error below) and on the validation
-record: measured output as dots, the model on top, the input of the latter, and a measured
-disturbance where there is one."""
+"""Free run of the identified model on the test record and on the validation record: measured output
+as dots, the model as a line. Below the test record its error; below the validation record its
+input, and a measured disturbance where there is one."""
 
 import numpy as np
 from jaxtyping import Float

@@ -1,4 +1,4 @@
-"""Frame, axes and strokes that all charts of the report page share."""
+"""Frame, axes and line styles that all charts of the report page share."""
 
 from typing import Any
 
@@ -22,7 +22,8 @@ LOOK = {"font": "system-ui, sans-serif", "view": NO_FRAME, "axis": AXIS}
 
 
 def framed(spec: Spec, description: str, height: int = HEIGHT) -> Spec:
-    """Vega-Lite specification with the frame and the width of the report page."""
+    """Vega-Lite specification of a chart, completed by the settings and the width that all charts
+    of the page share."""
     frame = {"$schema": SCHEMA, "width": "container", "height": height}
     frame["config"] = LOOK
     frame["description"] = description

@@ -99,8 +99,7 @@ RULE_LOOK: dict[str, Any] = {"strokeDash": [4, 3], "color": style.GREY, "aria": 
 
 
 def panels(table: pd.DataFrame, answered: Collection[str] = ()) -> list[dict[str, Any]]:
-    """Plots for which a study's table has numbers, as question, columns, and specification without
-    data.
+    """Plots of the report page for which a study's table has numbers.
 
     Fits that all but agree say nothing. `answered` are the questions that the page answers in
     words; their plots are named after their columns.
@@ -119,7 +118,8 @@ def panels(table: pd.DataFrame, answered: Collection[str] = ()) -> list[dict[str
 
 
 def panel_title(panel: Panel, answered: Collection[str]) -> str:
-    """Question of a plot; its columns where the page answers the same question in words."""
+    """Title of a plot: its question, or its columns where the page already answers the question in
+    words."""
     if question_stem(panel.question) not in map(question_stem, answered):
         return panel.question
     up = short_column_words(panel.y)
@@ -146,8 +146,7 @@ def _has_numbers(table: pd.DataFrame, panel: Panel) -> bool:
 
 
 def _telling(table: pd.DataFrame, panel: Panel) -> Panel:
-    """Replace the share of settled runs in a plot by the settling time where every run settles,
-    since a share then says nothing."""
+    """Replace the share of settled runs in a plot by the settling time where every run settles."""
     if panel.y != "stable_fraction":
         return panel
     shares = numeric_column(table, panel.y).dropna()
@@ -158,8 +157,8 @@ def _telling(table: pd.DataFrame, panel: Panel) -> Panel:
 
 
 def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
-    """Vega-Lite specification of one plot. The page's script sets the parameters `mask` (runs
-    shown) and `chosen` (selected run), and reads `brush`.
+    """Vega-Lite specification of one scatter plot. The page's script sets the parameters `mask`
+    (runs shown) and `chosen` (selected run), and reads `brush`.
 
     It also fills the data sets `runs` and `ticks`.
     """
@@ -201,7 +200,7 @@ def _bars() -> alt.Chart:
 
 
 def _ring() -> alt.Chart:
-    """Layer of a chart that marks the best run, the first of the table, with a ring."""
+    """Layer of a chart with a ring around the best run."""
     best = alt.Chart().transform_filter(BEST)
     return best.mark_point(**RING_LOOK)
 
@@ -217,8 +216,8 @@ def _dressed(chart: Any, **properties: Any) -> dict[str, Any]:
 
 
 def groups_specification() -> dict[str, Any]:
-    """Vega-Lite specification of a chart with one row per group. It has a point per run, a bar at
-    the mean of the visible ones, and a ring around the best.
+    """Vega-Lite specification of a chart with one row for each group of runs. It has a point per
+    run, a bar at the mean of the visible ones, and a ring around the best.
 
     The script fills in the rows, the height, the name of the axis and whether it is logarithmic.
     """
@@ -268,7 +267,7 @@ def _encode_choice() -> dict[str, Any]:
 
 
 def _brush(*encodings: Axis) -> alt.Parameter:
-    """Selection parameter of Vega-Lite: a rectangle that the reader of the page drags."""
+    """Vega-Lite selection by a rectangle that the reader of the page drags."""
     if encodings:
         return alt.selection_interval(name="brush", encodings=list(encodings))
     return alt.selection_interval(name="brush")
@@ -282,8 +281,8 @@ def _rule() -> alt.Chart:
 
 
 def _scale(name: str, table: pd.DataFrame, log: bool, beside: list[float]) -> alt.Scale:
-    """Linear or logarithmic scale for a column. It is logarithmic only if all values allow it and
-    spread over more than a decade; a share goes from 0 to 1.
+    """Linear or logarithmic scale of a chart's axis for a column. It is logarithmic only if all
+    values allow it and spread over more than a decade; a share goes from 0 to 1.
 
     `beside`: what else is drawn on this axis, so has to lie on it.
     """

@@ -1,5 +1,5 @@
-"""Comparisons of controllers on the model and plant of one run: by situation, or of many certified
-designs."""
+"""Comparisons of controllers on the model and plant of one run: by test condition, or of many
+certified designs."""
 
 from dataclasses import dataclass
 from html import escape
@@ -51,7 +51,7 @@ def controllers_table(rows: pd.DataFrame) -> ComparedTable:
 
 
 def numbers_table(rows: pd.DataFrame) -> ComparedTable:
-    """Table with the numbers of each controller in a single situation."""
+    """Table with the numbers of each controller under a single test condition."""
     cells = []
     for name, own in rows.groupby("controller", sort=False):
         first = own.iloc[0]
@@ -60,7 +60,7 @@ def numbers_table(rows: pd.DataFrame) -> ComparedTable:
 
 
 def situations_table(rows: pd.DataFrame, situations: list[str]) -> ComparedTable:
-    """Table with one column per situation, with the share that settles and the mean settling
+    """Table with one column per test condition, with the share that settles and the mean settling
     time."""
     tried: dict[tuple[str, str], dict[str, Any]] = {}
     for row in rows.to_dict("records"):
@@ -76,7 +76,7 @@ def situations_table(rows: pd.DataFrame, situations: list[str]) -> ComparedTable
 
 
 def number_cells(row: "pd.Series[Any]") -> list[tuple[str, str]]:
-    """Table cells with the numbers of a controller in a single situation."""
+    """Table cells with the numbers of a controller under a single test condition."""
     texts = [percent(row.get("stable_fraction"))]
     texts += [number(row.get(name)) for name in NUMBERS]
     is_certified = row.get("certified") == 1  # True, or what a table of numbers makes of it

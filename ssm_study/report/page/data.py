@@ -1,5 +1,5 @@
-"""Data of the report page: the table by columns, trajectories of the best runs, reasons,
-provenance."""
+"""Data of the report page: the study's table, the trajectories of its best runs, reasons for failed
+runs, provenance."""
 
 import base64
 import re
@@ -92,8 +92,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
 
 
 def compared_columns(table: pd.DataFrame) -> list[str]:
-    """Columns that the page lists of a run, without those whose stronger test the study has. All
-    columns stay in the record and in the CSV."""
+    """Columns by which the page compares runs. All columns stay in the record and in the CSV."""
     replaced = {
         name for name, better in WEAKER.items() if numeric_column(table, better).notna().any()
     }
@@ -136,8 +135,8 @@ def same_settings(table: pd.DataFrame, names: list[str]) -> str:
 
 
 def slider_note(record: dict[str, Any], name: str, same: str) -> str:
-    """Words for a run at one place of the slider; an infeasible run says why, and which rate is
-    possible."""
+    """Text for a run at one position of the slider; for an infeasible run, the reason and the
+    possible rate."""
     if record["verdict"] != INFEASIBLE.word:
         return f"{record['verdict']}{same}"
     limit = record.get(f"{name.removeprefix('rate_')}_rate_limit")
@@ -190,14 +189,14 @@ def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
 
 
 def shown_loop(study: StudyFolder, record: dict[str, Any]) -> ShownLoop | None:
-    """Facts on the closed loop of a run, given its record; None if it left no recording."""
+    """Facts on the closed loop of a run; None if the run left no recording of it."""
     name = record.get("run")
     recording = study.run(name).closed_loop if name else None
     return None if recording is None else ShownLoop.from_recording(recording)
 
 
 def subject_words(table: pd.DataFrame) -> str:
-    """Text on the plants and the data of a study, such as `Plant: DC motor. Data: simulated. `."""
+    """Text on the plants and the data of a study. Data: simulated. `."""
     plants = text_column(table, "plant").map(choice_label)
     sources = text_column(table, "data_source")
     words = ""
@@ -217,7 +216,7 @@ def configuration_text(study: StudyFolder) -> str:
 
 
 def provenance(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str, str]]:
-    """Lines on the provenance of the runs, with several values where the runs disagree."""
+    """Lines on where the runs were computed, with several values where the runs disagree."""
     facts = []
     for name in PROVENANCE:
         if name not in table:
@@ -236,7 +235,7 @@ def provenance(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str, str]]
 
 
 def run_address(study: StudyFolder, name: str) -> tuple[str, str]:
-    """Study folder of a run, which may be another study's, and the digits of the run's name."""
+    """Study folder and short name of a run, which may belong to another study."""
     other = re.match(r"\.\./([^/]+)/", name)
     folder = other[1] if other else study.folder.resolve().name
     run = name.rpartition("/")[2]
@@ -256,7 +255,7 @@ def page_title(table: pd.DataFrame) -> str:
 
 
 def setting_words(name: str) -> str:
-    """Words for a swept setting in a sentence, without its unit."""
+    """Text for a swept setting in a sentence, without its unit."""
     without_unit = column_words(name).partition(" (")[0]
     word = without_unit.partition(",")[0].lower()
     return word if FURTHER.matches_name(name) else f"the {word}"

@@ -28,7 +28,8 @@ class FailureGroup:
 
 
 def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
-    """Groups of runs whose reasons for failing differ only in numbers, the worst group first."""
+    """Groups of runs that failed for the same reason, up to the numbers in it, the worst group
+    first."""
     groups: dict[str, list[tuple[int, str]]] = {}
     needed = table[[name for name in NEEDED if name in table]]
     for place, verdict in enumerate(table["verdict"]):
@@ -50,7 +51,7 @@ def make_failure_group(runs: list[tuple[int, str]]) -> FailureGroup:
 
 
 def severity(sentence: str) -> int:
-    """Severity of the outcome that a sentence states, by which groups of failures are sorted."""
+    """Severity of the outcome that a sentence states, for sorting groups of failures."""
     return next((k for k, word in enumerate(SEVERITY) if sentence.startswith(word)), -1)
 
 
@@ -72,7 +73,7 @@ def merge_number_ranges(sentences: Sequence[str]) -> str:
     columns = iter(zip(*texts, strict=True))
 
     def number_range(match: re.Match[str]) -> str:
-        """Range that takes the place of one number in the merged sentence."""
+        """Text of the range that replaces one number in the merged sentence."""
         column = next(columns)
         low = min(column, key=float)
         high = max(column, key=float)

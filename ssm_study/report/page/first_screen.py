@@ -45,7 +45,7 @@ def row_as_record(row: "pd.Series[Any]") -> dict[str, Any]:
 
 
 def introduction(table: pd.DataFrame) -> str:
-    """Text that states, before the name of the best run, the rule by which it is the best."""
+    """Text that states the rule by which the best run is chosen."""
     record = row_as_record(table.iloc[0])
     if len(table) == 1:
         return "Run: "
@@ -105,7 +105,8 @@ def model_card(record: Record) -> Card | None:
 
 
 def predicted_card(record: Record) -> Card | None:
-    """Card with the prediction before the loop is closed, and the numbers on which it rests."""
+    """Card with the predicted behaviour of the plant in closed loop, and the numbers behind the
+    prediction."""
     title = f"Predicted for the {'model' if is_loop_closed_on_model(record) else 'plant'}"
     evidence = record.get("evidence")
     if evidence == CANNOT_JUDGE:
@@ -162,7 +163,7 @@ def record_verdict(record: Record) -> Verdict:
 
 
 def reasons(record: Record) -> list[str]:
-    """Reasons, taken from its record, why a run is infeasible, not certified or failed.
+    """Reasons why a run is infeasible, not certified or failed, from its record.
 
     The verdict stands before them, so an infeasible rate is not called infeasible once more.
     """
@@ -171,8 +172,7 @@ def reasons(record: Record) -> list[str]:
 
 
 def remarks(record: Record) -> Iterator[Remark]:
-    """Remarks on an outcome that is no success, and on the evidence on which the prediction
-    rests."""
+    """Remarks on a run that is no success, and on the evidence behind its prediction."""
     verdict = record_verdict(record)
     if verdict != SETTLED:
         sentences = [f"{verdict.word}: {verdict.sentence}", *reasons(record)]

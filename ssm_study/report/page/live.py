@@ -32,7 +32,7 @@ setInterval(async () => { try { const now = await (await fetch("/state")).json()
 
 
 class LivePage:
-    """Report page of a study that is written again when a record has changed. Several threads may
+    """Report page of a study that is written again whenever a record changes. Several threads may
     ask for it."""
 
     def __init__(self, study: Path) -> None:
@@ -65,7 +65,7 @@ class LivePage:
         return str(hash(tuple(marks)))
 
     def state(self) -> dict[str, str]:
-        """State of the study for the page's script: its progress, and a mark that changes with the
+        """State of the study for the page's script: its progress, and a text that changes with the
         records."""
         records = (read_record(path.parent) for path in self.study.glob(f"*/{RECORD}"))
         counts = Counter(str(record["status"]) for record in records if record is not None)

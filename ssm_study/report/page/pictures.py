@@ -199,14 +199,14 @@ def thin_line(x: Values, y: Values) -> tuple[Stretch, Stretch]:
 
 
 def starts_of_gaps(is_seen: Bool[np.ndarray, "T"]) -> Bool[np.ndarray, "T"]:
-    """For each point, whether it is the first missing one of a gap."""
+    """For each point of a curve, whether it is the first missing one of a gap."""
     previous = np.ones_like(is_seen)
     previous[1:] = is_seen[:-1]
     return previous & ~is_seen
 
 
 def _stride(points: int) -> int:
-    """Number of points of a long line for each point that is drawn."""
+    """Step by which the points of a long line are thinned."""
     stride = math.ceil(points / MOST_POINTS)
     return max(1, stride)
 

@@ -45,8 +45,8 @@ class ShownLoop:
 
 
 def proved_card(record: Record, loop: ShownLoop | None = None) -> Card | None:
-    """Card with the certified rates and what they cover, or with the largest rate that could be
-    certified."""
+    """Card with the certified rates and the model error that they cover, or with the largest
+    certifiable rate."""
     rate = record.get("controller_certified_rate")
     requested = record.get("rate_controller")
     limit = record.get("controller_rate_limit")
@@ -71,7 +71,7 @@ def proved_card(record: Record, loop: ShownLoop | None = None) -> Card | None:
 
 
 def rate_line(record: Record, rate: float, loop: ShownLoop | None) -> str:
-    """Line that says by how much a rate makes distances shrink; a rate is of squared distances."""
+    """Line that says how much the distance of two trajectories shrinks at a certified rate."""
     shrinks = 100 - 100 * math.sqrt(1 - rate)
     step = "" if loop is None else f" ({1000 * loop.step_s:.3g} ms)"
     observer = record.get("observer_certified_rate")
@@ -95,13 +95,12 @@ def coverage_words(record: Record) -> str:
 
 
 def covered_times(coverage: float) -> str:
-    """Text of a coverage, never rounded up to what is not proved."""
+    """Text of a coverage as a number, rounded down."""
     return f"{math.floor(100 * coverage) / 100:.2f}"
 
 
 def limited_start_range(record: Record) -> tuple[float, float] | None:
-    """Range of initial outputs from which the full rate holds with a limited input; None if there
-    is none."""
+    """Range of initial outputs from which the full rate holds with a limited input."""
     names = ("limit_lower", "limit_upper", "unlimited_from", "unlimited_to")
     if any(record.get(name) is None for name in names):
         return None
@@ -128,7 +127,7 @@ def limit_line(record: Record, loop: ShownLoop | None) -> str:
 
 
 def exclusions(record: Record, loop: ShownLoop | None) -> list[str]:
-    """Short list of what the proof says nothing about."""
+    """Short list of statements that the proof does not make."""
     coverage = record.get("coverage")
     excluded = ["the plant: how far it differs from the model is not in the proof"]
     is_judged = bool(coverage_words(record))
@@ -149,7 +148,7 @@ def exclusions(record: Record, loop: ShownLoop | None) -> list[str]:
 
 
 def outside_words(start_range: tuple[float, float], loop: ShownLoop | None) -> str:
-    """Words for the starts outside the range of outputs that is proved under an input limit."""
+    """Text on the initial states outside the range that is proved under an input limit."""
     first, last = start_range
     words = f"starts outside {first:.3g} to {last:.3g}"
     if loop is None:
@@ -160,8 +159,8 @@ def outside_words(start_range: tuple[float, float], loop: ShownLoop | None) -> s
 
 
 def start_words(record: Record, loop: ShownLoop | None) -> str:
-    """Line that says how many of the shown starts lie in the range that is proved with a limited
-    input, and whether the input met a limit."""
+    """Line on how many of the shown initial states lie in the range that is proved with a limited
+    input."""
     start_range = limited_start_range(record)
     if start_range is None or loop is None or not record.get("controller_certified"):
         return ""

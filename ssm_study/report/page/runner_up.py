@@ -1,4 +1,4 @@
-"""Runner-up of a study: a certified run that is more robust than the best, which is the fastest."""
+"""Runner-up of a study: a certified run that is slower than the best run, but more robust."""
 
 from dataclasses import dataclass
 
@@ -22,7 +22,8 @@ class RunnerUp:
 
 
 def runner_up(table: pd.DataFrame) -> RunnerUp | None:
-    """Fastest run with at least twice the best run's margin, otherwise with at most half its gain.
+    """Fastest run with at least twice the best run's stability margin, otherwise with at most half
+    its gain.
 
     The table has the best run first. None if no run that settles in at most twice the time is
     that much more robust.
@@ -41,8 +42,8 @@ def runner_up(table: pd.DataFrame) -> RunnerUp | None:
 
 
 def eligible_runs(table: pd.DataFrame) -> "pd.Series[bool]":
-    """Runs that may replace the best: on the same plant, certified, predicted to be stable, and
-    settling in at most twice the time."""
+    """Certified runs that may replace the best one: on the same plant, predicted stable, and at
+    least half as fast."""
     time_s = numeric_column(table, "settling_time_mean_s")
     plants = text_column(table, "plant")
     is_settled = text_column(table, "verdict") == SETTLED.word
@@ -51,7 +52,7 @@ def eligible_runs(table: pd.DataFrame) -> "pd.Series[bool]":
 
 
 def comparison_words(table: pd.DataFrame, place: int) -> str:
-    """Words that compare a run with the best in settling time, stability margin and gain."""
+    """Text that compares a run with the best run in settling time, stability margin and gain."""
     own = row_as_record(table.iloc[place])
     best = row_as_record(table.iloc[0])
     time_s = f"{own['settling_time_mean_s']:.3g} s"

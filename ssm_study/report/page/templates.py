@@ -137,14 +137,15 @@ def parallel_columns(table: pd.DataFrame) -> list[str]:
 
 
 def fold_columns(names: list[str]) -> list[Spec]:
-    """Vega-Lite transform that gives each run and column with a number a row of its own."""
+    """Vega-Lite transform to long form: one row for each run and column."""
     fold = {"fold": names, "as": ["key", "value"]}
     known_filter = {"filter": "isValid(datum.value) && isNumber(datum.value)"}
     return [fold, known_filter]
 
 
 def parallel_lines(fold: list[Spec], x: Spec, runs: int) -> Spec:
-    """Layer with one line per run, where each axis is scaled to the range of the runs."""
+    """Layer of a parallel-coordinates chart with one line per run, each axis scaled to the range of
+    the runs."""
     ends = [aggregate_value(end) for end in ENDS]
     add_ends = {"joinaggregate": ends, "groupby": ["key"]}
     share = "datum.max > datum.min ? (datum.value - datum.min) / (datum.max - datum.min) : 0.5"
@@ -163,7 +164,7 @@ def aggregate_value(operation: str) -> Spec:
 
 
 def parallel_axis(names: list[str]) -> Spec:
-    """Axis with one place for each column, which has its printed name without unit."""
+    """Axis of a parallel-coordinates chart, with one place for each column."""
     titles = {name: column_words(name).partition(" (")[0] for name in names}
     written_titles = json.dumps(titles)
     axis: Spec = {"labelExpr": f"({written_titles})[datum.value]"}

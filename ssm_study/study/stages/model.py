@@ -85,7 +85,7 @@ def read_model(folder: Path) -> Any:
 
 
 def read_members(folder: Path) -> tuple[Any, ...]:
-    """Models whose mean is the prediction; empty if a single model predicts."""
+    """Models whose mean output is the prediction; empty if a single model is used."""
     path = folder / MEMBERS
     return tuple(read_model_json(each) for each in read_json(path)) if path.exists() else ()
 

@@ -51,8 +51,7 @@ def measure_sine_trials(
     judged: Judgement,
     design: Design,
 ) -> Facts:
-    """Columns of the stability margin and the prediction with the single sines included, which may
-    refute the prediction."""
+    """Columns of the stability margin and the prediction, measured again with the single sines."""
     model = bounded.model
     facts = sine_columns(design, model, certified_balls(model), mismatch, sines)
     return withhold_predictions(facts, judged.level)

@@ -60,8 +60,7 @@ def compute_synthesis(
 
 
 def measured_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise":
-    """Model error by frequency, measured from the records that serve for it, on which the proof of
-    coverage rests."""
+    """Model error by frequency in the records, which the proof of coverage has to cover."""
     from ssm_study.robustness.coverage import measure_premise
 
     records = data.mismatch_records
@@ -69,8 +68,7 @@ def measured_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise"
 
 
 def fresh_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise | None":
-    """Model error by frequency in the test record of a log, which neither fit nor design has used;
-    None for a simulated plant.
+    """Model error by frequency in the unused test record of a log; None for a simulated plant.
 
     None for a simulated plant.
     """
