@@ -7,6 +7,8 @@ from jaxtyping import Complex, Float
 
 from ssm_study.systems import StateSpace
 
+Angles = Float[np.ndarray, "F"]
+
 PEAK_TOLERANCE = (
     1e-8  # relative: the returned gain is attained, and no frequency exceeds it by more than this
 )
@@ -15,22 +17,20 @@ PEAK_TOLERANCE = (
 ON_AXIS = 1e-4
 
 
-def frequency_response(
-    system: StateSpace, angles: Float[np.ndarray, "F"]
-) -> Complex[np.ndarray, "F p m"]:
+def frequency_response(system: StateSpace, angles: Angles) -> Complex[np.ndarray, "F p m"]:
     """Frequency response matrix of a discrete-time system at the given angles. `C (e^{j angle} I
     - A)^{-1} B + D`, angles in radians per sample."""
-    shifted = np.exp(1j * angles)[:, None, None] * np.eye(system.order) - system.a
-    return (
-        system.c
-        @ np.linalg.solve(shifted, np.broadcast_to(system.b, (len(angles), *system.b.shape)))
-        + system.d
-    )
+    points = np.exp(1j * angles)[:, None, None]
+    shifted = points * np.eye(system.order) - system.a
+    b_at_each_angle = np.broadcast_to(system.b, (len(angles), *system.b.shape))
+    state_response = np.linalg.solve(shifted, b_at_each_angle)
+    return system.c @ state_response + system.d
 
 
-def largest_gains(system: StateSpace, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
+def largest_gains(system: StateSpace, angles: Angles) -> Angles:
     """Largest singular value of the frequency response at each angle."""
-    return np.linalg.norm(frequency_response(system, angles), ord=2, axis=(1, 2))
+    response = frequency_response(system, angles)
+    return np.linalg.norm(response, ord=2, axis=(1, 2))
 
 
 def hinf_norm(system: StateSpace) -> float:
@@ -43,10 +43,10 @@ def hinf_norm(system: StateSpace) -> float:
     Steinbuch, Systems & Control Letters 14 (1990) 287-293.
     """
     try:
-        return _peak_gain(system) if system.spectral_radius < 1 else float("inf")
-    except (
-        np.linalg.LinAlgError
-    ):  # an eigenvalue on the circle, to rounding: nothing may be claimed
+        is_stable = system.spectral_radius < 1
+        return _peak_gain(system) if is_stable else float("inf")
+    except np.linalg.LinAlgError:
+        # an eigenvalue on the circle, to rounding: nothing may be claimed
         return float("inf")
 
 
@@ -54,20 +54,24 @@ def _peak_gain(system: StateSpace) -> float:
     """Largest gain of a stable system over all frequencies (H-infinity norm), by raising a level
     until no frequency response crosses it."""
     poles = np.linalg.eigvals(system.a)
-    angles = np.concatenate([[0.0, np.pi], np.abs(np.angle(poles)), np.geomspace(1e-4, np.pi, 32)])
+    pole_angles = np.abs(np.angle(poles))
+    grid = np.geomspace(1e-4, np.pi, 32)
+    angles = np.concatenate([[0.0, np.pi], pole_angles, grid])
     best = float(largest_gains(system, angles).max())
     continuous = _continuous_equivalent(system)
     for _ in range(40):  # a bound only: convergence is quadratic
         if best**2 < np.finfo(float).tiny:  # the squares below underflow
             return best
-        crossings = _crossing_frequencies(continuous, best * (1 + PEAK_TOLERANCE))
+        level = best * (1 + PEAK_TOLERANCE)
+        crossings = _crossing_frequencies(continuous, level)
         if not len(crossings):
             break
-        between = np.concatenate(
-            [crossings, (crossings[1:] + crossings[:-1]) / 2]
-        )  # a peak lies between two crossings
-        largest_gain = float(largest_gains(system, 2 * np.arctan(between)).max())
-        if largest_gain <= best * (1 + PEAK_TOLERANCE):
+        # a peak lies between two crossings
+        midpoints = (crossings[1:] + crossings[:-1]) / 2
+        candidates = np.concatenate([crossings, midpoints])
+        candidate_angles = 2 * np.arctan(candidates)
+        largest_gain = float(largest_gains(system, candidate_angles).max())
+        if largest_gain <= level:
             break
         best = largest_gain
     return best * (1 + PEAK_TOLERANCE)
@@ -80,8 +84,10 @@ def _continuous_equivalent(system: StateSpace) -> StateSpace:
     root2 = np.sqrt(2)
     shifted = np.linalg.inv(identity + system.a)  # exists: no eigenvalue at -1, A is stable
     a = shifted @ (system.a - identity)
+    b = root2 * shifted @ system.b
+    c = root2 * system.c @ shifted
     d = system.d - system.c @ shifted @ system.b
-    return StateSpace(a=a, b=root2 * shifted @ system.b, c=root2 * system.c @ shifted, d=d)
+    return StateSpace(a=a, b=b, c=c, d=d)
 
 
 def _crossing_frequencies(system: StateSpace, gamma: float) -> Float[np.ndarray, "w"]:
@@ -91,11 +97,17 @@ def _crossing_frequencies(system: StateSpace, gamma: float) -> Float[np.ndarray,
     b = system.b
     c = system.c
     d = system.d
-    r = gamma**2 * np.eye(d.shape[1]) - d.T @ d
-    s = gamma**2 * np.eye(len(d)) - d @ d.T
-    f = a + b @ np.linalg.solve(r, d.T @ c)  # the first block of gamma's Hamiltonian matrix
-    top = np.hstack([f, gamma * b @ np.linalg.solve(r, b.T)])
-    bottom = np.hstack([-gamma * c.T @ np.linalg.solve(s, c), -f.T])
-    eigenvalues = scipy.linalg.eigvals(np.vstack([top, bottom]))
-    near = np.abs(eigenvalues.real) <= ON_AXIS * np.maximum(np.abs(eigenvalues), 1.0)
-    return np.sort(eigenvalues[near].imag)
+    outputs, inputs = d.shape
+    r = gamma**2 * np.eye(inputs) - d.T @ d
+    s = gamma**2 * np.eye(outputs) - d @ d.T
+    # blocks of gamma's Hamiltonian matrix
+    state_block = a + b @ np.linalg.solve(r, d.T @ c)
+    input_block = gamma * b @ np.linalg.solve(r, b.T)
+    output_block = -gamma * c.T @ np.linalg.solve(s, c)
+    top = np.hstack([state_block, input_block])
+    bottom = np.hstack([output_block, -state_block.T])
+    hamiltonian = np.vstack([top, bottom])
+    eigenvalues = scipy.linalg.eigvals(hamiltonian)
+    size = np.maximum(np.abs(eigenvalues), 1.0)
+    is_on_axis = np.abs(eigenvalues.real) <= ON_AXIS * size
+    return np.sort(eigenvalues[is_on_axis].imag)

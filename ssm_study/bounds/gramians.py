@@ -10,6 +10,9 @@ from jaxtyping import Float
 from ssm_study.refusal import require
 from ssm_study.systems import JacobianBall, StateSpace
 
+Square = Float[np.ndarray, "n n"]
+InputMatrix = Float[np.ndarray, "n m"]
+
 # Hankel singular values below this share of the largest are rounding: they are square roots of what
 # is known to 1e-16.
 BALANCING_FLOOR = 1e-8
@@ -18,9 +21,7 @@ RANK_FLOOR = (
 )
 
 
-def controllability_gramian(
-    a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], horizon: int | None = None
-) -> Float[np.ndarray, "n n"]:
+def controllability_gramian(a: Square, b: InputMatrix, horizon: int | None = None) -> Square:
     """Controllability Gramian of a pair `(A, B)`, over a finite or infinite horizon. `W = sum_k A^k
     B B^T (A^T)^k`, over `horizon` samples or, for a stable model, over all: `W = A W A^T + B B^T`.
 
@@ -28,15 +29,11 @@ def controllability_gramian(
     horizon on a model that is not stable. Source: [Z26] eq. (9), without the scaffolding.
     """
     if horizon is None:
-        radius = float(np.abs(np.linalg.eigvals(a)).max())
+        eigenvalues = np.linalg.eigvals(a)
+        radius = float(np.abs(eigenvalues).max())
         problem = "the infinite-horizon Gramian of a model that is not stable does not exist"
-        require(
-            radius < 1,
-            "spectral_radius",
-            radius,
-            problem,
-            "use a finite horizon, or identify a stable model",
-        )
+        remedy = "use a finite horizon, or identify a stable model"
+        require(radius < 1, "spectral_radius", radius, problem, remedy)
         w = scipy.linalg.solve_discrete_lyapunov(a, b @ b.T)
     else:
         w = np.zeros_like(a)
@@ -68,37 +65,39 @@ def balanced_realization(linear: StateSpace, order: int | None = None) -> StateS
     require(1 <= order <= linear.order, "truncate_to", order, problem, "choose 1 .. order")
     root_c, root_o = _gramian_factors(linear)
     left, hankel, right_t = np.linalg.svd(root_o.T @ root_c)  # R_o^T R_c = U Sigma V^T
-    well = hankel > BALANCING_FLOOR * hankel[0]
+    largest = hankel[0]
+    is_well_conditioned = hankel > BALANCING_FLOOR * largest
     least = float(hankel[order - 1])
     problem = (
-        f"below {BALANCING_FLOOR:g} of the largest ({hankel[0]:.3g}), so balanced coordinates "
+        f"below {BALANCING_FLOOR:g} of the largest ({largest:.3g}), so balanced coordinates "
         "are ill-conditioned"
     )
-    require(
-        well[order - 1],
-        "hankel_smallest",
-        least,
-        problem,
-        f"set reduction.truncate_to to at most {well.sum()}",
-    )
+    remedy = f"set reduction.truncate_to to at most {is_well_conditioned.sum()}"
+    require(is_well_conditioned[order - 1], "hankel_smallest", least, problem, remedy)
     scale = 1 / np.sqrt(hankel[:order])
-    t = root_c @ right_t[:order].T * scale  # T = R_c V Sigma^{-1/2}
-    t_inverse = scale[:, None] * (left[:, :order].T @ root_o.T)  # Sigma^{-1/2} U^T R_o^T
+    right = right_t[:order].T
+    left_t = left[:, :order].T
+    t = root_c @ right * scale  # T = R_c V Sigma^{-1/2}
+    t_inverse = scale[:, None] * (left_t @ root_o.T)  # Sigma^{-1/2} U^T R_o^T
     a = t_inverse @ linear.a @ t
     b = t_inverse @ linear.b
     c = linear.c @ t
     return StateSpace(a=a, b=b, c=c, d=linear.d)
 
 
-def _gramian_factors(linear: StateSpace) -> list[Float[np.ndarray, "n n"]]:
-    """Square-root factors of the controllability and observability Gramians. `R` with `R R^T = W`,
-    by eigenvalues, so that a singular Gramian is no error."""
-    factors = []
-    for a, b in ((linear.a, linear.b), (linear.a.T, linear.c.T)):
-        values, vectors = np.linalg.eigh(controllability_gramian(a, b))
-        roots = np.sqrt(np.maximum(values, 0.0))
-        factors.append(vectors * roots)
-    return factors
+def _gramian_factors(linear: StateSpace) -> tuple[Square, Square]:
+    """Square-root factors of the controllability and observability Gramians."""
+    controllability_factor = _square_root_factor(controllability_gramian(linear.a, linear.b))
+    observability_factor = _square_root_factor(controllability_gramian(linear.a.T, linear.c.T))
+    return controllability_factor, observability_factor
+
+
+def _square_root_factor(gramian: Square) -> Square:
+    """Square-root factor of a Gramian, `R` with `R R^T = W`, by eigenvalues, so that a singular
+    Gramian is no error."""
+    values, vectors = np.linalg.eigh(gramian)
+    roots = np.sqrt(np.maximum(values, 0.0))
+    return vectors * roots
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,9 +117,7 @@ class LocalProperty:
     upper: float
 
 
-def bound_local_controllability(
-    a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: JacobianBall
-) -> LocalProperty:
+def bound_local_controllability(a: Square, b: InputMatrix, ball: JacobianBall) -> LocalProperty:
     """Bound from both sides how strongly inputs reach the states of a nonlinear model along any
     trajectory. The states can be steered in both directions along any input if `(A, B)` is
     controllable and `mu_u > 0`.
@@ -128,14 +125,26 @@ def bound_local_controllability(
     Of `(A^T, C^T)`: along any trajectory nearby states can be told apart, if `(A, C)` is observable
     and `mu_y > 0`.
     """
-    values = np.linalg.eigvalsh(controllability_gramian(a, b, len(a)))
-    mu = abs(ball.alpha) - ball.beta
-    nu = abs(ball.alpha) + ball.beta  # least and largest gain of a Jacobian
-    # Popov-Belevitch-Hautus: a mode lambda is out of reach iff [A - lambda I, B] loses rank.
-    tests = [np.hstack([a - mode * np.eye(len(a)), b]) for mode in np.linalg.eigvals(a)]
-    distance = min(float(np.linalg.svd(test, compute_uv=False)[-1]) for test in tests)
+    order = len(a)
+    gramian = controllability_gramian(a, b, order)
+    values = np.linalg.eigvalsh(gramian)
+    least_gain = abs(ball.alpha) - ball.beta  # mu: of a Jacobian in the ball
+    largest_gain = abs(ball.alpha) + ball.beta  # nu
     size = np.linalg.norm(np.hstack([a, b]), 2)
-    is_reached = distance > RANK_FLOOR * size
-    lower = max(mu, 0.0) ** 2 * max(values[0], 0.0)
-    upper = nu**2 * values[-1]
-    return LocalProperty(holds=bool(mu > 0 and is_reached), lower=float(lower), upper=float(upper))
+    is_reached = _distance_to_uncontrollable(a, b) > RANK_FLOOR * size
+    holds = bool(least_gain > 0 and is_reached)
+    lower = max(least_gain, 0.0) ** 2 * max(values[0], 0.0)
+    upper = largest_gain**2 * values[-1]
+    return LocalProperty(holds=holds, lower=float(lower), upper=float(upper))
+
+
+def _distance_to_uncontrollable(a: Square, b: InputMatrix) -> float:
+    """Smallest singular value of `[A - lambda I, B]` over the modes lambda. By Popov, Belevitch and
+    Hautus a mode is out of reach iff this matrix loses rank."""
+    identity = np.eye(len(a))
+    smallest_values = []
+    for mode in np.linalg.eigvals(a):
+        reachability_test = np.hstack([a - mode * identity, b])
+        singular_values = np.linalg.svd(reachability_test, compute_uv=False)
+        smallest_values.append(float(singular_values[-1]))
+    return min(smallest_values)

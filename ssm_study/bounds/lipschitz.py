@@ -27,15 +27,20 @@ def is_proved_nonexpansive(network: Network, multipliers: Sequence[Float[np.ndar
     if not all((t > 0).all() for t in multipliers):
         return False
     selections = _selection_matrices(network)
-    form = selections[0].T @ selections[0]
+    input_selection = selections[0]
+    form = input_selection.T @ input_selection
     for layer, (weight, _, negative, positive) in enumerate(network.hidden_layers()):
-        drive = Exact.from_floats(weight) @ selections[layer]
+        pre_activation = Exact.from_floats(weight) @ selections[layer]
         output = selections[layer + 1]
-        above = output - _exact_diagonal_matrix(np.minimum(negative, positive)) @ drive
-        below = _exact_diagonal_matrix(np.maximum(negative, positive)) @ drive - output
-        sector = above.T @ (_exact_diagonal_matrix(multipliers[layer]) @ below)
+        least_slopes = _exact_diagonal_matrix(np.minimum(negative, positive))
+        largest_slopes = _exact_diagonal_matrix(np.maximum(negative, positive))
+        multiplier = _exact_diagonal_matrix(multipliers[layer])
+        above_least = output - least_slopes @ pre_activation
+        below_largest = largest_slopes @ pre_activation - output
+        sector = above_least.T @ (multiplier @ below_largest)
         form = form - sector - sector.T
-    response = Exact.from_floats(network.weights[-1]) @ selections[-1]
+    last_weight = Exact.from_floats(network.weights[-1])
+    response = last_weight @ selections[-1]
     return is_positive_definite(form - response.T @ response)
 
 
@@ -45,9 +50,11 @@ def _selection_matrices(network: Network) -> list[Exact]:
     sizes = [network.inputs, *(len(bias) for bias in network.biases)]
     ends = np.cumsum(sizes)
     identity = np.eye(ends[-1])
-    return [
-        Exact.from_floats(identity[end - size : end]) for size, end in zip(sizes, ends, strict=True)
-    ]
+    selections = []
+    for size, end in zip(sizes, ends, strict=True):
+        rows = identity[end - size : end]
+        selections.append(Exact.from_floats(rows))
+    return selections
 
 
 def _exact_diagonal_matrix(entries: Float[np.ndarray, "_"]) -> Exact:

@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.bounds.network import Network
+from ssm_study.bounds.network import Matrix, Network, Vector
 from ssm_study.refusal import BadRequest, require
 
 # The radius is recomputed from the solver's multipliers by a Schur complement in floats; widened by
@@ -42,68 +42,65 @@ def lipsdp_ball(
     shape = (network.outputs, network.inputs)
     centre = cp.Variable() * np.eye(network.inputs) if scalar_centre else cp.Variable(shape)
     square = cp.Variable(nonneg=True)  # L^2: the inequality is linear in it
-    first = _selection_matrix(network, 0)
-    last = _selection_matrix(network, len(hidden))
-    form = _slope_constraint(network, multipliers) + square * first.T @ first
-    output = network.weights[-1] @ last - centre @ first
+    input_selection = _selection_matrix(network, 0)
+    output_selection = _selection_matrix(network, len(hidden))
+    form = _slope_constraint(network, multipliers) + square * input_selection.T @ input_selection
+    deviation = network.weights[-1] @ output_selection - centre @ input_selection  # W d - C v
     # Schur complement of |W d - C v|^2
-    matrix = cp.bmat([[form, output.T], [output, np.eye(network.outputs)]])
+    identity = np.eye(network.outputs)
+    matrix = cp.bmat([[form, deviation.T], [deviation, identity]])
     problem = cp.Problem(cp.Minimize(square), [matrix >> 0])
+    _solve(problem)
+    message = f"the solver reports {problem.status}"
+    require(square.value is not None, "bound_method", "lipsdp", message, "use interval")
+    best_centre = np.asarray(centre.value, dtype=float).reshape(shape)
+    values = [np.asarray(t.value, dtype=float) for t in multipliers]
+    radii = []
+    for share in ENLARGED:
+        enlarged = [(1 + share) * t for t in values]
+        radii.append(_proved_radius(network, enlarged, best_centre))
+    radius = min(radii)
+    message = "the multipliers do not prove a bound"
+    require(np.isfinite(radius), "bound_method", "lipsdp", message, "use interval")
+    return best_centre, radius
+
+
+def _solve(problem: cp.Problem) -> None:
+    """Solve a semidefinite program without the solver's warnings. Raises `BadRequest` if the solver
+    fails."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             problem.solve(solver="CLARABEL")
     except (cp.error.SolverError, ArithmeticError) as error:
-        raise BadRequest(
-            "bound_method", "lipsdp", f"the solver failed ({error})", "use interval"
-        ) from error
-    require(
-        square.value is not None,
-        "bound_method",
-        "lipsdp",
-        f"the solver reports {problem.status}",
-        "use interval",
-    )
-    best = np.asarray(centre.value, dtype=float).reshape(shape)
-    values = [np.asarray(t.value, dtype=float) for t in multipliers]
-    radius = min(
-        _proved_radius(network, [(1 + share) * t for t in values], best) for share in ENLARGED
-    )
-    require(
-        np.isfinite(radius),
-        "bound_method",
-        "lipsdp",
-        "the multipliers do not prove a bound",
-        "use interval",
-    )
-    return best, radius
+        message = f"the solver failed ({error})"
+        raise BadRequest("bound_method", "lipsdp", message, "use interval") from error
 
 
-def _proved_radius(
-    network: Network, multipliers: list[Float[np.ndarray, "_"]], centre: Float[np.ndarray, "k m"]
-) -> float:
+def _proved_radius(network: Network, multipliers: list[Vector], centre: Matrix) -> float:
     """Smallest radius of a ball of Jacobians around a given centre that given multipliers prove;
     infinite if they prove none. The radius follows from the Schur complement onto v of all other
     signals."""
     m = network.inputs
     largest = max(float(t.max(initial=0.0)) for t in multipliers)
-    kept = [
-        np.maximum(t, 0) + 1e-9 * largest for t in multipliers
-    ]  # strictly positive, so the block is invertible
-    form = _slope_constraint(network, kept)
-    output = network.weights[-1] @ _selection_matrix(
-        network, len(kept)
-    ) - centre @ _selection_matrix(network, 0)
-    form = form - output.T @ output
-    inner = (form[m:, m:] + form[m:, m:].T) / 2
+    # strictly positive, so the block is invertible
+    positive = [np.maximum(t, 0) + 1e-9 * largest for t in multipliers]
+    input_selection = _selection_matrix(network, 0)
+    output_selection = _selection_matrix(network, len(positive))
+    deviation = network.weights[-1] @ output_selection - centre @ input_selection
+    form = _slope_constraint(network, positive) - deviation.T @ deviation
+    neuron_block = form[m:, m:]
+    symmetric_block = (neuron_block + neuron_block.T) / 2
     try:
-        factor = scipy.linalg.cho_factor(inner)  # fails where these multipliers prove nothing
-    except np.linalg.LinAlgError:
+        factor = scipy.linalg.cho_factor(symmetric_block)
+    except np.linalg.LinAlgError:  # these multipliers prove nothing
         return np.inf
-    needed = form[:m, m:] @ scipy.linalg.cho_solve(factor, form[m:, :m]) - form[:m, :m]
-    return float(
-        np.sqrt(max(np.linalg.eigvalsh((needed + needed.T) / 2)[-1], 0.0)) * (1 + ROUNDING_SHARE)
-    )
+    solution = scipy.linalg.cho_solve(factor, form[m:, :m])
+    schur_complement = form[:m, m:] @ solution - form[:m, :m]
+    symmetric_complement = (schur_complement + schur_complement.T) / 2
+    squared_radius = max(np.linalg.eigvalsh(symmetric_complement)[-1], 0.0)
+    radius = np.sqrt(squared_radius) * (1 + ROUNDING_SHARE)
+    return float(radius)
 
 
 def _selection_matrix(network: Network, layer: int) -> Float[np.ndarray, "h w"]:
@@ -111,7 +108,9 @@ def _selection_matrix(network: Network, layer: int) -> Float[np.ndarray, "h w"]:
     `(v, d_1, ..., d_L)`; layer 0 stands for the input `v`."""
     sizes = [network.inputs, *(len(b) for b in network.biases)]
     start = sum(sizes[:layer])
-    return np.eye(sum(sizes))[start : start + sizes[layer]]
+    end = start + sizes[layer]
+    identity = np.eye(sum(sizes))
+    return identity[start:end]
 
 
 def _slope_constraint(network: Network, multipliers: Sequence[Any]) -> Any:
@@ -119,13 +118,14 @@ def _slope_constraint(network: Network, multipliers: Sequence[Any]) -> Any:
     q)^T T (hi q - d)` as a symmetric matrix; T symbolic or numeric."""
     total: Any = 0
     for layer, t in enumerate(multipliers):
-        low, high = np.sort(
-            np.stack([network.negative_slopes[layer], network.positive_slopes[layer]]), axis=0
-        )
-        d = _selection_matrix(network, layer + 1)
-        q = network.weights[layer] @ _selection_matrix(network, layer)
-        left = d - low[:, None] * q
-        right = high[:, None] * q - d
-        scaled = (cp.diag(t) if isinstance(t, cp.Expression) else np.diag(t)) @ right
-        total = total - (left.T @ scaled + scaled.T @ left)
+        negative = network.negative_slopes[layer]
+        positive = network.positive_slopes[layer]
+        low, high = np.sort(np.stack([negative, positive]), axis=0)
+        output = _selection_matrix(network, layer + 1)
+        pre_activation = network.weights[layer] @ _selection_matrix(network, layer)
+        above_least = output - low[:, None] * pre_activation
+        below_largest = high[:, None] * pre_activation - output
+        diagonal = cp.diag(t) if isinstance(t, cp.Expression) else np.diag(t)
+        scaled = diagonal @ below_largest
+        total = total - (above_least.T @ scaled + scaled.T @ above_least)
     return total

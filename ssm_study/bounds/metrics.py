@@ -4,13 +4,13 @@ Gramians."""
 from typing import Any
 
 from ssm_study.bounds.gramians import bound_local_controllability, hankel_singular_values
-from ssm_study.bounds.slopes import jacobian_ball, spectral_norm_bound
+from ssm_study.bounds.slopes import SlopeBound, jacobian_ball, spectral_norm_bound
 from ssm_study.columns import ITERATED, Column
 from ssm_study.systems import StructuredSystem
 
 NOT_KEPT = "the model before its reduction is not kept in the run's folder"
 
-COLUMNS = (
+LINEAR_COLUMNS = (
     Column(
         "fit_test_before_reduction_percent",
         "Float64",
@@ -31,6 +31,9 @@ COLUMNS = (
         unit="–",
         tolerance=ITERATED,
     ),
+)
+
+SLOPE_COLUMNS = (
     Column("input_slope_lower", "Float64", "high", word="Smallest slope of S_u", unit="–"),
     Column("input_slope_upper", "Float64", "low", word="Largest slope of S_u", unit="–"),
     Column("output_slope_lower", "Float64", "high", word="Smallest slope of S_y", unit="–"),
@@ -40,6 +43,9 @@ COLUMNS = (
         "input_slope_lower_spectral", "Float64", word="Smallest slope of S_u from norms (unsound)"
     ),
     Column("input_slope_upper_spectral", "Float64", word="Largest slope of S_u from norms"),
+)
+
+CONTROLLABILITY_COLUMNS = (
     Column("local_controllability", "boolean", "high", word="Locally controllable"),
     Column(
         "controllability_gramian_lower",
@@ -53,6 +59,9 @@ COLUMNS = (
         word="Controllability Gramian, largest",
         tolerance=ITERATED,
     ),
+)
+
+OBSERVABILITY_COLUMNS = (
     Column("local_observability", "boolean", "high", word="Locally observable"),
     Column(
         "observability_gramian_lower",
@@ -68,6 +77,8 @@ COLUMNS = (
     ),
 )
 
+COLUMNS = (*LINEAR_COLUMNS, *SLOPE_COLUMNS, *CONTROLLABILITY_COLUMNS, *OBSERVABILITY_COLUMNS)
+
 
 def model_bound_columns(model: Any) -> dict[str, Any]:
     """Columns with the properties of the model without a controller: slopes, spectral radius,
@@ -77,34 +88,39 @@ def model_bound_columns(model: Any) -> dict[str, Any]:
     Local controllability and observability, [Z26] Propositions 1 and 2, are of a recurrence without
     neurons. One that integrates has no Hankel values.
     """
-    facts = dict[str, Any]()
-    bounds = {
-        "input": jacobian_ball(model.scaffold_in),
-        "output": jacobian_ball(model.scaffold_out),
-    }
-    for side, bound in bounds.items():
-        facts |= {f"{side}_slope_lower": bound.lower, f"{side}_slope_upper": bound.upper}
-    sound = bounds["input"].lower, bounds["input"].upper
-    lower, upper = (
-        spectral_norm_bound(model.scaffold_in.network) if model.scaffold_in.kind == "mlp" else sound
-    )
-    facts |= {"input_slope_lower_spectral": lower, "input_slope_upper_spectral": upper}
-    facts |= {"bound_method": bounds["input"].method, "states": model.linear.order}
-    facts |= {"spectral_radius": model.linear.spectral_radius}
-    if model.linear.spectral_radius < 1:
-        hankel = hankel_singular_values(model.linear)
-        facts |= {"hankel_largest": float(hankel[0]), "hankel_smallest": float(hankel[-1])}
+    linear = model.linear
+    input_bound = jacobian_ball(model.scaffold_in)
+    output_bound = jacobian_ball(model.scaffold_out)
+    facts = _slope_columns(model, input_bound, output_bound)
+    facts["states"] = linear.order
+    facts["spectral_radius"] = linear.spectral_radius
+    if linear.spectral_radius < 1:
+        hankel = hankel_singular_values(linear)
+        facts["hankel_largest"] = float(hankel[0])
+        facts["hankel_smallest"] = float(hankel[-1])
     if isinstance(getattr(model, "system", None), StructuredSystem):
         return facts
-    linear = model.linear
-    input_ball = bounds["input"].ball
-    output_ball = bounds["output"].ball
-    properties = {
-        "controllability": bound_local_controllability(linear.a, linear.b, input_ball),
-        "observability": bound_local_controllability(linear.a.T, linear.c.T, output_ball),
-    }
+    controllability = bound_local_controllability(linear.a, linear.b, input_bound.ball)
+    observability = bound_local_controllability(linear.a.T, linear.c.T, output_bound.ball)
+    properties = {"controllability": controllability, "observability": observability}
     for name, local in properties.items():
         facts[f"local_{name}"] = local.holds
         facts[f"{name}_gramian_lower"] = local.lower
         facts[f"{name}_gramian_upper"] = local.upper
+    return facts
+
+
+def _slope_columns(model: Any, input_bound: SlopeBound, output_bound: SlopeBound) -> dict[str, Any]:
+    """Columns with the proved slopes of the input map and the output map, and with the paper's."""
+    facts = dict[str, Any]()
+    for side, bound in {"input": input_bound, "output": output_bound}.items():
+        facts[f"{side}_slope_lower"] = bound.lower
+        facts[f"{side}_slope_upper"] = bound.upper
+    lower = input_bound.lower
+    upper = input_bound.upper
+    if model.scaffold_in.kind == "mlp":
+        lower, upper = spectral_norm_bound(model.scaffold_in.network)
+    facts["input_slope_lower_spectral"] = lower
+    facts["input_slope_upper_spectral"] = upper
+    facts["bound_method"] = input_bound.method
     return facts

@@ -15,15 +15,19 @@ from jaxtyping import Float
 
 from ssm_study.refusal import require
 
+Vector = Float[np.ndarray, "_"]
+Matrix = Float[np.ndarray, "_ _"]
+Points = Float[np.ndarray, "*batch m"]
+Values = Float[np.ndarray, "*batch k"]
+Activations = Float[np.ndarray, "*batch h"]
+Slopes = Float[np.ndarray, "h"]
 
-def leaky_relu(
-    z: Float[np.ndarray, "*batch h"],
-    negative: Float[np.ndarray, "h"],
-    positive: Float[np.ndarray, "h"],
-) -> Float[np.ndarray, "*batch h"]:
+
+def leaky_relu(z: Activations, negative: Slopes, positive: Slopes) -> Activations:
     """Leaky ReLU with one slope for positive and one for negative arguments. `phi(z) = positive
     z` for `z >= 0`, `negative z` below."""
-    return np.where(z >= 0, positive, negative) * z
+    slopes = np.where(z >= 0, positive, negative)
+    return slopes * z
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,38 +42,42 @@ class Network:
     `positive_slopes[l] (h_{l+1},)`.
     """
 
-    weights: tuple[Float[np.ndarray, "_ _"], ...]
-    biases: tuple[Float[np.ndarray, "_"], ...]
-    negative_slopes: tuple[Float[np.ndarray, "_"], ...]
-    positive_slopes: tuple[Float[np.ndarray, "_"], ...]
+    weights: tuple[Matrix, ...]
+    biases: tuple[Vector, ...]
+    negative_slopes: tuple[Vector, ...]
+    positive_slopes: tuple[Vector, ...]
 
     def __post_init__(self) -> None:
-        widths = [w.shape[0] for w in self.weights[:-1]]
-        fits = len(self.weights) >= 2 and all(
-            w.shape[1] == h for w, h in zip(self.weights[1:], widths, strict=True)
-        )
+        shapes = [weight.shape for weight in self.weights]
+        widths = [shape[0] for shape in shapes[:-1]]
+        input_widths = [shape[1] for shape in shapes[1:]]
+        layer_shapes = [(width,) for width in widths]
+        fits = len(shapes) >= 2 and input_widths == widths
         for layers in (self.biases, self.negative_slopes, self.positive_slopes):
-            fits = fits and [layer.shape for layer in layers] == [(h,) for h in widths]
-        shapes = [w.shape for w in self.weights]
-        require(
-            fits, "weights", shapes, "the layers do not fit each other", "write model.json again"
-        )
+            fits = fits and [layer.shape for layer in layers] == layer_shapes
+        problem = "the layers do not fit each other"
+        require(fits, "weights", shapes, problem, "write model.json again")
 
     @property
     def inputs(self) -> int:
         """Number of inputs."""
-        return self.weights[0].shape[1]
+        first_weight = self.weights[0]
+        return first_weight.shape[1]
 
     @property
     def outputs(self) -> int:
         """Number of outputs."""
-        return self.weights[-1].shape[0]
+        last_weight = self.weights[-1]
+        return last_weight.shape[0]
 
-    def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch k"]:
+    def __call__(self, v: Points) -> Values:
         d = v
         for w, b, low, high in self.hidden_layers():
-            d = leaky_relu(d @ w.T + b, low, high) - leaky_relu(b, low, high)
-        return d @ self.weights[-1].T
+            z = d @ w.T + b
+            at_zero = leaky_relu(b, low, high)
+            d = leaky_relu(z, low, high) - at_zero
+        last_weight = self.weights[-1]
+        return d @ last_weight.T
 
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:
         """Jacobian matrix of the network at a point. `W_{L+1} Phi_L W_L ... Phi_1 W_1` with the
@@ -78,27 +86,25 @@ class Network:
         product = np.eye(self.inputs)
         for w, b, low, high in self.hidden_layers():
             z = w @ d + b
-            product = np.where(z >= 0, high, low)[:, None] * (
-                w @ product
-            )  # chain rule, slopes as they are active
-            d = leaky_relu(z, low, high) - leaky_relu(b, low, high)
+            active_slopes = np.where(z >= 0, high, low)
+            product = active_slopes[:, None] * (w @ product)  # chain rule
+            at_zero = leaky_relu(b, low, high)
+            d = leaky_relu(z, low, high) - at_zero
         return self.weights[-1] @ product
 
     def hidden_layers(self) -> list[tuple[Float[np.ndarray, "..."], ...]]:
         """Weight, bias, negative and positive slopes of each hidden layer."""
-        return list(
-            zip(
-                self.weights[:-1],
-                self.biases,
-                self.negative_slopes,
-                self.positive_slopes,
-                strict=True,
-            )
-        )
+        hidden_weights = self.weights[:-1]
+        slopes = (self.negative_slopes, self.positive_slopes)
+        layers = zip(hidden_weights, self.biases, *slopes, strict=True)
+        return list(layers)
 
     def to_json(self) -> dict[str, Any]:
         """Weights, biases and slopes as nested lists for JSON."""
-        return {name: [layer.tolist() for layer in layers] for name, layers in vars(self).items()}
+        lists = {}
+        for name, layers in vars(self).items():
+            lists[name] = [layer.tolist() for layer in layers]
+        return lists
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,43 +115,52 @@ class PortableMap:
     linear: Float[np.ndarray, "k m"]
     network: Network | None
 
-    def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch k"]:
-        straight = v @ self.linear.T
-        return straight if self.network is None else straight + self.network(v)
+    def __call__(self, v: Points) -> Values:
+        linear_value = v @ self.linear.T
+        if self.network is None:
+            return linear_value
+        return linear_value + self.network(v)
 
     def as_network(self) -> Network:
         """Rewrite the whole map as one network, with its linear part as neurons of slope one."""
         inputs = self.linear.shape[1]
-        through = np.eye(self.linear.shape[1])
-        zero = np.zeros(inputs)
-        one = np.ones(inputs)
+        identity = np.eye(inputs)
+        no_bias = np.zeros(inputs)
+        unit_slopes = np.ones(inputs)
         if self.network is None:
-            slopes = {"negative_slopes": (one,), "positive_slopes": (one,)}
-            return Network(weights=(through, self.linear), biases=(zero,), **slopes)
+            return Network(
+                weights=(identity, self.linear),
+                biases=(no_bias,),
+                negative_slopes=(unit_slopes,),
+                positive_slopes=(unit_slopes,),
+            )
         net = self.network
-        first = np.vstack([net.weights[0], through])
-        inner = [scipy.linalg.block_diag(weight, through) for weight in net.weights[1:-1]]
-        last = np.hstack([net.weights[-1], self.linear])
-        biases = [np.append(bias, zero) for bias in net.biases]
-        negative_slopes = [np.append(slopes, one) for slopes in net.negative_slopes]
-        positive_slopes = [np.append(slopes, one) for slopes in net.positive_slopes]
+        first_weight, *inner_weights, last_weight = net.weights
+        first = np.vstack([first_weight, identity])
+        inner = [scipy.linalg.block_diag(weight, identity) for weight in inner_weights]
+        last = np.hstack([last_weight, self.linear])
         return Network(
             weights=(first, *inner, last),
-            biases=tuple(biases),
-            negative_slopes=tuple(negative_slopes),
-            positive_slopes=tuple(positive_slopes),
+            biases=_append_to_each(net.biases, no_bias),
+            negative_slopes=_append_to_each(net.negative_slopes, unit_slopes),
+            positive_slopes=_append_to_each(net.positive_slopes, unit_slopes),
         )
 
     def to_json(self) -> dict[str, Any]:
         """Linear part and network as nested lists for JSON."""
-        columns = {"linear": self.linear.tolist()}
-        network = {} if self.network is None else self.network.to_json()
-        return columns | network
+        linear_part = {"linear": self.linear.tolist()}
+        if self.network is None:
+            return linear_part
+        return linear_part | self.network.to_json()
+
+
+def _append_to_each(layers: tuple[Vector, ...], entries: Vector) -> tuple[Vector, ...]:
+    """Append the same entries to the vector of each layer."""
+    return tuple(np.append(layer, entries) for layer in layers)
 
 
 Exact = tuple[np.ndarray, int]  # integers and bits: the value is integers / 2^bits
 End = Fraction | float  # of an interval; a float only where it is infinite
-Row = Float[np.ndarray, "_"]
 
 
 @dataclass(frozen=True)
@@ -181,70 +196,82 @@ def slope_interval(network: Network) -> tuple[Fraction, Fraction]:
 def break_points(network: Network) -> list[Fraction]:
     """Points, in ascending order, at which the slope of a scalar network may change. Raises
     `BadRequest` for more than one channel."""
-    return [piece.low for piece in _affine_pieces(network) if isinstance(piece.low, Fraction)]
+    lower_ends = [piece.low for piece in _affine_pieces(network)]
+    return [end for end in lower_ends if isinstance(end, Fraction)]
 
 
 def _affine_pieces(network: Network) -> list[_Piece]:
     """Affine pieces of a scalar network, found layer by layer. Refuses a network with several
     inputs or outputs."""
     shape = (network.inputs, network.outputs)
-    require(
-        shape == (1, 1),
-        "scaffold",
-        shape,
-        "break points order scalar maps only",
-        "use method=interval or lipsdp",
-    )
+    problem = "break points order scalar maps only"
+    require(shape == (1, 1), "scaffold", shape, problem, "use method=interval or lipsdp")
     one = np.array([1], dtype=object)
-    pieces = [_Piece(-inf, inf, one, 0 * one, 0)]
+    identity = _Piece(-inf, inf, slope=one, offset=0 * one, bits=0)
+    pieces = [identity]
     for weights, biases, *slopes in network.hidden_layers():
-        layer = (
-            _as_scaled_integers(weights),
-            _as_scaled_integers(biases),
-            _as_scaled_integers(np.stack(slopes)),
-        )
-        pieces = [part for piece in pieces for part in _split_at_layer(piece, *layer)]
+        exact_weights = _as_scaled_integers(weights)
+        exact_biases = _as_scaled_integers(biases)
+        exact_slopes = _as_scaled_integers(np.stack(slopes))
+        parts = list[_Piece]()
+        for piece in pieces:
+            parts += _split_at_layer(piece, exact_weights, exact_biases, exact_slopes)
+        pieces = parts
     return pieces
 
 
-def _as_scaled_integers(
-    matrix: Float[np.ndarray, "..."],
-) -> Exact:  # matrix = integers / 2^bits, exactly
+def _as_scaled_integers(matrix: Float[np.ndarray, "..."]) -> Exact:
     """Write a matrix of floats exactly as integers divided by a power of two. `matrix = integers /
     2^bits`."""
     ratios = [float(value).as_integer_ratio() for value in matrix.ravel()]
-    bits = max(denominator.bit_length() - 1 for _, denominator in ratios)
-    scaled = [
-        numerator << (bits - denominator.bit_length() + 1) for numerator, denominator in ratios
-    ]
-    return np.array(scaled, dtype=object).reshape(matrix.shape), bits
+    exponents = [denominator.bit_length() - 1 for _, denominator in ratios]
+    bits = max(exponents)
+    scaled = []
+    for (numerator, _), exponent in zip(ratios, exponents, strict=True):
+        scaled.append(numerator << (bits - exponent))
+    integers = np.array(scaled, dtype=object)
+    return integers.reshape(matrix.shape), bits
 
 
 def _split_at_layer(piece: _Piece, weights: Exact, biases: Exact, slopes: Exact) -> list[_Piece]:
     """Split an affine piece where a neuron of the next layer changes sign, and apply the neurons'
     slopes."""
-    affine = weights[1] + piece.bits
-    one = 1 << biases[1]
-    bits = affine + biases[1]  # of the pre-activations, in which the biases are integers too
-    at_zero = biases[0] * (1 << affine)
-    slope = weights[0] @ piece.slope * one
-    offset = weights[0] @ piece.offset * one + at_zero
+    weight_integers, weight_bits = weights
+    bias_integers, bias_bits = biases
+    (negative, positive), slope_bits = slopes
+    product_bits = weight_bits + piece.bits
+    one = 1 << bias_bits
+    bits = product_bits + bias_bits  # of the pre-activations, in which the biases are integers too
+    at_zero = bias_integers * (1 << product_bits)
+    slope = weight_integers @ piece.slope * one
+    offset = weight_integers @ piece.offset * one + at_zero
     zeros = {Fraction(-o, s) for s, o in zip(slope, offset, strict=True) if s != 0}
-    edges = [piece.low, *sorted(t for t in zeros if piece.low < t < piece.high), piece.high]
-    negative, positive = slopes[0]
-    start = np.where(at_zero >= 0, positive, negative) * at_zero
+    inner_edges = sorted(t for t in zeros if piece.low < t < piece.high)
+    edges = [piece.low, *inner_edges, piece.high]
+    slope_at_zero = np.where(at_zero >= 0, positive, negative)
+    value_at_zero = slope_at_zero * at_zero
+    output_bits = bits + slope_bits
     parts = []
     for low, high in pairwise(edges):
-        active = np.where(slope * _number_between(low, high) + offset >= 0, positive, negative)
-        parts.append(_Piece(low, high, active * slope, active * offset - start, bits + slopes[1]))
+        pre_activation = slope * _number_between(low, high) + offset
+        active = np.where(pre_activation >= 0, positive, negative)
+        output_slope = active * slope
+        output_offset = active * offset - value_at_zero
+        parts.append(_Piece(low, high, output_slope, output_offset, output_bits))
     return parts
 
 
 def _number_between(low: End, high: End) -> Fraction:
     """Number inside an interval that may be unbounded."""
-    if isinstance(low, Fraction):
-        return low + 1 if high == inf else (low + Fraction(high)) / 2
-    return Fraction(high) - 1 if high != inf else Fraction(0)
+    if not isinstance(low, Fraction):
+        return Fraction(0) if high == inf else Fraction(high) - 1
+    if high == inf:
+        return low + 1
+    return (low + Fraction(high)) / 2
+
+
+# Break points, slopes and offsets of a piecewise-linear function of one variable.
+ScalarPieces = tuple[Vector, Vector, Vector]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,15 +283,16 @@ class Inverse:
     """
 
     matrix: Float[np.ndarray, "m k"] | None = None
-    channels: tuple[tuple[Row, Row, Row], ...] = ()
+    channels: tuple[ScalarPieces, ...] = ()
 
-    def __call__(self, w: Float[np.ndarray, "*batch k"]) -> Float[np.ndarray, "*batch m"]:
+    def __call__(self, w: Values) -> Points:
         if self.matrix is not None:
             return w @ self.matrix.T
         v = np.empty_like(w)
         for c, (points, slopes, offsets) in enumerate(self.channels):
-            piece = np.searchsorted(points, w[..., c], side="right")
-            v[..., c] = slopes[piece] * w[..., c] + offsets[piece]
+            values = w[..., c]
+            piece = np.searchsorted(points, values, side="right")
+            v[..., c] = slopes[piece] * values + offsets[piece]
         return v
 
 
@@ -277,60 +305,73 @@ def invert_map(portable: PortableMap) -> Inverse | None:
     """
     gain = portable.linear
     if portable.network is None:
-        regular = len(set(gain.shape)) == 1 and np.linalg.matrix_rank(gain) == len(gain)
-        return Inverse(matrix=np.linalg.inv(gain)) if regular else None
-    inverses = [_invert_scalar_map(channel) for channel in _split_into_scalar_maps(portable)]
+        is_square = len(set(gain.shape)) == 1
+        is_regular = is_square and np.linalg.matrix_rank(gain) == len(gain)
+        return Inverse(matrix=np.linalg.inv(gain)) if is_regular else None
+    scalar_maps = _split_into_scalar_maps(portable)
+    inverses = [_invert_scalar_map(scalar_map) for scalar_map in scalar_maps]
     channels = tuple(channel for channel in inverses if channel is not None)
-    return Inverse(channels=channels) if inverses and len(channels) == len(inverses) else None
+    if not inverses or len(channels) < len(inverses):
+        return None
+    return Inverse(channels=channels)
 
 
 def _split_into_scalar_maps(portable: PortableMap) -> list[PortableMap]:
     """Split a static map into one scalar map for each channel; empty if a neuron couples two
     channels."""
     net = portable.network
-    gains = np.diagonal(portable.linear)
-    if portable.linear.shape == (1, 1):
+    linear = portable.linear
+    gains = np.diagonal(linear)
+    if linear.shape == (1, 1):
         return [portable]
     assert net is not None
     if len(net.biases) > 1:
         return []
     inner = net.weights[0]
     outer = net.weights[-1]
-    diagonal = np.array_equal(portable.linear, np.diag(gains))
+    is_diagonal = np.array_equal(linear, np.diag(gains))
     has_one_input = (inner != 0).sum(axis=1) <= 1
     leads_elsewhere = (outer.T != 0) & (inner == 0)
-    apart = has_one_input.all() and not np.any(leads_elsewhere)
-    if not diagonal or not apart:
+    is_decoupled = has_one_input.all() and not np.any(leads_elsewhere)
+    if not is_diagonal or not is_decoupled:
         return []
+    biases = net.biases[0]
+    negative_slopes = net.negative_slopes[0]
+    positive_slopes = net.positive_slopes[0]
     scalar_maps = []
     for c, gain in enumerate(gains):
         own = inner[:, c] != 0
-        channel = slice(c, c + 1)
+        own_inner = inner[own, c : c + 1]
+        own_outer = outer[c : c + 1, own]
         network = Network(
-            weights=(inner[own, channel], outer[channel, own]),
-            biases=(net.biases[0][own],),
-            negative_slopes=(net.negative_slopes[0][own],),
-            positive_slopes=(net.positive_slopes[0][own],),
+            weights=(own_inner, own_outer),
+            biases=(biases[own],),
+            negative_slopes=(negative_slopes[own],),
+            positive_slopes=(positive_slopes[own],),
         )
-        linear = np.array([[gain]])
-        scalar_maps.append(PortableMap(linear=linear, network=network))
+        own_linear = np.array([[gain]])
+        scalar_maps.append(PortableMap(linear=own_linear, network=network))
     return scalar_maps
 
 
-def _invert_scalar_map(portable: PortableMap) -> tuple[Row, Row, Row] | None:
+def _invert_scalar_map(portable: PortableMap) -> ScalarPieces | None:
     """Break points, slopes and offsets of the inverse of a scalar piecewise-linear map. None where
     the map is not strictly monotone."""
     points = [float(t) for t in break_points(portable.as_network())]
     knots = np.unique(points)  # pieces of one slope share a point
     t = np.array([-1.0, 1.0])
     if len(knots):
-        t = np.concatenate([[knots[0] - 1], knots, [knots[-1] + 1]])
+        below = knots[0] - 1
+        above = knots[-1] + 1
+        t = np.concatenate([[below], knots, [above]])
     w = portable(t[:, None])[:, 0]
     if w[-1] < w[0]:  # a falling map, from its other end
         t = t[::-1]
         w = w[::-1]
-    if not (np.diff(w) > 0).all():
+    rises = np.diff(w)
+    if not (rises > 0).all():
         return None
-    slopes = np.diff(t) / np.diff(w)  # of the inverse
-    offsets = t[:-1] - slopes * w[:-1]
-    return w[1:-1].copy(), slopes, offsets
+    inverse_slopes = np.diff(t) / rises
+    inverse_offsets = t[:-1] - inverse_slopes * w[:-1]
+    inverse_points = w[1:-1].copy()
+    return inverse_points, inverse_slopes, inverse_offsets

@@ -49,18 +49,22 @@ def bound_from_ball(ball: JacobianBall, method: str) -> SlopeBound:
 def enclosing_ball(lower: Fraction, upper: Fraction) -> JacobianBall:
     """Smallest ball of Jacobians in floats that contains an interval of slopes. `alpha - beta <=
     lower` and `upper <= alpha + beta` in exact arithmetic."""
-    require(
-        lower <= upper, "slopes", (float(lower), float(upper)), "lower exceeds upper", "swap them"
-    )
-    alpha = float((lower + upper) / 2)  # rounded; the radius covers it
-    radius = max(upper - Fraction(alpha), Fraction(alpha) - lower)
-    return JacobianBall(alpha=alpha, beta=-_round_down(-radius))
+    ends = (float(lower), float(upper))
+    require(lower <= upper, "slopes", ends, "lower exceeds upper", "swap them")
+    middle = (lower + upper) / 2
+    alpha = float(middle)  # rounded; the radius covers it
+    centre = Fraction(alpha)
+    radius = max(upper - centre, centre - lower)
+    beta = -_round_down(-radius)
+    return JacobianBall(alpha=alpha, beta=beta)
 
 
 def _round_down(value: Fraction) -> float:
     """Largest float that does not exceed a rational number."""
     nearest = float(value)
-    return nearest if Fraction(nearest) <= value else float(np.nextafter(nearest, -np.inf))
+    if Fraction(nearest) <= value:
+        return nearest
+    return float(np.nextafter(nearest, -np.inf))
 
 
 def enclosing_ball_at_scaled_identity(
@@ -77,7 +81,8 @@ def enclosing_ball_at_scaled_identity(
     if len(centre) > 1:
         deviation = centre - alpha * np.eye(len(centre))
         distance = float(np.linalg.norm(deviation, 2))
-    return JacobianBall(alpha=alpha, beta=distance * (1 + ROUNDING_SHARE) + radius)
+    beta = distance * (1 + ROUNDING_SHARE) + radius
+    return JacobianBall(alpha=alpha, beta=beta)
 
 
 def network_bound(network: Network) -> SlopeBound:
@@ -87,15 +92,17 @@ def network_bound(network: Network) -> SlopeBound:
         return bound_from_interval(*slope_interval(network), "break_points")
     interval = interval_bound(network)
     try:
-        # balls that exclude zero by their relative radius, as the frontier sees them; the others by
-        # their radius
-        return min(
-            interval,
-            lipsdp_bound(network),
-            key=lambda one: (min(one.ball.relative_radius, 1.0), one.ball.beta),
-        )
+        lipsdp = lipsdp_bound(network)
     except BadRequest:  # the solver failed: what it was to improve on stands
         return interval
+    return min(interval, lipsdp, key=_order_of_tightness)
+
+
+def _order_of_tightness(bound: SlopeBound) -> tuple[float, float]:
+    """Sort key of slope bounds, the smallest for the tightest. Balls that exclude zero compare by
+    their relative radius, as the frontier sees them; the others by their radius."""
+    relative_radius = min(bound.ball.relative_radius, 1.0)
+    return relative_radius, bound.ball.beta
 
 
 def lipsdp_bound(network: Network) -> SlopeBound:
@@ -104,7 +111,9 @@ def lipsdp_bound(network: Network) -> SlopeBound:
     from ssm_study.bounds.lipsdp import lipsdp_ball  # CVXPY takes a second to import
 
     centre, radius = lipsdp_ball(network, scalar_centre=True)
-    return bound_from_ball(JacobianBall(alpha=float(centre[0, 0]), beta=radius), method="lipsdp")
+    alpha = float(centre[0, 0])
+    ball = JacobianBall(alpha=alpha, beta=radius)
+    return bound_from_ball(ball, method="lipsdp")
 
 
 def interval_bound(network: Network) -> SlopeBound:
@@ -125,18 +134,18 @@ def interval_bound(network: Network) -> SlopeBound:
         radius = np.abs(weight) @ radius
         size = np.abs(weight) @ size
         middle = ((positive + negative) / 2)[:, None]
-        half = (np.abs(positive - negative) / 2)[:, None]
-        radius = np.abs(middle) * radius + half * (
-            np.abs(centre) + radius
-        )  # interval product, entry by entry
+        half_width = (np.abs(positive - negative) / 2)[:, None]
+        largest_slopes = np.maximum(np.abs(positive), np.abs(negative))
+        # interval product, entry by entry
+        radius = np.abs(middle) * radius + half_width * (np.abs(centre) + radius)
         centre = middle * centre
-        size = np.maximum(np.abs(positive), np.abs(negative))[:, None] * size
+        size = largest_slopes[:, None] * size
     last = network.weights[-1]
-    radius = np.abs(last) @ radius + ROUNDING_SHARE * (np.abs(last) @ size)
-    return bound_from_ball(
-        enclosing_ball_at_scaled_identity(last @ centre, float(np.linalg.norm(radius, 2))),
-        method="interval",
-    )
+    rounding = ROUNDING_SHARE * (np.abs(last) @ size)
+    radius = np.abs(last) @ radius + rounding
+    norm_of_radius = float(np.linalg.norm(radius, 2))
+    ball = enclosing_ball_at_scaled_identity(last @ centre, norm_of_radius)
+    return bound_from_ball(ball, method="interval")
 
 
 def spectral_norm_bound(network: Network) -> tuple[float, float]:
@@ -169,19 +178,14 @@ def jacobian_ball(scaffold: Any) -> SlopeBound:
     not square.
     """
     shape = (scaffold.outputs, scaffold.inputs)
-    require(
-        shape[0] == shape[1],
-        "scaffold",
-        shape,
-        "the theorems need a square scaffolding",
-        "use a square scaffolding",
-    )
+    problem = "the theorems need a square scaffolding"
+    require(shape[0] == shape[1], "scaffold", shape, problem, "use a square scaffolding")
     return scaffold.bound()
 
 
 def certified_balls(model: Any) -> Balls:
     """Proved balls of Jacobians of a model's input map and output map. Raises `BadRequest` where
     none is proved."""
-    return Balls(
-        input=jacobian_ball(model.scaffold_in).ball, output=jacobian_ball(model.scaffold_out).ball
-    )
+    input_bound = jacobian_ball(model.scaffold_in)
+    output_bound = jacobian_ball(model.scaffold_out)
+    return Balls(input=input_bound.ball, output=output_bound.ball)
