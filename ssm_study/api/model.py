@@ -25,6 +25,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.data.arrays import check_time_index, disturbance_values, signal_columns
 from ssm_study.data.metrics import data_columns
 from ssm_study.evidence.metrics import Judgement
+from ssm_study.models.bilinear import Bilinear
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.members import mean_output, member_columns
 from ssm_study.models.metrics import fit_columns, size_columns
@@ -93,6 +94,9 @@ class Model:
         if isinstance(self.simulator, SSM | StructuredSSM):
             return self.simulator
         kind = type(self.simulator).__name__
+        problem = "has products of input and state, for which no controller is designed"
+        remedy = "predict with it, and fit model=structured for control"
+        require(not isinstance(self.simulator, Bilinear), "model", kind, problem, remedy)
         problem = "is a baseline: it can be scored, but no controller can be certified for it"
         raise BadRequest("model", kind, problem, "fit model=structured or ssm")
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ssm_study.models import baselines
+from ssm_study.models.bilinear import Bilinear
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import require_one_of
@@ -14,5 +15,6 @@ def read_model_json(data: Mapping[str, Any]) -> Simulator:
     kind. An SSM has no kind there, a structured model has neurons instead."""
     if data.get("kind") is None:
         return StructuredSSM.from_json(data) if "neurons" in data else SSM.from_json(data)
-    require_one_of(kinds := Simulator.members(baselines), "kind", data["kind"])
+    kinds = Simulator.members(baselines) | {"bilinear": Bilinear}
+    require_one_of(kinds, "kind", data["kind"])
     return kinds[data["kind"]].from_json(data)

@@ -13,7 +13,7 @@ from ssm_study.family import Family
 from ssm_study.loop import peers
 from ssm_study.loop.controller import Controller
 from ssm_study.loop.peers.peer import Peer
-from ssm_study.models import baselines, scaffolds
+from ssm_study.models import baselines, bilinear, scaffolds
 from ssm_study.models.identified import Simulator
 from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.models.scaffolds.trainable import Trainable
@@ -57,8 +57,9 @@ def test_members_are_those_of_the_room() -> None:
     expected = {"linear", "mlp", "monotone", "residual"}
     assert set(scaffold) == expected
     simulator = Simulator.members(baselines)
-    expected = {"gru", "lstm", "narx"}
+    expected = {"bilinear", "gru", "lstm", "narx"}
     assert set(simulator) == expected
+    assert simulator["bilinear"] is bilinear.Bilinear
     reader = Reader.members(readers)
     assert {"", ".csv", ".txt", ".mat", ".mcap", ".parquet", ".xlsx"} < set(reader)
     peer = Peer.members(peers)

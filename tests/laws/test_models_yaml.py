@@ -113,7 +113,7 @@ def test_every_optimiser_yaml_lowers_the_error(choice: str, tmp_path: Path) -> N
 
 
 def test_a_model_without_a_network_to_train_says_so() -> None:
-    for choice in ("structured", "log", "n4sid", "narx", "output_error"):
+    for choice in ("structured", "log", "n4sid", "narx", "output_error", "bilinear"):
         with pytest.raises(TypeError, match="a training of its own"):
             read("model", choice).build(data_set(), 0)
 
