@@ -101,7 +101,7 @@ class Code:
         )
 
     def dependency_closure(self, roots: Iterable[Symbol]) -> set[Symbol]:
-        """All symbols that given symbols depend on, directly or through others, without those of
+        """All symbols that given symbols depend on, directly or through others, except
         libraries."""
         visited = set[Symbol]()
         waiting = {self._followed_symbol(symbol) for symbol in roots}
@@ -123,8 +123,7 @@ class Code:
                 self._read_module(module)
 
     def _followed_symbol(self, symbol: Symbol) -> Symbol:
-        """Symbol whose source is followed: the whole library, or a symbol under its present
-        name."""
+        """Symbol whose source is read, which is a whole library or a present name."""
         top = symbol[0].split(".")[0]
         if not self._is_followed(top):
             return (top, LIBRARY)

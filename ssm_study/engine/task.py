@@ -51,8 +51,8 @@ class Task(ABC, Generic[R]):
         """Run or plan every stage of the request, depending on the given store of stages."""
 
     def run(self, request: R, run: Run) -> Facts:  # noqa: ARG002
-        """Compute the columns that depend on all stages. `run.facts` holds the stages' columns,
-        `status` may be `infeasible`."""
+        """Compute the columns of a run's record that need the results of all its stages.
+        `run.facts` holds the stages' columns, `status` may be `infeasible`."""
         return {}
 
     def parameters(self, request: R) -> Facts:  # noqa: ARG002

@@ -1,5 +1,5 @@
-"""Parts of one run, built from a composed configuration. Every mistake in it is refused here,
-before any work."""
+"""Objects and settings of one run, built from a composed configuration. Every mistake in it is
+refused here, before any work."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -34,7 +34,7 @@ NONE: Mapping[str, Any] = MappingProxyType({})
 
 @dataclass(frozen=True, kw_only=True)
 class Specification:
-    """All parts and settings that determine one run.
+    """Objects and settings that determine one run, such as plant, model and training.
 
     `plant` is None when the data are recorded: the loop then runs on the model.
     """
@@ -55,8 +55,8 @@ class Specification:
 
     @classmethod
     def from_config(cls, config: DictConfig | Settings) -> "Specification":
-        """Build and check every part of a run. Raises `BadRequest` for the first part that is
-        wrong."""
+        """Build and check the objects of a run from its configuration. Raises `BadRequest` for the
+        first part that is wrong."""
         settings = plain_settings(config)
         # OmegaConf's own search resolves every name, which takes 15 ms a run.
         missing = next((path for path, _, value in walk_nodes(settings) if value == "???"), "")
