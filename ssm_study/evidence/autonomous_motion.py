@@ -1,8 +1,9 @@
 """Findings on an output that oscillates by itself, as in a limit cycle, so that no input predicts
 its phase.
 
-Where the input decides, a piece of a log is predicted as well from the log's beginning as from the
-piece's own estimated state: docs/trust.md, "Logs that cannot bear a judgement, and logs that can".
+Where the input decides, a piece of a log is predicted as well from the input since the log's
+beginning as from the piece's own estimated state: docs/trust.md, "Logs that cannot bear a
+judgement, and logs that can".
 """
 
 from collections.abc import Iterator
@@ -24,9 +25,10 @@ def judge_autonomous_motion(case: Case) -> list[Finding]:
     shares = predicted_power_shares(case)
     if shares is None or shares[1] >= BY_INPUT or shares[0] - shares[1] <= FORGOTTEN:
         return []
-    own, carried = (f"{100 * max(share, 0.0):.0f} %" for share in shares)
+    own, by_input = (f"{100 * max(share, 0.0):.0f} %" for share in shares)
     statement = (
-        f"Of the output's power {own} follow from where each piece begins, {carried} from the input"
+        f"Of the output's power {own} follow from where each piece begins, {by_input} from the "
+        "input"
     )
     return [
         Finding(
@@ -60,8 +62,9 @@ def predicted_power_shares(case: Case) -> tuple[float, float] | None:
         if past is None:
             continue
         log = Trajectory.concatenate([past, piece])
-        carried = simulate_record(case.model, log, skip)[-len(piece) :]
-        sides = (piece.y, piece.y - own, piece.y - carried)
+        from_equilibrium = simulate_record(case.model, log, start_up_samples=0)
+        by_input = from_equilibrium[-len(piece) :]
+        sides = (piece.y, piece.y - own, piece.y - by_input)
         powers.append([signal_power(side) for side in sides])
     if not powers:
         return None

@@ -28,6 +28,8 @@ from ssm_study.refusal import require, require_one_of
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet
 
+NO_JUDGEMENT = "the evidence allows no judgement"
+
 COLUMNS = (
     Column("evidence", "string", word="Evidence", unchecked=NOT_KEPT),
     Column("evidence_reasons", "string", word="What the evidence lacks", unchecked=NOT_KEPT),
@@ -129,8 +131,15 @@ def evidence_columns(judgement: Judgement, *_: Any) -> dict[str, Any]:
 
 
 def withhold_predictions(facts: dict[str, Any], level: str | None) -> dict[str, Any]:
-    """Remove the predictions from a design's columns if the evidence allows no prediction."""
+    """Remove what a design's columns say of the plant if the evidence allows no judgement.
+
+    The proof of coverage stays in the certificate; that the records show an error it covers does
+    not hold of records that cannot be judged.
+    """
     if level != CANNOT_JUDGE:
         return facts
-    predictions = ("predicted_stable", "predicted_faster")
-    return facts | {name: None for name in predictions if name in facts}
+    about_the_plant = ("predicted_stable", "predicted_faster", "coverage_needed")
+    withheld: dict[str, Any] = {name: None for name in about_the_plant if name in facts}
+    if facts.get("coverage") is not None:
+        withheld |= {"coverage": None, "coverage_reason": NO_JUDGEMENT, "coverage_reference": None}
+    return facts | withheld

@@ -11,7 +11,8 @@ from ssm_study.data.assembly import assemble_dataset
 from ssm_study.data.splits import split_by_time, split_into_blocks
 from ssm_study.evidence import autonomous_motion as own_motion
 from ssm_study.evidence import feedback
-from ssm_study.evidence.finding import Case
+from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, Case
+from ssm_study.evidence.metrics import NO_JUDGEMENT, withhold_predictions
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Channel, Trajectory
 from ssm_study.systems import StateSpace
@@ -83,6 +84,15 @@ def test_a_swing_that_goes_on_by_itself_cannot_be_judged(cut, noise):
 
 
 @pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
+def test_a_steady_swing_is_not_taken_for_the_inputs_because_the_model_carries_its_phase(cut):
+    """An undamped model predicts it from the state in which the log begins."""
+    y = np.cos(ANGLE * np.arange(SAMPLES))
+    (found,) = own_motion.judge_autonomous_motion(case(y, swinging(0.99995), cut))
+    assert found.level == "cannot judge"
+    assert "it moves by itself" in found.sentence
+
+
+@pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
 @pytest.mark.parametrize("noise", [0.0, 0.1, 1.5])
 @pytest.mark.parametrize("radius", [0.9, 0.99, 0.9995])
 def test_a_resonance_that_the_input_moves_is_judged_however_noisy(radius, noise, cut):
@@ -133,3 +143,13 @@ def test_pieces_of_no_common_log_say_nothing():
     judged = case(drifting_phase(0.0), swinging(0.9995), log=0)
     assert own_motion.predicted_power_shares(judged) is None
     assert own_motion.judge_autonomous_motion(judged) == []
+
+
+def test_of_records_that_cannot_be_judged_no_coverage_is_claimed():
+    facts = {"coverage": 1.66, "coverage_needed": 0.9, "predicted_stable": True}
+    assert withhold_predictions(facts, DOUBT) == facts
+    withheld = withhold_predictions(facts, CANNOT_JUDGE)
+    assert withheld["coverage"] is None
+    assert withheld["coverage_needed"] is None
+    assert withheld["coverage_reason"] == NO_JUDGEMENT
+    assert withheld["predicted_stable"] is None
