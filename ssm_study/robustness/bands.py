@@ -9,40 +9,49 @@ from jaxtyping import Complex, Float, Inexact, Int
 SEGMENT = 64
 ANGLES = np.linspace(0, np.pi, SEGMENT // 2 + 1)  # bands of power, rad/sample
 
+LinePowers = Float[np.ndarray, "K"]
+BandPowers = Float[np.ndarray, "F"]
+BandValues = Inexact[np.ndarray, "F"]
 
-def total_power(spectrum: Complex[np.ndarray, "K c"]) -> Float[np.ndarray, "K"]:
+
+def total_power(spectrum: Complex[np.ndarray, "K c"]) -> LinePowers:
     """Power of each spectral line, summed over the channels."""
-    return (np.abs(spectrum) ** 2).sum(axis=1)
+    power = np.abs(spectrum) ** 2
+    return power.sum(axis=1)
 
 
-def safe_ratio(
-    values: Inexact[np.ndarray, "F"], by: Float[np.ndarray, "F"]
-) -> Inexact[np.ndarray, "F"]:
+def safe_ratio(values: BandValues, by: BandPowers) -> BandValues:
     """Divide values by a power that may be zero."""
-    return values / np.maximum(by, np.finfo(float).tiny)
+    smallest = np.finfo(float).tiny
+    return values / np.maximum(by, smallest)
 
 
-def sort_lines_into_bands(lines: int) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "F"]]:
+def sort_lines_into_bands(lines: int) -> tuple[Int[np.ndarray, "K"], BandPowers]:
     """Band of each spectral line except the mean, and the number of lines in each band."""
-    nearest = np.rint(np.linspace(0, len(ANGLES) - 1, lines))
+    places = np.linspace(0, len(ANGLES) - 1, lines)
+    nearest = np.rint(places)
     bands = nearest.astype(int)[1:]
     counts = np.bincount(bands, minlength=len(ANGLES))
-    return bands, np.maximum(counts, 1).astype(float)
+    divisors = np.maximum(counts, 1)
+    return bands, divisors.astype(float)
 
 
-def band_means(lines: Float[np.ndarray, "K"]) -> Float[np.ndarray, "F"]:
+def band_means(lines: LinePowers) -> BandPowers:
     """Mean of a spectrum over each frequency band."""
     bands, counts = sort_lines_into_bands(len(lines))
-    return np.bincount(bands, weights=lines[1:], minlength=len(ANGLES)) / counts
+    sums = np.bincount(bands, weights=lines[1:], minlength=len(ANGLES))
+    return sums / counts
 
 
-def welch_power_density(signals: list[Float[np.ndarray, "_ c"]]) -> Float[np.ndarray, "F"]:
+def welch_power_density(signals: list[Float[np.ndarray, "_ c"]]) -> BandPowers:
     """Power density of signals by Welch's method (1967), summed over channels and averaged over
     records."""
-    segment = min(SEGMENT, *(len(signal) for signal in signals))
+    lengths = [len(signal) for signal in signals]
+    segment = min(SEGMENT, *lengths)
     even = max(segment - segment % 2, 2)  # so that the last band is at pi
     powers = []
     for signal in signals:
         _, density = scipy.signal.welch(signal, nperseg=even, detrend=False, axis=0)
-        powers.append(len(signal) * density.sum(axis=1))
+        total_density = density.sum(axis=1)
+        powers.append(len(signal) * total_density)
     return np.sum(powers, axis=0)

@@ -37,9 +37,13 @@ IN_LOOP = (1 / 3, 300)
 # rest
 MOVING = 0.05
 BLOCKS = 8  # pieces of the largest record, whose scatter tells how far its gain is known
-Spectra = tuple[
-    Complex[np.ndarray, "2 K p"], Complex[np.ndarray, "K m"], Complex[np.ndarray, "K p"]
-]
+InputSignal = Float[np.ndarray, "T m"]
+OutputSignal = Float[np.ndarray, "T p"]
+InputSpectrum = Complex[np.ndarray, "K m"]
+OutputSpectrum = Complex[np.ndarray, "K p"]
+BandGains = Float[np.ndarray, "F"]
+ComplexBandGains = Complex[np.ndarray, "F"]
+Spectra = tuple[Complex[np.ndarray, "2 K p"], InputSpectrum, OutputSpectrum]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,9 +57,9 @@ class View:
 
     amplitude: float
     gain: float
-    by_frequency: Float[np.ndarray, "F"]
-    linear: Complex[np.ndarray, "F"]
-    rest: Float[np.ndarray, "F"]
+    by_frequency: BandGains
+    linear: ComplexBandGains
+    rest: BandGains
     response: float = 1.0
 
 
@@ -67,9 +71,9 @@ class RecordErrors:
 
     name: str
     moving: Float[np.ndarray, "T j"]
-    u: Float[np.ndarray, "T m"]
-    model: Float[np.ndarray, "T p"]
-    e: Float[np.ndarray, "T p"]
+    u: InputSignal
+    model: OutputSignal
+    e: OutputSignal
     start: int = 0
     period: int | None = None
 
@@ -78,35 +82,39 @@ class RecordErrors:
         """Simulate the model on a record and collect its scaled errors."""
         simulated = simulate_record(model, record, start_up_samples)
         scored = slice(start_up_samples, None)
-        start, period = find_repetition(record.inputs_and_disturbances[scored]) or (0, None)
-        moving = model.scale.with_disturbances_as_inputs().scaled_input(
-            record.inputs_and_disturbances
-        )
-        scaled_input = model.scale.scaled_input(record.u)
-        error = (record.y - simulated) / model.scale.output_scale
+        moving = record.inputs_and_disturbances
+        start, period = find_repetition(moving[scored]) or (0, None)
+        scale = model.scale
+        scaled_moving = scale.with_disturbances_as_inputs().scaled_input(moving)
+        scaled_input = scale.scaled_input(record.u)
+        scaled_output = scale.scaled_output(simulated)
+        error = (record.y - simulated) / scale.output_scale
+        mean_square = (scaled_input**2).mean()
         return cls(
-            name=f"input of rms {np.sqrt((scaled_input**2).mean()):.2g}",
-            moving=moving[scored],
+            name=f"input of rms {np.sqrt(mean_square):.2g}",
+            moving=scaled_moving[scored],
             u=scaled_input[scored],
-            model=model.scale.scaled_output(simulated)[scored],
+            model=scaled_output[scored],
             e=error[scored],
             start=start,
             period=period,
         )
 
     @property
-    def output(self) -> Float[np.ndarray, "T p"]:
+    def output(self) -> OutputSignal:
         """Measured output in scaled units."""
         return self.e + self.model
 
     @property
     def amplitude(self) -> float:
         """Root mean square of the input."""
-        return float(np.sqrt((self.u**2).mean()))
+        mean_square = (self.u**2).mean()
+        return float(np.sqrt(mean_square))
 
     def strength(self) -> float:
         """Mean square of the input."""
-        return float((self.u**2).mean())
+        mean_square = (self.u**2).mean()
+        return float(mean_square)
 
     def spread(self) -> float:
         """Standard error of the logarithm of a record's gain from input to model error, from pieces
@@ -116,22 +124,30 @@ class RecordErrors:
         ratios = []
         for e, u in zip(errors, inputs, strict=True):
             if np.any(u) and np.any(e):
-                ratios.append(float((e**2).sum() / (u**2).sum()))
+                error_energy = (e**2).sum()
+                input_energy = (u**2).sum()
+                ratios.append(float(error_energy / input_energy))
         if len(ratios) < 2:
             return 0.0
-        standard_error = np.std(np.log(ratios)) / np.sqrt(len(ratios))
+        deviation = np.std(np.log(ratios))
+        standard_error = deviation / np.sqrt(len(ratios))
         return 0.5 * float(standard_error)  # half: of g, not of g^2
 
     def periods(self, signal: Float[np.ndarray, "T c"]) -> Complex[np.ndarray, "2 L c"]:
         """Fourier transforms of both periods of a signal."""
         assert self.period is not None
-        pieces = signal[self.start : self.start + 2 * self.period]
-        return np.asarray(np.fft.rfft(pieces.reshape(2, self.period, -1), axis=1))
+        end = self.start + 2 * self.period
+        repeating = signal[self.start : end]
+        both_periods = repeating.reshape(2, self.period, -1)
+        return np.asarray(np.fft.rfft(both_periods, axis=1))
 
     def spectra(self) -> Spectra:
         """Fourier transforms of both periods of the error, and of input and model output in the
         second period."""
-        return self.periods(self.e), self.periods(self.u)[1], self.periods(self.model)[1]
+        of_error = self.periods(self.e)
+        _, of_input = self.periods(self.u)
+        _, of_model = self.periods(self.model)
+        return of_error, of_input, of_model
 
 
 def open_loop_errors(
@@ -152,19 +168,21 @@ def moving_loop_errors(
     """Errors of the model in closed-loop records that keep moving, without start-up samples."""
     loops = []
     for trial in trials:
-        if trial.closed_loop:
-            errors = RecordErrors.from_record(
-                model, trial, unscored_samples(trial, start_up_samples)
-            )
-            if errors.u.any() and oscillation_amplitude(errors.output) > MOVING:
-                loops.append(errors)
+        if not trial.closed_loop:
+            continue
+        unscored = unscored_samples(trial, start_up_samples)
+        errors = RecordErrors.from_record(model, trial, unscored)
+        if errors.u.any() and oscillation_amplitude(errors.output) > MOVING:
+            loops.append(errors)
     return loops
 
 
 def unscored_samples(trial: Trajectory, start_up_samples: int) -> int:
     """Number of samples at the beginning of a closed-loop record by which its initial state is
     estimated. It is a third, `IN_LOOP` at most."""
-    return max(start_up_samples, min(int(IN_LOOP[0] * len(trial)), IN_LOOP[1]))
+    share, most_samples = IN_LOOP
+    unscored = min(int(share * len(trial)), most_samples)
+    return max(start_up_samples, unscored)
 
 
 def mismatch_from_averages(records: list[RecordErrors]) -> View:
@@ -174,41 +192,40 @@ def mismatch_from_averages(records: list[RecordErrors]) -> View:
     errors = [record.e for record in records]
     input_energy = float(sum((u**2).sum() for u in inputs))
     error_energy = float(sum((e**2).sum() for e in errors))
-    power_u = welch_power_density(inputs)
-    power_e = welch_power_density(errors)
-    bands = np.linspace(0, np.pi, len(power_u))
-    without_input = np.where(power_e > 0, np.inf, 0.0)
-    ratio = np.divide(power_e, power_u, out=without_input, where=power_u > 0)
-    by_frequency = np.interp(ANGLES, bands, np.sqrt(ratio))
-    return _mismatch_from_total_gain(
-        records, by_frequency, float(np.sqrt(error_energy / input_energy))
-    )
+    input_power = welch_power_density(inputs)
+    error_power = welch_power_density(errors)
+    bands = np.linspace(0, np.pi, len(input_power))
+    without_input = np.where(error_power > 0, np.inf, 0.0)
+    ratio = np.divide(error_power, input_power, out=without_input, where=input_power > 0)
+    gains = np.sqrt(ratio)
+    by_frequency = np.interp(ANGLES, bands, gains)
+    total_gain = float(np.sqrt(error_energy / input_energy))
+    return _mismatch_from_total_gain(records, by_frequency, total_gain)
 
 
 def _mismatch_from_total_gain(
-    records: list[RecordErrors], resolved: Float[np.ndarray, "F"], gain: float
+    records: list[RecordErrors], resolved: BandGains, gain: float
 ) -> View:
     """Model error at one amplitude from records that show only its gain over all frequencies
     together."""
-    amplitude = float(np.sqrt(np.mean(np.concatenate([r.u for r in records]) ** 2)))
+    all_inputs = np.concatenate([record.u for record in records])
+    mean_square = np.mean(all_inputs**2)
+    amplitude = float(np.sqrt(mean_square))
     linear = np.zeros(len(ANGLES), dtype=complex)
     return View(amplitude=amplitude, gain=gain, by_frequency=resolved, linear=linear, rest=resolved)
 
 
-def mismatch_in_closed_loop(
-    records: list[RecordErrors], noise: Float[np.ndarray, "F"] | None
-) -> View:
+def mismatch_in_closed_loop(records: list[RecordErrors], noise: BandGains | None) -> View:
     """Largest model error in any closed-loop record. A mean would hide a small one behind a large
     one."""
     gains = [_closed_loop_gains(record, noise) for record in records]
-    by_frequency = np.max([resolved for resolved, _ in gains], axis=0)
+    resolved_gains = [resolved for resolved, _ in gains]
+    by_frequency = np.max(resolved_gains, axis=0)
     total = max(gain for _, gain in gains)
     return _mismatch_from_total_gain(records, by_frequency, total)
 
 
-def _closed_loop_gains(
-    record: RecordErrors, noise: Float[np.ndarray, "F"] | None
-) -> tuple[Float[np.ndarray, "F"], float]:
+def _closed_loop_gains(record: RecordErrors, noise: BandGains | None) -> tuple[BandGains, float]:
     """Gain from input to model error in a closed-loop record, by frequency and in total, beyond the
     noise.
 
@@ -217,34 +234,41 @@ def _closed_loop_gains(
     (Hann's window, half overlapping); by frequency the gain is raised by as many of them, since
     what a loop that failed shows must refute it.
     """
-    power_u = welch_power_density([record.u])
-    power_e = welch_power_density([record.e])
-    bands = np.linspace(0, np.pi, len(power_u))
+    input_power = welch_power_density([record.u])
+    error_power = welch_power_density([record.e])
+    segment = len(input_power)
+    bands = np.linspace(0, np.pi, segment)
     samples = len(record.u)
-    sides = np.where((bands > 0) & (bands < np.pi), 2.0, 1.0)  # Welch's density has one side
+    is_inner = (bands > 0) & (bands < np.pi)
+    sides = np.where(is_inner, 2.0, 1.0)  # Welch's density has one side
     if noise is None:
-        one_sided = np.quantile(power_e[1:-1], QUIET) / 2
+        one_sided = np.quantile(error_power[1:-1], QUIET) / 2
     else:
         one_sided = samples * np.interp(bands, ANGLES, noise)
     noise_power = sides * one_sided
-    largest_share = 1 + SURE * np.sqrt(1.06 * len(power_u) / samples)
-    counted = np.maximum(power_e - largest_share * noise_power, 0.0)
-    gains = np.sqrt(safe_ratio(largest_share * counted, power_u))
-    total_gain = float(np.sqrt(counted.sum() / power_u.sum()))
-    return np.interp(ANGLES, bands, gains), total_gain
+    relative_error = np.sqrt(1.06 * segment / samples)
+    largest_share = 1 + SURE * relative_error
+    counted = np.maximum(error_power - largest_share * noise_power, 0.0)
+    squared_gains = safe_ratio(largest_share * counted, input_power)
+    gains = np.sqrt(squared_gains)
+    squared_total = counted.sum() / input_power.sum()
+    by_frequency = np.interp(ANGLES, bands, gains)
+    return by_frequency, float(np.sqrt(squared_total))
 
 
-def estimate_noise(records: list[RecordErrors]) -> Float[np.ndarray, "F"]:
+def estimate_noise(records: list[RecordErrors]) -> BandGains:
     """Noise power in each frequency band, from the difference of repeated periods. It is the same
     at all amplitudes, so that the median over the records is used."""
     powers = []
     for record in records:
-        first, second = record.spectra()[0]
-        powers.append(band_means(total_power(first - second) / 2) / record.period)
+        both_periods, *_ = record.spectra()
+        first, second = both_periods
+        noise_lines = total_power(first - second) / 2
+        powers.append(band_means(noise_lines) / record.period)
     return np.asarray(np.median(powers, axis=0))
 
 
-def mismatch_from_periods(record: RecordErrors, sure: bool, noise: Float[np.ndarray, "F"]) -> View:
+def mismatch_from_periods(record: RecordErrors, sure: bool, noise: BandGains) -> View:
     """Model error from a record with two equal periods, whose difference is noise. With two periods
     `E_1, E_2`, `Re(E_1 conj E_2)` is the power that repeats, without bias: noise is independent.
 
@@ -252,51 +276,54 @@ def mismatch_from_periods(record: RecordErrors, sure: bool, noise: Float[np.ndar
     noise included. Averaged over the M lines of a band its variance is `(S_n^2 / 2 + S_n S_e) / M`.
     Below the largest amplitude only what exceeds `SURE` of its standard deviations counts.
     """
-    both, drive, model = record.spectra()
-    first, second = both
+    both_periods, drive, model = record.spectra()
+    first, second = both_periods
     noise_power = noise * record.period
     _, lines = sort_lines_into_bands(len(drive))
-    power_u = band_means(total_power(drive))
-    power_model = band_means(total_power(model))
-    repeats = band_means((first * second.conj()).real.sum(axis=1))  # noise averages out, see above
+    input_power = band_means(total_power(drive))
+    model_power = band_means(total_power(model))
+    repeating_lines = (first * second.conj()).real
+    repeats = band_means(repeating_lines.sum(axis=1))  # noise averages out, see above
     doubt: Any = 0.0
     if not sure:
         variance = (noise_power**2 / 2 + noise_power * np.maximum(repeats, 0.0)) / lines
         doubt = SURE * np.sqrt(variance)
     linear = _linear_part((first + second) / 2, model)
-    least = (1 + (0.0 if sure else SURE**2)) * noise_power / 2 / lines
-    is_known = power_model * np.abs(linear) ** 2 > least
+    chance = 0.0 if sure else SURE**2
+    least = (1 + chance) * noise_power / 2 / lines
+    is_known = model_power * np.abs(linear) ** 2 > least
     is_scalar = (record.e.shape[1] == 1) & (record.u.shape[1] == 1)
     linear = np.where(is_known & is_scalar, linear, 0.0)
-    explained = power_model * np.abs(linear) ** 2
+    explained = model_power * np.abs(linear) ** 2
     whole = np.maximum(repeats - doubt, 0.0)
     rest = np.maximum(repeats - explained - doubt, 0.0)
     # Little or no input: by chance nothing repeats there, or anything.
-    unexcited = power_u < EXCITED * power_u.mean()
-    measured = band_means((total_power(first) + total_power(second)) / 2)
-    whole = np.where(unexcited, measured, whole)
-    rest = np.where(unexcited, measured, rest)
-    linear = np.where(unexcited, 0.0, linear)
-    answered = (power_model * np.abs(1 + linear) ** 2 + rest).sum()
-    total_gain = np.sqrt(whole.sum() / power_u.sum())
-    by_frequency = np.sqrt(safe_ratio(whole, power_u))
-    remainder = np.sqrt(safe_ratio(rest, power_u))
-    model_power = max(power_model.sum(), np.finfo(float).tiny)
+    is_unexcited = input_power < EXCITED * input_power.mean()
+    measured_lines = (total_power(first) + total_power(second)) / 2
+    measured = band_means(measured_lines)
+    whole = np.where(is_unexcited, measured, whole)
+    rest = np.where(is_unexcited, measured, rest)
+    linear = np.where(is_unexcited, 0.0, linear)
+    plant_power = model_power * np.abs(1 + linear) ** 2 + rest
+    squared_gain = whole.sum() / input_power.sum()
+    by_frequency = np.sqrt(safe_ratio(whole, input_power))
+    remainder = np.sqrt(safe_ratio(rest, input_power))
+    total_model_power = max(model_power.sum(), np.finfo(float).tiny)
     return View(
         amplitude=record.amplitude,
-        gain=float(total_gain),
+        gain=float(np.sqrt(squared_gain)),
         by_frequency=by_frequency,
         linear=linear,
         rest=remainder,
-        response=float(answered / model_power),
+        response=float(plant_power.sum() / total_model_power),
     )
 
 
-def _linear_part(
-    error: Complex[np.ndarray, "K p"], model: Complex[np.ndarray, "K p"]
-) -> Complex[np.ndarray, "F"]:
+def _linear_part(error: OutputSpectrum, model: OutputSpectrum) -> ComplexBandGains:
     """Linear part of the model error in each band, `S_(e, y_model) / S_(y_model)`. The error e is
     the mean of both periods, which halves the noise's variance."""
-    cross = (error * model.conj()).sum(axis=1)
-    banded_cross = band_means(cross.real) + 1j * band_means(cross.imag)
-    return safe_ratio(banded_cross, band_means(total_power(model)))
+    cross_spectrum = (error * model.conj()).sum(axis=1)
+    real_part = band_means(cross_spectrum.real)
+    imaginary_part = band_means(cross_spectrum.imag)
+    model_power = band_means(total_power(model))
+    return safe_ratio(real_part + 1j * imaginary_part, model_power)

@@ -28,6 +28,13 @@ FINE_ANGLES = np.geomspace(1e-4, np.pi, 1000)
 
 # System and gains at frozen slopes of the neurons, slopes of `S_u` and `S_y`.
 End = tuple[StateSpace, Gains, float, float]
+NeuronSlopes = Float[np.ndarray, "k q"]
+Angles = Float[np.ndarray, "F"]
+Square = Float[np.ndarray, "n n"]
+InputMatrix = Float[np.ndarray, "n k"]
+StateResponse = Complex[np.ndarray, "F n k"]
+InternalModes = Float[np.ndarray, "z z"]
+ObserverGain = Float[np.ndarray, "n p"]
 
 
 def slopes_to_test(ball: JacobianBall) -> tuple[float, ...]:
@@ -39,7 +46,7 @@ def slopes_to_test(ball: JacobianBall) -> tuple[float, ...]:
 
 
 def slope_combinations(
-    system: System, pair: Gains, balls: Balls, at: Float[np.ndarray, "k q"] | None = None
+    system: System, pair: Gains, balls: Balls, at: NeuronSlopes | None = None
 ) -> Iterator[End]:
     """Linear systems and gains at all combinations of extreme slopes of maps and neurons. Slopes of
     neurons are at the corners unless given (`at`), where L is `L + E S L_z`."""
@@ -51,19 +58,20 @@ def slope_combinations(
 
 
 def _freeze_neurons(
-    system: System, pair: Gains, at: Float[np.ndarray, "k q"] | None
+    system: System, pair: Gains, at: NeuronSlopes | None
 ) -> Iterator[tuple[StateSpace, Gains]]:
     """Linear system and gains for each combination of frozen neuron slopes."""
     if isinstance(system, StateSpace):
         yield system, pair
         return
-    rows = system.corners(MOST_CORNERS) if at is None else at
-    for row in rows:
+    if at is None:
+        at = system.corners(MOST_CORNERS)
+    for slopes in at:
         own_gains = pair
         if pair.l_z is not None:
-            injected = (system.e * row) @ pair.l_z
-            own_gains = replace(pair, l=pair.l + injected)
-        yield system.linearise_at_slopes(row), own_gains
+            injection = (system.e * slopes) @ pair.l_z
+            own_gains = replace(pair, l=pair.l + injection)
+        yield system.linearise_at_slopes(slopes), own_gains
 
 
 def sensitivity(linear: StateSpace, pair: Gains, slope_in: float, slope_out: float) -> StateSpace:
@@ -71,22 +79,25 @@ def sensitivity(linear: StateSpace, pair: Gains, slope_in: float, slope_out: flo
     from `e (p)` to `u (m)`, state `(x, eps, z)`, z of the internal model."""
     order, outputs = pair.l.shape
     modes = pair.modes
-    on_state = pair.k[:, :order]
-    on_internal = pair.k[:, order:]
-    drive = slope_in * linear.b @ on_state
-    internal = slope_in * linear.b @ on_internal
+    state_gain = pair.k[:, :order]
+    internal_gain = pair.k[:, order:]
+    drive = slope_in * linear.b @ state_gain
+    internal_drive = slope_in * linear.b @ internal_gain
     error_input = error_input_matrix(modes, outputs)
-    measured = slope_out * error_input @ linear.c[:outputs]
+    controlled_c = linear.c[:outputs]
+    measured = slope_out * error_input @ controlled_c
     estimation = linear.a + slope_out * pair.l @ linear.c
-    none = np.zeros((len(modes), order))
-    state_row = [linear.a + drive, drive, internal]  # u reads the estimate `x + eps`
-    error_row = [np.zeros((order, order)), estimation, none.T]
-    internal_row = [measured, none, modes]
+    no_coupling = np.zeros((len(modes), order))
+    no_effect_of_state = np.zeros((order, order))
+    state_row = [linear.a + drive, drive, internal_drive]  # u reads the estimate `x + eps`
+    error_row = [no_effect_of_state, estimation, no_coupling.T]
+    internal_row = [measured, no_coupling, modes]
     a = np.block([state_row, error_row, internal_row])
     no_effect = np.zeros((order, outputs))
     b = np.vstack([no_effect, -pair.l, error_input])
-    c = np.hstack([on_state, on_state, on_internal])
-    d = np.zeros((len(pair.k), outputs))
+    c = np.hstack([state_gain, state_gain, internal_gain])
+    inputs = len(pair.k)
+    d = np.zeros((inputs, outputs))
     return StateSpace(a=a, b=b, c=c, d=d)
 
 
@@ -96,11 +107,14 @@ def noise_response(
     """Transfer function from a sensor's noise to the model's true output, at constant slopes."""
     loop = sensitivity(linear, pair, slope_in, slope_out)
     outputs = len(linear.c)
-    of_errors = np.zeros((outputs, loop.order - linear.order))
-    by_state = np.hstack([linear.c, of_errors])
+    noise_inputs = loop.b.shape[1]
+    other_states = loop.order - linear.order
+    no_effect = np.zeros((outputs, other_states))
+    by_state = np.hstack([linear.c, no_effect])
     by_input = slope_in * linear.d @ loop.c
-    no_feedthrough = np.zeros((outputs, loop.b.shape[1]))
-    return StateSpace(a=loop.a, b=loop.b, c=slope_out * (by_state + by_input), d=no_feedthrough)
+    c = slope_out * (by_state + by_input)
+    d = np.zeros((outputs, noise_inputs))
+    return StateSpace(a=loop.a, b=loop.b, c=c, d=d)
 
 
 def noise_gain(system: System, pair: Gains, balls: Balls) -> float:
@@ -109,13 +123,15 @@ def noise_gain(system: System, pair: Gains, balls: Balls) -> float:
 
     A number of the model, not a claim: slopes that vary may do more, and white noise does less.
     """
-    return max(hinf_norm(noise_response(*end)) for end in slope_combinations(system, pair, balls))
+    combinations = slope_combinations(system, pair, balls)
+    return max(hinf_norm(noise_response(*end)) for end in combinations)
 
 
 def sensitivity_peak(system: System, pair: Gains, balls: Balls) -> float:
     """Largest gain of the closed loop from an output error to the input, over frequency and
     constant slopes. `max ||T_ue||_inf`; infinite if one of these loops is unstable."""
-    return max(hinf_norm(sensitivity(*end)) for end in slope_combinations(system, pair, balls))
+    combinations = slope_combinations(system, pair, balls)
+    return max(hinf_norm(sensitivity(*end)) for end in combinations)
 
 
 def controller_spectral_radius(
@@ -130,14 +146,17 @@ def controller_spectral_radius(
     of the model. Field's term: strong stabilisation. Source: Youla, Bongiorno & Lu, Automatica 10
     (1974) 159-173.
     """
-    on_state = pair.k[..., : system.order]
-    largest = np.zeros(pair.k.shape[:-2])
+    state_gain = pair.k[..., : system.order]
+    pairs = pair.k.shape[:-2]
+    largest = np.zeros(pairs)
     for linear, own_gains, slope_in, slope_out in slope_combinations(system, pair, balls):
-        input_gain = slope_in * on_state
+        input_gain = slope_in * state_gain
         output = linear.c + linear.d @ input_gain
-        controller = linear.a + linear.b @ input_gain + slope_out * own_gains.l @ output
-        radius = np.abs(np.linalg.eigvals(controller)).max(axis=-1)
-        largest = np.maximum(largest, radius)
+        injection = slope_out * own_gains.l @ output
+        controller_matrix = linear.a + linear.b @ input_gain + injection
+        eigenvalues = np.linalg.eigvals(controller_matrix)
+        spectral_radius = np.abs(eigenvalues).max(axis=-1)
+        largest = np.maximum(largest, spectral_radius)
     return np.asarray(largest)
 
 
@@ -151,16 +170,16 @@ class Responses:
     into two factors: of the observer, and of the controller, G is common.
     """
 
-    angles: Float[np.ndarray, "F"]
-    known: dict[bytes, Complex[np.ndarray, "F n k"]] = field(default_factory=dict)
+    angles: Angles
+    known: dict[bytes, StateResponse] = field(default_factory=dict)
 
-    def state_response(
-        self, a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n k"]
-    ) -> Complex[np.ndarray, "F n k"]:
+    def state_response(self, a: Square, b: InputMatrix) -> StateResponse:
         """Frequency response from input to state, cached for further pairs of gains."""
         key = a.tobytes() + b.tobytes()
         if key not in self.known:
-            system = StateSpace(a=a, b=b, c=np.eye(len(a)), d=np.zeros_like(b))
+            identity = np.eye(len(a))
+            no_feedthrough = np.zeros_like(b)
+            system = StateSpace(a=a, b=b, c=identity, d=no_feedthrough)
             self.known[key] = frequency_response(system, self.angles)
         return self.known[key]
 
@@ -168,24 +187,30 @@ class Responses:
         self,
         linear: StateSpace,
         k: Float[np.ndarray, "m s"],
-        modes: Float[np.ndarray, "z z"],
-        ls: list[Float[np.ndarray, "n p"]],
+        modes: InternalModes,
+        ls: list[ObserverGain],
         *slope: float,
     ) -> Complex[np.ndarray, "O F m p"]:
         """Frequency responses of the loops of one controller with each of several observers."""
         slope_in, slope_out = slope
         order = linear.order
         outputs = ls[0].shape[1]
-        on_state = k[:, :order]
+        state_gain = k[:, :order]
+        internal_gain = k[:, order:]
         error_input = error_input_matrix(modes, outputs)
-        summed = k[:, order:] @ self.state_response(modes, error_input)
-        state_gain = on_state + slope_out * summed @ linear.c[:outputs]
-        loop = state_gain @ self.state_response(linear.a, linear.b)
-        observers = [(linear.a + slope_out * l @ linear.c, l) for l in ls]  # noqa: E741
-        observed = np.stack([self.state_response(*observer) for observer in observers])
-        through = -np.einsum("mn,ofnp->ofmp", on_state, observed)
-        if k.shape[1] > order:
-            through = through + summed
+        controlled_c = linear.c[:outputs]
+        through_internal = internal_gain @ self.state_response(modes, error_input)
+        effective_gain = state_gain + slope_out * through_internal @ controlled_c
+        loop = effective_gain @ self.state_response(linear.a, linear.b)
+        observer_responses = []
+        for observer_gain in ls:
+            observer_matrix = linear.a + slope_out * observer_gain @ linear.c
+            observer_responses.append(self.state_response(observer_matrix, observer_gain))
+        estimates = np.stack(observer_responses)
+        through = -np.einsum("mn,ofnp->ofmp", state_gain, estimates)
+        has_internal_model = k.shape[1] > order
+        if has_internal_model:
+            through = through + through_internal
         return_difference = np.eye(len(k)) - slope_in * loop
         return np.linalg.inv(return_difference) @ through
 
@@ -195,10 +220,10 @@ def peaks_on_grid(
     ks: Float[np.ndarray, "C m s"],
     ls: Float[np.ndarray, "O n p"],
     balls: Balls,
-    angles: Float[np.ndarray, "F"],
-    weights: Float[np.ndarray, "F"] | float = 1.0,
+    angles: Angles,
+    weights: Angles | float = 1.0,
     l_zs: Float[np.ndarray, "O q p"] | None = None,
-    internal: Float[np.ndarray, "z z"] | None = None,
+    internal: InternalModes | None = None,
 ) -> Float[np.ndarray, "C O"]:
     """Largest gain from an output error to the input on a frequency grid, for every pair of
     controller and observer. It is `weight sigma_max(T_ue)`, over the neurons' slopes 0, 1/2 and 1,
@@ -208,17 +233,21 @@ def peaks_on_grid(
     """
     neuron_slopes = None
     if not isinstance(system, StateSpace):
-        neuron_slopes = np.outer((0.0, 0.5, 1.0), np.ones(system.neurons))
+        equal_slopes = np.ones(system.neurons)
+        neuron_slopes = np.outer((0.0, 0.5, 1.0), equal_slopes)
     responses = Responses(angles=angles)
     peaks = np.zeros((len(ks), len(ls)))
-    no_controllers = np.zeros((len(ls), *ks.shape[1:]))
+    gain_shape = ks.shape[1:]
+    no_controllers = np.zeros((len(ls), *gain_shape))
     observers = Gains(k=no_controllers, l=ls, l_z=l_zs, internal=internal)
+    modes = observers.modes
     for linear, frozen, *slope in slope_combinations(system, observers, balls, neuron_slopes):
         frozen_ls = list(frozen.l)
         for k, peak in zip(ks, peaks, strict=True):
-            response = responses.loop_response(linear, k, observers.modes, frozen_ls, *slope)
+            response = responses.loop_response(linear, k, modes, frozen_ls, *slope)
             weighted = weights * largest_singular_values(response)
-            np.maximum(peak, weighted.max(axis=1), out=peak)
+            largest = weighted.max(axis=1)
+            np.maximum(peak, largest, out=peak)
     return peaks
 
 
@@ -226,6 +255,9 @@ def largest_singular_values(
     response: Complex[np.ndarray, "*many m p"],
 ) -> Float[np.ndarray, "*many"]:
     """Largest singular value of each matrix in a stack."""
-    if response.shape[-1] == response.shape[-2] == 1:
-        return np.asarray(np.abs(response[..., 0, 0]))  # one channel needs no singular values
+    *_, rows, columns = response.shape
+    is_scalar = rows == columns == 1
+    if is_scalar:
+        entries = response[..., 0, 0]
+        return np.asarray(np.abs(entries))  # one channel needs no singular values
     return np.linalg.norm(response, ord=2, axis=(-2, -1))
