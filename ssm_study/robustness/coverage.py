@@ -49,6 +49,9 @@ NOT_AT_REST = (
 EMPTY = "no record moves the model's output, so nothing is known of the mismatch"
 NO_MISMATCH = "the records show no mismatch at all, so there is nothing to compare the proof with"
 
+FilterMatrix = Float[np.ndarray, "v v"]
+OutputSignal = Float[np.ndarray, "T p"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Weights:
@@ -82,24 +85,32 @@ class Weights:
         if item.seen <= 0:
             return 0.0
         reference = self.reference_power(item)
-        return float(np.sqrt(item.seen / reference)) if reference > 0 else float("inf")
+        if not reference > 0:
+            return float("inf")
+        squared_radius = item.seen / reference
+        return float(np.sqrt(squared_radius))
 
     def reference_power(self, item: Item) -> float:
         """Weighted power of model output and input, to which the power of the error is compared.
         `sum over the item's lines of (X model + Y input)`."""
         of_output = self.output_weight(item.angles) @ item.model_power
-        return float(of_output + self.input_weight(item.angles) @ item.input_power)
+        of_input = self.input_weight(item.angles) @ item.input_power
+        return float(of_output + of_input)
 
 
-def squared_gain(weight: Float[np.ndarray, "v v"], angles: Powers) -> Powers:
+def squared_gain(weight: FilterMatrix, angles: Powers) -> Powers:
     """Squared gain of a single-channel weighting filter at each frequency. `|C (e^{jw} - A)^{-1} B
     + D|^2` of `[A, B; C, D]`."""
     order = len(weight) - 1
+    a = weight[:order, :order]
     b = weight[:order, order:]
     c = weight[order:, :order]
-    shifted = np.exp(1j * angles)[:, None, None] * np.eye(order) - weight[:order, :order]
-    state = np.linalg.solve(shifted, np.broadcast_to(b, (len(angles), order, 1)))
-    response = (c @ state)[:, 0, 0] + weight[-1, -1]
+    direct = weight[-1, -1]
+    points = np.exp(1j * angles)[:, None, None]
+    shifted = points * np.eye(order) - a
+    b_at_each_angle = np.broadcast_to(b, (len(angles), order, 1))
+    state_response = np.linalg.solve(shifted, b_at_each_angle)
+    response = (c @ state_response)[:, 0, 0] + direct
     return np.asarray(np.abs(response) ** 2)
 
 
@@ -117,10 +128,12 @@ class Premise:
     def requirements(self, centre: float) -> list[Item]:
         """Requirements of all records on the weights of a disc with a given centre. The repeating
         record with the largest amplitude counts without doubt."""
-        largest = max((record.amplitude for record in self.repeating), default=0.0)
+        amplitudes = [record.amplitude for record in self.repeating]
+        largest = max(amplitudes, default=0.0)
         items = list[Item]()
         for record in self.repeating:
-            items += requirements_from_periods(record, centre, sure=record.amplitude == largest)
+            is_largest = record.amplitude == largest
+            items += requirements_from_periods(record, centre, sure=is_largest)
         items += [requirement_from_sine(record, centre) for record in self.sines]
         for averaged in self.averaged:
             items += requirements_from_average(averaged, centre)
@@ -138,9 +151,11 @@ class Premise:
         if self.reason is not None:
             return self.reason
         items = self.requirements(centre)
-        if not any(item.model_power.sum() > 0 for item in items):
+        moves_output = any(item.model_power.sum() > 0 for item in items)
+        if not moves_output:
             return EMPTY
-        return None if any(item.seen > 0 for item in items) else NO_MISMATCH
+        shows_mismatch = any(item.seen > 0 for item in items)
+        return None if shows_mismatch else NO_MISMATCH
 
 
 def measure_premise(
@@ -159,7 +174,8 @@ def measure_premise(
         reason = INTEGRATES
     in_open_loop = open_loop_errors(model, validation, trials, start_up_samples)
     driven = [run for run in in_open_loop if run.u.any()]
-    periodic = [run for run in driven if run.period is not None and not repeats_one_line(run)]
+    with_period = [run for run in driven if run.period is not None]
+    periodic = [run for run in with_period if not repeats_one_line(run)]
     noise = estimate_noise(periodic) if periodic else None
     repeating = list[MismatchSpectrum]()
     averaged = list[AveragedSpectrum]()
@@ -181,28 +197,34 @@ def running_constraint_sum(
     centre: float,
     kappa: float,
     u: Float[np.ndarray, "T m"],
-    m: Float[np.ndarray, "T p"],
-    e: Float[np.ndarray, "T p"],
+    m: OutputSignal,
+    e: OutputSignal,
 ) -> Float[np.ndarray, "T"]:
     """Running sum of the disc's quadratic constraint along a record. `sum to T of |e - c m|^2 -
     kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`, filters at zero before the record."""
     deviation = ((e - centre * m) ** 2).sum(axis=1)
+    weighted_output = apply_channel_filter(weights.output, m)
+    weighted_input = apply_channel_filter(weights.input, u)
     reference = weights.floor**2 * (m**2).sum(axis=1)
-    reference += (apply_channel_filter(weights.output, m) ** 2).sum(axis=1)
-    reference += (apply_channel_filter(weights.input, u) ** 2).sum(axis=1)
-    return np.asarray(np.cumsum(deviation - kappa**2 * reference))
+    reference += (weighted_output**2).sum(axis=1)
+    reference += (weighted_input**2).sum(axis=1)
+    excess = deviation - kappa**2 * reference
+    return np.asarray(np.cumsum(excess))
 
 
 def apply_channel_filter(
-    weight: Float[np.ndarray, "v v"], signal: Float[np.ndarray, "T c"]
+    weight: FilterMatrix, signal: Float[np.ndarray, "T c"]
 ) -> Float[np.ndarray, "T c"]:
     """Filter each channel of a signal by the same single-channel filter."""
     order = len(weight) - 1
-    system = StateSpace(
-        a=weight[:order, :order],
-        b=weight[:order, order:],
-        c=weight[order:, :order],
-        d=weight[order:, order:],
-    )
-    columns = [system.simulate(signal[:, [i]])[0] for i in range(signal.shape[1])]
+    a = weight[:order, :order]
+    b = weight[:order, order:]
+    c = weight[order:, :order]
+    d = weight[order:, order:]
+    channel_filter = StateSpace(a=a, b=b, c=c, d=d)
+    columns = []
+    for i in range(signal.shape[1]):
+        channel = signal[:, [i]]
+        filtered, *_ = channel_filter.simulate(channel)
+        columns.append(filtered)
     return np.concatenate(columns, axis=1)

@@ -23,6 +23,9 @@ from ssm_study.robustness.return_to_rest import SURE
 GROUPS = (2, 4, 8, 16)  # neighbouring bands that are also covered together
 TOTAL = "in total"
 
+LineSelection = Bool[np.ndarray, "L"]
+BandSelection = Bool[np.ndarray, "F"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Item:
@@ -64,8 +67,8 @@ class RepeatingPower:
     measured: Powers
     variance: Powers
     bands: Int[np.ndarray, "L"]
-    dark: Bool[np.ndarray, "F"]
-    has_lines: Bool[np.ndarray, "F"]
+    dark: BandSelection
+    has_lines: BandSelection
 
     @classmethod
     def from_record(cls, record: MismatchSpectrum, centre: float) -> "RepeatingPower":
@@ -74,14 +77,18 @@ class RepeatingPower:
         model and input have come to rest. Source: docs/trust.md, "Covered"."""
         first, second = record.deviation(centre)
         sides = record.sides
-        repeats = sides * (first * second.conj()).real.sum(axis=1)
+        repeating_power = (first * second.conj()).real.sum(axis=1)
+        repeats = sides * repeating_power
         noise = sides * record.noise
         of_noise = noise * record.noise / 2
-        variance = sides * (of_noise + record.noise * np.maximum(repeats, 0.0))
-        bands = np.concatenate([[-1], sort_lines_into_bands(len(record.angles))[0]])
+        of_product = record.noise * np.maximum(repeats, 0.0)
+        variance = sides * (of_noise + of_product)
+        line_bands, _ = sort_lines_into_bands(len(record.angles))
+        bands = np.concatenate([[-1], line_bands])
         powers = [record.input_power[bands == band] for band in range(len(ANGLES))]
         has_lines = np.array([len(power) > 0 for power in powers])
-        drive = np.array([power.mean() if len(power) else 0.0 for power in powers])
+        mean_powers = [power.mean() if len(power) else 0.0 for power in powers]
+        drive = np.array(mean_powers)
         both_periods = line_powers(first) + line_powers(second)
         measured = sides * both_periods / 2
         dark = drive < EXCITED * drive[has_lines].mean()
@@ -96,18 +103,23 @@ class RepeatingPower:
         )
 
     def mismatch_power(
-        self, lines: Bool[np.ndarray, "L"], *, is_doubtful: bool, is_dark: bool = False
+        self, lines: LineSelection, *, is_doubtful: bool, is_dark: bool = False
     ) -> float:
         """Power of given spectral lines that counts as model error, after the noise is
         subtracted."""
         if is_dark:
-            return float(self.measured[lines].sum())
-        error = SURE * np.sqrt(self.variance[lines].sum()) if is_doubtful else 0.0
-        return max(float(self.repeats[lines].sum() - error), 0.0)
+            measured = self.measured[lines]
+            return float(measured.sum())
+        error = 0.0
+        if is_doubtful:
+            variance = self.variance[lines].sum()
+            error = SURE * np.sqrt(variance)
+        repeats = self.repeats[lines].sum()
+        return max(float(repeats - error), 0.0)
 
     def combine_lines(
         self,
-        lines: Bool[np.ndarray, "L"],
+        lines: LineSelection,
         place: str,
         *,
         is_doubtful: bool,
@@ -140,34 +152,41 @@ def requirements_from_periods(record: MismatchSpectrum, centre: float, *, sure: 
         place = f"around {ANGLES[band]:.2f} rad/sample"
         lines = powers.bands == band
         is_dark = bool(powers.dark[band])
-        items.append(
-            powers.combine_lines(lines, place, is_doubtful=not sure, is_dark=is_dark, is_band=True)
+        item = powers.combine_lines(
+            lines, place, is_doubtful=not sure, is_dark=is_dark, is_band=True
         )
+        items.append(item)
     for size in GROUPS:
         items += _group_items(powers, size, is_doubtful=not sure)
     every_line = powers.bands >= 0
-    return [*items, powers.combine_lines(every_line, TOTAL, is_doubtful=False)]
+    total = powers.combine_lines(every_line, TOTAL, is_doubtful=False)
+    return [*items, total]
 
 
 def _group_items(powers: RepeatingPower, size: int, *, is_doubtful: bool) -> list[Item]:
     """Requirements from groups of neighbouring frequency bands, each of `size` bands."""
     items = list[Item]()
     for start in range(0, len(ANGLES), size):
-        lines = (powers.bands >= start) & (powers.bands < start + size)
+        end = start + size
+        lines = (powers.bands >= start) & (powers.bands < end)
         if not lines.any():
             continue
-        last = min(start + size, len(ANGLES)) - 1
+        last = min(end, len(ANGLES)) - 1
         place = f"{ANGLES[start]:.2f} to {ANGLES[last]:.2f} rad/sample"
-        is_dark = bool(powers.dark[start : start + size].all())
-        items.append(powers.combine_lines(lines, place, is_doubtful=is_doubtful, is_dark=is_dark))
+        dark_bands = powers.dark[start:end]
+        is_dark = bool(dark_bands.all())
+        item = powers.combine_lines(lines, place, is_doubtful=is_doubtful, is_dark=is_dark)
+        items.append(item)
     return items
 
 
 def requirement_from_sine(record: MismatchSpectrum, centre: float) -> Item:
     """Requirement on the weights from a record of a single sine, at the line of the sine only."""
     powers = RepeatingPower.from_record(record, centre)
-    line = np.arange(len(record.angles)) == 1 + int(record.input_power[1:].argmax())
-    place = f"one sine at {float(record.angles[line][0]):.2f} rad/sample"
+    strongest = 1 + int(record.input_power[1:].argmax())
+    line = np.arange(len(record.angles)) == strongest
+    angle = float(record.angles[strongest])
+    place = f"one sine at {angle:.2f} rad/sample"
     return powers.combine_lines(line, place, is_doubtful=True, is_band=True)
 
 
@@ -175,7 +194,8 @@ def requirements_from_average(record: AveragedSpectrum, centre: float) -> list[I
     """Requirements on the weights from a record that does not repeat, one for each frequency bin
     and one for the total power."""
     measured_power = record.deviation_power(centre)
-    dark = record.input_power < EXCITED * record.input_power.mean()
+    mean_input_power = record.input_power.mean()
+    dark = record.input_power < EXCITED * mean_input_power
     items = list[Item]()
     for k, angle in enumerate(record.angles):
         bin_of_record = slice(k, k + 1)

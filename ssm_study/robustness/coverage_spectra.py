@@ -71,20 +71,23 @@ class AveragedSpectrum:
         """Power of the model error minus the centre of the disc in each frequency bin, with noise
         subtracted."""
         power = self.error_power - 2 * centre * self.cross + centre**2 * self.model_power
-        return self.sure * np.maximum(power - self.sure * self.drawn, 0.0)
+        noise_power = self.sure * self.drawn
+        return self.sure * np.maximum(power - noise_power, 0.0)
 
 
 def line_powers(spectrum: Complex[np.ndarray, "L c"]) -> Powers:
     """Power of each spectral line, summed over the channels."""
-    return np.asarray((np.abs(spectrum) ** 2).sum(axis=1))
+    powers = np.abs(spectrum) ** 2
+    return np.asarray(powers.sum(axis=1))
 
 
 def line_spectrum(run: RecordErrors, noise: Float[np.ndarray, "F"]) -> MismatchSpectrum:
     """Line spectra of both periods of a record whose input repeats."""
     assert run.period is not None
-    angles = 2 * np.pi * np.arange(run.period // 2 + 1) / run.period
-    alone = np.isclose(angles, 0.0) | np.isclose(angles, np.pi)
-    sides = np.where(alone, 1.0, 2.0)
+    lines = np.arange(run.period // 2 + 1)
+    angles = 2 * np.pi * lines / run.period
+    has_no_conjugate = np.isclose(angles, 0.0) | np.isclose(angles, np.pi)
+    sides = np.where(has_no_conjugate, 1.0, 2.0)
     model = run.periods(run.model)
     error = run.periods(run.e)
     _, second_input = run.periods(run.u)
@@ -123,7 +126,8 @@ def averaged_spectrum_in_loop(
         one_sided = np.quantile(powers["error_power"][1:-1], QUIET) / 2
     else:
         one_sided = samples * np.interp(angles, ANGLES, noise)
-    sides = np.where((angles > 0) & (angles < np.pi), 2.0, 1.0)
+    has_conjugate = (angles > 0) & (angles < np.pi)
+    sides = np.where(has_conjugate, 2.0, 1.0)
     relative_error = float(np.sqrt(1.06 * len(angles) / samples))
     drawn = sides * one_sided
     sure = np.full(len(angles), 1 + SURE * relative_error)
@@ -135,8 +139,9 @@ def averaged_spectrum_in_loop(
 def _welch_powers(run: RecordErrors) -> dict[str, Powers]:
     """Power spectra of model output, error and input of a record by Welch's averages, with their
     cross powers."""
-    segment = 2 * (len(ANGLES) - 1)
-    even = max(min(segment, len(run.u)) // 2 * 2, 2)
+    longest = 2 * (len(ANGLES) - 1)
+    segment = min(longest, len(run.u))
+    even = max(segment // 2 * 2, 2)
     pairs = {
         "model_power": (run.model, run.model),
         "error_power": (run.e, run.e),
@@ -146,6 +151,8 @@ def _welch_powers(run: RecordErrors) -> dict[str, Powers]:
     powers = {}
     for name, (first, second) in pairs.items():
         _, density = scipy.signal.csd(first, second, nperseg=even, detrend=False, axis=0)
-        powers[name] = len(run.u) * density.real.sum(axis=1)
-    powers["angles"] = np.linspace(0, np.pi, len(powers["input_power"]))
+        total_density = density.real.sum(axis=1)
+        powers[name] = len(run.u) * total_density
+    lines = len(powers["input_power"])
+    powers["angles"] = np.linspace(0, np.pi, lines)
     return powers

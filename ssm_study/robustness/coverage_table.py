@@ -50,10 +50,11 @@ def coverage_table(
     bands = [item for item in premise.requirements(centre) if item.is_band]
     needs = [weights.required_radius(band) for band in bands]
     largest = max(needs, default=0.0)
-    return [
-        _band_row(band, weights, kappa, need, decides=need > 0 and need == largest)
-        for band, need in zip(bands, needs, strict=True)
-    ]
+    rows = []
+    for band, need in zip(bands, needs, strict=True):
+        decides = need > 0 and need == largest
+        rows.append(_band_row(band, weights, kappa, need, decides=decides))
+    return rows
 
 
 def _band_row(

@@ -15,7 +15,12 @@ from jaxtyping import Float
 from ssm_study.models.structured import Model
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.prediction import AmplitudeCondition, LoopResponse, loops_to_test
+from ssm_study.robustness.prediction import (
+    AmplitudeCondition,
+    LoopGains,
+    LoopResponse,
+    loops_to_test,
+)
 from ssm_study.robustness.sensitivity import FINE_ANGLES
 from ssm_study.systems import Balls, Gains
 
@@ -46,18 +51,21 @@ def margin_curves(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -
         if loop is None:
             return []
         for view in records.views:
-            gain = _counted_gain(AmplitudeCondition.from_view(view, loop), view.by_frequency, loop)
-            curves.setdefault(view.amplitude, _WorstCurve()).include_gain(loop.angles, gain)
+            condition = AmplitudeCondition.from_view(view, loop)
+            gain = _counted_gain(condition, view.by_frequency, loop)
+            curve = curves.setdefault(view.amplitude, _WorstCurve())
+            curve.include_gain(loop.angles, gain)
         if records.loop is not None:
-            gain = np.interp(loop.angles, ANGLES, records.loop.by_frequency) * loop.size
-            curves.setdefault(None, _WorstCurve()).include_gain(loop.angles, gain)
+            mismatch_gain = np.interp(loop.angles, ANGLES, records.loop.by_frequency)
+            curve = curves.setdefault(None, _WorstCurve())
+            curve.include_gain(loop.angles, mismatch_gain * loop.size)
     ordered = sorted(curves.items(), key=lambda item: (item[0] is None, item[0] or 0.0))
     return [curve.as_margin(amplitude) for amplitude, curve in ordered]
 
 
 def _counted_gain(
     condition: AmplitudeCondition, by_frequency: Float[np.ndarray, "F"], loop: LoopResponse
-) -> Float[np.ndarray, "K"]:
+) -> LoopGains:
     """Loop gain of one amplitude at each frequency, by the less conservative of two stability
     conditions."""
     plain = np.interp(loop.angles, ANGLES, by_frequency) * loop.size
@@ -68,7 +76,8 @@ def _counted_gain(
         return np.asarray(plain)
     returned = loop.return_difference(condition.linear_part)
     remainder = np.interp(loop.angles, ANGLES, condition.remainder)
-    return np.asarray(remainder * loop.size / np.abs(returned))
+    gain = remainder * loop.size / np.abs(returned)
+    return np.asarray(gain)
 
 
 class _WorstCurve:
@@ -79,9 +88,10 @@ class _WorstCurve:
         self.largest = 0.0
         self.angle = float(FINE_ANGLES[0])
 
-    def include_gain(self, angles: Float[np.ndarray, "K"], gain: Float[np.ndarray, "K"]) -> None:
+    def include_gain(self, angles: LoopGains, gain: LoopGains) -> None:
         """Update the largest loop gain at each frequency by that of one combination of slopes."""
-        on_grid = gain[np.searchsorted(angles, FINE_ANGLES)]
+        places = np.searchsorted(angles, FINE_ANGLES)
+        on_grid = gain[places]
         self.gain = np.maximum(self.gain, on_grid)
         peak = int(np.argmax(gain))
         if gain[peak] > self.largest:

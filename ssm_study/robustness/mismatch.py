@@ -85,7 +85,10 @@ class Mismatch:
     def offset(self) -> float:
         """Largest output offset that may remain at constant input, relative to the settling band,
         with 95 % confidence."""
-        worst = max(self.stuck) * MISSED ** (-1 / len(self.stuck)) if self.stuck else 0.0
+        worst = 0.0
+        if self.stuck:
+            confidence_factor = MISSED ** (-1 / len(self.stuck))
+            worst = max(self.stuck) * confidence_factor
         return worst / self.band
 
     @property
@@ -107,7 +110,9 @@ class Mismatch:
     def seen(self) -> float:
         """Largest gain from input to model error in any record. It is a lower bound on the
         incremental gain of the model error."""
-        return max(view.gain for view in self.all_views) if self.comes_to_rest else float("inf")
+        if not self.comes_to_rest:
+            return float("inf")
+        return max(view.gain for view in self.all_views)
 
     @property
     def all_views(self) -> tuple[View, ...]:
@@ -119,7 +124,9 @@ class Mismatch:
         """Gain of the model error in each frequency band: the larger of that at the largest
         amplitude and that in closed loop."""
         largest = self.views[-1].by_frequency
-        return largest if self.loop is None else np.maximum(largest, self.loop.by_frequency)
+        if self.loop is None:
+            return largest
+        return np.maximum(largest, self.loop.by_frequency)
 
     def gain_at(self, angles: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
         """Gain of the model error at given frequencies, interpolated between the bands."""
@@ -183,9 +190,10 @@ def measure_mismatch(
 def _views_from_periods(periodic: Records, repeating: Records, noise: BandPowers) -> list[View]:
     """Model error at the amplitude of each record with two periods, single sines included."""
     strength = max(errors.strength() for errors in periodic)
-    views = [
-        mismatch_from_periods(errors, errors.strength() == strength, noise) for errors in periodic
-    ]
+    views = []
+    for errors in periodic:
+        is_largest = errors.strength() == strength
+        views.append(mismatch_from_periods(errors, is_largest, noise))
     views = sorted(views, key=lambda view: view.amplitude)
     sines = [measure_sine(errors, noise) for errors in steady_sines(repeating)]
     return [*views_with_sines(views, sines)]
@@ -217,6 +225,7 @@ def _larger_offsets(first: list[float], second: list[float]) -> list[float]:
 
 def _unexcited_bands(errors: RecordErrors) -> tuple[float, ...]:
     """Frequencies of the bands in which the input of a record has no power."""
-    power_u = welch_power_density([errors.u])
-    is_dark = power_u < EXCITED * power_u.mean()
-    return tuple(float(angle) for angle in ANGLES[: len(power_u)][is_dark])
+    input_power = welch_power_density([errors.u])
+    is_unexcited = input_power < EXCITED * input_power.mean()
+    band_angles = ANGLES[: len(input_power)]
+    return tuple(float(angle) for angle in band_angles[is_unexcited])

@@ -54,6 +54,12 @@ MUCH = 0.95  # of the ball's radius: slopes that fill as much are not told from 
 COARSE = FINE_ANGLES[::3]  # for the power of noise
 PEAK = 4.5  # standard deviations, which normal noise exceeds once in 150,000 samples
 
+BandGains = Float[np.ndarray, "F"]
+ComplexBandGains = Complex[np.ndarray, "F"]
+LoopGains = Float[np.ndarray, "K"]
+ComplexLoopGains = Complex[np.ndarray, "K"]
+SlopePair = tuple[float, float]  # of the input map and the output map
+
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
@@ -68,7 +74,8 @@ class Prediction:
     def predicts_stability(self, margin: float = 1.0) -> bool:
         """Whether every condition for stability on the plant holds, with more than a given
         stability margin."""
-        return self.resolved_margin > margin and self.controller_radius < 1 and self.noise_peak < 1
+        is_robust = self.resolved_margin > margin
+        return is_robust and self.controller_radius < 1 and self.noise_peak < 1
 
 
 def predict(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> Prediction:
@@ -77,12 +84,18 @@ def predict(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> Pred
     peak = sensitivity_peak(model.system, pair, balls)
     total_gain = mismatch.gain * peak if np.isfinite(peak) else np.inf
     measure = robustness_measure(model, pair, balls, mismatch)
+    controller_radius = controller_spectral_radius(model.system, pair, balls)
     return Prediction(
-        mismatch_margin=1 / total_gain if total_gain else float("inf"),
-        resolved_margin=1 / measure if measure else float("inf"),
-        controller_radius=float(controller_spectral_radius(model.system, pair, balls)),
+        mismatch_margin=_margin(total_gain),
+        resolved_margin=_margin(measure),
+        controller_radius=float(controller_radius),
         noise_peak=noise_peak(model, pair, balls, mismatch),
     )
+
+
+def _margin(loop_gain: float) -> float:
+    """Stability margin that belongs to a loop gain, its inverse; infinite for a gain of zero."""
+    return 1 / loop_gain if loop_gain else float("inf")
 
 
 def robustness_measure(
@@ -117,12 +130,11 @@ def robustness_measure(
 
 def loops_to_test(
     model: Model, pair: Gains, balls: Balls, mismatch: Mismatch
-) -> Iterator[tuple[StateSpace, Gains, tuple[float, float], Mismatch]]:
+) -> Iterator[tuple[StateSpace, Gains, SlopePair, Mismatch]]:
     """Closed loops at every combination of constant slopes, each with its model error."""
     for met_balls, records in _group_by_amplitude(model, balls, mismatch):
-        for linear, own_gains, slope_in, slope_out in slope_combinations(
-            model.system, pair, met_balls
-        ):
+        combinations = slope_combinations(model.system, pair, met_balls)
+        for linear, own_gains, slope_in, slope_out in combinations:
             yield linear, own_gains, (slope_in, slope_out), records
 
 
@@ -139,16 +151,21 @@ def _group_by_amplitude(
     views = mismatch.views
     if len(views) < 3 or model.scaffold_in.inputs > 1:
         return [(balls, mismatch)]
-    swing = np.sqrt(2) * views[-2].amplitude * np.linspace(-1, 1, SECANTS)[:, None]
-    secants = np.diff(model.scaffold_in(swing)[:, 0]) / np.diff(swing[:, 0])
+    second_largest = views[-2]
+    unit_swing = np.linspace(-1, 1, SECANTS)[:, None]
+    swing = np.sqrt(2) * second_largest.amplitude * unit_swing
+    input_map_values = model.scaffold_in(swing)[:, 0]
+    secants = np.diff(input_map_values) / np.diff(swing[:, 0])
+    extreme_secants = (secants.min(), secants.max())
     ball = balls.input
-    slopes = np.clip((secants.min(), secants.max()), ball.lower, ball.upper)
+    slopes = np.clip(extreme_secants, ball.lower, ball.upper)
     met_ball = JacobianBall.from_slopes(*slopes.tolist())
     if met_ball.beta >= MUCH * ball.beta:
         return [(balls, mismatch)]
     large = replace(mismatch, views=views[-2:])
     small = replace(mismatch, views=views[:-1], loop=None)
-    return [(balls, large), (replace(balls, input=met_ball), small)]
+    met_balls = replace(balls, input=met_ball)
+    return [(balls, large), (met_balls, small)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,19 +176,15 @@ class LoopResponse:
     `gain_of_constants` is `sigma_max(I + M)` at rest.
     """
 
-    angles: Float[np.ndarray, "K"]
-    size: Float[np.ndarray, "K"]
-    through: Complex[np.ndarray, "K"] | None
+    angles: LoopGains
+    size: LoopGains
+    through: ComplexLoopGains | None
     gain_of_constants: float
     integrates: bool
 
     @classmethod
     def from_gains(
-        cls,
-        linear: StateSpace,
-        pair: Gains,
-        slopes: tuple[float, float],
-        shared: Responses | None = None,
+        cls, linear: StateSpace, pair: Gains, slopes: SlopePair, shared: Responses | None = None
     ) -> "LoopResponse | None":
         """Frequency response of a closed loop for given gains and slopes; None if the loop is
         unstable."""
@@ -181,21 +194,27 @@ class LoopResponse:
             return None
         grid = FINE_ANGLES if shared is None else shared.angles
         mode_angles = np.abs(np.angle(modes))
-        angles = np.union1d(grid, np.maximum(mode_angles, grid[0]))
+        mode_angles_on_grid = np.maximum(mode_angles, grid[0])
+        angles = np.union1d(grid, mode_angles_on_grid)
         if shared is None:
             closed_loop = frequency_response(loop, angles)
             open_loop = frequency_response(linear, angles)
         else:
             extra = np.setdiff1d(angles, grid)
             at = np.searchsorted(grid, extra)
-            closed_on_grid = shared.loop_response(linear, pair.k, pair.modes, [pair.l], *slopes)[0]
-            closed_loop = np.insert(closed_on_grid, at, frequency_response(loop, extra), axis=0)
+            responses = shared.loop_response(linear, pair.k, pair.modes, [pair.l], *slopes)
+            closed_on_grid = responses[0]
+            closed_at_modes = frequency_response(loop, extra)
+            closed_loop = np.insert(closed_on_grid, at, closed_at_modes, axis=0)
             open_on_grid = linear.c @ shared.state_response(linear.a, linear.b) + linear.d
-            open_loop = np.insert(open_on_grid, at, frequency_response(linear, extra), axis=0)
-        through = slopes[0] * slopes[1] * open_loop @ closed_loop
+            open_at_modes = frequency_response(linear, extra)
+            open_loop = np.insert(open_on_grid, at, open_at_modes, axis=0)
+        slope_in, slope_out = slopes
+        through = slope_in * slope_out * open_loop @ closed_loop
         is_scalar = closed_loop.shape[1:] == open_loop.shape[1:] == (1, 1)
-        at_rest = np.eye(len(through[0])) + through[0]
-        gain_of_constants = np.linalg.norm(at_rest, 2)
+        at_constants = through[0]
+        identity = np.eye(len(at_constants))
+        gain_of_constants = np.linalg.norm(identity + at_constants, 2)
         size = largest_singular_values(closed_loop)
         scalar_through = through[:, 0, 0] if is_scalar else None
         is_integrator = np.diagonal(pair.modes) == 1
@@ -207,21 +226,22 @@ class LoopResponse:
             integrates=bool(is_integrator.any()),
         )
 
-    def small_gain(self, by_frequency: Float[np.ndarray, "F"]) -> float:
+    def small_gain(self, by_frequency: BandGains) -> float:
         """Small-gain product of the loop and a model error, the largest over all frequencies."""
-        return float((np.interp(self.angles, ANGLES, by_frequency) * self.size).max())
+        mismatch_gain = np.interp(self.angles, ANGLES, by_frequency)
+        loop_gain = mismatch_gain * self.size
+        return float(loop_gain.max())
 
-    def return_difference(self, linear_part: Complex[np.ndarray, "F"]) -> Complex[np.ndarray, "K"]:
+    def return_difference(self, linear_part: ComplexBandGains) -> ComplexLoopGains:
         """Return difference `1 - M Q` of the closed loop M, as the model error sees it, and the
         error's linear part Q."""
         real = np.interp(self.angles, ANGLES, linear_part.real)
         imaginary = np.interp(self.angles, ANGLES, linear_part.imag)
         assert self.through is not None
-        return np.asarray(1 - self.through * (real + 1j * imaginary))
+        loop_of_linear_part = self.through * (real + 1j * imaginary)
+        return np.asarray(1 - loop_of_linear_part)
 
-    def gain_with_phase(
-        self, linear_part: Complex[np.ndarray, "F"], remainder: Float[np.ndarray, "F"]
-    ) -> float:
+    def gain_with_phase(self, linear_part: ComplexBandGains, remainder: BandGains) -> float:
         """Small-gain product for the nonlinear remainder of the model error, with its linear part
         included in the loop. Infinite if `1 - M Q` winds around zero, so that its phase at pi is
         not the one at 0."""
@@ -229,10 +249,12 @@ class LoopResponse:
             return float("inf")
         returned = self.return_difference(linear_part)
         phase = np.unwrap(np.angle(returned))
-        if abs(phase[-1] - phase[0]) > np.pi / 2 or returned[0].real <= 0:
+        winds = abs(phase[-1] - phase[0]) > np.pi / 2
+        if winds or returned[0].real <= 0:
             return float("inf")
-        size = np.interp(self.angles, ANGLES, remainder) * self.size
-        return float((size / np.abs(returned)).max())
+        plain_gain = np.interp(self.angles, ANGLES, remainder) * self.size
+        gain = plain_gain / np.abs(returned)
+        return float(gain.max())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,17 +275,16 @@ class AmplitudeCondition:
         held_still = view.response < HOLDS
         remainder = np.where(held_still, 0.0, view.rest)
         small_gain = loop.small_gain(view.by_frequency)
+        is_exempt = held_still and loop.integrates
         return cls(
-            linear_part=view.linear,
-            remainder=remainder,
-            small_gain=small_gain,
-            is_exempt=held_still and loop.integrates,
+            linear_part=view.linear, remainder=remainder, small_gain=small_gain, is_exempt=is_exempt
         )
 
     def loop_gain(self, loop: LoopResponse) -> float:
         """Loop gain of the model error at one amplitude, below one if stability is proved. It is
         the smaller of two sufficient conditions: plain small gain, and small gain with a phase."""
-        return min(self.small_gain, loop.gain_with_phase(self.linear_part, self.remainder))
+        with_phase = loop.gain_with_phase(self.linear_part, self.remainder)
+        return min(self.small_gain, with_phase)
 
 
 def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
@@ -281,18 +302,22 @@ def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
             gain = max(gain, condition.loop_gain(loop))
     for smaller, larger in pairwise(conditions):
         if _needs_mixtures(smaller, larger, gain):
-            gain = max(gain, _largest_interpolated_gain(smaller, larger, loop))
+            gain_between = _largest_interpolated_gain(smaller, larger, loop)
+            gain = max(gain, gain_between)
     if mismatch.loop is not None:
-        gain = max(gain, loop.small_gain(mismatch.loop.by_frequency))
+        gain_in_closed_loop = loop.small_gain(mismatch.loop.by_frequency)
+        gain = max(gain, gain_in_closed_loop)
     return gain
 
 
 def _needs_mixtures(smaller: AmplitudeCondition, larger: AmplitudeCondition, gain: float) -> bool:
     """Whether a limit cycle may exist between two recorded amplitudes. This is open where not both
     pass by small gain and no infinite gain has decided already."""
-    pass_by_small_gain = max(smaller.small_gain, larger.small_gain) < max(gain, 1.0)
+    larger_gain = max(smaller.small_gain, larger.small_gain)
+    pass_by_small_gain = larger_gain < max(gain, 1.0)
+    is_undecided = np.isfinite(gain)
     both_exempt = smaller.is_exempt and larger.is_exempt
-    return bool(not pass_by_small_gain and np.isfinite(gain) and not both_exempt)
+    return bool(not pass_by_small_gain and is_undecided and not both_exempt)
 
 
 def _largest_interpolated_gain(
@@ -302,9 +327,11 @@ def _largest_interpolated_gain(
     amplitudes."""
     gains = []
     for share in MIXTURES:
-        linear_part = (1 - share) * smaller.linear_part + share * larger.linear_part
-        remainder = (1 - share) * smaller.remainder + share * larger.remainder
-        gains.append(loop.gain_with_phase(linear_part, remainder))
+        rest_share = 1 - share
+        linear_part = rest_share * smaller.linear_part + share * larger.linear_part
+        remainder = rest_share * smaller.remainder + share * larger.remainder
+        gain = loop.gain_with_phase(linear_part, remainder)
+        gains.append(gain)
     return max(gains)
 
 
@@ -317,14 +344,20 @@ def noise_peak(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> f
     linear, own_gains = _at_equilibrium_slopes(model, pair, balls)
     slope_in = _slope_at_equilibrium(model.scaffold_in, balls.input)
     slope_out = _slope_at_equilibrium(model.scaffold_out, balls.output)
-    to_input = frequency_response(sensitivity(linear, own_gains, slope_in, slope_out), COARSE)
+    closed_loop = sensitivity(linear, own_gains, slope_in, slope_out)
+    to_input = frequency_response(closed_loop, COARSE)
     to_output = slope_in * slope_out * frequency_response(linear, COARSE) @ to_input
-    sizes = [largest_singular_values(to_input), largest_singular_values(to_output)]
-    density = np.stack(sizes) ** 2 * np.interp(COARSE, ANGLES, mismatch.noise)
-    at_input, at_output = np.sqrt(np.trapezoid(density, COARSE) / np.pi)
-    amplitudes, responses = np.transpose([(v.amplitude, v.response) for v in mismatch.views])
-    answered = np.interp(PEAK * at_input / np.sqrt(2), amplitudes, responses)
-    if answered < HOLDS:
+    input_gain = largest_singular_values(to_input)
+    output_gain = largest_singular_values(to_output)
+    squared_gains = np.stack([input_gain, output_gain]) ** 2
+    density = squared_gains * np.interp(COARSE, ANGLES, mismatch.noise)
+    variances = np.trapezoid(density, COARSE) / np.pi
+    at_input, at_output = np.sqrt(variances)
+    amplitudes = [view.amplitude for view in mismatch.views]
+    responses = [view.response for view in mismatch.views]
+    noise_amplitude = PEAK * at_input / np.sqrt(2)
+    response = np.interp(noise_amplitude, amplitudes, responses)
+    if response < HOLDS:
         return 0.0
     return PEAK * float(at_output) / mismatch.band
 
@@ -334,11 +367,14 @@ def _at_equilibrium_slopes(model: Model, pair: Gains, balls: Balls) -> tuple[Sta
     slopes = None
     if isinstance(model, StructuredSSM):
         slopes = evaluate_activations(model.neurons, model.bias, "slope")[None]
-    linear, own_gains, *_ = next(iter(slope_combinations(model.system, pair, balls, slopes)))
+    combinations = slope_combinations(model.system, pair, balls, slopes)
+    linear, own_gains, *_ = next(iter(combinations))
     return linear, own_gains
 
 
 def _slope_at_equilibrium(scaffold: Scaffold, ball: JacobianBall) -> float:
     """Slope of a static map at the equilibrium, limited to the slopes of its ball."""
-    size = np.linalg.norm(scaffold.jacobian(np.zeros(scaffold.inputs)), 2)
-    return float(np.clip(np.sign(ball.alpha) * size, ball.lower, ball.upper))
+    equilibrium = np.zeros(scaffold.inputs)
+    jacobian = scaffold.jacobian(equilibrium)
+    slope = np.sign(ball.alpha) * np.linalg.norm(jacobian, 2)
+    return float(np.clip(slope, ball.lower, ball.upper))

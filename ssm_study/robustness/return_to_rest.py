@@ -24,6 +24,11 @@ FEWEST = 8  # samples of a rest
 FAR = 10 * AT_REST  # from where a return shows a decay
 SAME_INPUT = 6  # digits of the scaled input in which two rests agree
 
+InputSignal = Float[np.ndarray, "T m"]
+OutputSignal = Float[np.ndarray, "T p"]
+FinalOutput = Float[np.ndarray, "K p"]
+Variance = Float[np.ndarray, "p"]
+
 
 def is_return_to_rest(record: Trajectory) -> bool:
     """Whether a record's input moves once at the beginning and is constant from then on. The same
@@ -31,9 +36,11 @@ def is_return_to_rest(record: Trajectory) -> bool:
     if len(record) <= FEWEST:
         return False
     moving = record.inputs_and_disturbances
-    moves_once = bool((moving[0] != moving[1]).any())
-    is_held = not np.ptp(moving[1:], axis=0).any()
-    return moves_once and is_held
+    first_step = moving[0] != moving[1]
+    range_afterwards = np.ptp(moving[1:], axis=0)
+    moves_once = bool(first_step.any())
+    is_constant_afterwards = not range_afterwards.any()
+    return moves_once and is_constant_afterwards
 
 
 def offsets_after_returns(
@@ -51,16 +58,17 @@ def offsets_after_returns(
     shortest = max(RESPONSES * response, FEWEST)
     for level, outputs in _group_by_input(scale, records).items():
         is_equilibrium = not np.frombuffer(level).any()
-        long = [y for y in outputs if len(y) >= shortest]
-        counted = long or outputs
+        long_outputs = [y for y in outputs if len(y) >= shortest]
+        counted = long_outputs or outputs
         swings = [oscillation_amplitude(y) for y in counted]
-        apart = _distances_from_rest(counted, centred=is_equilibrium)
-        came_to_rest = bool(long) or (
-            max((*swings, *apart)) < AT_REST and _starts_far_from_rest(outputs)
-        )
+        distances = _distances_from_rest(counted, centred=is_equilibrium)
+        came_to_rest = bool(long_outputs)
+        if not came_to_rest:
+            is_still = max((*swings, *distances)) < AT_REST
+            came_to_rest = is_still and _starts_far_from_rest(outputs)
         if came_to_rest:
-            motions += [size for size in swings if size >= AT_REST or apart]
-            offsets += [offset for offset in apart if offset > AT_REST]
+            motions += [size for size in swings if size >= AT_REST or distances]
+            offsets += [offset for offset in distances if offset > AT_REST]
     return motions, offsets
 
 
@@ -69,34 +77,36 @@ def equilibrium_spread(scale: Scale, records: list[Trajectory]) -> float:
     zero if one still moves."""
     offsets = list[float]()
     for outputs in _group_by_input(scale, records).values():
-        if max(map(oscillation_amplitude, outputs)) < AT_REST:
+        largest_swing = max(map(oscillation_amplitude, outputs))
+        if largest_swing < AT_REST:
             offsets += _distances_from_rest(outputs, centred=False)
     return max(offsets, default=0.0)
 
 
-def _group_by_input(
-    scale: Scale, records: list[Trajectory]
-) -> dict[bytes, list[Float[np.ndarray, "T p"]]]:
+def _group_by_input(scale: Scale, records: list[Trajectory]) -> dict[bytes, list[OutputSignal]]:
     """Scaled outputs of the records that return to a constant input, grouped by that input."""
-    groups: dict[bytes, list[Float[np.ndarray, "T p"]]] = {}
+    groups: dict[bytes, list[OutputSignal]] = {}
+    input_scale = scale.with_disturbances_as_inputs()
     for record in records:
-        final_input = scale.with_disturbances_as_inputs().scaled_input(
-            record.inputs_and_disturbances[-1]
-        )
+        final_input = input_scale.scaled_input(record.inputs_and_disturbances[-1])
         level = np.round(final_input, SAME_INPUT) + 0.0  # no negative zero
         output = scale.scaled_output(record.y[1:])
-        groups.setdefault(level.tobytes(), []).append(output)
+        group = groups.setdefault(level.tobytes(), [])
+        group.append(output)
     return groups
 
 
-def _starts_far_from_rest(outputs: list[Float[np.ndarray, "T p"]]) -> bool:
+def _starts_far_from_rest(outputs: list[OutputSignal]) -> bool:
     """Whether an output begins far from its final value."""
-    ends = [_last_quarter(y)[0].mean(axis=0) for y in outputs]
-    distances = [np.abs(y[0] - end).max() for y, end in zip(outputs, ends, strict=True)]
-    return any(distance >= FAR for distance in distances)
+    for output in outputs:
+        tail, _ = _last_quarter(output)
+        distance = np.abs(output[0] - tail.mean(axis=0))
+        if distance.max() >= FAR:
+            return True
+    return False
 
 
-def _distances_from_rest(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[float]:
+def _distances_from_rest(outputs: list[OutputSignal], *, centred: bool) -> list[float]:
     """Distance of each final output from the equilibrium, or from the mean of the others, with
     noise removed."""
     tails = [_last_quarter(y) for y in outputs]
@@ -109,45 +119,47 @@ def _distances_from_rest(outputs: list[Float[np.ndarray, "T p"]], *, centred: bo
         mean_of_others = (means.sum(axis=0) - means) / others
         means = means - mean_of_others
         spread = spread * (1 + 1 / others)
-    offsets = np.abs(means) - SURE * np.sqrt(spread)
-    return [float(offset) for offset in offsets.max(axis=1)]
+    standard_errors = np.sqrt(spread)
+    offsets = np.abs(means) - SURE * standard_errors
+    largest_offsets = offsets.max(axis=1)
+    return [float(offset) for offset in largest_offsets]
 
 
-def output_after_motion(
-    u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int
-) -> Float[np.ndarray, "K p"]:
+def output_after_motion(u: InputSignal, y: OutputSignal, response: int) -> FinalOutput:
     """Part of an output after the effect of the input's last motion has died out; empty unless the
     record is that long."""
     empty_output = y[:0]
     if not u.any():
         return empty_output
-    last_motion = int(np.flatnonzero(u.any(axis=1))[-1])
+    moving_samples = np.flatnonzero(u.any(axis=1))
+    last_motion = int(moving_samples[-1])
     rest = y[last_motion + 1 :]
-    is_long = len(rest) >= max(RESPONSES * response, FEWEST)
-    return rest if is_long else empty_output
+    shortest = max(RESPONSES * response, FEWEST)
+    return rest if len(rest) >= shortest else empty_output
 
 
-def remaining_offset(y: Float[np.ndarray, "T p"]) -> float:
+def remaining_offset(y: OutputSignal) -> float:
     """Larger of offset and oscillation of an output in the last quarter of a record at constant
     input, with noise removed."""
     tail, noise = _last_quarter(y)
     standard_error = np.sqrt(noise / len(tail))
     offset = np.abs(tail.mean(axis=0)) - SURE * standard_error
     offset = np.maximum(offset, 0.0)
-    return max(float(offset.max()), oscillation_amplitude(y))
+    largest_offset = float(offset.max())
+    return max(largest_offset, oscillation_amplitude(y))
 
 
-def oscillation_amplitude(y: Float[np.ndarray, "T p"]) -> float:
+def oscillation_amplitude(y: OutputSignal) -> float:
     """Amplitude of the output's oscillation in the last quarter of a record at constant input."""
     tail, noise = _last_quarter(y)
-    most_noise = (1 + SURE * np.sqrt(8 / len(tail))) * noise
+    relative_error = np.sqrt(8 / len(tail))
+    most_noise = (1 + SURE * relative_error) * noise
     variance = np.maximum(tail.var(axis=0) - most_noise, 0.0)
-    return float(np.sqrt(2 * variance).max())
+    amplitude = np.sqrt(2 * variance)
+    return float(amplitude.max())
 
 
-def _last_quarter(
-    y: Float[np.ndarray, "T p"],
-) -> tuple[Float[np.ndarray, "K p"], Float[np.ndarray, "p"]]:
+def _last_quarter(y: OutputSignal) -> tuple[FinalOutput, Variance]:
     """Last quarter of an output at constant input, and the variance of its noise. The variance is
     the mean of `median(S) / ln 2`, each over `NEIGHBOURS` lines.
 
@@ -155,8 +167,10 @@ def _last_quarter(
     loop has fed back and coloured is broad, and does. The relative variance is about 6/T, that of
     the output's own 2/T.
     """
-    tail = y[-max(len(y) // 4, FEWEST) :]
+    samples = max(len(y) // 4, FEWEST)
+    tail = y[-samples:]
     _, density = scipy.signal.periodogram(tail, window="hann", detrend=scipy.signal.detrend, axis=0)
     lines = density[1:-1]
     medians = scipy.ndimage.median_filter(lines, (NEIGHBOURS, 1), mode="reflect")
-    return tail, medians.mean(axis=0) / 2 / np.log(2)
+    noise_variance = medians.mean(axis=0) / 2 / np.log(2)
+    return tail, noise_variance

@@ -34,12 +34,16 @@ def peak_frequencies(model: Model, pair: Gains, balls: Balls) -> list[float]:
     The sensitivity is `|T_ue|`."""
     size = np.zeros(len(FINE_ANGLES))
     for end in slope_combinations(model.system, pair, balls):
-        response = frequency_response(sensitivity(*end), FINE_ANGLES)
+        closed_loop = sensitivity(*end)
+        response = frequency_response(closed_loop, FINE_ANGLES)
         size = np.maximum(size, largest_singular_values(response))
     padded = np.concatenate([[0.0], size, [0.0]])
-    is_peak = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:])
+    before = padded[:-2]
+    after = padded[2:]
+    is_peak = (size >= before) & (size > after)
     peaks = np.flatnonzero(is_peak)
-    return [float(FINE_ANGLES[peak]) for peak in peaks[np.argsort(-size[peaks])]]
+    largest_first = peaks[np.argsort(-size[peaks])]
+    return [float(angle) for angle in FINE_ANGLES[largest_first]]
 
 
 def peak_lines(model: Model, pair: Gains, balls: Balls, period: int) -> list[int]:
@@ -62,8 +66,9 @@ def measure_sine_mismatch(
     sines = []
     for record in records:
         errors = RecordErrors.from_record(model, record, 0)
-        last_two = replace(errors, start=len(errors.u) - 2 * period, period=period)
-        sines.append(measure_sine(last_two, noise))
+        start = len(errors.u) - 2 * period
+        last_two_periods = replace(errors, start=start, period=period)
+        sines.append(measure_sine(last_two_periods, noise))
     return sines
 
 

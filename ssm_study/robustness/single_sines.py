@@ -37,8 +37,14 @@ def repeats_one_line(errors: RecordErrors) -> bool:
     """Whether the periodic part of a record's input has nearly all its power at one frequency."""
     if errors.period is None:
         return False
-    drive = (np.abs(errors.periods(errors.u)[1][1:]) ** 2).sum(axis=1)
+    drive = _input_power_at_lines(errors)[1:]
     return bool(drive.max() >= SINGLE * drive.sum())
+
+
+def _input_power_at_lines(errors: RecordErrors) -> Float[np.ndarray, "L"]:
+    """Power of a record's input at each spectral line of its second period, the mean first."""
+    _, second_period = errors.periods(errors.u)
+    return np.asarray((np.abs(second_period) ** 2).sum(axis=1))
 
 
 def steady_sines(records: Sequence[RecordErrors]) -> list[RecordErrors]:
@@ -49,17 +55,22 @@ def steady_sines(records: Sequence[RecordErrors]) -> list[RecordErrors]:
         if not repeats_one_line(errors):
             continue
         assert errors.period is not None
-        drive = (np.abs(errors.periods(errors.u)[1][1:]) ** 2).sum(axis=1)
-        cycle = errors.period // (1 + int(drive.argmax()))
-        moves = np.flatnonzero((errors.u != errors.u[-1]).any(axis=1))
-        end = int(moves[-1]) + 1
-        wave = errors.u[int(moves[0]) : end]
-        largest_difference = np.abs(wave[cycle:] - wave[:-cycle]).max()
+        drive = _input_power_at_lines(errors)[1:]
+        cycles = 1 + int(drive.argmax())
+        cycle = errors.period // cycles
+        is_moving = (errors.u != errors.u[-1]).any(axis=1)
+        moving_samples = np.flatnonzero(is_moving)
+        first = int(moving_samples[0])
+        end = int(moving_samples[-1]) + 1
+        wave = errors.u[first:end]
+        differences = np.abs(wave[cycle:] - wave[:-cycle])
+        largest_difference = differences.max()
         period = cycle * ((len(wave) + 1) // cycle // 3)
         if not period or largest_difference > SAME * np.ptp(wave):
             continue  # a piece of a log that also moves otherwise
         cut = {name: getattr(errors, name)[:end] for name in ("moving", "u", "model", "e")}
-        sines.append(replace(errors, **cut, start=end - 2 * period, period=period))
+        start = end - 2 * period
+        sines.append(replace(errors, **cut, start=start, period=period))
     return sines
 
 
@@ -67,14 +78,17 @@ def measure_sine(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> SineMis
     """Model error at the strongest frequency of the two periods of a record. `noise` is a sample's
     power in each band."""
     assert errors.period is not None
-    drive = (np.abs(errors.periods(errors.u)[1]) ** 2).sum(axis=1)
+    drive = _input_power_at_lines(errors)
     line = 1 + int(drive[1:].argmax())
     angle = 2 * np.pi * line / errors.period
     first, second = errors.periods(errors.e)[:, line]
-    repeats = max(float((first * second.conj()).real.sum()), 0.0)
-    noise_power = errors.period * float(np.interp(angle, ANGLES, noise))
-    error = np.sqrt(noise_power**2 / 2 + noise_power * repeats)
-    upper_limit = repeats + LIMIT * error
+    repeating_power = (first * second.conj()).real.sum()
+    repeats = max(float(repeating_power), 0.0)
+    noise_of_sample = float(np.interp(angle, ANGLES, noise))
+    noise_power = errors.period * noise_of_sample
+    variance = noise_power**2 / 2 + noise_power * repeats
+    standard_error = np.sqrt(variance)
+    upper_limit = repeats + LIMIT * standard_error
     gain = np.sqrt(upper_limit / drive[line])
     wave = errors.u[errors.start :]
     amplitude = np.sqrt((wave**2).mean())
@@ -92,7 +106,8 @@ def views_with_sines(views: Sequence[View], sines: Sequence[SineMismatch]) -> tu
         amplitude = min(sine.amplitude for sine in below)
         raised.insert(0, replace(smallest, amplitude=amplitude))
     for sine in sines:
-        distances = [abs(np.log(sine.amplitude / view.amplitude)) for view in raised]
+        ratios = [sine.amplitude / view.amplitude for view in raised]
+        distances = [abs(np.log(ratio)) for ratio in ratios]
         nearest = int(np.argmin(distances))
         raised[nearest] = raise_gain_at_sine(raised[nearest], sine)
     return tuple(raised)
@@ -110,5 +125,7 @@ def raise_gain_at_sine(view: View, sine: SineMismatch) -> View:
     remainder = view.rest.copy()
     excess = np.sqrt(sine.gain**2 - recorded_gain**2)
     by_frequency[bands] = np.maximum(by_frequency[bands], sine.gain)
-    remainder[bands] = np.maximum(remainder[bands], np.hypot(remainder[bands], excess))
+    recorded_remainder = remainder[bands]
+    with_excess = np.hypot(recorded_remainder, excess)
+    remainder[bands] = np.maximum(recorded_remainder, with_excess)
     return replace(view, by_frequency=by_frequency, rest=remainder)

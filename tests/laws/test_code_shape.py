@@ -26,7 +26,7 @@ DENSITY = {
     "ssm_study/export": (11.1, 2.7),
     "ssm_study/loop": (12.0, 2.4),
     "ssm_study/models": (12.6, 3.6),
-    "ssm_study/robustness": (14.0, 6.5),
+    "ssm_study/robustness": (10.9, 1.6),
     "ssm_study/study": (10.6, 1.6),
     "ssm_study/synthesis": (11.5, 3.4),
     "ssm_study/table": (11.5, 1.4),
