@@ -67,7 +67,8 @@ class Side(Theorem, abstract=True):
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
         """Gain matrices that are deployed, keyed by symbol: `k`, or `l` and, with neurons,
         `l_z`."""
-        return {letter: vars(self)[letter] for letter in ("k", "l", "l_z") if letter in vars(self)}
+        stored = vars(self)
+        return {letter: stored[letter] for letter in ("k", "l", "l_z") if letter in stored}
 
     @property
     def gain(self) -> Float[np.ndarray, "r c"]:
@@ -125,7 +126,8 @@ class ProblemCertificate(Side, abstract=True):
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
         """Fields of the certificate that are matrices of the system."""
         system = self._system(context)
-        return {part.name: getattr(system, part.name) for part in fields(self) if part.name in DUAL}
+        names = [part.name for part in fields(self) if part.name in DUAL]
+        return {name: getattr(system, name) for name in names}
 
     @classmethod
     def largest_provable_rate(cls, context: VerificationContext) -> float:
@@ -133,46 +135,63 @@ class ProblemCertificate(Side, abstract=True):
         frontier; with neurons, the smallest over frozen slopes."""
         system = cls._system(context)
         controlled = dual_system(system) if cls.observes else system
-        return controller_frontier(controlled, cls.required_ball(context)).rate_limit
+        ball = cls.required_ball(context)
+        frontier = controller_frontier(controlled, ball)
+        return frontier.rate_limit
 
     @classmethod
     def certificate_numbers(cls, problem: Problem, found: Solution) -> dict[str, Any]:
         """Collect the certificate's matrices from a problem and its solution, keyed by symbol.
         Those of an observer are transposed back from the dual problem."""
-        of: dict[str, Any] = {
-            **vars(problem),
-            **vars(found),
-            **(vars(problem.neurons) if problem.neurons else {}),
-        }
-        turned = {
-            other: of[letter].T.copy()
-            for letter, other in LETTERS.items()
-            if of.get(letter) is not None
-        }
-        ball = {"alpha": problem.ball.alpha, "beta": problem.ball.beta}
-        of |= ball | {"eta": found.sigma, "lambda_": found.multipliers}
-        of |= turned if cls.observes else {}
-        return {name: of[name] for name in (part.name for part in fields(cls)) if name in of}
+        numbers: dict[str, Any] = {**vars(problem), **vars(found)}
+        if problem.neurons:
+            numbers |= vars(problem.neurons)
+        transposed = {}
+        for letter, other in LETTERS.items():
+            matrix = numbers.get(letter)
+            if matrix is not None:
+                transposed[other] = matrix.T.copy()
+        numbers["alpha"] = problem.ball.alpha
+        numbers["beta"] = problem.ball.beta
+        numbers["eta"] = found.sigma
+        numbers["lambda_"] = found.multipliers
+        if cls.observes:
+            numbers |= transposed
+        names = [part.name for part in fields(cls)]
+        return {name: numbers[name] for name in names if name in numbers}
 
     def as_problem(self) -> tuple[Problem, Solution]:
         """Rebuild the synthesis problem, without weights, from the stored numbers. Matrices of an
         observer are transposed."""
-        of: dict[str, Any] = dict(vars(self))
+        stored: dict[str, Any] = dict(vars(self))
+        numbers = dict(stored)
         if self.observes:
-            of |= {
-                letter: np.ascontiguousarray(of[other].T)
-                for letter, other in LETTERS.items()
-                if other in of
-            }
-        neurons = (
-            Neurons(e=of["e"], f=of["f"], g=of["g"], observes=self.observes) if "e" in of else None
+            for letter, other in LETTERS.items():
+                if other in stored:
+                    numbers[letter] = np.ascontiguousarray(stored[other].T)
+        neurons = None
+        if "e" in numbers:
+            neurons = Neurons(
+                e=numbers["e"], f=numbers["f"], g=numbers["g"], observes=self.observes
+            )
+        problem = Problem(
+            a=numbers["a"],
+            b=numbers["b"],
+            ball=JacobianBall(alpha=self.alpha, beta=self.beta),
+            rate=self.rate,
+            neurons=neurons,
+            state_weight=np.eye(len(self.a)),
+            input_weight=1.0,
         )
-        ball = JacobianBall(alpha=self.alpha, beta=self.beta)
-        eye = np.eye(len(self.a))
-        data = {"a": of["a"], "b": of["b"], "ball": ball, "rate": self.rate, "neurons": neurons}
-        found = {"p": of["p"], "y": of["y"], "k": of["k"], "k_w": of.get("k_w"), "status": ""}
-        sigma = of["eta" if self.observes else "sigma"]
-        return Problem(**data, state_weight=eye, input_weight=1.0), Solution(**found, sigma=sigma)
+        solution = Solution(
+            p=numbers["p"],
+            y=numbers["y"],
+            k=numbers["k"],
+            k_w=numbers.get("k_w"),
+            status="",
+            sigma=numbers["eta" if self.observes else "sigma"],
+        )
+        return problem, solution
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -308,28 +327,38 @@ class Design:
     @property
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
         """Gain matrices of the design by name, `k`, `l` and `l_z`, without the missing ones."""
-        sides = (part for part in (self.state_feedback, self.observer) if isinstance(part, Side))
-        return {letter: gain for side in sides for letter, gain in side.gains.items()}
+        gains = {}
+        for part in (self.state_feedback, self.observer):
+            if isinstance(part, Side):
+                gains |= part.gains
+        return gains
 
     def certified_rate(self, side: str) -> float | None:
         """Largest rate that is proved for the gain of controller or observer; None where no rate is
         proved."""
-        parts = self.parts_by_name[side], self.extra_certificates.get(f"{side}_deployed")
-        rates = [part.rate for part in parts if isinstance(part, Side) and part.certified]
+        part = self.parts_by_name[side]
+        deployed_part = self.extra_certificates.get(f"{side}_deployed")
+        certificates = [one for one in (part, deployed_part) if isinstance(one, Side)]
+        rates = [certificate.rate for certificate in certificates if certificate.certified]
         return max(rates, default=None)
 
     def to_json(self) -> dict[str, Any]:
         """Content of `certificate.json`, whose numbers read back to the same floats."""
         content = {}
         for label, part in self.parts_by_name.items():
-            plain: dict[str, Any] = (
-                {"certified_rate": self.certified_rate(label)} if label in SIDES else {}
-            )
-            plain |= {"theorem": part.name()} if isinstance(part, Theorem) else {}
+            is_theorem = isinstance(part, Theorem)
+            plain = dict[str, Any]()
+            if label in SIDES:
+                plain["certified_rate"] = self.certified_rate(label)
+            if isinstance(part, Theorem):
+                plain["theorem"] = part.name()
             for name, value in vars(part).items():
-                plain[name.rstrip("_")] = value.tolist() if isinstance(value, np.ndarray) else value
-            plain |= {"certified": part.certified, "feasible": isinstance(part, Theorem)}
-            content[label] = plain | {"digest": certificate_digest(plain)}
+                is_array = isinstance(value, np.ndarray)
+                plain[name.rstrip("_")] = value.tolist() if is_array else value
+            plain["certified"] = part.certified
+            plain["feasible"] = is_theorem
+            digest = certificate_digest(plain)
+            content[label] = plain | {"digest": digest}
         return content | dict(self.withdrawn)
 
     @classmethod
@@ -358,8 +387,9 @@ class Design:
 def certificate_digest(content: dict[str, Any]) -> str:
     """Hash that reveals whether a stored certificate was altered: SHA-256 of its other fields as
     canonical JSON."""
-    rest = {name: value for name, value in content.items() if name != "digest"}
-    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+    other_fields = {name: value for name, value in content.items() if name != "digest"}
+    canonical = json.dumps(other_fields, sort_keys=True)
+    return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 def _is_withdrawn(label: str, content: Any) -> bool:

@@ -17,6 +17,10 @@ from ssm_study.certificates.problem import NoSolution
 from ssm_study.refusal import require
 from ssm_study.systems import JacobianBall, StateSpace, System
 
+Square = Float[np.ndarray, "n n"]
+InputMatrix = Float[np.ndarray, "n m"]
+FastMatrix = Float[np.ndarray, "k k"]
+
 # a mode whose left eigenvector meets B at less of `||B||` is out of reach: vectors err by 1e-14
 REACH_FLOOR = 1e-12
 # eigenvalues closer than this share of the largest count as repeated: a defective pair splits by
@@ -65,9 +69,7 @@ def controller_frontier(system: System, ball: JacobianBall) -> Frontier:
     return max(frontiers, key=lambda limit: limit.contraction_limit)
 
 
-def frontier(
-    a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: JacobianBall
-) -> Frontier:
+def frontier(a: Square, b: InputMatrix, ball: JacobianBall) -> Frontier:
     """Smallest contraction factor that any linear gain can reach for a ball of Jacobians. Infimum
     of the `r` at which `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`.
 
@@ -76,26 +78,26 @@ def frontier(
     closed-form brackets, which meet for one input.
     """
     for label, matrix in (("a", a), ("b", b)):
-        require(
-            bool(np.isfinite(matrix).all()),
-            label,
-            "NaN or infinity",
-            "not finite",
-            "identify the model again",
-        )
-    moduli = np.sort(np.abs(np.linalg.eigvals(a)))[::-1]
+        is_finite = bool(np.isfinite(matrix).all())
+        remedy = "identify the model again"
+        require(is_finite, label, "NaN or infinity", "not finite", remedy)
+    ascending_moduli = np.sort(np.abs(np.linalg.eigvals(a)))
+    moduli = ascending_moduli[::-1]
     if ball.relative_radius >= 1 or not b.any():
-        return Frontier(contraction_limit=float(moduli[0]), decided_by="the open loop")
+        spectral_radius = float(moduli[0])
+        return Frontier(contraction_limit=spectral_radius, decided_by="the open loop")
     unreached = unreached_modulus(a, b)
     product = _product_limit(moduli, ball.relative_radius)
     if unreached >= product:
         return Frontier(contraction_limit=unreached, decided_by="a mode out of reach")
     high = product
-    least = _product_limit(moduli, ball.relative_radius ** b.shape[1])
+    inputs = b.shape[1]
+    least = _product_limit(moduli, ball.relative_radius**inputs)
     low = max(unreached, least, np.finfo(float).tiny)
     # The largest ball grows with r: halved until doubles run out.
     while low < (middle := float(np.sqrt(low * high))) < high:
-        largest_ball = 1 / np.sqrt(1 + largest_energy(a, b, middle))
+        energy = largest_energy(a, b, middle)
+        largest_ball = 1 / np.sqrt(1 + energy)
         if largest_ball > ball.relative_radius:
             high = middle
         else:
@@ -104,7 +106,7 @@ def frontier(
     return Frontier(contraction_limit=high, decided_by=decided_by)
 
 
-def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) -> float:
+def unreached_modulus(a: Square, b: InputMatrix) -> float:
     """Largest modulus of an eigenvalue that the input does not control (Popov-Belevitch-Hautus
     test); 0 if it controls all.
 
@@ -116,16 +118,18 @@ def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) 
     reach = np.linalg.norm(left.T @ b, axis=1) / size_of_b
     to_itself = np.diag(np.full(len(values), np.inf))
     distances = np.abs(values[:, None] - values) + to_itself
-    is_repeated = distances.min(axis=1) < REPEATED * np.abs(values).max()
+    spectral_radius = np.abs(values).max()
+    is_repeated = distances.min(axis=1) < REPEATED * spectral_radius
+    identity = np.eye(len(a))
     for i in np.flatnonzero(is_repeated):
-        pencil = np.hstack([a - values[i] * np.eye(len(a)), b])
-        reach[i] = np.linalg.svd(pencil, compute_uv=False)[-1] / np.linalg.norm(pencil, 2)
-    return float(np.abs(values[reach < REACH_FLOOR]).max(initial=0.0))
+        pencil = np.hstack([a - values[i] * identity, b])
+        singular_values = np.linalg.svd(pencil, compute_uv=False)
+        reach[i] = singular_values[-1] / np.linalg.norm(pencil, 2)
+    unreached_values = values[reach < REACH_FLOOR]
+    return float(np.abs(unreached_values).max(initial=0.0))
 
 
-def energy_root(
-    a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]
-) -> Float[np.ndarray, "k k"]:
+def energy_root(a: FastMatrix, b: Float[np.ndarray, "k m"]) -> FastMatrix:
     """Square root of the Gramian of the inverse-time system, for modes outside the unit circle.
     Lower triangular `L` with `L L^T = W`, `W = A^{-1} (W + B B^T) A^{-T}`, all `|lambda(A)| > 1`.
 
@@ -139,7 +143,8 @@ def energy_root(
         root = np.hstack([root, f @ root])
         if root.shape[1] > len(root):
             # R^T R = root root^T: as narrow as W again.
-            root = np.asarray(np.linalg.qr(root.T, mode="r")).T
+            triangular = np.linalg.qr(root.T, mode="r")
+            root = np.asarray(triangular).T
         f = f @ f  # F^(2^j): each round doubles the terms summed
         size = np.abs(f).max()
         if not np.isfinite(size):
@@ -151,9 +156,7 @@ def energy_root(
     return root
 
 
-def largest_energy(
-    a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float
-) -> float:
+def largest_energy(a: Square, b: InputMatrix, contraction: float) -> float:
     """Largest eigenvalue of the smallest control energy with which a contraction factor can be
     reached. `lambda_max(Bh^T S Bh)`: 0 when every mode is fast enough already, infinite when a slow
     mode cannot be reached.
@@ -162,17 +165,23 @@ def largest_energy(
     has orthogonal coordinates of it, so no eigenvector basis is ever inverted.
     """
     edge = contraction * (1 + ON_CIRCLE)
-    t, z, order = scipy.linalg.schur(
-        a.T, output="real", sort=lambda re, im: np.hypot(re, im) > edge
-    )
+
+    def is_slow(real: float, imaginary: float) -> bool:
+        """Whether a mode is slower than the contraction factor."""
+        return bool(np.hypot(real, imaginary) > edge)
+
+    t, z, order = scipy.linalg.schur(a.T, output="real", sort=is_slow)
     if not order:
         return 0.0
-    bh = z[:, :order].T @ b / contraction
+    slow_subspace = z[:, :order].T
+    slow_block = t[:order, :order].T
+    bh = slow_subspace @ b / contraction
     try:
-        root = energy_root(t[:order, :order].T / contraction, bh)
+        root = energy_root(slow_block / contraction, bh)
     except NoSolution:
         return np.inf
-    return float(np.linalg.norm(scipy.linalg.solve_triangular(root, bh, lower=True), 2) ** 2)
+    whitened = scipy.linalg.solve_triangular(root, bh, lower=True)
+    return float(np.linalg.norm(whitened, 2) ** 2)
 
 
 def _product_limit(moduli: Float[np.ndarray, "n"], ratio: float) -> float:
@@ -182,6 +191,9 @@ def _product_limit(moduli: Float[np.ndarray, "n"], ratio: float) -> float:
     With the k largest modes faster than r, `r = (ratio prod |lambda_i|)^(1/k)`; the right k is the
     one whose r lies between its neighbours, and the largest candidate is that one.
     """
+    counts = np.arange(1, len(moduli) + 1)
     with np.errstate(divide="ignore"):
-        logs = (np.log(ratio) + np.cumsum(np.log(moduli))) / np.arange(1, len(moduli) + 1)
-    return float(min(np.exp(logs.max()), moduli[0]))
+        log_products = np.log(ratio) + np.cumsum(np.log(moduli))
+        logs = log_products / counts
+    largest = np.exp(logs.max())
+    return float(min(largest, moduli[0]))

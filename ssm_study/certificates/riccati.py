@@ -30,14 +30,15 @@ def solve_riccati(a: Square, b: Float[np.ndarray, "n m"], q: Square, kappa: floa
     s = solve_riccati_by_doubling(a, kappa * b @ b.T, q)
     if s is not None:
         sb = s @ b
-        inner = s - kappa * sb @ np.linalg.solve(np.eye(b.shape[1]) + kappa * b.T @ sb, sb.T)
-        residual = np.abs(s - a.T @ inner @ a - q).max() / max(
-            np.abs(s).max(), np.finfo(float).tiny
-        )
-        if residual < RESIDUAL_SHARE:
+        input_cost = np.eye(b.shape[1]) + kappa * b.T @ sb
+        inner = s - kappa * sb @ np.linalg.solve(input_cost, sb.T)
+        size = max(np.abs(s).max(), np.finfo(float).tiny)
+        residual = np.abs(s - a.T @ inner @ a - q)
+        if residual.max() / size < RESIDUAL_SHARE:
             return s
+    input_weight = np.eye(b.shape[1]) / kappa
     try:
-        s = scipy.linalg.solve_discrete_are(a, b, q, np.eye(b.shape[1]) / kappa)
+        s = scipy.linalg.solve_discrete_are(a, b, q, input_weight)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise NoSolution(f"no stabilising Riccati solution: {error}") from error
     return symmetric_part(s)
@@ -53,21 +54,25 @@ def solve_riccati_by_doubling(a: Square, g: Square, q: Square) -> Square | None:
     Algorithm 2.1.
     """
     n = len(a)
+    identity = np.eye(n)
     h = q
     for _ in range(MOST_STEPS):
         with np.errstate(over="ignore", invalid="ignore"):
+            right_side = np.hstack([a, g])
             try:
-                solved = np.linalg.solve(np.eye(n) + g @ h, np.hstack([a, g]))
+                solved = np.linalg.solve(identity + g @ h, right_side)
             except np.linalg.LinAlgError:
                 return None
-            step = a.T @ h @ solved[:, :n]
+            solved_a = solved[:, :n]
+            solved_g = solved[:, n:]
+            step = a.T @ h @ solved_a
             h = h + symmetric_part(step)
             if not np.isfinite(h).all():  # diverged: no stabilising solution in floats
                 return None
             if np.abs(step).max() <= CONVERGED * np.abs(h).max():
                 return h
-            g = g + a @ solved[:, n:] @ a.T
-            a = a @ solved[:, :n]
+            g = g + a @ solved_g @ a.T
+            a = a @ solved_a
         g = symmetric_part(g)
     return None
 
@@ -86,13 +91,15 @@ def least_metric(
     Solved for `z`, where `x = right z`, `z = left x`; `Ah_K = Ah + alpha Bh K`, `E = slack I`.
     Raises `NoSolution` if floats find none.
     """
+    ball = problem.ball
     b = left @ problem.b / contraction
     k = k @ right
-    a_closed = left @ problem.a @ right / contraction + problem.ball.alpha * b @ k
+    a = left @ problem.a @ right / contraction
+    closed_loop_matrix = a + ball.alpha * b @ k
     noise = b @ b.T + slack * np.eye(len(b))
-    p = solve_riccati_by_doubling(
-        np.ascontiguousarray(a_closed.T), -(problem.ball.beta**2) * k.T @ k, noise
-    )
+    slope_term = -(ball.beta**2) * k.T @ k
+    dual_matrix = np.ascontiguousarray(closed_loop_matrix.T)
+    p = solve_riccati_by_doubling(dual_matrix, slope_term, noise)
     if p is None:
         raise NoSolution("the bounded-real equation has no solution in floats")
     return symmetric_part(right @ p @ right.T)

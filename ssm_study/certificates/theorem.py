@@ -38,6 +38,8 @@ INFORMATION = (
     "seconds",
 )
 
+Symmetric = Float[np.ndarray, "s s"]
+
 # Upper triangle of a symmetric block matrix: row `i` holds the blocks `i, i + 1, ...`; `0` is a
 # block of zeros.
 Blocks = list[list[Any]]
@@ -62,29 +64,33 @@ def symmetric_from_upper(upper: Blocks) -> Blocks:
 def assemble_blocks(rows: Blocks) -> Any:
     """Assemble a block matrix, in exact numbers if one of its blocks is exact, otherwise by
     `np.block`."""
-    return (
-        Exact.block(rows)
-        if any(isinstance(block, Exact) for row in rows for block in row)
-        else np.block(rows)
-    )
+    blocks = [block for row in rows for block in row]
+    if any(isinstance(block, Exact) for block in blocks):
+        return Exact.block(rows)
+    return np.block(rows)
 
 
 def multiplier_matrix(entries: Any) -> Any:
     """Diagonal matrix with a stored vector of multipliers on its diagonal."""
-    return entries.diagonal_matrix() if isinstance(entries, Exact) else np.diagflat(entries)
+    if isinstance(entries, Exact):
+        return entries.diagonal_matrix()
+    return np.diagflat(entries)
 
 
-def scale_to_unit_diagonal(matrix: Float[np.ndarray, "s s"]) -> Float[np.ndarray, "s s"]:
+def scale_to_unit_diagonal(matrix: Symmetric) -> Symmetric:
     """Scale a symmetric matrix so that its diagonal is one. `D M D` with `D = diag(|M_ii|)^(-1/2)`,
     by which definiteness and conditioning do not depend on units."""
-    scale = 1 / np.sqrt(np.maximum(np.abs(np.diagonal(matrix)), np.finfo(float).tiny))
+    sizes = np.abs(np.diagonal(matrix))
+    positive_sizes = np.maximum(sizes, np.finfo(float).tiny)
+    scale = 1 / np.sqrt(positive_sizes)
     scaled = scale[:, None] * matrix * scale
     return (scaled + scaled.T) / 2
 
 
-def smallest_eigenvalue(matrix: Float[np.ndarray, "s s"]) -> float:
+def smallest_eigenvalue(matrix: Symmetric) -> float:
     """Smallest eigenvalue of a symmetric matrix."""
-    return float(np.linalg.eigvalsh(matrix)[0])
+    ascending = np.linalg.eigvalsh(matrix)
+    return float(ascending[0])
 
 
 def scaled_condition_number(matrix: Float[np.ndarray, "n n"]) -> float:
@@ -177,38 +183,33 @@ class Theorem(ABC):
         cls, read: Callable[[Any], Any], numbers: Mapping[str, Any]
     ) -> dict[str, Blocks]:
         """Block matrices of the theorem's conditions, computed in floats or in exact numbers."""
-        of = {label: read(value) for label, value in numbers.items()}
-        of |= {label: of[left] @ of[right] for label, (left, right) in cls.products.items()}
-        return {
-            label: symmetric_from_upper(upper)
-            for label, upper in cls.conditions(SimpleNamespace(**of)).items()
-        }
+        matrices = {label: read(value) for label, value in numbers.items()}
+        for label, (left, right) in cls.products.items():
+            matrices[label] = matrices[left] @ matrices[right]
+        conditions = cls.conditions(SimpleNamespace(**matrices))
+        return {label: symmetric_from_upper(upper) for label, upper in conditions.items()}
 
     @classmethod
-    def as_floats(cls, **numbers: Any) -> dict[str, Float[np.ndarray, "s s"]]:
+    def as_floats(cls, **numbers: Any) -> dict[str, Symmetric]:
         """Matrices of the certificate's inequalities in floats, each scaled to a unit diagonal."""
-        blocks_by_label = cls._evaluate_conditions(np.atleast_2d, numbers)
-        return {
-            label: scale_to_unit_diagonal(np.block(blocks))
-            for label, blocks in blocks_by_label.items()
-        }
+        scaled = {}
+        for label, blocks in cls._evaluate_conditions(np.atleast_2d, numbers).items():
+            scaled[label] = scale_to_unit_diagonal(np.block(blocks))
+        return scaled
 
     @classmethod
     def exact_conditions(cls, **numbers: Any) -> dict[str, Exact]:
         """Matrices of the certificate's inequalities in exact arithmetic. Raises `ValueError` where
         the shapes do not fit."""
-        return {
-            label: Exact.block(blocks)
-            for label, blocks in cls._evaluate_conditions(Exact.from_floats, numbers).items()
-        }
+        blocks_by_label = cls._evaluate_conditions(Exact.from_floats, numbers)
+        return {label: Exact.block(blocks) for label, blocks in blocks_by_label.items()}
 
     @classmethod
     def holds(cls, **numbers: Any) -> bool:
         """Whether all matrices of the theorem's conditions are positive definite, decided in exact
         arithmetic."""
-        return all(
-            is_positive_definite(matrix) for matrix in cls.exact_conditions(**numbers).values()
-        )
+        matrices = cls.exact_conditions(**numbers).values()
+        return all(is_positive_definite(matrix) for matrix in matrices)
 
     @classmethod
     def from_numbers(
@@ -216,32 +217,34 @@ class Theorem(ABC):
     ) -> Any:
         """Construct a certificate from its numbers and decide it in exact arithmetic. Products are
         rounded to floats; `started` is a time of `time.perf_counter`."""
+        certified = cls.holds(**numbers)
+        first_condition, *_ = cls.as_floats(**numbers).values()
+        metric_matrix = numbers[cls.metric_matrix]
         information |= {
-            "certified": cls.holds(**numbers),
-            "margin": smallest_eigenvalue(next(iter(cls.as_floats(**numbers).values()))),
-            "condition": scaled_condition_number(numbers[cls.metric_matrix]),
+            "certified": certified,
+            "margin": smallest_eigenvalue(first_condition),
+            "condition": scaled_condition_number(metric_matrix),
             "solver_status": status,
             "seconds": time.perf_counter() - started,
         }
-        return cls(**(dict(numbers) | cls._rounded_products(numbers) | information))
+        products = cls._rounded_products(numbers)
+        return cls(**(dict(numbers) | products | information))
 
     @classmethod
     def _rounded_products(cls, of: Mapping[str, Any]) -> dict[str, Float[np.ndarray, "r c"]]:
         """Fields that are products of others, computed exactly and rounded to floats."""
-        return {
-            name: (Exact.from_floats(of[left]) @ of[right]).to_floats()
-            for name, (left, right) in cls.products.items()
-        }
+        products = {}
+        for name, (left, right) in cls.products.items():
+            product = Exact.from_floats(of[left]) @ of[right]
+            products[name] = product.to_floats()
+        return products
 
     @property
     def variables(self) -> dict[str, Any]:
         """Stored unknowns of the theorem's inequalities, such as metric and multipliers, without
         the model's matrices."""
-        return {
-            name: value
-            for name, value in vars(self).items()
-            if name not in {*INFORMATION, *self.products}
-        }
+        others = {*INFORMATION, *self.products}
+        return {name: value for name, value in vars(self).items() if name not in others}
 
     def failed_checks(self, context: VerificationContext) -> list[str]:
         """Sentences on those claims of the certificate that do not hold for the model, one for each
@@ -256,48 +259,39 @@ class Theorem(ABC):
         stored = vars(self)
         try:
             conditions = self.exact_conditions(**self.variables)
-            fits = all(
-                np.shape(stored[name]) == np.shape(value) for name, value in model_matrices.items()
-            )
         except ValueError:
-            fits = False
-        if not fits:
             return [f": {UNFIT}"]
+        for name, value in model_matrices.items():
+            if np.shape(stored[name]) != np.shape(value):
+                return [f": {UNFIT}"]
+        messages = []
         derived = model_matrices | self._rounded_products(stored)
-        wrong = [name for name, value in derived.items() if not np.array_equal(stored[name], value)]
-        broken = [
-            f".{name}: differs from what the model and the other matrices give" for name in wrong
-        ]
+        for name, value in derived.items():
+            if not np.array_equal(stored[name], value):
+                messages.append(f".{name}: differs from what the model and the other matrices give")
         failing = [name for name, matrix in conditions.items() if not is_positive_definite(matrix)]
-        if (not failing) != self.certified:
-            verdict = f"fails ({', '.join(failing)})" if failing else "holds"
-            broken.append(
-                f".certified = {self.certified}: in exact arithmetic the inequality {verdict}"
-            )
-        return broken
+        holds = not failing
+        if holds != self.certified:
+            verdict = "holds" if holds else f"fails ({', '.join(failing)})"
+            claim = f".certified = {self.certified}"
+            messages.append(f"{claim}: in exact arithmetic the inequality {verdict}")
+        return messages
 
 
 def find_theorem(name: str) -> type[Theorem]:
     """Class of a theorem by the name of its file; theorems of extension packages are found, too."""
-    if (
-        name.isidentifier()
-        and not name.startswith("_")
-        and importlib.util.find_spec(f"{FOLDER}.{name}") is not None
-    ):
-        importlib.import_module(f"{FOLDER}.{name}")
+    module = f"{FOLDER}.{name}"
+    may_be_a_file = name.isidentifier() and not name.startswith("_")
+    if may_be_a_file and importlib.util.find_spec(module) is not None:
+        importlib.import_module(module)
     else:
         import_trusted_packages()
     kinds: list[Any] = [Theorem]
     for kind in kinds:  # grows while it is read: subclasses of subclasses
         kinds += kind.__subclasses__()
     named_theorems = [kind for kind in kinds if kind.final and kind.name() == name]
-    require(
-        bool(named_theorems),
-        "certificate.theorem",
-        name,
-        "is not a theorem that this installation has",
-        AGAIN,
-    )
+    problem = "is not a theorem that this installation has"
+    require(bool(named_theorems), "certificate.theorem", name, problem, AGAIN)
     return named_theorems[-1]
 
 
@@ -307,17 +301,17 @@ def convert_field(where: str, kind: Any, value: Any) -> Any:
     if kind in (bool, str):
         require(isinstance(value, kind), where, value, f"is not a {kind.__name__}", AGAIN)
         return value
-    number = kind is float
+    is_number = kind is float
+    refused = np.array(np.nan)
     try:
         entries = np.array(value, dtype=object)
-        words = any(
-            isinstance(entry, bool | str) for entry in entries.flat
-        )  # NumPy would read "0.5" and true
-        matrix = np.array(np.nan) if words else entries.astype(float)
+        # NumPy would read "0.5" and true
+        has_words = any(isinstance(entry, bool | str) for entry in entries.flat)
+        matrix = refused if has_words else entries.astype(float)
     except (TypeError, ValueError, OverflowError):
-        matrix = np.array(np.nan)
-    fits = matrix.ndim == (0 if number else len(kind.dim_str.split())) and bool(
-        np.isfinite(matrix).all()
-    )
-    require(fits, where, value, f"is not a finite {'number' if number else 'matrix'}", AGAIN)
-    return float(value) if number else matrix
+        matrix = refused
+    dimensions = 0 if is_number else len(kind.dim_str.split())
+    fits = matrix.ndim == dimensions and bool(np.isfinite(matrix).all())
+    noun = "number" if is_number else "matrix"
+    require(fits, where, value, f"is not a finite {noun}", AGAIN)
+    return float(value) if is_number else matrix

@@ -19,7 +19,6 @@ TARGET = (10.6, 4.0)
 # Tokens a statement, and percent of long statements, of the rooms that are above the target.
 DENSITY = {
     "ssm_study/api": (11.3, 3.1),
-    "ssm_study/certificates": (12.6, 5.8),
     "ssm_study/conformance": (11.4, 0.0),
     "ssm_study/data": (10.9, 1.8),
     "ssm_study/evidence": (11.3, 1.0),

@@ -35,9 +35,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ssm_study.certificates.certificate import (
-    StateFeedback,
-)  # or Observer, or Theorem where there is neither gain
+# or Observer, or Theorem where there is neither gain
+from ssm_study.certificates.certificate import StateFeedback
 from ssm_study.certificates.theorem import Blocks, VerificationContext
 
 
@@ -46,9 +45,8 @@ class NameOfTheTheorem(StateFeedback, abstract=True):
     """Equation of the theorem in one line. State here the shapes of its own fields (`y:
     Float[np.ndarray, "n n"]`), beside `a, b, alpha, beta, rate, p, k` of the base."""
 
-    products: ClassVar[
-        Mapping[str, tuple[str, str]]
-    ] = {}  # {"x": ("k", "y")}: x = k y, exactly, is `of.x` below
+    # {"x": ("k", "y")}: x = k y, exactly, is `of.x` below
+    products: ClassVar[Mapping[str, tuple[str, str]]] = {}
 
     @staticmethod
     def conditions(of: Any) -> dict[str, Blocks]:
@@ -73,9 +71,7 @@ class NameOfTheTheorem(StateFeedback, abstract=True):
     @staticmethod
     def certificate_numbers(problem: Any, found: Any) -> dict[str, Any]:
         """Collect from a problem and its solution every number that `conditions` uses."""
-        requested_numbers = {
-            "alpha": problem.ball.alpha,
-            "beta": problem.ball.beta,
-            "rate": problem.rate,
-        }
-        return requested_numbers | {"a": problem.a, "b": problem.b, "p": found.p, "k": found.k}
+        ball = {"alpha": problem.ball.alpha, "beta": problem.ball.beta}
+        model_matrices = {"a": problem.a, "b": problem.b}
+        solved_matrices = {"p": found.p, "k": found.k}
+        return ball | {"rate": problem.rate} | model_matrices | solved_matrices

@@ -82,19 +82,18 @@ def largest_rate(
         """Contraction factor that a metric proves minus the assumed factor, by the logarithm of the
         assumed one."""
         r = float(np.exp(log_r))
-        none = np.zeros((len(k), b.shape[1]))
-        norm = (
-            hinf_norm(StateSpace(a=closed / r, b=b / r, c=ball.beta * k, d=none))
-            if r > radius
-            else np.inf
-        )
-        return float(np.log(np.clip(norm, 1 / FAR, FAR)))
+        norm = np.inf
+        if r > radius:
+            no_feedthrough = np.zeros((len(k), b.shape[1]))
+            loop = StateSpace(a=closed / r, b=b / r, c=ball.beta * k, d=no_feedthrough)
+            norm = hinf_norm(loop)
+        limited_norm = np.clip(norm, 1 / FAR, FAR)
+        return float(np.log(limited_norm))
 
     low = float(np.log(smallest))
     high = float(np.log(smallest)) + 1.0  # the norm falls as r grows: bracket, then Brent
-    if (
-        excess(low) <= 0
-    ):  # the gain does next to nothing: the metric of the linear part has all the room
+    if excess(low) <= 0:
+        # the gain does next to nothing: the metric of the linear part has all the room
         return 1 - smallest**2
     while excess(high) >= 0:
         low = high
@@ -106,12 +105,12 @@ def largest_rate(
 def certificate_at_largest_rate(part: Any) -> Side | None:
     """Certificate of the same gain at the largest rate that is proved for it, with a new metric;
     None where the certified rate is already that large."""
-    started, (problem, solution) = time.perf_counter(), part.as_problem()
+    started = time.perf_counter()
+    problem, solution = part.as_problem()
     limit = largest_rate(problem.a, problem.b, solution.k, problem.ball)
     try:
-        right = np.linalg.cholesky(
-            solution.p / solution.sigma
-        )  # coordinates in which the known metric is the identity
+        # coordinates in which the certificate's metric is the identity
+        right = np.linalg.cholesky(solution.p / solution.sigma)
     except np.linalg.LinAlgError:
         return None  # definite by a margin that floats do not see
     for inside, slack in product(INSIDE, SLACKS):
@@ -119,16 +118,16 @@ def certificate_at_largest_rate(part: Any) -> Side | None:
         if rate <= part.rate or rate <= 0:
             return None
         between = (1 - limit) ** ((1 - BETWEEN) / 2) * (1 - rate) ** (BETWEEN / 2)
+        contraction = float(between)
+        left = np.linalg.inv(right)
         try:
-            p = least_metric(
-                problem, solution.k, float(between), right, np.linalg.inv(right), slack
-            )
+            p = least_metric(problem, solution.k, contraction, right, left, slack)
         except NoSolution:
             continue
         status = f"{inside:.1%} inside the largest rate {limit:.6g}"
-        numbers = part.certificate_numbers(
-            problem.at_rate(rate), Solution(p=p, y=p, k=solution.k, sigma=1.0, status=status)
-        )
+        slower_problem = problem.at_rate(rate)
+        new_solution = Solution(p=p, y=p, k=solution.k, sigma=1.0, status=status)
+        numbers = part.certificate_numbers(slower_problem, new_solution)
         information = {"rate_limit": part.rate_limit, "method": part.method}
         proved: Side = part.from_numbers(numbers, status=status, started=started, **information)
         if proved.certified:

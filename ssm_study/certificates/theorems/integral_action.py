@@ -53,6 +53,9 @@ from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.refusal import require
 from ssm_study.systems import StateSpace, StructuredSystem, System, error_input_matrix
 
+OutputGain = Float[np.ndarray, "p k"]
+InternalModes = Float[np.ndarray, "z z"]
+
 FIELD = "synthesis.internal_model"
 # of the model's largest gain: an output that the inputs move by less at a mode cannot be held there
 BLOCKED = 1e-6
@@ -72,21 +75,16 @@ def parse_frequencies(words: Sequence[str]) -> dict[float, int]:
         sine = SINE.fullmatch(word)
         ramp = word == "ramp"
         hertz = float(sine[1]) if sine else 0.0
-        is_known = hertz > 0 if sine else word in ("step", "ramp")
-        require(
-            is_known,
-            FIELD,
-            word,
-            "is no internal model",
-            "use step, ramp, or a sine such as sine(0.5Hz)",
-        )
-        mode_counts[hertz] = max(mode_counts.get(hertz, 0), 1 + ramp)
-    return dict(
-        sorted(mode_counts.items())
-    )  # modes at one come first, as the exported code has them
+        is_allowed = hertz > 0 if sine else word in ("step", "ramp")
+        remedy = "use step, ramp, or a sine such as sine(0.5Hz)"
+        require(is_allowed, FIELD, word, "is no internal model", remedy)
+        count_so_far = mode_counts.get(hertz, 0)
+        mode_counts[hertz] = max(count_so_far, 1 + ramp)
+    # modes at one come first, as the exported code has them
+    return dict(sorted(mode_counts.items()))
 
 
-def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Float[np.ndarray, "z z"]:
+def internal_model(words: Sequence[str], step_s: float, outputs: int) -> InternalModes:
     """State matrix of the internal model that generates the given references or disturbances. `A_z`
     has the modes of one output, each state repeated for every output. Raises `BadRequest` for sines
     faster than the sampling allows."""
@@ -96,17 +94,21 @@ def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Float[n
         problem = (
             f"half the sampling rate is {nyquist:g} Hz, and a model knows nothing from there on"
         )
-        require(
-            hertz < nyquist,
-            FIELD,
-            f"sine({hertz:g}Hz)",
-            problem,
-            "name a slower sine, or sample faster",
-        )
+        remedy = "name a slower sine, or sample faster"
+        require(hertz < nyquist, FIELD, f"sine({hertz:g}Hz)", problem, remedy)
         angle = 2 * np.pi * hertz * step_s
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        blocks.append(turn if hertz else np.tril(np.ones((count, count))))
-    return np.kron(scipy.linalg.block_diag(*blocks), np.eye(outputs))
+        lower_triangle = np.tril(np.ones((count, count)))
+        block = _rotation(angle) if hertz else lower_triangle
+        blocks.append(block)
+    modes_of_one_output = scipy.linalg.block_diag(*blocks)
+    return np.kron(modes_of_one_output, np.eye(outputs))
+
+
+def _rotation(angle: float) -> Float[np.ndarray, "2 2"]:
+    """Matrix that rotates the plane by an angle in radians."""
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
+    return np.array([[cosine, -sine], [sine, cosine]])
 
 
 def append_internal_model(
@@ -124,53 +126,60 @@ def append_internal_model(
     problem = "an input is needed for every controlled output"
     remedy = "use a synthesis without an internal model"
     require(len(gain) <= inputs, FIELD, f"{len(gain)} outputs, {inputs} inputs", problem, remedy)
+    outputs = len(gain)
     hertz = np.array(list(parse_frequencies(words)))
-    modes = internal_model(words, model.step_s, len(gain))
-    moved = gain @ frequency_response(
-        linear, np.concatenate([2 * np.pi * hertz * model.step_s, ANGLES])
-    )
-    sizes = np.linalg.svd(moved, compute_uv=False)[
-        :, len(gain) - 1
-    ]  # of the output that is moved least
-    shares = sizes[: len(hertz)] / sizes[len(hertz) :].max()
-    problem = (
-        f"at {hertz[shares.argmin()]:g} Hz the model passes {shares.min():.0e} of its largest gain"
-    )
+    modes = internal_model(words, model.step_s, outputs)
+    mode_angles = 2 * np.pi * hertz * model.step_s
+    angles = np.concatenate([mode_angles, ANGLES])
+    response = gain @ frequency_response(linear, angles)
+    singular_values = np.linalg.svd(response, compute_uv=False)
+    sizes = singular_values[:, outputs - 1]  # of the output that is moved least
+    at_modes = sizes[: len(hertz)]
+    at_others = sizes[len(hertz) :]
+    shares = at_modes / at_others.max()
+    least_share = shares.min()
+    weakest = hertz[shares.argmin()]
+    problem = f"at {weakest:g} Hz the model passes {least_share:.0e} of its largest gain"
     remedy = "leave this mode out: no controller holds the output there"
-    require(bool(shares.min() > BLOCKED), FIELD, list(words), problem, remedy)
+    require(bool(least_share > BLOCKED), FIELD, list(words), problem, remedy)
     return augmented_system(model.system, gain, modes, weight)
 
 
 def augmented_system(
-    system: System,
-    gain: Float[np.ndarray, "p k"],
-    modes: Float[np.ndarray, "z z"],
-    weight: float = 1.0,
+    system: System, gain: OutputGain, modes: InternalModes, weight: float = 1.0
 ) -> System:
     """Recurrence of the model together with its internal model, whose output is the quantity that
     the cost weighs. Neurons drive both but depend on x alone."""
-    (n, m), p, z = system.b.shape, len(gain), len(modes)
-    fed = error_input_matrix(modes, p) @ gain
+    n, m = system.b.shape
+    p = len(gain)
+    z = len(modes)
+    output_to_modes = error_input_matrix(modes, p) @ gain
+    weighted_modes = np.sqrt(weight) * np.eye(z)
+    state_row = [system.a, np.zeros((n, z))]
+    mode_row = [output_to_modes @ system.c, modes]
+    output_row = [gain @ system.c, np.zeros((p, z))]
+    weighted_mode_row = [np.zeros((z, n)), weighted_modes]
     linear = {
-        "a": np.block([[system.a, np.zeros((n, z))], [fed @ system.c, modes]]),
-        "b": np.vstack([system.b, fed @ system.d]),
-        "c": np.block(
-            [[gain @ system.c, np.zeros((p, z))], [np.zeros((z, n)), np.sqrt(weight) * np.eye(z)]]
-        ),
+        "a": np.block([state_row, mode_row]),
+        "b": np.vstack([system.b, output_to_modes @ system.d]),
+        "c": np.block([output_row, weighted_mode_row]),
         "d": np.vstack([gain @ system.d, np.zeros((z, m))]),
     }
     if isinstance(system, StateSpace):
         return StateSpace(**linear)
+    modes_to_neurons = np.zeros((system.neurons, z))
+    neurons_to_modes = output_to_modes @ system.h
+    neurons_to_output = gain @ system.h
     return StructuredSystem(
         **linear,
-        e=np.vstack([system.e, fed @ system.h]),
-        f=np.hstack([system.f, np.zeros((system.neurons, z))]),
+        e=np.vstack([system.e, neurons_to_modes]),
+        f=np.hstack([system.f, modes_to_neurons]),
         g=system.g,
-        h=np.vstack([gain @ system.h, np.zeros((z, system.neurons))]),
+        h=np.vstack([neurons_to_output, np.zeros((z, system.neurons))]),
     )
 
 
-def linear_output_gain(model: Model) -> Float[np.ndarray, "p k"]:
+def linear_output_gain(model: Model) -> OutputGain:
     """Gain of the model's output map, which has to be linear for an internal model. `G` of `S_y(v)
     = G v`. Raises `BadRequest` for any other output map."""
     portable_map = model.scaffold_out.as_portable()
@@ -188,4 +197,5 @@ def controlled_system(model: Model, feedback: StateFeedback) -> System:
     n = model.order
     if feedback.a.shape[0] <= n:
         return model.system
-    return augmented_system(model.system, linear_output_gain(model), feedback.a[n:, n:])
+    modes = feedback.a[n:, n:]
+    return augmented_system(model.system, linear_output_gain(model), modes)

@@ -60,19 +60,26 @@ class LimitedFeedback(StateFeedbackOfBall):
 def ball_behind_limits(ball: JacobianBall, inputs: int) -> JacobianBall:
     """Ball of Jacobians of the input map behind a saturation. It contains zero and the ball of
     `S_u`; its radius is rounded up."""
-    half = math.nextafter((abs(ball.alpha) + ball.beta) / 2, math.inf)
+    size = abs(ball.alpha)
     if inputs == 1:
-        return JacobianBall(alpha=math.copysign(half, ball.alpha), beta=half)
-    return JacobianBall(
-        alpha=ball.alpha / 2, beta=math.nextafter(abs(ball.alpha) / 2 + ball.beta, math.inf)
-    )
+        half = math.nextafter((size + ball.beta) / 2, math.inf)
+        centre = math.copysign(half, ball.alpha)
+        return JacobianBall(alpha=centre, beta=half)
+    radius = math.nextafter(size / 2 + ball.beta, math.inf)
+    return JacobianBall(alpha=ball.alpha / 2, beta=radius)
 
 
 def certify_under_limits(part: StateFeedbackOfBall) -> LimitedFeedback | None:
     """Certificate that a gain contracts under input limits from every initial state; None where no
     rate is proved. The rate is near the largest one with limits."""
-    ball = ball_behind_limits(JacobianBall(alpha=part.alpha, beta=part.beta), part.b.shape[1])
-    rates = {"rate": LEAST, "rate_limit": frontier(part.a, part.b, ball).rate_limit}
-    certificate = certificate_at_largest_rate(LimitedFeedback(**(vars(part) | vars(ball) | rates)))
-    assert certificate is None or isinstance(certificate, LimitedFeedback)
-    return certificate and replace(certificate, method="limited input")
+    ball = JacobianBall(alpha=part.alpha, beta=part.beta)
+    inputs = part.b.shape[1]
+    limited_ball = ball_behind_limits(ball, inputs)
+    limit = frontier(part.a, part.b, limited_ball)
+    rates = {"rate": LEAST, "rate_limit": limit.rate_limit}
+    slow_certificate = LimitedFeedback(**(vars(part) | vars(limited_ball) | rates))
+    certificate = certificate_at_largest_rate(slow_certificate)
+    if certificate is None:
+        return None
+    assert isinstance(certificate, LimitedFeedback)
+    return replace(certificate, method="limited input")

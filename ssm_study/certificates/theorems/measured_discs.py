@@ -130,23 +130,30 @@ class MeasuredDiscs(Theorem):
     @classmethod
     def conditions(cls, of: Any) -> dict[str, Blocks]:
         signals = cls.signal_matrices(of)
-        form = signals.xi.T @ of.p @ signals.xi - signals.step.T @ of.p @ signals.step
+        storage = signals.xi.T @ of.p @ signals.xi
+        next_storage = signals.step.T @ of.p @ signals.step
+        form = storage - next_storage
         form = form + cls.disc_form(of, signals)
-        for multiplier, positive in cls.static_map_forms(of, signals):
-            form = form + multiplier * positive
+        for multiplier, map_form in cls.static_map_forms(of, signals):
+            form = form + multiplier * map_form
         disc = of.kappa * of.kappa * of.floor * of.floor - of.centre * of.centre
-        positive = {name: [[getattr(of, name)]] for name in ("p", "lambda_p", "kappa", "floor")}
+        conditions = {"inequality": [[form]], "model inside the disc": [[disc]]}
+        for name in ("p", "lambda_p", "kappa", "floor"):
+            conditions[name] = [[getattr(of, name)]]
         if of.lambda_out.shape[1]:
-            positive["lambda_out"] = [[multiplier_matrix(of.lambda_out)]]
-        return {"inequality": [[form]], "model inside the disc": [[disc]], **positive}
+            conditions["lambda_out"] = [[multiplier_matrix(of.lambda_out)]]
+        return conditions
 
     @staticmethod
     def disc_form(of: Any, signals: Any) -> Any:
         """Quadratic form of the loop's signals that is negative where the model error lies in the
         measured disc. `|e - c m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`."""
         deviation = signals.e - of.centre * signals.m
-        reference = of.floor * of.floor * (signals.m.T @ signals.m)
-        reference = reference + signals.w_m.T @ signals.w_m + signals.v_u.T @ signals.v_u
+        output_power = signals.m.T @ signals.m
+        weighted_output_power = signals.w_m.T @ signals.w_m
+        weighted_input_power = signals.v_u.T @ signals.v_u
+        reference = of.floor * of.floor * output_power
+        reference = reference + weighted_output_power + weighted_input_power
         return deviation.T @ deviation - of.kappa * of.kappa * reference
 
     @classmethod
@@ -155,50 +162,64 @@ class MeasuredDiscs(Theorem):
         multiplier."""
         u = signals.u
         p = signals.p
-        forms = [(of.lambda_p, p.T @ p - of.beta * of.beta * (u.T @ u))]
-        if of.lambda_out.shape[1]:
-            pairs = [(signals.r1, signals.do), (signals.r2, signals.o)]
-            pairs.append((signals.r1 + signals.r2, signals.do + signals.o))
-            square = of.beta_out * of.beta_out
-            for i, (remainder, argument) in enumerate(pairs):
-                form = remainder.T @ remainder - square * (argument.T @ argument)
-                forms.append((of.lambda_out[:, i : i + 1], form))
+        input_form = p.T @ p - of.beta * of.beta * (u.T @ u)
+        forms = [(of.lambda_p, input_form)]
+        if not of.lambda_out.shape[1]:
+            return forms
+        model_pair = (signals.r2, signals.o)
+        error_pair = (signals.r1, signals.do)
+        observer_pair = (signals.r1 + signals.r2, signals.do + signals.o)
+        pairs = [error_pair, model_pair, observer_pair]
+        squared_radius = of.beta_out * of.beta_out
+        for i, (remainder, argument) in enumerate(pairs):
+            output_form = remainder.T @ remainder - squared_radius * (argument.T @ argument)
+            multiplier = of.lambda_out[:, i : i + 1]
+            forms.append((multiplier, output_form))
         return forms
 
     @classmethod
     def free_signal_sizes(cls, of: Any) -> dict[str, int]:
         """Number of entries of each free signal of the loop, in the order of the columns."""
-        (_, m), (p, _) = of.b.shape, of.c.shape
-        bent = {"r1": p, "r2": p} if of.lambda_out.shape[1] else {}
-        return {"p": m, "e": p, **bent}
+        inputs = of.b.shape[1]
+        outputs = of.c.shape[0]
+        sizes = {"p": inputs, "e": outputs}
+        if of.lambda_out.shape[1]:
+            sizes |= {"r1": outputs, "r2": outputs}
+        return sizes
 
     @classmethod
     def signal_matrices(cls, of: Any) -> SimpleNamespace:
         """Matrices that give every signal of the theorem from the states and the free signals."""
-        (s, m), (p, n) = of.b.shape, of.c.shape
-        filters = {
-            "x_w": (count_rows(of.weight_output) - 1) * p,
-            "x_v": (count_rows(of.weight_input) - 1) * m,
-        }
-        states = {"x": s, "eps": n, **filters}
-        rows = SimpleNamespace(**selection_matrices(states | cls.free_signal_sizes(of)))
+        s, m = of.b.shape
+        p, n = of.c.shape
+        output_filter_order = count_rows(of.weight_output) - 1
+        input_filter_order = count_rows(of.weight_input) - 1
+        states = {"x": s, "eps": n, "x_w": output_filter_order * p, "x_v": input_filter_order * m}
+        free_signals = cls.free_signal_sizes(of)
+        rows = SimpleNamespace(**selection_matrices(states | free_signals))
         rows.xi = np.vstack([getattr(rows, name) for name in states])
         rows.u = of.k @ rows.x + of.k[:, :n] @ rows.eps
         rows.drive = of.alpha * rows.u + rows.p
         zero = np.zeros((p, rows.xi.shape[1]))
-        rows.o = of.c @ rows.x[:n] + of.d @ rows.drive + cls.neuron_contribution(of, rows, "w")
-        rows.do = of.c @ rows.eps + cls.neuron_contribution(of, rows, "d")
-        rows.m = of.alpha_out * rows.o + getattr(rows, "r2", zero)
-        rows.injected = of.alpha_out * rows.do + getattr(rows, "r1", zero) - rows.e
-        fed = np.vstack([np.zeros((n, p)), error_input_matrix(np.eye(s - n), p)])
-        moved = of.a @ rows.x + of.b @ rows.drive + fed @ rows.e
-        error = of.a[:n, :n] @ rows.eps + of.l @ rows.injected
+        neurons_in_output = cls.neuron_contribution(of, rows, "w")
+        neurons_in_error = cls.neuron_contribution(of, rows, "d")
+        rows.o = of.c @ rows.x[:n] + of.d @ rows.drive + neurons_in_output
+        rows.do = of.c @ rows.eps + neurons_in_error
+        remainder = getattr(rows, "r2", zero)
+        remainder_of_error = getattr(rows, "r1", zero)
+        rows.m = of.alpha_out * rows.o + remainder
+        rows.injected = of.alpha_out * rows.do + remainder_of_error - rows.e
+        internal_input = error_input_matrix(np.eye(s - n), p)
+        error_input = np.vstack([np.zeros((n, p)), internal_input])
+        next_x = of.a @ rows.x + of.b @ rows.drive + error_input @ rows.e
+        model_a = of.a[:n, :n]
+        next_eps = model_a @ rows.eps + of.l @ rows.injected
         next_w, rows.w_m = apply_filter(of.weight_output, rows.x_w, rows.m, p)
         next_v, rows.v_u = apply_filter(of.weight_input, rows.x_v, rows.u, m)
-        moved, error = cls.neurons_at_states(of, rows, moved, error)
-        rows.step = assemble_blocks(
-            [[moved], [error], *([part] for part in (next_w, next_v) if part.shape[0])]
-        )
+        next_x, next_eps = cls.neurons_at_states(of, rows, next_x, next_eps)
+        next_states = [[next_x], [next_eps]]
+        next_states += [[filtered] for filtered in (next_w, next_v) if filtered.shape[0]]
+        rows.step = assemble_blocks(next_states)
         return rows
 
     @classmethod
@@ -226,12 +247,15 @@ class MeasuredDiscs(Theorem):
     def loop_matrices(cls, context: VerificationContext) -> dict[str, Any]:
         """Matrices of the closed loop, from the model and the gains of the design."""
         names = [field.name for field in fields(cls) if field.name in DUAL]
-        loop = {
-            name: getattr(context.system if name in OF_THE_OUTPUT else context.controlled, name)
-            for name in names
-        }
+        matrices = dict[str, Any]()
+        for name in names:
+            system = context.system if name in OF_THE_OUTPUT else context.controlled
+            matrices[name] = getattr(system, name)
+        matrices |= context.gains
         ball = context.balls.output
-        return {**loop, **context.gains, "alpha_out": ball.alpha, "beta_out": ball.beta}
+        matrices["alpha_out"] = ball.alpha
+        matrices["beta_out"] = ball.beta
+        return matrices
 
     @staticmethod
     def required_ball(context: VerificationContext) -> JacobianBall:
@@ -263,12 +287,16 @@ def apply_filter(weight: Any, state: Any, signal: Any, channels: int) -> tuple[A
     c = weight[order:, :order]
     direct = weight[order:, order:]
     if not order:
-        return np.zeros((0, signal.shape[1])), direct * signal
-    steps = []
+        no_state = np.zeros((0, signal.shape[1]))
+        return no_state, direct * signal
+    next_states = []
     outputs = []
     for i in range(channels):
-        own = state[i * order : (i + 1) * order]
+        start = i * order
+        own_state = state[start : start + order]
         entering = signal[i : i + 1, :]
-        steps.append([a @ own + b @ entering])
-        outputs.append([c @ own + direct * entering])
-    return assemble_blocks(steps), assemble_blocks(outputs)
+        next_state = a @ own_state + b @ entering
+        output = c @ own_state + direct * entering
+        next_states.append([next_state])
+        outputs.append([output])
+    return assemble_blocks(next_states), assemble_blocks(outputs)

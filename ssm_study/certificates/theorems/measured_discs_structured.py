@@ -84,7 +84,9 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
     @classmethod
     def neurons_at_states(cls, of: Any, rows: Any, moved: Any, error: Any) -> tuple[Any, Any]:
         n = of.c.shape[1]
-        return moved + of.e @ rows.w, error + of.e[:n, :] @ rows.d_w
+        moved = moved + of.e @ rows.w
+        error = error + of.e[:n, :] @ rows.d_w
+        return moved, error
 
     @classmethod
     def neuron_pairs(cls, of: Any, rows: Any) -> list[tuple[Any, Any]]:
@@ -93,18 +95,26 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
         n = of.c.shape[1]
         z = of.f @ rows.x + of.g @ rows.drive
         dz = of.f[:, :n] @ rows.eps + of.l_z @ rows.injected
-        return [(rows.w, z), (rows.d_w, dz), (rows.w + rows.d_w, z + dz)]
+        model_pair = (rows.w, z)
+        error_pair = (rows.d_w, dz)
+        observer_pair = (rows.w + rows.d_w, z + dz)
+        return [model_pair, error_pair, observer_pair]
 
     @classmethod
     def static_map_forms(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
         forms = super().static_map_forms(of, signals)
         q = of.g.shape[0]
-        for i, (given, seen) in enumerate(cls.neuron_pairs(of, signals)):
-            weights = multiplier_matrix(of.lambda_[:, i * q : (i + 1) * q])
-            weighted = weights @ (given - seen)
-            forms.append((1, given.T @ weighted + weighted.T @ given))
+        for i, (output, argument) in enumerate(cls.neuron_pairs(of, signals)):
+            start = i * q
+            multipliers = of.lambda_[:, start : start + q]
+            weighted = multiplier_matrix(multipliers) @ (output - argument)
+            neuron_form = output.T @ weighted + weighted.T @ output
+            forms.append((1, neuron_form))
         return forms
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
-        looped = context.system.h.any() and self.l_z.any()
-        return super().model_data(context) | ({"alpha_out": np.nan} if looped else {})
+        matrices = super().model_data(context)
+        closes_algebraic_loop = context.system.h.any() and self.l_z.any()
+        if closes_algebraic_loop:  # proves nothing
+            matrices["alpha_out"] = np.nan
+        return matrices

@@ -58,12 +58,10 @@ class ObserverOfBall(ProblemCertificate, Observer):
     @staticmethod
     def inequality(of: Any) -> Blocks:
         """Blocks of the inequality of Theorem 2 for these matrices."""
-        return [
-            [
-                (1 - of.rate) * of.q - of.eta * (of.c.T @ of.c),
-                (of.u @ of.a + of.alpha * (of.v @ of.c)).T,
-                0,
-            ],
-            [of.u + of.u.T - of.q, of.beta * of.v],
-            [of.eta * np.eye(of.c.shape[0])],
-        ]
+        contracted_metric = (1 - of.rate) * of.q
+        error_block = contracted_metric - of.eta * (of.c.T @ of.c)
+        error_step = of.u @ of.a + of.alpha * (of.v @ of.c)
+        next_metric = of.u + of.u.T - of.q
+        slope_step_block = of.beta * of.v
+        slope_block = of.eta * np.eye(of.c.shape[0])
+        return [[error_block, error_step.T, 0], [next_metric, slope_step_block], [slope_block]]

@@ -59,12 +59,10 @@ class StateFeedbackOfBall(ProblemCertificate, StateFeedback):
     @staticmethod
     def inequality(of: Any) -> Blocks:
         """Blocks of the inequality of Theorem 1 for these matrices."""
-        return [
-            [
-                (1 - of.rate) * of.p - of.sigma * (of.b @ of.b.T),
-                of.a @ of.y + of.alpha * (of.b @ of.x),
-                0,
-            ],
-            [of.y + of.y.T - of.p, of.beta * of.x.T],
-            [of.sigma * np.eye(of.b.shape[1])],
-        ]
+        contracted_metric = (1 - of.rate) * of.p
+        state_block = contracted_metric - of.sigma * (of.b @ of.b.T)
+        state_step = of.a @ of.y + of.alpha * (of.b @ of.x)
+        next_metric = of.y + of.y.T - of.p
+        slope_step_block = of.beta * of.x.T
+        slope_block = of.sigma * np.eye(of.b.shape[1])
+        return [[state_block, state_step, 0], [next_metric, slope_step_block], [slope_block]]

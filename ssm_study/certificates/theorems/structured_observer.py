@@ -45,6 +45,9 @@ from jaxtyping import Float
 from ssm_study.certificates.certificate import Observer, ProblemCertificate
 from ssm_study.certificates.theorem import Blocks, VerificationContext, multiplier_matrix
 
+NeuronOutput = Float[np.ndarray, "p q"]
+NeuronInjection = Float[np.ndarray, "q p"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredObserver(ProblemCertificate, Observer):
@@ -53,11 +56,11 @@ class StructuredObserver(ProblemCertificate, Observer):
 
     e: Float[np.ndarray, "n q"]
     f: Float[np.ndarray, "q n"]
-    h: Float[np.ndarray, "p q"]
+    h: NeuronOutput
     u: Float[np.ndarray, "n n"]
     v: Float[np.ndarray, "n p"]
     eta: float
-    l_z: Float[np.ndarray, "q p"]
+    l_z: NeuronInjection
     lambda_: Float[np.ndarray, "q"]
 
     products: ClassVar[Mapping[str, tuple[str, str]]] = {"v": ("u", "l")}
@@ -71,17 +74,19 @@ class StructuredObserver(ProblemCertificate, Observer):
     @classmethod
     def holds(cls, **numbers: Any) -> bool:
         """Whether the conditions of the theorem hold, and its hypothesis on `L_z`."""
-        return not _closes_algebraic_loop(numbers["h"], numbers["l_z"]) and super().holds(**numbers)
+        if _closes_algebraic_loop(numbers["h"], numbers["l_z"]):
+            return False
+        return super().holds(**numbers)
 
     def failed_checks(self, context: VerificationContext) -> list[str]:
         """Checks that fail: those of every theorem, and the hypothesis on `L_z`."""
-        looped = _closes_algebraic_loop(self.h, self.l_z) and self.certified
-        return [
-            ".l_z: must be zero, for neurons stand in the output (H)"
-        ] * looped + super().failed_checks(context)
+        messages = []
+        if _closes_algebraic_loop(self.h, self.l_z) and self.certified:
+            messages.append(".l_z: must be zero, for neurons stand in the output (H)")
+        return messages + super().failed_checks(context)
 
 
-def _closes_algebraic_loop(h: Float[np.ndarray, "p q"], l_z: Float[np.ndarray, "q p"]) -> bool:
+def _closes_algebraic_loop(h: NeuronOutput, l_z: NeuronInjection) -> bool:
     """Whether injection into the neurons closes an algebraic loop, because neurons enter the
     output."""
     return bool(np.any(h) and np.any(l_z))
@@ -90,11 +95,20 @@ def _closes_algebraic_loop(h: Float[np.ndarray, "p q"], l_z: Float[np.ndarray, "
 def inequality(of: Any, weights: Any, n: Any) -> Blocks:
     """Blocks of the theorem's inequality for given multipliers and injection into the neurons. `N =
     Lambda L_z`; `weights` is the diagonal matrix Lambda."""
-    neurons = -1.0 * (weights @ of.f + of.alpha * (n @ of.c)).T - of.eta * (of.c.T @ of.h)
-    step = (of.u @ of.a + of.alpha * (of.v @ of.c)).T
+    neuron_inputs = weights @ of.f + of.alpha * (n @ of.c)
+    error_step = of.u @ of.a + of.alpha * (of.v @ of.c)
+    neuron_step = of.u @ of.e + of.alpha * (of.v @ of.h)
+    contracted_metric = (1 - of.rate) * of.q
+    error_block = contracted_metric - of.eta * (of.c.T @ of.c)
+    error_neuron_block = -1.0 * neuron_inputs.T - of.eta * (of.c.T @ of.h)
+    slope_block = of.eta * np.eye(of.c.shape[0])
+    slope_neuron_block = (-1.0 * of.beta) * n.T
+    slope_step_block = of.beta * of.v.T
+    neuron_block = 2.0 * weights - of.eta * (of.h.T @ of.h)
+    next_metric = of.u + of.u.T - of.q
     return [
-        [(1 - of.rate) * of.q - of.eta * (of.c.T @ of.c), 0, neurons, step],
-        [of.eta * np.eye(of.c.shape[0]), (-1.0 * of.beta) * n.T, of.beta * of.v.T],
-        [2.0 * weights - of.eta * (of.h.T @ of.h), (of.u @ of.e + of.alpha * (of.v @ of.h)).T],
-        [of.u + of.u.T - of.q],
+        [error_block, 0, error_neuron_block, error_step.T],
+        [slope_block, slope_neuron_block, slope_step_block],
+        [neuron_block, neuron_step.T],
+        [next_metric],
     ]

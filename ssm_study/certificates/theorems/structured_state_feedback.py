@@ -70,7 +70,8 @@ class StructuredStateFeedback(ProblemCertificate, StateFeedback):
     def inequality(of: Any) -> Blocks:
         """Blocks of the theorem's inequality with the multipliers of the certificate."""
         weights = multiplier_matrix(of.lambda_)
-        return inequality(of, (weights, np.eye(weights.shape[0]), weights))
+        identity = np.eye(weights.shape[0])
+        return inequality(of, (weights, identity, weights))
 
 
 def inequality(of: Any, row: tuple[Any, Any, Any]) -> Blocks:
@@ -78,17 +79,18 @@ def inequality(of: Any, row: tuple[Any, Any, Any]) -> Blocks:
     any diagonal S, `row` is `(S, S T, S T S)`."""
     scale, scaled_t, t = row
     identity = np.eye(of.b.shape[1])
-    step = (of.a @ of.y + of.alpha * (of.b @ of.x)).T
-    neurons = (of.f @ of.y + of.alpha * (of.g @ of.x)).T @ scale
+    state_step = of.a @ of.y + of.alpha * (of.b @ of.x)
+    neuron_inputs = of.f @ of.y + of.alpha * (of.g @ of.x)
+    neurons = neuron_inputs.T @ scale
+    contracted_metric = (1 - of.rate) * (of.y + of.y.T - of.p)
+    slope_block = of.sigma * identity
+    slope_neuron_block = (of.sigma * (-1.0 * of.beta)) * (of.g.T @ scale)
+    slope_step_block = (of.sigma * of.beta) * of.b.T
+    neuron_step_block = scaled_t @ of.e.T
     return [
-        [(1 - of.rate) * (of.y + of.y.T - of.p), 0, -1.0 * neurons, step, of.x.T],
-        [
-            of.sigma * identity,
-            (of.sigma * (-1.0 * of.beta)) * (of.g.T @ scale),
-            (of.sigma * of.beta) * of.b.T,
-            0,
-        ],
-        [2.0 * t, scaled_t @ of.e.T, 0],
+        [contracted_metric, 0, -1.0 * neurons, state_step.T, of.x.T],
+        [slope_block, slope_neuron_block, slope_step_block, 0],
+        [2.0 * t, neuron_step_block, 0],
         [of.p, 0],
-        [of.sigma * identity],
+        [slope_block],
     ]

@@ -57,37 +57,39 @@ from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 ROUNDING = 1e-9
 FARTHEST = 1e6  # scaled: a gain that hardly moves an input reaches no limit from anywhere near
 
+InputLimits = Float[np.ndarray, "m two"]
+Starts = Float[np.ndarray, "n j"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class UnlimitedStart(StateFeedbackOfBall):
     """Certificate of initial outputs from which no input limit is ever reached. Beside the fields
     of `state_feedback` it has the limits `(m, 2)` and starts `(n, j)`, scaled, and the level."""
 
-    limits: Float[np.ndarray, "m two"]
-    starts: Float[np.ndarray, "n j"]
+    limits: InputLimits
+    starts: Starts
     level: float
 
     @classmethod
     def conditions(cls, of: Any) -> dict[str, Blocks]:  # of the class, to extend its parent's
         matrices = super().conditions(of)
-        for i, (row, k) in enumerate(
-            (of.limits[i : i + 1, :], of.k[i : i + 1, :]) for i in range(of.limits.shape[0])
-        ):
-            used_share = of.level * (k @ of.p @ k.T)
-            for name, end in (("lower", -1 * row[:, 0:1]), ("upper", row[:, 1:2])):
-                matrices |= {
-                    f"{name} limit {i}": [[end]],
-                    f"{name} limit {i} is not reached": [[end @ end - used_share]],
-                }
+        for i in range(of.limits.shape[0]):
+            limits = of.limits[i : i + 1, :]
+            gain = of.k[i : i + 1, :]
+            largest_input = of.level * (gain @ of.p @ gain.T)  # squared
+            ends = {"lower": -1 * limits[:, 0:1], "upper": limits[:, 1:2]}
+            for name, end in ends.items():
+                matrices[f"{name} limit {i}"] = [[end]]
+                unused = end @ end - largest_input
+                matrices[f"{name} limit {i} is not reached"] = [[unused]]
         for j in range(of.starts.shape[1]):
-            matrices[f"start {j}"] = [[of.level, of.starts[:, j : j + 1].T], [of.p]]
+            start = of.starts[:, j : j + 1]
+            matrices[f"start {j}"] = [[of.level, start.T], [of.p]]
         return matrices
 
 
 def certify_unlimited_start(
-    parts: Sequence[StateFeedbackOfBall],
-    corners: Float[np.ndarray, "n j"],
-    limits: Float[np.ndarray, "m two"],
+    parts: Sequence[StateFeedbackOfBall], corners: Starts, limits: InputLimits
 ) -> UnlimitedStart | None:
     """Certificate of the largest set of initial outputs from which no input limit is reached; None
     where the proved set is empty. The set is the largest fraction of the `corners` that the metric
@@ -98,25 +100,24 @@ def certify_unlimited_start(
         return None
     candidates = []
     for part in parts:
-        reach = np.einsum("ij,jk,ik->i", part.k, part.p, part.k)
-        far = (corners * scipy.linalg.solve(part.p, corners, assume_a="pos")).sum(axis=0).max()
-        level = min(
-            float((room**2 / np.maximum(reach, np.finfo(float).tiny)).min()),
-            float(far) * FARTHEST**2,
-        )
-        candidates.append((float(np.sqrt(level / far)), level, part))
-    share, level, part = max(candidates, key=lambda one: one[0])
-    starts = {
-        "limits": limits,
-        "starts": (1 - ROUNDING) * share * corners,
-        "level": level * (1 - ROUNDING),
-    }
+        squared_reach = np.einsum("ij,jk,ik->i", part.k, part.p, part.k)
+        divisors = np.maximum(squared_reach, np.finfo(float).tiny)
+        highest_level = float((room**2 / divisors).min())
+        scaled_corners = scipy.linalg.solve(part.p, corners, assume_a="pos")
+        corner_levels = (corners * scaled_corners).sum(axis=0)
+        farthest = corner_levels.max()
+        level = min(highest_level, float(farthest) * FARTHEST**2)
+        share = float(np.sqrt(level / farthest))
+        candidates.append((share, level, part))
+    share, level, part = max(candidates, key=lambda candidate: candidate[0])
+    numbers = dict(part.variables)
+    numbers["limits"] = limits
+    numbers["starts"] = (1 - ROUNDING) * share * corners
+    numbers["level"] = level * (1 - ROUNDING)
     information: Any = {
         "rate_limit": parts[0].rate_limit,
         "method": "limited input",
         "status": "level set",
     }
-    proved: UnlimitedStart = UnlimitedStart.from_numbers(
-        part.variables | starts, started=started, **information
-    )
+    proved: UnlimitedStart = UnlimitedStart.from_numbers(numbers, started=started, **information)
     return proved if proved.certified else None
