@@ -15,6 +15,9 @@ from ssm_study.refusal import require
 from ssm_study.systems import JacobianBall, System
 
 # Each matrix of a system, and the one that stands, transposed, in its place in the dual system.
+Square = Float[np.ndarray, "n n"]
+InputMatrix = Float[np.ndarray, "n m"]
+
 DUAL = {"a": "a", "b": "c", "c": "b", "d": "d", "e": "f", "f": "e", "g": "h", "h": "g"}
 
 
@@ -71,11 +74,11 @@ class Problem:
     `design.DesignAttempt` refuses it.
     """
 
-    a: Float[np.ndarray, "n n"]
-    b: Float[np.ndarray, "n m"]
+    a: Square
+    b: InputMatrix
     ball: JacobianBall
     rate: float
-    state_weight: Float[np.ndarray, "n n"]
+    state_weight: Square
     input_weight: float
     neurons: Neurons | None = None
 
@@ -109,12 +112,12 @@ class Problem:
         return float(np.sqrt(1 - self.rate))
 
     @property
-    def a_hat(self) -> Float[np.ndarray, "n n"]:
+    def a_hat(self) -> Square:
         """State matrix divided by the contraction factor."""
         return self.a / self.contraction
 
     @property
-    def b_hat(self) -> Float[np.ndarray, "n m"]:
+    def b_hat(self) -> InputMatrix:
         """Input matrix divided by the contraction factor."""
         return self.b / self.contraction
 
@@ -139,8 +142,8 @@ class Solution:
     observer injects; `logs` is where a search over multipliers ended.
     """
 
-    p: Float[np.ndarray, "n n"]
-    y: Float[np.ndarray, "n n"]
+    p: Square
+    y: Square
     k: Float[np.ndarray, "m n"]
     sigma: float
     status: str
@@ -157,7 +160,7 @@ class Solution:
         return replace(self, multipliers=weights, k_w=self.k_w * d)
 
 
-def symmetric_part(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+def symmetric_part(matrix: Square) -> Square:
     """Symmetric part of a matrix, by which rounding errors are removed."""
     return (matrix + matrix.T) / 2
 

@@ -11,6 +11,8 @@ from ssm_study.plants.disturbance import Disturbance, NoDisturbance
 from ssm_study.refusal import BadRequest, require
 
 Reference = Disturbance
+Times = Float[np.ndarray, "T"]
+
 FIELD = "loop.reference.path"
 REMEDY = "give a CSV file of two columns, time in seconds and offset"
 
@@ -27,7 +29,7 @@ class StepReference(Reference):
     after: float
     at_s: float
 
-    def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+    def signal(self, time_s: Times) -> Times:
         """Offsets of the reference at given times."""
         is_before = time_s < self.at_s - 1e-12
         before = float(self.before)
@@ -45,7 +47,7 @@ class FileReference(Reference):
 
     path: str
 
-    def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+    def signal(self, time_s: Times) -> Times:
         """Offsets of the reference at given times, interpolated from the file."""
         try:
             table = self._read_file()

@@ -28,6 +28,11 @@ from ssm_study.signals import Channel, input_limits
 Channels = tuple[Channel, ...]
 
 
+Outputs = Float[np.ndarray, "N p"]
+States = Float[np.ndarray, "N n"]
+OutputSignals = Float[np.ndarray, "N T p"]
+
+
 @dataclass(frozen=True, kw_only=True)
 class IdentifiedPlant(Plant):
     """Identified model that is simulated in place of the plant, so that there is no model error.
@@ -94,7 +99,7 @@ class IdentifiedPlant(Plant):
         x = np.zeros(self.model.order)
         return Equilibrium(u=scale.input_equilibrium, x=x, y=scale.output_equilibrium)
 
-    def states_at(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
+    def states_at(self, y0: Outputs) -> States:
         """States in which a constant input holds the outputs at given values.
 
         Where no input holds it (neurons may rectify or saturate; fewer inputs than outputs hold
@@ -121,14 +126,14 @@ class IdentifiedPlant(Plant):
             return pseudo_inverse @ scaled_output
 
     def advance(
-        self, x: Float[np.ndarray, "N n"], u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
-    ) -> Float[np.ndarray, "N n"]:
+        self, x: States, u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
+    ) -> States:
         return self.model.advance(x, self.model.map_input(u) + d)
 
     def disturbance_effect(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
         return self.model.disturbance_contribution(measured)
 
-    def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:
+    def output(self, x: States) -> Outputs:
         linear_b = self.model.linear.b
         no_input = np.zeros((len(x), linear_b.shape[1]))
         return self.model.output_at(x, no_input)
@@ -287,7 +292,7 @@ class Loop:
         )
 
     def _noise_crosses_band(
-        self, plant: Plant, controller: Controller, noise: Float[np.ndarray, "N T p"]
+        self, plant: Plant, controller: Controller, noise: OutputSignals
     ) -> bool:
         """Whether measurement noise alone drives a plant at its equilibrium out of the settling
         band."""
@@ -298,9 +303,7 @@ class Loop:
         distance = np.abs(shaken.y - shaken.reference)
         return bool((distance > plant.settling_band).any())
 
-    def run_on_model(
-        self, plant: Plant, controller: ObserverFeedback, y0: Float[np.ndarray, "N p"]
-    ) -> Rollouts:
+    def run_on_model(self, plant: Plant, controller: ObserverFeedback, y0: Outputs) -> Rollouts:
         """Simulate a controller on its own model from the same outputs, without noise and
         disturbance.
 
@@ -328,9 +331,7 @@ class Loop:
             return SAMPLES[0]
         return max(2, round(self.horizon_s / step_s))
 
-    def draw_conditions(
-        self, plant: Plant, seed: int
-    ) -> tuple[Float[np.ndarray, "N p"], Float[np.ndarray, "N T p"]]:
+    def draw_conditions(self, plant: Plant, seed: int) -> tuple[Outputs, OutputSignals]:
         """Draw initial outputs and measurement noise, the same for every controller."""
         cases = self.initial_conditions
         samples = self.horizon_samples(plant.step_s)
@@ -351,8 +352,8 @@ class Loop:
         self,
         plant: Plant,
         controller: Controller,
-        y0: Float[np.ndarray, "N p"],
-        noise: Float[np.ndarray, "N T p"],
+        y0: Outputs,
+        noise: OutputSignals,
         measured_disturbance: Float[np.ndarray, "T k"] | None = None,
     ) -> Rollouts:
         """Simulate a closed loop from several initial outputs at once.

@@ -19,15 +19,16 @@ from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.integrated_error import LARGEST, SAMPLES, SETTLED
 from ssm_study.systems import Gains
 
+Decays = Float[np.ndarray, "N T p"]
+Ratios = Float[np.ndarray, "P"]
+
 FITTED = 0.3  # share of a decay's energy that the model may miss: beyond, it says nothing of it
 
 NO_DECAYS = np.zeros((0, 0, 1))
 BANDS = (1.0, 2.0)  # bands of settling in which a response is judged
 
 
-def simulate_decays(
-    model: Model, trials: Trajectories, validation: Trajectories
-) -> Float[np.ndarray, "N T p"]:
+def simulate_decays(model: Model, trials: Trajectories, validation: Trajectories) -> Decays:
     """Decays of the model without control from the initial states of recorded decays, scaled and
     free of noise.
 
@@ -46,8 +47,10 @@ def simulate_decays(
         start = estimate_initial_state(model, trial, samples, reached_by=validation[0])
         response = model.simulate(trial.u[:samples], start)
         simulated = model.scale.scaled_output(response)
-        missed = ((measured - simulated) ** 2).sum()
-        if np.linalg.norm(simulated[0]) > SETTLED and missed < FITTED * (measured**2).sum():
+        missed_energy = ((measured - simulated) ** 2).sum()
+        energy = (measured**2).sum()
+        starts_away = np.linalg.norm(simulated[0]) > SETTLED
+        if starts_away and missed_energy < FITTED * energy:
             decays.append(simulated)
     if not decays:
         return NO_DECAYS
@@ -56,12 +59,8 @@ def simulate_decays(
 
 
 def largest_decay_ratios(
-    model: Model,
-    gains: Gains,
-    decays: Float[np.ndarray, "N T p"],
-    band: float,
-    limits: Ends | None = None,
-) -> Float[np.ndarray, "P"]:
+    model: Model, gains: Gains, decays: Decays, band: float, limits: Ends | None = None
+) -> Ratios:
     """Settling time of each loop relative to decays without control, the larger ratio of two
     settling bands. Zero without decays, and with an internal model, which settles at its own
     pace."""
@@ -72,12 +71,8 @@ def largest_decay_ratios(
 
 
 def decay_ratios(
-    model: Model,
-    gains: Gains,
-    decays: Float[np.ndarray, "N T p"],
-    band: float,
-    limits: Ends | None = None,
-) -> Float[np.ndarray, "P"]:
+    model: Model, gains: Gains, decays: Decays, band: float, limits: Ends | None = None
+) -> Ratios:
     """Settling time of each loop relative to decays without control, averaged over the decays. Zero
     without decays."""
     pairs = len(gains.k)
@@ -85,9 +80,12 @@ def decay_ratios(
         return np.zeros(pairs)
     sizes = np.linalg.norm(decays, axis=2)
     alone = _settled_sample(sizes, band)
-    outputs = _closed_loop_outputs(model, gains, decays, limits or (-LARGEST, LARGEST))
-    settled_samples = _settled_sample(np.linalg.norm(outputs, axis=3), band)
-    return np.asarray(settled_samples.mean(axis=1) / max(float(alone.mean()), 1.0))
+    input_limits = limits or (-LARGEST, LARGEST)
+    outputs = _closed_loop_outputs(model, gains, decays, input_limits)
+    output_sizes = np.linalg.norm(outputs, axis=3)
+    mean_settled = _settled_sample(output_sizes, band).mean(axis=1)
+    mean_alone = max(float(alone.mean()), 1.0)
+    return np.asarray(mean_settled / mean_alone)
 
 
 def _settled_sample(
@@ -96,34 +94,36 @@ def _settled_sample(
     """First sample after which a signal stays within a band."""
     outside = sizes > band
     samples = np.arange(1, sizes.shape[-1] + 1)
-    return np.asarray((outside * samples).max(axis=-1).astype(float))
+    last_outside = (outside * samples).max(axis=-1)
+    return np.asarray(last_outside.astype(float))
 
 
 def _closed_loop_outputs(
-    model: Model,
-    gains: Gains,
-    decays: Float[np.ndarray, "N T p"],
-    limits: Ends | tuple[float, float],
+    model: Model, gains: Gains, decays: Decays, limits: Ends | tuple[float, float]
 ) -> Float[np.ndarray, "P N T p"]:
     """Outputs of the closed loop with each controller and observer, from the initial state of each
     recorded decay."""
-    k = gains.k.transpose(0, 2, 1)[:, : model.order]
+    transposed_gains = gains.k.transpose(0, 2, 1)
+    k = transposed_gains[:, : model.order]
     l_ = gains.l.transpose(0, 2, 1)
     l_z = None if gains.l_z is None else gains.l_z.transpose(0, 2, 1)
     count, horizon, _ = decays.shape
-    x = np.zeros((len(k), count, model.order))
+    pairs = len(k)
+    x = np.zeros((pairs, count, model.order))
     x_hat = np.zeros_like(x)
-    outputs = np.zeros((len(k), *decays.shape))
+    outputs = np.zeros((pairs, *decays.shape))
     for sample in range(horizon):
-        u = np.clip(x_hat @ k, *limits)
-        lifted = model.scaffold_in(u)
-        scaled = model.scaled_output_at(x, lifted)
+        requested = x_hat @ k
+        u = np.clip(requested, *limits)
+        mapped_input = model.scaffold_in(u)
+        scaled = model.scaled_output_at(x, mapped_input)
         y = scaled + decays[:, sample]
         outputs[:, :, sample] = y
-        innovation = model.scaled_output_at(x_hat, lifted) - y
-        injected = () if l_z is None else (innovation @ l_z,)
-        x = model.advance(x, lifted)
-        estimate = model.advance(x_hat, lifted, *injected) + innovation @ l_
+        innovation = model.scaled_output_at(x_hat, mapped_input) - y
+        into_neurons = () if l_z is None else (innovation @ l_z,)
+        x = model.advance(x, mapped_input)
+        predicted = model.advance(x_hat, mapped_input, *into_neurons)
+        estimate = predicted + innovation @ l_
         x_hat = np.clip(estimate, -LARGEST, LARGEST)
         x = np.clip(x, -LARGEST, LARGEST)
     return outputs

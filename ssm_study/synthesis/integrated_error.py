@@ -14,6 +14,10 @@ from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.systems import Gains, StateSpace, error_input_matrix, frozen_modes
 
+InitialStates = Float[np.ndarray, "N n"]
+Loads = Float[np.ndarray, "N k"]
+RelativeAreas = Float[np.ndarray, "P"]
+
 CASES = 12  # states the model is released from, evenly spaced along the validation record
 LEVELS = (-0.5, -0.25, 0.25, 0.5)  # constant loads, in those that hold one output scale
 TIME_CONSTANTS = 4.0  # horizon, in time constants of the model's slowest mode
@@ -31,7 +35,7 @@ AT_ONCE = 256  # designs simulated together: as many as stay in the processor's 
 
 def comparison_scenario(
     model: Model, validation: Trajectories, loaded: bool
-) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N k"], int]:
+) -> tuple[InitialStates, Loads, int]:
     """Initial states, loads and horizon of the simulations in which designs are compared.
 
     `CASES` states that the model passes through in the validation record; if `loaded`, also rest
@@ -43,41 +47,47 @@ def comparison_scenario(
     visited = []
     for record in validation:
         x = np.zeros(model.order)
-        pushes = (
-            np.zeros((len(record), 1))
-            if record.d is None
-            else model.disturbance_contribution(record.d)
-        )
-        for ubar, push in zip(model.map_input(record.u), pushes, strict=True):
+        pushes = np.zeros((len(record), 1))
+        if record.d is not None:
+            pushes = model.disturbance_contribution(record.d)
+        mapped_inputs = model.map_input(record.u)
+        for mapped_input, push in zip(mapped_inputs, pushes, strict=True):
             visited.append(x)
-            x = model.advance(x, ubar) + push
-    spaced = np.linspace(0, len(visited) - 1, CASES + 2).astype(int)
-    x0 = np.array(visited)[spaced[1:-1]]
+            x = model.advance(x, mapped_input) + push
+    evenly_spaced = np.linspace(0, len(visited) - 1, CASES + 2)
+    places = evenly_spaced.astype(int)[1:-1]
+    x0 = np.array(visited)[places]
     radius = min(max(linear.spectral_radius, 1e-6), 1 - 1e-6)
     decay = -np.log(radius)  # per sample, of the slowest mode
     samples = np.ceil(TIME_CONSTANTS / decay)
     horizon = int(np.clip(samples, *SAMPLES))
     channels = linear.b.shape[1]
-    load = _constant_loads(model, linear, horizon) if loaded else np.zeros((0, channels))
-    at_origin = np.zeros((len(load), model.order))
+    loads = np.zeros((0, channels))
+    if loaded:
+        loads = _constant_loads(model, linear, horizon)
+    at_origin = np.zeros((len(loads), model.order))
     no_load = np.zeros((len(x0), channels))
-    return np.concatenate([x0, at_origin]), np.concatenate([no_load, load]), horizon
+    all_states = np.concatenate([x0, at_origin])
+    all_loads = np.concatenate([no_load, loads])
+    return all_states, all_loads, horizon
 
 
 def _constant_loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, "L k"]:
     """Constant loads at several levels for each input, scaled by their effect on the output. Inputs
     without effect are left out."""
     if linear.integrates:  # a unit of each channel holds no state: the one that it reaches
-        response = linear.simulate(np.eye(linear.b.shape[1])[:, None].repeat(horizon, axis=1))
-        held_states = response[1]
+        unit_inputs = np.eye(linear.b.shape[1])[:, None]
+        _, held_states = linear.simulate(unit_inputs.repeat(horizon, axis=1))
     else:
-        held_states = linear.steady_states()[0].T
+        states_by_channel, *_ = linear.steady_states()
+        held_states = states_by_channel.T
     no_input = np.zeros((len(held_states), linear.b.shape[1]))
     scaled = model.scaled_output_at(held_states, no_input)
     reach = np.linalg.norm(scaled, axis=1)
-    counts = reach > 1e-6 * reach.max()
-    channels = np.eye(len(held_states))[counts]
-    loads = [level * channels / reach[counts, None] for level in LEVELS]
+    has_effect = reach > 1e-6 * reach.max()
+    channels = np.eye(len(held_states))[has_effect]
+    effects = reach[has_effect, None]
+    loads = [level * channels / effects for level in LEVELS]
     return np.concatenate(loads)
 
 
@@ -89,15 +99,16 @@ def _load_time_course(
     own_modes = modes[::outputs, ::outputs]  # of one output
     if not len(own_modes):
         return np.ones(horizon)
-    powers = [np.linalg.matrix_power(own_modes, k).sum(axis=1) for k in range(horizon)]
-    signals = np.stack(powers)
-    shapes = signals / np.abs(signals).max(axis=0)
+    powers = [np.linalg.matrix_power(own_modes, k) for k in range(horizon)]
+    signals = np.stack([power.sum(axis=1) for power in powers])
+    largest = np.abs(signals).max(axis=0)
+    shapes = signals / largest
     return np.asarray(shapes.mean(axis=1))
 
 
 def relative_areas(
     model: Model, gains: Gains, validation: Trajectories, limits: Ends | None = None
-) -> Float[np.ndarray, "P"]:
+) -> RelativeAreas:
     """Response area of each design relative to the open loop, averaged over the initial states.
 
     `J = sum_k (||y[k]|| + [not settled at k])`, settled when `||y||` stays below `SETTLED`: the
@@ -108,25 +119,28 @@ def relative_areas(
     """
     loaded = len(gains.modes) > 0
     x0, load, horizon = comparison_scenario(model, validation, loaded=loaded)
-    cut = limits or (-LARGEST, LARGEST)
-    k = 0 * gains.k[:1]
-    no_control = replace(gains, k=k, l=0 * gains.l[:1], l_z=None)
-    alone = _response_areas(model, no_control, x0, load, horizon, cut)[0]
+    input_limits = limits or (-LARGEST, LARGEST)
+    no_gain = 0 * gains.k[:1]
+    no_injection = 0 * gains.l[:1]
+    no_control = replace(gains, k=no_gain, l=no_injection, l_z=None)
+    alone = _response_areas(model, no_control, x0, load, horizon, input_limits)[0]
     counts = alone > FAINT * alone.max()
-    batches = np.array_split(np.arange(len(gains.k)), -(-len(gains.k) // AT_ONCE))
-    areas = [
-        _response_areas(model, gains.select_pairs(batch), x0, load, horizon, cut)
-        for batch in batches
-    ]
+    pairs = len(gains.k)
+    batch_count = -(-pairs // AT_ONCE)
+    areas = []
+    for batch in np.array_split(np.arange(pairs), batch_count):
+        some_gains = gains.select_pairs(batch)
+        areas.append(_response_areas(model, some_gains, x0, load, horizon, input_limits))
     counted = np.concatenate(areas)[:, counts]
-    return (counted / alone[counts]).mean(axis=1)
+    relative = counted / alone[counts]
+    return relative.mean(axis=1)
 
 
 def _response_areas(
     model: Model,
     gains: Gains,
-    x0: Float[np.ndarray, "N n"],
-    load: Float[np.ndarray, "N k"],
+    x0: InitialStates,
+    load: Loads,
     horizon: int,
     limits: Ends | tuple[float, float],
 ) -> Float[np.ndarray, "P N"]:
@@ -139,27 +153,33 @@ def _response_areas(
     outputs = l_.shape[1]
     into_modes = error_input_matrix(modes, outputs)
     shape = _load_time_course(modes, outputs, horizon)
-    x = np.broadcast_to(x0, (len(k), *x0.shape)).copy()
+    state_gain = k[:, :n]
+    internal_gain = k[:, n:]
+    pairs = len(k)
+    x = np.broadcast_to(x0, (pairs, *x0.shape)).copy()
     x_hat = np.zeros_like(x)
-    z = np.zeros((*x.shape[:2], k.shape[1] - n))
-    area = np.zeros(x.shape[:2])
-    settled_at = np.zeros(x.shape[:2])
+    cases = x.shape[:2]
+    z = np.zeros((*cases, k.shape[1] - n))
+    area = np.zeros(cases)
+    settled_at = np.zeros(cases)
     for sample in range(horizon):
-        requested = x_hat @ k[:, :n] + z @ k[:, n:]
+        requested = x_hat @ state_gain + z @ internal_gain
         u = np.clip(requested, *limits)
-        lifted = model.scaffold_in(u)
-        loaded = lifted + load * shape[sample]
+        mapped_input = model.scaffold_in(u)
+        loaded = mapped_input + load * shape[sample]
         y = model.scaled_output_at(x, loaded)
-        innovation = model.scaled_output_at(x_hat, lifted) - y
+        innovation = model.scaled_output_at(x_hat, mapped_input) - y
         size = np.linalg.norm(y, axis=2)
         area = area + size
         settled_at = np.where(size > SETTLED, sample + 1.0, settled_at)
         is_free = (u == requested).all(axis=2, keepdims=True)
         moved = z @ modes.T + y @ into_modes.T
         frozen = z @ frozen_modes(modes).T
-        z = np.clip(np.where(is_free, moved, frozen), -LARGEST, LARGEST)
+        next_z = np.where(is_free, moved, frozen)
+        z = np.clip(next_z, -LARGEST, LARGEST)
         x = model.advance(x, loaded)
-        injected = () if l_z is None else (innovation @ l_z,)
-        estimate = model.advance(x_hat, lifted, *injected) + innovation @ l_
+        into_neurons = () if l_z is None else (innovation @ l_z,)
+        predicted = model.advance(x_hat, mapped_input, *into_neurons)
+        estimate = predicted + innovation @ l_
         x_hat = np.clip(estimate, -LARGEST, LARGEST)
     return area + settled_at

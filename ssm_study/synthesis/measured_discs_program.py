@@ -26,6 +26,14 @@ from ssm_study.certificates.problem import NoSolution
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 
+Angles = Float[np.ndarray, "F"]
+Unknowns = Float[np.ndarray, "n"]
+QuadraticForm = Float[np.ndarray, "N N"]
+FormsOverAngles = Complex[np.ndarray, "F G G"]
+ConstraintRows = Float[np.ndarray, "R n"]
+Bounds = Float[np.ndarray, "R"]
+HermitianForms = Complex[np.ndarray, "n G G"]
+
 # Even steps too: those of the geometric row are 0.09 wide near pi, wider than a loop's dip there.
 GRID = np.union1d(np.geomspace(1e-4, np.pi, 300), np.linspace(0, np.pi, 257))
 FIRST = 14  # angles that are solved first
@@ -45,9 +53,9 @@ class LoopForms:
 
     a: Float[np.ndarray, "x x"]
     b: Float[np.ndarray, "x g"]
-    model: Float[np.ndarray, "N N"]
-    input: Float[np.ndarray, "N N"]
-    centred: dict[float, Float[np.ndarray, "N N"]]
+    model: QuadraticForm
+    input: QuadraticForm
+    centred: dict[float, QuadraticForm]
     multipliers: Float[np.ndarray, "A N N"]
     names: tuple[tuple[str, int], ...]
 
@@ -80,7 +88,7 @@ class LoopForms:
             names=tuple(names),
         )
 
-    def at_angles(self, angles: Float[np.ndarray, "F"]) -> "FormsAtAngles":
+    def at_angles(self, angles: Angles) -> "FormsAtAngles":
         """Quadratic forms of the loop at each frequency, in the free signals alone."""
         order, free_signals = self.b.shape
         count = len(angles)
@@ -104,24 +112,25 @@ class LoopForms:
         )
 
     @property
-    def frequency_grid(self) -> Float[np.ndarray, "F"]:
+    def frequency_grid(self) -> Angles:
         """Frequency grid that is fine near the loop's own modes."""
         modes = np.linalg.eigvals(self.a)
         own = np.abs(np.angle(modes))
         width = np.maximum(1 - np.abs(modes), 1e-4)
         shares = np.array([-1.0, -0.3, 0.0, 0.3, 1.0])
         around = own + width * shares[:, None]
-        return np.union1d(GRID, np.clip(around, 0.0, np.pi))
+        on_circle = np.clip(around, 0.0, np.pi)
+        return np.union1d(GRID, on_circle)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FormsAtAngles:
     """Quadratic forms of a loop at some frequencies, Hermitian in the free signals."""
 
-    angles: Float[np.ndarray, "F"]
-    model: Complex[np.ndarray, "F G G"]
-    input: Complex[np.ndarray, "F G G"]
-    centred: dict[float, Complex[np.ndarray, "F G G"]]
+    angles: Angles
+    model: FormsOverAngles
+    input: FormsOverAngles
+    centred: dict[float, FormsOverAngles]
     multipliers: Forms
 
     def combine_with(self, other: "FormsAtAngles") -> "FormsAtAngles":
@@ -129,7 +138,9 @@ class FormsAtAngles:
         angles = np.concatenate([self.angles, other.angles])
         model = np.concatenate([self.model, other.model])
         forms_at_angles_input = np.concatenate([self.input, other.input])
-        centred = {c: np.concatenate([f, other.centred[c]]) for c, f in self.centred.items()}
+        centred = {}
+        for centre, form in self.centred.items():
+            centred[centre] = np.concatenate([form, other.centred[centre]])
         multipliers = np.concatenate([self.multipliers, other.multipliers], axis=1)
         return FormsAtAngles(
             angles=angles,
@@ -146,20 +157,23 @@ def loop_without_filters(
     """Fields of the theorem with trivial weights and zero multipliers, and the number of
     multipliers by name."""
     loop = theorem.loop_matrices(context)
-    zero = np.zeros((1, 1))
     lambda_out = 3 if loop["beta_out"] > 0 else 0
     counts = {"lambda_p": 1, "lambda_out": lambda_out}
     if "e" in loop:
-        counts["lambda_"] = 3 * loop["g"].shape[0]
+        neurons = loop["g"].shape[0]
+        counts["lambda_"] = 3 * neurons
     ball = context.balls.input
-    numbers = {"alpha": ball.alpha, "beta": ball.beta, "weight_output": zero, "weight_input": zero}
+    slopes = {"alpha": ball.alpha, "beta": ball.beta}
+    no_weight = np.zeros((1, 1))
+    weights = {"weight_output": no_weight, "weight_input": no_weight}
     multipliers = {name: np.zeros((1, count)) for name, count in counts.items()}
-    return SimpleNamespace(**loop, **numbers, **multipliers), counts
+    fields_of_theorem = SimpleNamespace(**loop, **slopes, **weights, **multipliers)
+    return fields_of_theorem, counts
 
 
 def _multiplier_form(
     theorem: type[MeasuredDiscs], of: Any, counts: dict[str, int], name: str, index: int
-) -> Float[np.ndarray, "N N"]:
+) -> QuadraticForm:
     """Quadratic form that belongs to one multiplier."""
     unit = np.zeros((1, counts[name]))
     unit[0, index] = 1.0
@@ -175,49 +189,49 @@ class ConeProgram:
     """Linear program with semidefinite constraints, solved by Clarabel."""
 
     unknowns: int
-    rows: list[Float[np.ndarray, "R n"]] = field(default_factory=list)
-    bounds: list[Float[np.ndarray, "R"]] = field(default_factory=list)
+    rows: list[ConstraintRows] = field(default_factory=list)
+    bounds: list[Bounds] = field(default_factory=list)
     blocks: list[tuple[Any, Any]] = field(default_factory=list)
 
-    def add_rows(self, rows: Float[np.ndarray, "R n"], bounds: Float[np.ndarray, "R"]) -> None:
+    def add_rows(self, rows: ConstraintRows, bounds: Bounds) -> None:
         """Append linear constraints `rows x >= bounds` to the program."""
         self.rows.append(np.atleast_2d(rows))
         self.bounds.append(np.atleast_1d(bounds))
 
     def add_semidefinite(
-        self, constant: Complex[np.ndarray, "G G"], linear: Complex[np.ndarray, "n G G"]
+        self, constant: Complex[np.ndarray, "G G"], linear: HermitianForms
     ) -> None:
         """Append a constraint that a Hermitian matrix, linear in the unknowns, is positive
         semidefinite."""
-        self.blocks.append(
-            (_real_upper_triangles(constant[None])[0], _real_upper_triangles(linear))
-        )
+        constant_triangle = _real_upper_triangles(constant[None])[0]
+        linear_triangles = _real_upper_triangles(linear)
+        self.blocks.append((constant_triangle, linear_triangles))
 
-    def minimise(
-        self, cost: Float[np.ndarray, "n"], accuracy: float = 1e-8
-    ) -> Float[np.ndarray, "n"]:
+    def minimise(self, cost: Unknowns, accuracy: float = 1e-8) -> Unknowns:
         """Minimise a linear cost under the constraints of the program. Raises `NoSolution` with the
         solver's status if there is no solution."""
         import clarabel  # slow to load
 
         rows = [-row for row in self.rows]
         right = [-bound for bound in self.bounds]
-        nonnegative_cone_t = clarabel.NonnegativeConeT(sum(map(len, self.bounds)))
-        cones: list[Any] = [nonnegative_cone_t]
+        linear_constraints = sum(map(len, self.bounds))
+        cones: list[Any] = [clarabel.NonnegativeConeT(linear_constraints)]
         for constant, linear in self.blocks:
             rows.append(-linear.T)
             right.append(constant)
-            side = round((float(np.sqrt(8 * len(constant) + 1)) - 1) / 2)
-            psd_triangle_cone_t = clarabel.PSDTriangleConeT(side)
-            cones.append(psd_triangle_cone_t)
+            entries = len(constant)  # of a triangle with a diagonal of `side`
+            side = round((float(np.sqrt(8 * entries + 1)) - 1) / 2)
+            cones.append(clarabel.PSDTriangleConeT(side))
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_iter = 120
-        settings.tol_gap_rel = settings.tol_gap_abs = accuracy
+        settings.tol_gap_rel = accuracy
+        settings.tol_gap_abs = accuracy
         settings.tol_feas = accuracy
         no_quadratic = scipy.sparse.csc_matrix((self.unknowns, self.unknowns))
         linear_cost = np.asarray(cost, dtype=float)
-        matrix = scipy.sparse.csc_matrix(np.concatenate(rows))
+        dense_matrix = np.concatenate(rows)
+        matrix = scipy.sparse.csc_matrix(dense_matrix)
         bound = np.concatenate(right)
         solver = clarabel.DefaultSolver(no_quadratic, linear_cost, matrix, bound, cones, settings)
         solution = solver.solve()
@@ -227,29 +241,31 @@ class ConeProgram:
         return np.array(solution.x)
 
 
-def _real_upper_triangles(hermitian: Complex[np.ndarray, "n G G"]) -> Float[np.ndarray, "n t"]:
+def _real_upper_triangles(hermitian: HermitianForms) -> Float[np.ndarray, "n t"]:
     """Upper triangles of the real symmetric forms of Hermitian matrices, in the order that Clarabel
     takes."""
     real = hermitian.real
     imaginary = hermitian.imag
     top = np.concatenate([real, -imaginary], axis=2)
-    whole = np.concatenate([top, np.concatenate([imaginary, real], axis=2)], axis=1)
+    bottom = np.concatenate([imaginary, real], axis=2)
+    whole = np.concatenate([top, bottom], axis=1)
     size = whole.shape[1]
     columns, lines = np.tril_indices(size)  # (column, row) with row <= column: column by column
     scale = np.where(columns == lines, 1.0, np.sqrt(2))
-    return np.asarray(whole[:, lines, columns] * scale)
+    triangles = whole[:, lines, columns]
+    return np.asarray(triangles * scale)
 
 
 @dataclass(frozen=True, kw_only=True)
 class AngleProgram:
     """Linear program with matrix constraints that must hold at every frequency of a grid."""
 
-    constant: Complex[np.ndarray, "F G G"]
+    constant: FormsOverAngles
     linear: Complex[np.ndarray, "n F G G"]
-    rows: Float[np.ndarray, "R n"]
-    bounds: Float[np.ndarray, "R"]
+    rows: ConstraintRows
+    bounds: Bounds
 
-    def smallest_eigenvalues(self, x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "F"]:
+    def smallest_eigenvalues(self, x: Unknowns) -> Angles:
         """Smallest eigenvalue of the constrained matrix at each frequency."""
         whole = self.constant + np.tensordot(x, self.linear, axes=1)
         eigenvalues = np.linalg.eigvalsh(whole)
@@ -257,11 +273,11 @@ class AngleProgram:
 
     def maximise(
         self,
-        goal: Float[np.ndarray, "n"],
+        goal: Unknowns,
         accuracy: float = VIOLATED,
         first: Sequence[int] = (),
         least: float = -np.inf,
-    ) -> tuple[Float[np.ndarray, "n"], list[int]]:
+    ) -> tuple[Unknowns, list[int]]:
         """Maximise a linear goal by cutting planes, with the frequencies that decide the solution.
         Raises `NoSolution`.
 
@@ -271,38 +287,44 @@ class AngleProgram:
         """
         count = len(self.constant)
         chosen = list(first) or _spread_indices(count, FIRST)
+        solver_accuracy = SOLVED if accuracy > SOLVED else VIOLATED
         x = np.zeros(len(goal))
         for _ in range(ROUNDS):
             program = ConeProgram(unknowns=len(goal))
             program.add_rows(self.rows, self.bounds)
             for k in chosen:
                 program.add_semidefinite(self.constant[k], self.linear[:, k])
-            x = program.minimise(-goal, SOLVED if accuracy > SOLVED else VIOLATED)
+            x = program.minimise(-goal, solver_accuracy)
             if goal @ x < least:
                 return x, chosen
             lowest = self.smallest_eigenvalues(x)
             violated = _local_minima(lowest, -accuracy)
-            fresh = [k for k in violated if k not in chosen][:MORE]
+            fresh = [k for k in violated if k not in chosen]
             if not fresh:
                 return x, chosen
-            chosen = [k for k in chosen if lowest[k] < IDLE] + fresh
+            deciding = [k for k in chosen if lowest[k] < IDLE]
+            chosen = deciding + fresh[:MORE]
         return x, chosen
 
 
 def _spread_indices(count: int, some: int) -> list[int]:
     """Indices of some items of a list, spread evenly."""
-    return [int(k) for k in np.unique(np.linspace(0, count - 1, some).round())]
+    places = np.linspace(0, count - 1, some).round()
+    return [int(place) for place in np.unique(places)]
 
 
-def _local_minima(values: Float[np.ndarray, "F"], below: float) -> list[int]:
+def _local_minima(values: Angles, below: float) -> list[int]:
     """Indices of local minima below a threshold, the smallest first."""
     padded = np.concatenate([[np.inf], values, [np.inf]])
     no_larger_than_left = values <= padded[:-2]
     no_larger_than_right = values <= padded[2:]
-    minima = np.flatnonzero(no_larger_than_left & no_larger_than_right & (values < below))
-    return [int(k) for k in minima[np.argsort(values[minima])]]
+    is_minimum = no_larger_than_left & no_larger_than_right & (values < below)
+    minima = np.flatnonzero(is_minimum)
+    smallest_first = np.argsort(values[minima])
+    return [int(k) for k in minima[smallest_first]]
 
 
 def form_sizes(forms: Complex[np.ndarray, "A F G G"]) -> Float[np.ndarray, "A"]:
     """Size of each quadratic form, by which its multiplier is scaled."""
-    return np.asarray(np.maximum(np.abs(forms).max(axis=(1, 2, 3)), np.finfo(float).tiny))
+    largest_entries = np.abs(forms).max(axis=(1, 2, 3))
+    return np.asarray(np.maximum(largest_entries, np.finfo(float).tiny))

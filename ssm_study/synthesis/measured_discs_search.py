@@ -39,6 +39,9 @@ from ssm_study.synthesis.measured_discs_weights import (
 )
 from ssm_study.systems import StructuredSystem
 
+Multipliers = Float[np.ndarray, "A"]
+Unknowns = Float[np.ndarray, "n"]
+
 CENTRES = (-0.25, 0.0)  # of discs, tried in turn; farther ones hold `e = 0` only when they are wide
 INSIDE = (0.985, 0.96, 0.9, 0.8)  # shares of the largest kappa, in order of trial
 REFINED = 100  # relative change of nu, over the accuracy, by which a finer grid ends the refinement
@@ -65,6 +68,11 @@ class Coverage:
     reason: str
     reference: str = ""
 
+    @property
+    def covers_records(self) -> bool:
+        """Whether the proof covers at least the model error that the records show."""
+        return self.coverage is not None and self.coverage >= 1
+
 
 def select_theorem(context: VerificationContext) -> type[MeasuredDiscs]:
     """Coverage theorem for a model with or without neurons."""
@@ -89,11 +97,12 @@ def largest_kappa(
             return None
         forms = LoopForms.from_context(theorem, context, (centre,))
         for share in inside:
-            scaled = nu * share**2
+            smaller_nu = nu * share**2
             multipliers, margin = _largest_margin(
-                forms, weights, centre, scaled, multipliers, deciding
+                forms, weights, centre, smaller_nu, multipliers, deciding
             )
-            numbers = _theorem_variables(forms, weights, centre, scaled**0.5, multipliers)
+            kappa = smaller_nu**0.5
+            numbers = _theorem_variables(forms, weights, centre, kappa, multipliers)
             proof = first_exact_certificate(theorem, context, numbers, margin, started)
             if proof is not None:
                 return proof
@@ -104,7 +113,7 @@ def largest_kappa(
 
 def optimum_for_weights(
     theorem: type[MeasuredDiscs], context: VerificationContext, weights: Weights, centre: float
-) -> tuple[float, Float[np.ndarray, "A"]]:
+) -> tuple[float, Multipliers]:
     """Largest squared disc radius for given weights, frequency by frequency, and its multipliers.
     `kappa^2`. Raises `NoSolution`."""
     nu, multipliers, _ = _deciding_optimum(theorem, context, weights, centre, VIOLATED)
@@ -117,7 +126,7 @@ def _deciding_optimum(
     weights: Weights,
     centre: float,
     accuracy: float,
-) -> tuple[float, Float[np.ndarray, "A"], list[int]]:
+) -> tuple[float, Multipliers, list[int]]:
     """Optimum for given weights, with the frequencies of the first grid that decide it."""
     forms = LoopForms.from_context(theorem, context, (centre,))
     grid = forms.at_angles(forms.frequency_grid)
@@ -134,7 +143,8 @@ def _deciding_optimum(
         if abs(before - nu) <= REFINED * accuracy * nu:
             break
         lowest = program.smallest_eigenvalues(x)
-        deciding = grid.angles[np.argsort(lowest)[:4]]
+        tightest = np.argsort(lowest)[:4]
+        deciding = grid.angles[tightest]
         finer = angles_around(deciding, grid.angles)
         fresh = np.setdiff1d(finer, grid.angles)
         grid = grid.combine_with(forms.at_angles(fresh))
@@ -164,20 +174,19 @@ def _reference_at(grid: FormsAtAngles, weights: Weights) -> Any:
     return on_model * grid.model + on_input * grid.input
 
 
-def _program_in_box(
-    constant: Any, linear: Any, scale: Float[np.ndarray, "n"], most: Float[np.ndarray, "n"]
-) -> AngleProgram:
+def _program_in_box(constant: Any, linear: Any, scale: Unknowns, most: Unknowns) -> AngleProgram:
     """Optimisation problem whose scaled unknowns lie between zero and given bounds."""
-    identity = np.eye(len(scale))
+    unknowns = len(scale)
+    identity = np.eye(unknowns)
     rows = np.concatenate([identity, -identity])
-    bounds = np.concatenate([np.zeros(len(scale)), -most])
+    bounds = np.concatenate([np.zeros(unknowns), -most])
     scaled = linear / scale[:, None, None, None]
     return AngleProgram(constant=constant, linear=scaled, rows=rows, bounds=bounds)
 
 
 def _fixed_program(
     grid: FormsAtAngles, weights: Weights, centre: float
-) -> tuple[AngleProgram, Float[np.ndarray, "n"]]:
+) -> tuple[AngleProgram, Unknowns]:
     """Optimisation problem with fixed weights, with its constraints imposed at the frequencies of a
     grid."""
     reference = _reference_at(grid, weights)
@@ -185,7 +194,8 @@ def _fixed_program(
     scale = form_sizes(linear)
     most = np.full(len(scale), MOST)
     most[0] = LARGEST * scale[0]
-    return _program_in_box(grid.centred[centre], linear, scale, most), scale
+    program = _program_in_box(grid.centred[centre], linear, scale, most)
+    return program, scale
 
 
 def _largest_margin(
@@ -193,43 +203,48 @@ def _largest_margin(
     weights: Weights,
     centre: float,
     nu: float,
-    multipliers: Float[np.ndarray, "A"],
+    multipliers: Multipliers,
     first: Sequence[int],
-) -> tuple[Float[np.ndarray, "A"], float]:
+) -> tuple[Multipliers, float]:
     """Multipliers that leave the largest margin at a given disc radius. The margin is in units of
     each free signal's own weight."""
     grid = forms.at_angles(forms.frequency_grid)
-    root = 1 / np.sqrt(initial_weights(forms, centre, multipliers))
+    own_weights = initial_weights(forms, centre, multipliers)
+    root = 1 / np.sqrt(own_weights)
     units = np.outer(root, root)  # each free signal in units of its own weight
-    constant = (grid.centred[centre] - nu * _reference_at(grid, weights)) * units
-    margin = -np.broadcast_to(np.eye(len(root)), grid.model.shape)
-    linear = np.concatenate([grid.multipliers * units, margin[None]])
+    disc = grid.centred[centre] - nu * _reference_at(grid, weights)
+    constant = disc * units
+    identity = np.eye(len(root))
+    margin_form = -np.broadcast_to(identity, grid.model.shape)
+    linear = np.concatenate([grid.multipliers * units, margin_form[None]])
     scale = form_sizes(linear)
-    program = _program_in_box(constant, linear, scale, np.full(len(scale), FARTHEST))
-    goal = np.zeros(len(scale))
+    unknowns = len(scale)
+    most = np.full(unknowns, FARTHEST)
+    program = _program_in_box(constant, linear, scale, most)
+    goal = np.zeros(unknowns)
     goal[-1] = 1.0
     x, _ = program.maximise(goal, ROUGH, first=first)
     unscaled = x / scale
-    return np.maximum(unscaled[:-1], 0.0), float(unscaled[-1])
+    margin = float(unscaled[-1])
+    best_multipliers = np.maximum(unscaled[:-1], 0.0)
+    return best_multipliers, margin
 
 
 def _theorem_variables(
-    forms: LoopForms,
-    weights: Weights,
-    centre: float,
-    kappa: float,
-    multipliers: Float[np.ndarray, "A"],
+    forms: LoopForms, weights: Weights, centre: float, kappa: float, multipliers: Multipliers
 ) -> dict[str, Any]:
     """Variables of the theorem as they are stored, except the metric P."""
     numbers: dict[str, Any] = {"centre": centre, "kappa": kappa, "floor": weights.floor}
     numbers |= {"weight_output": weights.output, "weight_input": weights.input}
     numbers["lambda_out"] = np.zeros(0)
     least = 1e-9 * multipliers.max()  # a multiplier is positive; one at zero moves nothing
-    for (name, _), value in zip(forms.names, np.maximum(multipliers, least), strict=True):
+    positive_multipliers = np.maximum(multipliers, least)
+    for (name, _), value in zip(forms.names, positive_multipliers, strict=True):
         if name == "lambda_p":
             numbers[name] = float(value)
         else:
-            numbers[name] = np.append(numbers.get(name, np.zeros(0)), value)
+            values_so_far = numbers.get(name, np.zeros(0))
+            numbers[name] = np.append(values_so_far, value)
     return numbers
 
 
@@ -245,10 +260,12 @@ def first_exact_certificate(
     if margin <= 0:
         return None
     ball = context.balls.input
-    whole = theorem.loop_matrices(context) | numbers | {"alpha": ball.alpha, "beta": ball.beta}
-    for p in metric_candidates(theorem, whole, margin):
+    matrices = theorem.loop_matrices(context) | numbers
+    matrices["alpha"] = ball.alpha
+    matrices["beta"] = ball.beta
+    for p in metric_candidates(theorem, matrices, margin):
         proof: MeasuredDiscs = theorem.from_numbers(
-            whole | {"p": p},
+            matrices | {"p": p},
             started=started,
             status="one convex program, one Riccati equation",
             method="measured discs",
@@ -262,31 +279,40 @@ def metric_candidates(
     theorem: type[MeasuredDiscs], numbers: dict[str, Any], margin: float
 ) -> Iterator[Float[np.ndarray, "x x"]]:
     """Candidates for the metric P, from Riccati equations with several slacks."""
-    of = SimpleNamespace(**{name: np.atleast_2d(value) for name, value in numbers.items()})
+    matrices = {name: np.atleast_2d(value) for name, value in numbers.items()}
+    of = SimpleNamespace(**matrices)
     rows = theorem.signal_matrices(of)
     order = len(rows.xi)
     form = theorem.disc_form(of, rows)
-    for multiplier, positive in theorem.static_map_forms(of, rows):
-        form = form + multiplier * positive
+    for multiplier, map_form in theorem.static_map_forms(of, rows):
+        form = form + multiplier * map_form
     a = rows.step[:, :order]
     b = rows.step[:, order:]
-    own = np.abs(np.diagonal(form)[order:])
-    root = np.sqrt(np.maximum(own, 1e-9 * own.max()))
+    free_signals = np.diagonal(form)[order:]
+    own_weights = np.abs(free_signals)
+    smallest = 1e-9 * own_weights.max()
+    root = np.sqrt(np.maximum(own_weights, smallest))
     driven = b / root
     matrix = scipy.linalg.solve_discrete_lyapunov(a, driven @ driven.T)
     gramian = symmetric_part(matrix)
     share = FLOOR * np.trace(gramian) / order
-    right = np.linalg.cholesky(gramian + share * np.eye(order))
+    state_identity = np.eye(order)
+    right = np.linalg.cholesky(gramian + share * state_identity)
     left = np.linalg.inv(right)
-    scaling = scipy.linalg.block_diag(right, np.diag(1 / root))
+    unit_signals = np.diag(1 / root)
+    scaling = scipy.linalg.block_diag(right, unit_signals)
     scaled = symmetric_part(scaling.T @ form @ scaling)
-    inputs = np.eye(len(root))
+    state_form = scaled[:order, :order]
+    coupling = scaled[:order, order:]
+    signal_form = scaled[order:, order:]
+    signal_identity = np.eye(len(root))
+    scaled_a = left @ a @ right
+    scaled_b = left @ driven
     for slack in SLACKS:
-        q = scaled[:order, :order] - slack * margin * np.eye(order)
-        r = scaled[order:, order:] - KEPT * margin * inputs
+        q = state_form - slack * margin * state_identity
+        r = signal_form - KEPT * margin * signal_identity
         try:
-            s = scaled[:order, order:]
-            x = scipy.linalg.solve_discrete_are(left @ a @ right, left @ driven, q, r, s=s)
+            x = scipy.linalg.solve_discrete_are(scaled_a, scaled_b, q, r, s=coupling)
         except (np.linalg.LinAlgError, ValueError):
             continue
         p = symmetric_part(-(left.T @ x @ left))
@@ -297,8 +323,11 @@ def metric_candidates(
 def theorem_margin(theorem: type[MeasuredDiscs], numbers: dict[str, Any]) -> float:
     """Smallest eigenvalue, in floats, of the theorem's matrices after scaling to unit diagonals."""
     matrices = theorem.as_floats(**numbers)
-    names = ("inequality", "p")
-    return min(float(np.linalg.eigvalsh(matrices[name])[0]) for name in names)
+    smallest_eigenvalues = []
+    for name in ("inequality", "p"):
+        eigenvalues = np.linalg.eigvalsh(matrices[name])
+        smallest_eigenvalues.append(float(eigenvalues[0]))
+    return min(smallest_eigenvalues)
 
 
 def largest_coverage(
@@ -313,18 +342,23 @@ def largest_coverage(
     Where bands without excitation alone keep it from covering, the proof is that of the other
     bands: its need of all of them says so.
     """
-    missing = next((reason for c in centres if (reason := premise.missing_reason(c))), None)
-    if missing is not None:
-        return Coverage(certificate=None, coverage=None, reason=missing)
-    items = {c: [item for item in premise.requirements(c) if item.seen > 0] for c in centres}
+    for centre in centres:
+        missing = premise.missing_reason(centre)
+        if missing:
+            return Coverage(certificate=None, coverage=None, reason=missing)
+    items = {}
+    excited_items = {}
+    for centre in centres:
+        requirements = premise.requirements(centre)
+        items[centre] = [item for item in requirements if item.seen > 0]
+        excited_items[centre] = [item for item in items[centre] if not item.dark]
     basis = basis or WeightBasis()
     whole = _largest_coverage_around(context, items, basis)
-    lit = {c: [item for item in some if not item.dark] for c, some in items.items()}
-    covers = whole.coverage is not None and whole.coverage >= 1
-    if covers or not all(lit.values()) or lit == items:
+    has_both = all(excited_items.values()) and excited_items != items
+    if whole.covers_records or not has_both:
         return whole
-    partial = _largest_coverage_around(context, lit, basis)
-    return partial if partial.coverage is not None and partial.coverage >= 1 else whole
+    partial = _largest_coverage_around(context, excited_items, basis)
+    return partial if partial.covers_records else whole
 
 
 def _largest_coverage_around(
@@ -362,7 +396,7 @@ def _certify_program(
     theorem: type[MeasuredDiscs],
     program: WeightProgram,
     nu: float,
-    unknowns: Float[np.ndarray, "n"],
+    unknowns: Unknowns,
     started: float,
 ) -> Coverage | None:
     """Certificate from a joint solution for weights and multipliers; None if exact arithmetic
@@ -375,10 +409,10 @@ def _certify_program(
                 weights = program.weights_from_unknowns(scaled, chosen)
             except NoSolution:
                 continue
-            multipliers = np.maximum(chosen[2 * (program.basis.order + 1) :], 0.0)
-            numbers = _theorem_variables(
-                program.forms, weights, program.centre, scaled**0.5, multipliers
-            )
+            unscaled_multipliers = chosen[program.coefficient_count :]
+            multipliers = np.maximum(unscaled_multipliers, 0.0)
+            kappa = scaled**0.5
+            numbers = _theorem_variables(program.forms, weights, program.centre, kappa, multipliers)
             proof = first_exact_certificate(theorem, context, numbers, room, started)
             if proof is not None:
                 need, where = weights.needed_radius(program.items)

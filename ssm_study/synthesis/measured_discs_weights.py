@@ -23,6 +23,13 @@ from ssm_study.synthesis.measured_discs_program import (
     form_sizes,
 )
 
+Unknowns = Float[np.ndarray, "n"]
+Angles = Float[np.ndarray, "F"]
+Coefficients = Float[np.ndarray, "K"]
+Bounds = Float[np.ndarray, "R"]
+BasisValues = Float[np.ndarray, "K F"]
+ConstraintRows = Float[np.ndarray, "R N"]
+
 POLES = (0.5, 0.9)  # of the weights, with as many at zero
 ORDER = 4  # of each weight
 WIDEST = 2.25  # times what records show, in power: weights are widened up to here
@@ -44,9 +51,12 @@ def initial_weights(
     """Weight of each free signal in the loop's quadratic form, taken alone. It is one for |e|^2,
     its multiplier for |p|^2, and so on."""
     order = len(forms.a)
-    whole = forms.centred[centre] + np.tensordot(multipliers, forms.multipliers, axes=1)
-    own = np.abs(np.diagonal(whole)[order:])
-    return np.asarray(np.maximum(own, 1e-9 * own.max()))
+    map_forms = np.tensordot(multipliers, forms.multipliers, axes=1)
+    whole = forms.centred[centre] + map_forms
+    free_signals = np.diagonal(whole)[order:]
+    own = np.abs(free_signals)
+    smallest = 1e-9 * own.max()
+    return np.asarray(np.maximum(own, smallest))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +66,7 @@ class WeightBasis:
     poles: tuple[float, ...] = POLES
     order: int = ORDER
 
-    def denominator(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
+    def denominator(self, angles: Angles) -> Angles:
         """Squared gain `|den|^2` of the weights' denominator at each frequency."""
         if not self.poles:
             return np.ones(len(angles))
@@ -64,26 +74,28 @@ class WeightBasis:
         factors = [np.abs(1 - pole * delay) ** 2 for pole in self.poles]
         return np.asarray(np.prod(factors, axis=0))
 
-    def values_at(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "K F"]:
+    def values_at(self, angles: Angles) -> BasisValues:
         """Value of each basis function at each frequency."""
         return self.numerators(angles) / self.denominator(angles)
 
-    def numerators(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "K F"]:
+    def numerators(self, angles: Angles) -> BasisValues:
         """Numerators of the basis functions at each frequency: one, and `2 cos(j w)`."""
         rows = [np.ones(len(angles))]
         for j in range(1, self.order + 1):
-            rows.append(2 * np.cos(j * angles))
+            cosine = np.cos(j * angles)
+            rows.append(2 * cosine)
         return np.stack(rows)
 
-    def filter_from_coefficients(
-        self, coefficients: Float[np.ndarray, "K"]
-    ) -> Float[np.ndarray, "v v"]:
+    def filter_from_coefficients(self, coefficients: Coefficients) -> Float[np.ndarray, "v v"]:
         """Minimum-phase filter whose squared gain has given basis coefficients. It is `[A, B; C,
         D]`; raises `NoSolution` if there is none."""
-        if coefficients[0] <= 0:
+        mean = coefficients[0]
+        if mean <= 0:
             return np.zeros((1, 1))
-        if self.order == 0 and not self.poles:
-            return np.array([[np.sqrt(coefficients[0])]])
+        is_constant = self.order == 0 and not self.poles
+        if is_constant:
+            gain = np.sqrt(mean)
+            return np.array([[gain]])
         numerator = spectral_factor(coefficients)
         denominator = np.real(np.poly(self.poles)) if self.poles else np.ones(1)
         size = max(len(numerator), len(denominator))
@@ -93,7 +105,7 @@ class WeightBasis:
         return np.block([[a, b], [c, d]])
 
 
-def spectral_factor(coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
+def spectral_factor(coefficients: Coefficients) -> Coefficients:
     """Minimum-phase spectral factor of a cosine polynomial. Raises `NoSolution`.
 
     By the cepstrum: the causal half of `log |n|^2` is the logarithm of a factor without zeros or
@@ -109,9 +121,12 @@ def spectral_factor(coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "
     cepstrum = np.fft.ifft(np.log(power)).real
     cepstrum[0] /= 2
     cepstrum[CEPSTRUM // 2 :] = 0.0
-    factor = np.fft.ifft(np.exp(np.fft.fft(cepstrum))).real[: order + 1]
+    logarithm = np.fft.fft(cepstrum)
+    impulse_response = np.fft.ifft(np.exp(logarithm)).real
+    factor = impulse_response[: order + 1]
     again = np.convolve(factor, factor[::-1])[order:]
-    if np.abs(again - coefficients).max() > 1e-3 * coefficients[0]:
+    largest_error = np.abs(again - coefficients).max()
+    if largest_error > 1e-3 * coefficients[0]:
         raise NoSolution("a squared gain has no spectral factor")
     return np.asarray(factor)
 
@@ -138,7 +153,8 @@ class WeightProgram:
     def unknown_matrices(self) -> Any:
         """Matrix that each unknown multiplies in the constraint at each frequency."""
         angles = self.grid.angles
-        phi = self.basis.values_at(angles)[:, :, None, None]
+        basis_values = self.basis.values_at(angles)
+        phi = basis_values[:, :, None, None]
         of_x = -phi * self.grid.model
         of_y = -phi * self.grid.input
         multipliers = self.grid.multipliers
@@ -150,24 +166,28 @@ class WeightProgram:
         rows = []
         for item in self.items:
             phi = self.basis.values_at(item.angles)
-            row = np.concatenate([phi @ item.model_power, phi @ item.input_power])
-            rows.append(row / item.seen)
+            of_x = phi @ item.model_power
+            of_y = phi @ item.input_power
+            reference = np.concatenate([of_x, of_y])
+            rows.append(reference / item.seen)
         return np.array(rows)
 
-    def weight_rows(self) -> tuple[Float[np.ndarray, "R n"], Float[np.ndarray, "R"]]:
+    def weight_rows(self) -> tuple[Float[np.ndarray, "R n"], Bounds]:
         """Linear constraints on the weights' coefficients, with their bounds. X exceeds `c^2`, so
         that the disc contains `e = 0`, and neither comes near zero."""
         mean = self.basis.values_at(EVENLY).mean(axis=1)
-        clear = self.basis.values_at(CIRCLE).T - NEAR_ZERO * mean
+        on_circle = self.basis.values_at(CIRCLE).T
+        clear = on_circle - NEAR_ZERO * mean
         none = np.zeros_like(clear)
-        least = np.full(len(CIRCLE), self.centre**2 * (1 + ROOM))
+        count = len(CIRCLE)
+        least_x = self.centre**2 * (1 + ROOM)
         on_x = np.hstack([clear, none])
         on_y = np.hstack([none, clear])
         rows = np.concatenate([on_x, on_y])
-        bounds = np.concatenate([least, np.zeros(len(CIRCLE))])
+        bounds = np.concatenate([np.full(count, least_x), np.zeros(count)])
         return rows, bounds
 
-    def maximise_radius(self) -> tuple[float, Float[np.ndarray, "n"]]:
+    def maximise_radius(self) -> tuple[float, Unknowns]:
         """Largest squared disc radius, with the weights and multipliers that reach it. Raises
         `NoSolution`."""
         nu, unknowns, _ = self.maximise_radius_from()
@@ -175,7 +195,7 @@ class WeightProgram:
 
     def maximise_radius_from(
         self, angles: Float[np.ndarray, "D"] = NO_ANGLES, least: float = -np.inf
-    ) -> tuple[float, Float[np.ndarray, "n"], Float[np.ndarray, "D2"]]:
+    ) -> tuple[float, Unknowns, Float[np.ndarray, "D2"]]:
         """Largest squared disc radius, with the weights and multipliers that reach it, and the
         frequencies that decide it. Raises `NoSolution`.
 
@@ -187,29 +207,29 @@ class WeightProgram:
         count = len(scale)
         rows, bounds = self._rows_with_nu(scale)
         constant = self.grid.centred[self.centre]
-        angle_program_linear = np.concatenate(
-            [np.zeros_like(linear[:1]), scale_unknowns(linear, scale)]
-        )
-        program = AngleProgram(
-            constant=constant, linear=angle_program_linear, rows=rows, bounds=bounds
-        )
+        of_nu = np.zeros_like(linear[:1])
+        scaled = scale_unknowns(linear, scale)
+        with_nu = np.concatenate([of_nu, scaled])
+        program = AngleProgram(constant=constant, linear=with_nu, rows=rows, bounds=bounds)
         goal = np.zeros(1 + count)
         goal[0] = 1.0
         distances = np.abs(self.grid.angles - angles[:, None])
-        first = np.unique(distances.argmin(axis=1)).tolist()
+        nearest = distances.argmin(axis=1)
+        first = np.unique(nearest).tolist()
         x, chosen = program.maximise(goal, self.tolerance, first, least)
         lowest = program.smallest_eigenvalues(x)[chosen]
-        deciding = self.grid.angles[chosen][np.argsort(lowest)[:DECIDING]]
-        return float(x[0]), x[1:] / scale, deciding
+        tightest = np.argsort(lowest)[:DECIDING]
+        chosen_angles = self.grid.angles[chosen]
+        nu = float(x[0])
+        unknowns = x[1:] / scale
+        return nu, unknowns, chosen_angles[tightest]
 
     @property
     def coefficient_count(self) -> int:
         """Number of coefficients of both weights together."""
         return 2 * (self.basis.order + 1)
 
-    def _rows_with_nu(
-        self, scale: Float[np.ndarray, "n"]
-    ) -> tuple[Float[np.ndarray, "R N"], Float[np.ndarray, "R"]]:
+    def _rows_with_nu(self, scale: Unknowns) -> tuple[ConstraintRows, Bounds]:
         """Linear constraints on disc radius, weights and multipliers, with their bounds.
 
         Each item needs nu at most; the weights stay clear of zero; a multiplier is at least zero
@@ -219,47 +239,51 @@ class WeightProgram:
         multipliers = len(scale) - weights
         rows_xy, least_xy = self.weight_rows()
         requirement_rows = self.requirement_coefficients()
-        on_weights = np.concatenate([requirement_rows, rows_xy]) / scale[:weights]
-        top = np.zeros((len(on_weights), 1 + len(scale)))
-        top[: len(requirement_rows), 0] = -1.0
-        top[:, 1 : 1 + weights] = on_weights
-        identity = np.eye(1 + len(scale))
-        at_least_zero = identity[1 + weights :]
+        requirements = len(requirement_rows)
+        unscaled_rows = np.concatenate([requirement_rows, rows_xy])
+        on_weights = unscaled_rows / scale[:weights]
+        unknowns = 1 + len(scale)
+        first_multiplier = 1 + weights
+        top = np.zeros((len(on_weights), unknowns))
+        top[:requirements, 0] = -1.0
+        top[:, 1:first_multiplier] = on_weights
+        identity = np.eye(unknowns)
+        at_least_zero = identity[first_multiplier:]
         at_most = -at_least_zero
         nu_at_most = -identity[:1]
         rows = np.concatenate([top, at_least_zero, at_most, nu_at_most])
         zeros = np.zeros(multipliers)
         most = np.full(multipliers, -MOST)
         largest_nu = np.array([-LARGEST])
-        bounds = [np.zeros(len(requirement_rows)), least_xy, zeros, most, largest_nu]
-        return rows, np.concatenate(bounds)
+        no_bound = np.zeros(requirements)
+        bounds = np.concatenate([no_bound, least_xy, zeros, most, largest_nu])
+        return rows, bounds
 
-    def widen_weights(
-        self, nu: float, unknowns: Float[np.ndarray, "n"], room: float
-    ) -> Float[np.ndarray, "n"]:
+    def widen_weights(self, nu: float, unknowns: Unknowns, room: float) -> Unknowns:
         """Enlarge the weights in each frequency band as far as the proof allows, at a fixed disc
         radius. A margin of `room` times each free signal's own weight is left in the loop."""
-        multipliers = np.maximum(unknowns[self.coefficient_count :], 0.0)
+        unscaled_multipliers = unknowns[self.coefficient_count :]
+        multipliers = np.maximum(unscaled_multipliers, 0.0)
         own = initial_weights(self.forms, self.centre, multipliers)
         root = 1 / np.sqrt(own)
         units = np.outer(root, root)  # each free signal in units of its own weight
         linear = self.unknown_matrices * units
         scale = form_sizes(linear)
+        count = len(scale)
         rows, bounds, bands = self._rows_with_bands(scale, nu)
-        none = np.zeros((bands, *linear.shape[1:]))
-        centred = self.grid.centred
-        constant = centred[self.centre] * units - room * np.eye(len(own))
-        angle_program_linear = np.concatenate([scale_unknowns(linear, scale), none])
-        program = AngleProgram(
-            constant=constant, linear=angle_program_linear, rows=rows, bounds=bounds
-        )
-        goal = np.concatenate([np.zeros(len(scale)), np.ones(bands)])
+        matrix_shape = linear.shape[1:]
+        of_widenings = np.zeros((bands, *matrix_shape))
+        margin = room * np.eye(len(own))
+        constant = self.grid.centred[self.centre] * units - margin
+        scaled = scale_unknowns(linear, scale)
+        with_widenings = np.concatenate([scaled, of_widenings])
+        program = AngleProgram(constant=constant, linear=with_widenings, rows=rows, bounds=bounds)
+        goal = np.concatenate([np.zeros(count), np.ones(bands)])
         x, _ = program.maximise(goal, self.tolerance)
-        return np.asarray(x[: len(scale)] / scale)
+        scaled_unknowns = x[:count]
+        return np.asarray(scaled_unknowns / scale)
 
-    def _rows_with_bands(
-        self, scale: Float[np.ndarray, "n"], nu: float
-    ) -> tuple[Float[np.ndarray, "R N"], Float[np.ndarray, "R"], int]:
+    def _rows_with_bands(self, scale: Unknowns, nu: float) -> tuple[ConstraintRows, Bounds, int]:
         """Linear constraints on weights, multipliers and the widening of each frequency band.
 
         Each item needs its band's widening times nu at most; a widening lies between one and
@@ -269,42 +293,53 @@ class WeightProgram:
         multipliers = len(scale) - weights
         rows_xy, least_xy = self.weight_rows()
         requirement_rows = self.requirement_coefficients()
-        places = {item.place for item in self.items}
-        bands = sorted(places)
-        band_of_item = np.array([bands.index(item.place) for item in self.items])
-        total = len(scale) + len(bands)
-        top = np.zeros((len(requirement_rows) + len(rows_xy), total))
-        top[:, :weights] = np.concatenate([requirement_rows, rows_xy]) / scale[:weights]
-        top[np.arange(len(requirement_rows)), len(scale) + band_of_item] = -nu
+        requirements = len(requirement_rows)
+        places = sorted({item.place for item in self.items})
+        band_of_item = np.array([places.index(item.place) for item in self.items])
+        bands = len(places)
+        total = len(scale) + bands
+        unscaled_rows = np.concatenate([requirement_rows, rows_xy])
+        top = np.zeros((requirements + len(rows_xy), total))
+        top[:, :weights] = unscaled_rows / scale[:weights]
+        items = np.arange(requirements)
+        widening_of_item = len(scale) + band_of_item
+        top[items, widening_of_item] = -nu
         unit_rows = np.eye(total)[weights:]
         rows = np.concatenate([top, unit_rows, -unit_rows])
-        least = np.concatenate([np.zeros(multipliers), np.ones(len(bands))])
-        most = np.concatenate([np.full(multipliers, MOST), np.full(len(bands), WIDEST)])
-        bounds = np.concatenate([np.zeros(len(requirement_rows)), least_xy, least, -most])
-        return rows, bounds, len(bands)
+        least = np.concatenate([np.zeros(multipliers), np.ones(bands)])
+        largest_multipliers = np.full(multipliers, MOST)
+        largest_widenings = np.full(bands, WIDEST)
+        most = np.concatenate([largest_multipliers, largest_widenings])
+        no_bound = np.zeros(requirements)
+        bounds = np.concatenate([no_bound, least_xy, least, -most])
+        return rows, bounds, bands
 
-    def weights_from_unknowns(self, nu: float, unknowns: Float[np.ndarray, "n"]) -> Weights:
+    def weights_from_unknowns(self, nu: float, unknowns: Unknowns) -> Weights:
         """Weighting filters from the program's solution. Raises `NoSolution`."""
         size = self.basis.order + 1
         x = unknowns[:size] / nu
         y = unknowns[size : 2 * size] / nu
         floor = abs(self.centre) * (1 + ROOM / 4) / np.sqrt(nu)
         if floor == 0:
-            floor = 1e-6 * float(np.sqrt(max(x[0], 1e-12)))
-        poles = self.basis.poles
-        above_floor = x - floor**2 * denominator_coefficients(poles, size)
+            mean = max(x[0], 1e-12)
+            floor = 1e-6 * float(np.sqrt(mean))
+        denominator = denominator_coefficients(self.basis.poles, size)
+        above_floor = x - floor**2 * denominator
         output = self.basis.filter_from_coefficients(above_floor)
         weights_input = self.basis.filter_from_coefficients(y)
         return Weights(floor=float(floor), output=output, input=weights_input)
 
 
-def scale_unknowns(forms: Any, scale: Float[np.ndarray, "n"]) -> Any:
+def scale_unknowns(forms: Any, scale: Unknowns) -> Any:
     """Matrices that multiply the unknowns, each divided by the size of its unknown."""
     return forms / scale[:, None, None, None]
 
 
-def denominator_coefficients(poles: Sequence[float], size: int) -> Float[np.ndarray, "K"]:
+def denominator_coefficients(poles: Sequence[float], size: int) -> Coefficients:
     """Cosine coefficients of the weights' squared denominator, from its poles."""
     denominator = np.real(np.poly(poles)) if len(poles) else np.ones(1)
-    whole = np.convolve(denominator, denominator[::-1])[len(denominator) - 1 :]
-    return np.pad(whole, (0, size - len(whole)))
+    squared = np.convolve(denominator, denominator[::-1])
+    middle = len(denominator) - 1
+    cosine_coefficients = squared[middle:]
+    missing = size - len(cosine_coefficients)
+    return np.pad(cosine_coefficients, (0, missing))

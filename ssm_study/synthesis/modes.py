@@ -18,6 +18,8 @@ from ssm_study.certificates.theorem import smallest_eigenvalue
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 
 # Of the slow modes' metric: from dominating to negligible beside the fast.
+Square = Float[np.ndarray, "n n"]
+
 SLOW_WEIGHTS = np.geomspace(1e4, 1e-14, 19)
 GOOD_SHARE = 0.3
 # the inequality is solved this share of the way (in log r) from the gain's rate to the asked one
@@ -31,8 +33,8 @@ ON_CIRCLE = "a slow mode lies on the circle |lambda| = r"
 class Modes:
     """Fast and slow modes of a linear system in decoupled coordinates."""
 
-    right: Float[np.ndarray, "n n"]
-    left: Float[np.ndarray, "n n"]
+    right: Square
+    left: Square
     a_fast: Float[np.ndarray, "k k"]
     b_fast: Float[np.ndarray, "k m"]
     a_slow: Float[np.ndarray, "s s"]
@@ -52,9 +54,7 @@ class FastGain:
     p: Float[np.ndarray, "k k"]
 
 
-def split_modes(
-    a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float
-) -> Modes:
+def split_modes(a: Square, b: Float[np.ndarray, "n m"], contraction: float) -> Modes:
     """Separate the modes outside a circle (fast) from the modes inside it (slow), in decoupled
     coordinates.
 
@@ -83,9 +83,7 @@ def split_modes(
     return Modes(right=right, left=left, a_fast=a_fast, b_fast=b_fast, a_slow=a_slow, b_slow=b_slow)
 
 
-def weighted_block_metric(
-    problem: Problem, modes: Modes, fast: FastGain
-) -> Float[np.ndarray, "n n"]:
+def weighted_block_metric(problem: Problem, modes: Modes, fast: FastGain) -> Square:
     """Contraction metric of the whole system, composed from those of fast and slow modes.
 
     `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + I`.
@@ -119,9 +117,7 @@ def weighted_block_metric(
     return symmetric_part(modes.right @ good[0] @ modes.right.T)
 
 
-def full_metric(
-    problem: Problem, modes: Modes, fast: FastGain, faster: float
-) -> Float[np.ndarray, "n n"]:
+def full_metric(problem: Problem, modes: Modes, fast: FastGain, faster: float) -> Square:
     """Smallest contraction metric P of a minimum-energy gain, over fast and slow modes together.
 
     The equation is that of `least_metric`; docs/theory.md, "When digits run out", says why. Raises
@@ -136,7 +132,7 @@ def full_metric(
     return least_metric(problem, fast.k, between, right, left)
 
 
-def _state_scales(problem: Problem, modes: Modes, faster: float) -> Float[np.ndarray, "n n"]:
+def _state_scales(problem: Problem, modes: Modes, faster: float) -> Square:
     """Scale of each state, from the energies of fast and slow modes."""
     a = modes.a_fast / faster
     root = energy_root(a, modes.b_fast / faster)

@@ -28,14 +28,16 @@ def goal_and_constraints(
         if objective == "feasibility":
             constant = cp.Constant(0)
             return constant, [matrix >> one]
+        is_deep_inside = matrix >> t * one
         has_fixed_trace = cp.trace(matrix) == len(one)
-        return -t, [matrix >> t * one, has_fixed_trace]
+        return -t, [is_deep_inside, has_fixed_trace]
     blocks = _append_performance_rows(upper, at, performance)
     bordered = cp.bmat(symmetric_from_upper(blocks))
     one = np.eye(p.shape[0])
     z = cp.Variable(p.shape, symmetric=True)
-    exceeds_inverse = cp.bmat([[z, one], [one, p]]) >> 0
-    return cp.trace(z), [bordered >> 0, exceeds_inverse]
+    schur_complement = cp.bmat([[z, one], [one, p]])
+    constraints = [bordered >> 0, schur_complement >> 0]
+    return cp.trace(z), constraints
 
 
 def _append_performance_rows(upper: Blocks, at: int, performance: list[cp.Expression]) -> Blocks:

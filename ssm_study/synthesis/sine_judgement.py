@@ -50,6 +50,7 @@ def sine_columns(
     if not sines:
         return {}
     without = predict(model, design.pair, balls, mismatch)
-    prediction = predict(model, design.pair, balls, add_sines(mismatch, sines))
+    mismatch_with_sines = add_sines(mismatch, sines)
+    prediction = predict(model, design.pair, balls, mismatch_with_sines)
     both = without.predicts_stability() and prediction.predicts_stability()
     return {"sine_margin": prediction.resolved_margin, "predicted_stable": both}
