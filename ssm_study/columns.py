@@ -80,3 +80,11 @@ class Column:
     def matches_name(self, name: str) -> bool:
         """Whether this definition describes the column of the given name."""
         return fnmatchcase(name, self.name)
+
+
+def iterated_column(
+    name: str, better: Literal["high", "low", ""], word: str, unit: str = "", head: str = ""
+) -> Column:
+    """Definition of a column with a number that an iteration produces, such as a norm or an
+    eigenvalue, so that it is verified to `ITERATED`."""
+    return Column(name, "Float64", better, head, word, unit, ITERATED)

@@ -5,7 +5,7 @@ from typing import Any
 
 from ssm_study.bounds.gramians import bound_local_controllability, hankel_singular_values
 from ssm_study.bounds.slopes import SlopeBound, jacobian_ball, spectral_norm_bound
-from ssm_study.columns import ITERATED, Column
+from ssm_study.columns import Column, iterated_column
 from ssm_study.systems import StructuredSystem
 
 NOT_KEPT = "the model before its reduction is not kept in the run's folder"
@@ -21,16 +21,9 @@ LINEAR_COLUMNS = (
         unchecked=NOT_KEPT,
     ),
     Column("states", "Int64", word="States of the certified model"),
-    Column("hankel_largest", "Float64", word="Largest Hankel singular value", tolerance=ITERATED),
-    Column("hankel_smallest", "Float64", word="Smallest Hankel singular value", tolerance=ITERATED),
-    Column(
-        "spectral_radius",
-        "Float64",
-        "low",
-        word="Spectral radius of A",
-        unit="–",
-        tolerance=ITERATED,
-    ),
+    iterated_column("hankel_largest", "", "Largest Hankel singular value"),
+    iterated_column("hankel_smallest", "", "Smallest Hankel singular value"),
+    iterated_column("spectral_radius", "low", "Spectral radius of A", "–"),
 )
 
 SLOPE_COLUMNS = (
@@ -47,34 +40,14 @@ SLOPE_COLUMNS = (
 
 CONTROLLABILITY_COLUMNS = (
     Column("local_controllability", "boolean", "high", word="Locally controllable"),
-    Column(
-        "controllability_gramian_lower",
-        "Float64",
-        word="Controllability Gramian, least",
-        tolerance=ITERATED,
-    ),
-    Column(
-        "controllability_gramian_upper",
-        "Float64",
-        word="Controllability Gramian, largest",
-        tolerance=ITERATED,
-    ),
+    iterated_column("controllability_gramian_lower", "", "Controllability Gramian, least"),
+    iterated_column("controllability_gramian_upper", "", "Controllability Gramian, largest"),
 )
 
 OBSERVABILITY_COLUMNS = (
     Column("local_observability", "boolean", "high", word="Locally observable"),
-    Column(
-        "observability_gramian_lower",
-        "Float64",
-        word="Observability Gramian, least",
-        tolerance=ITERATED,
-    ),
-    Column(
-        "observability_gramian_upper",
-        "Float64",
-        word="Observability Gramian, largest",
-        tolerance=ITERATED,
-    ),
+    iterated_column("observability_gramian_lower", "", "Observability Gramian, least"),
+    iterated_column("observability_gramian_upper", "", "Observability Gramian, largest"),
 )
 
 COLUMNS = (*LINEAR_COLUMNS, *SLOPE_COLUMNS, *CONTROLLABILITY_COLUMNS, *OBSERVABILITY_COLUMNS)

@@ -27,7 +27,7 @@ from ssm_study.loop.rollout import (
 Columns = dict[str, float | int | str | None]
 BEYOND = "Beyond the certified bound on the plant"
 
-COLUMNS = (
+SETTLING_COLUMNS = (
     Column("loop_on", "string", word="Closed loop on"),
     Column("initial_conditions", "Int64", word="Initial states tried"),
     Column("stable_count", "Int64", "high", "stable", "Initial states settled"),
@@ -53,6 +53,9 @@ COLUMNS = (
         "faster",
         "All settle, sooner on average than without control",
     ),
+)
+
+REST_AND_RIVAL_COLUMNS = (
     Column(
         "swings_at_rest",
         "Float64",
@@ -64,6 +67,9 @@ COLUMNS = (
     Column(
         "settling_time_pi_s", "Float64", word="Mean settling time, PI from the same model", unit="s"
     ),
+)
+
+EFFORT_AND_ERROR_COLUMNS = (
     Column("overshoot_worst", "Float64", "low", word="Worst overshoot", unit="share of the start"),
     Column(
         "input_peak_v",
@@ -84,6 +90,9 @@ COLUMNS = (
     Column("final_error_worst", "Float64", "low", word="Worst remaining error", unit="output unit"),
     Column("left_bound_count", "Int64", "low", word="Initial states stopped at the bound"),
     Column("left_bound_first_s", "Float64", word="First stop at the bound", unit="s"),
+)
+
+BOUND_COLUMNS = (
     Column(
         "noise_gain_measured",
         "Float64",
@@ -106,6 +115,8 @@ COLUMNS = (
         "certified_bound_excess_plant", "Float64", "low", word=BEYOND, unit="share of its start"
     ),
 )
+
+COLUMNS = (*SETTLING_COLUMNS, *REST_AND_RIVAL_COLUMNS, *EFFORT_AND_ERROR_COLUMNS, *BOUND_COLUMNS)
 
 
 def behaviour_columns(loop: LoopRuns) -> Columns:

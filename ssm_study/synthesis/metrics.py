@@ -19,7 +19,7 @@ from ssm_study.certificates.certificate import (
 )
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.columns import EIGENVALUE, ITERATED, Column
+from ssm_study.columns import EIGENVALUE, ITERATED, Column, iterated_column
 from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage_columns import COLUMNS as COVERAGE_COLUMNS
 from ssm_study.robustness.mismatch import Mismatch
@@ -36,17 +36,18 @@ def _side_columns(side: str, short: str, gain: str) -> tuple[Column, ...]:
     """Declarations of the columns that describe controller or observer."""
     title = side.capitalize()
     rate = _rate_column(f"rate_{side}", f"{title} rate, ρ", setting=f"synthesis.rate_{side}")
+    requested_rate = replace(rate, better="", head=f"r {short}")
     margin = f"{title} LMI margin"
     norm = f"{title} gain ‖{gain}‖"
     return (
-        replace(rate, better="", head=f"r {short}"),
+        requested_rate,
         Column(f"{side}_feasible", "boolean", "high", word=f"{title} feasible"),
         Column(f"{side}_certified", "boolean", "high", f"{short} cert", f"{title} certified"),
         Column(f"{side}_reason", "string", word=f"Why there is no {side}"),
         Column(f"{side}_margin", "Float64", "high", "", margin, "", ITERATED, EIGENVALUE),
         _rate_column(f"{side}_rate_limit", f"{title} rate limit, ρ"),
         _rate_column(f"{side}_certified_rate", f"{title} rate proved"),
-        Column(f"{side}_gain_norm", "Float64", "low", "", norm, "scaled", ITERATED),
+        iterated_column(f"{side}_gain_norm", "low", norm, "scaled"),
     )
 
 
@@ -55,11 +56,14 @@ def _rate_column(name: str, word: str, setting: str = "") -> Column:
     return Column(name, "Float64", "high", "", word, "1/sample", ITERATED, setting=setting)
 
 
-COLUMNS = (
+CHOICE_COLUMNS = (
     Column("parent_run", "string", word="Refined from run"),
     Column("refinements", "Int64", word="Refined so many times"),
     Column("synthesis_method", "string", head="method", word="Synthesis", setting="synthesis"),
     Column("rates_chosen", "string", word="Rates chosen by auto", setting="synthesis.rate"),
+)
+
+PROOF_COLUMNS = (
     *_side_columns("controller", "ctl", "K"),
     *_side_columns("observer", "obs", "L"),
     Column("infeasible_reason", "string", word="Why it is infeasible"),
@@ -72,122 +76,41 @@ COLUMNS = (
         unit="s",
         unchecked="depends on when it ran",
     ),
-    Column(
-        "certified_tolerance",
-        "Float64",
-        "high",
-        "",
-        "Mismatch gain tolerated, proved",
-        "",
-        ITERATED,
-    ),
+    iterated_column("certified_tolerance", "high", "Mismatch gain tolerated, proved"),
     *COVERAGE_COLUMNS,
-    Column(
-        "limit_lower",
-        "Float64",
-        word="Input limited from",
-        unit="unit of the input",
-        tolerance=ITERATED,
+)
+
+LIMIT_COLUMNS = (
+    iterated_column("limit_lower", "", "Input limited from", "unit of the input"),
+    iterated_column("limit_upper", "", "Input limited to", "unit of the input"),
+    iterated_column(
+        "limited_rate", "high", "Rate proved from everywhere, input limited", "1/sample"
     ),
-    Column(
-        "limit_upper",
-        "Float64",
-        word="Input limited to",
-        unit="unit of the input",
-        tolerance=ITERATED,
+    iterated_column("unlimited_from", "low", "Full rates from outputs above", "output unit"),
+    iterated_column("unlimited_to", "high", "Full rates from outputs below", "output unit"),
+)
+
+MISMATCH_COLUMNS = (
+    iterated_column(
+        "noise_gain_model", "low", "Sensor noise on the model's output", "share of the noise"
     ),
-    Column(
-        "limited_rate",
-        "Float64",
-        "high",
-        "",
-        "Rate proved from everywhere, input limited",
-        "1/sample",
-        ITERATED,
+    iterated_column("mismatch_gain", "low", "Model mismatch gain"),
+    iterated_column("mismatch_seen", "low", "Largest mismatch gain of any record"),
+    iterated_column("mismatch_in_loop", "low", "Mismatch gain of trials in closed loop"),
+    iterated_column("mismatch_spread", "low", "Uncertainty of the mismatch"),
+)
+
+STABILITY_MARGIN = iterated_column("resolved_margin", "high", "Stability margin", "–", "margin")
+PREDICTION_COLUMNS = (
+    iterated_column("mismatch_margin", "high", "Mismatch margin in total", "–", "in total"),
+    replace(STABILITY_MARGIN, shown=True),
+    iterated_column(
+        "sine_margin", "high", "Stability margin with single sines after the choice", "–"
     ),
-    Column(
-        "unlimited_from",
-        "Float64",
-        "low",
-        "",
-        "Full rates from outputs above",
-        "output unit",
-        ITERATED,
+    iterated_column(
+        "controller_radius", "low", "Spectral radius of the controller", "–", "ctl radius"
     ),
-    Column(
-        "unlimited_to",
-        "Float64",
-        "high",
-        "",
-        "Full rates from outputs below",
-        "output unit",
-        ITERATED,
-    ),
-    Column(
-        "noise_gain_model",
-        "Float64",
-        "low",
-        "",
-        "Sensor noise on the model's output",
-        "share of the noise",
-        ITERATED,
-    ),
-    Column("mismatch_gain", "Float64", "low", word="Model mismatch gain", tolerance=ITERATED),
-    Column(
-        "mismatch_seen",
-        "Float64",
-        "low",
-        word="Largest mismatch gain of any record",
-        tolerance=ITERATED,
-    ),
-    Column(
-        "mismatch_in_loop",
-        "Float64",
-        "low",
-        word="Mismatch gain of trials in closed loop",
-        tolerance=ITERATED,
-    ),
-    Column(
-        "mismatch_spread", "Float64", "low", word="Uncertainty of the mismatch", tolerance=ITERATED
-    ),
-    Column(
-        "mismatch_margin", "Float64", "high", "in total", "Mismatch margin in total", "–", ITERATED
-    ),
-    Column(
-        "resolved_margin",
-        "Float64",
-        "high",
-        "margin",
-        "Stability margin",
-        "–",
-        ITERATED,
-        shown=True,
-    ),
-    Column(
-        "sine_margin",
-        "Float64",
-        "high",
-        word="Stability margin with single sines after the choice",
-        unit="–",
-        tolerance=ITERATED,
-    ),
-    Column(
-        "controller_radius",
-        "Float64",
-        "low",
-        "ctl radius",
-        "Spectral radius of the controller",
-        "–",
-        ITERATED,
-    ),
-    Column(
-        "noise_peak",
-        "Float64",
-        "low",
-        word="Sensor noise at rest, its peak",
-        unit="bands",
-        tolerance=ITERATED,
-    ),
+    iterated_column("noise_peak", "low", "Sensor noise at rest, its peak", "bands"),
     Column(
         "predicted_stable", "boolean", "high", "predicted", "Plant predicted stable", shown=True
     ),
@@ -197,8 +120,20 @@ COLUMNS = (
         "high",
         word="Predicted to settle sooner than without control",
     ),
+)
+
+OPINION_COLUMNS = (
     Column("lmi_*_status", "string", unchecked=OPINION),
     Column("lmi_*_certified", "boolean", unchecked=OPINION),
+)
+
+COLUMNS = (
+    *CHOICE_COLUMNS,
+    *PROOF_COLUMNS,
+    *LIMIT_COLUMNS,
+    *MISMATCH_COLUMNS,
+    *PREDICTION_COLUMNS,
+    *OPINION_COLUMNS,
 )
 
 
@@ -229,7 +164,8 @@ def proof_columns(design: Design) -> dict[str, Any]:
     """Columns of a design that follow from its certificates alone, such as rates and gain sizes."""
     feedback = design.state_feedback
     observer = design.observer
-    facts = certificate_columns("controller", feedback) | certificate_columns("observer", observer)
+    facts = certificate_columns("controller", feedback)
+    facts |= certificate_columns("observer", observer)
     facts["controller_certified_rate"] = design.certified_rate("state_feedback")
     facts["observer_certified_rate"] = design.certified_rate("observer")
     if not design.feasible:
@@ -242,7 +178,8 @@ def proof_columns(design: Design) -> dict[str, Any]:
 def infeasible_reason(design: Design) -> str:
     """Reasons why controller or observer has no certificate, as one text."""
     parts = (design.state_feedback, design.observer)
-    return "; ".join(part.reason for part in parts if isinstance(part, Infeasible))
+    reasons = [part.reason for part in parts if isinstance(part, Infeasible)]
+    return "; ".join(reasons)
 
 
 def uncertified_reason(design: Design) -> str:
