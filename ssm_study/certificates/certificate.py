@@ -327,7 +327,7 @@ class Design:
     @property
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
         """Gain matrices of the design by name, `k`, `l` and `l_z`, without the missing ones."""
-        gains = {}
+        gains = dict[str, Float[np.ndarray, "r c"]]()
         for part in (self.state_feedback, self.observer):
             if isinstance(part, Side):
                 gains |= part.gains

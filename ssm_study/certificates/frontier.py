@@ -165,12 +165,10 @@ def largest_energy(a: Square, b: InputMatrix, contraction: float) -> float:
     has orthogonal coordinates of it, so no eigenvector basis is ever inverted.
     """
     edge = contraction * (1 + ON_CIRCLE)
-
-    def is_slow(real: float, imaginary: float) -> bool:
-        """Whether a mode is slower than the contraction factor."""
-        return bool(np.hypot(real, imaginary) > edge)
-
-    t, z, order = scipy.linalg.schur(a.T, output="real", sort=is_slow)
+    # a lambda: SciPy counts the arguments of its code, which a decorator would hide
+    t, z, order = scipy.linalg.schur(
+        a.T, output="real", sort=lambda re, im: np.hypot(re, im) > edge
+    )
     if not order:
         return 0.0
     slow_subspace = z[:, :order].T

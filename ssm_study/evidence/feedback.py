@@ -55,6 +55,7 @@ MOVED_BY_INPUT = 0.5  # share of the rise that the input must explain
 KNOTS = 9
 STRIDE = 10  # of the static map, and the samples over which growth is looked for
 Rows = Float[np.ndarray, "_ _"]
+Vector = Float[np.ndarray, "_"]
 
 
 def judge_feedback(case: Case) -> Iterator[Finding]:
@@ -66,11 +67,10 @@ def judge_feedback(case: Case) -> Iterator[Finding]:
             "The input is what the set point of the log's loop makes of it, "
             f"{100 * float(share):.0f} % of its power"
         )
-        yield (
-            make_note(f"{statement}.")
-            if float(share) >= LEAST_SHARE
-            else make_doubt(f"{statement}: move the set point more.")
-        )
+        if float(share) >= LEAST_SHARE:
+            yield make_note(f"{statement}.")
+        else:
+            yield make_doubt(f"{statement}: move the set point more.")
     earlier = feedback_share(case.data, 1)
     present = feedback_share(case.data, 0)
     closed = shows_closed_loop(case.data, earlier, present)
@@ -82,14 +82,12 @@ def judge_feedback(case: Case) -> Iterator[Finding]:
             "model.feedthrough=true."
         )
     elif closed and not at_once:
-        shared = feedback_sentence(earlier, present)
-        remedy = (
-            "check data.reference or data.controller"
-            if share
-            else "name its set point, data.reference, or PI"
-        )
+        statement = feedback_sentence(earlier, present)
+        remedy = "name its set point, data.reference, or PI"
+        if share:
+            remedy = "check data.reference or data.controller"
         yield make_doubt(
-            f"{shared}, as in a closed-loop log: {remedy}, or record with the loop open."
+            f"{statement}, as in a closed-loop log: {remedy}, or record with the loop open."
         )
     integrated = case.model.linear.spectral_radius >= 1 - ROUNDING
     in_loop = (closed and not at_once) or share is not None
@@ -113,25 +111,38 @@ def responds_within_sample(data: DataSet) -> bool:
     A controller with negative feedback makes the first coefficient of the finite impulse response
     point against the plant's further response; a plant that answers within the sample does not.
     """
-    pairs = [(u, y) for u, y in scale_records(data) if len(u) >= SHORTEST * PAST]
+    shortest = SHORTEST * PAST
+    pairs = [(u, y) for u, y in scale_records(data) if len(u) >= shortest]
     if not pairs:
         return False
-    windows = [sliding_window_view(u, PAST + 1, axis=0)[:, :, ::-1] for u, _ in pairs]
-    past = np.concatenate([window.reshape(len(window), -1) for window in windows])
+    past_inputs = []
+    for u, _ in pairs:
+        windows = sliding_window_view(u, PAST + 1, axis=0)[:, :, ::-1]
+        past_inputs.append(windows.reshape(len(windows), -1))
+    past = np.concatenate(past_inputs)
     outputs = np.concatenate([y[PAST:] for _, y in pairs])
     with_constant = np.pad(past, ((0, 0), (0, 1)), constant_values=1.0)
-    weights = np.linalg.lstsq(with_constant, outputs, rcond=ROUNDING)[0][:-1]
-    response = weights.reshape(-1, PAST + 1, outputs.shape[1])
+    weights = _least_squares(with_constant, outputs)
+    response = weights[:-1].reshape(-1, PAST + 1, outputs.shape[1])
     at_once = response[:, 0]
     later = response[:, 1:].sum(axis=1)
     largest = np.unravel_index(np.abs(at_once).argmax(), at_once.shape)
     return bool(at_once[largest] * later[largest] > 0)
 
 
+def _least_squares(rows: Rows, targets: Rows) -> Rows:
+    """Weights of the least-squares fit of targets by rows of regressors."""
+    weights, *_ = np.linalg.lstsq(rows, targets, rcond=ROUNDING)
+    return weights
+
+
 def shows_closed_loop(data: DataSet, earlier: float, present: float) -> bool:
     """Whether the statistics of a log show that it was recorded in a closed loop."""
     samples = sum(len(record) for record in data.training)
-    return samples >= FEWEST and max(earlier - EARLIER, present - PRESENT) >= SCATTER / samples
+    if samples < FEWEST:
+        return False
+    excess = max(earlier - EARLIER, present - PRESENT)
+    return excess >= SCATTER / samples
 
 
 def judge_instability(
@@ -143,22 +154,23 @@ def judge_instability(
     `GROWTH`. A loop's noise moves it either way, so that only `UNSTABLE` is clear.
     """
     whole = replace(data, training=(*data.training, *data.validation, *data.test))
-    modes = [dominant_mode_modulus(data if closed else whole, lags) for lags in LAGS]
+    fitted_data = data if closed else whole
+    modes = [dominant_mode_modulus(fitted_data, lags) for lags in LAGS]
+    slowest = min(modes)
     samples = sum(map(len, whole.training))
     least = UNSTABLE if closed else math.exp(GROWTH / samples)
     alike = np.ptp(modes) < ALIKE
     mode = f"a mode at {np.median(modes):.5g} a sample"
     by_input, by_itself = growth_statistics(whole)
-    if alike and min(modes) > least and (closed or by_itself > GROWS):
+    grows = closed or by_itself > GROWS
+    if alike and slowest > least and grows:
         statement = f"The output runs away by itself ({mode}), and models here are stable"
-        yield Finding(
-            level="cannot judge",
-            sentence=f"{statement}: log its loop with the set point as the input.",
-        )
+        sentence = f"{statement}: log its loop with the set point as the input."
+        yield Finding(level="cannot judge", sentence=sentence)
         return
     if closed or integrated:
         return
-    lasts = alike and min(modes) > 1 - REMEMBERED / samples
+    lasts = alike and slowest > 1 - REMEMBERED / samples
     reason = ""
     if lasts and by_input > MOVED_BY_INPUT:
         reason = f"{mode}, and {100 * by_input:.0f} % of its rise follow a static map of the input"
@@ -193,9 +205,12 @@ def growth_statistics(data: DataSet) -> tuple[float, float]:
     the rise that f and g explain, the least of all outputs, and c over its standard error, the
     largest; `(0, infinite)` where the records are too few to tell.
     """
-    parts = (*data.training, *data.validation, *data.test)
     scale = data.scale
-    records = [(scale.scaled_input(record.u), scale.scaled_output(record.y)) for record in parts]
+    records = []
+    for record in (*data.training, *data.validation, *data.test):
+        scaled_input = scale.scaled_input(record.u)
+        scaled_output = scale.scaled_output(record.y)
+        records.append((scaled_input, scaled_output))
     inputs = np.concatenate([u for u, _ in records])
     shares = np.linspace(0, 1, KNOTS)
     nodes = [np.unique(np.quantile(column, shares)) for column in inputs.T]
@@ -203,66 +218,79 @@ def growth_statistics(data: DataSet) -> tuple[float, float]:
     if not pieces:
         return 0.0, np.inf
     moved, rise, before = (np.concatenate(side) for side in zip(*pieces, strict=True))
-    weights = np.linalg.lstsq(moved, rise, rcond=ROUNDING)[0]
-    missed = rise - moved @ weights
+    missed = rise - moved @ _least_squares(moved, rise)
     power = np.maximum((rise**2).sum(axis=0), np.finfo(float).tiny)
-    explained = 1 - (missed**2).sum(axis=0) / power
-    outputs = zip(rise.T, before.T, strict=True)
-    errors = [_last_t_statistic(moved, risen, earlier) for risen, earlier in outputs]
-    return float(explained.min()), max(errors)
+    missed_power = (missed**2).sum(axis=0)
+    explained = 1 - missed_power / power
+    statistics = []
+    for output_rise, output_before in zip(rise.T, before.T, strict=True):
+        statistics.append(_last_t_statistic(moved, output_rise, output_before))
+    return float(explained.min()), max(statistics)
 
 
-def _growth_rows(u: Rows, y: Rows, nodes: list[Float[np.ndarray, "_"]]) -> tuple[Rows, Rows, Rows]:
+def _growth_rows(u: Rows, y: Rows, nodes: list[Vector]) -> tuple[Rows, Rows, Rows]:
     """Regression rows that relate the output's growth to its input and its own level. They hold the
     input's effect over one stride and over the stride before, the output's rise, and the output
     before."""
     hats: list[np.ndarray] = []
     for column, at in zip(u.T, nodes, strict=True):
         hats += [np.interp(column, at, corner) for corner in np.eye(len(at))]
-    added = np.cumsum(np.stack(hats, axis=1), axis=0) / STRIDE
+    regressors = np.stack(hats, axis=1)
+    added = np.cumsum(regressors, axis=0) / STRIDE
     k = np.arange(2 * STRIDE, len(u) - STRIDE, STRIDE)
-    now = added[k + STRIDE - 1] - added[k - 1]
-    earlier = added[k - 1] - added[k - STRIDE - 1]
+    end_of_stride = added[k + STRIDE - 1]
+    start_of_stride = added[k - 1]
+    start_of_stride_before = added[k - STRIDE - 1]
+    now = end_of_stride - start_of_stride
+    earlier = start_of_stride - start_of_stride_before
     moved = np.concatenate([now, earlier], axis=1)
     rise = y[k + STRIDE] - y[k]
-    return moved, rise, y[k - STRIDE]
+    output_before = y[k - STRIDE]
+    return moved, rise, output_before
 
 
-def _last_t_statistic(
-    moved: Rows, rise: Float[np.ndarray, "_"], before: Float[np.ndarray, "_"]
-) -> float:
+def _last_t_statistic(moved: Rows, rise: Vector, before: Vector) -> float:
     """Ratio of the last regression coefficient to its standard error."""
     rows = np.column_stack([moved, before])
     weights, _, rank, _ = np.linalg.lstsq(rows, rise, rcond=ROUNDING)
     missed = rise - rows @ weights
-    variance = float(missed @ missed) / max(len(rise) - int(rank), 1)
-    spread = variance * np.linalg.pinv(rows.T @ rows)[-1, -1]
-    return float(weights[-1] / np.sqrt(max(spread, np.finfo(float).tiny)))
+    degrees_of_freedom = max(len(rise) - int(rank), 1)
+    variance = float(missed @ missed) / degrees_of_freedom
+    inverse_gram = np.linalg.pinv(rows.T @ rows)
+    spread = variance * inverse_gram[-1, -1]
+    standard_error = np.sqrt(max(spread, np.finfo(float).tiny))
+    return float(weights[-1] / standard_error)
 
 
 def dominant_mode_modulus(data: DataSet, lags: int) -> float:
     """Largest modulus of a mode of an ARX model that is fitted to the log. It is arbitrary if the
     log has no reference signal."""
-    a = fit_arx_matrices(scale_records(data), lags, feedthrough=False)[0]
+    records = scale_records(data)
+    a, *_ = fit_arx_matrices(records, lags, feedthrough=False)
     p = len(data.scale.output_scale)
     companion = np.eye(lags * p, k=-p)
     companion[:p] = np.concatenate(a, axis=1)
-    return float(np.abs(np.linalg.eigvals(companion)).max())
+    eigenvalues = np.linalg.eigvals(companion)
+    return float(np.abs(eigenvalues).max())
 
 
 def feedback_share(data: DataSet, first: int) -> float:
     """Share of the input's innovations that the output's innovations explain, a sign of a closed
     loop. It is the largest share of any input's `w` that `v`, from `first` samples ago on, explains
     in the other half."""
-    halves = [half for u, y in scale_records(data) for half in _split_regression(u, y, first)]
+    halves = list[list[Rows]]()
+    for u, y in scale_records(data):
+        halves += _split_regression(u, y, first)
     if not halves:
         return 0.0
     first_half = _join_rows(halves[0::2])
     second_half = _join_rows(halves[1::2])
-    powers = _residual_powers(first_half, second_half) + _residual_powers(second_half, first_half)
-    power, new, clipped, missed = powers
-    tested = (new > FORESEEN * power) & (clipped > 0)
-    return float(np.max(1 - missed[tested] / clipped[tested], initial=0.0))
+    forwards = _residual_powers(first_half, second_half)
+    backwards = _residual_powers(second_half, first_half)
+    power, new, clipped, missed = forwards + backwards
+    is_tested = (new > FORESEEN * power) & (clipped > 0)
+    shares = 1 - missed[is_tested] / clipped[is_tested]
+    return float(np.max(shares, initial=0.0))
 
 
 def _join_rows(halves: list[list[Rows]]) -> list[Rows]:
@@ -276,8 +304,8 @@ def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray
     leaves of that."""
     past, y, u = fitted
     own_past, own_y, own_u = scored
-    on_u = np.linalg.lstsq(past, u, rcond=ROUNDING)[0]
-    on_y = np.linalg.lstsq(past, y, rcond=ROUNDING)[0]
+    on_u = _least_squares(past, u)
+    on_y = _least_squares(past, y)
     v = y - past @ on_y
     w = u - past @ on_u
     own_v = own_y - own_past @ on_y
@@ -285,10 +313,11 @@ def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray
     most = CLIPPED * np.median(np.abs(w), axis=0)
     w = np.clip(w, -most, most)
     own = np.clip(own_w, -most, most)
-    explained = own_v @ np.linalg.lstsq(v, w, rcond=ROUNDING)[0]
+    explained = own_v @ _least_squares(v, w)
     moved = own_u - own_u.mean(axis=0)
     signals = (moved, own_w, own, own - explained)
-    return np.array([(signal**2).sum(axis=0) for signal in signals])
+    powers = [(signal**2).sum(axis=0) for signal in signals]
+    return np.array(powers)
 
 
 def _split_regression(u: Rows, y: Rows, first: int) -> Iterator[list[Rows]]:
@@ -297,9 +326,11 @@ def _split_regression(u: Rows, y: Rows, first: int) -> Iterator[list[Rows]]:
     rows = len(u) - PAST
     if len(u) < SHORTEST * PAST:
         return
-    past = sliding_window_view(u[:-1], PAST, axis=0).reshape(rows, -1)
+    past_windows = sliding_window_view(u[:-1], PAST, axis=0)
+    past = past_windows.reshape(rows, -1)
     outputs = y[PAST - OUTPUTS : len(y) - first]
-    before = sliding_window_view(outputs, OUTPUTS + 1 - first, axis=0).reshape(rows, -1)
+    output_windows = sliding_window_view(outputs, OUTPUTS + 1 - first, axis=0)
+    before = output_windows.reshape(rows, -1)
     with_constant = np.pad(past, ((0, 0), (0, 1)), constant_values=1.0)
     sides = (with_constant, before, u[PAST:])
     middle = rows // 2

@@ -27,11 +27,10 @@ States = Float[np.ndarray, "N T n"]
 Estimates = Float[np.ndarray, "N T s"]  # integrators are the columns beyond n
 Distances = Float[np.ndarray, "N T"]
 PerCase = Float[np.ndarray, "N"]
+Columns = Float[np.ndarray, "n k"]
 
 
-def transform_to_inverse_metric(
-    matrix: Float[np.ndarray, "n n"], columns: Float[np.ndarray, "n k"]
-) -> Float[np.ndarray, "n k"]:
+def transform_to_inverse_metric(matrix: Float[np.ndarray, "n n"], columns: Columns) -> Columns:
     """Transform vectors so that their Euclidean norms are their norms in the metric `matrix^{-1}`.
 
     `R^{-1} columns` with `R R' = matrix`.
@@ -59,9 +58,11 @@ def metric_distances(
 
 def _feedback_distances(rows: Estimates, feedback: StateFeedback) -> Distances:
     """Distances of states from the equilibrium in the metric of the state feedback, `P^{-1}`."""
-    columns = rows.reshape(-1, rows.shape[2]).T
-    norms = np.linalg.norm(transform_to_inverse_metric(feedback.p, columns), axis=0)
-    return norms.reshape(rows.shape[:2])
+    cases, samples, width = rows.shape
+    columns = rows.reshape(-1, width).T
+    transformed = transform_to_inverse_metric(feedback.p, columns)
+    norms = np.linalg.norm(transformed, axis=0)
+    return norms.reshape(cases, samples)
 
 
 def distance_bound(
@@ -77,7 +78,8 @@ def distance_bound(
     error = e0
     bound[:, 0] = d0
     for k in range(1, samples):
-        bound[:, k] = feedback.contraction * bound[:, k - 1] + c * error
+        contracted = feedback.contraction * bound[:, k - 1]
+        bound[:, k] = contracted + c * error
         error = observer.contraction * error
     return bound
 
@@ -96,17 +98,21 @@ def estimation_error_gain(feedback: StateFeedback, observer: Observer) -> float:
         largest = np.linalg.norm(into, 2)
     elif len(feedback.g) > MOST_NEURONS:
         inner = transform_to_inverse_metric(feedback.p, feedback.e)
-        through = np.linalg.norm(inner, 2) * np.linalg.norm(feedback.g, 2)
-        largest = np.linalg.norm(into, 2) + through
+        through_neurons = np.linalg.norm(inner, 2) * np.linalg.norm(feedback.g, 2)
+        largest = np.linalg.norm(into, 2) + through_neurons
     else:
         inner = transform_to_inverse_metric(feedback.p, feedback.e)
-        corners = product((0.0, 1.0), repeat=len(feedback.g))
-        inputs = (into + (inner * slopes) @ feedback.g for slopes in corners)
-        largest = max(np.linalg.norm(matrix, 2) for matrix in inputs)
-    gain_on_estimate = feedback.k[:, : len(observer.q)]
+        norms = []
+        for slopes in product((0.0, 1.0), repeat=len(feedback.g)):
+            at_corner = into + (inner * slopes) @ feedback.g
+            norms.append(np.linalg.norm(at_corner, 2))
+        largest = max(norms)
+    order = len(observer.q)
+    gain_on_estimate = feedback.k[:, :order]
     out = transform_to_inverse_metric(observer.q, gain_on_estimate.T)  # (K_x Q^{-1/2})^T
     slope = abs(feedback.alpha) + feedback.beta
-    return float(slope * float(largest) * np.linalg.norm(out, 2))
+    gain = slope * float(largest) * np.linalg.norm(out, 2)
+    return float(gain)
 
 
 def count_bound_violations(
@@ -115,9 +121,12 @@ def count_bound_violations(
     """Number of samples at which the measured distance from the equilibrium exceeds the certified
     bound."""
     d, e = metric_distances(x, x_hat, feedback, observer)
-    bound = distance_bound(d[:, 0], e[:, 0], x.shape[1], feedback, observer)
+    samples = x.shape[1]
+    bound = distance_bound(d[:, 0], e[:, 0], samples, feedback, observer)
     floor = RESOLUTION * (d[:, :1] + e[:, :1])
-    return int((d > bound * (1 + ROUNDING) + floor).sum())
+    rounded_up = bound * (1 + ROUNDING) + floor
+    is_violated = d > rounded_up
+    return int(is_violated.sum())
 
 
 def estimation_decay_rate(
@@ -130,11 +139,13 @@ def estimation_decay_rate(
     `observer.rate`. Cases that do not get there are taken to the end; None if the estimate is exact
     from the start.
     """
-    errors = metric_distances(x, x_hat, feedback, observer)[1]
-    errors = errors[errors[:, 0] > 0]
+    _, all_errors = metric_distances(x, x_hat, feedback, observer)
+    starts_wrong = all_errors[:, 0] > 0
+    errors = all_errors[starts_wrong]
     if not len(errors):
         return None
-    shrinks = mean_squared_contraction(errors, FORGOTTEN * errors[:, :1])
+    until = FORGOTTEN * errors[:, :1]
+    shrinks = mean_squared_contraction(errors, until)
     return float(1.0 - shrinks.max())
 
 
@@ -148,17 +159,24 @@ def relative_bound_excess(
     `kappa r_o^k e[0]` (docs/closed_loop.md); on the model from `x0` the value is 0. `M` belongs to
     state and integrators, `Q` to the state. None if all cases start at 0.
     """
-    d, e = metric_distances(x0[:, None], x_hat[:, :1], feedback, observer)
+    first_state = x0[:, None]
+    first_estimate = x_hat[:, :1]
+    d, e = metric_distances(first_state, first_estimate, feedback, observer)
     samples = x_hat.shape[1]
     into_state = np.eye(len(feedback.p), len(observer.q))
     state_columns = transform_to_inverse_metric(feedback.p, into_state)
-    kappa = float(np.linalg.norm(transform_to_inverse_metric(observer.q, state_columns.T), 2))
-    fading_error = kappa * e * observer.contraction ** np.arange(samples)
-    bound = distance_bound(d[:, 0], e[:, 0], samples, feedback, observer) + fading_error
+    error_to_state = transform_to_inverse_metric(observer.q, state_columns.T)
+    kappa = float(np.linalg.norm(error_to_state, 2))
+    decay = observer.contraction ** np.arange(samples)
+    fading_error = kappa * e * decay
+    state_bound = distance_bound(d[:, 0], e[:, 0], samples, feedback, observer)
+    bound = state_bound + fading_error
     distance = _feedback_distances(x_hat, feedback)
-    beyond = distance - bound * (1 + ROUNDING) - RESOLUTION * (d + e)
+    floor = RESOLUTION * (d + e)
+    beyond = distance - bound * (1 + ROUNDING) - floor
     is_moving = bound[:, 0] > 0
     if not is_moving.any():
         return None
     shares = beyond[is_moving] / bound[is_moving, :1]
-    return float(np.maximum(shares, 0.0).max())
+    positive_shares = np.maximum(shares, 0.0)
+    return float(positive_shares.max())

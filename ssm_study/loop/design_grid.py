@@ -56,10 +56,11 @@ class DesignGrid(ComparisonTable):
             return []
         drawn = self.draw_gain_pairs(candidates, seed)
         gains = candidates.gains(drawn)
-        rates = [
-            (candidates.feedback[i].rate_controller, candidates.observing[j].rate_observer)
-            for i, j in drawn
-        ]
+        rates = []
+        for i, j in drawn:
+            rate_controller = candidates.feedback[i].rate_controller
+            rate_observer = candidates.observing[j].rate_observer
+            rates.append((rate_controller, rate_observer))
         chosen = identified.auto_design(Auto())
         number = 1
         if chosen.feasible:
@@ -70,8 +71,11 @@ class DesignGrid(ComparisonTable):
         predictions = _prediction_columns(identified, gains)
         behaviours = _behaviour_columns(plant, identified, gains, loop, seed)
         rows: list[Row] = []
-        for rate, predicted, behaved in zip(rates, predictions, behaviours, strict=True):
-            row: Row = {"design": number, "rate_controller": rate[0], "rate_observer": rate[1]}
+        for rate_pair, predicted, behaved in zip(rates, predictions, behaviours, strict=True):
+            rate_controller, rate_observer = rate_pair
+            row: Row = {"design": number}
+            row["rate_controller"] = rate_controller
+            row["rate_observer"] = rate_observer
             rows.append(row | predicted | behaved)
             number += 1
         return rows

@@ -140,14 +140,17 @@ def measured_noise_gain(run: Rollouts) -> float | None:
     the design is it for the model.
     """
     half = run.y.shape[1] // 2
-    if not run.stayed_within_bound.any() or np.array_equal(run.y, run.measured):
+    stayed = run.stayed_within_bound
+    is_noise_free = np.array_equal(run.y, run.measured)
+    if not stayed.any() or is_noise_free:
         return None
-    y = run.y[run.stayed_within_bound, half:]
-    measured = run.measured[run.stayed_within_bound, half:]
+    y = run.y[stayed, half:]
+    measured = run.measured[stayed, half:]
     deviation = (measured - y).std(axis=(0, 1))
     noise = np.maximum(deviation, np.finfo(float).tiny)
-    output = np.sqrt(y.var(axis=1).mean(axis=0))
-    return float((output / noise).max())
+    mean_variance = y.var(axis=1).mean(axis=0)
+    gains = np.sqrt(mean_variance) / noise
+    return float(gains.max())
 
 
 def pool_columns(loops: list[LoopRuns]) -> Columns:
@@ -160,7 +163,8 @@ def pool_columns(loops: list[LoopRuns]) -> Columns:
     per_case = step_s / cases
     columns = settling_columns(loops, cases)
     overshoot_worst = max(largest_overshoot(loop) for loop in loops)
-    input_peak_v = max(float(np.abs(effort).max()) for effort in efforts)
+    input_peaks = [np.abs(effort).max() for effort in efforts]
+    input_peak_v = max(float(peak) for peak in input_peaks)
     control_energy = sum_of_squares(efforts) * per_case
     integral_squared_error = sum_of_squares(errors) * per_case
     final_error_worst = max(largest_final_error(error) for error in errors)
@@ -181,22 +185,24 @@ def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
     alone_s: list[float | None] = []
     motion: Counter[str] = Counter()
     for loop in loops:
-        times_s += settling_times_s(loop.runs_for_settling, loop.settling_band)
-        alone_s += settling_times_s(loop.uncontrolled, loop.settling_band)
-        motion.update(classify_motions(loop.runs_for_settling, loop.settling_band))
-    known_times_s = [time_s for time_s in times_s if time_s is not None]
+        band = loop.settling_band
+        run = loop.runs_for_settling
+        times_s += settling_times_s(run, band)
+        alone_s += settling_times_s(loop.uncontrolled, band)
+        motion.update(classify_motions(run, band))
+    settled_times_s = [time_s for time_s in times_s if time_s is not None]
     unsettled = [f"{count} {kind}" for kind, count in sorted(motion.items()) if kind != "settled"]
-    stable_fraction = len(known_times_s) / cases
-    unsettled_as = ", ".join(unsettled) or None
+    stable_count = len(settled_times_s)
     judged_noise_free = any(loop.noise_free is not None for loop in loops)
-    settling_time_worst_s = max(known_times_s) if len(known_times_s) == cases else None
+    all_settle = stable_count == cases
+    settling_time_worst_s = max(settled_times_s) if all_settle else None
     return {
         "initial_conditions": cases,
-        "stable_count": len(known_times_s),
-        "stable_fraction": stable_fraction,
-        "unsettled_as": unsettled_as,
+        "stable_count": stable_count,
+        "stable_fraction": stable_count / cases,
+        "unsettled_as": ", ".join(unsettled) or None,
         "judged_noise_free": judged_noise_free,
-        "settling_time_mean_s": mean_of_known(known_times_s),
+        "settling_time_mean_s": mean_of_known(settled_times_s),
         "settling_time_worst_s": settling_time_worst_s,
         "settling_time_open_loop_s": mean_of_known(alone_s),
         "faster_than_open_loop": settles_faster(times_s, alone_s),
@@ -240,13 +246,15 @@ def largest_overshoot(loop: LoopRuns) -> float:
 
 def sum_of_squares(signals: list[Float[np.ndarray, "N T c"]]) -> float:
     """Sum of the squared values of several signals."""
-    return sum(float((signal**2).sum()) for signal in signals)
+    energies = [(signal**2).sum() for signal in signals]
+    return sum(float(energy) for energy in energies)
 
 
 def largest_final_error(error: Float[np.ndarray, "N T p"]) -> float:
     """Largest mean control error over the last tenth of the horizon."""
     last = max(error.shape[1] // 10, 1)
-    return float(np.abs(error[:, -last:].mean(axis=1)).max())
+    mean_errors = error[:, -last:].mean(axis=1)
+    return float(np.abs(mean_errors).max())
 
 
 def divergence_columns(loops: list[LoopRuns], step_s: float) -> Columns:
@@ -255,7 +263,8 @@ def divergence_columns(loops: list[LoopRuns], step_s: float) -> Columns:
     left: list[int] = []
     for loop in loops:
         at_sample = loop.controlled.left_at_sample
-        left += at_sample[at_sample != STAYED].tolist()
+        stopped_at = at_sample[at_sample != STAYED]
+        left += stopped_at.tolist()
     left_bound_first_s = min(left) * step_s if left else None
     return {"left_bound_count": len(left), "left_bound_first_s": left_bound_first_s}
 

@@ -26,6 +26,11 @@ Outputs = Float[np.ndarray, "N p"]
 OutputSignal = Float[np.ndarray, "T p"]
 OutputSignals = Float[np.ndarray, "N T p"]
 Bound = Float[np.ndarray, "p"]
+Inputs = Float[np.ndarray, "N m"]
+Estimates = Float[np.ndarray, "N n"]
+SomeCases = Int[np.ndarray, "S"]
+SampleOfCase = Int[np.ndarray, "N"]
+CaseSelection = Bool[np.ndarray, "N"]
 # share of the horizon, at its end, that a settled case spends in the band: a last sample in it is
 # no rest
 DWELL = 0.1
@@ -54,17 +59,18 @@ class Rollouts:
     estimate: Float[np.ndarray, "N T n"]
     states: Float[np.ndarray, "N T x"]
     bound: Bound
-    left_at_sample: Int[np.ndarray, "N"] = field(repr=False)
+    left_at_sample: SampleOfCase = field(repr=False)
 
     @property
-    def stayed_within_bound(self) -> Bool[np.ndarray, "N"]:
+    def stayed_within_bound(self) -> CaseSelection:
         """For each case, whether its signals stayed within the bound of the simulation."""
         return self.left_at_sample == STAYED
 
     @property
     def time_s(self) -> Float[np.ndarray, "T"]:
         """Time of each sample, in seconds."""
-        return np.arange(self.y.shape[1]) * self.step_s
+        samples = self.y.shape[1]
+        return np.arange(samples) * self.step_s
 
 
 def simulate_closed_loop(
@@ -90,14 +96,15 @@ def simulate_closed_loop(
     _check_dimensions(plant, controller)
     if any(np.isfinite(end).any() for end in limits):
         _check_reachable(controller.required_inputs(reference), limits)
-    memory = controller.initial_memory(len(noise))
+    cases, samples, _ = noise.shape
+    memory = controller.initial_memory(cases)
     targets = controller.targets(reference)
     estimates = controller.estimate(memory).shape[1]
     log = _allocate_log(plant, estimates, noise.shape, x0.shape[1])
-    left_at_sample = np.full(len(noise), STAYED)
-    going = np.arange(len(noise))
+    left_at_sample = np.full(cases, STAYED)
+    going = np.arange(cases)
     x = x0
-    for k in range(noise.shape[1]):
+    for k in range(samples):
         y = plant.output(x)
         measured = y + noise[going, k]
         inputs = controller.input(memory, measured, targets[k])
@@ -105,9 +112,10 @@ def simulate_closed_loop(
         inside = _is_inside_bound(plant, y, u, controller.estimate(memory), bound)
         if not inside.all():  # only those that stay go on
             leaves = ~inside
-            left_at_sample[going[leaves]] = k
+            stopped = going[leaves]
+            left_at_sample[stopped] = k
             last = {"y": y[leaves], "measured": measured[leaves], "states": x[leaves]}
-            _write_stopped_cases(log, plant, going[leaves], k, last)
+            _write_stopped_cases(log, plant, stopped, k, last)
             x = x[inside]
             y = y[inside]
             measured = measured[inside]
@@ -130,17 +138,20 @@ def simulate_closed_loop(
 
 
 def _write_stopped_cases(
-    log: Log, plant: Plant, stopped: Int[np.ndarray, "S"], k: int, last: dict[str, np.ndarray]
+    log: Log, plant: Plant, stopped: SomeCases, k: int, last: dict[str, np.ndarray]
 ) -> None:
     """Repeat the last values of cases that were stopped at the simulation's bound in all remaining
     samples of the log."""
-    at_rest = np.tile(plant.equilibrium().u, (len(stopped), 1))
-    values = {name: value[:, None] for name, value in {"u": at_rest, **last}.items()}
-    _write_samples(log, stopped, slice(k, None), values)
+    equilibrium = plant.equilibrium()
+    at_rest = np.tile(equilibrium.u, (len(stopped), 1))
+    last_values = {"u": at_rest, **last}
+    repeated = {name: value[:, None] for name, value in last_values.items()}
+    remaining = slice(k, None)
+    _write_samples(log, stopped, remaining, repeated)
 
 
 def _write_samples(
-    log: Log, cases: Int[np.ndarray, "S"], samples: int | slice, values: dict[str, np.ndarray]
+    log: Log, cases: SomeCases, samples: int | slice, values: dict[str, np.ndarray]
 ) -> None:
     """Write the signals of some cases at some samples into the log."""
     for name, value in values.items():
@@ -150,33 +161,32 @@ def _write_samples(
 def _allocate_log(plant: Plant, estimates: int, shape: tuple[int, ...], states: int) -> Log:
     """Arrays of zeros for each signal of the simulated runs. `shape` is cases, samples, outputs."""
     cases, samples, outputs = shape
-    u = len(plant.inputs)
-    widths = {"u": u, "y": outputs, "measured": outputs, "states": states, "estimate": estimates}
+    inputs = len(plant.inputs)
+    widths = {"u": inputs, "y": outputs, "measured": outputs}
+    widths |= {"states": states, "estimate": estimates}
     return {name: np.zeros((cases, samples, width)) for name, width in widths.items()}
 
 
 def _is_inside_bound(
-    plant: Plant,
-    y: Outputs,
-    u: Float[np.ndarray, "N m"],
-    estimate: Float[np.ndarray, "N n"],
-    bound: Bound,
-) -> Bool[np.ndarray, "N"]:
+    plant: Plant, y: Outputs, u: Inputs, estimate: Estimates, bound: Bound
+) -> CaseSelection:
     """For each case, whether output, input and estimate are within the bound of the simulation."""
     rest = plant.equilibrium()
     amplitudes = (u - rest.u) / np.array(plant.input_amplitude)
     sizes = np.abs(np.hstack([amplitudes, estimate]))
-    is_near = (np.abs(y - rest.y) <= bound).all(axis=1)
+    distances = np.abs(y - rest.y)
+    is_near = (distances <= bound).all(axis=1)
     is_small = (sizes < LARGEST_SIGNAL).all(axis=1)
     return np.asarray(is_near & is_small)
 
 
-def _repeat_last_values(log: Log, left_at_sample: Int[np.ndarray, "N"]) -> None:
+def _repeat_last_values(log: Log, left_at_sample: SampleOfCase) -> None:
     """Fill the samples after a case has left the bound with its last values inside the bound."""
     for case in np.flatnonzero(left_at_sample > 0):
         left = left_at_sample[case]
         for values in log.values():
-            values[case, left:] = values[case, left - 1]
+            last_value = values[case, left - 1]
+            values[case, left:] = last_value
 
 
 def _check_dimensions(plant: Plant, controller: Controller) -> None:
@@ -212,12 +222,14 @@ def last_step_sample(reference: OutputSignal) -> int:
 
     0 if the reference still moves in the second half.
     """
-    has_changed = np.any(np.diff(reference, axis=0) != 0, axis=1)
+    steps = np.diff(reference, axis=0)
+    has_changed = np.any(steps != 0, axis=1)
     changes = np.flatnonzero(has_changed)
     if not len(changes):
         return 0
     last = int(changes[-1]) + 1
-    return last if last <= len(reference) // 2 else 0
+    middle = len(reference) // 2
+    return last if last <= middle else 0
 
 
 def settling_times_s(rollouts: Rollouts, band: float) -> tuple[float | None, ...]:
@@ -228,16 +240,22 @@ def settling_times_s(rollouts: Rollouts, band: float) -> tuple[float | None, ...
     the bound never settles, whatever it did before; one that is in the band throughout settles in
     0.
     """
-    outside = (np.abs(rollouts.y - rollouts.reference) > band).any(axis=2)
+    error = rollouts.y - rollouts.reference
+    outside = (np.abs(error) > band).any(axis=2)
     samples = outside.shape[1]
-    since_last_outside = np.argmax(outside[:, ::-1], axis=1)
-    first = np.where(outside.any(axis=1), samples - since_last_outside, 0)
+    backwards = outside[:, ::-1]
+    since_last_outside = np.argmax(backwards, axis=1)
+    was_outside = outside.any(axis=1)
+    first = np.where(was_outside, samples - since_last_outside, 0)
     dwell = max(int(np.ceil(DWELL * samples)), 1)
-    is_settled = rollouts.stayed_within_bound & (first <= samples - dwell)
-    after = np.maximum(first - last_step_sample(rollouts.reference), 0)
+    dwells = first <= samples - dwell
+    is_settled = rollouts.stayed_within_bound & dwells
+    last_step = last_step_sample(rollouts.reference)
+    after_step = np.maximum(first - last_step, 0)
     times_s: list[float | None] = []
-    for k, settles in zip(after, is_settled, strict=True):
-        times_s.append(float(k * rollouts.step_s) if settles else None)
+    for k, settles in zip(after_step, is_settled, strict=True):
+        time_s = float(k * rollouts.step_s)
+        times_s.append(time_s if settles else None)
     return tuple(times_s)
 
 
@@ -248,19 +266,22 @@ def classify_motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
     the last. Oscillating: over these two, the swing about a straight line exceeds what the line
     itself rises. Drifting: the rest, an error that stays where it is among them.
     """
-    has_settled = [time_s is not None for time_s in settling_times_s(rollouts, band)]
+    times_s = settling_times_s(rollouts, band)
+    has_settled = [time_s is not None for time_s in times_s]
     error = rollouts.y - rollouts.reference
     size = np.linalg.norm(error, axis=2)
     quarter = max(size.shape[1] // 4, 1)
-    third_quarter = size[:, -2 * quarter : -quarter].max(axis=1)
+    half = 2 * quarter
+    third_quarter = size[:, -half:-quarter].max(axis=1)
     last_quarter = size[:, -quarter:].max(axis=1)
-    worst_output = np.argmax(np.abs(error).max(axis=1), axis=1)
+    largest_errors = np.abs(error).max(axis=1)
+    worst_output = np.argmax(largest_errors, axis=1)
     worst_error = np.take_along_axis(error, worst_output[:, None, None], axis=2)[:, :, 0]
-    signals = worst_error[:, -2 * quarter :]
-    rise, swing = trend_and_oscillation(signals)
+    rise, swing = trend_and_oscillation(worst_error[:, -half:])
     oscillates = swing > np.maximum(np.abs(rise), band)
     moving = np.where(oscillates, "oscillating", "drifting")
-    kinds = np.where(last_quarter < STEADY * third_quarter, "slow", moving)
+    still_shrinks = last_quarter < STEADY * third_quarter
+    kinds = np.where(still_shrinks, "slow", moving)
     kinds = np.where(rollouts.stayed_within_bound, kinds, "lost")
     kinds = np.where(has_settled, "settled", kinds)
     return tuple(str(kind) for kind in kinds)
@@ -270,7 +291,8 @@ def trend_and_oscillation(signals: Float[np.ndarray, "N K"]) -> tuple[PerCase, P
     """Rise of the least-squares line through each row, and peak-to-peak deviation from that
     line."""
     time = np.linspace(-0.5, 0.5, signals.shape[1])
-    rise = signals @ time / (time @ time)
+    time_power = time @ time
+    rise = signals @ time / time_power
     centred = signals - signals.mean(axis=1, keepdims=True)
     deviation = centred - rise[:, None] * time
     return rise, np.ptp(deviation, axis=1)
@@ -283,13 +305,18 @@ def residual_oscillations(rollouts: Rollouts, band: float) -> Float[np.ndarray, 
     The amplitude is about a straight line. A loop that swings for ever inside the band of settling
     is settled by definition, and not at rest. In the output's unit.
     """
-    is_settled = np.array([time_s is not None for time_s in settling_times_s(rollouts, band)])
+    times_s = settling_times_s(rollouts, band)
+    is_settled = np.array([time_s is not None for time_s in times_s])
     error = (rollouts.y - rollouts.reference)[is_settled]
-    last = max(int(np.ceil(DWELL * error.shape[1])), 2)
+    _, samples, outputs = error.shape
+    last = max(int(np.ceil(DWELL * samples)), 2)
     tails = error[:, -last:]
-    outputs = range(tails.shape[2])
-    swings = [trend_and_oscillation(tails[:, :, output])[1] for output in outputs]
-    return np.asarray(np.max(swings, axis=0) / 2)
+    swings = []
+    for output in range(outputs):
+        _, swing = trend_and_oscillation(tails[:, :, output])
+        swings.append(swing)
+    largest_swings = np.max(swings, axis=0)
+    return np.asarray(largest_swings / 2)
 
 
 def overshoots(rollouts: Rollouts, band: float) -> PerCase:
@@ -303,10 +330,13 @@ def overshoots(rollouts: Rollouts, band: float) -> PerCase:
     error = (rollouts.y - rollouts.reference)[:, start_sample:]
     start = error[:, :1]
     size = np.abs(start[:, 0])
-    excursion = np.maximum(-np.sign(start) * error, 0.0).max(axis=1)
+    on_far_side = -np.sign(start) * error
+    excursion = np.maximum(on_far_side, 0.0).max(axis=1)
     counts = (size > band) & (excursion > band)
-    shares = excursion / np.where(counts, size, 1.0)
-    return np.where(counts, shares, 0.0).max(axis=1)
+    divisors = np.where(counts, size, 1.0)
+    shares = excursion / divisors
+    counted_shares = np.where(counts, shares, 0.0)
+    return counted_shares.max(axis=1)
 
 
 def measured_contraction_rate(rollouts: Rollouts, band: float) -> float | None:
@@ -318,7 +348,8 @@ def measured_contraction_rate(rollouts: Rollouts, band: float) -> float | None:
     never come within the band are taken to the end of the horizon. None without such pairs.
     """
     i, j = np.triu_indices(len(rollouts.y), k=1)  # each pair of cases once
-    distances = np.linalg.norm(rollouts.y[i] - rollouts.y[j], axis=2)
+    differences = rollouts.y[i] - rollouts.y[j]
+    distances = np.linalg.norm(differences, axis=2)
     starts_apart = distances[:, 0] > 2 * band
     if not starts_apart.any():
         return None
@@ -338,8 +369,11 @@ def mean_squared_contraction(
     """
     is_small = distance <= until
     last_sample = distance.shape[1] - 1
-    at = np.where(is_small.any(axis=1), np.argmax(is_small, axis=1), last_sample)
-    ratios = distance[np.arange(len(distance)), at] / distance[:, 0]
+    becomes_small = is_small.any(axis=1)
+    first_small = np.argmax(is_small, axis=1)
+    at = np.where(becomes_small, first_small, last_sample)
+    rows = np.arange(len(distance))
+    ratios = distance[rows, at] / distance[:, 0]
     exponents = 2.0 / np.maximum(at, 1)
     return np.asarray(ratios**exponents)
 
@@ -361,7 +395,8 @@ def replay_error(controller: Controller, run: Rollouts, limits: Limits = UNLIMIT
         measured = run.measured[stayed, k]
         inputs = controller.input(memory, measured, targets[k])
         again = np.clip(inputs, *limits)
-        worst = float(np.abs(again - applied).max(initial=worst))
+        differences = np.abs(again - applied)
+        worst = float(differences.max(initial=worst))
         memory = controller.advance(memory, applied, measured, targets[k])
     largest = float(np.abs(run.u).max())
     return worst / max(largest, np.finfo(float).tiny)

@@ -52,31 +52,31 @@ def scaled_equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
         one."""
         x, v = np.split(point, [n])
         motion = model.advance(x, v) - x
-        through_neurons = (
-            model.h @ model.neuron_outputs(x, v) if isinstance(model, StructuredSSM) else 0.0
-        )
-        linear_c = model.linear.c
-        linear_d = model.linear.d
-        output = linear_c @ x + linear_d @ v + through_neurons
+        through_neurons: Vector | float = 0.0
+        if isinstance(model, StructuredSSM):
+            through_neurons = model.h @ model.neuron_outputs(x, v)
+        linear = model.linear
+        output = linear.c @ x + linear.d @ v + through_neurons
         return np.concatenate([motion, output - y_bar])
 
     def residual_jacobian(point: Vector) -> Matrix:
         """Jacobian of the deviation from equilibrium and from the requested output."""
         x, v = np.split(point, [n])
         linear = model.linearise_at(x, v) if isinstance(model, StructuredSSM) else model.linear
-        return np.block([[linear.a - np.eye(n), linear.b], [linear.c, linear.d]])
+        motion_row = [linear.a - np.eye(n), linear.b]
+        output_row = [linear.c, linear.d]
+        return np.block([motion_row, output_row])
 
     if isinstance(model, StructuredSSM):
         start = np.zeros(n + model.b.shape[1])
-        point = _solve_newton(
-            equilibrium_residual, residual_jacobian, start, INVERSION_TOLERANCE * size
-        )
+        tolerance = INVERSION_TOLERANCE * size
+        point = _solve_newton(equilibrium_residual, residual_jacobian, start, tolerance)
     else:
         states, inputs, outputs = model.linear.steady_states()
-        least_squares = np.linalg.lstsq(outputs, y_bar, rcond=None)
-        share = least_squares[0]
+        share, *_ = np.linalg.lstsq(outputs, y_bar, rcond=None)
         point = np.concatenate([states @ share, inputs @ share])
-    is_reached = np.abs(equilibrium_residual(point)).max() <= EQUILIBRIUM_TOLERANCE * size
+    residuals = np.abs(equilibrium_residual(point))
+    is_reached = residuals.max() <= EQUILIBRIUM_TOLERANCE * size
     problem = "no constant input of the model holds this scaled output"
     _require_solved(is_reached, y_bar, problem, "")
     scaled_input = invert_map(model.scaffold_in, point[None, n:])[0]
@@ -98,14 +98,22 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     n, m = system.b.shape
     _, inputs, outputs = system.steady_states()
     # Directions of inputs that move no output: at no cost of their own these would drift.
-    idle = (inputs @ scipy.linalg.null_space(outputs, rcond=IDLE_SHARE)).T
-    target = invert_map(model.scaffold_out, model.scale.scaled_output(reference))
-    target = np.pad(target, ((0, 0), (0, len(idle))))
-    f = np.block([[system.a, system.b], [np.zeros((m, n)), np.eye(m)]])
-    g = np.vstack([system.b, np.eye(m)])
-    h = np.block([[system.c, system.d], [np.zeros((len(idle), n)), idle]])
+    null_space = scipy.linalg.null_space(outputs, rcond=IDLE_SHARE)
+    idle = (inputs @ null_space).T
+    idle_count = len(idle)
+    scaled_reference = model.scale.scaled_output(reference)
+    output_target = invert_map(model.scaffold_out, scaled_reference)
+    target = np.pad(output_target, ((0, 0), (0, idle_count)))
+    input_identity = np.eye(m)
+    state_row = [system.a, system.b]
+    held_input_row = [np.zeros((m, n)), input_identity]
+    output_row = [system.c, system.d]
+    idle_row = [np.zeros((idle_count, n)), idle]
+    f = np.block([state_row, held_input_row])
+    g = np.vstack([system.b, input_identity])
+    h = np.block([output_row, idle_row])
     d = np.vstack([system.d, idle])
-    weight = SMOOTHNESS * np.eye(m) + d.T @ d
+    weight = SMOOTHNESS * input_identity + d.T @ d
     cross = h.T @ d  # the cross term of a feedthrough
     p = scipy.linalg.solve_discrete_are(f, g, h.T @ h, weight, s=cross)
     curvature = weight + g.T @ p @ g
@@ -117,14 +125,15 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     c = -np.linalg.solve(curvature, g.T)
     through = np.linalg.solve(curvature, d.T)
     backward = StateSpace(a=closed.T, b=-output_map.T, c=c, d=through)
-    response = backward.simulate(target[::-1], last)
-    preview = response[0][::-1]
-    c = np.vstack([np.eye(n, n + m), closed[n:]])
-    through = np.vstack([np.zeros((n, m)), g[n:]])
-    state_space = StateSpace(a=closed, b=g, c=c, d=through)
-    plan = state_space.simulate(preview)[0]
+    backward_response, _ = backward.simulate(target[::-1], last)
+    preview = backward_response[::-1]
+    state_and_input = np.vstack([np.eye(n, n + m), closed[n:]])
+    feedthrough = np.vstack([np.zeros((n, m)), g[n:]])
+    tracking_loop = StateSpace(a=closed, b=g, c=state_and_input, d=feedthrough)
+    plan, _ = tracking_loop.simulate(preview)
+    states = plan[:, :n]
     scaled_inputs = invert_map(model.scaffold_in, plan[:, n:])
-    return np.concatenate([plan[:, :n], scaled_inputs], axis=1)
+    return np.concatenate([states, scaled_inputs], axis=1)
 
 
 def feedback_trajectory(
@@ -145,9 +154,12 @@ def feedback_trajectory(
     x = np.zeros(n)
     plan = np.empty_like(points)
     for i, point in enumerate(points):
-        u = law(point[n:], k @ (x - point[:n]))
+        rest_state = point[:n]
+        rest_input = point[n:]
+        u = law(rest_input, k @ (x - rest_state))
         plan[i] = np.concatenate([x, u])
-        x = model.advance(x, model.scaffold_in(u[None])[0])
+        mapped_input = model.scaffold_in(u[None])[0]
+        x = model.advance(x, mapped_input)
     return plan
 
 
@@ -157,8 +169,11 @@ def set_point_equilibria(model: Model, reference: Reference) -> Plan:
     For references that are constant but for steps.
     """
     values, index = np.unique(reference, axis=0, return_inverse=True)
-    points = np.stack([np.concatenate(scaled_equilibrium(model, value)) for value in values])
-    return points[index.reshape(-1)]
+    points = []
+    for value in values:
+        state, scaled_input = scaled_equilibrium(model, value)
+        points.append(np.concatenate([state, scaled_input]))
+    return np.stack(points)[index.reshape(-1)]
 
 
 def invert_map(scaffold: Scaffold, w: Matrix) -> Matrix:
@@ -167,15 +182,15 @@ def invert_map(scaffold: Scaffold, w: Matrix) -> Matrix:
     Scalar maps, which are monotone, are inverted in a bracket; others by damped Newton steps.
     Raises `BadRequest` when the map does not reach `w`.
     """
-    is_scalar = w.shape[1] == 1
-    v = (
-        _invert_scalar_map(scaffold, w[:, 0])[:, None]
-        if is_scalar
-        else _invert_vector_map(scaffold, w)
-    )
-    v = np.where((w == 0).all(axis=1, keepdims=True), 0.0, v)  # S(0) = 0 holds exactly
+    if w.shape[1] == 1:
+        roots = _invert_scalar_map(scaffold, w[:, 0])[:, None]
+    else:
+        roots = _invert_vector_map(scaffold, w)
+    is_zero = (w == 0).all(axis=1, keepdims=True)
+    v = np.where(is_zero, 0.0, roots)  # S(0) = 0 holds exactly
     residuals = np.abs(scaffold(v) - w).max(axis=1)
-    tolerance = INVERSION_TOLERANCE * max(1.0, float(np.abs(w).max()))
+    size = max(1.0, float(np.abs(w).max()))
+    tolerance = INVERSION_TOLERANCE * size
     is_reached = residuals.max() <= tolerance
     worst = w[residuals.argmax()]
     problem = "the identified nonlinearity does not reach this scaled value"
@@ -239,8 +254,7 @@ def _solve_newton(
     for _ in range(NEWTON_STEPS):
         if np.linalg.norm(value) <= tolerance:
             break
-        least_squares = np.linalg.lstsq(jacobian(point), -value, rcond=None)
-        step = least_squares[0]
+        step, *_ = np.linalg.lstsq(jacobian(point), -value, rcond=None)
         for share in 0.5 ** np.arange(40):
             trial = point + share * step
             trial_value = residual(trial)
