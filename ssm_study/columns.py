@@ -67,7 +67,7 @@ class Column:
 
     @property
     def label(self) -> str:
-        """Column heading for printed tables: name and unit. `Mean settling time (s)`."""
+        """Label of a column in printed tables: name and unit. `Mean settling time (s)`."""
         word = self.word or self.name.replace("_", " ")
         return f"{word} ({self.unit})" if self.unit else word
 

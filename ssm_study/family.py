@@ -40,8 +40,8 @@ class Family(ABC):
 
     @classmethod
     def members(cls, room: ModuleType) -> dict[str, type[Any]]:
-        """All registered subclasses by name, after importing every file of their folder and the
-        trusted extension packages."""
+        """Members of a family of classes by name, from every file of their folder and from trusted
+        extension packages."""
         import_trusted_packages()
         for module in pkgutil.iter_modules(room.__path__):
             import_module(f"{room.__name__}.{module.name}")

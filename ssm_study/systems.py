@@ -31,7 +31,7 @@ class _Recurrence:
 
     @property
     def order(self) -> int:
-        """Number of states."""
+        """System order, the number of states."""
         return self.a.shape[0]
 
 

@@ -60,7 +60,7 @@ def enclosing_ball(lower: Fraction, upper: Fraction) -> JacobianBall:
 
 
 def _round_down(value: Fraction) -> float:
-    """Largest float that does not exceed a rational number."""
+    """Round a rational number down to the nearest float that does not exceed it."""
     nearest = float(value)
     if Fraction(nearest) <= value:
         return nearest

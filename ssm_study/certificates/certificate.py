@@ -124,7 +124,7 @@ class ProblemCertificate(Side, abstract=True):
         return context.system if cls.observes else context.controlled
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
-        """Fields of the certificate that are matrices of the system."""
+        """Model data in the certificate: its fields that are matrices of the system."""
         system = self._system(context)
         names = [part.name for part in fields(self) if part.name in DUAL]
         return {name: getattr(system, name) for name in names}

@@ -160,7 +160,7 @@ class Theorem(ABC):
 
     @abstractmethod
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
-        """Fields of the certificate that come from the model, recomputed from the model file."""
+        """Model data in the certificate, recomputed from the model file."""
 
     @staticmethod
     @abstractmethod

@@ -73,7 +73,8 @@ def first_error_line(error: BaseException) -> str:
 
 
 def refuse_dashes(overrides: list[str], folder: Path) -> None:
-    """Raise `BadRequest` for a setting written like an option, such as `--model.order 4`.
+    """Raise `BadRequest` for a setting that is written with dashes like an option, such as
+    `--model.order 4`.
 
     Also for an option that is nearly one of ours; to others Hydra answers.
     """

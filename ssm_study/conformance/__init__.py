@@ -20,8 +20,7 @@ def configuration_folders() -> list[Path]:
 
 
 def list_choices(group: str) -> list[str]:
-    """Names of all complete yaml files of a configuration group; files with missing values (`???`)
-    are left out."""
+    """Names of all choices of a configuration group, except those with missing values (`???`)."""
     names = set()
     for folder in configuration_folders():
         for path in (folder / group).glob("*.yaml"):

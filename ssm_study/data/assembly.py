@@ -101,9 +101,9 @@ def _refuse_constant_channels(
 
 
 def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."]], dict[str, Any]]:
-    """Convert a data set, for storage, to named arrays and a dictionary with everything else.
-    Arrays `part/i/u`, `part/i/y` (and `d`) and the vectors of the scale; names, units and periods
-    in the dictionary."""
+    """Convert a data set to tensors for storage: named arrays, and a dictionary with everything
+    else. Arrays `part/i/u`, `part/i/y` (and `d`) and the vectors of the scale; names, units and
+    periods in the dictionary."""
     arrays = {name: values for name, values in vars(data.scale).items() if values.size}
     about: dict[str, Any] = {}
     about["start_up_samples"] = data.start_up_samples

@@ -94,7 +94,7 @@ def refuse_repeated_row(time_s: ClockTimes, values: RowValues, where: str) -> No
 
 
 def typical_period_s(time_s: ClockTimes) -> float:
-    """Median of the first hundred positive time differences."""
+    """Typical sampling period: median of the first hundred positive time differences."""
     steps = np.diff(time_s)
     return float(np.median(steps[steps > 0][:100]))
 

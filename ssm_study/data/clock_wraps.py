@@ -17,7 +17,7 @@ Steps = Float[np.ndarray, "_"]
 
 
 def unwrap_clock(times: Times, *, is_dated: bool) -> tuple[Times, str]:
-    """Make times increase past a counter overflow or the end of summer time, and describe what was
+    """Unwrap times past a counter overflow or the end of summer time, and describe what was
     changed."""
     if len(times) < FEWEST or not np.isfinite(times).all():
         return times, ""

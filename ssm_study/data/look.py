@@ -213,7 +213,7 @@ def column_name(column: str | int | None) -> str | None:
 def choose_signals(
     table: Table, facts: Sequence[ColumnFacts], clock: str | None, stated: LogSettings
 ) -> tuple[str | None, str | None]:
-    """Names of the input and output columns, as stated by the user or else guessed."""
+    """Choose the input and output columns, as stated by the user or else guessed."""
     free = []
     for column in facts:
         is_even = is_evenly_spaced(table.columns[column.name])

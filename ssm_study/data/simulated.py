@@ -94,7 +94,8 @@ class SimulatedData:
         require_at_least(0, "data.fresh_sets", self.fresh_sets, "use 0 for none")
 
     def build(self, plant: Plant, excitation: Excitation, seed: int) -> DataSet:
-        """Simulate the data set of a plant under an excitation. Equal seeds give equal numbers."""
+        """Build a data set by simulating a plant under an excitation. Equal seeds give equal
+        numbers."""
         rng = np.random.default_rng(seed)
         scoring = self.scoring_excitation
         training = self._simulate_records(plant, excitation, rng, self.trajectories, self.samples)

@@ -24,8 +24,8 @@ def number_with_noun(number: int, noun: str) -> str:
 
 
 def fits_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
-    """Whether a row above the numbers has one cell for each column, so that its cells can be the
-    columns' names."""
+    """Whether a row above the numbers may be the header, because it has one cell for each
+    column."""
     if len(row) == columns + 1:
         return row[-1].lower() in ("", "comment")  # LabVIEW names a column of remarks
     if len(row) == columns - 1:

@@ -117,7 +117,7 @@ class SampledCells:
         return cls(first=first, spread=spread, decimal=decimal, columns=columns, numeric=numeric)
 
     def header_length(self) -> int | None:
-        """Number of lines above the first row of values; None if there is no such row."""
+        """Number of header lines above the first row of values; None if there is no such row."""
         first = first_value_row(self.first, self.columns, self.numeric, self.decimal)
         if first is None or not any(self.numeric):
             return None

@@ -70,8 +70,8 @@ class Controller(ABC):
     def advance(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Memory:
-        """Memory of the controller at the next sample. `d` None stands for disturbances at their
-        equilibrium."""
+        """Advance the controller's memory to the next sample. `d` None stands for disturbances at
+        their equilibrium."""
         return memory
 
     def estimate(self, memory: Memory) -> Estimate:

@@ -159,7 +159,8 @@ def _write_samples(
 
 
 def _allocate_log(plant: Plant, estimates: int, shape: tuple[int, ...], states: int) -> Log:
-    """Arrays of zeros for each signal of the simulated runs. `shape` is cases, samples, outputs."""
+    """Allocate a log: arrays of zeros for each signal of the simulated runs. `shape` is cases,
+    samples, outputs."""
     cases, samples, outputs = shape
     inputs = len(plant.inputs)
     widths = {"u": inputs, "y": outputs, "measured": outputs}
@@ -288,8 +289,8 @@ def classify_motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
 
 
 def trend_and_oscillation(signals: Float[np.ndarray, "N K"]) -> tuple[PerCase, PerCase]:
-    """Rise of the least-squares line through each row, and peak-to-peak deviation from that
-    line."""
+    """Trend of each row, as the rise of its least-squares line, and its peak-to-peak oscillation
+    about that line."""
     time = np.linspace(-0.5, 0.5, signals.shape[1])
     time_power = time @ time
     rise = signals @ time / time_power

@@ -71,7 +71,7 @@ class ScaffoldedModel(Simulator):
 
     @property
     def order(self) -> int:
-        """Number of states of the model."""
+        """Model order, the number of states."""
         return self.linear.order
 
     @property
@@ -109,7 +109,7 @@ class ScaffoldedModel(Simulator):
 
     @property
     def driven_system(self) -> StateSpace:
-        """Linear recurrence with the mapped input and the measured disturbances as its inputs."""
+        """Linear system that is driven by the mapped input and the measured disturbances."""
         linear = self.linear
         if not self.scale.disturbances:
             return linear
@@ -120,7 +120,7 @@ class ScaffoldedModel(Simulator):
 
     @abstractmethod
     def advance(self, x: State, ubar: Lifted) -> State:
-        """Next state of the model for a state and a mapped input."""
+        """Advance the state of the model by one sample for a mapped input."""
 
     def output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
         """Physical output of the model for a state and a mapped input. `y = y_eq + output_scale
@@ -236,7 +236,7 @@ class SSM(ScaffoldedModel):
         )
 
     def advance(self, x: State, ubar: Lifted) -> State:
-        """Next state `x+ = A x + B ubar`."""
+        """Advance the state by one sample, `x+ = A x + B ubar`."""
         return x @ self.linear.a.T + ubar @ self.linear.b.T
 
     def scaled_output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:

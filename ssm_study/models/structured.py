@@ -173,7 +173,7 @@ class StructuredSSM(ScaffoldedModel):
 
     @property
     def system(self) -> System:
-        """Recurrence with its neurons, or the linear one if there are none."""
+        """State-space system of the recurrence, with its neurons if it has any."""
         return self._structured_system if self.neurons else self.linear
 
     @property
@@ -224,7 +224,8 @@ class StructuredSSM(ScaffoldedModel):
         return evaluate_activations(self.neurons, z) - at_rest
 
     def advance(self, x: State, ubar: Lifted, injected: Injected = 0.0) -> State:
-        """Next state `x+ = A x + B v + E w`. `injected` is as in `neuron_outputs`."""
+        """Advance the state by one sample, `x+ = A x + B v + E w`. `injected` is as in
+        `neuron_outputs`."""
         w = self.neuron_outputs(x, ubar, injected)
         return x @ self.a.T + ubar @ self.b.T + w @ self.e.T
 

@@ -137,7 +137,7 @@ class TrainablePieces:
         return np.concatenate([mapped, unchanged], axis=-1)
 
     def freeze(self, theta: Free) -> Scaffold:
-        """Trained map as explicit numbers, for the channels that it changes."""
+        """Freeze the trained map to explicit numbers, for the channels that it changes."""
         if not self.knots:
             return LinearScaffold.identity(self.channels)
         slopes, _, points = self._slopes_and_points(theta)

@@ -38,7 +38,7 @@ class TorchScaffold(nn.Module):
         return self.spec.evaluate(self.explicit_parameters(), v)
 
     def freeze(self) -> Any:
-        """Trained static map as explicit numbers."""
+        """Freeze the trained static map to explicit numbers."""
         return self.spec.freeze(self.explicit_parameters(), self.slopes)
 
     def pieces(self) -> Pieces | None:
@@ -46,5 +46,5 @@ class TorchScaffold(nn.Module):
         return self.spec.pieces(self.explicit_parameters())
 
     def roughness(self) -> Float[Tensor, ""]:
-        """Total variation of the map's slopes, for the training penalty."""
+        """Roughness of the map, the total variation of its slopes, for the training penalty."""
         return self.spec.roughness(self.explicit_parameters())

@@ -150,7 +150,8 @@ class LRU(nn.Module):
 
     @property
     def order(self) -> int:
-        """Number of real states: one for each real mode and two for each complex pair."""
+        """Order of the recurrence, the number of real states: one for each real mode, two for each
+        complex pair."""
         return 2 * len(self.nu) - self.reals
 
     def forward(self, u: Signals, x0: States | None = None) -> Signals:
@@ -251,7 +252,7 @@ class TorchModel(nn.Module, ABC):
 
     @abstractmethod
     def freeze(self, data: DataSet) -> Simulator:
-        """Trained model as explicit numbers, with its scales."""
+        """Freeze the trained model to explicit numbers, with its scales."""
 
 
 class TorchSSM(TorchModel):

@@ -140,8 +140,8 @@ def _advance_substep(p, c, h, v, load):
 @compile_with_numba
 @no_type_check
 def advance_batch(p, x, u, d, h, substeps):
-    """States of all simulated motors after a number of substeps under constant voltage and load
-    torque.
+    """Advance the states of all simulated motors by a number of substeps under constant voltage and
+    load torque.
 
     Under voltage `u (N, 1)` and load torque `d (N, 1)`.
     """

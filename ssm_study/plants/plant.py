@@ -93,8 +93,8 @@ class Plant(ABC):
         return False
 
     def stop(self) -> None:  # noqa: B027  a simulated plant needs nothing
-        """Switch off the plant if it is a physical device. Called at the end of every closed loop,
-        also after an error."""
+        """Stop the plant, if it is a physical device, by switching it off. Called at the end of
+        every closed loop, also after an error."""
 
     @abstractmethod
     def equilibrium(self) -> Equilibrium:

@@ -151,7 +151,7 @@ class RunFolder:
 
     @cached_property
     def excitation(self) -> RecordedCases | None:
-        """Inputs of the training records."""
+        """Excitation of the run: inputs of the training records."""
         return self._read_recording("excitation")
 
     @cached_property

@@ -75,8 +75,8 @@ def steady_sines(records: Sequence[RecordErrors]) -> list[RecordErrors]:
 
 
 def measure_sine(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> SineMismatch:
-    """Model error at the strongest frequency of the two periods of a record. `noise` is a sample's
-    power in each band."""
+    """Measure the model error of a record with two equal periods at its strongest frequency.
+    `noise` is a sample's power in each band."""
     assert errors.period is not None
     drive = _input_power_at_lines(errors)
     line = 1 + int(drive[1:].argmax())

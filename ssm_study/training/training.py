@@ -133,8 +133,8 @@ class Training:
     def _identify_choice(
         self, choice: "Choice", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Train the chosen model. If folds chose it, the validation records are used for training,
-        too."""
+        """Identify a model by training it with the chosen settings. If folds chose it, the
+        validation records are used for training, too."""
         from ssm_study.training.choice import REFIT_WORDS
         from ssm_study.training.folds import join_training_and_validation
         from ssm_study.training.metrics import records_fit_percent

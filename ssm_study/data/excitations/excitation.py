@@ -59,7 +59,7 @@ class Excitation(ABC):
     @property
     @abstractmethod
     def kind(self) -> str:
-        """Name of the excitation in the records."""
+        """Kind of the excitation, as it is named in the records."""
 
     @abstractmethod
     def unit_signal(self, request: SignalRequest, rng: np.random.Generator) -> Inputs:

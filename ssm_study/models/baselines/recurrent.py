@@ -73,7 +73,7 @@ class TorchRecurrent(TorchModel):
         return self.read(y), torch.cat(both, -1)[0]
 
     def freeze(self, data: DataSet) -> Recurrent:
-        """Trained recurrent model as explicit numbers, with its scales."""
+        """Freeze the trained recurrent model to explicit numbers, with its scales."""
         names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
         weights = {name: tensor_to_numpy(getattr(self.cell, f"{name}_l0")) for name in names}
         weights["read"] = tensor_to_numpy(self.read.weight)

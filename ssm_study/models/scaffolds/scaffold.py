@@ -145,7 +145,8 @@ class Scaffold(Family, Explicit):
 
     @abstractmethod
     def bound(self) -> SlopeBound:
-        """Ball that contains all Jacobians of the static map. `alpha I + beta Delta`."""
+        """Bound on the slopes of the static map: a ball that contains all its Jacobians. `alpha I +
+        beta Delta`."""
 
     @abstractmethod
     def jacobian_centre(self) -> Square | None:

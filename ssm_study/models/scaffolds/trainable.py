@@ -49,15 +49,15 @@ class Trainable(ABC):
 
     @abstractmethod
     def freeze(self, explicit: Any, slopes: tuple[float, float]) -> Scaffold:
-        """Trained static map as explicit float64 numbers."""
+        """Freeze the trained static map to explicit float64 numbers."""
 
     def pieces(self, explicit: Any) -> Pieces | None:  # noqa: ARG002
         """Affine pieces of a one-channel piecewise-linear map; None for any other map."""
         return None
 
     def roughness(self, explicit: Any) -> Float[Tensor, ""]:  # noqa: ARG002
-        """Total variation of the map's slopes, for the training penalty; zero for a map without
-        explicit slopes."""
+        """Roughness of the map, the total variation of its slopes, for the training penalty; zero
+        without explicit slopes."""
         return torch.zeros((), dtype=torch.float64)
 
     def build(self, frame: MapContext, rng: np.random.Generator) -> Any:

@@ -113,8 +113,8 @@ def layer_over_time(part: Spec) -> Spec:
 
 
 def parallel_coordinates(table: pd.DataFrame) -> Spec | None:
-    """Chart with one line per run over the swept settings and four results; None with too few or
-    too many runs. Each axis runs from its smallest to its largest value."""
+    """Parallel-coordinates chart with one line per run over the swept settings and four results;
+    None with too few or too many runs. Each axis runs from its smallest to its largest value."""
     names = parallel_columns(table)
     if len(names) < FEWEST_AXES or len(table) > MOST_PARALLEL:
         return None
