@@ -54,8 +54,9 @@ class Frontier:
 
 
 def controller_frontier(system: System, ball: JacobianBall) -> Frontier:
-    """Largest certifiable rate of a state feedback. The frontier of Theorem 1 for `x+ = A x + B
-    S_u(u)`; that of Theorem 2 is the dual system's (`problem.dual`).
+    """Exact limit (frontier) of the contraction rate that a state feedback can be certified for.
+    The frontier of Theorem 1 for `x+ = A x + B S_u(u)`; that of Theorem 2 is the dual system's
+    (`problem.dual`).
 
     With neurons it is the worst over frozen slopes, which no certificate goes beyond and few
     attain. Raises `BadRequest` for matrices that are not finite.
@@ -70,8 +71,8 @@ def controller_frontier(system: System, ball: JacobianBall) -> Frontier:
 
 
 def frontier(a: Square, b: InputMatrix, ball: JacobianBall) -> Frontier:
-    """Smallest contraction factor that any linear gain can reach for a ball of Jacobians. Infimum
-    of the `r` at which `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`.
+    """Exact limit (frontier) of the contraction factor that any linear gain can reach for a ball of
+    Jacobians. Infimum of the `r` at which `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`.
 
     A ball that holds zero (`|alpha| <= beta`) leaves the open loop's own contraction; modes the
     input does not reach keep theirs. In between several inputs need a scalar search within

@@ -21,7 +21,7 @@ def total_power(spectrum: Complex[np.ndarray, "K c"]) -> LinePowers:
 
 
 def safe_ratio(values: BandValues, by: BandPowers) -> BandValues:
-    """Divide values by a power that may be zero."""
+    """Ratio of values to a power that may be zero."""
     smallest = np.finfo(float).tiny
     return values / np.maximum(by, smallest)
 

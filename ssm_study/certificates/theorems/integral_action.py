@@ -148,8 +148,8 @@ def append_internal_model(
 def augmented_system(
     system: System, gain: OutputGain, modes: InternalModes, weight: float = 1.0
 ) -> System:
-    """Recurrence of the model together with its internal model, whose output is the quantity that
-    the cost weighs. Neurons drive both but depend on x alone."""
+    """Model augmented by its internal model, with the output that the cost weighs. Neurons drive
+    both but depend on x alone."""
     n, m = system.b.shape
     p = len(gain)
     z = len(modes)
