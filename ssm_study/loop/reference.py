@@ -30,7 +30,7 @@ class StepReference(Reference):
     at_s: float
 
     def signal(self, time_s: Times) -> Times:
-        """Offsets of the reference at given times."""
+        """Signal of the reference: offsets from the equilibrium at given times."""
         is_before = time_s < self.at_s - 1e-12
         before = float(self.before)
         after = float(self.after)
@@ -48,7 +48,7 @@ class FileReference(Reference):
     path: str
 
     def signal(self, time_s: Times) -> Times:
-        """Offsets of the reference at given times, interpolated from the file."""
+        """Signal of the reference: offsets at given times, interpolated from the file."""
         try:
             table = self._read_file()
         except (OSError, ValueError) as error:
