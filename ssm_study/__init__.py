@@ -59,6 +59,7 @@ _PUBLIC = {
     "GainCertificate": "api.certifying",
     "Model": "api.model",
     "ModelComparison": "api.comparing",
+    "RestDesign": "api.rest_design",
     "certify": "api.certifying",
     "compare": "api.comparing",
     "control": "api.controlling",

@@ -1,6 +1,6 @@
 """Design of a certified controller from Python."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -9,14 +9,17 @@ from ssm_study.api.arguments import Slopes
 from ssm_study.api.design import Design
 from ssm_study.api.model import Model
 from ssm_study.api.parts import Parts, part_name
+from ssm_study.api.rest_design import RestDesign
 from ssm_study.api.steps import design_controller
-from ssm_study.api.systems import read_linear_system, read_numbers, read_slopes
+from ssm_study.api.systems import read_linear_system, read_number, read_numbers, read_slopes
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import SIDES, Infeasible
 from ssm_study.certificates.certificate import Design as Certificates
+from ssm_study.models.bilinear import Bilinear
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
-from ssm_study.refusal import require
+from ssm_study.refusal import require, require_one_of
+from ssm_study.synthesis.bilinear_design import BilinearSynthesis
 from ssm_study.synthesis.design import require_contraction_rate
 from ssm_study.systems import JacobianBall
 
@@ -44,7 +47,7 @@ def control(
     output_slopes: Slopes | None = None,
     input_limits: tuple[Any, Any] = (None, None),
     **settings: Any,
-) -> Design:
+) -> Design | RestDesign:
     """Design a certified controller with an observer for a model. `u = K xh`, `xh+ = A xh + B
     S_u(u) + L (yh - y)`.
 
@@ -63,6 +66,10 @@ def control(
     bare system `rate` is 0.05 unless it is given, a larger one may hold (`st.certify`); limits are
     refused; with D nonzero it is certified and exported, but `st.simulate` and pictures refuse it.
 
+    Of a model with products of input and state (`model="bilinear"`) the result is a `RestDesign`:
+    it is proved that the loop comes to rest, from a stated set of starts or from every start;
+    `input_weight` and `sensor_noise` are its settings.
+
     Where the request is infeasible the design says so, and how much is possible. Raises
     `BadRequest` for a baseline, and for what the command refuses.
 
@@ -72,6 +79,11 @@ def control(
     >>> design.certified
     True
     """
+    if isinstance(model, Model) and isinstance(model.simulator, Bilinear):
+        given = {"rate": rate, "observer_rate": observer_rate, "method": method}
+        given |= {"slopes": slopes, "output_slopes": output_slopes}
+        given |= {"overrides": overrides or None}
+        return design_to_rest(model, given, input_limits, settings)
     check_input_limits(input_limits)
     for name, requested_rate in (("rate", rate), ("observer_rate", observer_rate)):
         if requested_rate is not None:
@@ -98,6 +110,28 @@ def control(
         require(settings_given is None, "slopes", settings_given, problem, "leave them out")
         return _design_for_model(model, parts, input_limits)
     return _design_for_system(model, parts, slopes, output_slopes, overrides)
+
+
+def design_to_rest(
+    model: Model, given: dict[str, Any], limits: tuple[Any, Any], settings: dict[str, Any]
+) -> RestDesign:
+    """Design a controller for a model with products of input and state. Raises `BadRequest` for
+    arguments that it has no use for."""
+    given = given | {"input_limits": None if limits == (None, None) else limits}
+    problem = (
+        "is for other models; of products of input and state it is proved that they come to rest"
+    )
+    for name, value in given.items():
+        require(value is None, name, value, problem, "leave it out")
+    known = [part.name for part in fields(BilinearSynthesis)]
+    for name, value in settings.items():
+        require_one_of(known, name, name)
+        read_number(name, value)
+    simulator = model.simulator
+    assert isinstance(simulator, Bilinear)
+    certificates = BilinearSynthesis(**settings).design(simulator)
+    channels = (*model.data.inputs, *model.data.outputs)
+    return RestDesign(model=simulator, certificates=certificates, channels=channels)
 
 
 def check_input_limits(limits: Any) -> None:

@@ -60,7 +60,7 @@ def fit(
     * "ssm": the paper's, a static input map before a linear recurrence. It takes seconds;
     * "delayed": "ssm" behind a dead time; "linear": "ssm" without the map; "n4sid": by subspaces;
     * "bilinear": products of input and state, for one input (a heater in a flow, a generator's
-      field). It takes seconds; it predicts, and `control` refuses it;
+      field). It takes seconds; of its loops is proved that they come to rest;
     * baselines, which are scored and compared, not controlled: "arx", "output_error", "narx",
       "gru", "lstm".
 

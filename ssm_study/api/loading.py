@@ -5,10 +5,11 @@ from pathlib import Path
 from ssm_study.api.design import Design
 from ssm_study.api.model import Model
 from ssm_study.api.model_files import holds_saved_model
+from ssm_study.api.rest_design import RestDesign, holds_rest_design
 from ssm_study.api.systems import read_folder
 
 
-def load(folder: str | Path) -> Design | Model:
+def load(folder: str | Path) -> Design | RestDesign | Model:
     """Load a saved design, a saved model, or the controller of any run folder.
 
     What `design.save(folder)` or a run wrote becomes a `Design`, what `model.save(folder)` wrote a
@@ -18,4 +19,6 @@ def load(folder: str | Path) -> Design | Model:
     folder = read_folder("folder", folder)
     if holds_saved_model(folder):
         return Model.load(folder)
+    if holds_rest_design(folder):
+        return RestDesign.load(folder)
     return Design.load(folder)

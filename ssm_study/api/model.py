@@ -94,8 +94,8 @@ class Model:
         if isinstance(self.simulator, SSM | StructuredSSM):
             return self.simulator
         kind = type(self.simulator).__name__
-        problem = "has products of input and state, for which no controller is designed"
-        remedy = "predict with it, and fit model=structured for control"
+        problem = "has products of input and state, so that it is no linear or structured system"
+        remedy = "use predict, score and st.control, or fit model=structured"
         require(not isinstance(self.simulator, Bilinear), "model", kind, problem, remedy)
         problem = "is a baseline: it can be scored, but no controller can be certified for it"
         raise BadRequest("model", kind, problem, "fit model=structured or ssm")

@@ -7,13 +7,14 @@ from ssm_study.api.arguments import Values
 from ssm_study.api.design import Design
 from ssm_study.api.loops import choose_plant, simulate_loop, tabulate_rollouts
 from ssm_study.api.model import Model
+from ssm_study.api.rest_design import RestDesign
 from ssm_study.data.arrays import check_time_index, signal_columns
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
 
 
 def simulate(
-    subject: Model | Design,
+    subject: Model | Design | RestDesign,
     values: Values,
     *overrides: str,
     plant: Plant | None = None,
@@ -38,6 +39,11 @@ def simulate(
         predicted = pd.DataFrame(subject.predict(table, disturbance))
         time_s = np.arange(len(predicted)) * subject.data.step_s
         return predicted.assign(time_s=time_s)
+    if isinstance(subject, RestDesign):
+        problem = "are for other designs; its loop is set by horizon_s of design.simulate"
+        unused = overrides or disturbance
+        require(unused is None or not len(unused), "overrides", unused, problem, "leave them out")
+        return subject.simulate(values, plant=plant)
     is_design = isinstance(subject, Design)
     remedy = "give what st.fit or st.control returned"
     require(is_design, "subject", type(subject).__name__, "is no model and no design", remedy)

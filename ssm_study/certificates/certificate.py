@@ -369,7 +369,7 @@ class Design:
             require(part in content, f"certificate.{part}", None, "is missing", AGAIN)
         withdrawn = {name: part for name, part in content.items() if _is_withdrawn(name, part)}
         claimed = [name for name in content if name not in withdrawn]
-        parts = {name: _read_certificate(name, content[name]) for name in claimed}
+        parts = {name: read_certificate(name, content[name]) for name in claimed}
         sides = {name: parts.pop(name) for name in SIDES}
         return cls(**sides, extra_certificates=parts, withdrawn=withdrawn)
 
@@ -398,7 +398,7 @@ def _is_withdrawn(label: str, content: Any) -> bool:
     return named in WITHDRAWN_PARTS.get(label, ())
 
 
-def _read_certificate(label: str, content: dict[str, Any]) -> Any:
+def read_certificate(label: str, content: dict[str, Any]) -> Any:
     """Construct a certificate from its stored fields by the theorem that it names. A part that
     names none belongs to the theorem of the part's own name."""
     require(isinstance(content, dict), f"certificate.{label}", content, "is no object", AGAIN)

@@ -70,9 +70,7 @@ def render_c_files(
     for a name that C does not allow. Compiled with `-DMONITOR` the code has the `monitor`, or does
     not compile where there is none.
     """
-    is_identifier = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is not None
-    allowed = is_identifier and name not in KEYWORDS.split()
-    require(allowed, "prefix", name, "is no name in C", "use letters, digits and _")
+    refuse_c_keyword(name)
     comments = {
         "about": escape_comment(about),
         "digest": escape_comment(digest) or "none",
@@ -85,6 +83,13 @@ def render_c_files(
         f"{name}.c": _render_source(name),
         f"{name}_replay.c": _render_replay(device, name),
     }
+
+
+def refuse_c_keyword(name: str) -> None:
+    """Raise `BadRequest` for a prefix that cannot begin a name in C."""
+    is_identifier = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is not None
+    allowed = is_identifier and name not in KEYWORDS.split()
+    require(allowed, "prefix", name, "is no name in C", "use letters, digits and _")
 
 
 def _format_comment(lines: Sequence[str]) -> str:

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ssm_study.api.rest_design import holds_rest_design
 from ssm_study.columns import ADDED, ADDED_COLUMNS, Column
 from ssm_study.engine.records import (
     CORRUPT,
@@ -27,6 +28,7 @@ from ssm_study.renamed import WITHDRAWN_COLUMNS
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS
 from ssm_study.study.findings import Checked, Claims, Derived, NotChecked
 from ssm_study.study.form import check_form
+from ssm_study.study.rest_claims import check_rest_design
 from ssm_study.study.run_files import RunFiles, error_text
 from ssm_study.table.columns import find_declaration
 
@@ -123,6 +125,8 @@ def verify(run: Path) -> Verification:
     Raises `BadRequest` if `run` is no finished run folder, or is made of parts that are not trusted
     here.
     """
+    if holds_rest_design(run):
+        return Verification(findings=tuple(check_rest_design(run)), unchecked={})
     record = read_record(run) or {}
     require(bool(record), "run", run, f"there is no {RECORD}", "give the folder of one run")
     status = record.get("status")

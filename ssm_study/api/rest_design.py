@@ -1,0 +1,232 @@
+"""Controllers of models with products of input and state in Python: what is proved, loops, export.
+
+What is proved of them is that the loop comes to rest; two motions are compared only inside a stated
+set (`certificates.theorems.bilinear_loop`, `bilinear_contraction`).
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from ssm_study.api.arguments import Values
+from ssm_study.api.loops import tabulate_rollouts
+from ssm_study.api.summaries import PROVED, html_table, render_text_table
+from ssm_study.api.systems import read_folder, read_number
+from ssm_study.certificates.bilinear_certificates import RestCertificates, failed_rest_checks
+from ssm_study.certificates.certificate import certificate_digest
+from ssm_study.data.arrays import signal_columns
+from ssm_study.export.bilinear_c import render_bilinear_c
+from ssm_study.loop.bilinear_feedback import BilinearFeedback, BilinearPlant
+from ssm_study.loop.rollout import simulate_closed_loop
+from ssm_study.models.bilinear import Bilinear, hat_functions
+from ssm_study.models.stored import read_model_json
+from ssm_study.plants.plant import Plant
+from ssm_study.refusal import require, require_positive
+from ssm_study.signals import Channel
+
+MODEL = "model.json"
+CERTIFICATE = "certificate.json"
+CHANNELS = "channels.json"
+LARGEST_OUTPUT = 1e3  # output scales from the equilibrium, beyond which a loop is stopped
+SHORTEST = 50  # samples of a simulated loop
+DECAYED = 0.01  # share of the first distance from rest that is left at its end
+LEVELS = 201  # inputs, from zero to an end, at which a start from rest is examined
+LONGEST = 5000  # samples, where hardly anything decays
+MODEL_WORDS = {
+    "bilinear_loop": "the loop comes to rest from the stated starts",
+    "bilinear_everywhere": "the loop comes to rest from every start",
+    "bilinear_contraction": "two motions of the state feedback approach each other",
+}
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class RestDesign:
+    """Controller with its observer for a model with products of input and state. `v = K xh`, cut at
+    the ends of the recorded inputs.
+
+    `certificates` has the gains and what is proved; `channels` are the model's input and outputs.
+    """
+
+    model: Bilinear
+    certificates: RestCertificates
+    channels: tuple[Channel, ...]
+
+    @property
+    def certified(self) -> bool:
+        """Whether the loop is proved, in exact arithmetic, to come to rest, from a stated set of
+        starts or from all."""
+        return self.certificates.certified
+
+    @property
+    def controller(self) -> BilinearFeedback:
+        """Control law. Raises `BadRequest` with the reason where no gains were found."""
+        reason = self.certificates.reasons.get("gains", "")
+        require(not reason, "design", "no gains", reason, "fit another model")
+        certificates = self.certificates
+        return BilinearFeedback(model=self.model, k=certificates.k, l_nodes=certificates.l_nodes)
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Numbers that are proved of the loop, by the names of the certificates' fields."""
+        facts: dict[str, Any] = {"certified": self.certified}
+        for label, part in self.certificates.parts.items():
+            for name, value in vars(part).items():
+                if isinstance(value, float) and name not in ("alpha", "beta", "seconds"):
+                    facts[f"{label}_{name}"] = value
+        return facts
+
+    def simulate(
+        self, y0: Values, horizon_s: float | None = None, plant: Plant | None = None
+    ) -> pd.DataFrame:
+        """Simulate the loop without noise from initial outputs `(N, p)` or `(N,)`, on the model or
+        on a plant. The estimate starts at rest.
+
+        One row per case and sample: `case, time_s`, inputs and outputs by name. Raises `BadRequest`
+        for other channels.
+        """
+        on = plant or BilinearPlant.from_model(self.model, self.channels[:1], self.channels[1:])
+        require(isinstance(on, Plant), "plant", type(on).__name__, "is no plant", "leave it out")
+        names = [channel.name for channel in on.outputs]
+        starts = signal_columns(y0, "y0", len(names), names)[1]
+        samples = self._default_samples
+        if horizon_s is not None:
+            seconds = read_number("horizon_s", horizon_s)
+            require_positive("horizon_s", seconds, "give it in seconds")
+            samples = max(int(np.ceil(seconds / on.step_s)), 1)
+        scale = self.model.scale
+        rollouts = simulate_closed_loop(
+            on,
+            self.controller,
+            x0=on.states_at(starts),
+            reference=np.tile(scale.output_equilibrium, (samples, 1)),
+            noise=np.zeros((len(starts), samples, len(names))),
+            disturbance=np.zeros((len(starts), samples, len(on.disturbances))),
+            bound=LARGEST_OUTPUT * scale.output_scale,
+        )
+        return tabulate_rollouts(rollouts, on)
+
+    @property
+    def _default_samples(self) -> int:
+        """Samples in which the proved factor leaves one percent, within limits."""
+        factors = [value for name, value in self.facts.items() if name.endswith("_factor")]
+        slowest = max(factors, default=DECAYED)
+        samples = int(np.ceil(np.log(DECAYED) / np.log(slowest)))
+        return int(np.clip(samples, SHORTEST, LONGEST))
+
+    def to_c(self, path: str | Path, real: str = "double") -> Path:
+        """Write the controller as C99: header `path` and beside it a program that replays it.
+
+        `real` is "double" or "float". Raises `BadRequest` where no gains were found.
+        """
+        path = read_folder("path", path)
+        digest = certificate_digest(self.certificates.to_json())
+        lines = [f"{name}: {value}" for name, value in self.summary().items()]
+        sources = render_bilinear_c(self.controller, path.stem, real, lines, digest)
+        for name, text in sources.items():
+            (path.parent / name).write_text(text, encoding="utf-8")
+        return path
+
+    def save(self, folder: str | Path) -> Path:
+        """Save model, gains and certificates in a new folder, which `ssm-study verify` and
+        `st.load` read. Raises `BadRequest` for a folder that exists."""
+        folder = read_folder("folder", folder)
+        require(not folder.exists(), "to", folder, "exists", "name a new folder")
+        folder.mkdir(parents=True)
+        channels = [[channel.name, channel.unit] for channel in self.channels]
+        contents = {MODEL: self.model.to_json(), CHANNELS: channels}
+        for name, content in contents.items():
+            text = json.dumps(content, indent=1, allow_nan=False)
+            (folder / name).write_text(text + "\n", encoding="utf-8")
+        self.certificates.save(folder / CERTIFICATE)
+        return folder
+
+    @classmethod
+    def load(cls, folder: Path) -> "RestDesign":
+        """Load a saved design. Raises `BadRequest` where its claims do not hold."""
+        model = read_model_json(read_json(folder / MODEL))
+        content = read_json(folder / CERTIFICATE)
+        broken = failed_rest_checks(content, model)
+        remedy = "`ssm-study verify` names every claim"
+        require(not broken, "design", folder, "; ".join(broken), remedy)
+        channels = [Channel(name=name, unit=unit) for name, unit in read_json(folder / CHANNELS)]
+        certificates = RestCertificates.from_json(content)
+        assert isinstance(model, Bilinear)  # the checks refuse others
+        return cls(model=model, certificates=certificates, channels=tuple(channels))
+
+    def summary(self) -> pd.Series:
+        """Table of what is proved of the design, in words."""
+        model = self.model
+        lines: dict[str, Any] = {"model": f"{model.order} states, {len(model.nodes)} nodes"}
+        ends = model.scale.physical_input(model.nodes[[0, -1], None])[:, 0]
+        lines["input stays within"] = f"{ends[0]:.4g} to {ends[1]:.4g}"
+        lines["comes to rest"] = PROVED[self.certified]
+        for label, reason in self.certificates.reasons.items():
+            lines[f"not proved: {MODEL_WORDS.get(label, 'any loop')}"] = reason
+        for label, part in self.certificates.parts.items():
+            lines[MODEL_WORDS[label]] = self._describe_part(part)
+        return pd.Series(lines, name="design", dtype=object)
+
+    def _describe_part(self, part: Any) -> str:
+        """Text on the factor that a certificate proves and on the set in which it holds."""
+        factor = np.ceil(part.factor * 1e4) / 1e4
+        words = f"to {factor:.4f} of its distance or less in each sample"
+        if not hasattr(part, "radius"):
+            return words
+        lowest, highest = resting_inputs(self.model, part)
+        ends = self.model.scale.physical_input(np.array([[lowest], [highest]]))[:, 0]
+        return f"{words}, from rest at inputs of {ends[0]:.4g} to {ends[1]:.4g}"
+
+    def __repr__(self) -> str:
+        return render_text_table("RestDesign", self.summary())
+
+    def _repr_html_(self) -> str:
+        """HTML table of what is proved for notebooks."""
+        return html_table("RestDesign", self.summary())
+
+
+def resting_inputs(model: Bilinear, part: Any) -> tuple[float, float]:
+    """Lowest and highest scaled input from whose states at rest a loop may start. The starts are in
+    the set of its certificate; the observer's estimate starts at zero."""
+    ends = []
+    for end in model.nodes[[0, -1]]:
+        reached = 0.0
+        for v in np.linspace(0.0, end, LEVELS)[1:]:
+            x = resting_state(model, float(v))
+            if x is None or set_norm(part, x) > part.radius:
+                break
+            reached = float(v)
+        ends.append(reached)
+    return ends[0], ends[1]
+
+
+def resting_state(model: Bilinear, v: float) -> Float[np.ndarray, "n"] | None:
+    """State at which the model rests under a constant scaled input; None where it has none that it
+    returns to."""
+    hats = hat_functions(model.nodes, np.array([v]))[0]
+    a = np.einsum("q,qij->ij", hats, model.a)
+    if np.abs(np.linalg.eigvals(a)).max() >= 1.0:
+        return None
+    return np.asarray(np.linalg.solve(np.eye(model.order) - a, hats @ model.b))
+
+
+def set_norm(part: Any, x: Float[np.ndarray, "n"]) -> float:
+    """Norm by which a certificate's set is stated, of a state whose estimate is zero."""
+    norm = float(np.sqrt(x @ part.p @ x))
+    if not hasattr(part, "m"):
+        return norm
+    return norm + part.weight * float(np.sqrt(x @ part.m @ x))
+
+
+def holds_rest_design(folder: Path) -> bool:
+    """Whether a folder holds a saved design for a model with products of input and state."""
+    return all((folder / name).is_file() for name in (MODEL, CERTIFICATE, CHANNELS))
+
+
+def read_json(path: Path) -> Any:
+    """Content of a JSON file."""
+    return json.loads(path.read_text(encoding="utf-8"))

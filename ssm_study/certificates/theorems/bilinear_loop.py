@@ -1,0 +1,227 @@
+"""Controller and observer of a model with products of input and state: the loop comes to rest from
+a stated set of states, and the input stays within the nodes.
+
+Problem. `x+ = sum_i theta_i(v) (A_i x + b_i)`, `w = C x`, one input v, hat functions `theta_i` on
+nodes `v_1 < ... < v_q`, `b_i = 0` at the node zero. `v = K xh`, `xh+ = sum_i theta_i(v) (A_i xh +
+b_i + L_i (C xh - w))`: does the loop come to rest, and from where?
+
+Hypotheses. The input acts as computed, and the plant is the model. Zero lies between two nodes.
+
+Statement. With `D_k = v_{k+1} - v_k` and `B_k = (b_{k+1} - b_k) / D_k`, let for all i and k
+
+    (A_i + B_k K)' P (A_i + B_k K) < r_c^2 P,   (A_i + L_i C)' M (A_i + L_i C) < r_o^2 M,
+    (B_k K)' P (B_k K) < kappa^2 M,   K'K < g_x^2 P,   K'K < g_e^2 M
+
+and `r > r_c`, `gamma (r - r_o) > kappa`, `rho max(g_x, g_e / gamma) < min(-v_1, v_q)`, `r < 1`.
+Then `V = |x|_P + gamma |xh - x|_M` shrinks by r or more in each sample, from every start with `V <=
+rho`, and v stays within the nodes. Proof: `b(v) = B(v) v` with B(v) a mean of the B_k, A(v) one of
+the A_i, so `x+ = (A + B K) x + B K e` and `e+ = (A + L C) e`; `|v| <= g_x |x|_P + g_e |e|_M`. The
+error of the observer shrinks by r_o for every input, from every start.
+
+When not to use it. It compares each motion with rest, not two motions with each other: there are no
+set points, and no bound for a disturbance that does not vanish. Where zero is an end of the inputs
+use `bilinear_everywhere`. With one node at each end far away, the vertices ask for more than the
+model does.
+
+Reference. docs/theory.md, "Products of input and state"; Boyd, El Ghaoui, Feron,
+Balakrishnan (1994), section 5.1 (polytopes of matrices).
+
+Example. `x+ = (0.5 + 0.1 v) x + v` between -1 and 1, `K = -0.2`: at the nodes 0.2, 0.3 and 0.4
+times x are left, so `r_c = 0.45` is proved and 0.35 is not.
+
+>>> print(*(BilinearLoop.holds(**example_numbers(r_c)) for r_c in (0.45, 0.35)))
+True False
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.certificates.theorem import Blocks, Theorem, VerificationContext
+from ssm_study.systems import JacobianBall
+
+
+@dataclass(frozen=True, kw_only=True)
+class BilinearTheorem(Theorem, abstract=True):
+    """Certificate about a model with products of input and state, whose matrices it stores.
+    `a_nodes` has the A_i below one another, `b_nodes` the b_i in its rows."""
+
+    nodes: Float[np.ndarray, "q"]
+    a_nodes: Float[np.ndarray, "qn n"]
+    b_nodes: Float[np.ndarray, "q n"]
+    k: Float[np.ndarray, "m n"]
+    p: Float[np.ndarray, "n n"]
+    factor_controller: float
+    factor: float
+
+    metric_matrix: ClassVar[str] = "p"
+
+    def model_data(self, context: VerificationContext) -> dict[str, Any]:
+        """Fields of the certificate that are matrices of the model."""
+        model = context.system
+        data = {"nodes": model.nodes, "b_nodes": model.b, "c": model.c}
+        data["a_nodes"] = model.a.reshape(-1, model.order)
+        return {name: value for name, value in data.items() if name in vars(self)}
+
+    @staticmethod
+    def required_ball(context: VerificationContext) -> JacobianBall:  # noqa: ARG004
+        """Ball of the identity: the model has no static maps."""
+        return JacobianBall(alpha=1.0, beta=0.0)
+
+    @classmethod
+    def largest_provable_rate(cls, context: VerificationContext) -> float | None:  # noqa: ARG003
+        """Always None, because no formula is known."""
+        return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BilinearLoopTheorem(BilinearTheorem, abstract=True):
+    """Certificate about the loop of a model with products of input and state, with its observer."""
+
+    c: Float[np.ndarray, "p n"]
+    l_nodes: Float[np.ndarray, "qn p"]
+    m: Float[np.ndarray, "n n"]
+    factor_observer: float
+    coupling: float
+    weight: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class BilinearLoop(BilinearLoopTheorem):
+    """Certificate that the loop comes to rest from a stated set. `V = |x|_P + weight |e|_M` shrinks
+    by `factor` from every start with `V <= radius`."""
+
+    gain_state: float
+    gain_error: float
+    radius: float
+
+    part: ClassVar[str] = "bilinear_loop"
+
+    @staticmethod
+    def conditions(of: Any) -> dict[str, Blocks]:
+        """Inequalities at all vertices, and those of the numbers that tie them together."""
+        matrices = feedback_conditions(of) | observer_conditions(of) | coupling_conditions(of)
+        matrices["input by state"] = input_bound(of, of.gain_state, of.p)
+        matrices["input by error"] = input_bound(of, of.gain_error, of.m)
+        return matrices | cascade_conditions(of) | range_conditions(of)
+
+
+def count_nodes(of: Any) -> int:
+    """Number of nodes."""
+    return int(of.nodes.shape[1])
+
+
+def matrix_at(of: Any, node: int) -> Any:
+    """Matrix A of a node."""
+    n = of.a_nodes.shape[1]
+    return of.a_nodes[node * n : (node + 1) * n, :]
+
+
+def width_of(of: Any, segment: int) -> Any:
+    """Distance `D_k` between the nodes of a segment."""
+    return of.nodes[:, segment + 1 : segment + 2] - of.nodes[:, segment : segment + 1]
+
+
+def input_step(of: Any, segment: int) -> Any:
+    """Step `b_{k+1} - b_k = D_k B_k` over a segment, as a column."""
+    return (of.b_nodes[segment + 1 : segment + 2, :] - of.b_nodes[segment : segment + 1, :]).T
+
+
+def shrinking(matrix: Any, metric: Any, factor: Any) -> Blocks:
+    """Blocks that are positive definite exactly if a matrix shrinks the metric's norm by more than
+    a factor. `X' P X < factor^2 P`, by its Schur complement."""
+    return [[factor * factor * metric, matrix.T @ metric], [metric]]
+
+
+def feedback_conditions(of: Any) -> dict[str, Blocks]:
+    """Conditions of the state feedback, for each node and each segment; both sides times `D_k`."""
+    conditions: dict[str, Blocks] = {}
+    for node in range(count_nodes(of)):
+        for segment in range(count_nodes(of) - 1):
+            width = width_of(of, segment)
+            closed = width * matrix_at(of, node) + input_step(of, segment) @ of.k
+            label = f"state feedback at node {node + 1}, segment {segment + 1}"
+            conditions[label] = shrinking(closed, of.p, width * of.factor_controller)
+    return conditions
+
+
+def observer_conditions(of: Any) -> dict[str, Blocks]:
+    """Conditions of the observer, one for each node."""
+    n = of.a_nodes.shape[1]
+    conditions: dict[str, Blocks] = {}
+    for node in range(count_nodes(of)):
+        gain = of.l_nodes[node * n : (node + 1) * n, :]
+        error_matrix = matrix_at(of, node) + gain @ of.c
+        conditions[f"observer at node {node + 1}"] = shrinking(
+            error_matrix, of.m, of.factor_observer
+        )
+    return conditions
+
+
+def coupling_conditions(of: Any) -> dict[str, Blocks]:
+    """Conditions that bound how far an error of the observer moves the state, one for each
+    segment."""
+    conditions: dict[str, Blocks] = {}
+    for segment in range(count_nodes(of) - 1):
+        width = width_of(of, segment)
+        moved = input_step(of, segment) @ of.k
+        bound = width * width * of.coupling * of.coupling * of.m
+        conditions[f"coupling on segment {segment + 1}"] = [[bound - moved.T @ of.p @ moved]]
+    return conditions
+
+
+def input_bound(of: Any, gain: Any, metric: Any) -> Blocks:
+    """Block that is positive definite exactly if the gain bounds the input by a metric's norm."""
+    return [[gain * gain * metric - of.k.T @ of.k]]
+
+
+def cascade_conditions(of: Any) -> dict[str, Blocks]:
+    """Conditions on the numbers by which the norms of state and error add up to one that
+    shrinks."""
+    return {
+        "metric of the state": [[of.p]],
+        "metric of the error": [[of.m]],
+        "factor above that of the controller": [[of.factor - of.factor_controller]],
+        "factor above that of the observer": [
+            [of.weight * (of.factor - of.factor_observer) - of.coupling]
+        ],
+        "factor below 1": [[1 - of.factor]],
+        **positive_numbers(of, "factor_controller", "factor_observer", "coupling", "weight"),
+    }
+
+
+def positive_numbers(of: Any, *names: str) -> dict[str, Blocks]:
+    """Conditions that numbers of the certificate are positive."""
+    return {f"{name} above 0": [[getattr(of, name)]] for name in names}
+
+
+def range_conditions(of: Any) -> dict[str, Blocks]:
+    """Conditions that the input stays within the nodes from every start in the set."""
+    conditions = positive_numbers(of, "radius", "gain_state", "gain_error")
+    count = count_nodes(of)
+    for name, limit in (("lowest", -of.nodes[:, :1]), ("highest", of.nodes[:, count - 1 : count])):
+        conditions[f"{name} input by state"] = [[limit - of.radius * of.gain_state]]
+        conditions[f"{name} input by error"] = [[of.weight * limit - of.radius * of.gain_error]]
+    return conditions
+
+
+def example_numbers(factor_controller: float) -> dict[str, Any]:
+    """Numbers of the example in the docstring, all by hand: one state, three nodes, `L_i = 0.1 -
+    A_i`."""
+    one = np.ones((1, 1))
+    a_nodes = np.array([[0.4], [0.5], [0.6]])
+    scalars = {"factor_observer": 0.2, "coupling": 0.25, "weight": 1.0, "factor": 0.5}
+    scalars |= {"gain_state": 0.3, "gain_error": 0.3, "radius": 3.0}
+    return scalars | {
+        "nodes": np.array([-1.0, 0.0, 1.0]),
+        "a_nodes": a_nodes,
+        "b_nodes": np.array([[-1.0], [0.0], [1.0]]),
+        "c": one,
+        "k": -0.2 * one,
+        "l_nodes": 0.1 - a_nodes,
+        "p": one,
+        "m": one,
+        "factor_controller": factor_controller,
+    }

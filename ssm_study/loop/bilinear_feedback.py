@@ -1,0 +1,129 @@
+"""Control law and simulated plant of a model with products of input and state."""
+
+# ruff: noqa: ARG002 - every law gets all arguments; this one needs less
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.loop.controller import (
+    Controller,
+    Estimate,
+    Inputs,
+    Measured,
+    Memory,
+    Outputs,
+    Target,
+)
+from ssm_study.models.bilinear import Bilinear
+from ssm_study.plants.plant import Disturbances, Equilibrium, Plant, States
+from ssm_study.refusal import require
+from ssm_study.signals import Channel
+
+Correction = Float[np.ndarray, "N q n"] | float
+Channels = tuple[Channel, ...]
+SETTLED = 0.05  # of an output scale from the equilibrium
+
+
+@dataclass(frozen=True, kw_only=True)
+class BilinearFeedback(Controller):
+    """Feedback of an observer's estimate to rest; the input is cut at the outermost nodes. `v = K
+    xh`, `xh+ = sum_i theta_i(v) (A_i xh + b_i + L_i (C xh - w))`, v and w scaled.
+
+    Shapes: `k (1, n)`, `l_nodes (q, n, p)`. The observer takes the input that was applied.
+    """
+
+    model: Bilinear
+    k: Float[np.ndarray, "m n"]
+    l_nodes: Float[np.ndarray, "q n p"]
+
+    def __post_init__(self) -> None:
+        n = self.model.order
+        q = len(self.model.nodes)
+        p = len(self.model.c)
+        shape = (self.k.shape, self.l_nodes.shape)
+        needed = ((1, n), (q, n, p))
+        problem = f"the model needs gains of shape {needed}"
+        require(shape == needed, "k, l_nodes", shape, problem, "use the design of this model")
+
+    @property
+    def step_s(self) -> float:  # type: ignore[override]  # here the model knows it
+        """Sampling time of the model, in seconds."""
+        return self.model.step_s
+
+    @property
+    def dimensions(self) -> tuple[int, int]:  # type: ignore[override]  # as step_s
+        """Numbers of inputs and outputs of the model."""
+        return 1, len(self.model.c)
+
+    def initial_memory(self, cases: int) -> Memory:
+        return np.zeros((cases, self.model.order))
+
+    def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
+        nodes = self.model.nodes
+        unlimited = memory @ self.k.T
+        scaled = np.clip(unlimited, nodes[0], nodes[-1])
+        return self.model.scale.physical_input(scaled)
+
+    def advance(
+        self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
+    ) -> Memory:
+        model = self.model
+        predicted = memory @ model.c.T
+        innovation = predicted - model.scale.scaled_output(y)
+        correction = np.einsum("qnp,Np->Nqn", self.l_nodes, innovation)
+        return advance_states(model, memory, u, correction)
+
+    def estimate(self, memory: Memory) -> Estimate:
+        return memory
+
+
+def advance_states(model: Bilinear, x: Estimate, u: Inputs, added: Correction = 0.0) -> Estimate:
+    """Next states of the model for several cases at once, with a correction at each node."""
+    at_nodes = np.einsum("qij,Nj->Nqi", model.a, x)
+    at_nodes = at_nodes + model.b
+    at_nodes = at_nodes + added
+    hats = model.hats(u)
+    return np.einsum("Nq,Nqi->Ni", hats, at_nodes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BilinearPlant(Plant):
+    """Model with products of input and state that is simulated in place of the plant. Its states
+    are scaled; `d` is added to them."""
+
+    model: Bilinear
+    step_s: float
+    settling_band: float
+    inputs: Channels = ()
+    outputs: Channels = ()
+    states: Channels = ()
+    disturbances: Channels = ()
+    initial_range: tuple[float, float] = (0.0, 0.0)
+
+    @classmethod
+    def from_model(cls, model: Bilinear, inputs: Channels, outputs: Channels) -> "BilinearPlant":
+        """Plant that simulates an identified model; 5 % of an output scale count as settled."""
+        unit = float(model.scale.output_scale.min())
+        names = [f"x_{i + 1}" for i in range(model.order)]
+        states = tuple(Channel(name=name, unit="") for name in names)
+        band = SETTLED * unit
+        plant = cls(model=model, step_s=model.step_s, settling_band=band)
+        plant = replace(plant, inputs=inputs, outputs=outputs)
+        return replace(plant, states=states, disturbances=states, initial_range=(-unit, unit))
+
+    def equilibrium(self) -> Equilibrium:
+        scale = self.model.scale
+        x = np.zeros(self.model.order)
+        return Equilibrium(u=scale.input_equilibrium, x=x, y=scale.output_equilibrium)
+
+    def states_at(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
+        """States of the least norm that read given outputs."""
+        scaled = self.model.scale.scaled_output(y0)
+        return scaled @ np.linalg.pinv(self.model.c).T
+
+    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
+        return advance_states(self.model, x, u) + d
+
+    def output(self, x: States) -> Outputs:
+        return self.model.scale.physical_output(x @ self.model.c.T)

@@ -1,0 +1,33 @@
+"""Checks of the claims of a saved design for a model with products of input and state."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from ssm_study.api.rest_design import CERTIFICATE, MODEL, read_json
+from ssm_study.certificates.bilinear_certificates import RestCertificates, failed_rest_checks
+from ssm_study.models.bilinear import Bilinear
+from ssm_study.models.stored import read_model_json
+from ssm_study.refusal import BadRequest
+from ssm_study.study.findings import Checked
+
+NO_FILES = (BadRequest, ValueError, KeyError, TypeError)
+
+
+def check_rest_design(folder: Path) -> Iterator[Checked]:
+    """Check every certificate of a saved design again in exact arithmetic, against its model."""
+    try:
+        model = read_model_json(read_json(folder / MODEL))
+        content = read_json(folder / CERTIFICATE)
+    except NO_FILES as error:
+        yield Checked(claim=MODEL, holds=False, found=str(error))
+        return
+    if not isinstance(model, Bilinear):
+        yield Checked(claim=MODEL, holds=False, found="has no products of input and state")
+        return
+    broken = failed_rest_checks(content, model)
+    for sentence in broken:
+        yield Checked(claim=CERTIFICATE, holds=False, found=sentence)
+    if not broken:
+        for label, part in RestCertificates.from_json(content).parts.items():
+            verdict = "certified" if part.certified else "not certified"
+            yield Checked(claim=f"certificate.{label}", holds=True, found=verdict)

@@ -1,0 +1,313 @@
+"""Loops with products of input and state: what is certified holds for simulated motions, what is
+not so is refused, and the exported code does the same."""
+
+import json
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_models_bilinear import known_model
+
+from ssm_study.api.rest_design import RestDesign, resting_inputs, resting_state
+from ssm_study.certificates.bilinear_certificates import RestCertificates, failed_rest_checks
+from ssm_study.certificates.theorems.bilinear_contraction import BilinearContraction
+from ssm_study.certificates.theorems.bilinear_everywhere import BilinearEverywhere
+from ssm_study.certificates.theorems.bilinear_loop import BilinearLoop
+from ssm_study.loop.bilinear_feedback import BilinearFeedback, advance_states
+from ssm_study.models.bilinear import Bilinear
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import Channel, Scale
+from ssm_study.study.verify import verify
+from ssm_study.synthesis.bilinear_design import BilinearSynthesis, input_columns
+
+CHANNELS = (Channel(name="u", unit="V"), Channel(name="y", unit="m"))
+CASES = 400
+
+
+@pytest.fixture(scope="module")
+def certificates() -> RestCertificates:
+    model = known_model()
+    return BilinearSynthesis().design(model)
+
+
+@pytest.fixture
+def controller(certificates: RestCertificates) -> BilinearFeedback:
+    model = known_model()
+    return BilinearFeedback(model=model, k=certificates.k, l_nodes=certificates.l_nodes)
+
+
+def norms(vectors: np.ndarray, metric: np.ndarray) -> np.ndarray:
+    squares = np.einsum("Ni,ij,Nj->N", vectors, metric, vectors)
+    return np.sqrt(squares)
+
+
+def loop_step(
+    controller: BilinearFeedback, x: np.ndarray, estimate: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Next states and estimates, and the scaled inputs that led there."""
+    model = controller.model
+    none = np.zeros(0)
+    y = model.scale.physical_output(x @ model.c.T)
+    u = controller.input(estimate, y, none)
+    after = advance_states(model, x, u)
+    next_estimate = controller.advance(estimate, u, y, none)
+    return after, next_estimate, model.scale.scaled_input(u)
+
+
+def random_starts(part: BilinearLoop | BilinearEverywhere, size: float) -> tuple:
+    """States and errors whose norm is just `size`."""
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal((CASES, 2))
+    error = rng.standard_normal((CASES, 2))
+    norm = norms(x, part.p) + part.weight * norms(error, part.m)
+    share = (size / norm)[:, None]
+    return share * x, share * error
+
+
+def test_the_loop_comes_to_rest_as_certified(
+    certificates: RestCertificates, controller: BilinearFeedback
+) -> None:
+    part = certificates.parts["bilinear_loop"]
+    assert isinstance(part, BilinearLoop)
+    assert part.certified
+    x, error = random_starts(part, part.radius)
+    estimate = x + error
+    norm = np.full(CASES, part.radius)
+    for _ in range(30):
+        unlimited = estimate @ certificates.k.T
+        x, estimate, scaled = loop_step(controller, x, estimate)
+        np.testing.assert_allclose(scaled, unlimited, atol=1e-12)
+        after = norms(x, part.p) + part.weight * norms(estimate - x, part.m)
+        assert (after <= part.factor * norm + 1e-12).all()
+        norm = after
+
+
+def test_from_far_away_the_cut_loop_comes_to_rest_as_certified(
+    certificates: RestCertificates, controller: BilinearFeedback
+) -> None:
+    part = certificates.parts["bilinear_everywhere"]
+    assert isinstance(part, BilinearEverywhere)
+    x, error = random_starts(part, 50.0)
+    estimate = x + error
+    cut = 0
+    norm = np.full(CASES, 50.0)
+    for _ in range(60):
+        unlimited = estimate @ certificates.k.T
+        x, estimate, scaled = loop_step(controller, x, estimate)
+        cut += int((np.abs(scaled - unlimited) > 0.1).sum())
+        after = norms(x, part.p) + part.weight * norms(estimate - x, part.m)
+        assert (after <= part.factor * norm + 1e-12).all()
+        norm = after
+    assert cut > CASES
+    assert norm.max() < 0.1
+
+
+def test_two_motions_approach_each_other_inside_the_set_as_certified(
+    certificates: RestCertificates,
+) -> None:
+    part = certificates.parts["bilinear_contraction"]
+    assert isinstance(part, BilinearContraction)
+    model = known_model()
+    rng = np.random.default_rng(1)
+    drawn = rng.standard_normal((2, CASES, 2))
+    pair = []
+    for x in drawn:
+        share = part.radius * rng.uniform(0.0, 1.0, CASES) / norms(x, part.p)
+        pair.append(share[:, None] * x)
+    before = norms(pair[0] - pair[1], part.p)
+    moved = [advance_states(model, x, x @ certificates.k.T) for x in pair]
+    after = norms(moved[0] - moved[1], part.p)
+    assert (after <= part.factor * before + 1e-12).all()
+
+
+def test_contraction_fails_far_from_rest() -> None:
+    """Both vertices contract at 0.9, the loop's slope is -1.5."""
+    model = Bilinear(
+        nodes=np.array([-4.0, 0.0, 4.0]),
+        a=np.array([[[0.9]], [[0.9]], [[-0.9]]]),
+        b=np.zeros((3, 1)),
+        c=np.ones((1, 1)),
+        scale=Scale.identity(1, 1),
+        step_s=0.1,
+    )
+    numbers = {
+        "nodes": model.nodes,
+        "a_nodes": model.a.reshape(-1, 1),
+        "b_nodes": model.b,
+        "k": np.array([[-0.3]]),
+        "p": np.ones((1, 1)),
+        "factor_controller": 0.91,
+        "gain_state": 0.31,
+        "variation": 0.46,
+        "factor": 0.99,
+    }
+    assert BilinearContraction.holds(**numbers, radius=0.5)
+    assert not BilinearContraction.holds(**numbers, radius=10.0)
+    x = np.array([[-9.0], [-9.1]])
+    after = advance_states(model, x, -0.3 * x)
+    assert abs(after[1, 0] - after[0, 0]) > 0.12  # before: 0.1
+
+
+def test_the_vertices_hold_between_the_nodes(certificates: RestCertificates) -> None:
+    """A second route: the loop's matrix at many inputs, from the hat functions themselves."""
+    part = certificates.parts["bilinear_loop"]
+    assert isinstance(part, BilinearLoop)
+    model = known_model()
+    root = np.linalg.cholesky(part.p).T
+    inverse = np.linalg.inv(root)
+    for v in np.linspace(-1, 1, 41):
+        if v == 0.0:
+            continue
+        hats = model.hats(np.array([[v]]))[0]
+        a = np.einsum("q,qij->ij", hats, model.a)
+        b = hats @ model.b / v
+        closed = a + np.outer(b, certificates.k)
+        shrinkage = np.linalg.norm(root @ closed @ inverse, 2)
+        assert shrinkage <= part.factor_controller
+
+
+@pytest.mark.parametrize("label", ["bilinear_loop", "bilinear_everywhere", "bilinear_contraction"])
+def test_what_is_not_so_is_refused(certificates: RestCertificates, label: str) -> None:
+    """Each number of a certificate, changed to claim more."""
+    part = certificates.parts[label]
+    numbers = part.variables
+    assert type(part).holds(**numbers)
+    claims = {"factor": 0.5, "factor_controller": 0.9, "factor_observer": 0.9, "coupling": 0.5}
+    claims |= {"gain_state": 0.5, "gain_error": 0.5, "radius": 1.5, "variation": 0.5}
+    claims |= {"factor_uncontrolled": 0.9, "weight": 0.5}
+    changed = [name for name in claims if name in numbers]
+    assert len(changed) >= 5
+    for name in changed:
+        more = numbers | {name: claims[name] * numbers[name]}
+        assert not type(part).holds(**more), name
+
+
+def test_a_stored_design_is_verified_and_a_lie_is_named(
+    certificates: RestCertificates, tmp_path: Path
+) -> None:
+    design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
+    folder = design.save(tmp_path / "design")
+    verification = verify(folder)
+    assert verification.holds
+    assert len(verification) == 3
+    again = RestDesign.load(folder)
+    assert again.certificates.to_json() == certificates.to_json()
+    path = folder / "certificate.json"
+    text = path.read_text()
+    content = json.loads(text)
+    content["bilinear_loop"]["radius"] *= 2
+    lie = json.dumps(content)
+    path.write_text(lie)
+    failing = [finding.found for finding in verify(folder) if not finding.holds]
+    assert any("in exact arithmetic the inequality fails" in words for words in failing)
+    with pytest.raises(BadRequest, match="in exact arithmetic the inequality fails"):
+        RestDesign.load(folder)
+
+
+def test_a_certificate_of_another_model_or_gain_is_refused(certificates: RestCertificates) -> None:
+    content = certificates.to_json()
+    model = known_model()
+    assert failed_rest_checks(content, model) == []
+    other = replace(model, a=0.99 * model.a)
+    (first, *_) = failed_rest_checks(content, other)
+    assert "a_nodes: differs from what the model" in first
+    deployed = content | {"k": (1.1 * certificates.k).tolist()}
+    assert any(
+        "not the one that is deployed" in words for words in failed_rest_checks(deployed, model)
+    )
+    (missing,) = failed_rest_checks({"k": content["k"]}, model)
+    assert "certificate.l_nodes" in missing
+
+
+def test_a_model_that_no_gain_steadies_is_told() -> None:
+    model = known_model()
+    unsteady = replace(model, a=2.0 * model.a, b=0.0 * model.b)
+    certificates = BilinearSynthesis().design(unsteady)
+    assert not certificates.certified
+    design = RestDesign(model=unsteady, certificates=certificates, channels=CHANNELS)
+    with pytest.raises(BadRequest, match="no single gain steadies the model"):
+        design.simulate([0.5])
+    assert design.summary()["comes to rest"] == "not certified"
+
+
+def test_an_input_with_its_rest_at_an_end_is_certified_with_the_cut_alone() -> None:
+    model = known_model()
+    upper = slice(1, None)
+    one_sided = replace(model, nodes=model.nodes[upper], a=model.a[upper], b=model.b[upper])
+    certificates = BilinearSynthesis().design(one_sided)
+    assert list(certificates.parts) == ["bilinear_everywhere"]
+    assert "an end of the inputs" in certificates.reasons["bilinear_loop"]
+    assert certificates.certified
+
+
+def test_the_loop_settles_sooner_than_the_model_alone(certificates: RestCertificates) -> None:
+    design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
+    table = design.simulate([0.5, -0.5], horizon_s=3.0)
+    assert list(table) == ["case", "time_s", "u", "y"]
+    assert len(table) == 60
+    last = table[table.time_s > 2.85]
+    assert last.y.abs().max() < 0.01
+    radii = [np.abs(np.linalg.eigvals(a)).max() for a in known_model().a]
+    part = certificates.parts["bilinear_loop"]
+    assert isinstance(part, BilinearLoop)
+    assert part.factor_controller < max(radii)
+    assert len(input_columns(known_model())) == 2
+
+
+def test_the_named_starts_from_rest_are_in_the_set(certificates: RestCertificates) -> None:
+    part = certificates.parts["bilinear_loop"]
+    model = known_model()
+    lowest, highest = resting_inputs(model, part)
+    assert lowest == -1.0
+    assert 0.0 < highest < 1.0
+    level = np.array([[highest]])
+    inputs = np.repeat(level, 400, axis=0)
+    y = model.simulate(inputs)
+    x = resting_state(model, highest)
+    np.testing.assert_allclose(model.c @ x, y[-1], atol=1e-9)
+    norm = np.sqrt(x @ part.p @ x)
+    norm += part.weight * np.sqrt(x @ part.m @ x)
+    assert 0.9 * part.radius < norm <= part.radius
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_the_compiled_controller_does_the_same(
+    certificates: RestCertificates, tmp_path: Path, real: str
+) -> None:
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    scale = Scale(
+        input_scale=np.array([2.0]),
+        output_scale=np.array([3.0]),
+        input_equilibrium=np.array([1.0]),
+        output_equilibrium=np.array([-4.0]),
+    )
+    model = replace(known_model(), scale=scale)
+    design = RestDesign(model=model, certificates=certificates, channels=CHANNELS)
+    header = design.to_c(tmp_path / "law.h", real=real)
+    text = header.read_text()
+    assert "the loop comes to rest from every start" in text
+    replay = tmp_path / "law_replay.c"
+    program = tmp_path / "replay"
+    flags = ["-std=c99", "-O2", "-ffp-contract=off", "-pedantic", "-Wall", "-Wextra", "-Werror"]
+    subprocess.run([compiler, *flags, replay, "-o", program], check=True)
+    done = subprocess.run([program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+    wrong = text.replace("v < law_nodes[0]", "v < 0")
+    assert wrong != text
+    header.write_text(wrong)
+    subprocess.run([compiler, *flags, replay, "-o", program], check=True)
+    returncode = subprocess.run([program], capture_output=True).returncode
+    assert returncode == 1
+
+
+def test_a_prefix_that_is_no_name_is_refused(
+    certificates: RestCertificates, tmp_path: Path
+) -> None:
+    design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
+    with pytest.raises(BadRequest, match="is no name in C"):
+        design.to_c(tmp_path / "int.h")
