@@ -70,8 +70,13 @@ class BilinearSpec(SolvedSpec):
         candidates = []
         for start in range(self.starts):
             spread = SPREAD if start else 0.0
-            parts = problem_of_fit.initial_parameters(rng, spread)
-            candidates.append(self._fit_from(problem_of_fit, parts, data))
+            try:
+                parts = problem_of_fit.initial_parameters(rng, spread)
+                candidates.append(self._fit_from(problem_of_fit, parts, data))
+            except np.linalg.LinAlgError:  # the records do not excite as many states
+                continue
+        problem = "no start leads to a model of these records"
+        require(candidates, "model.order", self.order, problem, "use fewer states")
         return max(candidates, key=lambda model: validation_fit(model, data))
 
     def _fit_from(

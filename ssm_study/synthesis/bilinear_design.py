@@ -164,7 +164,7 @@ def feedback_gain(model: Bilinear, input_weight: float) -> Float[np.ndarray, "1 
             constraints.append(cp.bmat(rows) >> STRICT * np.eye(2 * n + p + 1))
     program = cp.Problem(cp.Minimize(cp.trace(bound)), constraints)
     solve_or_explain(program, "no single gain steadies the model at all of its input levels")
-    return np.linalg.solve(symmetric_part(w.value), z.value.T).T
+    return np.linalg.solve(symmetric_value(w), solved_value(z).T).T
 
 
 def observer_gains(model: Bilinear, sensor_noise: float) -> Float[np.ndarray, "q n p"]:
@@ -191,8 +191,8 @@ def observer_gains(model: Bilinear, sensor_noise: float) -> Float[np.ndarray, "q
         constraints.append(cp.bmat(rows) >> STRICT * np.eye(3 * n + p))
     program = cp.Problem(cp.Minimize(cp.trace(bound)), constraints)
     solve_or_explain(program, "no gains make an observer converge at all of the input levels")
-    metric = symmetric_part(m.value)
-    return np.stack([np.linalg.solve(metric, y.value) for y in products])
+    metric = symmetric_value(m)
+    return np.stack([np.linalg.solve(metric, solved_value(y)) for y in products])
 
 
 def solve_or_explain(program: cp.Problem, reason: str) -> str:
@@ -201,6 +201,16 @@ def solve_or_explain(program: cp.Problem, reason: str) -> str:
         return solve_program(program, SOLVER)
     except NoSolution as failure:
         raise NoSolution(f"{reason} ({failure})") from failure
+
+
+def solved_value(variable: cp.Variable) -> Float[np.ndarray, "_ _"]:
+    """Matrix that a solver found for a variable."""
+    return np.asarray(variable.value)
+
+
+def symmetric_value(variable: cp.Variable) -> Matrix:
+    """Symmetric matrix that a solver found for a variable."""
+    return symmetric_part(solved_value(variable))
 
 
 def shrinking_metric(matrices: list[Matrix], floor: Matrix, reason: str) -> Matrix:
@@ -234,7 +244,7 @@ def metric_for_factor(matrices: list[Matrix], factor: float, floor: Matrix, reas
     status = solve_or_explain(program, reason)
     if not status.endswith("optimal"):
         raise NoSolution(f"{reason} ({status})")
-    return symmetric_part(p.value)
+    return symmetric_value(p)
 
 
 def largest_shrinkage(matrices: list[Matrix], metric: Matrix) -> float:
