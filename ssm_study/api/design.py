@@ -302,7 +302,7 @@ class Design:
         A dot marks what decides. Returns the Matplotlib figure. Raises `BadRequest` for a design
         without records.
         """
-        from ssm_study.api.pictures.margin import margin_picture
+        from ssm_study.api.pictures.margin import margin_picture, physical_input_scale
         from ssm_study.robustness.margin_by_frequency import margin_curves
 
         origin = self._model_with_records()
@@ -310,8 +310,9 @@ class Design:
         pair = self.certificate.pair
         curves = margin_curves(self.model, pair, balls, origin.mismatch)
         margin = self.facts.get("resolved_margin")
+        scale = physical_input_scale(self.model, origin.data.inputs[0].unit)
         return draw_or_refuse(
-            "margin_plot", lambda: margin_picture(curves, self.model.step_s, margin)
+            "margin_plot", lambda: margin_picture(curves, self.model.step_s, margin, scale)
         )
 
     def coverage_plot(self) -> Any:
@@ -322,12 +323,15 @@ class Design:
         nothing is covered for want of a proof.
         """
         from ssm_study.api.pictures.coverage import coverage_picture
+        from ssm_study.api.pictures.margin import physical_input_scale
         from ssm_study.api.steps import measure_coverage_premise
 
         origin = self._model_with_records()
         premise = measure_coverage_premise(self.model, origin.data, origin.mismatch)
+        step_s = self.model.step_s
+        scale = physical_input_scale(self.model, origin.data.inputs[0].unit)
         return draw_or_refuse(
-            "coverage_plot", lambda: coverage_picture(self.certificate, premise, self.model.step_s)
+            "coverage_plot", lambda: coverage_picture(self.certificate, premise, step_s, scale)
         )
 
     def nyquist(self) -> Any:

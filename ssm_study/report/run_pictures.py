@@ -8,7 +8,7 @@ from ssm_study.api.pictures.coverage import coverage_picture
 from ssm_study.api.pictures.free_run import free_run_picture
 from ssm_study.api.pictures.input_map import input_map_picture
 from ssm_study.api.pictures.loop_response import set_point_picture
-from ssm_study.api.pictures.margin import margin_picture
+from ssm_study.api.pictures.margin import InputScale, margin_picture, physical_input_scale
 from ssm_study.api.pictures.nyquist import nyquist_picture
 from ssm_study.api.pictures.picture import NothingToShow, Picture
 from ssm_study.api.pictures.poles import eigenvalue_groups, poles_picture
@@ -47,11 +47,19 @@ def read_parts(run: RunFolder, *parts: str) -> list[Any]:
     return values
 
 
+def run_input_scale(run: RunFolder, model: Any) -> InputScale | None:
+    """Input scale of a run's model with its unit; None for several inputs or without a record."""
+    if run.validation is None:
+        return None
+    return physical_input_scale(model, run.validation.unit("input"))
+
+
 def picture_of_margin(run: RunFolder) -> Picture:
     """Picture of the stability margin by frequency."""
     model, gains, mismatch = read_parts(run, "any_model", "gains", "mismatch")
     curves = margin_curves(model, gains, certified_balls(model), mismatch)
-    return margin_picture(curves, model.step_s, run.record.get("resolved_margin"))
+    margin = run.record.get("resolved_margin")
+    return margin_picture(curves, model.step_s, margin, run_input_scale(run, model))
 
 
 def picture_of_nyquist_curve(run: RunFolder) -> Picture:
@@ -66,7 +74,7 @@ def picture_of_coverage(run: RunFolder) -> Picture:
     premise = measure_premise(
         model, run.validation_records, mismatch, run.start_up_samples, run.trials
     )
-    return coverage_picture(design, premise, model.step_s)
+    return coverage_picture(design, premise, model.step_s, run_input_scale(run, model))
 
 
 def picture_of_frequency_response(run: RunFolder) -> Picture:

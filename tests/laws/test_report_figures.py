@@ -107,7 +107,12 @@ def test_the_pictures_of_a_run_say_the_numbers_of_its_record(smoke_copy: Path) -
     assert f"{record['resolved_margin']:.3g}" in margin.title
     coverage = picture_of_run("coverage_by_band", folder)
     assert f"{np.floor(100 * record['coverage']) / 100:.2f}" in coverage.title
-    assert record["coverage_reference"] in coverage.title
+    name, _, place = record["coverage_reference"].partition(", ")
+    assert coverage.title.endswith(f" V, {place}")
+    in_scales = float(name.removeprefix("input of rms "))
+    volts = float(coverage.title.partition("input of rms ")[2].partition(" V")[0])
+    scale = float(folder.any_model.scale.input_scale[0])
+    assert volts == pytest.approx(in_scales * scale, rel=0.06), "both are printed in two digits"
     title = picture_of_run("free_run", folder).title
     assert f"{record['fit_test_percent']:.1f} %" in title
 
@@ -302,3 +307,17 @@ def test_a_recording_has_no_true_dead_zone() -> None:
     assert learned_dead_zone.known_dead_zone(simulated) == expected
     expected = (None, 0.0)
     assert learned_dead_zone.known_dead_zone(recorded) == expected
+
+
+LONGEST_SENTENCE = 30  # words
+
+
+@pytest.mark.parametrize("name", figures.figure_names())
+def test_a_caption_says_one_thing_a_sentence(name: str) -> None:
+    """certified_decay had one sentence of five clauses."""
+    text = figures.caption(name)
+    for sentence in text.removesuffix(".").split(". "):
+        words = sentence.split()
+        assert len(words) <= LONGEST_SENTENCE, sentence
+        assert sentence.count(",") + sentence.count(";") <= 3, sentence
+        assert sentence[:1].isupper(), sentence

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from ssm_study import style
-from ssm_study.api.pictures.picture import Band, Picture, PicturePanel, Series
+from ssm_study.api.pictures.picture import DASHED, Band, Picture, PicturePanel, Series
 from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.signals import Trajectory
 from ssm_study.systems import JacobianBall
@@ -14,6 +14,7 @@ FEWEST = 16  # samples of a piece at most, and at least
 EXCITED = 0.01  # share of the input's mean power below which a frequency is left out
 COHERENT = 0.5  # squared coherence below which a dot would be noise
 POINTS = 200
+ALIKE = 0.1  # relative difference of two gains below which they are drawn as one
 DECADES = 3  # below half the sampling rate
 Angles = Float[np.ndarray, "F"]
 
@@ -38,6 +39,10 @@ def bode_picture(
     magnitude = np.abs(response)
     series = Series(x=hertz, y=magnitude, name="model at rest")
     gains = [series]
+    ratio = record_gain_ratio(model, record)
+    if ratio is not None:
+        at_record = {"name": "model at the record's mean gain", "dashes": DASHED}
+        gains.append(Series(x=hertz, y=ratio * magnitude, **at_record))  # type: ignore[arg-type]
     y = np.rad2deg(angle)
     phases = [Series(x=hertz, y=y)]
     u = record.u[:, 0]
@@ -60,9 +65,32 @@ def bode_picture(
         **shared,  # type: ignore[arg-type]
     )
     lower = PicturePanel(y_label="Phase (degrees)", series=tuple(phases), **shared)  # type: ignore[arg-type]
-    title = "Frequency response at the equilibrium"
+    title = "Frequency response at rest"
+    if ratio is not None:
+        title += f"; over the record the input map's gain is {ratio:.2g} times that at rest"
     panels = (upper, lower)
     return Picture(title=title, panels=panels)
+
+
+def record_gain_ratio(model: Model, record: Trajectory) -> float | None:
+    """Gain of the input map over a record, over its slope at rest; None where they all but agree
+    or for several inputs.
+
+    The gain of a static map that a cross spectrum shows is `E[S(u) u] / E[u^2]`, exactly so for
+    Gaussian inputs. Source: Bussgang 1952.
+    """
+    if model.scaffold_in.inputs != 1:
+        return None
+    slope_at_rest = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])
+    deviation = (record.u - model.scale.input_equilibrium) / model.scale.input_scale
+    varying = deviation - deviation.mean(axis=0)
+    power = float((varying**2).sum())
+    if slope_at_rest == 0 or power == 0:
+        return None
+    mapped = model.scaffold_in(deviation)
+    gain = float((mapped * varying).sum()) / power
+    ratio = gain / slope_at_rest
+    return ratio if abs(ratio - 1) > ALIKE else None
 
 
 def _gain_unit(units: tuple[str, str]) -> str:

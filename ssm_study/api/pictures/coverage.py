@@ -1,25 +1,41 @@
 """Picture of the coverage: how many times the measured model error a proof tolerates in each
 frequency band."""
 
+import re
+from typing import Any
+
 import numpy as np
 
 from ssm_study import style
-from ssm_study.api.pictures.picture import GuideLine, NothingToShow, Picture, PicturePanel, Series
+from ssm_study.api.pictures.margin import InputScale, amplitude_words
+from ssm_study.api.pictures.picture import (
+    DASH_CYCLE,
+    GuideLine,
+    NothingToShow,
+    Picture,
+    PicturePanel,
+    Series,
+)
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.robustness.coverage import Premise
 from ssm_study.robustness.coverage_table import CoverageBand, coverage_table
 from ssm_study.synthesis.measured_discs_run import certificate_weights
 
+AMPLITUDE = re.compile(r"input of rms \S+")
+ANGLE = re.compile(r"\d+\.\d+(?=( to \S+)? rad/sample)")
 HIGHEST = 100.0  # a band that is covered so often says no more than "far"
 
 
-def coverage_picture(design: Design, premise: Premise, step_s: float) -> Picture:
+def coverage_picture(
+    design: Design, premise: Premise, step_s: float, input_scale: InputScale | None = None
+) -> Picture:
     """Picture of a design's coverage: how many times the measured model error the proof tolerates
     in each frequency band.
 
     Bands in which the record shows no error are left out; crosses are bands without excitation,
-    where noise counts as error. Raises `NothingToShow` without a certificate or a premise.
+    where noise counts as error. With `input_scale`, amplitudes are printed in physical units.
+    Raises `NothingToShow` without a certificate or a premise.
     """
     part = design.extra_certificates.get(MeasuredDiscs.part)
     if not isinstance(part, MeasuredDiscs):
@@ -32,19 +48,22 @@ def coverage_picture(design: Design, premise: Premise, step_s: float) -> Picture
     if not rows:
         raise NothingToShow("The records show no model error in any band.")
     records = list(dict.fromkeys(row.record for row in rows))
+    labels = record_labels(premise, input_scale)
     series = []
     for i, record in enumerate(records):
         own = [row for row in rows if row.record == record]
-        colour = style.CYCLE[i % len(style.CYCLE)]
-        series += _record_series(own, part.kappa, step_s, record, colour)
+        look: dict[str, Any] = {"colour": style.CYCLE[i % len(style.CYCLE)]}
+        look["dashes"] = DASH_CYCLE[i % len(DASH_CYCLE)]
+        series += _record_series(own, part.kappa, step_s, labels.get(record, record), look)
     need, where = weights.needed_radius(premise.requirements(part.centre))
     coverage = part.kappa / need
     band = next((row for row in rows if row.decides), None)
     if band is not None and np.isclose(band.need, need, rtol=1e-6):
         series.append(_deciding_dot(band, part.kappa, step_s))
     verdict = "covered" if coverage >= 1 else "not covered"
-    title = f"Coverage {_format_coverage(coverage)}, {verdict}; decided by: {where}"
-    guide_line = GuideLine(y=1.0, dashed=False, name="1: no longer covered")
+    deciding = physical_words(where, labels, step_s)
+    title = f"Coverage {_format_coverage(coverage)}, {verdict}; decided by: {deciding}"
+    guide_line = GuideLine(y=1.0, dashed=False, name="1: below, not covered")
     rules = (guide_line,)
     panel = PicturePanel(
         x_label="Frequency (Hz)",
@@ -58,8 +77,30 @@ def coverage_picture(design: Design, premise: Premise, step_s: float) -> Picture
     return Picture(title=title, panels=(panel,), wide=True)
 
 
+def record_labels(premise: Premise, input_scale: InputScale | None) -> dict[str, str]:
+    """Printed name of each record by the name in its spectrum, with the input's amplitude in
+    physical units."""
+    spectra = (*premise.repeating, *premise.averaged, *premise.sines)
+    return {
+        spectrum.name: amplitude_words(spectrum.amplitude, input_scale)
+        for spectrum in spectra
+        if AMPLITUDE.fullmatch(spectrum.name)
+    }
+
+
+def physical_words(where: str, labels: dict[str, str], step_s: float) -> str:
+    """Words for the requirement that decides, with amplitudes in physical units and frequencies in
+    Hz."""
+    record, _, place = where.partition(", ")
+    hertz_per_angle = 1 / (2 * np.pi * step_s)
+    in_hertz = ANGLE.sub(lambda angle: f"{float(angle[0]) * hertz_per_angle:.3g}", place)
+    words = in_hertz.replace("rad/sample", "Hz")
+    words = words.replace("around 0 Hz", "the lowest frequencies")
+    return f"{labels.get(record, record)}, {words}" if words else labels.get(record, record)
+
+
 def _record_series(
-    rows: list[CoverageBand], kappa: float, step_s: float, name: str, colour: str
+    rows: list[CoverageBand], kappa: float, step_s: float, name: str, look: dict[str, Any]
 ) -> list[Series]:
     """Curve of the coverage over the frequency bands of one record."""
     frequencies = [row.frequency for row in rows]
@@ -67,11 +108,17 @@ def _record_series(
     times = np.minimum([kappa / row.need for row in rows], HIGHEST)
     is_dark = np.array([row.is_dark for row in rows])
     is_drawn = hertz > 0
-    lit = Series(x=hertz[is_drawn], y=times[is_drawn], colour=colour, name=name)
+    lit = Series(x=hertz[is_drawn], y=times[is_drawn], name=name, **look)
     dark = is_dark & is_drawn
     if not dark.any():
         return [lit]
-    series = Series(x=hertz[dark], y=times[dark], mark="crosses", colour=colour)
+    series = Series(
+        x=hertz[dark],
+        y=times[dark],
+        mark="crosses",
+        colour=look["colour"],
+        name="no input power: noise counts",
+    )
     return [lit, series]
 
 

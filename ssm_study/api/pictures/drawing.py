@@ -113,8 +113,7 @@ def _draw_series(axes: "Axes", series: Series) -> None:
     label = series.name or None
     look: dict[str, Any] = {"color": series.colour, "label": label}
     linewidth = 0.7 if series.thin else 1.1
-    linestyle = "--" if series.dashed else "-"
-    line: dict[str, Any] = {"linewidth": linewidth, "linestyle": linestyle}
+    line: dict[str, Any] = {"linewidth": linewidth, "dashes": series.dashes or (None, None)}
     if series.mark == "line":
         axes.plot(series.x, series.y, **look, **line)
     elif series.mark == "steps":

@@ -56,7 +56,7 @@ def free_run_picture(
     best = max(fits.values())
     title = f"Free run on {record_words}: fit {best:.1f} %"
     if len(measured) > LONGEST:
-        title += f" (the first {LONGEST} of {len(measured)} samples)"
+        title += f" (drawn: the first {LONGEST} of {len(measured)} samples)"
     panels = (*upper, *lower)
     return Picture(title=title, panels=panels, columns=len(labels), wide=True)
 
@@ -101,5 +101,5 @@ def _start_up_band(
     ends = time_s[[0, min(samples, len(time_s) - 1)]]
     low = np.full(2, values.min())
     high = np.full(2, values.max())
-    band = Band(x=ends, low=low, high=high, name="initial state")
+    band = Band(x=ends, low=low, high=high, name="initial state, not scored")
     return (band,)

@@ -9,6 +9,7 @@ from ssm_study.systems import JacobianBall
 
 REACH_IN_SCALES = 2.0  # how far training reached, in input scales
 POINTS = 401
+ROOM = 0.15  # beyond the certified slopes, as a share of their interval: its ends are seen
 LINEAR = 1e-9  # relative spread of the slope below which a map is called linear
 
 
@@ -32,6 +33,9 @@ def input_map_picture(model: Model, slopes: JacobianBall, input_label: str) -> P
     high = np.full(2, slopes.upper)
     band = Band(x=ends, low=low, high=high, name=name, colour=style.SKY)
     series = (Series(x=physical, y=values),)
+    room = ROOM * float(slopes.upper - slopes.lower) or 1.0
+    lowest = min(slopes.lower, local.min())
+    highest = max(slopes.upper, local.max())
     left = PicturePanel(
         x_label=input_label, y_label="S_u (scaled units, –)", series=series, height=1.3
     )
@@ -40,6 +44,7 @@ def input_map_picture(model: Model, slopes: JacobianBall, input_label: str) -> P
         y_label="Local slope of S_u (–)",
         series=(Series(x=physical, y=local, mark="steps", name="learned"),),
         bands=(band,),
+        y_range=(float(lowest) - room, float(highest) + room),
     )
     is_linear = np.ptp(local) <= LINEAR * np.abs(local).max()
     title = "Input map: linear" if is_linear else _slope_title(local)

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from ssm_study import style
 from ssm_study.api.pictures.picture import (
+    DASHED,
     Band,
     GuideLine,
     NothingToShow,
@@ -31,6 +32,7 @@ SEEN_SETTLING_TIMES = 6  # how much is drawn after the step, in settling times
 FEWEST_SEEN = 40  # samples
 MOTION = 0.01  # share of its largest deviation from which on an input counts as moving
 Inputs = Sequence[Float[np.ndarray, "_ m"]]
+Times = Float[np.ndarray, "T"]
 
 
 def initial_response_picture(
@@ -103,11 +105,9 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
     for j, channel in enumerate(plant.outputs):
         ndim = run.reference.ndim
         goal = run.reference[0, :, j] if ndim == 3 else run.reference[:, j]
-        low = goal - plant.settling_band
-        high = goal + plant.settling_band
-        band = Band(x=run.time_s, low=low, high=high, name="settling band")
+        band = _settling_band(run.time_s, goal, plant.settling_band, channel.unit)
         set_point = Series(
-            x=run.time_s, y=goal, mark="steps", colour=style.INK, dashed=True, name=set_point_name
+            x=run.time_s, y=goal, mark="steps", colour=style.INK, dashes=DASHED, name=set_point_name
         )
         y = run.y[0, :, j]
         output = Series(x=run.time_s, y=y, name="output")
@@ -124,11 +124,31 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
         replace(panel, x_range=time_range) for panel in _input_panels(run, plant.inputs, recorded)
     ]
     panels = (*_pad_panels(upper, columns), *_pad_panels(lower, columns))
-    ending = "does not settle" if time_s is None else f"settles in {time_s:.3g} s"
+    ending = "does not settle"
+    if time_s is not None:
+        ending = f"settles in {time_s:.3g} s"
+        if ahead:
+            since_motion_s = time_s + at_s - _first_motion_s(run)
+            ending += f", {since_motion_s:.2g} s after the input first moves"
     unit = f" {plant.outputs[0].unit}" if plant.outputs[0].unit else ""
     known = ", known in advance," if ahead else ""
     title = f"Step of the set point by {size:.3g}{unit}{known} on {place}: {ending}"
     return Picture(title=title, panels=panels, columns=columns, wide=True)
+
+
+def _settling_band(time_s: Times, goal: Times, half_width: float, unit: str) -> Band:
+    """Band around a set point that steps: its edges are vertical there, as the step itself."""
+    twice_s = np.repeat(time_s, 2)[1:]
+    held_goal = np.repeat(goal, 2)[:-1]
+    is_corner = np.ones(len(twice_s), dtype=bool)
+    same_before = held_goal[1:-1] == held_goal[:-2]
+    same_after = held_goal[1:-1] == held_goal[2:]
+    is_corner[1:-1] = ~(same_before & same_after)
+    corners = held_goal[is_corner]
+    name = f"settling band, ± {half_width:.2g} {unit}".rstrip()
+    return Band(
+        x=twice_s[is_corner], low=corners - half_width, high=corners + half_width, name=name
+    )
 
 
 def _drawn_time_range(run: Rollouts, settling_time_s: float | None) -> tuple[float, float]:

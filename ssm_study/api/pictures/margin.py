@@ -5,21 +5,34 @@ from collections.abc import Sequence
 import numpy as np
 
 from ssm_study import style
-from ssm_study.api.pictures.picture import GuideLine, NothingToShow, Picture, PicturePanel, Series
+from ssm_study.api.pictures.picture import (
+    DASH_CYCLE,
+    GuideLine,
+    NothingToShow,
+    Picture,
+    PicturePanel,
+    Series,
+)
+from ssm_study.models.structured import Model
 from ssm_study.robustness.margin_by_frequency import MarginCurve
 from ssm_study.robustness.sensitivity import FINE_ANGLES
 
 HIGHEST = 1e3  # margins above say no more than "far": the axis ends there
 DECADES = 3  # below half the sampling rate
+InputScale = tuple[float, str]  # input scale in physical units, and their name
 
 
 def margin_picture(
-    curves: Sequence[MarginCurve], step_s: float, margin: float | None = None
+    curves: Sequence[MarginCurve],
+    step_s: float,
+    margin: float | None = None,
+    input_scale: InputScale | None = None,
 ) -> Picture:
     """Picture of the stability margin over frequency, with a line for each recorded amplitude.
 
     `margin` is the design's own: where it lies below every curve, a mixture of amplitudes or an
-    offset decides it, and a dashed line shows it. Raises `NothingToShow` without a curve.
+    offset decides it, and a dashed line shows it. With `input_scale`, amplitudes are printed in
+    physical units. Raises `NothingToShow` without a curve.
     """
     drawn = [curve for curve in curves if np.isfinite(curve.smallest)]
     if not curves:
@@ -34,13 +47,14 @@ def margin_picture(
         Series(
             x=hertz[visible],
             y=np.where(curve.margin < HIGHEST, curve.margin, np.nan)[visible],
-            name=_curve_label(curve),
+            name=_curve_label(curve, input_scale),
             colour=style.CYCLE[i % len(style.CYCLE)],
+            dashes=DASH_CYCLE[i % len(DASH_CYCLE)],
         )
         for i, curve in enumerate(drawn)
     ]
     at_hertz = least.angle / (2 * np.pi * step_s)
-    guide_line = GuideLine(y=1.0, dashed=False, name="1: prediction ends")
+    guide_line = GuideLine(y=1.0, dashed=False, name="1: below, no prediction")
     rules = [guide_line]
     decided_by_curve = margin is None or least.smallest <= 1.001 * margin
     if decided_by_curve:
@@ -72,8 +86,22 @@ def _deciding_dot(hertz: float, margin: float) -> Series:
     )
 
 
-def _curve_label(curve: MarginCurve) -> str:
+def _curve_label(curve: MarginCurve, input_scale: InputScale | None) -> str:
     """Legend entry of one curve of the stability margin."""
     if curve.amplitude is None:
         return "trials in closed loop"
-    return f"input of rms {curve.amplitude:.2g}"
+    return amplitude_words(curve.amplitude, input_scale)
+
+
+def physical_input_scale(model: Model, unit: str) -> InputScale | None:
+    """Scale of a model's input in physical units, with their name; None for several inputs."""
+    scales = model.scale.input_scale
+    return (float(scales[0]), unit) if len(scales) == 1 else None
+
+
+def amplitude_words(amplitude: float, input_scale: InputScale | None) -> str:
+    """Words for an amplitude of the input in physical units, otherwise in input scales."""
+    if input_scale is None:
+        return f"input of rms {amplitude:.2g} input scales"
+    size, unit = input_scale
+    return f"input of rms {amplitude * size:.2g} {unit}".rstrip()

@@ -7,7 +7,7 @@ from jaxtyping import Complex, Float
 
 from ssm_study import style
 from ssm_study.api.pictures.drawing import circle_points
-from ssm_study.api.pictures.picture import NothingToShow, Picture, PicturePanel, Series
+from ssm_study.api.pictures.picture import DASHED, NothingToShow, Picture, PicturePanel, Series
 from ssm_study.bounds.frequency import frequency_response
 from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.robustness.bands import ANGLES
@@ -46,7 +46,9 @@ def nyquist_picture(model: Model, pair: Gains, mismatch: Mismatch | None) -> Pic
         )
     series.append(_critical_point())
     unit = circle_points()
-    circle_series = Series(x=unit[0], y=unit[1], colour=style.PALE, thin=True, name="gain 1")
+    circle_series = Series(
+        x=unit[0], y=unit[1], colour=style.GREY, dashes=DASHED, thin=True, name="gain 1"
+    )
     x_range = (-REACH, REACH)
     y_range = (-REACH, REACH)
     panel = PicturePanel(

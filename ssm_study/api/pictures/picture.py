@@ -9,19 +9,26 @@ from jaxtyping import Float
 from ssm_study import style
 
 Mark = Literal["line", "steps", "dots", "stems", "crosses", "circles", "triangles", "point"]
+Dashes = tuple[int, ...]
+DASHED: Dashes = (5, 3)
+# Of neighbouring lines: a reader who cannot tell their colours apart can tell these.
+DASH_CYCLE: tuple[Dashes, ...] = ((), (7, 3), (2, 2), (8, 2, 2, 2), (14, 4), (4, 2, 1, 2, 1, 2))
 Values = Float[np.ndarray, "N"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
-    """One curve or one set of points in a picture, with a name for the legend if it has one."""
+    """One curve or one set of points in a picture, with a name for the legend if it has one.
+
+    `dashes` are the lengths of dash and gap in turn, in points; a solid line has none.
+    """
 
     x: Values
     y: Values
     name: str = ""
     mark: Mark = "line"
     colour: str = style.BLUE
-    dashed: bool = False
+    dashes: Dashes = ()
     thin: bool = False
 
 

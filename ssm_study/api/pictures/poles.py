@@ -7,12 +7,13 @@ from jaxtyping import Inexact
 
 from ssm_study import style
 from ssm_study.api.pictures.drawing import circle_points
-from ssm_study.api.pictures.picture import Mark, Picture, PicturePanel, Series
+from ssm_study.api.pictures.picture import DASHED, Mark, Picture, PicturePanel, Series
 from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.systems import Gains
 
 MARKS: tuple[Mark, ...] = ("crosses", "circles", "triangles")
 COLOURS = (style.GREY, style.BLUE, style.VERMILLION)
+PRINTED = {"controlled": "controlled model", "estimate": "observer's error"}
 Poles = Inexact[np.ndarray, "_"]
 
 
@@ -20,19 +21,22 @@ def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Pic
     """Picture of eigenvalues in the unit circle, with the circle `sqrt(1 - rate)` of the certified
     rate."""
     unit = circle_points()
-    series = [Series(x=unit[0], y=unit[1], colour=style.INK, thin=True)]
-    title = "Poles at the equilibrium, per sample"
+    series = [Series(x=unit[0], y=unit[1], colour=style.INK, thin=True, name="unit circle")]
+    title = "Poles at rest, per sample"
     if rate is not None:
         factor = float(np.sqrt(1 - rate))
         x, y = circle_points(factor)
-        name = f"proved of the controller: {factor:.3f}"
-        series.append(Series(x=x, y=y, colour=style.GREY, dashed=True, name=name))
-        title = f"Poles at the equilibrium; distances shrink to {factor:.3f} or less each sample"
+        name = f"proved under control: {factor:.3f}"
+        series.append(Series(x=x, y=y, colour=style.GREY, dashes=DASHED, name=name))
+        title = f"Poles at rest; proved: distances shrink to {factor:.3f} or less each sample"
     for i, (name, poles) in enumerate(groups.items()):
         values = np.asarray(poles, dtype=complex)
+        printed_name = PRINTED.get(name, name)
         mark = MARKS[i % len(MARKS)]
         colour = COLOURS[i % len(COLOURS)]
-        series.append(Series(x=values.real, y=values.imag, mark=mark, colour=colour, name=name))
+        series.append(
+            Series(x=values.real, y=values.imag, mark=mark, colour=colour, name=printed_name)
+        )
     panel = PicturePanel(
         x_label="Real part (per sample)",
         y_label="Imaginary part (per sample)",

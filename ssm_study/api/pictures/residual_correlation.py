@@ -9,6 +9,7 @@ from ssm_study.api.pictures.picture import Band, Picture, PicturePanel, Series
 
 SURE = 1.96  # standard deviations of a normal distribution that hold 95 %
 MAX_LAG = 25  # samples
+RARE = 0.5  # share of the lags within the bounds, below which the title says that this is usual
 Signals = Sequence[Float[np.ndarray, "_ c"]]
 
 
@@ -23,16 +24,23 @@ def residual_correlation_picture(
     lags = min(MAX_LAG, min(map(len, errors)) // 4)
     bound = SURE / np.sqrt(samples)
     own = correlate_signals(errors, errors, 0, 0, lags, one_sided=True)
-    panels = [_correlation_panel(own, bound, f"Error of {output_name} with itself")]
+    panels = [_correlation_panel(own, bound, f"Error of {spaced(output_name)} with itself")]
     for j, name in enumerate(input_names):
         cross = correlate_signals(errors, inputs, 0, j, lags, one_sided=False)
-        picture_panel = _correlation_panel(cross, bound, f"Error with {name}")
+        picture_panel = _correlation_panel(cross, bound, f"Error with {spaced(name)}")
         panels.append(picture_panel)
     inside = float(np.mean(np.abs(own[1][1:]) <= bound))
     title = (
         f"Correlation of the free run's error: {100 * inside:.0f} % of the lags within 95 % bounds"
     )
+    if inside < RARE:
+        title += ", as in most free runs"
     return Picture(title=title, panels=tuple(panels), columns=len(panels))
+
+
+def spaced(name: str) -> str:
+    """Name of a channel with spaces for underscores."""
+    return name.replace("_", " ")
 
 
 def _correlation_panel(

@@ -1,6 +1,6 @@
 """Closed loop from every initial condition (left), the same starts without control (middle), and
-the input of the controller (right). On the true plant, or on the identified model where there is
-none. A response has settled when it stays in the grey band."""
+the controller's input (right). The loop is closed on the true plant, or on the identified model
+where there is none. A response has settled when it stays in the grey band."""
 
 import matplotlib as mpl
 import numpy as np

@@ -1,7 +1,7 @@
-"""Model error that the proof tolerates in each frequency band, as a multiple of the measured one.
-There is one line for each record. Below the line at one the proof does not cover the record; the
-dot marks the band that decides, crosses are bands in which the input has no power, so that noise
-counts as error."""
+"""Model error that the proof tolerates, as a multiple of the measured one, in each frequency band.
+There is one line for each record. Where a line falls below one, the proof does not cover the
+record. A line ends where its record shows no error beyond noise. Sums over several bands must be
+covered too: one of them can decide, and it is not drawn."""
 
 from matplotlib.figure import Figure
 

@@ -1,6 +1,7 @@
-"""How well the inputs excite the plant: how often each input amplitude occurs (left), at which
-frequencies the input has power, and its order of persistent excitation (right). At amplitudes that
-never occur, slopes come from the initial weights, not from data."""
+"""Excitation by the training records: how often each input value was visited (left) and the power
+at each frequency (right). At an input value that was never visited, the slope of the input map
+comes from the initial weights, not from data. The order of persistent excitation bounds the order
+of a linear model that the records can identify."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,6 +1,5 @@
-"""Which controller rates can be certified at which slope ratio: every run with its verdict, and the
-exact limit of each model. Below its model's bar a rate can be certified; above it none can,
-whatever the solver."""
+"""Where certificates exist: every run at its slope ratio and controller rate. The bar is the exact
+limit of a model. Below it a rate can be certified; above it none can, whatever the solver."""
 
 from typing import Any
 

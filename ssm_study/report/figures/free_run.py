@@ -1,5 +1,5 @@
-"""Free run of the identified model on the test record: measured output as dots, the model on top,
-the error below. Shaded samples estimate the initial state and are not scored."""
+"""Free run of the identified model on the test record, with its error below. Dots are measured, the
+line is the model, which sees only the input. The fit is that of the whole record."""
 
 from matplotlib.figure import Figure
 

@@ -1,7 +1,8 @@
-"""Frequency response of the model at its equilibrium (line) and as estimated from the validation
-record alone (dots). Dots are averaged cross spectra, where the input has power and output and input
-are coherent. Shaded: gains that the slopes of the input map allow. First input to first output, in
-physical units."""
+"""Frequency response of the model at its equilibrium, beside an estimate from the validation
+record. Dots are that estimate, made without any model: they stand where the input has power and the
+output follows it. The shaded gains are those that the slopes of the input map allow. The dashed
+line is the model at the mean gain of its input map over the record, and should meet the dots. Shown
+is the first input to the first output, in physical units."""
 
 from matplotlib.figure import Figure
 

@@ -1,6 +1,6 @@
-"""How many states the model really uses: Hankel singular values of the best run's model, relative
-to the largest. A state far below the first carries almost nothing from input to output, and is
-costly to control."""
+"""Hankel singular values of the best run's model, relative to the largest. They say how many states
+the model really uses. A state far below the first carries almost nothing from input to output, and
+is costly to control."""
 
 import numpy as np
 from matplotlib.figure import Figure

@@ -1,5 +1,5 @@
-"""Learned input map S_u around rest (left), and its local slope within the interval that the
-certificate assumes (right)."""
+"""Learned input map S_u around rest (left) and its local slope (right). The shaded interval of
+slopes is the one that the certificate assumes."""
 
 from matplotlib.figure import Figure
 

@@ -1,6 +1,7 @@
-"""Input nonlinearity of the motor, as the network learned it: S_u scaled to volts over the true
-dead zone (left), and its slope inside the certified interval (right). Coulomb friction widens the
-dead zone seen at rest; the dotted line includes it."""
+"""Input nonlinearity of the plant, as the network learned it: the map S_u (left) and its local
+slope (right). Of a simulated motor it stands beside the true dead zone, dashed, with S_u scaled to
+volts. Coulomb friction widens the dead zone that the output shows at rest: the dotted line includes
+it. The shaded interval of slopes is the certified one."""
 
 from collections.abc import Mapping
 from typing import Any

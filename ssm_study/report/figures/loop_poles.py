@@ -1,6 +1,6 @@
-"""Poles of the model, of the controlled model and of the observer's error, linearised at the
-equilibrium. Dashed: the contraction factor per sample that is proved for the controller; solid: the
-unit circle."""
+"""Poles of the model, of the controlled model and of the observer's error, at the slopes at rest.
+The solid circle is the unit circle. The dashed circle is the contraction per sample that is proved
+under control, for every certified slope."""
 
 from matplotlib.figure import Figure
 

@@ -1,7 +1,8 @@
-"""How many times larger the measured model error could be at each frequency before the loop is no
-longer predicted stable. There is one line for each recorded amplitude, at the worst of the constant
-slopes. The dot marks the stability margin of the design; if a curve falls below one, the loop is
-not predicted stable."""
+"""Stability margin by frequency, with one line for each recorded amplitude of the input. The margin
+is the factor by which the measured model error could grow before the prediction of stability is
+lost, at the worst constant slope. Where a line falls below one, the loop is not predicted to be
+stable. A line ends where its records show no model error, for instance where the input has no
+power."""
 
 from matplotlib.figure import Figure
 

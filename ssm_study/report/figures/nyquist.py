@@ -1,6 +1,7 @@
-"""Nyquist curve of the loop gain at the equilibrium, with a disc of the measured model error around
-each frequency band. The loop is broken at the plant's input. The discs are those of the amplitude
-that comes nearest to -1; if a disc contains -1, the records do not exclude an unstable loop."""
+"""Nyquist curve of the loop broken at the plant's input, with discs of the measured model error.
+The slopes are those at rest. The discs belong to the amplitude that comes nearest to -1. Each lies
+where the record puts its frequency band, beside the curve where the error has a steady part. If a
+disc contains -1, the records do not exclude an unstable loop."""
 
 from matplotlib.figure import Figure
 

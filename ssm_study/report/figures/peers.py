@@ -1,7 +1,7 @@
-"""Comparison of controllers by settling time, peak input and share of settled starts. The settling
-time is relative to the uncontrolled plant, on a logarithmic axis; the share is left out where it is
-the same for all. One dot per run, a bar at the median of several. From the runs' own comparisons
-where they made one."""
+"""Controllers side by side: settling time relative to the uncontrolled plant, and peak input. There
+is one dot for each run, and a bar at the median of several. The share of starts that settle is
+drawn where controllers differ in it. The axis of settling time is logarithmic. The numbers come
+from the runs' own comparisons where they made one."""
 
 from dataclasses import dataclass
 from typing import Any

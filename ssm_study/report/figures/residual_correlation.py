@@ -1,6 +1,6 @@
-"""Correlation of the free run's error on the test record with itself (left) and with each input
-(right). Outside the grey band (95 % for white noise) the error still contains structure that the
-model could explain; a free run of a nonlinear plant hardly ever stays inside."""
+"""Correlation of the free run's error on the test record with itself and with each input. White
+noise would stay in the grey band at 95 % of the lags. Outside it the error still contains structure
+that the model could explain. A free run of a nonlinear plant rarely stays inside."""
 
 from matplotlib.figure import Figure
 

@@ -1,7 +1,7 @@
-"""Mean settling time of every controller under test conditions that it was not designed for.
-Numbers: seconds, over the starts that settle. Colour: ratio to the uncontrolled plant under nominal
-conditions (pale: as slow as no control). Where some start does not settle, the share that does
-stands there instead, on red. Mean over the runs that compared the controllers."""
+"""Mean settling time (s) of each controller in situations that it was not designed for. The colour
+is its ratio to the uncontrolled plant in the nominal situation: pale is as slow as no control. Red
+with a share means that only this share of the starts settles. Each number is the mean over the runs
+that compared them."""
 
 from typing import Any
 

@@ -1,7 +1,8 @@
-"""Response of the identified model's loop to a step of the set point, without noise: output with
-settling band, and input. Dashed: the range of the recorded inputs. The step is half the output's
-scale, or smaller if the recorded inputs cannot hold it. The loop knows the step in advance here;
-the exported code does not, and responds later."""
+"""Step of the set point on the identified model, without noise: output (top) and input (bottom).
+The settling band is shaded, set point and range of the recorded inputs are dashed. The step is half
+the output's scale, or smaller if the recorded inputs cannot hold it. Where the title calls it known
+in advance, the input moves before the step. The exported code hears of a step when it comes, and
+answers later."""
 
 from matplotlib.figure import Figure
 

@@ -1,5 +1,4 @@
-"""Fit (or loss) on the training and validation records over the epochs of training, for the best
-run."""
+"""Fit (or loss) on the training and validation records over the epochs, for the best run."""
 
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator

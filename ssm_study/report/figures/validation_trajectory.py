@@ -1,6 +1,6 @@
-"""Free run of the identified model on the test record and on the validation record: measured output
-as dots, the model as a line. Below the test record its error; below the validation record its
-input, and a measured disturbance where there is one."""
+"""Free runs of the identified model on the test record (top) and on the validation record. Dots are
+measured, lines are the model. Below the test record stands its error. Below the validation record
+stand its input and a disturbance, if one was measured."""
 
 import numpy as np
 from jaxtyping import Float

@@ -18,15 +18,13 @@ AXIS = {
     "labelFlush": False,
     "labelSeparation": 8,
 }
-LOOK = {"font": "system-ui, sans-serif", "view": NO_FRAME, "axis": AXIS}
+CONFIG = {"font": "system-ui, sans-serif", "view": NO_FRAME, "axis": AXIS}
+LOOK = {"$schema": SCHEMA, "config": CONFIG}  # of every chart, which the page's script adds
 
 
 def framed(spec: Spec, description: str, height: int = HEIGHT) -> Spec:
-    """Vega-Lite specification of a chart, completed by the settings and the width that all charts
-    of the page share."""
-    frame = {"$schema": SCHEMA, "width": "container", "height": height}
-    frame["config"] = LOOK
-    frame["description"] = description
+    """Vega-Lite specification with the width of the report page, without the common `LOOK`."""
+    frame = {"width": "container", "height": height, "description": description}
     return frame | spec
 
 

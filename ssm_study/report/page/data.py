@@ -10,6 +10,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.report.answers import answers, parameters_line
+from ssm_study.report.page.chart_looks import LOOK
 from ssm_study.report.page.compared import comparison_json
 from ssm_study.report.page.failures import MOST_REASONS, MOST_RUNS, failure_groups
 from ssm_study.report.page.first_screen import (
@@ -88,6 +89,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     data["pictures"] = pictures(study, table)
     data["comparisons"] = comparisons(study, table)
     data["slider"] = slider_settings(table)
+    data["look"] = LOOK
     return data
 
 

@@ -3,23 +3,22 @@
 import math
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ssm_study.api.pictures.picture import Band, GuideLine, Picture, PicturePanel, Series, Values
 from ssm_study.report.figures import caption
-from ssm_study.report.page.chart_looks import STROKES, Spec, framed, horizontal_legend, quantitative
+from ssm_study.report.page.chart_looks import DASH, STROKES, Spec, framed, quantitative
 from ssm_study.report.run_pictures import PICTURES, picture_of_run
 from ssm_study.report.study_folder import NothingToDraw, RunFolder
 from ssm_study.style import INK
 
 Stretch = Float[np.ndarray, "_"]
+Places = Int[np.ndarray, "_"]
 Range = tuple[float, float]
-Legend = dict[str, str]
+LegendEntry = tuple[str, str, str, str]  # name, mark, colour, lengths of dash and gap
 
 PANEL_HEIGHT = 170  # pixels
 SQUARE = 280  # pixels, where both axes have one scale
-WIDEST_LABEL = 260  # pixels
-LEGEND_COLUMNS = 2
 LINE = {"type": "line", "strokeWidth": 1.4}
 STEPS = {**LINE, "interpolate": "step-after"}
 STEMS = {"type": "bar", "width": 3}
@@ -53,7 +52,9 @@ def picture_json(name: str, picture: Picture) -> Spec:
     for panel in picture.panels:
         if panel.series:
             description = f"{picture.title}: {axes_words(panel)}"
-            charts.append({"title": panel.title, "spec": panel_spec(panel, description)})
+            spec = panel_spec(panel, description)
+            legend = legend_entries(panel)
+            charts.append({"title": panel.title, "legend": legend, "spec": spec})
     content = {"name": name, "title": picture.title, "charts": charts}
     content["caption"] = caption(name)
     return content
@@ -65,13 +66,11 @@ def axes_words(panel: PicturePanel) -> str:
 
 
 def panel_spec(panel: PicturePanel, description: str) -> Spec:
-    """Vega-Lite specification of one pair of axes. The legend above it has the series with a
-    name."""
+    """Vega-Lite specification of one pair of axes, without a legend: the page writes it above."""
     axes = panel_axes(panel)
-    legend = panel_legend(panel)
-    layers = [band_layer(band, panel, axes, legend) for band in panel.bands]
-    layers += [rule_layer(rule, legend) for rule in panel.rules]
-    layers += [series_layer(series, panel, axes, legend) for series in panel.series]
+    layers = [band_layer(band, panel, axes) for band in panel.bands]
+    layers += [rule_layer(rule) for rule in panel.rules]
+    layers += [series_layer(series, panel, axes) for series in panel.series]
     spec: Spec = {"layer": layers, "height": PANEL_HEIGHT}
     if panel.equal:
         spec["width"] = SQUARE
@@ -88,12 +87,26 @@ def panel_axes(panel: PicturePanel) -> Spec:
     return {"x": x, "y": y}
 
 
-def panel_legend(panel: PicturePanel) -> Legend:
-    """Colour of each named part of a panel, in the order bands, guide lines, series."""
-    coloured = [(band.name, band.colour) for band in panel.bands]
-    coloured += [(rule.name, INK) for rule in panel.rules]
-    coloured += [(series.name, series.colour) for series in panel.series]
-    return {name: colour for name, colour in coloured if name}
+def legend_entries(panel: PicturePanel) -> list[LegendEntry]:
+    """Legend of a panel: each named part with the mark, colour and dashes with which it is drawn,
+    in the order guide lines, series, bands."""
+    entries = [(rule.name, "line", INK, dash_words(rule_dashes(rule))) for rule in panel.rules]
+    for series in panel.series:
+        mark = "line" if series.mark in JOINED else series.mark
+        entries.append((series.name, mark, series.colour, dash_words(series.dashes)))
+    entries += [(band.name, "band", band.colour, "") for band in panel.bands]
+    named = [entry for entry in entries if entry[0]]
+    return list(dict.fromkeys(named))
+
+
+def rule_dashes(rule: GuideLine) -> tuple[int, ...]:
+    """Lengths of dash and gap of a guide line; none for a solid one."""
+    return tuple(DASH) if rule.dashed else ()
+
+
+def dash_words(dashes: tuple[int, ...]) -> str:
+    """Lengths of dash and gap as SVG writes them."""
+    return " ".join(map(str, dashes))
 
 
 def axis_scale(log: bool, limits: Range | None) -> Spec:
@@ -108,19 +121,7 @@ def axis_scale(log: bool, limits: Range | None) -> Spec:
     return scale
 
 
-def part_colour(name: str, colour: str, legend: Legend) -> Spec:
-    """Vega-Lite colour of a part of a picture, with its legend entry."""
-    if not name:
-        return {"value": colour}
-    names = list(legend)
-    colours = list(legend.values())
-    part: Spec = {"datum": name, "type": "nominal"}
-    part["scale"] = {"domain": names, "range": colours}
-    part["legend"] = horizontal_legend(LEGEND_COLUMNS, WIDEST_LABEL)
-    return part
-
-
-def series_layer(series: Series, panel: PicturePanel, axes: Spec, legend: Legend) -> Spec:
+def series_layer(series: Series, panel: PicturePanel, axes: Spec) -> Spec:
     """Vega-Lite layer of one series. It is cut to the visible range, a long line is thinned, a gap
     shortened to one missing point."""
     x, y = cut_to_range(series.x, series.y, panel.x_range)
@@ -128,14 +129,14 @@ def series_layer(series: Series, panel: PicturePanel, axes: Spec, legend: Legend
     numbers = {"x": short_numbers(x), "y": short_numbers(y)}
     transform: list[Spec] = [{"flatten": ["x", "y"]}]
     encoding = dict(axes)
-    encoding["color"] = part_colour(series.name, series.colour, legend)
+    encoding["color"] = {"value": series.colour}
     if series.mark in JOINED:  # curves may turn back: the points follow one another as computed
         row_number = {"op": "row_number", "as": "k"}
         transform.append({"window": [row_number]})
         encoding["order"] = {"field": "k"}
     mark = dict(MARKS[series.mark])
-    if series.dashed:
-        mark["strokeDash"] = [5, 3]
+    if series.dashes:
+        mark["strokeDash"] = list(series.dashes)
     mark["clip"] = True
     layer: Spec = {"data": {"values": [numbers]}}
     layer["transform"] = transform
@@ -144,19 +145,18 @@ def series_layer(series: Series, panel: PicturePanel, axes: Spec, legend: Legend
     return layer
 
 
-def rule_layer(rule: GuideLine, legend: Legend) -> Spec:
+def rule_layer(rule: GuideLine) -> Spec:
     """Vega-Lite layer of a guide line across the panel."""
     axis = "x"
     place = rule.x
     if place is None:
         axis = "y"
         place = rule.y
-    colour = part_colour(rule.name, INK, legend)
-    encoding = {axis: {"datum": place}, "color": colour}
-    return {"data": {"values": [{}]}, "mark": STROKES, "encoding": encoding}
+    mark = STROKES | {"color": INK, "strokeDash": rule_dashes(rule)}
+    return {"data": {"values": [{}]}, "mark": mark, "encoding": {axis: {"datum": place}}}
 
 
-def band_layer(band: Band, panel: PicturePanel, axes: Spec, legend: Legend) -> Spec:
+def band_layer(band: Band, panel: PicturePanel, axes: Spec) -> Spec:
     """Vega-Lite layer of a shaded area, cut to the visible range and thinned like a line."""
     x, low = cut_to_range(band.x, band.low, panel.x_range)
     _, high = cut_to_range(band.x, band.high, panel.x_range)
@@ -166,7 +166,7 @@ def band_layer(band: Band, panel: PicturePanel, axes: Spec, legend: Legend) -> S
     values["y2"] = short_numbers(high[::every])
     encoding = dict(axes)
     encoding["y2"] = {"field": "y2"}
-    encoding["color"] = part_colour(band.name, band.colour, legend)
+    encoding["color"] = {"value": band.colour}
     layer: Spec = {"data": {"values": [values]}}
     layer["transform"] = [{"flatten": ["x", "y", "y2"]}]
     layer["mark"] = {"type": "area", "opacity": 0.5, "clip": True}
@@ -186,16 +186,32 @@ def cut_to_range(x: Values, y: Values, seen: Range | None) -> tuple[Stretch, Str
 
 
 def thin_line(x: Values, y: Values) -> tuple[Stretch, Stretch]:
-    """Reduce the number of points of a long line for the page, to about `MOST_POINTS`. Of a gap one
-    missing point stays, which breaks the line.
+    """Reduce the number of points of a long line for the page, to about `MOST_POINTS`: of each
+    stretch the lowest and the highest stay, so no peak is lost. Of a gap one missing point stays,
+    which breaks the line.
 
     Closed curves with gaps (discs) are not thinned.
     """
     is_seen = np.isfinite(x) & np.isfinite(y)
     drawn = np.flatnonzero(is_seen | starts_of_gaps(is_seen))
     if np.isfinite(x).all():
-        drawn = drawn[:: _stride(len(drawn))]
+        drawn = keep_extremes(drawn, y)
     return x[drawn], y[drawn]
+
+
+def keep_extremes(places: Places, y: Values) -> Places:
+    """Places of the lowest and of the highest value in each stretch of a long curve, with its two
+    ends and with what is missing."""
+    if len(places) <= MOST_POINTS:
+        return places
+    kept = {int(places[0]), int(places[-1])}
+    for stretch in np.array_split(places, MOST_POINTS // 2):
+        values = y[stretch]
+        kept.update(stretch[~np.isfinite(values)].tolist())
+        if np.isfinite(values).any():
+            kept.add(int(stretch[np.nanargmin(values)]))
+            kept.add(int(stretch[np.nanargmax(values)]))
+    return np.array(sorted(kept))
 
 
 def starts_of_gaps(is_seen: Bool[np.ndarray, "T"]) -> Bool[np.ndarray, "T"]:

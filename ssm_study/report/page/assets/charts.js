@@ -5,18 +5,41 @@ const EMBED = {
   tooltip: { theme: DARK ? "dark" : "light" },
 };
 
+const WAITING = new Set(); // charts that are not drawn yet
 const NEAR = new IntersectionObserver(
-  (entries) =>
-    entries.forEach(async ({ target, isIntersecting }) => {
-      if (!isIntersecting) return;
-      NEAR.unobserve(target);
-      await pause();
-      const { view } = await vegaEmbed(target, shaded(target.spec), { ...EMBED, actions: false });
-      target.view = view;
-      target.dispatchEvent(new Event("drawn"));
-    }),
+  (entries) => entries.forEach(({ target, isIntersecting }) => isIntersecting && drawChart(target)),
   { rootMargin: "300px" },
 );
+
+/** Charts take the width that an opened run leaves them. */
+const WIDTH = new ResizeObserver(async (entries) => {
+  for (const { target } of entries) {
+    const fits = target.spec.width !== "container" || target.drawnWidth === target.clientWidth;
+    if (fits || !target.clientWidth) continue;
+    target.drawnWidth = target.clientWidth;
+    await pause();
+    await target.view.width(target.clientWidth).runAsync();
+  }
+});
+
+async function drawChart(target) {
+  if (!WAITING.delete(target)) return;
+  NEAR.unobserve(target);
+  await pause();
+  const { view } = await vegaEmbed(target, shaded(target.spec), { ...EMBED, actions: false });
+  target.view = view;
+  target.drawnWidth = target.clientWidth;
+  WIDTH.observe(target);
+  target.dispatchEvent(new Event("drawn"));
+}
+
+/** Draws what nobody has scrolled to yet, so that a print or a picture of the whole page is complete. */
+async function drawRest() {
+  for (const target of WAITING) {
+    await new Promise(requestIdleCallback);
+    if (target.clientWidth) await drawChart(target);
+  }
+}
 
 const AROUND = 45; // pixels that axis and title add to a chart's height
 
@@ -24,7 +47,8 @@ const AROUND = 45; // pixels that axis and title add to a chart's height
  * specification's description. */
 function chartOf(spec) {
   const chart = element("div", { class: "chart", style: `min-height: ${spec.height + AROUND}px` });
-  chart.spec = spec;
+  chart.spec = { ...DATA.look, ...spec };
+  WAITING.add(chart);
   NEAR.observe(chart);
   return chart;
 }
@@ -34,11 +58,21 @@ function figureOf(title, charts, note = "", attributes = {}) {
   return element("figure", attributes, element("figcaption", {}, title, ...more), ...charts);
 }
 
+/** A name beside the mark with which the chart draws it. */
+function legendEntry([name, mark, colour, dashes]) {
+  const hollow = ["line", "circles", "triangles", "crosses"].includes(mark);
+  const paint = hollow ? { fill: "none", stroke: shade(colour) } : { fill: shade(colour) };
+  if (mark === "band") paint.opacity = 0.5;
+  const look = { ...paint, "stroke-width": 1.6, "stroke-dasharray": dashes };
+  return element("span", {}, symbolOf(SHAPES[mark], look, "0 0 28 14"), name);
+}
+
 /** Places the pictures of a run. */
 function placePictures(content, pictures) {
   for (const { name, title, caption, charts } of pictures) {
     const parts = charts.flatMap((part) => [
       ...(part.title ? [element("span", { class: "note" }, part.title)] : []),
+      element("div", { class: "legend" }, ...part.legend.map(legendEntry)),
       chartOf(part.spec),
     ]);
     parts.push(element("details", {}, element("summary", {}, "What it shows"), caption));

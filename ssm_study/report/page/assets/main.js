@@ -153,5 +153,6 @@ drawGroupForm();
 drawPlots().then(() =>
   requestAnimationFrame(() => {
     document.body.dataset.ready = "yes";
+    drawRest();
   }),
 ); // after the first table

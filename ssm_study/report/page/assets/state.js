@@ -175,16 +175,29 @@ const SHAPES = {
   "triangle-down": "M7 13L1 2h12z",
   cross: "M5 1h4v4h4v4H9v4H5V9H1V5h4z",
   diamond: "M7 0l5 7-5 7-5-7z",
+  // in the legend of a picture, by the names of its marks
+  line: "M0 7h28",
+  band: "M2 1h24v12H2z",
+  stems: "M13 1h3v12h-3z",
+  dots: "M14 5a2 2 0 1 0 .01 0z",
+  point: "M14 2a5 5 0 1 0 .01 0z",
+  circles: "M14 3a4 4 0 1 0 .01 0z",
+  triangles: "M14 3l4 8h-8z",
+  crosses: "M10 3l8 8M18 3l-8 8",
 };
 
-function marker(word) {
-  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-  const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
-  svg.setAttribute("viewBox", "0 0 14 14");
+function symbolOf(path, look, box) {
+  const [svg, drawn] = ["svg", "path"].map((tag) =>
+    document.createElementNS("http://www.w3.org/2000/svg", tag),
+  );
+  svg.setAttribute("viewBox", box);
   svg.setAttribute("aria-hidden", "true");
-  const { shape: mark, colour } = DATA.verdicts.find((v) => v.word === word);
-  path.setAttribute("d", SHAPES[mark]);
-  path.setAttribute("fill", shade(colour));
-  svg.append(path);
+  for (const [name, value] of Object.entries({ d: path, ...look })) drawn.setAttribute(name, value);
+  svg.append(drawn);
   return svg;
+}
+
+function marker(word) {
+  const { shape: mark, colour } = DATA.verdicts.find((v) => v.word === word);
+  return symbolOf(SHAPES[mark], { fill: shade(colour) }, "0 0 14 14");
 }

@@ -1,0 +1,122 @@
+"""Pictures of the page: what the legend shows is what is drawn, and a thinned line keeps its
+peaks."""
+
+import re
+
+import numpy as np
+import pytest
+from report_runs import random_model
+
+from ssm_study import style
+from ssm_study.api.pictures.bode import bode_picture, record_gain_ratio
+from ssm_study.api.pictures.coverage import physical_words
+from ssm_study.api.pictures.margin import amplitude_words
+from ssm_study.api.pictures.picture import DASH_CYCLE, DASHED, Band, GuideLine, PicturePanel, Series
+from ssm_study.report.page.pictures import MOST_POINTS, legend_entries, panel_spec, thin_line
+from ssm_study.signals import Trajectory
+
+ENDS = np.array([0.0, 1.0])
+
+
+def panel() -> PicturePanel:
+    series = (
+        Series(x=ENDS, y=ENDS, name="solid"),
+        Series(x=ENDS, y=ENDS, name="dashed", dashes=DASHED, colour=style.VERMILLION),
+        Series(x=ENDS, y=ENDS, name="poles", mark="crosses", colour=style.GREY),
+        Series(x=ENDS, y=ENDS, name="held", mark="steps", dashes=(2, 2)),
+        Series(x=ENDS, y=ENDS),
+    )
+    bands = (Band(x=ENDS, low=ENDS, high=ENDS + 1, name="area", colour=style.SKY),)
+    rules = (GuideLine(y=1.0, name="bound", dashed=False),)
+    return PicturePanel(x_label="x", y_label="y", series=series, bands=bands, rules=rules)
+
+
+def test_the_legend_shows_marks_colours_and_dashes_as_they_are_drawn() -> None:
+    entries = {name: rest for name, *rest in legend_entries(panel())}
+    assert entries == {
+        "bound": ["line", style.INK, ""],
+        "solid": ["line", style.BLUE, ""],
+        "dashed": ["line", style.VERMILLION, "5 3"],
+        "poles": ["crosses", style.GREY, ""],
+        "held": ["line", style.BLUE, "2 2"],
+        "area": ["band", style.SKY, ""],
+    }
+    band, rule, *drawn = panel_spec(panel(), "")["layer"]
+    assert band["mark"]["type"] == "area"
+    assert rule["mark"]["strokeDash"] == ()
+    assert [layer["mark"].get("strokeDash") for layer in drawn] == [
+        None,
+        [5, 3],
+        None,
+        [2, 2],
+        None,
+    ]
+    assert [layer["encoding"]["color"]["value"] for layer in drawn[:3]] == [
+        entries[name][1] for name in ("solid", "dashed", "poles")
+    ]
+
+
+def test_every_mark_has_a_symbol_in_the_legend() -> None:
+    from ssm_study.report.page.pictures import JOINED, MARKS
+    from ssm_study.report.page.writing import read_asset
+
+    shapes = read_asset("state.js").partition("const SHAPES = {")[2].partition("};")[0]
+    names = set(re.findall(r"^  (\w+): \"", shapes, re.M))
+    assert {*MARKS, "band"} - {*JOINED} | {"line"} <= names
+
+
+def test_as_many_dashes_as_colours_and_none_twice() -> None:
+    assert len({*DASH_CYCLE}) == len(DASH_CYCLE) == len(style.CYCLE)
+
+
+def test_a_thinned_line_keeps_its_peaks_its_ends_and_its_gaps() -> None:
+    rng = np.random.default_rng(0)
+    x = np.arange(5000.0)
+    y = rng.normal(size=5000)
+    y[1234] = 40.0
+    y[4321] = -40.0
+    y[2000:2100] = np.nan
+    thin_x, thin_y = thin_line(x, y)
+    assert len(thin_x) <= MOST_POINTS + 5
+    assert np.nanmax(thin_y) == 40.0
+    assert np.nanmin(thin_y) == -40.0
+    assert thin_x[[0, -1]].tolist() == [0.0, 4999.0]
+    assert np.isnan(thin_y).sum() == 1
+    assert (np.diff(thin_x) > 0).all()
+
+
+def test_amplitudes_and_places_are_printed_in_physical_units() -> None:
+    assert amplitude_words(0.5, (4.0, "V")) == "input of rms 2 V"
+    assert amplitude_words(0.5, None) == "input of rms 0.5 input scales"
+    labels = {"input of rms 0.5": "input of rms 2 V"}
+    step_s = 0.01
+    words = physical_words("input of rms 0.5, 0.31 to 0.63 rad/sample", labels, step_s)
+    assert words == "input of rms 2 V, 4.93 to 10 Hz"
+    words = physical_words("input of rms 0.5, around 0.00 rad/sample", labels, step_s)
+    assert words == "input of rms 2 V, the lowest frequencies"
+    assert physical_words("input of rms 0.5, in total", labels, step_s) == (
+        "input of rms 2 V, in total"
+    )
+
+
+@pytest.mark.parametrize("kind", ["monotone", "linear"])
+def test_the_line_at_the_records_gain_meets_what_the_record_shows(kind: str) -> None:
+    """Output of a static map alone: its cross spectrum over the input's power is that gain."""
+    rng = np.random.default_rng(1)
+    model = random_model(rng, kind, 1)
+    scale = model.scale.input_scale
+    deviation = rng.normal(size=(4000, 1))
+    u = model.scale.input_equilibrium + scale * deviation
+    y = model.scaffold_in(deviation)
+    record = Trajectory(u=u, y=y, step_s=0.01)
+    ratio = record_gain_ratio(model, record)
+    slope = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])
+    slope_of_best_line = float(np.polyfit(deviation[:, 0], y[:, 0], 1)[0])
+    if kind == "linear":
+        assert ratio is None
+        assert slope_of_best_line == pytest.approx(slope)
+        return
+    assert ratio is not None
+    assert ratio * slope == pytest.approx(slope_of_best_line)
+    names = [series.name for series in bode_picture(model, record).panels[0].series]
+    assert "model at the record's mean gain" in names
