@@ -125,7 +125,7 @@ class BentSensor(Adversary):
     def output(self, x: States) -> Float[np.ndarray, "N 1"]:
         return np.tanh(self.bend * x[:, :1]) / self.bend
 
-    def states_at(self, y0: Float[np.ndarray, "N 1"]) -> States:
+    def equilibrium_states(self, y0: Float[np.ndarray, "N 1"]) -> States:
         x = np.zeros((len(y0), self.order))
         x[:, 0] = np.arctanh(np.clip(self.bend * y0[:, 0], -0.95, 0.95)) / self.bend
         return x

@@ -39,7 +39,7 @@ from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
 from ssm_study.robustness.coverage import Premise, measure_premise, running_constraint_sum
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
-from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.record_errors import RecordErrors, open_loop_errors
 from ssm_study.signals import DataSet
 from ssm_study.synthesis import auto
@@ -182,7 +182,7 @@ class IdentifiedCase:
         if not design.feasible:
             return facts
         balls = certified_balls(self.model)
-        prediction = predict(self.model, design.pair, balls, self.mismatch)
+        prediction = predict_margins(self.model, design.pair, balls, self.mismatch)
         facts["predicted"] = prediction.predicts_stability(self.parts.synthesis.margin)
         controller = ObserverFeedback.from_design(self.model, design)
         loop = self.parts.loop.with_default_horizon(self.model)
@@ -236,7 +236,7 @@ def row_of(task: RowTask) -> dict[str, Any]:
     row: dict[str, Any] = dict(task.key)
     row |= {
         "evidence": case.evidence,
-        "rests": case.mismatch.comes_to_rest,
+        "rests": case.mismatch.plant_comes_to_rest,
         "fit_test": case.fit_percent,
     }
     row |= coverage_columns(chosen, case.model, case.premise) | fresh_data_column(needs)

@@ -67,7 +67,7 @@ class DrawnDesigns:
             return [0.0] * len(pairs)
         system = case.model.system
         balls = certified_balls(case.model)
-        loop = LoopCoverage.from_premise(case.model, system, balls, case.premise)
+        loop = LoopCoverage.for_loop(case.model, system, balls, case.premise)
         coverages = []
         for pair in pairs:
             gains = self.candidates.gains(pair)

@@ -36,7 +36,7 @@ def main() -> None:
     loop = Loop(initial_conditions=asked.cases, horizon_s=asked.samples * plant.step_s)
     controller, (y0, noise) = (
         ObserverFeedback.from_design(model, design),
-        loop.draw_conditions(plant, 0),
+        loop.draw_starts_and_noise(plant, 0),
     )
     loop.simulate(plant, controller, y0[:2], noise[:2])  # compiles the plant's kernel
 

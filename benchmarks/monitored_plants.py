@@ -91,7 +91,7 @@ def rows_of_plant(name: str) -> list[dict[str, Any]]:
     controller = ObserverFeedback.from_design(case.model, design)
     usual = case.parts.loop.with_default_horizon(case.model)
     loop = replace(usual, horizon_s=LONGER * usual.horizon_s)
-    y0, noise = loop.draw_conditions(case.plant, 0)
+    y0, noise = loop.draw_starts_and_noise(case.plant, 0)
     rows = []
     for gain in GAINS:
         for delay in DELAYS:

@@ -24,7 +24,7 @@ from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
 from ssm_study.robustness.mismatch import measure_mismatch
-from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.prediction import predict_margins
 
 # radians, up to 2; the spring pulls seven times as hard at the end of its range as its stiffness at
 # rest would
@@ -57,7 +57,7 @@ def row(name: str, plant: Plant, model: str, seed: int) -> str:
     if not design.feasible:
         head = f"{name},{asked[0][6:]},{seed},{np.mean(fit):.2f},{shown.seen:.3f}"
         return f"{head},,,,,,{design.certified}"
-    predicted = predict(made, design.pair, balls, shown)
+    predicted = predict_margins(made, design.pair, balls, shown)
     facts = behaviour_columns(
         parts.loop.with_default_horizon(made).run_design(plant, made, design, parts.loop_seed)
     )

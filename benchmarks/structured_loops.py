@@ -25,7 +25,7 @@ from ssm_study.evidence.metrics import collect_findings
 from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.models.metrics import Simulation
 from ssm_study.robustness.mismatch import measure_mismatch
-from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.prediction import predict_margins
 from ssm_study.training.metrics import records_fit_percent
 
 PLANTS = ("dc_motor", "stribeck_drive", "cascaded_tanks")
@@ -67,7 +67,7 @@ def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]
     about |= {"rate_observer": f"{design.observer.rate:.3g}"}
     if not design.feasible:
         return about
-    predicted = predict(made, design.pair, balls, shown)
+    predicted = predict_margins(made, design.pair, balls, shown)
     about |= {
         "margin": f"{predicted.resolved_margin:.2f}",
         "predicted": "" if silent else predicted.predicts_stability(),

@@ -20,7 +20,7 @@ import scipy.linalg
 from synthesis_certified import instances, kept, named, told
 from synthesis_instances import Instance
 
-from ssm_study.certificates.frontier import energy_root
+from ssm_study.certificates.frontier import inverse_time_gramian_root
 from ssm_study.certificates.problem import NoSolution, Problem
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis
@@ -43,7 +43,7 @@ def on_fast_modes(case: Instance) -> Problem:
     modes = split_modes(asked.a, asked.b, r)
     if modes.fast == 0:
         raise NoSolution("no fast modes")
-    root = energy_root(modes.a_fast / r, modes.b_fast / r)
+    root = inverse_time_gramian_root(modes.a_fast / r, modes.b_fast / r)
     return Problem(
         a=scipy.linalg.solve_triangular(root, modes.a_fast / r @ root, lower=True),
         b=scipy.linalg.solve_triangular(root, modes.b_fast / r, lower=True),

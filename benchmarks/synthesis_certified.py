@@ -16,10 +16,10 @@ import numpy as np
 from common import REFERENCE, keep
 from synthesis_instances import Instance, random_instance
 
-from ssm_study.certificates.frontier import frontier
+from ssm_study.certificates.frontier import contraction_frontier
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.lmi import LmiSynthesis, paper_lmi
+from ssm_study.synthesis.lmi import LmiSynthesis, certificate_from_paper_lmi
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall, StateSpace
 
@@ -56,7 +56,7 @@ def trained(gap: float, count: int) -> list[Instance]:
         ball = JacobianBall(alpha=model["alpha"], beta=model["beta"])
         wider = JacobianBall(alpha=ball.alpha, beta=ball.beta / (1 - gap))
         if wider.relative_radius < 1:
-            contraction = frontier(linear.a, linear.b, wider).contraction_limit
+            contraction = contraction_frontier(linear.a, linear.b, wider).contraction_limit
             found.append(
                 Instance(linear=linear, ball=ball, rate=1 - contraction**2, kind=model["origin"])
             )
@@ -65,7 +65,7 @@ def trained(gap: float, count: int) -> list[Instance]:
 
 def certified(method: str, case: Instance) -> bool:
     if method == "paper_lmi":
-        return paper_lmi(case.linear, case.ball, case.rate).certified
+        return certificate_from_paper_lmi(case.linear, case.ball, case.rate).certified
     options = {"objective": "feasibility"} if method == "lmi" else {}
     specification = METHODS[method](rate_controller=case.rate, rate_observer=0.5, **options)
     return specification.state_feedback(case.linear, case.ball).certified

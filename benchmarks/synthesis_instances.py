@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from ssm_study.certificates.frontier import frontier
+from ssm_study.certificates.frontier import contraction_frontier
 from ssm_study.systems import JacobianBall, StateSpace
 
 KINDS = {"stable": 0.99, "marginal": 1.0, "unstable": 1.3}
@@ -69,7 +69,7 @@ def random_instance(
     floor = float(np.exp(rng.uniform(np.log(0.01), np.log(0.9))))
     ball = JacobianBall.from_slopes(floor, 1.0)
     wider = JacobianBall(alpha=ball.alpha, beta=ball.beta / (1 - gap))
-    contraction = frontier(linear.a, linear.b, wider).contraction_limit
+    contraction = contraction_frontier(linear.a, linear.b, wider).contraction_limit
     if not 0 < contraction < 1 or wider.relative_radius >= 1:
         return None
     return Instance(linear=linear, ball=ball, rate=1 - contraction**2, kind=kind)

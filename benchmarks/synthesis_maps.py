@@ -14,9 +14,9 @@ from common import write
 from synthesis_certified import FOLDER, trained
 
 from ssm_study.certificates.certificate import StateFeedback
-from ssm_study.certificates.frontier import frontier
+from ssm_study.certificates.frontier import contraction_frontier
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.lmi import LmiSynthesis, paper_lmi
+from ssm_study.synthesis.lmi import LmiSynthesis, certificate_from_paper_lmi
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall, StateSpace
 
@@ -29,9 +29,9 @@ def feasibility_map(linear: StateSpace) -> list[dict[str, object]]:
     rows = []
     for floor in FLOORS:
         ball = JacobianBall.from_slopes(floor, 1.0)
-        limit = frontier(linear.a, linear.b, ball).rate_limit
+        limit = contraction_frontier(linear.a, linear.b, ball).rate_limit
         for rate in RATES:
-            opinion = paper_lmi(linear, ball, float(rate))
+            opinion = certificate_from_paper_lmi(linear, ball, float(rate))
             rows.append(
                 {
                     "slope_floor": floor,
@@ -50,7 +50,7 @@ def designs(linear: StateSpace, floor: float) -> list[tuple[str, StateFeedback]]
     out."""
     ball = JacobianBall.from_slopes(floor, 1.0)
     found = []
-    limit = frontier(linear.a, linear.b, ball).rate_limit
+    limit = contraction_frontier(linear.a, linear.b, ball).rate_limit
     for share in (0.05, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99):
         asked = {"rate_controller": share * limit, "rate_observer": 0.5}
         for name, method in (

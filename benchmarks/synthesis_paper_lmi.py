@@ -23,7 +23,7 @@ from synthesis_certified import FOLDER, GAPS, instances, kept, told
 from synthesis_instances import Instance
 
 from ssm_study.certificates.semidefinite import SOLVERS
-from ssm_study.synthesis.lmi import paper_lmi
+from ssm_study.synthesis.lmi import certificate_from_paper_lmi
 
 TARGET = FOLDER / "paper_lmi.csv"
 COLUMNS = ("gap", "index", "order", "kind", "status", "certified", "seconds")
@@ -48,7 +48,7 @@ def open_cases(cases: Cases, done: set[tuple[str, str]]) -> Iterator[tuple[float
 
 def row(gap: float, index: int, case: Instance) -> Row:
     started = time.process_time()
-    opinion = paper_lmi(case.linear, case.ball, case.rate)
+    opinion = certificate_from_paper_lmi(case.linear, case.ball, case.rate)
     values = (gap, index, case.linear.order, case.kind, opinion.solver_status, opinion.certified)
     return dict(
         zip(COLUMNS, [*map(str, values), f"{time.process_time() - started:.4f}"], strict=True)

@@ -18,7 +18,7 @@ import scipy.linalg
 from common import REFERENCE, cpu_seconds, keep
 from synthesis_instances import random_model
 
-from ssm_study.certificates.frontier import frontier
+from ssm_study.certificates.frontier import contraction_frontier
 from ssm_study.certificates.problem import Problem
 from ssm_study.certificates.riccati import solve_riccati
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
@@ -46,7 +46,7 @@ def problem_of(order: int) -> Problem:
     """A stable model, slopes in [0.3, 1], half way to the frontier."""
     linear = random_model(np.random.default_rng(order), order, "stable")
     ball = JacobianBall.from_slopes(0.3, 1.0)
-    rate = 0.5 * frontier(linear.a, linear.b, ball).rate_limit
+    rate = 0.5 * contraction_frontier(linear.a, linear.b, ball).rate_limit
     weight = linear.c.T @ linear.c + 1e-3 * np.eye(order)
     return Problem(
         a=linear.a, b=linear.b, ball=ball, rate=rate, state_weight=weight, input_weight=0.1
@@ -110,7 +110,10 @@ def timed(order: int) -> dict[str, object]:
 
 def sweep(order: int, rates: int = 20) -> dict[str, object]:
     problem = problem_of(order)
-    asked = np.linspace(0.1, 0.9, rates) * frontier(problem.a, problem.b, problem.ball).rate_limit
+    asked = (
+        np.linspace(0.1, 0.9, rates)
+        * contraction_frontier(problem.a, problem.b, problem.ball).rate_limit
+    )
     cases = [
         replace(problem, rate=float(r), state_weight=np.eye(order), input_weight=1.0) for r in asked
     ]

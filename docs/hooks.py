@@ -9,7 +9,7 @@ from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
-from ssm_study.report.answers import answers
+from ssm_study.report.answers import question_answers
 from ssm_study.report.words import verdict_counts
 from ssm_study.table.columns import describe_columns
 
@@ -82,7 +82,7 @@ def _answers(study: str) -> str:
     """A study named on a page and not committed is an error of the page."""
     table = pd.read_csv(ROOT / "results" / "reference" / study / "runs.csv")
     lines = [f"*{verdict_counts(table)}.*", ""]
-    for answer in answers(table):
+    for answer in question_answers(table):
         one, *more = answer.sentences
         said = [f"**{answer.question}** {one}"] if not more else [f"**{answer.question}**", ""]
         lines += [*said, *(f"- {sentence}" for sentence in answer.sentences if more), ""]

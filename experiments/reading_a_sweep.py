@@ -21,11 +21,11 @@ from IPython.display import Markdown, display
 
 from ssm_study.cli.main import main
 from ssm_study.report import figures
-from ssm_study.report.answers import answers
+from ssm_study.report.answers import question_answers
 from ssm_study.report.page.writing import write_page
 from ssm_study.report.study_folder import StudyFolder
-from ssm_study.report.words import INFEASIBLE, column_words, verdicts
-from ssm_study.table.rank import best_first
+from ssm_study.report.words import INFEASIBLE, printed_column_name, verdict_words
+from ssm_study.table.rank import sort_best_first
 
 EXPERIMENT = os.environ.get(
     "SSM_STUDY_EXPERIMENT", "paper"
@@ -49,17 +49,17 @@ _ = main(["run", "-m", f"experiment={EXPERIMENT}", *WHERE, *SWEEP])
 
 # %%
 study = StudyFolder(folder=RESULTS / STUDY)
-table = best_first(study.table).assign(verdict=verdicts(study.table))
+table = sort_best_first(study.table).assign(verdict=verdict_words(study.table))
 seen = ["verdict", "slope_lower", "rate_controller", "controller_rate_limit"]
 seen += ["resolved_margin", "stable_count", "settling_time_mean_s"]
 shown = table[seen].round(4).set_index(table.run.str.rsplit("-", n=1).str[-1].rename("run"))
-shown.rename(columns={name: column_words(name).split(" (")[0] for name in seen})
+shown.rename(columns={name: printed_column_name(name).split(" (")[0] for name in seen})
 
 # %% [markdown]
 # ## The questions, answered from the table
 
 # %%
-for answer in answers(study.table):
+for answer in question_answers(study.table):
     display(Markdown(f"**{answer.question}** {' '.join(answer.sentences)}"))
 
 # %% [markdown]

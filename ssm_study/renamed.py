@@ -69,13 +69,18 @@ MODULES: Mapping[str, str] = {
 
 # Classes, functions and constants, by the module in which an import looks for them today.
 NAMES: Mapping[str, str] = {
+    "certificates.frontier.frontier": "certificates.frontier.contraction_frontier",
+    "report.words.column_words": "report.words.printed_column_name",
+    "report.words.verdicts": "report.words.verdict_words",
+    "robustness.prediction.predict": "robustness.prediction.predict_margins",
+    "table.rank.best_first": "table.rank.sort_best_first",
     "cli.from_python.composed": "cli.from_python.compose_configuration",
     "report.figures.draw": "report.figures.draw_figures",
     "report.figures.names": "report.figures.figure_names",
     "report.study_folder.gathered": "report.study_folder.gather_table",
     "report.words.counts": "report.words.verdict_counts",
     "report.words.scatter": "report.words.draw_verdict_points",
-    "report.words.words": "report.words.column_words",
+    "report.words.words": "report.words.printed_column_name",
     "table.columns.column": "table.columns.numeric_column",
     "table.columns.flag": "table.columns.boolean_column",
     "table.columns.label": "table.columns.column_label",
@@ -212,7 +217,8 @@ METHODS: Mapping[str, Mapping[str, str]] = {
         "refuse": "refuse_configuration",
         "warm": "preload_modules",
     },
-    "plants.plant.Plant": {"pushed_by": "disturbance_effect"},
+    "models.identified.SSM": {"with_linear": "with_linear_part"},
+    "plants.plant.Plant": {"pushed_by": "disturbance_effect", "states_at": "equilibrium_states"},
     "plants.wrapper.Wrapper": {
         "applied": "applied_input",
         "fresh_memory": "initial_memory",

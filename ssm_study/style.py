@@ -54,7 +54,7 @@ NOTEBOOK_DPI = 100  # as wide as shown; drawn twice as fine for sharp screens
 _PAGE: ContextVar[float] = ContextVar("_PAGE", default=PAGE_IN)
 
 
-def is_narrow() -> bool:
+def is_single_column() -> bool:
     """Whether figures are drawn for a single column of a paper, not for its full width."""
     return _PAGE.get() == COLUMN_IN
 

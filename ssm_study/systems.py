@@ -59,7 +59,7 @@ class StateSpace(_Recurrence):
         input."""
         return bool(np.linalg.matrix_rank(np.eye(self.order) - self.a) < self.order)
 
-    def steady_states(
+    def equilibrium_basis(
         self,
     ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "m r"], Float[np.ndarray, "p r"]]:
         """Basis of all equilibria: states, inputs and outputs that stay constant. `X = A X + B V`

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from jaxtyping import Complex
 
-from ssm_study.certificates.frontier import Frontier, energy_root
+from ssm_study.certificates.frontier import Frontier, inverse_time_gramian_root
 from ssm_study.certificates.problem import Problem, Solution
 from ssm_study.certificates.semidefinite import SOLVERS
 from ssm_study.refusal import require
@@ -73,7 +73,7 @@ def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver:
         return Solution(p=p, y=p, k=fast.k, sigma=1.0, status="no fast modes")
     ah = modes.a_fast / faster
     bh = modes.b_fast / faster
-    root = energy_root(ah, bh)
+    root = inverse_time_gramian_root(ah, bh)
     balanced_a = scipy.linalg.solve_triangular(root, ah @ root, lower=True)
     balanced_b = scipy.linalg.solve_triangular(root, bh, lower=True)
     state_weight = np.eye(modes.fast)

@@ -3,7 +3,7 @@ r."""
 
 import numpy as np
 
-from ssm_study.certificates.frontier import largest_energy, unreached_modulus
+from ssm_study.certificates.frontier import largest_energy, largest_uncontrollable_modulus
 
 
 def ratio_limit(a: np.ndarray, b: np.ndarray, contraction: float) -> float:
@@ -13,7 +13,7 @@ def ratio_limit(a: np.ndarray, b: np.ndarray, contraction: float) -> float:
     For one input `prod r/|lambda_i|` over `|lambda_i| > r`; for several `1 / sqrt(1 +
     lambda_max(Bh^T S Bh))`.
     """
-    if unreached_modulus(a, b) >= contraction:
+    if largest_uncontrollable_modulus(a, b) >= contraction:
         return 0.0
     if b.shape[1] == 1:
         eigenvalues = np.linalg.eigvals(a)

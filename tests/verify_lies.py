@@ -14,7 +14,7 @@ from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
 from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.models.metrics import Simulation, fit_columns
-from ssm_study.models.warm_start import PAST, choose_piece_starts, piece_start_columns
+from ssm_study.models.warm_start import PAST, choose_initial_state_source, initial_state_columns
 from ssm_study.study.loop_recordings import read_experiment
 from ssm_study.study.recordings import read_simulation, states_to_text
 from ssm_study.study.run_files import RunFiles
@@ -220,7 +220,7 @@ def lie_about_model(run: Path, **entries: Any) -> None:
 def lie_about_start(run: Path) -> None:
     """Free runs from the start that the records do not prefer, with the fits that they have."""
     files = RunFiles(path=run, record={})
-    starts = choose_piece_starts(files.model, files.data)
+    starts = choose_initial_state_source(files.model, files.data)
     fitted = []
     for split in ("validation", "test"):
         states = getattr(starts, split)
@@ -238,4 +238,4 @@ def lie_about_start(run: Path) -> None:
         write_mcap(run / f"{split}.mcap", tuple(forged_groups), about)
         fitted.append(made)
     fits = fit_columns(*fitted)
-    sealed_anew(run, **fits, **piece_start_columns(files.model, files.data, fitted[1]))
+    sealed_anew(run, **fits, **initial_state_columns(files.model, files.data, fitted[1]))

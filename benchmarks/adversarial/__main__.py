@@ -30,7 +30,7 @@ from ssm_study.loop.peers.peer import Identified
 from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.record_errors import View
 from ssm_study.signals import DataSet
 
@@ -96,7 +96,7 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
     pairs = grid.draw_gain_pairs(candidates, seed)
     record = before(known)
     old = [
-        predict(model, candidates.gains(pair), known.balls, record).predicts_stability()
+        predict_margins(model, candidates.gains(pair), known.balls, record).predicts_stability()
         for pair in pairs
     ]
     old = np.array([False, *old])
@@ -111,7 +111,7 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
         "both_right": int((old & rows.predicted_stable & settles).sum()),
         "choice_predicted": bool(rows.predicted_stable[0]), "choice_settles": bool(settles[0]),
         "choice_margin": rows.resolved_margin[0], "choice_time_ratio": controlled / alone,
-        "rests": known.mismatch.comes_to_rest,
+        "rests": known.mismatch.plant_comes_to_rest,
     }  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from ssm_study.api.design import Design
 from ssm_study.api.summaries import html_table, round_rate_down
 from ssm_study.api.systems import read_linear_system, read_matrix
 from ssm_study.certificates.certificate import Side
-from ssm_study.certificates.frontier import frontier
+from ssm_study.certificates.frontier import contraction_frontier
 from ssm_study.certificates.problem import (
     NoSolution,
     Problem,
@@ -248,7 +248,7 @@ def certify_gain(
     """
     matrices = (a, b, k)
     a, b, k = (np.ascontiguousarray(matrix) for matrix in matrices)
-    limit = frontier(a, b, ball).rate_limit
+    limit = contraction_frontier(a, b, ball).rate_limit
     supremum = min(largest_rate(a, b, k, ball), LARGEST_RATE)
     result = partial(
         GainCertificate,

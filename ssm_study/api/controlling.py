@@ -102,7 +102,7 @@ def control(
         )
         is_unlimited = all(limit is None for limit in input_limits)
         require(is_unlimited, "input_limits", input_limits, problem, "leave them out")
-        rate, observer_rate = _rates_for_bare_system(parts, rate, observer_rate)
+        rate, observer_rate = _rates_without_records(parts, rate, observer_rate)
     parts.set_fields("synthesis", rate_controller=rate, rate_observer=observer_rate, **settings)
     if isinstance(model, Model):
         problem = "are for a bare system of matrices; this model has slope bounds of its own"
@@ -159,7 +159,7 @@ def refuse_model_settings(overrides: tuple[str, ...]) -> None:
         )
 
 
-def _rates_for_bare_system(
+def _rates_without_records(
     parts: Parts, rate: float | None, observer_rate: float | None
 ) -> tuple[float | None, float | None]:
     """Contraction rates for the design of a linear system that comes without records. Raises
@@ -185,7 +185,7 @@ def _design_for_model(model: Model, parts: Parts, limits: tuple[Any, Any]) -> De
         model.evidence,
         (loop.input_lower, loop.input_upper),
     )
-    words = (*model.overrides, *parts.words_for_command())
+    words = (*model.overrides, *parts.command_overrides())
     loop_seed = parts.numbers["loop_seed"]
     return Design(
         certificate=certificate,
@@ -233,7 +233,7 @@ def replace_study_remedies(certificate: Certificates) -> Certificates:
     settings."""
     sides = {}
     for side in SIDES:
-        part = certificate.parts_by_name[side]
+        part = certificate.certificates_by_name[side]
         words = "reason" if isinstance(part, Infeasible) else "solver_status"
         text = getattr(part, words)
         for setting, remedy in REMEDIES.items():

@@ -18,7 +18,7 @@ from ssm_study.api.known_maps import name_unknown_maps, refuse_unknown_maps
 from ssm_study.api.model import Model, draw_or_refuse
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.summaries import html_table, render_text_table, summarise_design
-from ssm_study.api.systems import read_folder, read_limit, read_number
+from ssm_study.api.systems import read_channel_values, read_folder, read_number
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.evidence.metrics import withhold_predictions
@@ -190,7 +190,7 @@ class Design:
             raise BadRequest("model", type(self.model).__name__, problem, "fit model=ssm")
         limits = (("lower", lower), ("upper", upper))
         inputs = self.model.scale.inputs
-        ends = [read_limit(name, limit, inputs) for name, limit in limits]
+        ends = [read_channel_values(name, limit, inputs) for name, limit in limits]
         return limits_proof(self.model, self.certificate, *ends)
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
@@ -265,7 +265,7 @@ class Design:
         controller = Uncontrolled.for_plant(on)
         uncontrolled = simulate_loop(self, y0, on, controller=controller)
         picture = initial_response_picture(
-            controlled, uncontrolled, on, self._recorded_inputs, self._loop_place_words(plant)
+            controlled, uncontrolled, on, self._recorded_inputs, self._describe_loop_plant(plant)
         )
         return draw_picture(picture)
 
@@ -288,7 +288,7 @@ class Design:
         if recorded:
             scale = self.model.scale
             loop = loop.with_default_limits(scale.append_equilibrium_input(recorded))
-        place = self._loop_place_words(plant)
+        place = self._describe_loop_plant(plant)
         return draw_or_refuse(
             "step",
             lambda: set_point_picture(
@@ -364,7 +364,7 @@ class Design:
         """Inputs of the training records, if the design has any."""
         return [] if self.origin is None else [record.u for record in self.origin.data.training]
 
-    def _loop_place_words(self, plant: "Plant | None") -> str:
+    def _describe_loop_plant(self, plant: "Plant | None") -> str:
         """Text that says on which plant or model a loop was closed."""
         if plant is not None:
             return "the simulated plant"

@@ -118,8 +118,8 @@ def fit(
         data=data,
         identification=identification,
         seed=seed,
-        overrides=parts.words_for_command(),
-        later_words=parts.words_for_parts("synthesis", "loop", "loop_seed"),
+        overrides=parts.command_overrides(),
+        later_words=parts.overrides_for_parts("synthesis", "loop", "loop_seed"),
     )
 
 

@@ -25,7 +25,7 @@ def name_unknown_maps(model: Any, certificate: Certificates) -> dict[str, str]:
     computed = {"state_feedback": balls.input, "observer": balls.output}
     unknown = {}
     for side in SIDES:
-        part: Any = certificate.parts_by_name[side]
+        part: Any = certificate.certificates_by_name[side]
         ball = computed[side]
         difference = abs(part.alpha - ball.alpha) + abs(part.beta - ball.beta)
         if difference > SAME_SLOPE * abs(part.alpha):

@@ -30,7 +30,7 @@ from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.members import mean_output, member_columns
 from ssm_study.models.metrics import fit_columns, size_columns
 from ssm_study.models.structured import StructuredSSM, linearise_at_equilibrium
-from ssm_study.models.warm_start import piece_start_columns, simulate_validation_and_test
+from ssm_study.models.warm_start import initial_state_columns, simulate_validation_and_test
 from ssm_study.refusal import BadRequest, require
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet, fit_percent
@@ -72,7 +72,7 @@ class Model:
         fit_train_percent = records_fit_percent(self.simulator, data.training, data)
         facts |= {"fit_train_percent": fit_train_percent}
         facts |= fit_columns(validation, test)
-        facts |= piece_start_columns(self.simulator, data, test)
+        facts |= initial_state_columns(self.simulator, data, test)
         facts |= member_columns(training.members, data)
         if isinstance(self.simulator, SSM | StructuredSSM):
             facts |= model_bound_columns(self.simulator)

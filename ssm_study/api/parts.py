@@ -139,7 +139,7 @@ def _parse_numbers(value: Any) -> Any:
         return value
 
 
-def split_words(words: Iterable[str]) -> list[tuple[str, str]]:
+def split_settings(words: Iterable[str]) -> list[tuple[str, str]]:
     """Split settings written as `model.order=4` into keys and values. Raises `BadRequest` for words
     of another form."""
     pairs = []
@@ -167,7 +167,7 @@ class Parts:
 
     def __init__(self, choices: Mapping[str, str], words: Iterable[str] = ()) -> None:
         self.given = tuple(words)
-        pairs = split_words(self.given)
+        pairs = split_settings(self.given)
         self.numbers: dict[str, Any] = {"seed": 0, "loop_seed": 0}
         self.choices = dict(choices)
         self.choices |= {key: value for key, value in pairs if key in GROUPS}
@@ -177,12 +177,12 @@ class Parts:
         nested = [(key, value) for key, value in pairs if "@" in key or "/" in key]
         settings = [(key, value) for key, value in pairs if "@" not in key and "/" not in key]
         for key, value in nested:
-            self._choose(key, value)
+            self._choose_option(key, value)
         for key, value in settings:
             if key not in (*GROUPS, *OF_THE_PLACE):
                 self._set_field(key, value)
 
-    def _choose(self, key: str, choice: str) -> None:
+    def _choose_option(self, key: str, choice: str) -> None:
         """Choose an option inside a part, such as `training/optimiser=adam`."""
         group, _, place = key.partition("@")
         place = place or group.replace("/", ".")
@@ -239,11 +239,11 @@ class Parts:
         require(missing is None, f"{part}.{missing}", MISSING, "is missing", "give it a value")
         return construct_part(part, tree)
 
-    def words_for_parts(self, *names: str) -> tuple[str, ...]:
+    def overrides_for_parts(self, *names: str) -> tuple[str, ...]:
         """Command-line overrides that set the named parts of a study or the seeds."""
         return tuple(word for word in self.given if part_name(word) in names)
 
-    def words_for_command(self) -> tuple[str, ...]:
+    def command_overrides(self) -> tuple[str, ...]:
         """Choices and settings as overrides for the command line `ssm-study run`."""
         chosen = [f"{name}={choice}" for name, choice in self.choices.items()]
         numbers = [f"{name}={value}" for name, value in self.numbers.items()]

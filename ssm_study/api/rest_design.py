@@ -102,7 +102,7 @@ class RestDesign:
         rollouts = simulate_closed_loop(
             on,
             self.controller,
-            x0=on.states_at(starts),
+            x0=on.equilibrium_states(starts),
             reference=np.tile(scale.output_equilibrium, (samples, 1)),
             noise=np.zeros((len(starts), samples, len(names))),
             disturbance=np.zeros((len(starts), samples, len(on.disturbances))),

@@ -87,7 +87,7 @@ def design_controller(
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.decay_response import simulate_decays
     from ssm_study.synthesis.deployed import add_gain_certificates
-    from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, is_coverage_sought
+    from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, seeks_coverage
 
     balls = certified_balls(model)
     premise = measure_coverage_premise(model, data, plant_mismatch)
@@ -103,7 +103,7 @@ def design_controller(
         )
     design = synthesis.design(model, balls, data.validation, relevant_mismatch)
     design = add_gain_certificates(design, model, balls, (lower, upper))
-    if is_coverage_sought(model, getattr(synthesis, "cover", None), premise):
+    if seeks_coverage(model, getattr(synthesis, "cover", None), premise):
         design = add_coverage_certificate(design, model, balls, premise)
     return design
 

@@ -36,7 +36,7 @@ def summarise_model(model: "Model") -> pd.Series:
     if data.disturbances:
         lines["measured disturbances"] = ", ".join(map(name_with_unit, data.disturbances))
     lines["sampling time"] = f"{data.step_s:g} s"
-    lines["samples"] = sample_count_words(data)
+    lines["samples"] = sample_counts_text(data)
     for part in ("train", "validation", "test"):
         name = "training" if part == "train" else part
         lines[f"fit on the {name} records"] = f"{facts[f'fit_{part}_percent']:.1f} %"
@@ -45,7 +45,7 @@ def summarise_model(model: "Model") -> pd.Series:
         words = f"{facts['members']} models, fit on the test records {fit:.1f} %"
         lines["mean that predicts"] = words
     if model.identification.chosen:
-        lines["chosen by the records"] = choice_words(model.identification.chosen)
+        lines["chosen by the records"] = choice_text(model.identification.chosen)
     if isinstance(model.simulator, SSM | StructuredSSM):
         lines |= summarise_state_space(model, model.simulator)
     return pd.Series(lines, name="model", dtype=object)
@@ -57,8 +57,8 @@ def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dic
     facts = model.facts
     slowest = np.abs(model.eigenvalues()).max()
     sizes = chosen_sizes(model.identification.chosen)
-    lines: dict[str, Any] = {"states": size_words(simulator.order, sizes.get("order"))}
-    lines["neurons"] = size_words(facts.get("neurons", 0), sizes.get("neurons"))
+    lines: dict[str, Any] = {"states": size_text(simulator.order, sizes.get("order"))}
+    lines["neurons"] = size_text(facts.get("neurons", 0), sizes.get("neurons"))
     lines["slowest pole"] = f"{slowest:.4f} per sample"
     lower = facts.get("input_slope_lower")
     upper = facts.get("input_slope_upper")
@@ -68,7 +68,7 @@ def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dic
     return lines
 
 
-def choice_words(chosen: str) -> str:
+def choice_text(chosen: str) -> str:
     """Text on the model settings that were chosen from the records."""
     for value, answer in (("none", "no"), ("free", "yes")):
         chosen = chosen.replace(f"input path {value}", f"input drives the neurons {answer}")
@@ -82,7 +82,7 @@ def chosen_sizes(chosen: str) -> dict[str, int]:
     return {name: int(size) for name, size in sizes}
 
 
-def size_words(count: int, chosen: int | None) -> int | str:
+def size_text(count: int, chosen: int | None) -> int | str:
     """Number of states or neurons, with a note where training removed some of the chosen number."""
     if chosen is None or count >= chosen:
         return count
@@ -94,7 +94,7 @@ def summarise_design(design: "Design") -> pd.Series:
     lines: dict[str, Any] = {}
     certificate = design.certificate
     for name, side in (("controller", "state_feedback"), ("observer", "observer")):
-        part = certificate.parts_by_name[side]
+        part = certificate.certificates_by_name[side]
         if isinstance(part, Infeasible):
             lines[name] = f"no certificate: {part.reason}"
             continue
@@ -111,21 +111,21 @@ def summarise_design(design: "Design") -> pd.Series:
         lines["without control"] = "the model does not contract"
         if rate > 0:
             lines["without control"] = f"the model contracts at rates below {round_rate_down(rate)}"
-    acts = has_effect(poles["model"], poles["controlled"])
+    acts = moves_poles(poles["model"], poles["controlled"])
     if not acts:
         lines["effect of the controller"] = "hardly any: the poles are those without control"
     lines["slowest pole, open loop"] = f"{slowest['model']:.4f} per sample"
     lines["slowest pole, controlled"] = f"{slowest['controlled']:.4f} per sample"
     lines["slowest pole, observer"] = f"{slowest['estimate']:.4f} per sample"
     if "evidence" in design.facts:
-        lines |= summarise_limits(design.facts)
+        lines |= summarise_input_limits(design.facts)
         lines |= summarise_prediction(design.facts, acts)
     elif design.origin is None and not design.stored_record:
         lines |= summarise_assumptions(certificate)
     return pd.Series(lines, name="design", dtype=object)
 
 
-def has_effect(
+def moves_poles(
     uncontrolled: Complex[np.ndarray, "n"], controlled: Complex[np.ndarray, "m"]
 ) -> bool:
     """Whether a controller moves the poles of a model by more than a small threshold."""
@@ -136,7 +136,7 @@ def has_effect(
     return bool(np.abs(before - after).max(initial=0.0) > LEAST_EFFECT)
 
 
-def summarise_limits(facts: dict[str, Any]) -> dict[str, str]:
+def summarise_input_limits(facts: dict[str, Any]) -> dict[str, str]:
     """Lines of the summary on what is proved where the input is limited to the recorded range."""
     rate = facts.get("limited_rate")
     lower = facts.get("limit_lower")
@@ -215,7 +215,7 @@ def name_with_unit(channel: Any) -> str:
     return f"{channel.name} ({channel.unit})" if channel.unit else channel.name
 
 
-def sample_count_words(data: DataSet) -> str:
+def sample_counts_text(data: DataSet) -> str:
     """Text with the numbers of samples for training, validation and test."""
     counts = []
     for part in ("training", "validation", "test"):

@@ -104,7 +104,7 @@ def read_number(name: str, value: Any) -> float:
     return float(numbers.reshape(-1)[0])
 
 
-def read_limit(name: str, values: Any, channels: int) -> Float[np.ndarray, "m"]:
+def read_channel_values(name: str, values: Any, channels: int) -> Float[np.ndarray, "m"]:
     """Read one finite number for each channel. Raises `BadRequest` for anything else."""
     numbers = read_numbers(name, values).reshape(-1)
     fits = len(numbers) == channels and bool(np.isfinite(numbers).all())

@@ -118,14 +118,14 @@ class ProblemCertificate(Side, abstract=True):
         }
 
     @classmethod
-    def _system(cls, context: VerificationContext) -> Any:
+    def _certified_system(cls, context: VerificationContext) -> Any:
         """System for which the certificate is proved: with the internal model for a controller,
         otherwise the model's own."""
         return context.system if cls.observes else context.controlled
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
         """Model data in the certificate: its fields that are matrices of the system."""
-        system = self._system(context)
+        system = self._certified_system(context)
         names = [part.name for part in fields(self) if part.name in DUAL]
         return {name: getattr(system, name) for name in names}
 
@@ -133,7 +133,7 @@ class ProblemCertificate(Side, abstract=True):
     def largest_provable_rate(cls, context: VerificationContext) -> float:
         """Largest rate that any certificate of this theorem can prove for a model. It is the exact
         frontier; with neurons, the smallest over frozen slopes."""
-        system = cls._system(context)
+        system = cls._certified_system(context)
         controlled = dual_system(system) if cls.observes else system
         ball = cls.required_ball(context)
         frontier = controller_frontier(controlled, ball)
@@ -293,7 +293,7 @@ class Design:
         """Certificates of controller and observer. Raises `BadRequest` with the reason where one is
         infeasible."""
         for name in SIDES:
-            part = self.parts_by_name[name]
+            part = self.certificates_by_name[name]
             if isinstance(part, Infeasible):
                 reason = part.reason.rstrip(".")
                 raise BadRequest(f"design.{name}", "infeasible", reason, "change the request")
@@ -316,7 +316,7 @@ class Design:
         return "inverted_input" in str(getattr(feedback, "theorem", type(feedback)))
 
     @property
-    def parts_by_name(self) -> dict[str, Theorem | Infeasible]:
+    def certificates_by_name(self) -> dict[str, Theorem | Infeasible]:
         """All certificates of the design, by the names that they have in `certificate.json`."""
         return {
             "state_feedback": self.state_feedback,
@@ -336,7 +336,7 @@ class Design:
     def certified_rate(self, side: str) -> float | None:
         """Largest rate that is proved for the gain of controller or observer; None where no rate is
         proved."""
-        part = self.parts_by_name[side]
+        part = self.certificates_by_name[side]
         deployed_part = self.extra_certificates.get(f"{side}_deployed")
         certificates = [one for one in (part, deployed_part) if isinstance(one, Side)]
         rates = [certificate.rate for certificate in certificates if certificate.certified]
@@ -345,7 +345,7 @@ class Design:
     def to_json(self) -> dict[str, Any]:
         """Content of `certificate.json`, whose numbers read back to the same floats."""
         content = {}
-        for label, part in self.parts_by_name.items():
+        for label, part in self.certificates_by_name.items():
             is_theorem = isinstance(part, Theorem)
             plain = dict[str, Any]()
             if label in SIDES:

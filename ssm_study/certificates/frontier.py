@@ -62,15 +62,15 @@ def controller_frontier(system: System, ball: JacobianBall) -> Frontier:
     attain. Raises `BadRequest` for matrices that are not finite.
     """
     if isinstance(system, StateSpace):
-        return frontier(system.a, system.b, ball)
+        return contraction_frontier(system.a, system.b, ball)
     frontiers = []
     for slopes in system.corners():  # each neuron at slope zero or one
         frozen = system.linearise_at_slopes(slopes)
-        frontiers.append(frontier(frozen.a, frozen.b, ball))
+        frontiers.append(contraction_frontier(frozen.a, frozen.b, ball))
     return max(frontiers, key=lambda limit: limit.contraction_limit)
 
 
-def frontier(a: Square, b: InputMatrix, ball: JacobianBall) -> Frontier:
+def contraction_frontier(a: Square, b: InputMatrix, ball: JacobianBall) -> Frontier:
     """Exact limit (frontier) of the contraction factor that any linear gain can reach for a ball of
     Jacobians. Infimum of the `r` at which `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`.
 
@@ -87,13 +87,13 @@ def frontier(a: Square, b: InputMatrix, ball: JacobianBall) -> Frontier:
     if ball.relative_radius >= 1 or not b.any():
         spectral_radius = float(moduli[0])
         return Frontier(contraction_limit=spectral_radius, decided_by="the open loop")
-    unreached = unreached_modulus(a, b)
-    product = _product_limit(moduli, ball.relative_radius)
+    unreached = largest_uncontrollable_modulus(a, b)
+    product = _contraction_at_moduli_product(moduli, ball.relative_radius)
     if unreached >= product:
         return Frontier(contraction_limit=unreached, decided_by="a mode out of reach")
     high = product
     inputs = b.shape[1]
-    least = _product_limit(moduli, ball.relative_radius**inputs)
+    least = _contraction_at_moduli_product(moduli, ball.relative_radius**inputs)
     low = max(unreached, least, np.finfo(float).tiny)
     # The largest ball grows with r: halved until doubles run out.
     while low < (middle := float(np.sqrt(low * high))) < high:
@@ -107,7 +107,7 @@ def frontier(a: Square, b: InputMatrix, ball: JacobianBall) -> Frontier:
     return Frontier(contraction_limit=high, decided_by=decided_by)
 
 
-def unreached_modulus(a: Square, b: InputMatrix) -> float:
+def largest_uncontrollable_modulus(a: Square, b: InputMatrix) -> float:
     """Largest modulus of an eigenvalue that the input does not control (Popov-Belevitch-Hautus
     test); 0 if it controls all.
 
@@ -130,7 +130,7 @@ def unreached_modulus(a: Square, b: InputMatrix) -> float:
     return float(np.abs(unreached_values).max(initial=0.0))
 
 
-def energy_root(a: FastMatrix, b: Float[np.ndarray, "k m"]) -> FastMatrix:
+def inverse_time_gramian_root(a: FastMatrix, b: Float[np.ndarray, "k m"]) -> FastMatrix:
     """Square root of the Gramian of the inverse-time system, for modes outside the unit circle.
     Lower triangular `L` with `L L^T = W`, `W = A^{-1} (W + B B^T) A^{-T}`, all `|lambda(A)| > 1`.
 
@@ -176,14 +176,14 @@ def largest_energy(a: Square, b: InputMatrix, contraction: float) -> float:
     slow_block = t[:order, :order].T
     bh = slow_subspace @ b / contraction
     try:
-        root = energy_root(slow_block / contraction, bh)
+        root = inverse_time_gramian_root(slow_block / contraction, bh)
     except NoSolution:
         return np.inf
     whitened = scipy.linalg.solve_triangular(root, bh, lower=True)
     return float(np.linalg.norm(whitened, 2) ** 2)
 
 
-def _product_limit(moduli: Float[np.ndarray, "n"], ratio: float) -> float:
+def _contraction_at_moduli_product(moduli: Float[np.ndarray, "n"], ratio: float) -> float:
     """Contraction factor at which the product of the unstable moduli reaches a ratio. The `r` with
     `prod over |lambda_i| > r of r/|lambda_i| = ratio`; moduli in descending order.
 

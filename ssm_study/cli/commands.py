@@ -65,7 +65,7 @@ def look_at_log(options: argparse.Namespace) -> None:
         print(picture)
 
 
-def excite(options: argparse.Namespace) -> None:
+def write_excitation(options: argparse.Namespace) -> None:
     """Write an excitation signal for the user's own plant to a file, and print the file's name."""
     from ssm_study.data.excitations.user_excitation import OwnPlantRecord
 
@@ -276,9 +276,9 @@ def watch_study(options: argparse.Namespace) -> None:
     """Serve the page of a study until the command is stopped."""
     from ssm_study.report.page.live import start_server
 
-    def announce(address: str) -> None:
+    def print_address(address: str) -> None:
         """Print the address of the page."""
         print(address, flush=True)
 
-    with start_server(options.study, options.port, announce=announce) as server:
+    with start_server(options.study, options.port, announce=print_address) as server:
         server.serve_forever()

@@ -35,10 +35,10 @@ def explain_hydra_error(error: BaseException, overrides: list[str], folder: Path
         remedy = ASK
     elif match := re.search(r"Could not override '([^']+)'", message):
         key = match[1]
-        at = groups_with_place(key, message, folder)
+        at = groups_with_package(key, message, folder)
         problem = f"{key} is named with its place" if at else message
         remedy = (
-            suggest_with_place(key, at, overrides)
+            suggest_package(key, at, overrides)
             if at
             else suggest_for_key(key, overrides, folder) or ASK
         )
@@ -55,7 +55,7 @@ def suggest_choice(group: str, name: str, choices: list[str]) -> str:
     return f"did you mean {group}={near[0]}?" if near else f"choose among {', '.join(choices)}"
 
 
-def suggest_with_place(key: str, at: list[str], overrides: list[str]) -> str:
+def suggest_package(key: str, at: list[str], overrides: list[str]) -> str:
     """Suggestion for a configuration group that must be overridden with its package, such as
     `reference@loop.reference`."""
     values = [word.partition("=")[2] for word in overrides if word.split("=")[0] == key]
@@ -110,7 +110,7 @@ def suggest_for_key(key: str, overrides: list[str], folder: Path) -> str:
     if owners := choices_with_key(key, folder):
         verb = "have" if len(owners) > 1 else "has"
         return f"{' and '.join(owners)} {verb} it: add {owners[0]}"
-    config = compose_without_mistake(key, overrides, folder)
+    config = compose_without_key(key, overrides, folder)
     keys = [path for path, _, _ in walk_nodes(OmegaConf.to_container(config))]
     groups = [path.name for path in folder.iterdir() if path.is_dir()]
     near = get_close_matches(key, keys + groups, n=1)
@@ -119,7 +119,7 @@ def suggest_for_key(key: str, overrides: list[str], folder: Path) -> str:
     return f"did you mean {near[0]}?" if near else ""
 
 
-def compose_without_mistake(key: str, overrides: list[str], folder: Path) -> DictConfig:
+def compose_without_key(key: str, overrides: list[str], folder: Path) -> DictConfig:
     """Compose the configuration without the overrides of a misspelt key. Only choices stay, and of
     a sweep the first of each.
 
@@ -143,7 +143,7 @@ def compose_without_mistake(key: str, overrides: list[str], folder: Path) -> Dic
             return compose("study")
 
 
-def groups_with_place(group: str, message: str, folder: Path) -> list[str]:
+def groups_with_package(group: str, message: str, folder: Path) -> list[str]:
     """Names of a configuration group with its package, such as `reference@loop.reference`."""
     if match := re.search(r"Did you mean to override (?:one of )?(.+)\?", message):
         return match[1].split(", ")

@@ -21,10 +21,10 @@ def add_overlay(commands: Any) -> None:
 
 def overlay_runs(options: argparse.Namespace) -> None:
     """Print the table that compares the runs, and draw their free runs."""
-    from ssm_study.report.overlay import overlay
+    from ssm_study.report.overlay import compare_free_runs
     from ssm_study.table.folders import find_run_folder
 
-    comparison = overlay([find_run_folder(run) for run in options.runs])
+    comparison = compare_free_runs([find_run_folder(run) for run in options.runs])
     print(comparison)
     comparison.plot().savefig(options.picture, dpi=150)
     print(options.picture)

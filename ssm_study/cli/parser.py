@@ -81,7 +81,7 @@ def add_excite(subparsers: Subparsers) -> None:
     command.add_argument("--settle-s", type=float, metavar="S", help=settle_help)
     seed_help = "seed of the random levels"
     command.add_argument("--seed", type=int, default=0, metavar="N", help=seed_help)
-    command.set_defaults(command=commands.excite)
+    command.set_defaults(command=commands.write_excitation)
 
 
 def add_look(subparsers: Subparsers) -> None:

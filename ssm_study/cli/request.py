@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 from ssm_study.engine.compose import Command, Composer, Loader, grid_combinations
 from ssm_study.engine.jobs import create_jobs
 from ssm_study.engine.progress import Watch
-from ssm_study.engine.settings import refuse_unbounded
+from ssm_study.engine.settings import refuse_nonfinite_settings
 from ssm_study.refusal import require
 from ssm_study.renamed import current_overrides, rename_old_settings
 from ssm_study.study.allow_list import refuse_foreign_targets
@@ -58,7 +58,7 @@ def quote_sines(words: Iterable[str]) -> list[str]:
     return [SINE.sub(r"'\1'", word) if "internal_model=" in word else word for word in words]
 
 
-def check_request(arguments: list[str], folder: Path, name: str) -> Command:
+def compose_request(arguments: list[str], folder: Path, name: str) -> Command:
     """Compose the configuration of a request, and raise `BadRequest` if it names a class outside
     the allow list.
 
@@ -66,11 +66,11 @@ def check_request(arguments: list[str], folder: Path, name: str) -> Command:
     first. Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
     """
     request = Command(arguments, folder, name)
-    refuse_no_choices(request)
+    refuse_missing_choices(request)
     rename_old_settings(request.config)
     refuse_foreign_targets(request.config)
-    refuse_empty(request)
-    refuse_unbounded(OmegaConf.to_container(request.config, resolve=False))
+    refuse_empty_dictionaries(request)
+    refuse_nonfinite_settings(OmegaConf.to_container(request.config, resolve=False))
     return request
 
 
@@ -81,7 +81,7 @@ def parse_overrides(request: Command) -> list[Override]:
     return parser.parse_overrides(list(request.asked.overrides))
 
 
-def refuse_no_choices(request: Command) -> None:
+def refuse_missing_choices(request: Command) -> None:
     """Raise `BadRequest` for a configuration group without the name of a choice, for which Hydra's
     own error is unclear."""
     assert isinstance(request.config_loader, Loader)
@@ -97,7 +97,7 @@ def refuse_no_choices(request: Command) -> None:
         require(is_choice, key, value, problem, "see the choices in `ssm-study run --help`")
 
 
-def refuse_empty(request: Command) -> None:
+def refuse_empty_dictionaries(request: Command) -> None:
     """Raise `BadRequest` for an empty dictionary such as `plant={}`, which Hydra would merge
     without any effect."""
     for override in parse_overrides(request):
@@ -115,10 +115,10 @@ def request_checks(request: Command) -> Iterator[None]:
 
     The jobs that a search asks for are not known beforehand: a wrong one is a failed row.
     """
-    from ssm_study.study.line import STUDY, check_retry
+    from ssm_study.study.line import STUDY, refuse_retry_without_runs
 
     config, launcher = request.config, str(request.config.hydra.launcher._target_)
-    check_retry(config, "*" if request.is_sweep else str(config.run))
+    refuse_retry_without_runs(config, "*" if request.is_sweep else str(config.run))
     if not request.is_sweep:
         settings = STUDY.settings(config)
         _ = STUDY.outcome_without_running(settings) or STUDY.request(

@@ -22,7 +22,7 @@ from ssm_study.cli.hydra_errors import explain_hydra_error, refuse_dashes
 from ssm_study.cli.request import (
     JUST_ASKING,
     OPEN,
-    check_request,
+    compose_request,
     request_checks,
     translate_arguments,
 )
@@ -83,7 +83,7 @@ def run(overrides: list[str]) -> int:
     except (HydraException, OmegaConfBaseException) as error:
         raise explain_hydra_error(error, overrides, configuration_folder()) from error
     except ValueError as error:
-        explanation = explain_value(error, overrides)
+        explanation = explain_invalid_choice(error, overrides)
         if explanation is None:
             raise
         raise explanation from error
@@ -106,7 +106,7 @@ def answer_request(overrides: list[str], opens: bool) -> int:
         hydra_main(lambda _: None)()
         return DONE
     print_progress("reading the request")
-    request = check_request(overrides, folder, "study")
+    request = compose_request(overrides, folder, "study")
     with request_checks(request):
         print_progress("loading the libraries")
         request.execute(_task_function())
@@ -114,11 +114,11 @@ def answer_request(overrides: list[str], opens: bool) -> int:
         return DONE
     failed = print_study_summary(request)
     if opens:
-        show_page(request)
+        write_and_open_page(request)
     return SOME_FAILED if failed else DONE
 
 
-def explain_value(error: ValueError, overrides: list[str]) -> BadRequest | None:
+def explain_invalid_choice(error: ValueError, overrides: list[str]) -> BadRequest | None:
     """Error message for a number or null in place of a choice's name, which Hydra reports
     unclearly. None for any other error."""
     message = str(error)
@@ -136,7 +136,7 @@ def print_progress(what: str) -> None:
         print(f"ssm-study: {what} ...", file=sys.stderr, flush=True)
 
 
-def show_page(request: Command) -> None:
+def write_and_open_page(request: Command) -> None:
     """Write the page of the study and open it in the browser."""
     from ssm_study.report.page.writing import write_page
     from ssm_study.study.line import study_folder

@@ -36,7 +36,7 @@ def print_run_summary(config: DictConfig) -> bool:
     # second to import.
     stored_text_path = study / ".told" / f"{config.run}.json"
     about = [__version__, str(Path.cwd()), str(study), width]
-    stored_text = _read_stored_list(
+    stored_text = _read_cached_list(
         stored_text_path, study, [*figures, study / "runs.parquet", study / "runs.csv"]
     )
     if stored_text[:-1] != about or record.get("status") != OK:
@@ -52,7 +52,7 @@ def print_run_summary(config: DictConfig) -> bool:
     )
 
 
-def _read_stored_list(told: Path, study: Path, files: Sequence[Path]) -> list[Any]:
+def _read_cached_list(told: Path, study: Path, files: Sequence[Path]) -> list[Any]:
     """Cached JSON list; empty if its file is older than the study's records or than one of the
     given files.
 

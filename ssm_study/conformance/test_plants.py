@@ -17,7 +17,7 @@ def plant(request: pytest.FixtureRequest) -> Plant:
     return chosen_plant
 
 
-def inputs(plant: Plant, cases: int) -> np.ndarray:
+def random_inputs(plant: Plant, cases: int) -> np.ndarray:
     """Random input sequences within the plant's default amplitude, one for each case."""
     rng = np.random.default_rng(0)
     levels = rng.uniform(-1, 1, (cases, SAMPLES, len(plant.inputs)))
@@ -37,7 +37,7 @@ def test_the_equilibrium_is_a_fixed_point(plant: Plant) -> None:
 
 def test_shapes_and_names_agree(plant: Plant) -> None:
     """Inputs, outputs and states have as many entries as the plant has names for them."""
-    x, y = plant.simulate(inputs(plant, 3))
+    x, y = plant.simulate(random_inputs(plant, 3))
     assert x.shape == (3, SAMPLES, len(plant.states))
     assert y.shape == (3, SAMPLES, len(plant.outputs))
     assert len(plant.input_amplitude) == len(plant.inputs)
@@ -49,7 +49,7 @@ def test_shapes_and_names_agree(plant: Plant) -> None:
 
 def test_a_batch_equals_its_rows(plant: Plant) -> None:
     """Simulating a batch gives the same as simulating its cases one by one."""
-    u = inputs(plant, 3)
+    u = random_inputs(plant, 3)
     _, together = plant.simulate(u)
     alone = [plant.simulate(u[i : i + 1])[1] for i in range(3)]
     np.testing.assert_array_equal(together, np.concatenate(alone))
@@ -57,7 +57,7 @@ def test_a_batch_equals_its_rows(plant: Plant) -> None:
 
 def test_two_halves_equal_the_whole(plant: Plant) -> None:
     """Simulating in two halves gives the same as simulating in one piece."""
-    u = inputs(plant, 2)
+    u = random_inputs(plant, 2)
     x, _ = plant.simulate(u)
     again, _ = plant.simulate(u[:, HALF:], x0=x[:, HALF])
     np.testing.assert_allclose(again, x[:, HALF:], rtol=1e-12, atol=1e-14)
@@ -68,13 +68,13 @@ def test_states_at_reads_back(plant: Plant) -> None:
     offsets = np.linspace(*plant.initial_range, 5)
     of_each_output = offsets[:, None] * np.ones(len(plant.outputs))
     wanted_output = plant.equilibrium().y + of_each_output
-    states = plant.states_at(wanted_output)
+    states = plant.equilibrium_states(wanted_output)
     np.testing.assert_allclose(plant.output(states), wanted_output, rtol=1e-12)
 
 
-def test_the_output_never_sees_the_input_that_acts_after_it(plant: Plant) -> None:
+def test_outputs_do_not_depend_on_later_inputs(plant: Plant) -> None:
     """An output sample does not depend on the input that is applied after it."""
-    u = inputs(plant, 1)
+    u = random_inputs(plant, 1)
     changed = u.copy()
     changed[:, HALF] = plant.equilibrium().u + np.array(plant.input_amplitude)
     _, y = plant.simulate(u)
@@ -86,7 +86,7 @@ def test_the_output_never_sees_the_input_that_acts_after_it(plant: Plant) -> Non
 
 def test_disturbances_act(plant: Plant) -> None:
     """Every declared disturbance changes the output."""
-    u = inputs(plant, 1)
+    u = random_inputs(plant, 1)
     undisturbed, _ = plant.simulate(u)
     for push in 1e-3 * np.eye(len(plant.disturbances)):
         disturbed, _ = plant.simulate(u, d=np.tile(push, (1, SAMPLES, 1)))

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ssm_study.data.calendar_numbers import are_unix_times, parse_calendar_numbers
 from ssm_study.data.clock_restarts import find_clock_restarts
 from ssm_study.data.clock_wraps import unwrap_clock
-from ssm_study.data.readers.reader import Table, fold_title, title_without_unit
+from ssm_study.data.readers.reader import Table, normalise_title, title_without_unit
 from ssm_study.data.rounded_times import rounded_period_s
 from ssm_study.refusal import BadRequest, require
 
@@ -71,13 +71,13 @@ def is_clock_name(title: str) -> bool:
     `time_s` or `date`."""
     plain = title_without_unit(title)
     lower = plain.strip().lower()
-    if fold_title(plain) in WORDS or lower in ("millis", "micros", "seconds"):
+    if normalise_title(plain) in WORDS or lower in ("millis", "micros", "seconds"):
         return True
     words = title_words(plain)
     if len(words) < 2 or words[-1] not in SECONDS:
         return False
     without_unit = "".join(words[:-1])
-    return fold_title(without_unit) in WORDS
+    return normalise_title(without_unit) in WORDS
 
 
 def runs_like_clock(title: str, unit: str, times: ClockTimes) -> bool:
@@ -95,7 +95,7 @@ def has_clock_word(title: str) -> bool:
     `sensor_timestamp`."""
     words = title_words(title_without_unit(title))
     ends = (*words[:1], *words[-1:])
-    return any(fold_title(word) in WORDS for word in ends)
+    return any(normalise_title(word) in WORDS for word in ends)
 
 
 def title_words(title: str) -> list[str]:

@@ -26,9 +26,9 @@ class ColumnFacts:
         """Line of a table that states the column's range, levels and missing values."""
         name = (self.name or "(no name)")[:28]
         unit = f"[{self.unit}]" if self.unit else ""
-        return f"  {name:<28} {unit:<8}{self.range_words()}".rstrip()
+        return f"  {name:<28} {unit:<8}{self.range_text()}".rstrip()
 
-    def range_words(self) -> str:
+    def range_text(self) -> str:
         """Text that states the column's range and levels."""
         if not self.levels:
             return "empty"

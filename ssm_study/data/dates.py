@@ -128,7 +128,7 @@ def date_seconds(parts: pd.DataFrame, dotted: bool) -> DateSeconds:
         days = days_since_1970(parts, order)
         if days is not None:
             readings.append(DAY_S * days + time_of_day_s - shift)
-    return choose_increasing_reading(readings, len(parts))
+    return choose_increasing_times(readings, len(parts))
 
 
 def days_since_1970(parts: pd.DataFrame, order: str) -> DateSeconds | None:
@@ -161,28 +161,28 @@ def zone_seconds(zone: str) -> float:
     return -offset if zone[0] == "-" else offset
 
 
-def choose_increasing_reading(readings: list[np.ndarray], samples: int) -> DateSeconds:
+def choose_increasing_times(readings: list[np.ndarray], samples: int) -> DateSeconds:
     """Choose, among several interpretations of the same dates, the one whose times increase
     evenly."""
     if not readings:
         return np.full(samples, np.nan)
-    forwards = [one for one in readings if (steps_between_dates(one) >= 0).all()]
+    forwards = [one for one in readings if (date_differences_s(one) >= 0).all()]
     chosen = forwards or readings
     if len(chosen) > 1 and any(has_even_steps(one) for one in chosen):
         chosen = [one for one in chosen if has_even_steps(one)]
-    first, *others = map(steps_between_dates, chosen)
+    first, *others = map(date_differences_s, chosen)
     if any(not np.allclose(first, other) for other in others):
         raise AmbiguousDates
     return chosen[0]
 
 
-def steps_between_dates(seconds: DateSeconds) -> Float[np.ndarray, "T2"]:
+def date_differences_s(seconds: DateSeconds) -> Float[np.ndarray, "T2"]:
     """Time differences between successive dates, with missing dates left out."""
     return np.diff(seconds[np.isfinite(seconds)])
 
 
 def has_even_steps(seconds: DateSeconds) -> bool:
     """Whether no time step is longer than 1.5 times the median step."""
-    steps = steps_between_dates(seconds)
+    steps = date_differences_s(seconds)
     longest = 1.5 * np.median(steps) if len(steps) else 0.0
     return bool(len(steps)) and bool(steps.max() <= longest)

@@ -84,7 +84,7 @@ def describe_log_dynamics(
     fed_back = feedback_share(u, y)
     answer = response_delay_sentence(u, y, shares)
     if FEEDTHROUGH in answer and is_interpolated:
-        answer = interpolated_answer_sentence()
+        answer = interpolated_response_sentence()
     is_ambiguous = FEEDTHROUGH in answer and fed_back > MAYBE_FED_BACK
     sentences.append(same_sample_sentence() if is_ambiguous else answer)
     if fed_back > FED_BACK:
@@ -107,7 +107,7 @@ def same_sample_sentence() -> str:
     return "input and output move within the same sample: which of them answers is not to be seen"
 
 
-def interpolated_answer_sentence() -> str:
+def interpolated_response_sentence() -> str:
     """Sentence on an output that seems to respond within the same sample where samples were
     interpolated."""
     return "the output answers within a sample or two: samples were interpolated, which blurs it"

@@ -22,7 +22,7 @@ from ssm_study.data.clock_column import (
 )
 from ssm_study.data.column_facts import ColumnFacts, column_facts
 from ssm_study.data.log_dynamics import FEEDTHROUGH, INTEGRATOR, describe_log_dynamics
-from ssm_study.data.readers.reader import Table, choose_reader, fold_title, title_without_unit
+from ssm_study.data.readers.reader import Table, choose_reader, normalise_title, title_without_unit
 from ssm_study.data.recorded import RecordedData
 from ssm_study.data.signal_guess import doubtful_guess_sentences, guess_signals, is_set_point_title
 from ssm_study.data.text_layout import TextSettings
@@ -177,7 +177,7 @@ def look_with_settings(path: Path, stated: LogSettings) -> LogLook:
         reading = examine_signals(path, table, clock, source)
         sentences += reading.sentences
         clocks = [column.name for column in facts if is_clock(column, table)]
-        others = other_signals(facts, clock, (u, y, stated.disturbance))
+        others = other_signal_names(facts, clock, (u, y, stated.disturbance))
         others = [name for name in others if name not in clocks]
         sentences += other_signal_sentences(others)
     command = NO_SIGNALS if doubts else study_command(path, u, y, stated, reading, sentences)
@@ -192,7 +192,9 @@ def look_with_settings(path: Path, stated: LogSettings) -> LogLook:
         output=y,
         disturbance=stated.disturbance,
         step_is_known=reading.step_is_known,
-        disturbed_command=add_disturbance(command, others, stated) if reading.records else "",
+        disturbed_command=command_with_disturbance(command, others, stated)
+        if reading.records
+        else "",
     )
 
 
@@ -296,7 +298,7 @@ def examine_signals(path: Path, table: Table, clock: str | None, source: Recorde
     return Reading(records=records, step_is_known=True, sentences=sentences)
 
 
-def other_signals(
+def other_signal_names(
     facts: Sequence[ColumnFacts], clock: str | None, signals: Sequence[str | None]
 ) -> list[str]:
     """Names of the varying columns other than input and output, which may be disturbances."""
@@ -324,9 +326,9 @@ def column_index(titles: Sequence[str], name: str | None) -> int | None:
     no such column."""
     if name is None or name in titles:
         return None if name is None else titles.index(name)
-    plain = [fold_title(title_without_unit(title)) for title in titles]
-    if fold_title(name) in plain:
-        return plain.index(fold_title(name))
+    plain = [normalise_title(title_without_unit(title)) for title in titles]
+    if normalise_title(name) in plain:
+        return plain.index(normalise_title(name))
     return int(name) if name.isdigit() and int(name) < len(titles) else None
 
 
@@ -370,7 +372,7 @@ def study_command(
     return " ".join(words)
 
 
-def add_disturbance(command: str, others: Sequence[str], stated: LogSettings) -> str:
+def command_with_disturbance(command: str, others: Sequence[str], stated: LogSettings) -> str:
     """Command line that reads the one remaining signal of a log as a measured disturbance; empty if
     there is none, or several."""
     if len(others) != 1 or stated.disturbance is not None:

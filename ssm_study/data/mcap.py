@@ -183,7 +183,7 @@ def _open_channel(
     )
 
 
-def _message_layout(
+def protobuf_layout(
     counts: list[int], nested: bool
 ) -> tuple[UInt8[np.ndarray, "b"], Int[np.ndarray, "k"]]:
     """Byte layout of a protobuf message of doubles: an empty message, and the positions of the
@@ -206,7 +206,7 @@ def _encode_rows(parts: list[SignalGroup]) -> list[bytes]:
     """Encode all rows of the signals as protobuf messages at once."""
     values = np.hstack([part.values for part in parts])
     counts = [len(part.channels) for part in parts]
-    message, at = _message_layout(counts, nested=len(parts) > 1)
+    message, at = protobuf_layout(counts, nested=len(parts) > 1)
     rows = np.tile(message, (len(values), 1))
     doubles = np.ascontiguousarray(values, dtype="<f8")
     rows[:, at] = doubles.view(np.uint8)
@@ -303,7 +303,7 @@ def _decode_groups(
         fields: list[dict[Names, Any]] = []
         for one in objects:
             fields.append({(name,): value for name, value in one.items()})
-        names, values = _number_columns(fields)
+        names, values = collect_number_columns(fields)
     for part in dict.fromkeys(name[:-1] for name in names):
         at = [k for k, name in enumerate(names) if name[:-1] == part]
         units = [channel.metadata.get(f"unit.{'.'.join(names[k])}", "") for k in at]
@@ -342,7 +342,7 @@ def _decode_protobuf(
     names: list[Names] = []
     for prefix, part in zip(prefixes, parts, strict=True):
         names += [(*prefix, one.name) for one in part]
-    message, at = _message_layout([len(part) for part in parts], nested)
+    message, at = protobuf_layout([len(part) for part in parts], nested)
     doubles = names and all(one.type == one.TYPE_DOUBLE for part in parts for one in part)
     if doubles and {len(content) for content in contents} == {len(message)}:
         whole = np.frombuffer(b"".join(contents), np.uint8)
@@ -355,10 +355,10 @@ def _decode_protobuf(
     # number.
     value = partial(reduce, lambda whole, field: getattr(whole, field, None))
     messages = [{name: value(name, one) for name in names} for one in map(decode, contents)]
-    return _number_columns(messages)
+    return collect_number_columns(messages)
 
 
-def _number_columns(
+def collect_number_columns(
     messages: list[dict[Names, Any]],
 ) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
     """Collect the number fields of messages as columns. A field that is a number in the first

@@ -136,7 +136,7 @@ class RecordedData(Columns, AroundRest):
         Columns.__post_init__(self)
         AroundRest.__post_init__(self)
         self._check_fractions()
-        self._check_parts()
+        self._check_split_settings()
         self._check_closed_loop()
         self._check_disturbance_columns()
         has_file = len(as_name_list(self.path)) > 0
@@ -158,7 +158,7 @@ class RecordedData(Columns, AroundRest):
         problem = "nothing is left to train on"
         require(total < 1, both, total, problem, "leave more of the records to training")
 
-    def _check_parts(self) -> None:
+    def _check_split_settings(self) -> None:
         """Raise `BadRequest` if only one of validation and test is stated, or if they are stated
         together with a fold."""
         require_one_of(("auto", "time", "blocks"), "data.split", self.split)

@@ -131,7 +131,7 @@ class SimulatedData:
                 trials = simulate_mismatch_records(plant, rng, self.noise_deviation(plant))
             yield FreshRecords(validation=tuple(validation), mismatch_records=trials)
 
-    def simulate_sines(
+    def simulate_sensitive_sines(
         self, plant: Plant, seed: int, lines: Sequence[int]
     ) -> tuple[Trajectory, ...]:
         """Simulate single-sine experiments at given frequencies, those to which a design is most
@@ -187,7 +187,7 @@ def simulate_mismatch_records(
     rest = plant.equilibrium()
     longest = 5 * max(round(plant.input_clock_s / plant.step_s), 1)
     amplitude = np.array(plant.input_amplitude)
-    signals = [_broadband_signal(rng, longest) for _ in rest.u]
+    signals = [_broadband_input(rng, longest) for _ in rest.u]
     period = np.stack(signals, axis=1) * amplitude
     at_rest = np.zeros((REST, len(rest.u)))
     whole = np.concatenate([period[-LEAD_IN:], period, period, at_rest])
@@ -206,7 +206,7 @@ def simulate_mismatch_records(
     returning = rest.u + shares_returned * line
     experiments: list[tuple[str, Sequence[float], np.ndarray, np.ndarray | None]] = [
         ("trial_at", SHARES, driven, None),
-        ("decay_from", DECAYS, still, plant.states_at(starts)),
+        ("decay_from", DECAYS, still, plant.equilibrium_states(starts)),
         ("return_from", RETURNS, returning, None),
     ]
     records: list[Trajectory] = []
@@ -254,7 +254,7 @@ def simulate_sine_records(
     return tuple(_split_into_records(plant, names, u, noisy))
 
 
-def _broadband_signal(rng: np.random.Generator, longest: int) -> Float[np.ndarray, "T"]:
+def _broadband_input(rng: np.random.Generator, longest: int) -> Float[np.ndarray, "T"]:
     """Generate a broadband signal with random levels and random holding times. Levels are uniform
     in [-1, 1]; the logarithm of the holding time is uniform up to `longest`."""
     exponents = rng.uniform(0.0, np.log(longest + 1), PERIOD)

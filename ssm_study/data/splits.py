@@ -36,11 +36,11 @@ def split_pieces(
     parts: Pieces = ([], [], [])
     for part, records in zip(parts, split_record(whole), strict=True):
         for record in records:
-            part += _shared_stretches(record, log_pieces, shortest)
+            part += _cut_record_at_gaps(record, log_pieces, shortest)
     return parts
 
 
-def _shared_stretches(
+def _cut_record_at_gaps(
     record: Trajectory, log_pieces: Sequence[Trajectory], shortest: int
 ) -> list[Trajectory]:
     """Cut a record of a joined log at the gaps between the log's pieces."""
@@ -93,7 +93,7 @@ def split_at_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pi
             remedy = "give each sample to one part"
             require(is_free, field, pair.tolist(), problem, remedy)
             part[start:end] = number
-    return _group_by_part(record, part)
+    return _cut_into_parts(record, part)
 
 
 def _interval_samples(record: Trajectory, pair: np.ndarray, field: str) -> tuple[int, int]:
@@ -117,7 +117,7 @@ def split_by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
     is_tested = piece == fold
     validates = piece == (fold - 1) % folds
     part = np.select([is_tested, validates], [2, 1], 0)
-    return _group_by_part(record, part)
+    return _cut_into_parts(record, part)
 
 
 def cut_out_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajectory], Trajectory]:
@@ -173,7 +173,7 @@ def _rest_ranges(record: Trajectory, first: bool = False) -> list[tuple[int, int
     return [(max(a, 0), b) for a, b in long]
 
 
-def _group_by_part(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
+def _cut_into_parts(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
     """Cut a record into its stretches for training, validation and test. 0 trains, 1 validates, 2
     tests."""
     pieces: Pieces = ([], [], [])

@@ -23,7 +23,7 @@ def number_with_noun(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def fits_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
+def may_be_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
     """Whether a row above the numbers may be the header, because it has one cell for each
     column."""
     if len(row) == columns + 1:
@@ -97,7 +97,7 @@ def split_names_and_units(above: list[list[str]]) -> tuple[list[str] | None, lis
         return None, []
     for k in reversed(range(len(above))):
         names = above[k]
-        folded = map(fold_header_cell, names)
+        folded = map(normalise_header_cell, names)
         if any(cell in CLOCK_WORDS for cell in folded):
             below = above[k + 1 : k + 2]
             return names, parse_units(below, len(names))
@@ -121,7 +121,7 @@ def are_possible_units(cells: list[str], columns: int) -> bool:
     return len(cells) == columns and all(map(UNIT.fullmatch, filled))
 
 
-def fold_header_cell(cell: str) -> str:
+def normalise_header_cell(cell: str) -> str:
     """Title of a column in lower case, without its unit in brackets."""
     without_unit = re.sub(r"[\[(].*", "", cell)
     return re.sub(r"[\W_]+", "", without_unit).lower()

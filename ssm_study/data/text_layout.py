@@ -16,7 +16,7 @@ from ssm_study.data.text_cells import MISSING, is_number, is_value, split_cells
 from ssm_study.data.text_encoding import decode_text
 from ssm_study.data.text_header import (
     NumberedLine,
-    fits_header,
+    may_be_header,
     number_with_noun,
     numbered_column_names,
     parse_names_in_comment,
@@ -158,7 +158,7 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
     if header.names is None and comments and length == 0:
         names = parse_names_in_comment(comments, separator, cells.columns, decimal)
         header = replace(header, names=names)
-    header = number_columns(header, cells, settings.header)
+    header = numbered_header(header, cells, settings.header)
     remarks = [number_with_noun(len(comments), "comment line")] if comments else []
     if repeats:
         remarks.append(f"the line of names {number_with_noun(repeats, 'time')} more")
@@ -195,7 +195,7 @@ def read_header(path: Path, cells: SampledCells, length: int, stated: bool | Non
     """Read the lines above the first row of values: names, units and prose. Raises `BadRequest` for
     names where none are stated."""
     above = cells.first[:length]
-    titles = [row for row in above if fits_header(row, cells.columns, cells.spread)]
+    titles = [row for row in above if may_be_header(row, cells.columns, cells.spread)]
     refuse_shifted_names(path, above, titles, cells.columns)
     names, units = split_names_and_units(titles)
     if names is not None and stated is False:
@@ -209,7 +209,7 @@ def read_header(path: Path, cells: SampledCells, length: int, stated: bool | Non
     return Header(names=names, units=units, lines=length, remarks=remarks)
 
 
-def number_columns(header: Header, cells: SampledCells, stated: bool | None) -> Header:
+def numbered_header(header: Header, cells: SampledCells, stated: bool | None) -> Header:
     """Header of a table without column names, whose first row may hold the column numbers."""
     if header.names is not None:
         return header

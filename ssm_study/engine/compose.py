@@ -35,7 +35,7 @@ from ssm_study.engine.settings import (
     Settings,
     as_settings,
     plain_settings,
-    refuse_unbounded,
+    refuse_nonfinite_settings,
     run_name,
 )
 
@@ -279,16 +279,16 @@ class Composer:
         """Separate a job's overrides into a composition that other jobs share and the job's own
         plain values."""
         parsed = [self._parse_override(word) for word in overrides]
-        chosen = self._composition(parsed)
+        chosen = self._shared_composition(parsed)
         marked = []
         for override, is_plain in parsed:
             is_own = is_plain and chosen.is_untyped(str(override.key_or_group))
             marked.append((override, is_own))
         if marked != parsed:
-            chosen = self._composition(marked)
+            chosen = self._shared_composition(marked)
         return chosen, [override for override, is_own in marked if is_own]
 
-    def _composition(self, parsed: list[tuple[Override, bool]]) -> ComposedChoices:
+    def _shared_composition(self, parsed: list[tuple[Override, bool]]) -> ComposedChoices:
         """Configuration composed from parsed overrides, which Hydra loads when it is first
         needed."""
         choices = [str(override.input_line) for override, is_plain in parsed if not is_plain]
@@ -306,7 +306,7 @@ class Composer:
         """Parse one override, and say whether it sets a plain value."""
         if word not in self.parsed:
             override = self.parser.parse_override(word)
-            refuse_unbounded({str(override.key_or_group): override.value()})
+            refuse_nonfinite_settings({str(override.key_or_group): override.value()})
             self.parsed[word] = override, is_plain_value(override, self.loader.repository)
         return self.parsed[word]
 

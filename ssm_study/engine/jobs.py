@@ -50,7 +50,7 @@ class Job:
     process: Child | None = None
     started: float = 0.0
 
-    def as_job_return(self, outcome: Outcome | None) -> JobReturn:
+    def as_hydra_outcome(self, outcome: Outcome | None) -> JobReturn:
         """Outcome of the job in the form that Hydra expects."""
         ended = JobReturn(self.overrides, working_dir=str(Path.cwd()), task_name=self.folder.name)
         ended.status = JobStatus.COMPLETED

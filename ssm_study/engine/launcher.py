@@ -78,7 +78,7 @@ def launch_sweep(
     else:
         launcher.run(sweep, unique, composer)
     ends = {job.folder: job.outcome for job in unique}
-    return [job.as_job_return(ends[job.folder]) for job in jobs]
+    return [job.as_hydra_outcome(ends[job.folder]) for job in jobs]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +151,7 @@ class Processes(Launcher):
                     running.append(ready)
                     ready.process = server.fork_job(number)
                     ready.started = time.monotonic()
-                for job in self._wait_for_ended(server, running, progress):
+                for job in self._wait_for_ended_jobs(server, running, progress):
                     running.remove(job)
                     job.outcome = ended_job_outcome(job)
                     progress.count_outcome(job.outcome.status)
@@ -159,7 +159,9 @@ class Processes(Launcher):
                         waiting.clear()
             progress.update_running_jobs(running=0)
 
-    def _wait_for_ended(self, server: Server, running: list[Job], progress: Progress) -> list[Job]:
+    def _wait_for_ended_jobs(
+        self, server: Server, running: list[Job], progress: Progress
+    ) -> list[Job]:
         """Wait a moment, and return the jobs that have ended by themselves or were stopped at the
         time limit."""
         server.wait_for_job_end(0.5)
@@ -192,14 +194,14 @@ def _sweep_ending_signals(running: list[Job], server: Server) -> Iterator[None]:
     """Context in which Ctrl-C and SIGTERM end the sweep and kill its jobs at once. Their runs count
     as `lost` and run again next time."""
 
-    def stop(number: int, _: FrameType | None) -> None:
+    def raise_sweep_end(number: int, _: FrameType | None) -> None:
         """Raise the exception that ends the sweep; later signals are ignored meanwhile."""
         for name in previous:
             signal.signal(name, signal.SIG_IGN)  # a second Ctrl-C shall not stop the cleaning up
         raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
 
     stopping = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    previous = {number: signal.signal(number, stop) for number in stopping}
+    previous = {number: signal.signal(number, raise_sweep_end) for number in stopping}
     try:
         yield
     finally:

@@ -45,12 +45,12 @@ class Progress:
         """Count the outcome of a finished run and print the progress."""
         self.counts[status] += 1
         self.reused += reused
-        self._show()
+        self._show_line()
 
     def update_running_jobs(self, running: int) -> None:
         """Set the number of running jobs and print the progress."""
         self.running = running
-        self._show()
+        self._show_line()
 
     def line(self) -> str:
         """Progress in one line: `12/60 runs: 10 ok, 1 infeasible, 1 failed; 8 there before; 2
@@ -76,7 +76,7 @@ class Progress:
             return None
         return (time.monotonic() - self.started) / fresh * remaining
 
-    def _show(self) -> None:
+    def _show_line(self) -> None:
         """Update the progress line on a terminal; elsewhere print it if the last one is old
         enough."""
         if self.live:
@@ -95,7 +95,7 @@ class Watch(Thread):
         self.folders = list(dict.fromkeys(folders))
         self.every_s = every_s
         self.over = Event()
-        self.there_before = sum(status in FINAL for status in self._statuses())
+        self.there_before = sum(status in FINAL for status in self._run_statuses())
 
     def __enter__(self) -> "Watch":
         self.start()
@@ -117,10 +117,10 @@ class Watch(Thread):
 
     def _read_folders(self, progress: Progress) -> None:
         """Count the statuses in the run folders and print the progress."""
-        statuses = self._statuses()
+        statuses = self._run_statuses()
         progress.counts = Counter(status for status in statuses if status in FINAL)
         progress.update_running_jobs(running=statuses.count(RUNNING))
 
-    def _statuses(self) -> list[str]:
+    def _run_statuses(self) -> list[str]:
         """Status of each run of the sweep, read from the run folders."""
         return [str((read_record(folder) or {}).get("status")) for folder in self.folders]

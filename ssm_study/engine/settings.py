@@ -81,7 +81,7 @@ def walk_nodes(tree: Any, prefix: str = "") -> Iterator[tuple[str, str, Any]]:
         yield from walk_nodes(value, f"{prefix}{key}.")
 
 
-def refuse_unbounded(tree: Any) -> None:
+def refuse_nonfinite_settings(tree: Any) -> None:
     """Raise `BadRequest` for NaN and infinity in the settings, which Hydra accepts but no run can
     be named by."""
     for path, _, value in walk_nodes(tree):

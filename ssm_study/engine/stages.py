@@ -20,7 +20,7 @@ Facts = dict[str, Any]
 Compute = Callable[[Path], None]
 
 
-def empty_columns(*_: Any) -> Any:
+def no_columns(*_: Any) -> Any:
     """Return no columns, for a stage that only writes files."""
     return {}
 
@@ -38,8 +38,8 @@ class Stage(Generic[T]):
 
     name: str
     compute: Callable[..., Any]
-    read: Callable[[Path], T] = empty_columns
-    measure: Callable[..., Mapping[str, Any]] = empty_columns
+    read: Callable[[Path], T] = no_columns
+    measure: Callable[..., Mapping[str, Any]] = no_columns
     files: tuple[str, ...] = ()
     # Later stages depend on what its files say, not on how they came about: an edit of its code
     # that

@@ -126,7 +126,7 @@ class Task(ABC, Generic[R]):
             return outcome
         request = self.request(settings)
 
-        def work(run: Run) -> Facts:
+        def run_stages(run: Run) -> Facts:
             """Run every stage, and return the columns that complete the record."""
             announces = settings.get("progress") is True and sys.stderr.isatty()
             self.stages(request, RunStages(shared_store(settings).root, run, announces))
@@ -140,7 +140,7 @@ class Task(ABC, Generic[R]):
         return execute_run(
             run_folder(settings),
             parameters,
-            work,
+            run_stages,
             configuration={
                 "config.yaml": yaml_text(settings),
                 "overrides.yaml": yaml_text(overrides),

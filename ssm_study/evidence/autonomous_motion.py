@@ -57,7 +57,7 @@ def predicted_power_shares(case: Case) -> tuple[float, float] | None:
         return float((deviation[skip:] ** 2).sum())
 
     powers = []
-    for piece, own in pieces_with_free_runs(case):
+    for piece, own in records_with_free_runs(case):
         past = preceding_log(case.data, piece)
         if past is None:
             continue
@@ -72,7 +72,7 @@ def predicted_power_shares(case: Case) -> tuple[float, float] | None:
     return (1 - missed / moved, 1 - missed_by_input / moved) if moved else None
 
 
-def pieces_with_free_runs(case: Case) -> Iterator[tuple[Trajectory, Float[np.ndarray, "T p"]]]:
+def records_with_free_runs(case: Case) -> Iterator[tuple[Trajectory, Float[np.ndarray, "T p"]]]:
     """Validation and test records, each with the model's free run of it."""
     yield from zip(case.data.validation, case.validation.simulated, strict=True)
     yield from zip(case.data.test, case.test.simulated, strict=True)

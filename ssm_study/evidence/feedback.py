@@ -283,8 +283,8 @@ def feedback_share(data: DataSet, first: int) -> float:
         halves += _split_regression(u, y, first)
     if not halves:
         return 0.0
-    first_half = _join_rows(halves[0::2])
-    second_half = _join_rows(halves[1::2])
+    first_half = _concatenate_regression_rows(halves[0::2])
+    second_half = _concatenate_regression_rows(halves[1::2])
     forwards = _residual_powers(first_half, second_half)
     backwards = _residual_powers(second_half, first_half)
     power, new, clipped, missed = forwards + backwards
@@ -293,7 +293,7 @@ def feedback_share(data: DataSet, first: int) -> float:
     return float(np.max(shares, initial=0.0))
 
 
-def _join_rows(halves: list[list[Rows]]) -> list[Rows]:
+def _concatenate_regression_rows(halves: list[list[Rows]]) -> list[Rows]:
     """Concatenate the regression arrays of several halves of records."""
     return [np.concatenate(arrays) for arrays in zip(*halves, strict=True)]
 

@@ -343,7 +343,7 @@ def _judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
     ]
     offsets = [remaining_offset(y) for y in rests if len(y)]
     off = max((*mismatch.stuck, *offsets), default=0.0)
-    if not mismatch.comes_to_rest:
+    if not mismatch.plant_comes_to_rest:
         left = mismatch.left_at_rest
         statement = f"{left:.2g} output scales are left at rest input, more than {AT_REST:g}"
         yield make_doubt(

@@ -112,7 +112,7 @@ class Monitor:
 def decay_energy(linear: StateSpace) -> float:
     """Energy of the free decay from the equilibria at which one output is one, for each output in
     turn. `sum |y|^2`."""
-    rest, _, gain = linear.steady_states()
+    rest, _, gain = linear.equilibrium_basis()
     starts = rest @ np.linalg.pinv(gain)
     observability = scipy.linalg.solve_discrete_lyapunov(linear.a.T, linear.c.T @ linear.c)
     return float(np.trace(starts.T @ observability @ starts))

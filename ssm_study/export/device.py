@@ -137,7 +137,7 @@ class Device:
     ) -> SetPoints | None:
         """Maps between set points and equilibria of a linear model, as matrices; None for a model
         that integrates or cannot reach every output."""
-        states, _, gain = model.steady_states()
+        states, _, gain = model.equilibrium_basis()
         if model.integrates:
             return None
         tol = IDLE * np.linalg.norm(gain)

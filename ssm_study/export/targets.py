@@ -251,7 +251,7 @@ def describe_origin(run: Path, name: str = "") -> str:
     """
     model = _load_model(run)
     design = Design.load(run / "certificate.json")
-    reason = _doubt_of_certificate(run, model, design)
+    reason = _first_failed_claim(run, model, design)
     verdict = f"NOT certified: {reason}"
     if not reason:
         verdict = (
@@ -266,12 +266,12 @@ def describe_origin(run: Path, name: str = "") -> str:
     return f"Controller of {place}, {verdict}; see certificate.json."
 
 
-def _doubt_of_certificate(run: Path, model: Model, design: Design) -> str:
+def _first_failed_claim(run: Path, model: Model, design: Design) -> str:
     """First claim of a run's stored certificate that exact arithmetic does not confirm; empty if it
     confirms all."""
     content = json.loads((run / "certificate.json").read_text())
     for side in SIDES:
-        if not design.parts_by_name[side].certified:
+        if not design.certificates_by_name[side].certified:
             return f"exact arithmetic does not confirm the {side.replace('_', ' ')}"
     try:
         # Refused for an internal model behind a nonlinear output map, which no theorem covers.
@@ -350,7 +350,10 @@ def prove_deployed_rates(device: Device, design: Design) -> dict[str, float | No
     proved: dict[str, float | None] = {}
     for side, gain in gains.items():
         # The certificate at the requested rate and that at the gain's largest rate.
-        parts = [design.parts_by_name[side], design.extra_certificates.get(f"{side}_deployed")]
+        parts = [
+            design.certificates_by_name[side],
+            design.extra_certificates.get(f"{side}_deployed"),
+        ]
         rates = [_provable_rate(part, context, gain) for part in parts if isinstance(part, Theorem)]
         proved[side] = max(rates, default=0.0) or None
     return proved

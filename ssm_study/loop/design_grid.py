@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Int
 
 from ssm_study.loop.controller import ObserverFeedback, Uncontrolled
-from ssm_study.loop.metrics import mean_of_known
+from ssm_study.loop.metrics import mean_without_none
 from ssm_study.loop.peers.peer import Identified, Row
 from ssm_study.loop.regulation import ComparisonTable, Loop
 from ssm_study.loop.rollout import classify_motions, settling_times_s
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require_at_least
-from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.prediction import predict_margins
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.candidates import Candidates
 from ssm_study.synthesis.integrated_error import relative_areas
@@ -107,7 +107,7 @@ def _prediction_columns(identified: Identified, gains: Gains) -> list[Row]:
     rows = []
     for i, area in enumerate(relative_areas(identified.model, gains, identified.validation)):
         pair = gains.select_pairs(i)
-        predicted = predict(identified.model, pair, identified.balls, mismatch)
+        predicted = predict_margins(identified.model, pair, identified.balls, mismatch)
         gain_norm = float(np.linalg.norm(pair.k, 2))
         observer_gain_norm = float(np.linalg.norm(pair.l, 2))
         row: Row = {
@@ -126,7 +126,7 @@ def _behaviour_columns(
     plant: Plant, identified: Identified, gains: Gains, loop: Loop, seed: int
 ) -> list[Row]:
     """Columns on the closed-loop behaviour of all designs on the true plant."""
-    y0, noise = loop.draw_conditions(plant, seed)
+    y0, noise = loop.draw_starts_and_noise(plant, seed)
     band = plant.settling_band
     designs = len(gains.k)
     cases = len(y0)
@@ -138,7 +138,7 @@ def _behaviour_columns(
     run = loop.simulate(plant, controller, starts, noises)
     quiet = loop.simulate(plant, controller, starts, np.zeros_like(noises))
     uncontrolled = loop.simulate(plant, Uncontrolled.for_plant(plant), y0, noise)
-    open_loop_s = mean_of_known(settling_times_s(uncontrolled, band))
+    open_loop_s = mean_without_none(settling_times_s(uncontrolled, band))
     times_s = settling_times_s(run, band)
     kinds = classify_motions(quiet, band)
     rows = []
@@ -147,7 +147,7 @@ def _behaviour_columns(
         unsettled_kinds = sorted(set(kinds[own]) - {"settled"})
         left_bound = ~run.stayed_within_bound[own]
         stable_count = cases - times_s[own].count(None)
-        settling_time_mean_s = mean_of_known(times_s[own])
+        settling_time_mean_s = mean_without_none(times_s[own])
         stable_count_noise_free = kinds[own].count("settled")
         unsettled_as = ", ".join(unsettled_kinds) or None
         left_bound_count = int(left_bound.sum())

@@ -186,7 +186,7 @@ def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
     motion: Counter[str] = Counter()
     for loop in loops:
         band = loop.settling_band
-        run = loop.runs_for_settling
+        run = loop.rollouts_for_settling
         times_s += settling_times_s(run, band)
         alone_s += settling_times_s(loop.uncontrolled, band)
         motion.update(classify_motions(run, band))
@@ -202,9 +202,9 @@ def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
         "stable_fraction": stable_count / cases,
         "unsettled_as": ", ".join(unsettled) or None,
         "judged_noise_free": judged_noise_free,
-        "settling_time_mean_s": mean_of_known(settled_times_s),
+        "settling_time_mean_s": mean_without_none(settled_times_s),
         "settling_time_worst_s": settling_time_worst_s,
-        "settling_time_open_loop_s": mean_of_known(alone_s),
+        "settling_time_open_loop_s": mean_without_none(alone_s),
         "faster_than_open_loop": settles_faster(times_s, alone_s),
         "swings_at_rest": largest_residual_oscillation(loops),
     }
@@ -220,8 +220,8 @@ def settles_faster(times_s: list[float | None], alone_s: list[float | None]) -> 
         return False
     if None in alone_s:
         return True
-    controlled = mean_of_known(times_s)
-    uncontrolled = mean_of_known(alone_s)
+    controlled = mean_without_none(times_s)
+    uncontrolled = mean_without_none(alone_s)
     assert controlled is not None
     assert uncontrolled is not None
     return controlled < uncontrolled
@@ -232,7 +232,7 @@ def largest_residual_oscillation(loops: list[LoopRuns]) -> float | None:
     no case settles."""
     swings = []
     for loop in loops:
-        run = loop.quiet or loop.runs_for_settling
+        run = loop.quiet or loop.rollouts_for_settling
         amplitudes = residual_oscillations(run, loop.settling_band)
         swings += [float(swing) / loop.settling_band for swing in amplitudes]
     return max(swings, default=None)
@@ -296,7 +296,7 @@ def certificate_columns(loop: LoopRuns, design: Design) -> Columns:
     }
 
 
-def mean_of_known(values: Iterable[float | None]) -> float | None:
+def mean_without_none(values: Iterable[float | None]) -> float | None:
     """Mean of the values that are not None; None if there are none."""
     numbers = [value for value in values if value is not None]
     return float(np.mean(numbers)) if numbers else None

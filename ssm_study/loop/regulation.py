@@ -99,7 +99,7 @@ class IdentifiedPlant(Plant):
         x = np.zeros(self.model.order)
         return Equilibrium(u=scale.input_equilibrium, x=x, y=scale.output_equilibrium)
 
-    def states_at(self, y0: Outputs) -> States:
+    def equilibrium_states(self, y0: Outputs) -> States:
         """States in which a constant input holds the outputs at given values.
 
         Where no input holds it (neurons may rectify or saturate; fewer inputs than outputs hold
@@ -187,7 +187,7 @@ class LoopRuns:
     quiet: Rollouts | None = None
 
     @property
-    def runs_for_settling(self) -> Rollouts:
+    def rollouts_for_settling(self) -> Rollouts:
         """Closed-loop runs from which it is judged whether the loop settles. They are without noise
         if noise alone would leave the settling band."""
         return self.noise_free or self.controlled
@@ -272,14 +272,14 @@ class Loop:
         At one seed all controllers meet the same initial states, noise, reference and disturbance.
         """
         rest = plant.equilibrium()
-        y0, noise = self.draw_conditions(plant, seed)
+        y0, noise = self.draw_starts_and_noise(plant, seed)
         controlled = self.simulate(plant, controller, y0, noise)
         quiet = None
         noise_free = None
         if noise.any():
             quiet = self.simulate(plant, controller, y0, np.zeros_like(noise))
             is_settled = None not in settling_times_s(controlled, plant.settling_band)
-            if not is_settled and self._noise_crosses_band(plant, controller, noise):
+            if not is_settled and self._noise_leaves_band(plant, controller, noise):
                 noise_free = quiet
         uncontrolled = self.simulate(plant, Uncontrolled.for_plant(plant), y0, noise)
         return LoopRuns(
@@ -291,7 +291,7 @@ class Loop:
             quiet=quiet,
         )
 
-    def _noise_crosses_band(
+    def _noise_leaves_band(
         self, plant: Plant, controller: Controller, noise: OutputSignals
     ) -> bool:
         """Whether measurement noise alone drives a plant at its equilibrium out of the settling
@@ -331,7 +331,7 @@ class Loop:
             return SAMPLES[0]
         return max(2, round(self.horizon_s / step_s))
 
-    def draw_conditions(self, plant: Plant, seed: int) -> tuple[Outputs, OutputSignals]:
+    def draw_starts_and_noise(self, plant: Plant, seed: int) -> tuple[Outputs, OutputSignals]:
         """Draw initial outputs and measurement noise, the same for every controller."""
         cases = self.initial_conditions
         samples = self.horizon_samples(plant.step_s)
@@ -375,7 +375,7 @@ class Loop:
         largest_offset = float(np.abs(offset).max())
         reach = self.bound_in_initial_ranges * largest_start + largest_offset
         reference = plant.equilibrium().y + offsets
-        x0 = plant.states_at(y0)
+        x0 = plant.equilibrium_states(y0)
         try:
             bound = np.full(outputs, reach)
             return simulate_closed_loop(

@@ -95,7 +95,7 @@ def simulate_closed_loop(
     """
     _check_dimensions(plant, controller)
     if any(np.isfinite(end).any() for end in limits):
-        _check_reachable(controller.required_inputs(reference), limits)
+        _check_reference_inputs(controller.required_inputs(reference), limits)
     cases, samples, _ = noise.shape
     memory = controller.initial_memory(cases)
     targets = controller.targets(reference)
@@ -204,7 +204,7 @@ def _check_dimensions(plant: Plant, controller: Controller) -> None:
     require(is_in_step, "controller.step_s", controller.step_s, problem, remedy)
 
 
-def _check_reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None:
+def _check_reference_inputs(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None:
     """Raise `BadRequest` for a reference whose values need inputs beyond the limits."""
     beyond = np.abs(demanded - np.clip(demanded, *limits))
     excess = float(beyond.max(initial=0.0))

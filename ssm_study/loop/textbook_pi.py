@@ -29,7 +29,7 @@ def textbook_pi_columns(
     except BadRequest:
         return {}
     runs = loop.run_on_plant(plant, controller, seed)
-    all_times_s = settling_times_s(runs.runs_for_settling, runs.settling_band)
+    all_times_s = settling_times_s(runs.rollouts_for_settling, runs.settling_band)
     times_s = [time_s for time_s in all_times_s if time_s is not None]
     mean_s = float(np.mean(times_s)) if times_s else None
     return {"stable_count_pi": len(times_s), "settling_time_pi_s": mean_s}

@@ -72,7 +72,7 @@ def scaled_equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
         tolerance = INVERSION_TOLERANCE * size
         point = _solve_newton(equilibrium_residual, residual_jacobian, start, tolerance)
     else:
-        states, inputs, outputs = model.linear.steady_states()
+        states, inputs, outputs = model.linear.equilibrium_basis()
         share, *_ = np.linalg.lstsq(outputs, y_bar, rcond=None)
         point = np.concatenate([states @ share, inputs @ share])
     residuals = np.abs(equilibrium_residual(point))
@@ -96,7 +96,7 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     """
     system = model.linear
     n, m = system.b.shape
-    _, inputs, outputs = system.steady_states()
+    _, inputs, outputs = system.equilibrium_basis()
     # Directions of inputs that move no output: at no cost of their own these would drift.
     null_space = scipy.linalg.null_space(outputs, rcond=IDLE_SHARE)
     idle = (inputs @ null_space).T

@@ -63,7 +63,7 @@ def matrices_from_parameters(free: FreeParameters, rate: float) -> RecurrenceMat
     e = np.sqrt(2.0) * _cayley_contraction(free.x_e)[0]
     stacked = rate * _cayley_contraction(free.x_g)[0]
     a = stacked[:n]
-    root = _root_of_slack(e)  # R
+    root = _slack_root(e)  # R
     f = root @ stacked[n:] - e.T @ a
     d = np.exp(free.log_d)  # positive, whatever the parameter
     return RecurrenceMatrices(a=a, e=e / d, f=d[:, None] * f)
@@ -86,13 +86,13 @@ def differentiate_matrices(
     e = root2 * con_e
     a = rate * con_g[:n]
     gh = rate * con_g[n:]
-    dcon_e = _differentiate_contraction(free.x_e, change.x_e, con_e, low_e)
+    dcon_e = _differentiate_cayley_contraction(free.x_e, change.x_e, con_e, low_e)
     de = root2 * dcon_e
-    dcon_g = _differentiate_contraction(free.x_g, change.x_g, con_g, low_g)
+    dcon_g = _differentiate_cayley_contraction(free.x_g, change.x_g, con_g, low_g)
     stacked = rate * dcon_g
     da = stacked[:, :n]
     dgh = stacked[:, n:]
-    root = _root_of_slack(e)
+    root = _slack_root(e)
     droot = _differentiate_cholesky(root, -(de.mT @ e + e.T @ de))  # of R R' = 2 I - E'E
     f = root @ gh - e.T @ a
     d = np.exp(free.log_d)
@@ -103,7 +103,7 @@ def differentiate_matrices(
     return RecurrenceMatrices(a=da, e=de_scaled, f=df_scaled)
 
 
-def _root_of_slack(e: Float[np.ndarray, "n q"]) -> Float[np.ndarray, "q q"]:
+def _slack_root(e: Float[np.ndarray, "n q"]) -> Float[np.ndarray, "q q"]:
     """Cholesky factor R of `R R' = 2 I - E'E`."""
     return np.linalg.cholesky(2.0 * np.eye(e.shape[1]) - e.T @ e)
 
@@ -113,7 +113,7 @@ def parameters_from_matrices(core: RecurrenceMatrices, rate: float) -> FreeParam
     `matrices_from_parameters` with `d = 1`; `LinAlgError` where the LMI does not hold with `M = I,
     Lambda = I`."""
     e = core.e / np.sqrt(2.0)
-    root = _root_of_slack(core.e)
+    root = _slack_root(core.e)
     gh = np.linalg.solve(root, core.f + core.e.T @ core.a)  # from F = R Gh - E'A
     stacked = np.vstack([core.a, gh])
     x_e = _invert_cayley_contraction(e)
@@ -230,7 +230,7 @@ def _invert_cayley_contraction(y: Tall) -> Tall:
     return y @ np.linalg.inv(inverse).T
 
 
-def _differentiate_contraction(x: Tall, dx: Moved, con: Tall, low: Square) -> Moved:
+def _differentiate_cayley_contraction(x: Tall, dx: Moved, con: Tall, low: Square) -> Moved:
     """Directional derivatives of the matrix that the Cayley transform gives."""
     dlow = _differentiate_cholesky(low, dx.mT @ x + x.T @ dx)
     return (dx - con @ dlow.mT) @ np.linalg.inv(low).T

@@ -184,7 +184,7 @@ class DelayLine:
         """Input matrix of a model with a delay line. The input only enters the line."""
         return np.eye(self.states + self.state_count, self.channels, -self.states)
 
-    def widen_rows(
+    def append_delay_columns(
         self, of_state: Float[np.ndarray, "k n"], of_input: Float[np.ndarray, "k m"]
     ) -> Float[np.ndarray, "k N"]:
         """Extend a matrix that acts on state and input, so that it acts on the state with the delay
@@ -192,7 +192,7 @@ class DelayLine:
         newer = np.zeros((len(of_state), self.state_count - self.channels))
         return np.hstack([of_state, newer, of_input])
 
-    def lengthen_columns(
+    def append_delay_rows(
         self, of_disturbance: Float[np.ndarray, "_ k"]
     ) -> Float[np.ndarray, "_ k"]:
         """Extend the disturbance matrix of a model by zero rows for the states of the delay
@@ -253,7 +253,7 @@ class SSM(ScaffoldedModel):
         system = self.linear if lifted else self.driven_system
         return system.simulate(ubar, x0)
 
-    def with_linear(self, linear: StateSpace) -> "SSM":
+    def with_linear_part(self, linear: StateSpace) -> "SSM":
         """Copy of the model with another linear part `(A, B, C, D)` of as many states."""
         return replace(self, linear=linear)
 
@@ -272,9 +272,9 @@ class SSM(ScaffoldedModel):
         linear = self.linear
         line = DelayLine(states=linear.order, channels=linear.b.shape[1], samples=samples)
         a = line.state_matrix(linear.a, linear.b)
-        c = line.widen_rows(linear.c, linear.d)
+        c = line.append_delay_columns(linear.c, linear.d)
         late = StateSpace(a=a, b=line.input_matrix(), c=c, d=np.zeros_like(linear.d))
-        return replace(self, linear=late, b_d=line.lengthen_columns(self.b_d))
+        return replace(self, linear=late, b_d=line.append_delay_rows(self.b_d))
 
     def absorb_map_centres(self) -> "SSM":
         """Move linear factors of the static maps into the linear part, if their balls of Jacobians

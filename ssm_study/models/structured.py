@@ -268,12 +268,12 @@ class StructuredSSM(ScaffoldedModel):
             self,
             a=line.state_matrix(self.a, self.b),
             b=line.input_matrix(),
-            c=line.widen_rows(self.c, self.d),
+            c=line.append_delay_columns(self.c, self.d),
             d=np.zeros_like(self.d),
             e=np.vstack([self.e, idle]),
-            f=line.widen_rows(self.f, self.g),
+            f=line.append_delay_columns(self.f, self.g),
             g=np.zeros_like(self.g),
-            b_d=line.lengthen_columns(self.b_d),
+            b_d=line.append_delay_rows(self.b_d),
         )
 
     @classmethod

@@ -179,12 +179,12 @@ class StructuredSpec(ModelSpec):
     refit: bool = True
 
     def __post_init__(self) -> None:
-        self._check_sizes()
-        self._check_options()
+        self._check_whole_numbers()
+        self._check_allowed_words()
         self._check_numbers()
         self._check_integrator()
 
-    def _check_sizes(self) -> None:
+    def _check_whole_numbers(self) -> None:
         """Raise `BadRequest` for settings that should be whole numbers but are not."""
         for name, least in LEAST.items():
             value = getattr(self, name)
@@ -194,7 +194,7 @@ class StructuredSpec(ModelSpec):
             alternative = f", or {AUTO}" if may_be_chosen else ""
             require_whole_number(least, name, value, f"use 4 or so{alternative}")
 
-    def _check_options(self) -> None:
+    def _check_allowed_words(self) -> None:
         """Raise `BadRequest` for a setting whose value is none of the allowed words."""
         flags = (True, False, AUTO)
         require_one_of(flags, "model.feedthrough", self.feedthrough)

@@ -54,7 +54,7 @@ class PieceStarts:
         return from_past if self.choice == PAST else (None,) * len(from_past)
 
 
-def choose_piece_starts(model: Any, data: DataSet) -> PieceStarts:
+def choose_initial_state_source(model: Any, data: DataSet) -> PieceStarts:
     """Choose whether a record's initial state is estimated from its first samples or simulated from
     the log before it.
 
@@ -69,7 +69,7 @@ def choose_piece_starts(model: Any, data: DataSet) -> PieceStarts:
     test = states_from_past(model, data, data.test)
     if all(state is None for state in (*validation, *test)):
         return none
-    errors = start_errors(model, data)
+    errors = initial_state_errors(model, data)
     if errors is None:
         return PieceStarts(choice=SAMPLES, validation=validation, test=test)
     return PieceStarts(
@@ -80,7 +80,7 @@ def choose_piece_starts(model: Any, data: DataSet) -> PieceStarts:
     )
 
 
-def start_errors(model: Any, data: DataSet) -> dict[str, float] | None:
+def initial_state_errors(model: Any, data: DataSet) -> dict[str, float] | None:
     """Mean free-run error with initial states from the first samples, and with those from the log
     before; None without such a log.
 
@@ -190,7 +190,7 @@ def join_log_stretches(data: DataSet) -> list[Trajectory]:
 
 def simulate_validation_and_test(model: Any, data: DataSet) -> tuple[Simulation, Simulation]:
     """Free runs of the validation and test records from the chosen initial states."""
-    starts = choose_piece_starts(model, data)
+    starts = choose_initial_state_source(model, data)
     window = data.start_up_samples
     validation = Simulation.simulate_records(
         model, data.validation, window, starts.chosen_states("validation")
@@ -199,7 +199,7 @@ def simulate_validation_and_test(model: Any, data: DataSet) -> tuple[Simulation,
     return validation, test
 
 
-def simulate_other_start(model: Any, data: DataSet, test: Simulation) -> Simulation | None:
+def simulate_unchosen_start(model: Any, data: DataSet, test: Simulation) -> Simulation | None:
     """Free run of the test records from the initial states that were not chosen; None if there are
     none."""
     if len(test.starts) != len(data.test) or not isinstance(model, ScaffoldedModel):
@@ -212,10 +212,10 @@ def simulate_other_start(model: Any, data: DataSet, test: Simulation) -> Simulat
     return Simulation.simulate_records(model, data.test, data.start_up_samples, states)
 
 
-def piece_start_columns(model: Any, data: DataSet, test: Simulation) -> dict[str, Any]:
+def initial_state_columns(model: Any, data: DataSet, test: Simulation) -> dict[str, Any]:
     """Columns on how the initial states of validation and test records were found, with the test
     fit of the other way. They are null where no test record has a log before it."""
-    other = simulate_other_start(model, data, test)
+    other = simulate_unchosen_start(model, data, test)
     if other is None:
         return {"piece_start": None, "fit_test_other_start_percent": None}
     from_past = any(state is not None for state in test.starts)

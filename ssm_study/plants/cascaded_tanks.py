@@ -71,7 +71,7 @@ class CascadedTanks(Plant):
         u = np.array([self.rest_pump_v])
         return Equilibrium(u=u, x=np.array([upper, lower]), y=np.array([lower]))
 
-    def states_at(self, y0: Outputs) -> States:
+    def equilibrium_states(self, y0: Outputs) -> States:
         """States with the lower tank's level at the output and the upper tank in equilibrium."""
         upper = np.full_like(y0, self.equilibrium().x[0])
         return np.concatenate([upper, y0], axis=1)

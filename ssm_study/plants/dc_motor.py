@@ -121,7 +121,7 @@ class DCMotor(Plant):
     def equilibrium(self) -> Equilibrium:
         return Equilibrium(u=np.zeros(1), x=np.zeros(4), y=np.zeros(1))
 
-    def states_at(self, y0: Outputs) -> States:
+    def equilibrium_states(self, y0: Outputs) -> States:
         """States with both shafts turning at the given speed, no current and no twist."""
         still = np.zeros_like(y0)
         return np.concatenate([still, y0, y0, still], axis=1)

@@ -37,7 +37,7 @@ class Plant(ABC):
     dataclasses, one file and one yaml each, that name their
     signals as class attributes; wrappers are plants around a plant. Laws (tested for every yaml):
     the equilibrium is a fixed point; a batch equals its rows; two halves equal the whole;
-    `output(states_at(y)) = y`; `output` never sees the input that acts after it.
+    `output(equilibrium_states(y)) = y`; `output` never sees the input that acts after it.
     """
 
     step_s: float  # sampling time
@@ -101,7 +101,7 @@ class Plant(ABC):
         """Input, state and output of the plant at its equilibrium."""
 
     @abstractmethod
-    def states_at(self, y0: Outputs) -> States:
+    def equilibrium_states(self, y0: Outputs) -> States:
         """States of the plant at given outputs, with everything else in equilibrium."""
 
     @abstractmethod

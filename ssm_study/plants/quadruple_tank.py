@@ -84,7 +84,7 @@ class QuadrupleTank(Plant):
         x = (flow / np.array(self.outlet_cm2)) ** 2 / (2 * GRAVITY_CM_PER_S2)
         return Equilibrium(u=u, x=x, y=self.output(x[None])[0])
 
-    def states_at(self, y0: Outputs) -> States:
+    def equilibrium_states(self, y0: Outputs) -> States:
         """States with the lower tanks' levels at the given outputs and the upper tanks in
         equilibrium."""
         upper = np.tile(self.equilibrium().x[2:], (len(y0), 1))

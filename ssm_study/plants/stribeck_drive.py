@@ -74,7 +74,7 @@ class StribeckDrive(Plant):
     def equilibrium(self) -> Equilibrium:
         return Equilibrium(u=np.zeros(1), x=np.zeros(2), y=np.zeros(1))
 
-    def states_at(self, y0: Outputs) -> States:
+    def equilibrium_states(self, y0: Outputs) -> States:
         return np.concatenate([np.zeros_like(y0), y0], axis=1)
 
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:

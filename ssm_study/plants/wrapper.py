@@ -55,9 +55,9 @@ class Wrapper(Plant):
         x = np.append(rest.x, self.initial_memory())
         return Equilibrium(u=rest.u, x=x, y=rest.y)
 
-    def states_at(self, y0: Outputs) -> States:
+    def equilibrium_states(self, y0: Outputs) -> States:
         memory = np.tile(self.initial_memory(), (len(y0), 1))
-        return np.hstack([self.plant.states_at(y0), memory])
+        return np.hstack([self.plant.equilibrium_states(y0), memory])
 
     def split_states(self, x: States) -> tuple[Float[np.ndarray, "N k"], Memory]:
         """Split the states into those of the wrapped plant and those that the wrapper adds."""

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from ssm_study.report.words import choice_label, column_words
+from ssm_study.report.words import choice_label, printed_column_name
 from ssm_study.table.columns import (
     boolean_column,
     numeric_column,
@@ -40,7 +40,7 @@ class Answer:
     sentences: tuple[str, ...]
 
 
-def answers(table: pd.DataFrame) -> list[Answer]:
+def question_answers(table: pd.DataFrame) -> list[Answer]:
     """Questions that a study's table can answer, each with its answer."""
     all_answers = [
         Answer("Where does feasibility end, and why?", feasibility_sentences(table)),
@@ -55,7 +55,7 @@ def parameters_line(table: pd.DataFrame) -> str:
     that there was no sweep."""
     parts = []
     for name in swept_settings(table):
-        title = column_words(name).split(" (")[0].lower()
+        title = printed_column_name(name).split(" (")[0].lower()
         parts.append(f"{title} ({list_values(requested_values(table, name))})")
     return f"Swept: {'; '.join(parts)}." if parts else "One setting, no sweep."
 
@@ -202,10 +202,10 @@ def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
             "All runs are on one side, so this study cannot show where the prediction fails."
         )
     models = text_column(table, "stage_bounds_key")[has_both & stable]
-    return (*sentences, *failure_bound(models, share[has_both & stable]))
+    return (*sentences, *failure_bound_sentences(models, share[has_both & stable]))
 
 
-def failure_bound(models: pd.Series, share: pd.Series) -> list[str]:
+def failure_bound_sentences(models: pd.Series, share: pd.Series) -> list[str]:
     """Sentence with an upper bound on how often a prediction of stability fails, where each model
     counts once.
 

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
-from ssm_study.report.words import NO_FASTER, SETTLED, prediction_grounds, verdict_per_run
+from ssm_study.report.words import NO_FASTER, SETTLED, prediction_text, verdict_per_run
 
 WIDTH = 80
 MISSING = "–"
@@ -31,7 +31,7 @@ Row = tuple[str, str, str]  # the column that must be known, label, value
 def print_outcome(record: Mapping[str, Any], figures: Sequence[Path], console: Console) -> None:
     """Print the table of a run's results and the paths of its figures."""
     console.print(outcome_table(record), width=min(WIDTH, console.width))
-    for reason in reasons(record):
+    for reason in outcome_reasons(record):
         console.print(Text(reason), soft_wrap=False, width=WIDTH)
     for line in figure_lines(figures):
         # a path is never broken
@@ -58,8 +58,8 @@ def outcome_table(record: Mapping[str, Any]) -> Table:
     blocks = (
         ("MODEL", "", model_rows(record)),
         ("PROVED", "of the model", proved_rows(record)),
-        ("PREDICTED", "", predicted_rows(record)),
-        ("SEEN", f"on the {loop_place(record)}", seen_rows(record)),
+        ("PREDICTED", "", prediction_rows(record)),
+        ("SEEN", f"on the {loop_place(record)}", closed_loop_rows(record)),
     )
     for title, subject, rows in blocks:
         known_rows = [(label, value) for name, label, value in rows if record.get(name) is not None]
@@ -108,7 +108,7 @@ def format_column(record: Mapping[str, Any], name: str, form: str = ".3g", unit:
 def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Rows on the identified model: fit, benchmark scores, slopes, and how fast it decays without
     control."""
-    reading = log_reading(record)
+    reading = log_reading_text(record)
     if reading:
         yield "evidence_reasons", "Log", reading
     fit = format_column(record, "fit_test_percent", ".1f", " %")
@@ -144,7 +144,7 @@ def baseline_text(record: Mapping[str, Any]) -> str:
     return f"{text}: it predicts better than this model" if is_ahead else text
 
 
-def log_reading(record: Mapping[str, Any]) -> str:
+def log_reading_text(record: Mapping[str, Any]) -> str:
     """Text that says how the log was read and cut into records; empty for simulated data."""
     notes = str(record.get("evidence_reasons") or "")
     reading = re.search(r"note: The log was read so: (.*?)\.(?= (?:note|doubt):|$)", notes)
@@ -160,7 +160,7 @@ def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:
         limit = f"at most {format_column(record, f'{side}_rate_limit')}"
         chosen = "chosen by auto" if side in str(record.get("rates_chosen")) else "requested"
         requested = f"{format_column(record, f'rate_{side}')} {chosen}"
-        requested_words = f"{requested}, {limit}: {certified_word(record, side)}"
+        requested_words = f"{requested}, {limit}: {certificate_status_word(record, side)}"
         label = f"{side.capitalize()} rate"
         if record.get(name) is None:
             yield f"rate_{side}", label, requested_words
@@ -209,10 +209,10 @@ def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     else:
         times = math.floor(100 * coverage) / 100  # never rounded up to what is not proved
         covered = f"{times:.2f} times as large as the records show, at every frequency above zero"
-        yield "coverage", label, covered + refit_words(record) + fresh_data_words(record)
+        yield "coverage", label, covered + refit_text(record) + fresh_data_text(record)
 
 
-def refit_words(record: Mapping[str, Any]) -> str:
+def refit_text(record: Mapping[str, Any]) -> str:
     """Remark that the model was trained on the records that show its error; empty if it was not.
 
     Such records show less of the error than records that the training has not seen.
@@ -221,7 +221,7 @@ def refit_words(record: Mapping[str, Any]) -> str:
     return "; the model was trained on these records" if is_refitted else ""
 
 
-def fresh_data_words(record: Mapping[str, Any]) -> str:
+def fresh_data_text(record: Mapping[str, Any]) -> str:
     """Text on how much of the proved disc the model error in fresh data needs."""
     needed = record.get("coverage_needed")
     if needed is None:
@@ -230,7 +230,7 @@ def fresh_data_words(record: Mapping[str, Any]) -> str:
     if not math.isfinite(needed):
         return "; fresh data lie outside every such disc"
     times = f"{math.ceil(100 * needed) / 100:.2f} times"
-    if exceeds_coverage(record):
+    if fresh_data_exceed_coverage(record):
         times += ", more than is covered"
     sets = record.get("fresh_sets")
     if not sets:
@@ -240,7 +240,7 @@ def fresh_data_words(record: Mapping[str, Any]) -> str:
     return f"; {sets} fresh data sets need at most {times}"
 
 
-def exceeds_coverage(record: Mapping[str, Any]) -> bool:
+def fresh_data_exceed_coverage(record: Mapping[str, Any]) -> bool:
     """Whether fresh data show a larger model error than the proof covers."""
     coverage = record.get("coverage")
     needed = record.get("coverage_needed")
@@ -249,7 +249,7 @@ def exceeds_coverage(record: Mapping[str, Any]) -> bool:
     return 1 <= float(coverage) < float(needed)
 
 
-def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
+def prediction_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Rows on the behaviour that model and records predict before the controller is tried on the
     plant."""
     yield "evidence", "Evidence", str(record.get("evidence"))
@@ -263,16 +263,16 @@ def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     if record.get("evidence") == DOUBT:
         word += ", with doubts"
     names = ("resolved_margin", "controller_radius", "noise_peak")
-    grounds = prediction_grounds(*(record.get(name) for name in names))
+    grounds = prediction_text(*(record.get(name) for name in names))
     sine_margin = record.get("sine_margin")
     if sine_margin is not None and sine_margin <= 1 < (record.get("resolved_margin") or 0.0):
         margin = format_column(record, "sine_margin")
         grounds = f"single sines show more than the other records (margin {margin})"
-    words = f"{word}: {grounds}{refit_words(record)}" if grounds else word
+    words = f"{word}: {grounds}{refit_text(record)}" if grounds else word
     yield "predicted_stable", label, words
 
 
-def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:
+def closed_loop_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Rows on the measured closed loop: how many initial states settled, how fast, and the effect
     of the noise."""
     count = format_column(record, "stable_count", ".0f")
@@ -286,11 +286,11 @@ def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     uncontrolled = f"{open_loop_s:.3f} s{ratio}" if comes_to_rest else "none settles"
     column = "settling_time_open_loop_s" if comes_to_rest else "settling_time_mean_s"
     yield column, "Mean settling time", f"{mean}, uncontrolled {uncontrolled}"
-    yield "stable_count_pi", "A PI from the same model", pi_words(record)
-    yield "noise_gain_model", "Sensor noise", noise_words(record)
+    yield "stable_count_pi", "A PI from the same model", pi_comparison_text(record)
+    yield "noise_gain_model", "Sensor noise", noise_effect_text(record)
 
 
-def pi_words(record: Mapping[str, Any]) -> str:
+def pi_comparison_text(record: Mapping[str, Any]) -> str:
     """Text that compares a textbook PI controller with the design from the same initial states."""
     count = format_column(record, "stable_count_pi", ".0f")
     starts = format_column(record, "initial_conditions", ".0f")
@@ -303,7 +303,7 @@ def pi_words(record: Mapping[str, Any]) -> str:
     return words
 
 
-def noise_words(record: Mapping[str, Any]) -> str:
+def noise_effect_text(record: Mapping[str, Any]) -> str:
     """Text on the effect of the sensor's noise on the output. A large effect means that the loop
     moves by itself, or is closer to its limit than predicted."""
     measured = record.get("noise_gain_measured")
@@ -321,7 +321,7 @@ def noise_words(record: Mapping[str, Any]) -> str:
     return f"{words}: more than noise moves it" if measured > model else words
 
 
-def certified_word(record: Mapping[str, Any], side: str) -> str:
+def certificate_status_word(record: Mapping[str, Any], side: str) -> str:
     """Word for the state of a certificate: `certified`, `not certified`, `infeasible` or `not
     reached`."""
     if record.get(f"{side}_certified"):
@@ -332,7 +332,7 @@ def certified_word(record: Mapping[str, Any], side: str) -> str:
     return "not certified" if feasible else "infeasible"
 
 
-def reasons(record: Mapping[str, Any]) -> Iterator[str]:
+def outcome_reasons(record: Mapping[str, Any]) -> Iterator[str]:
     """Reasons why a run is in doubt, infeasible, not certified or failed, from its record."""
     findings = str(record.get("evidence_reasons") or "")
     for finding in re.split(r" (?=(?:note|doubt|cannot judge): )", findings):

@@ -15,7 +15,7 @@ from ssm_study.study.recordings import RecordedCases
 FEWEST = 2
 
 
-def overlay(folders: Sequence[Path]) -> ModelComparison:
+def compare_free_runs(folders: Sequence[Path]) -> ModelComparison:
     """Compare the stored free runs of several runs, sorted by fit, best first.
 
     Raises `BadRequest` for fewer than two runs, a run without a test record, and a test record that
@@ -26,7 +26,7 @@ def overlay(folders: Sequence[Path]) -> ModelComparison:
     require(enough, "run", several, "is no comparison", "name two different runs or more")
     unlike = several == len(folders)
     require(unlike, "run", "one run twice", "a run cannot be compared with itself", "name it once")
-    names = short_names([folder.resolve() for folder in folders])
+    names = short_run_names([folder.resolve() for folder in folders])
     recordings = [_read_test_free_run(folder) for folder in folders]
     first = recordings[0]
     for folder, recording in zip(folders[1:], recordings[1:], strict=True):
@@ -51,7 +51,7 @@ def overlay(folders: Sequence[Path]) -> ModelComparison:
     )
 
 
-def short_names(folders: Sequence[Path]) -> list[str]:
+def short_run_names(folders: Sequence[Path]) -> list[str]:
     """Names of runs without the parts that all runs share. Equal names are preceded by the
     study."""
     parts = [folder.name.split("-") for folder in folders]

@@ -37,7 +37,7 @@ def picture_of_run(name: str, run: RunFolder) -> Picture:
         raise NothingToDraw(str(reason)) from reason
 
 
-def read_parts(run: RunFolder, *parts: str) -> list[Any]:
+def read_run_files(run: RunFolder, *parts: str) -> list[Any]:
     """Read the named files of a run, such as model and design. Raises `NothingToDraw` that names a
     missing part."""
     values = [getattr(run, part) for part in parts]
@@ -56,7 +56,7 @@ def run_input_scale(run: RunFolder, model: Any) -> InputScale | None:
 
 def picture_of_margin(run: RunFolder) -> Picture:
     """Picture of the stability margin by frequency."""
-    model, gains, mismatch = read_parts(run, "any_model", "gains", "mismatch")
+    model, gains, mismatch = read_run_files(run, "any_model", "gains", "mismatch")
     curves = margin_curves(model, gains, certified_balls(model), mismatch)
     margin = run.record.get("resolved_margin")
     return margin_picture(curves, model.step_s, margin, run_input_scale(run, model))
@@ -64,13 +64,13 @@ def picture_of_margin(run: RunFolder) -> Picture:
 
 def picture_of_nyquist_curve(run: RunFolder) -> Picture:
     """Picture of the Nyquist curve, with discs for the measured model error."""
-    model, gains = read_parts(run, "any_model", "gains")
+    model, gains = read_run_files(run, "any_model", "gains")
     return nyquist_picture(model, gains, run.mismatch)
 
 
 def picture_of_coverage(run: RunFolder) -> Picture:
     """Picture of the coverage by frequency band."""
-    model, design, mismatch = read_parts(run, "any_model", "design", "mismatch")
+    model, design, mismatch = read_run_files(run, "any_model", "design", "mismatch")
     premise = measure_premise(
         model, run.validation_records, mismatch, run.start_up_samples, run.trials
     )
@@ -79,20 +79,20 @@ def picture_of_coverage(run: RunFolder) -> Picture:
 
 def picture_of_frequency_response(run: RunFolder) -> Picture:
     """Picture of the frequency response, beside an estimate from the record."""
-    model, record = read_parts(run, "any_model", "validation")
+    model, record = read_run_files(run, "any_model", "validation")
     units = (record.unit("measured"), record.unit("input"))
     return bode_picture(model, record.records[0], certified_balls(model).input, units)
 
 
 def picture_of_poles(run: RunFolder) -> Picture:
     """Picture of the poles of model, loop and observer."""
-    model, gains, design = read_parts(run, "any_model", "gains", "design")
+    model, gains, design = read_run_files(run, "any_model", "gains", "design")
     return poles_picture(eigenvalue_groups(model, gains), design.certified_rate("state_feedback"))
 
 
 def picture_of_residuals(run: RunFolder) -> Picture:
     """Picture of the correlations of the test record's error."""
-    (test,) = read_parts(run, "test")
+    (test,) = read_run_files(run, "test")
     start = run.start_up_samples
     errors = [test["measured"][0, start:] - test["simulated"][0, start:]]
     inputs = [test["input"][0, start:]]
@@ -103,7 +103,7 @@ def picture_of_residuals(run: RunFolder) -> Picture:
 
 def picture_of_free_run(run: RunFolder) -> Picture:
     """Picture of the free run on the test record."""
-    (test,) = read_parts(run, "test")
+    (test,) = read_run_files(run, "test")
     simulated = {"model": test["simulated"][0]}
     labels = test.labels("measured")
     return free_run_picture(
@@ -113,13 +113,15 @@ def picture_of_free_run(run: RunFolder) -> Picture:
 
 def picture_of_input_map(run: RunFolder) -> Picture:
     """Picture of the learned input map."""
-    model, excitation = read_parts(run, "any_model", "excitation")
+    model, excitation = read_run_files(run, "any_model", "excitation")
     return input_map_picture(model, certified_balls(model).input, excitation.label("input"))
 
 
 def picture_of_set_point_step(run: RunFolder) -> Picture:
     """Picture of a step of the set point on the identified model."""
-    model, design, test, excitation = read_parts(run, "any_model", "design", "test", "excitation")
+    model, design, test, excitation = read_run_files(
+        run, "any_model", "design", "test", "excitation"
+    )
     if not design.feasible or has_direct_feedthrough(model):
         raise NothingToDraw("There is no loop to move to a set point.")
     plant = _identified_plant(model, test)

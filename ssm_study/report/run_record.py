@@ -11,7 +11,7 @@ from rich.text import Text
 
 from ssm_study.engine.records import read_record
 from ssm_study.report.outcome import WIDTH, print_outcome
-from ssm_study.report.words import column_words, digits_beside_bound
+from ssm_study.report.words import format_beside_bound, printed_column_name
 from ssm_study.table.columns import group_by_part
 
 
@@ -33,7 +33,7 @@ def record_table(record: Mapping[str, Any]) -> Table:
         if names:
             table.add_row(Text(title.upper(), style="bold"), "")
         for name in names:
-            table.add_row(Text(f"  {column_words(name)}"), Text(format_value(record[name])))
+            table.add_row(Text(f"  {printed_column_name(name)}"), Text(format_value(record[name])))
     return table
 
 
@@ -41,4 +41,4 @@ def format_value(value: Any) -> str:
     """Text of a recorded value, rounded so that it stays on its side of one."""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return digits_beside_bound(value) if isinstance(value, float) else str(value)
+    return format_beside_bound(value) if isinstance(value, float) else str(value)

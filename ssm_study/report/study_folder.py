@@ -23,10 +23,10 @@ from ssm_study.refusal import BadRequest, require
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.signals import Trajectories
 from ssm_study.stored_yaml import read_stored_yaml
-from ssm_study.study.recordings import RecordedCases, read_trials
+from ssm_study.study.recordings import RecordedCases, read_mismatch_records
 from ssm_study.systems import Gains
 from ssm_study.table.columns import text_column
-from ssm_study.table.rank import best_first
+from ssm_study.table.rank import sort_best_first
 
 
 class NothingToDraw(Exception):
@@ -104,7 +104,7 @@ class RunFolder:
     @cached_property
     def trials(self) -> Trajectories:
         """Records that only serve to measure the model error."""
-        return read_trials(self.path)
+        return read_mismatch_records(self.path)
 
     @cached_property
     def validation_records(self) -> Trajectories:
@@ -205,7 +205,7 @@ class StudyFolder:
         names = (
             [self.shown]
             if self.shown
-            else [name for name in text_column(best_first(self.table), "run") if name]
+            else [name for name in text_column(sort_best_first(self.table), "run") if name]
         )
         return next(
             (self.run(name) for name in names if (self.folder / name / "model.json").is_file()),

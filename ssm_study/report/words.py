@@ -36,14 +36,12 @@ def choice_label(choice: object) -> str:
     return CHOICES.get(str(choice), str(choice).replace("_", " "))
 
 
-def column_words(name: object) -> str:
+def printed_column_name(name: object) -> str:
     """Printed name of a column, with its unit."""
     return DERIVED.get(str(name)) or column_label(str(name))
 
 
-def prediction_grounds(
-    margin: float | None, radius: float | None, noise: float | None = None
-) -> str:
+def prediction_text(margin: float | None, radius: float | None, noise: float | None = None) -> str:
     """Text with the numbers that decide a prediction, each next to its bound.
 
     `stability margin 2.03 > 1, spectral radius of the controller 0.892 < 1`; noise where it counts.
@@ -51,17 +49,17 @@ def prediction_grounds(
     grounds = []
     if margin is not None:
         sign = ">" if margin > 1 else "≤"
-        grounds.append(f"stability margin {digits_beside_bound(margin)} {sign} 1")
+        grounds.append(f"stability margin {format_beside_bound(margin)} {sign} 1")
     if radius is not None:
         sign = "<" if radius < 1 else "≥"
-        grounds.append(f"spectral radius of the controller {digits_beside_bound(radius)} {sign} 1")
+        grounds.append(f"spectral radius of the controller {format_beside_bound(radius)} {sign} 1")
     if noise is not None and noise > 0:
         sign = "<" if noise < 1 else "≥"
-        grounds.append(f"the noise reaches {digits_beside_bound(noise)} {sign} 1 of the band")
+        grounds.append(f"the noise reaches {format_beside_bound(noise)} {sign} 1 of the band")
     return ", ".join(grounds)
 
 
-def digits_beside_bound(value: float, bound: float = 1.0) -> str:
+def format_beside_bound(value: float, bound: float = 1.0) -> str:
     """Number as text, with enough digits to show on which side of a bound it lies."""
     for digits in range(3, 17):
         text = f"{value:.{digits}g}"
@@ -157,7 +155,7 @@ def verdict_per_run(table: pd.DataFrame) -> pd.Series:
     return verdict_column.mask((verdict_column == LOST) & is_untried, UNTRIED)
 
 
-def verdicts(table: pd.DataFrame) -> pd.Series:
+def verdict_words(table: pd.DataFrame) -> pd.Series:
     """Verdict of every run in a table as one word."""
     words = verdict_per_run(table).map(lambda verdict: verdict.word)
     return words.astype(object).rename("verdict")
@@ -166,7 +164,7 @@ def verdicts(table: pd.DataFrame) -> pd.Series:
 def verdict_counts(table: pd.DataFrame) -> str:
     """Line with the number of runs of each verdict. `12 runs: 9 certified, settles; 2 infeasible; 1
     failed`."""
-    tally = verdicts(table).value_counts()
+    tally = verdict_words(table).value_counts()
     words = [verdict.word for verdict in VERDICTS if verdict.word in tally]
     parts = [f"{tally[word]} {word}" for word in words]
     plural = "" if len(table) == 1 else "s"
@@ -183,7 +181,7 @@ def draw_verdict_points(
     `dodge` moves each verdict sideways by that much, so that runs at one setting do not hide each
     other.
     """
-    word = verdicts(table)
+    word = verdict_words(table)
     is_known = x.notna() & y.notna()
     for k, verdict in enumerate(VERDICTS):
         here = (word == verdict.word) & is_known

@@ -168,7 +168,7 @@ def measure_premise(
     """Measure the spectra of the model error that a proof about the plant has to cover. Where they
     are not enough, its `reason` says why."""
     reason = None
-    if not mismatch.comes_to_rest:
+    if not mismatch.plant_comes_to_rest:
         reason = NOT_AT_REST
     elif model.linear.spectral_radius >= 1:
         reason = INTEGRATES

@@ -52,7 +52,7 @@ def margin_curves(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -
             return []
         for view in records.views:
             condition = AmplitudeCondition.from_view(view, loop)
-            gain = _counted_gain(condition, view.by_frequency, loop)
+            gain = _less_conservative_gain(condition, view.by_frequency, loop)
             curve = curves.setdefault(view.amplitude, _WorstCurve())
             curve.include_gain(loop.angles, gain)
         if records.loop is not None:
@@ -63,7 +63,7 @@ def margin_curves(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -
     return [curve.as_margin(amplitude) for amplitude, curve in ordered]
 
 
-def _counted_gain(
+def _less_conservative_gain(
     condition: AmplitudeCondition, by_frequency: Float[np.ndarray, "F"], loop: LoopResponse
 ) -> LoopGains:
     """Loop gain of one amplitude at each frequency, by the less conservative of two stability
@@ -71,7 +71,7 @@ def _counted_gain(
     plain = np.interp(loop.angles, ANGLES, by_frequency) * loop.size
     if condition.is_exempt:
         return np.zeros_like(plain)
-    with_phase = loop.gain_with_phase(condition.linear_part, condition.remainder)
+    with_phase = loop.remainder_gain_product(condition.linear_part, condition.remainder)
     if not with_phase < condition.small_gain:
         return np.asarray(plain)
     returned = loop.return_difference(condition.linear_part)

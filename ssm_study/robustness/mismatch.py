@@ -25,10 +25,10 @@ from ssm_study.robustness.record_errors import (
     EXCITED,
     RecordErrors,
     View,
+    error_from_averages,
+    error_from_periods,
+    error_in_closed_loop,
     estimate_noise,
-    mismatch_from_averages,
-    mismatch_from_periods,
-    mismatch_in_closed_loop,
     moving_loop_errors,
     open_loop_errors,
 )
@@ -42,10 +42,10 @@ from ssm_study.robustness.return_to_rest import (
     remaining_offset,
 )
 from ssm_study.robustness.single_sines import (
-    measure_sine,
+    add_sine_errors,
+    measure_sine_error,
     repeats_one_line,
     steady_sines,
-    views_with_sines,
 )
 from ssm_study.signals import Trajectories
 
@@ -102,7 +102,7 @@ class Mismatch:
         return self.views[-1].gain
 
     @property
-    def comes_to_rest(self) -> bool:
+    def plant_comes_to_rest(self) -> bool:
         """Whether the records show that the plant comes to rest whenever its input does."""
         return self.left_at_rest is None or self.left_at_rest < AT_REST
 
@@ -110,12 +110,12 @@ class Mismatch:
     def seen(self) -> float:
         """Largest gain from input to model error in any record. It is a lower bound on the
         incremental gain of the model error."""
-        if not self.comes_to_rest:
+        if not self.plant_comes_to_rest:
             return float("inf")
-        return max(view.gain for view in self.all_views)
+        return max(view.gain for view in self.errors_by_amplitude)
 
     @property
-    def all_views(self) -> tuple[View, ...]:
+    def errors_by_amplitude(self) -> tuple[View, ...]:
         """Model error at each recorded amplitude, followed by the error measured in closed loop."""
         return self.views if self.loop is None else (*self.views, self.loop)
 
@@ -157,18 +157,18 @@ def measure_mismatch(
     periodic = [errors for errors in repeating if not repeats_one_line(errors)]
     noise = estimate_noise(periodic) if periodic else None
     largest = max(periodic or moving, key=RecordErrors.strength)
-    views = [mismatch_from_averages(moving)]
+    views = [error_from_averages(moving)]
     if noise is not None:
-        views = _views_from_periods(periodic, repeating, noise)
+        views = _errors_from_periods(periodic, repeating, noise)
     response = model.linear.impulse_response_length()
     returns = [trial for trial in mismatch_records if is_return_to_rest(trial)]
     still, offsets = offsets_after_returns(model.scale, returns, response)
-    own_offsets, swings = _offsets_and_swings_at_rest(moving, response)
+    own_offsets, swings = _offsets_and_oscillations_at_rest(moving, response)
     decays = [remaining_offset(errors.output) for errors in resting]
     starts = [float(np.abs(errors.output[0]).max()) for errors in resting]
     loop = None
     if closed_loop_errors:
-        loop = mismatch_in_closed_loop(closed_loop_errors, noise)
+        loop = error_in_closed_loop(closed_loop_errors, noise)
     sorted_views = sorted(views, key=lambda view: view.amplitude)
     noise_by_band = () if noise is None else tuple(noise.tolist())
     motions_at_rest = [*decays, *still, *swings]
@@ -187,19 +187,19 @@ def measure_mismatch(
     )
 
 
-def _views_from_periods(periodic: Records, repeating: Records, noise: BandPowers) -> list[View]:
+def _errors_from_periods(periodic: Records, repeating: Records, noise: BandPowers) -> list[View]:
     """Model error at the amplitude of each record with two periods, single sines included."""
     strength = max(errors.strength() for errors in periodic)
     views = []
     for errors in periodic:
         is_largest = errors.strength() == strength
-        views.append(mismatch_from_periods(errors, is_largest, noise))
+        views.append(error_from_periods(errors, is_largest, noise))
     views = sorted(views, key=lambda view: view.amplitude)
-    sines = [measure_sine(errors, noise) for errors in steady_sines(repeating)]
-    return [*views_with_sines(views, sines)]
+    sines = [measure_sine_error(errors, noise) for errors in steady_sines(repeating)]
+    return [*add_sine_errors(views, sines)]
 
 
-def _offsets_and_swings_at_rest(
+def _offsets_and_oscillations_at_rest(
     moving: list[RecordErrors], response: int
 ) -> tuple[list[float], list[float]]:
     """Offsets and oscillations of the output that remain after the input has become constant.

@@ -39,8 +39,8 @@ from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
     Responses,
     controller_spectral_radius,
+    error_to_input_response,
     largest_singular_values,
-    sensitivity,
     sensitivity_peak,
     slope_combinations,
 )
@@ -78,7 +78,7 @@ class Prediction:
         return is_robust and self.controller_radius < 1 and self.noise_peak < 1
 
 
-def predict(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> Prediction:
+def predict_margins(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> Prediction:
     """Predict the stability margins of one controller and observer on the plant. They are zero if
     the loop is unstable at a slope, infinite without any model error."""
     peak = sensitivity_peak(model.system, pair, balls)
@@ -89,7 +89,7 @@ def predict(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> Pred
         mismatch_margin=_margin(total_gain),
         resolved_margin=_margin(measure),
         controller_radius=float(controller_radius),
-        noise_peak=noise_peak(model, pair, balls, mismatch),
+        noise_peak=output_peak_from_noise(model, pair, balls, mismatch),
     )
 
 
@@ -114,7 +114,7 @@ def robustness_measure(
     same but for rounding), and at the angles of the loop's own modes, where it is sharpest. The
     search ends at the first number from `refused` on.
     """
-    if not mismatch.comes_to_rest:
+    if not mismatch.plant_comes_to_rest:
         return float("inf")
     largest = 0.0
     for linear, own_gains, slopes, records in loops_to_test(model, pair, balls, mismatch):
@@ -188,7 +188,7 @@ class LoopResponse:
     ) -> "LoopResponse | None":
         """Frequency response of a closed loop for given gains and slopes; None if the loop is
         unstable."""
-        loop = sensitivity(linear, pair, *slopes)
+        loop = error_to_input_response(linear, pair, *slopes)
         modes = np.linalg.eigvals(loop.a)
         if np.abs(modes).max() >= 1:
             return None
@@ -241,7 +241,7 @@ class LoopResponse:
         loop_of_linear_part = self.through * (real + 1j * imaginary)
         return np.asarray(1 - loop_of_linear_part)
 
-    def gain_with_phase(self, linear_part: ComplexBandGains, remainder: BandGains) -> float:
+    def remainder_gain_product(self, linear_part: ComplexBandGains, remainder: BandGains) -> float:
         """Small-gain product for the nonlinear remainder of the model error, with its linear part
         included in the loop. Infinite if `1 - M Q` winds around zero, so that its phase at pi is
         not the one at 0."""
@@ -283,7 +283,7 @@ class AmplitudeCondition:
     def loop_gain(self, loop: LoopResponse) -> float:
         """Loop gain of the model error at one amplitude, below one if stability is proved. It is
         the smaller of two sufficient conditions: plain small gain, and small gain with a phase."""
-        with_phase = loop.gain_with_phase(self.linear_part, self.remainder)
+        with_phase = loop.remainder_gain_product(self.linear_part, self.remainder)
         return min(self.small_gain, with_phase)
 
 
@@ -301,7 +301,7 @@ def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
         if condition.small_gain > gain and not condition.is_exempt:
             gain = max(gain, condition.loop_gain(loop))
     for smaller, larger in pairwise(conditions):
-        if _needs_mixtures(smaller, larger, gain):
+        if _may_hide_limit_cycle(smaller, larger, gain):
             gain_between = _largest_interpolated_gain(smaller, larger, loop)
             gain = max(gain, gain_between)
     if mismatch.loop is not None:
@@ -310,7 +310,9 @@ def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
     return gain
 
 
-def _needs_mixtures(smaller: AmplitudeCondition, larger: AmplitudeCondition, gain: float) -> bool:
+def _may_hide_limit_cycle(
+    smaller: AmplitudeCondition, larger: AmplitudeCondition, gain: float
+) -> bool:
     """Whether a limit cycle may exist between two recorded amplitudes. This is open where not both
     pass by small gain and no infinite gain has decided already."""
     larger_gain = max(smaller.small_gain, larger.small_gain)
@@ -330,21 +332,21 @@ def _largest_interpolated_gain(
         rest_share = 1 - share
         linear_part = rest_share * smaller.linear_part + share * larger.linear_part
         remainder = rest_share * smaller.remainder + share * larger.remainder
-        gain = loop.gain_with_phase(linear_part, remainder)
+        gain = loop.remainder_gain_product(linear_part, remainder)
         gains.append(gain)
     return max(gains)
 
 
-def noise_peak(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> float:
+def output_peak_from_noise(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> float:
     """Largest output amplitude that the measured sensor noise causes around the equilibrium. It is
     in units of the settling band; zero if the noise was not measured, or the plant does not move
     under that input."""
     if not mismatch.noise:
         return 0.0
-    linear, own_gains = _at_equilibrium_slopes(model, pair, balls)
+    linear, own_gains = _linearise_at_equilibrium(model, pair, balls)
     slope_in = _slope_at_equilibrium(model.scaffold_in, balls.input)
     slope_out = _slope_at_equilibrium(model.scaffold_out, balls.output)
-    closed_loop = sensitivity(linear, own_gains, slope_in, slope_out)
+    closed_loop = error_to_input_response(linear, own_gains, slope_in, slope_out)
     to_input = frequency_response(closed_loop, COARSE)
     to_output = slope_in * slope_out * frequency_response(linear, COARSE) @ to_input
     input_gain = largest_singular_values(to_input)
@@ -362,7 +364,7 @@ def noise_peak(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> f
     return PEAK * float(at_output) / mismatch.band
 
 
-def _at_equilibrium_slopes(model: Model, pair: Gains, balls: Balls) -> tuple[StateSpace, Gains]:
+def _linearise_at_equilibrium(model: Model, pair: Gains, balls: Balls) -> tuple[StateSpace, Gains]:
     """Linear recurrence and gains at the neurons' slopes in the equilibrium."""
     slopes = None
     if isinstance(model, StructuredSSM):

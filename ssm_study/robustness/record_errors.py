@@ -185,7 +185,7 @@ def unscored_samples(trial: Trajectory, start_up_samples: int) -> int:
     return max(start_up_samples, unscored)
 
 
-def mismatch_from_averages(records: list[RecordErrors]) -> View:
+def error_from_averages(records: list[RecordErrors]) -> View:
     """Model error from records whose input does not repeat, by averaged spectra. Noise counts as
     model error, and no linear part is separated."""
     inputs = [record.u for record in records]
@@ -200,12 +200,10 @@ def mismatch_from_averages(records: list[RecordErrors]) -> View:
     gains = np.sqrt(ratio)
     by_frequency = np.interp(ANGLES, bands, gains)
     total_gain = float(np.sqrt(error_energy / input_energy))
-    return _mismatch_from_total_gain(records, by_frequency, total_gain)
+    return _error_from_total_gain(records, by_frequency, total_gain)
 
 
-def _mismatch_from_total_gain(
-    records: list[RecordErrors], resolved: BandGains, gain: float
-) -> View:
+def _error_from_total_gain(records: list[RecordErrors], resolved: BandGains, gain: float) -> View:
     """Model error at one amplitude from records that show only its gain over all frequencies
     together."""
     all_inputs = np.concatenate([record.u for record in records])
@@ -215,14 +213,14 @@ def _mismatch_from_total_gain(
     return View(amplitude=amplitude, gain=gain, by_frequency=resolved, linear=linear, rest=resolved)
 
 
-def mismatch_in_closed_loop(records: list[RecordErrors], noise: BandGains | None) -> View:
+def error_in_closed_loop(records: list[RecordErrors], noise: BandGains | None) -> View:
     """Largest model error in any closed-loop record. A mean would hide a small one behind a large
     one."""
     gains = [_closed_loop_gains(record, noise) for record in records]
     resolved_gains = [resolved for resolved, _ in gains]
     by_frequency = np.max(resolved_gains, axis=0)
     total = max(gain for _, gain in gains)
-    return _mismatch_from_total_gain(records, by_frequency, total)
+    return _error_from_total_gain(records, by_frequency, total)
 
 
 def _closed_loop_gains(record: RecordErrors, noise: BandGains | None) -> tuple[BandGains, float]:
@@ -268,7 +266,7 @@ def estimate_noise(records: list[RecordErrors]) -> BandGains:
     return np.asarray(np.median(powers, axis=0))
 
 
-def mismatch_from_periods(record: RecordErrors, sure: bool, noise: BandGains) -> View:
+def error_from_periods(record: RecordErrors, sure: bool, noise: BandGains) -> View:
     """Model error from a record with two equal periods, whose difference is noise. With two periods
     `E_1, E_2`, `Re(E_1 conj E_2)` is the power that repeats, without bias: noise is independent.
 

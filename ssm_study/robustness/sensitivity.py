@@ -74,7 +74,9 @@ def _freeze_neurons(
         yield system.linearise_at_slopes(slopes), own_gains
 
 
-def sensitivity(linear: StateSpace, pair: Gains, slope_in: float, slope_out: float) -> StateSpace:
+def error_to_input_response(
+    linear: StateSpace, pair: Gains, slope_in: float, slope_out: float
+) -> StateSpace:
     """Closed-loop transfer function from an output error to the input at constant slopes. `T_ue`
     from `e (p)` to `u (m)`, state `(x, eps, z)`, z of the internal model."""
     order, outputs = pair.l.shape
@@ -105,7 +107,7 @@ def noise_response(
     linear: StateSpace, pair: Gains, slope_in: float, slope_out: float
 ) -> StateSpace:
     """Transfer function from a sensor's noise to the model's true output, at constant slopes."""
-    loop = sensitivity(linear, pair, slope_in, slope_out)
+    loop = error_to_input_response(linear, pair, slope_in, slope_out)
     outputs = len(linear.c)
     noise_inputs = loop.b.shape[1]
     other_states = loop.order - linear.order
@@ -131,7 +133,7 @@ def sensitivity_peak(system: System, pair: Gains, balls: Balls) -> float:
     """Largest gain of the closed loop from an output error to the input, over frequency and
     constant slopes. `max ||T_ue||_inf`; infinite if one of these loops is unstable."""
     combinations = slope_combinations(system, pair, balls)
-    return max(hinf_norm(sensitivity(*end)) for end in combinations)
+    return max(hinf_norm(error_to_input_response(*end)) for end in combinations)
 
 
 def controller_spectral_radius(

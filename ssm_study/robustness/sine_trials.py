@@ -17,11 +17,11 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.record_errors import RecordErrors
 from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
+    error_to_input_response,
     largest_singular_values,
-    sensitivity,
     slope_combinations,
 )
-from ssm_study.robustness.single_sines import SineMismatch, measure_sine, views_with_sines
+from ssm_study.robustness.single_sines import SineMismatch, add_sine_errors, measure_sine_error
 from ssm_study.signals import Trajectories
 from ssm_study.systems import Balls, Gains
 
@@ -34,7 +34,7 @@ def peak_frequencies(model: Model, pair: Gains, balls: Balls) -> list[float]:
     The sensitivity is `|T_ue|`."""
     size = np.zeros(len(FINE_ANGLES))
     for end in slope_combinations(model.system, pair, balls):
-        closed_loop = sensitivity(*end)
+        closed_loop = error_to_input_response(*end)
         response = frequency_response(closed_loop, FINE_ANGLES)
         size = np.maximum(size, largest_singular_values(response))
     padded = np.concatenate([[0.0], size, [0.0]])
@@ -46,7 +46,7 @@ def peak_frequencies(model: Model, pair: Gains, balls: Balls) -> list[float]:
     return [float(angle) for angle in FINE_ANGLES[largest_first]]
 
 
-def peak_lines(model: Model, pair: Gains, balls: Balls, period: int) -> list[int]:
+def sensitive_lines(model: Model, pair: Gains, balls: Balls, period: int) -> list[int]:
     """Spectral lines for single-sine experiments, at which the loop's sensitivity is largest. They
     are lines of a period, at peaks of `|T_ue|`."""
     lines: list[int] = []
@@ -68,10 +68,10 @@ def measure_sine_mismatch(
         errors = RecordErrors.from_record(model, record, 0)
         start = len(errors.u) - 2 * period
         last_two_periods = replace(errors, start=start, period=period)
-        sines.append(measure_sine(last_two_periods, noise))
+        sines.append(measure_sine_error(last_two_periods, noise))
     return sines
 
 
-def add_sines(mismatch: Mismatch, sines: Sequence[SineMismatch]) -> Mismatch:
+def add_sines_to_mismatch(mismatch: Mismatch, sines: Sequence[SineMismatch]) -> Mismatch:
     """Add the model errors measured with single sines to that of the broadband records."""
-    return replace(mismatch, views=views_with_sines(mismatch.views, sines))
+    return replace(mismatch, views=add_sine_errors(mismatch.views, sines))

@@ -74,7 +74,7 @@ def steady_sines(records: Sequence[RecordErrors]) -> list[RecordErrors]:
     return sines
 
 
-def measure_sine(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> SineMismatch:
+def measure_sine_error(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> SineMismatch:
     """Measure the model error of a record with two equal periods at its strongest frequency.
     `noise` is a sample's power in each band."""
     assert errors.period is not None
@@ -95,7 +95,7 @@ def measure_sine(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> SineMis
     return SineMismatch(angle=float(angle), amplitude=float(amplitude), gain=float(gain))
 
 
-def views_with_sines(views: Sequence[View], sines: Sequence[SineMismatch]) -> tuple[View, ...]:
+def add_sine_errors(views: Sequence[View], sines: Sequence[SineMismatch]) -> tuple[View, ...]:
     """Add the model errors measured with single sines to those of the nearest amplitude. Sines well
     below the smallest amplitude get an entry of their own, which otherwise equals the smallest
     amplitude's."""

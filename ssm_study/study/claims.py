@@ -29,7 +29,7 @@ from ssm_study.loop.rollout import Rollouts, replay_error
 from ssm_study.loop.textbook_pi import textbook_pi_columns
 from ssm_study.models.members import NAMES, member_columns
 from ssm_study.models.metrics import Simulation, fit_columns, size_columns
-from ssm_study.models.warm_start import choose_piece_starts, piece_start_columns
+from ssm_study.models.warm_start import choose_initial_state_source, initial_state_columns
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet
 from ssm_study.study import trials
@@ -42,11 +42,11 @@ from ssm_study.study.findings import (
     check_agreement,
     check_entries,
 )
-from ssm_study.study.line import STUDY, undeclared_settings
+from ssm_study.study.line import STUDY, undeclared_number_columns
 from ssm_study.study.loop_recordings import (
     NOISE_FREE,
+    loop_place_label,
     loop_signal_pairs,
-    loop_subject,
     read_experiment,
 )
 from ssm_study.study.recording_labels import find_wrong_labels
@@ -57,8 +57,8 @@ from ssm_study.study.stages.dataset import DATASET
 from ssm_study.study.stages.evidence import read_judgement
 from ssm_study.study.stages.free_run import SCORE
 from ssm_study.study.stages.loop import LOOPS
-from ssm_study.study.stages.model import MODEL, read_members
-from ssm_study.study.unreached_numbers import unreached_numbers
+from ssm_study.study.stages.model import MODEL, read_averaged_models
+from ssm_study.study.unreached_numbers import unverifiable_numbers
 from ssm_study.table.columns import BY_NAME, FURTHER, setting_path
 from ssm_study.table.gather import PARQUET
 from ssm_study.training.metrics import records_fit_percent
@@ -137,7 +137,7 @@ def check_settings(run: RunFiles) -> Claims:
     further_settings = [
         setting_path(column) for column in run.record if FURTHER.matches_name(column)
     ]
-    settings = STUDY.parameters(specification) | undeclared_settings(
+    settings = STUDY.parameters(specification) | undeclared_number_columns(
         configuration, further_settings
     )
     # The record holds the rates of the design, which the theorem may have chosen itself.
@@ -205,8 +205,8 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
             f"{split}.mcap records", pairs, ITERATED, "the configuration gives them"
         )
         yield from check_start_states(run, records, split)
-    yield Derived(piece_start_columns(run.model, records, run.simulated.test))
-    yield Derived(member_columns(read_members(run.path), records))
+    yield Derived(initial_state_columns(run.model, records, run.simulated.test))
+    yield Derived(member_columns(read_averaged_models(run.path), records))
     if records.mismatch_records or run.trials:
         pairs = record_signal_pairs(run.trials, records.mismatch_records)
         yield check_agreement(f"{TRIALS} records", pairs, ITERATED, "made again alike")
@@ -257,7 +257,7 @@ def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[
     is_from_past = any(state is not None for state in stored)
     if not is_from_past and "piece_start" not in run.record:
         return
-    starts = choose_piece_starts(run.model, records)
+    starts = choose_initial_state_source(run.model, records)
     if is_from_past:
         pairs = label_pairs(stored, getattr(starts, split))
         yield check_agreement(
@@ -280,7 +280,7 @@ def check_model(run: RunFiles) -> Claims:
         yield check_agreement(
             "model.json step_s", {"step_s": steps}, ONE_FORMULA, "that of the records"
         )
-        yield NotChecked(unreached_numbers(run))
+        yield NotChecked(unverifiable_numbers(run))
     yield check_entries(run, "model.json", run.model)
 
 
@@ -363,7 +363,7 @@ def check_loop_signals(
     error = replay_error(controller, stored.controlled, run.loop.limits)
     observation = f"the certified gains give it from the measured output to {error:.1e}"
     yield Checked(claim="closed_loop.mcap input", holds=error <= ITERATED, found=observation)
-    holds = loop_on == loop_subject(run.specification.plant)
+    holds = loop_on == loop_place_label(run.specification.plant)
     observation = f"recorded on the {loop_on}"
     yield Checked(claim="closed_loop.mcap loop_on", holds=holds, found=observation)
 

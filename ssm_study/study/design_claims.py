@@ -46,7 +46,7 @@ from ssm_study.study.findings import (
     check_entries,
 )
 from ssm_study.study.run_files import RunFiles
-from ssm_study.synthesis.deployed import equilibrium_starts
+from ssm_study.synthesis.deployed import nearest_equilibrium_starts
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.expected_response import response_columns
 from ssm_study.synthesis.input_inversion import mismatch_behind_map
@@ -74,27 +74,27 @@ def check_certificate(run: RunFiles) -> Claims:
     yield NotChecked({f"certificate.{label}": WITHDRAWN for label in design.withdrawn})
     if TOLERANCE in design.withdrawn:
         yield NotChecked({"certified_tolerance": WITHDRAWN})
-    for label, part in design.parts_by_name.items():
-        yield check_part(run, label, part, sentences)
+    for label, part in design.certificates_by_name.items():
+        yield check_stored_certificate(run, label, part, sentences)
     yield from check_internal_model(run)
     yield from check_input_limits(run)
     yield from check_unlimited_starts(run)
     mismatch = remeasure_mismatch(run)
     facts = design_columns(design, run.model, balls, mismatch)
-    facts |= rederive_coverage(run)
+    facts |= recompute_coverage_columns(run)
     if "predicted_faster" in run.record:
         records = run.simulated.validation.records, run.trials
         facts |= response_columns(design, run.model, mismatch, *records)
-    facts |= rederive_sines(run, balls, mismatch)
+    facts |= recompute_sine_columns(run, balls, mismatch)
     yield Derived(withhold_predictions(facts, run.record.get("evidence")))
 
 
-def check_part(
+def check_stored_certificate(
     run: RunFiles, label: str, part: Theorem | Infeasible, sentences: list[str]
 ) -> Checked:
     """Check one certificate in exact arithmetic, and that the requested method made it."""
     wrong = [sentence for sentence in sentences if re.match(rf"{label}\b", sentence)]
-    wrong += information_errors(part)
+    wrong += stored_number_errors(part)
     if label in SIDES and part.method != run.record.get("synthesis_method"):
         wrong.append(f"method {part.method}: another one was requested")
     reason = part.reason if isinstance(part, Infeasible) else part.solver_status
@@ -137,7 +137,7 @@ def check_unlimited_starts(run: RunFiles) -> Iterator[Checked]:
     model = run.model
     for part in run.design.extra_certificates.values():
         if isinstance(part, UnlimitedStart) and isinstance(model, SSM):
-            yield check_stored_starts(part, equilibrium_starts(model, part.starts))
+            yield check_stored_starts(part, nearest_equilibrium_starts(model, part.starts))
 
 
 def check_stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None) -> Checked:
@@ -162,7 +162,7 @@ def remeasure_mismatch(run: RunFiles) -> Any:
     return measure(run.model, validation.records, validation.start_up_samples, run.trials)
 
 
-def rederive_coverage(run: RunFiles) -> dict[str, Any]:
+def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
     """Recompute, from the run's recordings, the columns that say how much model error the
     certificate covers."""
     columns = ("coverage", "coverage_reason")
@@ -178,10 +178,12 @@ def rederive_coverage(run: RunFiles) -> dict[str, Any]:
         test = run.simulated.test
         fresh = measure_premise(run.model, test.records, mismatch, test.start_up_samples)
     facts = coverage_columns(run.design, run.model, premise, fresh)
-    return facts | rederive_fresh_data(run, premise, mismatch)
+    return facts | recompute_fresh_data_column(run, premise, mismatch)
 
 
-def rederive_fresh_data(run: RunFiles, premise: Premise, mismatch: Mismatch) -> dict[str, Any]:
+def recompute_fresh_data_column(
+    run: RunFiles, premise: Premise, mismatch: Mismatch
+) -> dict[str, Any]:
     """Recompute the column on fresh data sets by simulating them again."""
     specification = run.specification
     if not specification.has_fresh_sets:
@@ -195,7 +197,7 @@ def rederive_fresh_data(run: RunFiles, premise: Premise, mismatch: Mismatch) -> 
     )
 
 
-def rederive_sines(run: RunFiles, balls: Balls, mismatch: Mismatch) -> dict[str, Any]:
+def recompute_sine_columns(run: RunFiles, balls: Balls, mismatch: Mismatch) -> dict[str, Any]:
     """Recompute the columns of the single-sine tests by simulating the tests again. The result is
     None for a run made before such tests existed."""
     specification = run.specification
@@ -229,7 +231,7 @@ def requested_system(run: RunFiles) -> System:
     return augmented_system(run.model.system, linear_output_gain(run.model), modes)
 
 
-def information_errors(part: Theorem | Infeasible) -> list[str]:
+def stored_number_errors(part: Theorem | Infeasible) -> list[str]:
     """Sentences on wrong numbers that a certificate stores beside its proof, such as margin and
     condition number."""
     if isinstance(part, Infeasible):

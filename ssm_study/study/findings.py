@@ -59,6 +59,6 @@ def check_agreement(
 
 def check_entries(run: RunFiles, file: str, read: Any) -> Checked:
     """Finding on whether a file contains only entries that its reader uses."""
-    extra = find_unknown_entries(run.stored_object(file), read.to_json())
+    extra = find_unknown_entries(run.read_stored_object(file), read.to_json())
     observation = f"unknown: {', '.join(extra)}" if extra else "known"
     return Checked(claim=f"{file} entries", holds=not extra, found=observation)

@@ -95,7 +95,7 @@ def _check_unreduced_fit(run: RunFiles) -> Iterator[Checked]:
 
 def _check_reasons(run: RunFiles) -> Claims:
     """Check that the reason for a missing certificate is a single short line."""
-    for label, part in run.design.parts_by_name.items():
+    for label, part in run.design.certificates_by_name.items():
         if not isinstance(part, Infeasible):
             continue
         is_sentence = part.reason.isprintable() and len(part.reason) <= LONGEST_REASON

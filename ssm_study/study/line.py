@@ -81,7 +81,7 @@ class Study(Task["Specification"]):
 
             # Wrong columns are known only by reading.
             records = read_data_set(specification.data, specification.seed)
-            specification.refuse_limits(records.scale.input_equilibrium)
+            specification.refuse_unfitting_limits(records.scale.input_equilibrium)
             if isinstance(specification.refine, list):
                 from ssm_study.study.trials import read_logs
 
@@ -174,7 +174,7 @@ class Study(Task["Specification"]):
         inputs = request.stage_settings("synthesis", computed={"limits": limits})
         design = stages.run_stage(SYNTHESIS, *inputs, data, bounded, mismatch, judgement)
         if request.has_sine_trials:
-            inputs = request.sine_inputs()
+            inputs = request.sine_stage_settings()
             stages.run_stage(SINE_TRIALS, *inputs, bounded, mismatch, judgement, design)
         if with_fresh_data:
             inputs = request.stage_settings("data", "seed", *plant)
@@ -191,7 +191,7 @@ class Study(Task["Specification"]):
         from ssm_study.study.stages.free_run import SCORE
         from ssm_study.study.stages.model import MODEL
 
-        data = stages.run_stage(DATASET, *request.dataset_inputs())
+        data = stages.run_stage(DATASET, *request.dataset_stage_settings())
         # In no key: a bar on the screen changes no number.
         unkeyed = {"progress": request.progress}
         inputs = request.stage_settings("model", "training", "seed", unkeyed=unkeyed)
@@ -237,7 +237,7 @@ class Study(Task["Specification"]):
         }
 
     def command_line_columns(self, request: "Specification", overrides: Sequence[str]) -> Facts:
-        return undeclared_settings(
+        return undeclared_number_columns(
             request.configuration, {word.partition("=")[0] for word in overrides}
         )
 
@@ -261,7 +261,7 @@ def study_folder(config: DictConfig) -> Path:
     return run_folder(names).parent
 
 
-def check_retry(config: DictConfig, run: str = "*") -> None:
+def refuse_retry_without_runs(config: DictConfig, run: str = "*") -> None:
     """Raise `BadRequest` if failed runs are to be repeated in a study that has no runs yet."""
     study = study_folder(config)
     has_runs = any(study.glob(f"{run}/{RECORD}"))
@@ -271,7 +271,7 @@ def check_retry(config: DictConfig, run: str = "*") -> None:
     require(has_runs or config.retry_failed is not True, "retry_failed", True, problem, remedy)
 
 
-def undeclared_settings(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
+def undeclared_number_columns(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
     """Columns for the numbers of the configuration that have no declared column.
 
     A part, as `training/optimiser` or `peer@loop.peer`, is named by its kind.

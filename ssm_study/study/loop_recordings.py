@@ -86,7 +86,7 @@ def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
     return run, recording
 
 
-def loop_subject(plant: Plant | None) -> str:
+def loop_place_label(plant: Plant | None) -> str:
     """Text that says, in a recording, whether the loop was closed on a plant or on the identified
     model."""
     if plant is None:

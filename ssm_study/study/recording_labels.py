@@ -9,7 +9,7 @@ import numpy as np
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import Channel, DataSet
-from ssm_study.study.loop_recordings import NOISE_FREE, ON_MODEL, ON_PLANT, loop_subject
+from ssm_study.study.loop_recordings import NOISE_FREE, ON_MODEL, ON_PLANT, loop_place_label
 from ssm_study.study.recordings import LOOPS, TRIALS, RecordedCases
 from ssm_study.study.run_files import RunFiles
 
@@ -63,7 +63,7 @@ def loop_labels(run: RunFiles, data: DataSet) -> list[Labels]:
     twin = IdentifiedPlant.from_model(run.model, data.inputs, data.outputs)
     plant = spec.plant or twin
     words = {
-        "loop_on": loop_subject(spec.plant),
+        "loop_on": loop_place_label(spec.plant),
         "loop_seed": str(spec.loop_seed),
         "plant": type(plant).__name__,
     }

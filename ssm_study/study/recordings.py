@@ -171,7 +171,7 @@ def write_records(
     write_mcap(path, tuple(written), facts)
 
 
-def read_trials(folder: Path) -> Trajectories:
+def read_mismatch_records(folder: Path) -> Trajectories:
     """Records that only serve to measure the model error, open loop first; empty if the run has no
     such file."""
     records: list[Trajectory] = []

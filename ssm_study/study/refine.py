@@ -22,7 +22,7 @@ from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.study.line import STUDY
 from ssm_study.study.loop_recordings import read_experiment
 from ssm_study.study.run_files import CONFIGURATION, RunFiles
-from ssm_study.study.trials import read_logs, records_of_loops, refined_run_name
+from ssm_study.study.trials import read_logs, records_from_loops, refined_run_name
 from ssm_study.synthesis.measured_discs_run import coverage_columns
 
 # iterations at most: of the designs that failed on plants whose record hid something, two mended
@@ -145,7 +145,7 @@ def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
     records."""
     if log is None:
         closed, _ = read_experiment(files.path)
-        trial = records_of_loops(closed.controlled)
+        trial = records_from_loops(closed.controlled)
     else:
         data: Any = files.specification.data
         trial = read_logs([str(log)], data, files.model.step_s)

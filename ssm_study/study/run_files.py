@@ -25,7 +25,7 @@ from ssm_study.signals import DataSet, Trajectories, input_limits
 from ssm_study.stored_yaml import read_stored_yaml
 from ssm_study.study.allow_list import refuse_foreign_targets
 from ssm_study.study.read_once import read_data_set
-from ssm_study.study.recordings import RecordedCases, read_trials
+from ssm_study.study.recordings import RecordedCases, read_mismatch_records
 from ssm_study.study.specification import Specification
 from ssm_study.study.stages.free_run import ModelRun
 from ssm_study.study.trials import repeat_trials
@@ -115,7 +115,7 @@ class RunFiles:
     @cached_property
     def trials(self) -> Trajectories:
         """Records that only serve to measure the model error."""
-        return read_trials(self.path)
+        return read_mismatch_records(self.path)
 
     @cached_property
     def judgement(self) -> Judgement:
@@ -127,7 +127,7 @@ class RunFiles:
         )
         return collect_findings(data, self.model, runs.validation, runs.test, mismatch)
 
-    def stored_object(self, name: str) -> dict[str, Any]:
+    def read_stored_object(self, name: str) -> dict[str, Any]:
         """Object in a JSON file of the run. Raises `BadRequest` for a file that repeats a key."""
         as_object = partial(refuse_repeated_keys, name)
         content = json.loads(read_limited_bytes(self.path / name), object_pairs_hook=as_object)
@@ -139,7 +139,7 @@ class RunFiles:
     @cached_property
     def certificate(self) -> dict[str, Any]:
         """Content of the run's `certificate.json`."""
-        return self.stored_object("certificate.json")
+        return self.read_stored_object("certificate.json")
 
     @cached_property
     def design(self) -> Design:

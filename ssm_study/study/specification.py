@@ -77,9 +77,9 @@ class Specification:
             progress=bool(settings.progress),
             configuration=settings,
         )
-        specification.refuse_sizes()
+        specification.refuse_excessive_sizes()
         if plant is not None:
-            specification.refuse_limits(plant.equilibrium().u)
+            specification.refuse_unfitting_limits(plant.equilibrium().u)
         specification.refuse_feedthrough()
         specification.refuse_fast_modes()
         return specification
@@ -110,7 +110,7 @@ class Specification:
 
             internal_model(words, step_s, outputs=1)
 
-    def refuse_sizes(self) -> None:
+    def refuse_excessive_sizes(self) -> None:
         """Raise `BadRequest` for a reduction to more states than the model has, or for more data
         than the memory can hold."""
         order = self.configuration["model"].get("order")
@@ -138,7 +138,7 @@ class Specification:
         for field, count in counts.items():
             require(count <= LARGEST_NUMBER, field, count, problem, "use fewer")
 
-    def refuse_limits(self, rest: Float[np.ndarray, "m"]) -> None:
+    def refuse_unfitting_limits(self, rest: Float[np.ndarray, "m"]) -> None:
         """Raise `BadRequest` for input limits that do not fit plant or log.
 
         They have to number as many as the inputs, and to enclose the equilibrium `rest`; the loop
@@ -176,12 +176,12 @@ class Specification:
         arguments = {**parts, **computed, **unkeyed}
         return Settings({**settings, **checksums, **computed}), arguments
 
-    def dataset_inputs(self) -> tuple[dict[str, Any], dict[str, Any]]:
+    def dataset_stage_settings(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """Settings and call arguments of the stage that simulates or reads the records."""
         plant = ("plant", "excitation") if self.plant else ()
         return self._stage_settings_with_data("seed", *plant)
 
-    def sine_inputs(self) -> tuple[dict[str, Any], dict[str, Any]]:
+    def sine_stage_settings(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """Settings and call arguments of the stage that tests a design with single sines on a
         simulated plant."""
         return self._stage_settings_with_data("seed", "plant")

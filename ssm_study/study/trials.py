@@ -48,7 +48,7 @@ def compute_with_tried_loops(
     for experiment in tried[1::2]:
         if isinstance(experiment, tuple):
             closed, _ = experiment
-            trials += records_of_loops(closed.controlled)
+            trials += records_from_loops(closed.controlled)
     _write_data_and_trials(folder, data, tuple(trials))
 
 
@@ -68,7 +68,7 @@ def _write_data_and_trials(folder: Path, data: DataSet, trials: Trajectories) ->
     write_records(folder / LOOPS, data, trials)
 
 
-def records_of_loops(run: Rollouts) -> Trajectories:
+def records_from_loops(run: Rollouts) -> Trajectories:
     """Input and output records of closed-loop simulations, each up to the sample at which it left
     its bound.
 
@@ -134,7 +134,7 @@ def repeat_trials(request: "Specification", run: Path) -> Trajectories:
     for content in read_json(run / TRIED):
         design = Design.from_json(content)
         closed = experiment.run_design(plant, model, design, request.loop_seed)
-        trials += records_of_loops(closed.controlled)
+        trials += records_from_loops(closed.controlled)
     return tuple(trials)
 
 

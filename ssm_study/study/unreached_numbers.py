@@ -15,7 +15,7 @@ CANCELLED = "the neuron bends at no value of a record, so that its bias cancels 
 UNREACHED = "no record reaches this part of the map, and training is not repeated"
 
 
-def unreached_numbers(run: RunFiles) -> dict[str, str]:
+def unverifiable_numbers(run: RunFiles) -> dict[str, str]:
     """Entries of `model.json` that the run's records cannot verify, each with the reason.
 
     A monotone map is written by break points and slopes. Beyond the inputs (or outputs) of all
@@ -33,12 +33,12 @@ def unreached_numbers(run: RunFiles) -> dict[str, str]:
     scaffold_in = getattr(run.model, "scaffold_in", None)
     if isinstance(scaffold_in, MonotoneScaffold):
         signal = scale.scaled_input(np.concatenate(inputs))
-        places += unreached_places("scaffold_in", scaffold_in.breakpoints, signal)
+        places += unreached_ranges("scaffold_in", scaffold_in.breakpoints, signal)
     scaffold_out = getattr(run.model, "scaffold_out", None)
     if isinstance(scaffold_out, MonotoneScaffold):
         signal = scale.scaled_output(np.concatenate(outputs))
         bends = scaffold_out(scaffold_out.breakpoints.T).T
-        places += unreached_places("scaffold_out", bends, signal)
+        places += unreached_ranges("scaffold_out", bends, signal)
     reasons = dict.fromkeys(places, UNREACHED)
     if isinstance(scaffold_in, MlpScaffold):
         signal = scale.scaled_input(np.concatenate(inputs))
@@ -83,7 +83,7 @@ def leaky_rectifier(
     return np.where(z < 0, negative * z, positive * z)
 
 
-def unreached_places(
+def unreached_ranges(
     name: str, bends: Float[np.ndarray, "m h"], signal: Float[np.ndarray, "T m"]
 ) -> Iterator[str]:
     """Texts on the parts of a piecewise-linear map that a recorded signal does not reach.

@@ -166,7 +166,7 @@ def verify_files(run: RunFiles) -> Verification:
 def _findings_of_sections(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
     """Findings of all sections of the verification of a run. An error in a section becomes a failed
     claim."""
-    for section in (check_form, *_sections(run)):
+    for section in (check_form, *_applicable_sections(run)):
         try:
             yield from section(run)
         except Exception as error:
@@ -180,7 +180,7 @@ def section_claim(function: str) -> str:
     return SECTION_CLAIMS.get(subject, subject)
 
 
-def _sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
+def _applicable_sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
     """Sections of the verification that apply to a run."""
     try:
         return SECTIONS if run.claims_certificate else OF_A_BASELINE

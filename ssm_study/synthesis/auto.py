@@ -14,13 +14,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Design
-from ssm_study.certificates.theorems.integral_action import parse_frequencies
+from ssm_study.certificates.theorems.integral_action import count_modes_by_frequency
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require, require_positive
 from ssm_study.robustness.coverage import Premise
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
-from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sensitivity import peaks_on_grid
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.candidate_grid import CandidateGrid
@@ -31,7 +31,7 @@ from ssm_study.synthesis.design import Synthesis, require_contraction_rate
 from ssm_study.synthesis.expected_response import ATTEMPTS, FASTER, ExpectedResponse, RankedPair
 from ssm_study.synthesis.input_inversion import design_with_inverted_input
 from ssm_study.synthesis.measured_discs_choice import Search, first_covering_design
-from ssm_study.synthesis.measured_discs_run import is_coverage_sought
+from ssm_study.synthesis.measured_discs_run import seeks_coverage
 from ssm_study.systems import Balls
 
 # Frequencies (rad/sample) that rank the candidates; the chosen one is then judged on a finer grid.
@@ -90,7 +90,7 @@ class Auto:
             self._check_grid(name, below=1.0, allowed="numbers in (0, 1)")
         for name in WEIGHTS:
             self._check_grid(name, below=np.inf, allowed="positive numbers")
-        parse_frequencies(self.internal_model)
+        count_modes_by_frequency(self.internal_model)
         if self.cover is not None:
             require_positive("synthesis.cover", self.cover, "use 1, or 1.5 for more")
 
@@ -113,8 +113,8 @@ class Auto:
         """Grid of rates and weights over which gains are computed. A controller or observer without
         its own rate takes `rate`."""
         return CandidateGrid(
-            rate_controller=self._own_or_common_rate(self.rate_controller),
-            rate_observer=self._own_or_common_rate(self.rate_observer),
+            rate_controller=self._side_or_common_rate(self.rate_controller),
+            rate_observer=self._side_or_common_rate(self.rate_observer),
             stretch_shares=self.stretch_shares,
             observer_rates=self.observer_rates,
             input_weights=self.input_weights,
@@ -123,7 +123,7 @@ class Auto:
             modes=self.modes,
         )
 
-    def _own_or_common_rate(self, rate: float | str) -> float | str:
+    def _side_or_common_rate(self, rate: float | str) -> float | str:
         """Contraction rate of controller or observer, or the common rate if none is set for it."""
         return self.rate if rate == "auto" else rate
 
@@ -164,8 +164,8 @@ class Auto:
             decays=self.decays,
         )
         make = CertifiedDesigns(response=response)
-        pairs = response.ordered_pairs(peaks, validation, self.limits)
-        if self.premise is None or not is_coverage_sought(model, self.cover, self.premise):
+        pairs = response.pairs_by_expected_response(peaks, validation, self.limits)
+        if self.premise is None or not seeks_coverage(model, self.cover, self.premise):
             pairs = islice(pairs, ATTEMPTS)
         search = None
         if self.premise is not None:
@@ -200,12 +200,12 @@ class Auto:
         unasked = SLOWER_WITH_NEURONS if has_neurons else SLOWER
         slower = SLOWER_ASKED if is_asked else unasked
 
-        def covered_gains(first: Design, most: Design, cover: float) -> Design | None:
+        def search_covered_gains(first: Design, most: Design, cover: float) -> Design | None:
             """Search near one design for gains whose proof covers the recorded model error."""
             largest_area = min(slower * search.response_area(first.pair), FASTER)
             return search.improve_design(most, cover, rounds, largest_area)
 
-        return covered_gains
+        return search_covered_gains
 
     def _largest_margin_design(
         self, model: Model, balls: Balls, candidates: Candidates, peaks: Float[np.ndarray, "C O"]
@@ -286,7 +286,7 @@ class CertifiedDesigns:
         )
         if not design.certified:
             return None
-        prediction = predict(response.model, design.pair, response.balls, response.mismatch)
+        prediction = predict_margins(response.model, design.pair, response.balls, response.mismatch)
         if not prediction.predicts_stability(response.margin):
             return None
         self.has_faster = self.has_faster or ranked.is_faster

@@ -75,14 +75,14 @@ class CandidateGrid:
         rest = equilibrium_slopes(model)
         specifications = self.specifications()
         first = specifications[0]
-        observers, unsolved = self.solve_side(first, model.system, balls.output, True, rest)
+        observers, unsolved = self.solve_gains(first, model.system, balls.output, True, rest)
         controllers: list[GainCandidate] = []
         for specification in specifications:
             controlled = model.system
             if specification.modes:
                 weight = specification.integral_weight
                 controlled = append_internal_model(model, specification.modes, weight)
-            side = self.solve_side(specification, controlled, balls.input, False, rest)
+            side = self.solve_gains(specification, controlled, balls.input, False, rest)
             controllers += side.candidates
             unsolved += side.unsolved
         if not controllers or not observers:
@@ -108,7 +108,7 @@ class CandidateGrid:
         outputs = model.scale.outputs
         return internal_model(self.modes, model.step_s, outputs)
 
-    def solve_side(
+    def solve_gains(
         self,
         specification: RiccatiSynthesis,
         system: System,
@@ -163,13 +163,13 @@ class CandidateGrid:
             from ssm_study.synthesis import structured_lmi  # CVXPY: only where there are neurons
 
             problem = specification.problem(system, ball, observes)
-            limit, fastest = structured_lmi.fastest_solution(problem)
+            limit, fastest = structured_lmi.fastest_confirmed_solution(problem)
         linear = isinstance(system, StateSpace)
-        rates = self._requested_rates(observes, linear, own, limit)
+        rates = self._candidate_rates(observes, linear, own, limit)
         below = [rate for rate in rates if 0 < rate < limit]
         return sorted(below, reverse=True), fastest
 
-    def _requested_rates(
+    def _candidate_rates(
         self, observes: bool, linear: bool, own: float, limit: float
     ) -> list[float]:
         """Contraction rates to try for controller or observer, as numbers. If none is requested
@@ -207,7 +207,7 @@ class CandidateGrid:
         proved_candidates = []
         for slopes in (rest, HALF_SLOPE * np.ones_like(rest)):
             frozen = system.linearise_at_slopes(slopes)
-            solved_side = self.solve_side(specification, frozen, ball, observes)
+            solved_side = self.solve_gains(specification, frozen, ball, observes)
             for request, solution in solved_side.candidates:
                 try:
                     proved = program.prove_rate(solution.k)

@@ -22,14 +22,14 @@ from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage import Premise
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sensitivity import controller_spectral_radius
 from ssm_study.signals import Ends, Trajectories
-from ssm_study.synthesis.decay_response import NO_DECAYS, largest_decay_ratios
+from ssm_study.synthesis.decay_response import NO_DECAYS, largest_settling_time_ratios
 from ssm_study.synthesis.deployed import certificate_at_largest_rate
 from ssm_study.synthesis.expected_response import FASTER
 from ssm_study.synthesis.integrated_error import relative_areas
-from ssm_study.synthesis.measured_discs_choice import LoopCoverage, proof_loss
+from ssm_study.synthesis.measured_discs_choice import LoopCoverage, usual_proof_loss
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
 from ssm_study.systems import Balls, Gains
 
@@ -90,7 +90,7 @@ class GainSearch:
         A proof keeps a little less than its frequencies promise: where it keeps too little, the
         search goes on for as much more.
         """
-        wanted_coverage = proof_loss(self.model) * target
+        wanted_coverage = usual_proof_loss(self.model) * target
         for _ in range(1 if self.is_brief else CERTIFICATES):
             best = self.search(start, wanted_coverage, rounds, largest_area)
             design = self.certify_gains(start, best.gains)
@@ -118,14 +118,14 @@ class GainSearch:
         feedback = start.state_feedback
         assert isinstance(feedback, StateFeedback)
         controlled = controlled_system(self.model, feedback)
-        loop = LoopCoverage.from_premise(self.model, controlled, self.balls, self.premise)
+        loop = LoopCoverage.for_loop(self.model, controlled, self.balls, self.premise)
         coverage, centre = loop.largest_radius(gain_fields(start.pair))
         area = self.response_area(start.pair)
         best = ScoredGains(gains=start.pair, area=area, coverage=coverage)
         allowed = max(largest_area, area)
         random = np.random.default_rng(SEED)
         step = FIRST_STEP
-        slowest = max(FASTER, self._decay_ratios([start.pair])[0])
+        slowest = max(FASTER, self._settling_time_ratios([start.pair])[0])
         reached = [best.coverage]
         while self._needs_another_round(reached, target, rounds):
             proposals = [scale_at_random(best.gains, step, random) for _ in range(PROPOSALS)]
@@ -178,20 +178,20 @@ class GainSearch:
         for trial in trials:
             if not trial.is_better_than(leader or best, target):
                 continue
-            prediction = predict(self.model, trial.gains, self.balls, self.mismatch)
+            prediction = predict_margins(self.model, trial.gains, self.balls, self.mismatch)
             if prediction.predicts_stability(self.margin):
                 leader = trial
         return leader
 
     def _faster_proposals(self, proposals: list[Gains], slowest: float) -> list[Gains]:
         """Proposed gains whose loop settles faster than recorded decays by a required factor."""
-        ratios = self._decay_ratios(proposals)
+        ratios = self._settling_time_ratios(proposals)
         return [gains for gains, ratio in zip(proposals, ratios, strict=True) if ratio < slowest]
 
-    def _decay_ratios(self, proposals: list[Gains]) -> list[float]:
+    def _settling_time_ratios(self, proposals: list[Gains]) -> list[float]:
         """Settling time with each of the proposed gains, relative to that of the recorded
         decays."""
-        ratios = largest_decay_ratios(
+        ratios = largest_settling_time_ratios(
             self.model, stack_gains(proposals), self.decays, self.mismatch.band, self.limits
         )
         return [float(ratio) for ratio in ratios]

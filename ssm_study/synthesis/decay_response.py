@@ -58,7 +58,7 @@ def simulate_decays(model: Model, trials: Trajectories, validation: Trajectories
     return np.stack([decay[:shortest] for decay in decays])
 
 
-def largest_decay_ratios(
+def largest_settling_time_ratios(
     model: Model, gains: Gains, decays: Decays, band: float, limits: Ends | None = None
 ) -> Ratios:
     """Settling time of each loop relative to decays without control, the larger ratio of two
@@ -66,11 +66,11 @@ def largest_decay_ratios(
     pace."""
     if gains.modes.size:
         return np.zeros(len(gains.k))
-    ratios = [decay_ratios(model, gains, decays, size * band, limits) for size in BANDS]
+    ratios = [settling_time_ratios(model, gains, decays, size * band, limits) for size in BANDS]
     return np.asarray(np.max(ratios, axis=0))
 
 
-def decay_ratios(
+def settling_time_ratios(
     model: Model, gains: Gains, decays: Decays, band: float, limits: Ends | None = None
 ) -> Ratios:
     """Settling time of each loop relative to decays without control, averaged over the decays. Zero
@@ -79,16 +79,16 @@ def decay_ratios(
     if not len(decays):
         return np.zeros(pairs)
     sizes = np.linalg.norm(decays, axis=2)
-    alone = _settled_sample(sizes, band)
+    alone = _settling_sample(sizes, band)
     input_limits = limits or (-LARGEST, LARGEST)
     outputs = _closed_loop_outputs(model, gains, decays, input_limits)
     output_sizes = np.linalg.norm(outputs, axis=3)
-    mean_settled = _settled_sample(output_sizes, band).mean(axis=1)
+    mean_settled = _settling_sample(output_sizes, band).mean(axis=1)
     mean_alone = max(float(alone.mean()), 1.0)
     return np.asarray(mean_settled / mean_alone)
 
 
-def _settled_sample(
+def _settling_sample(
     sizes: Float[np.ndarray, "*pairs T"], band: float
 ) -> Float[np.ndarray, "*pairs"]:
     """First sample after which a signal stays within a band."""

@@ -146,7 +146,7 @@ def equilibrium_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
     S_y couples there is no such box: None.
     """
     inverse = invert_map(model.scaffold_out.as_portable())
-    rest, _, gain = model.linear.steady_states()
+    rest, _, gain = model.linear.equilibrium_basis()
     outputs, dimension = gain.shape
     tells_state = dimension in (1, outputs) and np.linalg.matrix_rank(gain) == dimension
     linear_d = model.linear.d
@@ -162,7 +162,7 @@ def equilibrium_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
     return corners
 
 
-def equilibrium_starts(
+def nearest_equilibrium_starts(
     model: SSM, starts: Float[np.ndarray, "s j"]
 ) -> Float[np.ndarray, "s j"] | None:
     """Equilibrium states nearest to stored initial states, as fractions of the corners of an output
@@ -191,7 +191,7 @@ class WithinLimits:
         initial states is certified."""
         if SETS not in parts or not isinstance(model, SSM):
             return None
-        starts = equilibrium_starts(model, parts[SETS].starts)
+        starts = nearest_equilibrium_starts(model, parts[SETS].starts)
         if starts is None:
             return None
         low, high = output_range(model, starts)

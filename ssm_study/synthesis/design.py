@@ -33,7 +33,10 @@ from ssm_study.certificates.problem import (
     linear_algebra_failures_as_no_solution,
 )
 from ssm_study.certificates.theorem import Theorem, VerificationContext, find_theorem
-from ssm_study.certificates.theorems.integral_action import append_internal_model, parse_frequencies
+from ssm_study.certificates.theorems.integral_action import (
+    append_internal_model,
+    count_modes_by_frequency,
+)
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.certificates.theorems.structured_observer import StructuredObserver
@@ -78,10 +81,10 @@ class DesignAttempt:
             )
             return self.without_certificate(reason, "not asked", proved=True)
         if self.rate >= limit:
-            return self.without_certificate(self._excess_words(), "not asked", proved=True)
+            return self.without_certificate(self._excess_rate_text(), "not asked", proved=True)
         return None
 
-    def _excess_words(self) -> str:
+    def _excess_rate_text(self) -> str:
         """Text on a requested rate beyond the limit: the largest possible rates, and the
         remedies."""
         limit = self.frontier.rate_limit
@@ -191,9 +194,10 @@ def failed_checks(
     broken = [
         f"{part}.digest: the stored numbers are not those that were written"
         for part, fields in content.items()
-        if part in design.parts_by_name and fields.get("digest") != certificate_digest(fields)
+        if part in design.certificates_by_name
+        and fields.get("digest") != certificate_digest(fields)
     ]
-    for label, part in design.parts_by_name.items():
+    for label, part in design.certificates_by_name.items():
         claims = _failed_checks_of_part(part, context)
         broken += [f"{label}{claim}" for claim in claims]
     for (
@@ -298,7 +302,7 @@ class Synthesis(ABC):
             require_positive(f"synthesis.{name}", getattr(self, name), "try 1")
         for name in ("output_weight", "input_noise"):
             require_at_least(0, f"synthesis.{name}", getattr(self, name), "try 1")
-        parse_frequencies(self.internal_model)
+        count_modes_by_frequency(self.internal_model)
 
     @property
     def modes(self) -> tuple[str, ...]:
@@ -329,15 +333,15 @@ class Synthesis(ABC):
         """Certified state feedback for a system, or the reason why there is none."""
         neurons = isinstance(system, StructuredSystem)
         theorem = StructuredStateFeedback if neurons else self.feedback_theorem
-        return self._design_part(theorem, system, ball)
+        return self._design_gain(theorem, system, ball)
 
     def observer(self, system: System, ball: JacobianBall) -> Observer | Infeasible:
         """Certified observer for a system, or the reason why there is none."""
         neurons = isinstance(system, StructuredSystem)
         theorem = StructuredObserver if neurons else self.observer_theorem
-        return self._design_part(theorem, system, ball)
+        return self._design_gain(theorem, system, ball)
 
-    def _design_part(self, theorem: type[Side], system: System, ball: JacobianBall) -> Any:
+    def _design_gain(self, theorem: type[Side], system: System, ball: JacobianBall) -> Any:
         """Certified controller or observer, or the reason why there is none."""
         rate = self.rate_observer if theorem.observes else self.rate_controller
         limit = controller_frontier(dual_system(system) if theorem.observes else system, ball)

@@ -20,11 +20,15 @@ from jaxtyping import Bool, Float, Int
 
 from ssm_study.models.structured import Model
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.prediction import noise_peak, robustness_measure
+from ssm_study.robustness.prediction import output_peak_from_noise, robustness_measure
 from ssm_study.robustness.sensitivity import FINE_ANGLES, Responses, controller_spectral_radius
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.candidates import Candidates
-from ssm_study.synthesis.decay_response import NO_DECAYS, largest_decay_ratios, simulate_decays
+from ssm_study.synthesis.decay_response import (
+    NO_DECAYS,
+    largest_settling_time_ratios,
+    simulate_decays,
+)
 from ssm_study.synthesis.integrated_error import relative_areas
 from ssm_study.systems import Balls, Gains
 
@@ -86,7 +90,7 @@ class ExpectedResponse:
     def resists_noise(self, pair: Pair) -> bool:
         """Whether sensor noise alone leaves the output within the settling band."""
         gains = self.candidates.gains(pair)
-        return noise_peak(self.model, gains, self.balls, self.mismatch) < 1
+        return output_peak_from_noise(self.model, gains, self.balls, self.mismatch) < 1
 
     def stable_pairs(self, peaks: Float[np.ndarray, "C O"]) -> Int[np.ndarray, "N 2"]:
         """Designs with a large enough stability margin whose controller alone is stable."""
@@ -97,7 +101,7 @@ class ExpectedResponse:
         system = self.model.system
         return pairs[controller_spectral_radius(system, gains, self.balls) < 1]
 
-    def ordered_pairs(
+    def pairs_by_expected_response(
         self, peaks: Float[np.ndarray, "C O"], validation: Trajectories, limits: Ends | None
     ) -> Iterator[RankedPair]:
         """Designs that pass all tests, sorted by expected response, those faster than the open loop
@@ -108,18 +112,18 @@ class ExpectedResponse:
         of a verified design may differ from its candidate's).
         """
         pairs = self.stable_pairs(peaks)
-        if not len(pairs) or not self.mismatch.comes_to_rest:
+        if not len(pairs) or not self.mismatch.plant_comes_to_rest:
             return
         gains = self.candidates.gains(pairs)
         areas = relative_areas(self.model, gains, validation, limits)
         band = self.mismatch.band
-        ratios = largest_decay_ratios(self.model, gains, self.decays, band, limits)
+        ratios = largest_settling_time_ratios(self.model, gains, self.decays, band, limits)
         slow = np.maximum(areas, ratios) >= FASTER
         angles = FINE_ANGLES[::2]
         coarse = Responses(angles=angles)
         fine = Responses(angles=FINE_ANGLES)
         passing: list[tuple[Rank, int]] = []
-        remaining = compared_indices(areas, slow)
+        remaining = indices_to_compare(areas, slow)
         while remaining or passing:
             while remaining:
                 best_possible = (bool(slow[remaining[0]]), float(areas[remaining[0]]))
@@ -142,7 +146,7 @@ class ExpectedResponse:
             del passing[:ATTEMPTS]
 
 
-def compared_indices(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"]) -> list[int]:
+def indices_to_compare(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"]) -> list[int]:
     """Indices of the designs to compare: those with the smallest response areas, and some spread
     over the others."""
     order = np.lexsort((areas, slow))
@@ -160,7 +164,7 @@ def predicts_faster_response(
     single_pair = replace(pair, k=k, l=pair.l[None], l_z=l_z)
     area = relative_areas(model, single_pair, validation)[0]
     decays = simulate_decays(model, trials, validation)
-    ratio = largest_decay_ratios(model, single_pair, decays, mismatch.band)[0]
+    ratio = largest_settling_time_ratios(model, single_pair, decays, mismatch.band)[0]
     return bool(max(area, ratio) < FASTER)
 
 

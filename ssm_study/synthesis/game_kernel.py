@@ -95,7 +95,7 @@ def solve_linear(a, b):
 
 @compile_with_numba
 @no_type_check
-def log_det(a):
+def log_determinant(a):
     """Logarithm of the determinant of a positive definite matrix, by its Cholesky factor. Raises an
     error for any other matrix."""
     n = len(a)
@@ -134,7 +134,7 @@ def _add_step(total, step):
 
 @compile_with_numba
 @no_type_check
-def riccati_limit(a, g, h):
+def riccati_solution(a, g, h):
     """Stabilising solution of `H = Q + A'H (I + G H)^{-1} A`, by the doubling algorithm. Raises an
     error if there is none. G and H are overwritten."""
     n = len(a)
@@ -204,7 +204,7 @@ def _cost_matrices(f, moved, state_weight, input_weight, m, r, logs):
 
 @compile_with_numba
 @no_type_check
-def _constraint(h, m, inputs, injects):
+def _constraint_matrix(h, m, inputs, injects):
     """Matrix that selects the signals whose quadratic form has to be negative. It depends on the
     order in which the players move."""
     size = len(h)
@@ -212,7 +212,7 @@ def _constraint(h, m, inputs, injects):
     for i in range(m, size):
         t[i, i - m] = 1.0
     if injects:
-        log_det(h[:m, :m].copy())
+        log_determinant(h[:m, :m].copy())
         answered = solve_linear(h[:inputs, :inputs].copy(), h[:inputs, inputs:].copy())
         for i in range(inputs):
             for j in range(size - inputs):
@@ -257,7 +257,7 @@ def _goal_gradient(f, moved, m, r, logs, barrier, saddle, reach, shadow):
 
 @compile_with_numba
 @no_type_check
-def saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs, barrier):
+def solve_saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs, barrier):
     """Saddle point of the game at given log multipliers, with the guaranteed cost and its gradient
     there."""
     (q, n), inputs = f.shape, moved.shape[1]
@@ -266,16 +266,16 @@ def saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs
     inverse = solve_linear(own, join_columns(s, across))
     first = inverse[:, :n].copy()
     second = inverse[:, n:].copy()
-    x = riccati_limit(
+    x = riccati_solution(
         weighted_sum(a, multiply(b, first), -1.0),
         multiply(b, second),
         weighted_sum(cost, multiply(transpose(s), first), -1.0),
     )
-    log_det(x)
+    log_determinant(x)
     into = multiply(across, x)
     h = weighted_sum(own, multiply(into, b), 1.0)
     toward = weighted_sum(s, multiply(into, a), 1.0)
-    t = _constraint(h, m, inputs, injects)
+    t = _constraint_matrix(h, m, inputs, injects)
     room = multiply(transpose(t), multiply(h, t))
     for i in range(len(room)):  # the maximising players' curvature: positive, or no saddle exists
         for j in range(len(room)):
@@ -286,7 +286,7 @@ def saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs
         trace += x[i, i]
     for i in range(len(logs)):
         log_volume += logs[i] if i < q else m * logs[i]
-    goal = log(trace) - barrier * (log_det(room) - log_volume)
+    goal = log(trace) - barrier * (log_determinant(room) - log_volume)
     saddle = solve_linear(h, toward)
     for i in range(len(saddle)):
         for j in range(n):

@@ -134,7 +134,7 @@ def _minimise_over_tau(problem: Problem, tau_min: float) -> GuaranteedCost:
     """Minimise the guaranteed cost over the multiplier tau."""
     tried: list[tuple[float, GuaranteedCost | None]] = []
 
-    def cost(log_step: float) -> float:
+    def cost_at(log_step: float) -> float:
         """Guaranteed cost as a function of the search variable, the logarithm of `tau / tau_min -
         1`."""
         tau = tau_min * (1 + np.exp(log_step))
@@ -143,12 +143,12 @@ def _minimise_over_tau(problem: Problem, tau_min: float) -> GuaranteedCost:
         return tried[-1][0]
 
     grid = np.log(np.geomspace(*TAU_SPAN, COARSE_STEPS))
-    index = int(np.argmin([cost(step) for step in grid]))
+    index = int(np.argmin([cost_at(step) for step in grid]))
     if tried[index][1] is None:
         raise NoSolution("no admissible tau")
     span = float(grid[max(index - 1, 0)]), float(grid[min(index + 1, COARSE_STEPS - 1)])
     scipy.optimize.minimize_scalar(
-        cost, bounds=span, method="bounded", options={"xatol": LOG_TAU_TOLERANCE}
+        cost_at, bounds=span, method="bounded", options={"xatol": LOG_TAU_TOLERANCE}
     )
     best = min(tried, key=lambda point: point[0])[1]
     if best is None:  # costs beyond floats, which no comparison orders

@@ -79,7 +79,7 @@ def _constant_loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.
         unit_inputs = np.eye(linear.b.shape[1])[:, None]
         _, held_states = linear.simulate(unit_inputs.repeat(horizon, axis=1))
     else:
-        states_by_channel, *_ = linear.steady_states()
+        states_by_channel, *_ = linear.equilibrium_basis()
         held_states = states_by_channel.T
     no_input = np.zeros((len(held_states), linear.b.shape[1]))
     scaled = model.scaled_output_at(held_states, no_input)
@@ -91,7 +91,7 @@ def _constant_loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.
     return np.concatenate(loads)
 
 
-def _load_time_course(
+def _load_over_time(
     modes: Float[np.ndarray, "z z"], outputs: int, horizon: int
 ) -> Float[np.ndarray, "T"]:
     """Time course of a load that the internal model can generate, such as a constant, a ramp or a
@@ -115,7 +115,7 @@ def relative_areas(
     area hardly sees a faint tail, on which the time to settle turns; the time does not see what
     lies beyond the horizon. Observers start from zero. Gains with an internal model are also judged
     by how soon they remove loads that it makes, constant ones with integrators. No noise, scaled
-    units, inputs within `limits`, where it is `steady_states`. Below one is faster than none.
+    units, inputs within `limits`, where it is `equilibrium_basis`. Below one is faster than none.
     """
     loaded = len(gains.modes) > 0
     x0, load, horizon = comparison_scenario(model, validation, loaded=loaded)
@@ -152,7 +152,7 @@ def _response_areas(
     modes = gains.modes
     outputs = l_.shape[1]
     into_modes = error_input_matrix(modes, outputs)
-    shape = _load_time_course(modes, outputs, horizon)
+    shape = _load_over_time(modes, outputs, horizon)
     state_gain = k[:, :n]
     internal_gain = k[:, n:]
     pairs = len(k)

@@ -66,7 +66,7 @@ class CompiledLmi:
         of = SimpleNamespace(a=a, b=b, **parts)
         upper = StateFeedbackOfBall.inequality(of)
         if objective == "smallest_gain":
-            goal, constraints = _smallest_gain(upper, p, y, x)
+            goal, constraints = _minimum_gain_objective(upper, p, y, x)
         else:
             root = np.real(scipy.linalg.sqrtm(state_weight))
             performance = [root @ y, np.sqrt(input_weight) * x]
@@ -94,7 +94,9 @@ class CompiledLmi:
         return Solution(p=p, y=y, k=k, sigma=sigma, status=status)
 
 
-def _smallest_gain(upper: Blocks, p: cp.Expression, y: cp.Expression, x: cp.Expression) -> Goal:
+def _minimum_gain_objective(
+    upper: Blocks, p: cp.Expression, y: cp.Expression, x: cp.Expression
+) -> Goal:
     """Objective and constraints that minimise the norm of the gain."""
     matrix = cp.bmat(symmetric_from_upper(upper))
     g = cp.Variable(nonneg=True)
@@ -148,7 +150,7 @@ class LmiSynthesis(Synthesis):
         return program.solve(problem.rate, self.solver)
 
 
-def paper_lmi(
+def certificate_from_paper_lmi(
     linear: StateSpace, ball: JacobianBall, rate: float, theorem: type[Side] = StateFeedbackOfBall
 ) -> Any:
     """Certificate from the linear matrix inequality exactly as [Z26] prints it. Any solution with

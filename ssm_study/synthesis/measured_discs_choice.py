@@ -21,7 +21,7 @@ from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage import Premise
 from ssm_study.robustness.coverage_items import Item
-from ssm_study.synthesis.measured_discs_run import exclusion_reason, is_coverage_sought
+from ssm_study.synthesis.measured_discs_run import exclusion_reason, seeks_coverage
 from ssm_study.systems import Balls, StructuredSystem
 
 LOOKED_AT = (0, 1, 2, 4, 7, 11, 16, 23, 32, 45, 60, 85, 120, 170, 240, 320)  # of one layer
@@ -62,13 +62,13 @@ def first_covering_design(
     places: tuple[int, ...] = LOOKED_AT
     if isinstance(model.system, StructuredSystem):
         places = WITH_NEURONS if cover is None else WITH_NEURONS + FARTHER
-    lost = proof_loss(model)
+    lost = usual_proof_loss(model)
     target = lost * (1.0 if cover is None else cover)
     walk = GridWalk(
         pairs=iter(enumerate(pairs)), make=make, places=places, lost=lost, target=target
     )
     first = walk.first_design()
-    sought = premise is not None and is_coverage_sought(model, cover, premise)
+    sought = premise is not None and seeks_coverage(model, cover, premise)
     if first is None or premise is None or not sought:
         return first, PREDICTED
     if premise.missing_reason(0.0) is not None or exclusion_reason(first, model):
@@ -94,7 +94,7 @@ def first_covering_design(
     return (covered, COVERED) if substitute is None else (substitute, SEARCHED)
 
 
-def proof_loss(model: Model) -> float:
+def usual_proof_loss(model: Model) -> float:
     """Usual largest ratio of the coverage computed frequency by frequency to the proved one."""
     return LOST_WITH_NEURONS if isinstance(model.system, StructuredSystem) else LOST
 
@@ -135,14 +135,14 @@ class GridWalk:
         self, coverage_of: Callable[[Design, float], float], until: int
     ) -> Design | None:
         """First design up to a given place whose coverage reaches the target; None if none does."""
-        for design in self._designs(until):
+        for design in self._examined_designs(until):
             coverage = coverage_of(design, self.largest)
             self._add_design(design, coverage)
             if coverage >= self.target:
                 return design
         return None
 
-    def _designs(self, until: int) -> Iterator[Design]:
+    def _examined_designs(self, until: int) -> Iterator[Design]:
         """Designs of the pairs of gains that are examined, up to a given place."""
         if self.unseen is not None:
             design = self.unseen
@@ -190,7 +190,7 @@ class LoopCoverage:
     deciding: dict[float, Float[np.ndarray, "D"]]
 
     @classmethod
-    def from_premise(
+    def for_loop(
         cls,
         model: Model,
         controlled: Any,
@@ -278,5 +278,5 @@ def coverage_by_frequency(
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)
     system = controlled_system(model, feedback)
-    loop = LoopCoverage.from_premise(model, system, balls, premise, deciding)
+    loop = LoopCoverage.for_loop(model, system, balls, premise, deciding)
     return loop.largest_radius(design.gains, enough, least)[0]

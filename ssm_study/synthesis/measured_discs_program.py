@@ -179,7 +179,7 @@ def _multiplier_form(
     unit[0, index] = 1.0
     alone = SimpleNamespace(**{**vars(of), name: unit})
     signals = theorem.signal_matrices(alone)
-    pairs = theorem.static_map_forms(alone, signals)
+    pairs = theorem.static_map_constraints(alone, signals)
     forms = [multiplier * form for multiplier, form in pairs]
     return np.asarray(np.sum(forms, axis=0))
 

@@ -36,7 +36,7 @@ UNSOUGHT = (
 UNKNOWN = "{} the input has next to no power, so nothing separates mismatch from noise there"
 
 
-def is_coverage_sought(model: Model, cover: float | None, premise: Premise) -> bool:
+def seeks_coverage(model: Model, cover: float | None, premise: Premise) -> bool:
     """Whether a run searches for a proof that covers the recorded model error. With neurons, where
     this takes a minute, it does so only if the records separate noise from model error, or a
     coverage is requested."""
@@ -62,7 +62,7 @@ def add_coverage_certificate(
     context = VerificationContext(
         system=model.system, controlled=controlled, balls=balls, gains=design.gains
     )
-    find = partial(measured_discs_search.largest_coverage, context, premise)
+    find = partial(measured_discs_search.certify_largest_coverage, context, premise)
     try:
         with linear_algebra_failures_as_no_solution():
             certificate = find().certificate
@@ -93,7 +93,7 @@ def coverage_columns(
         return {}
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs):
-        sought = is_coverage_sought(model, None, premise)
+        sought = seeks_coverage(model, None, premise)
         unproved = UNPROVED if sought else UNSOUGHT
         reason = exclusion_reason(design, model) or premise.missing_reason(0.0) or unproved
         return {"coverage": None, "coverage_reason": reason}

@@ -145,14 +145,14 @@ def _deciding_optimum(
         lowest = program.smallest_eigenvalues(x)
         tightest = np.argsort(lowest)[:4]
         deciding = grid.angles[tightest]
-        finer = angles_around(deciding, grid.angles)
+        finer = refined_angles(deciding, grid.angles)
         fresh = np.setdiff1d(finer, grid.angles)
         grid = grid.combine_with(forms.at_angles(fresh))
     multipliers = np.maximum(x[1:] / scale[1:], 0.0)
     return nu, multipliers, [index for index in chosen if index < coarse]
 
 
-def angles_around(
+def refined_angles(
     deciding: Float[np.ndarray, "D"], angles: Float[np.ndarray, "F"]
 ) -> Float[np.ndarray, "N"]:
     """Frequency grid refined near each deciding frequency."""
@@ -167,7 +167,7 @@ def angles_around(
     return np.concatenate(fine)
 
 
-def _reference_at(grid: FormsAtAngles, weights: Weights) -> Any:
+def _reference_form_at(grid: FormsAtAngles, weights: Weights) -> Any:
     """Weighted quadratic form of the disc's reference signals at each frequency of a grid."""
     on_model = weights.output_weight(grid.angles)[:, None, None]
     on_input = weights.input_weight(grid.angles)[:, None, None]
@@ -189,7 +189,7 @@ def _fixed_program(
 ) -> tuple[AngleProgram, Unknowns]:
     """Optimisation problem with fixed weights, with its constraints imposed at the frequencies of a
     grid."""
-    reference = _reference_at(grid, weights)
+    reference = _reference_form_at(grid, weights)
     linear = np.concatenate([-reference[None], grid.multipliers])
     scale = form_sizes(linear)
     most = np.full(len(scale), MOST)
@@ -212,7 +212,7 @@ def _largest_margin(
     own_weights = initial_weights(forms, centre, multipliers)
     root = 1 / np.sqrt(own_weights)
     units = np.outer(root, root)  # each free signal in units of its own weight
-    disc = grid.centred[centre] - nu * _reference_at(grid, weights)
+    disc = grid.centred[centre] - nu * _reference_form_at(grid, weights)
     constant = disc * units
     identity = np.eye(len(root))
     margin_form = -np.broadcast_to(identity, grid.model.shape)
@@ -283,8 +283,8 @@ def metric_candidates(
     of = SimpleNamespace(**matrices)
     rows = theorem.signal_matrices(of)
     order = len(rows.xi)
-    form = theorem.disc_form(of, rows)
-    for multiplier, map_form in theorem.static_map_forms(of, rows):
+    form = theorem.disc_constraint(of, rows)
+    for multiplier, map_form in theorem.static_map_constraints(of, rows):
         form = form + multiplier * map_form
     a = rows.step[:, :order]
     b = rows.step[:, order:]
@@ -316,11 +316,11 @@ def metric_candidates(
         except (np.linalg.LinAlgError, ValueError):
             continue
         p = symmetric_part(-(left.T @ x @ left))
-        if theorem_margin(theorem, numbers | {"p": p}) > 0:
+        if lmi_margin(theorem, numbers | {"p": p}) > 0:
             yield p
 
 
-def theorem_margin(theorem: type[MeasuredDiscs], numbers: dict[str, Any]) -> float:
+def lmi_margin(theorem: type[MeasuredDiscs], numbers: dict[str, Any]) -> float:
     """Smallest eigenvalue, in floats, of the theorem's matrices after scaling to unit diagonals."""
     matrices = theorem.as_floats(**numbers)
     smallest_eigenvalues = []
@@ -330,7 +330,7 @@ def theorem_margin(theorem: type[MeasuredDiscs], numbers: dict[str, Any]) -> flo
     return min(smallest_eigenvalues)
 
 
-def largest_coverage(
+def certify_largest_coverage(
     context: VerificationContext,
     premise: Premise,
     centres: Sequence[float] = CENTRES,

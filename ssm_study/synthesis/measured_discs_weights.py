@@ -205,7 +205,7 @@ class WeightProgram:
         linear = self.unknown_matrices
         scale = form_sizes(linear)
         count = len(scale)
-        rows, bounds = self._rows_with_nu(scale)
+        rows, bounds = self._constraints_with_radius(scale)
         constant = self.grid.centred[self.centre]
         of_nu = np.zeros_like(linear[:1])
         scaled = scale_unknowns(linear, scale)
@@ -229,7 +229,7 @@ class WeightProgram:
         """Number of coefficients of both weights together."""
         return 2 * (self.basis.order + 1)
 
-    def _rows_with_nu(self, scale: Unknowns) -> tuple[ConstraintRows, Bounds]:
+    def _constraints_with_radius(self, scale: Unknowns) -> tuple[ConstraintRows, Bounds]:
         """Linear constraints on disc radius, weights and multipliers, with their bounds.
 
         Each item needs nu at most; the weights stay clear of zero; a multiplier is at least zero
@@ -270,7 +270,7 @@ class WeightProgram:
         linear = self.unknown_matrices * units
         scale = form_sizes(linear)
         count = len(scale)
-        rows, bounds, bands = self._rows_with_bands(scale, nu)
+        rows, bounds, bands = self._constraints_with_widening(scale, nu)
         matrix_shape = linear.shape[1:]
         of_widenings = np.zeros((bands, *matrix_shape))
         margin = room * np.eye(len(own))
@@ -283,7 +283,9 @@ class WeightProgram:
         scaled_unknowns = x[:count]
         return np.asarray(scaled_unknowns / scale)
 
-    def _rows_with_bands(self, scale: Unknowns, nu: float) -> tuple[ConstraintRows, Bounds, int]:
+    def _constraints_with_widening(
+        self, scale: Unknowns, nu: float
+    ) -> tuple[ConstraintRows, Bounds, int]:
         """Linear constraints on weights, multipliers and the widening of each frequency band.
 
         Each item needs its band's widening times nu at most; a widening lies between one and

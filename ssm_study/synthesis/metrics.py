@@ -23,7 +23,7 @@ from ssm_study.columns import EIGENVALUE, ITERATED, Column, iterated_column
 from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage_columns import COLUMNS as COVERAGE_COLUMNS
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sensitivity import noise_gain
 from ssm_study.synthesis.deployed import SETS, WithinLimits
 from ssm_study.synthesis.input_inversion import commanded_model_and_balls
@@ -151,10 +151,10 @@ def design_columns(
         return facts
     tolerance = design.extra_certificates.get(TOLERANCE)
     facts["certified_tolerance"] = getattr(tolerance, "tolerated_gain", None)
-    facts |= limit_columns(design, model)
+    facts |= input_limit_columns(design, model)
     facts["noise_gain_model"] = noise_gain(model.system, design.pair, balls)
     facts |= mismatch_columns(mismatch)
-    prediction = predict(model, design.pair, balls, mismatch)
+    prediction = predict_margins(model, design.pair, balls, mismatch)
     facts |= vars(prediction)
     facts["predicted_stable"] = prediction.predicts_stability()
     return facts
@@ -204,7 +204,7 @@ def mismatch_columns(mismatch: Mismatch) -> dict[str, Any]:
     return facts
 
 
-def limit_columns(design: Design, model: Model) -> dict[str, Any]:
+def input_limit_columns(design: Design, model: Model) -> dict[str, Any]:
     """Columns of what is proved under input limits; empty if nothing is proved."""
     within_limits = WithinLimits.from_certificate(model, design.extra_certificates)
     if within_limits is None:
@@ -231,7 +231,9 @@ def shared_range(
 
 def second_opinion_columns(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
     """Columns on whether the paper's matrix inequalities are feasible at the same rates."""
-    from ssm_study.synthesis.lmi import paper_lmi  # CVXPY takes half a second to import
+    from ssm_study.synthesis.lmi import (
+        certificate_from_paper_lmi,
+    )  # CVXPY takes half a second to import
 
     model, balls = commanded_model_and_balls(design, model, balls)
     feedback = design.state_feedback
@@ -246,7 +248,7 @@ def second_opinion_columns(design: Design, model: Model, balls: Balls) -> dict[s
     )
     facts: dict[str, Any] = {}
     for side, rate, theorem, ball in problems:
-        opinion = paper_lmi(model.linear, ball, rate, theorem)
+        opinion = certificate_from_paper_lmi(model.linear, ball, rate, theorem)
         facts[f"lmi_{side}_status"] = opinion.solver_status
         facts[f"lmi_{side}_certified"] = opinion.certified
     return facts

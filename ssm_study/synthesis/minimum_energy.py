@@ -47,7 +47,11 @@ from typing import ClassVar
 import numpy as np
 import scipy
 
-from ssm_study.certificates.frontier import Frontier, energy_root, frontier
+from ssm_study.certificates.frontier import (
+    Frontier,
+    contraction_frontier,
+    inverse_time_gramian_root,
+)
 from ssm_study.certificates.problem import Problem, Solution
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.modes import (
@@ -84,7 +88,7 @@ def minimum_energy_gain(
         return FastGain(k=np.zeros((m, len(modes.left))), p=p)
     ah = modes.a_fast / contraction
     bh = modes.b_fast / contraction
-    root = energy_root(ah, bh)
+    root = inverse_time_gramian_root(ah, bh)
     b_balanced = scipy.linalg.solve_triangular(root, bh, lower=True)
     energy = b_balanced.T @ b_balanced
     a_balanced = scipy.linalg.solve_triangular(root, ah, lower=True)
@@ -119,7 +123,7 @@ def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solut
     between makes it strict, and pays for the slow modes. Raises `NoSolution` near an eigenvalue
     with `|lambda| = r`, or where floats run out.
     """
-    modes, fast, faster = _gain_at_share(problem, share)
+    modes, fast, faster = _gain_between_rates(problem, share)
     p = weighted_block_metric(problem, modes, fast)
     status = f"minimum energy at rate {1 - faster**2:.6g}"
     return Solution(p=p, y=p, k=fast.k, sigma=1.0, status=status)
@@ -127,18 +131,18 @@ def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solut
 
 def solution_with_full_metric(problem: Problem, share: float, scale: float) -> Solution:
     """Minimum-energy gain with a scaled copy of its smallest metric for the whole model."""
-    modes, fast, faster = _gain_at_share(problem, share)
+    modes, fast, faster = _gain_between_rates(problem, share)
     p = scale * full_metric(problem, modes, fast, faster)
     status = f"minimum energy at rate {1 - faster**2:.6g}, metric of the whole model"
     return Solution(p=p, y=p, k=fast.k, sigma=scale, status=status)
 
 
-def _gain_at_share(problem: Problem, share: float) -> tuple[Modes, FastGain, float]:
+def _gain_between_rates(problem: Problem, share: float) -> tuple[Modes, FastGain, float]:
     """Modes, minimum-energy gain and contraction factor at a rate between the requested and the
     largest provable one."""
     ball = problem.ball
     r = problem.contraction
-    contraction_limit = frontier(problem.a, problem.b, ball).contraction_limit
+    contraction_limit = contraction_frontier(problem.a, problem.b, ball).contraction_limit
     limit = max(contraction_limit, FASTEST * r)
     faster = float(r * (limit / r) ** share)
     modes = split_modes(problem.a, problem.b, faster)

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.certificates.frontier import energy_root
+from ssm_study.certificates.frontier import inverse_time_gramian_root
 from ssm_study.certificates.problem import NoSolution, Problem, symmetric_part
 from ssm_study.certificates.riccati import least_metric
 from ssm_study.certificates.theorem import smallest_eigenvalue
@@ -135,7 +135,7 @@ def full_metric(problem: Problem, modes: Modes, fast: FastGain, faster: float) -
 def _state_scales(problem: Problem, modes: Modes, faster: float) -> Square:
     """Scale of each state, from the energies of fast and slow modes."""
     a = modes.a_fast / faster
-    root = energy_root(a, modes.b_fast / faster)
+    root = inverse_time_gramian_root(a, modes.b_fast / faster)
     slow = len(modes.left) - modes.fast
     if slow == 0:
         return root

@@ -10,24 +10,24 @@ from typing import Any
 from ssm_study.certificates.certificate import Design
 from ssm_study.models.structured import Model
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sine_trials import (
     SineMismatch,
-    add_sines,
+    add_sines_to_mismatch,
     measure_sine_mismatch,
-    peak_lines,
+    sensitive_lines,
 )
 from ssm_study.systems import Balls
 
 
-def frequencies_to_test(
+def lines_to_test(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, period: int
 ) -> list[int]:
     """Spectral lines at which a design is to be tested with single sines. Empty for a law that
     inverts the input map, and if the noise is unknown."""
     if not design.feasible or design.inverts_input_map or not mismatch.noise:
         return []
-    return peak_lines(model, design.pair, balls, period)
+    return sensitive_lines(model, design.pair, balls, period)
 
 
 def simulated_sines(
@@ -37,8 +37,8 @@ def simulated_sines(
     plant."""
     from ssm_study.data.simulated import PERIOD
 
-    lines = frequencies_to_test(design, model, balls, mismatch, PERIOD)
-    records = data.simulate_sines(plant, seed, lines)
+    lines = lines_to_test(design, model, balls, mismatch, PERIOD)
+    records = data.simulate_sensitive_sines(plant, seed, lines)
     return measure_sine_mismatch(model, records, mismatch, PERIOD)
 
 
@@ -49,8 +49,8 @@ def sine_columns(
     none."""
     if not sines:
         return {}
-    without = predict(model, design.pair, balls, mismatch)
-    mismatch_with_sines = add_sines(mismatch, sines)
-    prediction = predict(model, design.pair, balls, mismatch_with_sines)
+    without = predict_margins(model, design.pair, balls, mismatch)
+    mismatch_with_sines = add_sines_to_mismatch(mismatch, sines)
+    prediction = predict_margins(model, design.pair, balls, mismatch_with_sines)
     both = without.predicts_stability() and prediction.predicts_stability()
     return {"sine_margin": prediction.resolved_margin, "predicted_stable": both}

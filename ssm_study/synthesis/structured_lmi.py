@@ -45,7 +45,7 @@ class StructuredLmi:
         self.problem = problem
         self.fixed = fixed
         neurons = problem.required_neurons.in_balanced_units()
-        self.of = self._unknowns(neurons)
+        self.of = self._program_variables(neurons)
         upper, multiplier_rows = self._inequality_blocks(self.of, neurons)
         if problem.ball.beta == 0:
             upper = _without_rows(upper, multiplier_rows)
@@ -59,7 +59,7 @@ class StructuredLmi:
         a = cp.Minimize(goal)
         self.program = cp.Problem(a, constraints)
 
-    def _unknowns(self, neurons: Neurons) -> SimpleNamespace:
+    def _program_variables(self, neurons: Neurons) -> SimpleNamespace:
         """Variables and parameters of the program, keyed by the theorem's symbols."""
         n, m = self.problem.b.shape
         ball = self.problem.ball
@@ -83,7 +83,9 @@ class StructuredLmi:
         data = {"a": a, "b": b, "e": neurons.e, "f": neurons.f, "g": neurons.g}
         if not neurons.observes:
             named = SimpleNamespace(**vars(of), **data, y=of.p)
-            blocks = structured_state_feedback.inequality(named, (np.eye(q), t, t))
+            blocks = structured_state_feedback.structured_feedback_inequality(
+                named, (np.eye(q), t, t)
+            )
             return blocks, [1, 4]
         of.n = cp.Variable((q, m)) if neurons.allows_injection else np.zeros((q, m))
         if self.fixed is not None and self.fixed.k_w is not None:
@@ -92,7 +94,7 @@ class StructuredLmi:
             of.n = t @ injected.T
         turned = {LETTERS[letter]: matrix.T for letter, matrix in data.items()}
         named = SimpleNamespace(**vars(of), **turned, q=of.p, u=of.p, v=of.x.T, eta=of.sigma)
-        return structured_observer.inequality(named, t, of.n), [1]
+        return structured_observer.structured_observer_inequality(named, t, of.n), [1]
 
     def solve(self, rate: float, solver: str = "CLARABEL") -> Solution:
         """Matrices that satisfy the inequality at a given rate. Raises `NoSolution` with the
@@ -154,10 +156,10 @@ def is_confirmed_exactly(problem: Problem, solution: Solution) -> bool:
 def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
     """Largest contraction rate that the solver finds for a model with neurons; 0 if there is
     none."""
-    return fastest_solution(problem, fixed)[0]
+    return fastest_confirmed_solution(problem, fixed)[0]
 
 
-def fastest_solution(
+def fastest_confirmed_solution(
     problem: Problem, fixed: Solution | None = None
 ) -> tuple[float, Solution | None]:
     """Largest rate that exact arithmetic confirms, by bisection, and the matrices that prove it."""

@@ -32,7 +32,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, symmetric_part
-from ssm_study.synthesis.game_kernel import saddle_point
+from ssm_study.synthesis.game_kernel import solve_saddle_point
 
 Matrix = Float[np.ndarray, "_ _"]
 Vector = Float[np.ndarray, "_"]
@@ -111,14 +111,14 @@ def evaluate_saddle(game: Game, logs: Vector, barrier: float) -> Saddle:
     one leads.
     """
     try:
-        return Saddle(*saddle_point(*game.data, logs, barrier))
+        return Saddle(*solve_saddle_point(*game.data, logs, barrier))
     except (np.linalg.LinAlgError, ArithmeticError):
         none = np.empty((0, 0))
         gradient = np.empty(0)
         return Saddle(np.inf, gradient, none, none, none)
 
 
-def minimise_goal(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vector:
+def minimise_guaranteed_cost(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vector:
     """Log multipliers that minimise the guaranteed cost, by BFGS from admissible ones. A step to an
     inadmissible point is shortened."""
     at = evaluate_saddle(game, logs, barrier)
@@ -196,7 +196,7 @@ def continue_to_rate(
         if slow.r > SLOWEST:
             return logs, slow.r
     while slow.r > game.r:
-        logs = minimise_goal(slow, logs, centred, per_rate)
+        logs = minimise_guaranteed_cost(slow, logs, centred, per_rate)
         while np.isinf(evaluate_saddle(_interpolate_games(game, slow, share), logs, 0.0).goal):
             share /= 2
             if share < shortest:
@@ -209,7 +209,7 @@ def continue_to_rate(
 def least_cost_multipliers(game: Game, logs: Vector) -> Vector:
     """Log multipliers with the smallest guaranteed cost, by a search from admissible ones."""
     for barrier, evaluations in LAST:
-        logs = minimise_goal(game, logs, barrier, evaluations)
+        logs = minimise_guaranteed_cost(game, logs, barrier, evaluations)
     return logs
 
 

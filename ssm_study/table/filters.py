@@ -103,7 +103,7 @@ class _Prepared(ast.NodeTransformer):
         if isinstance(operator, ast.In | ast.NotIn) and not isinstance(right, LISTS):
             remedy = "write e.g. order in [4, 8]"
             raise BadRequest("where", ast.unparse(right), "'in' needs a list", remedy)
-        self._refuse_mixed(left, right)
+        self._refuse_mixed_types(left, right)
         left = self.visit(left)
         right = self.visit(right)
         comparison = ast.Compare(left, [operator], [right])
@@ -127,7 +127,7 @@ class _Prepared(ast.NodeTransformer):
         missing = ast.Name(f"{side.id}{IS_MISSING}")
         return missing if is_equality else ast.UnaryOp(ast.Not(), missing)
 
-    def _refuse_mixed(self, left: ast.expr, right: ast.expr) -> None:
+    def _refuse_mixed_types(self, left: ast.expr, right: ast.expr) -> None:
         """Raise `BadRequest` for a comparison of a number with a text, which no row could
         satisfy."""
         left_kind = self._operand_type(left)

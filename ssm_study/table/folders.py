@@ -15,7 +15,7 @@ def check_study_folder(path: Path) -> Path:
     Raises `BadRequest` that names the study nearby that may have been meant.
     """
     if not path.is_dir():
-        raise BadRequest("study", path, "no such study folder", _remedy_for_no_folder(path))
+        raise BadRequest("study", path, "no such study folder", _suggest_existing_study(path))
     tables = path.glob("*/runs.parquet")
     names = {table.parent.name for table in tables}
     studies = sorted(names)
@@ -26,7 +26,7 @@ def check_study_folder(path: Path) -> Path:
     return path
 
 
-def _remedy_for_no_folder(path: Path) -> str:
+def _suggest_existing_study(path: Path) -> str:
     """Suggestion of an existing study: one below `results`, or one with a similar name."""
     in_results = Path("results") / path
     if in_results.is_dir():

@@ -58,7 +58,7 @@ def predicted_stable(table: pd.DataFrame) -> pd.Series:
     return boolean_column(table, "predicted_stable")
 
 
-def best_first(table: pd.DataFrame) -> pd.DataFrame:
+def sort_best_first(table: pd.DataFrame) -> pd.DataFrame:
     """Table sorted by outcome class, then prediction of stability, then settling time, then fit.
 
     The first row is the best run: of the certified ones that settle, the fastest of those that one
@@ -87,7 +87,7 @@ def rank_runs(table: pd.DataFrame, by: str | None = None) -> pd.DataFrame:
     Raises `BadRequest` if the column is unknown.
     """
     if by is None:
-        return best_first(table).reset_index(drop=True)
+        return sort_best_first(table).reset_index(drop=True)
     if by not in table:
         raise BadRequest("by", by, "no such column", suggest_column(by, map(str, table)))
     high_is_better = by in BY_NAME and BY_NAME[by].better == "high"

@@ -65,7 +65,7 @@ def show_table(
     by stage. With `columns`: which columns hold values, what they are called, which way is better
     and whether `verify` checks them.
     """
-    table, rows = gathered_rows(study, by, where)
+    table, rows = gather_rows(study, by, where)
     if columns or cost:
         lines = column_lines(table) if columns else cost_lines(rows)
         print("\n".join(lines))
@@ -82,7 +82,7 @@ def print_rows(rows: pd.DataFrame, by: str | None) -> None:
     """Print the rows as a table, coloured by status in a terminal."""
     console = Console(force_jupyter=False)
     width = max(WIDTH, console.width) if console.is_terminal else WIDTH
-    lines = plain_table(rows, by, width).splitlines()
+    lines = render_table(rows, by, width).splitlines()
     statuses = ["", *map(str, rows["status"])]
     for line, status in zip(lines, statuses, strict=True):
         style = COLOURS.get(status, "")
@@ -90,7 +90,7 @@ def print_rows(rows: pd.DataFrame, by: str | None) -> None:
         console.print(text_line, soft_wrap=True)
 
 
-def gathered_rows(
+def gather_rows(
     study: Path, by: str | None, where: str | None, anew: bool = False
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Table of a study, and those of its rows that are to be printed.
@@ -102,7 +102,7 @@ def gathered_rows(
     selected = filtered(table, where) if where else table
     rows = rank_runs(selected, by)
     if not anew and contradicts_records(study, rows.head(COMPARED)):
-        return gathered_rows(study, by, where, anew=True)
+        return gather_rows(study, by, where, anew=True)
     return table, rows
 
 
@@ -159,7 +159,7 @@ def cost_lines(table: pd.DataFrame) -> list[str]:
     return [*lines, f"{'together':<14}{'':>35}{spent:>10}{saved:>10}"]
 
 
-def short_names(names: pd.Series) -> pd.Series:
+def short_run_names(names: pd.Series) -> pd.Series:
     """Short name of each run: the digits at the end of its name if they are unique.
 
     Every command takes them for the run.
@@ -168,7 +168,7 @@ def short_names(names: pd.Series) -> pd.Series:
     return digits if digits.is_unique else names
 
 
-def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) -> str:
+def render_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) -> str:
     """Fixed-width text of the table, with as many columns as fit.
 
     Run, status, `by`, the settings that vary (which row is which?), then the outcomes that are
@@ -179,7 +179,7 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
     settled_text = table["stable_count"].astype("string")
     settled_text = settled_text + "/" + table["initial_conditions"].astype("string")
     varied, telling = _varied_settings(table)
-    run = short_names(table["run"])
+    run = short_run_names(table["run"])
     table = table.assign(
         run=run,
         certified=certificate_words(table),
@@ -262,7 +262,7 @@ def format_cell(value: object) -> str:
 def summary_lines(table: pd.DataFrame, shown: int) -> list[str]:
     """Text lines with the number of runs by status, and the reasons of failed and infeasible
     runs."""
-    run = short_names(table["run"])
+    run = short_run_names(table["run"])
     table = table.assign(run=run)
     counts = table["status"].value_counts()
     words = [f"{counts[status]} {status}" for status in STATUSES if status in counts]

@@ -48,7 +48,7 @@ class Candidate:
     fits: tuple[Any, ...] = field(default=(), repr=False, compare=False)  # of the folds
 
     @property
-    def mean_error(self) -> float:
+    def mean_error_percent(self) -> float:
         """Mean error over the folds, in percent."""
         return float(self.errors.mean())
 
@@ -62,10 +62,10 @@ class Candidate:
         standard_error = float(excess.std(ddof=1)) / np.sqrt(len(excess))
         is_worse = excess > by * other.errors
         is_consistent = int(is_worse.sum()) >= len(excess) - 1
-        is_large = bool(excess.mean() > by * other.mean_error)
+        is_large = bool(excess.mean() > by * other.mean_error_percent)
         return is_large and (is_consistent or bool(excess.mean() > standard_error))
 
-    def explains_less(self, other: "Candidate") -> bool:
+    def fits_far_worse_than(self, other: "Candidate") -> bool:
         """Whether another candidate fits its training records nearly perfectly and far better than
         this one.
 
@@ -76,7 +76,7 @@ class Candidate:
             return False
         return self.training_error > EXPLAINS_LESS * other.training_error
 
-    def fails_alone(self, other: "Candidate") -> bool:
+    def fails_where_other_predicts(self, other: "Candidate") -> bool:
         """Whether a candidate predicts some fold no better than the mean, while another predicts
         all folds better."""
         return bool(self.errors.max() >= LARGEST_ERROR > other.errors.max())
@@ -97,12 +97,14 @@ class Candidate:
     def describe(self) -> str:
         """Line of text with a candidate's settings and error."""
         settings = ", ".join(f"{name} {value}" for name, value in self.settings.items())
-        return f"{self.question}: {self.model}, {settings}: {100.0 - self.mean_error:.1f} %"
+        return f"{self.question}: {self.model}, {settings}: {100.0 - self.mean_error_percent:.1f} %"
 
 
 def best_candidate(candidates: Iterable[Candidate]) -> Candidate:
     """Candidate with the smallest mean error, among those that were tried on most folds."""
-    return min(candidates, key=lambda candidate: (-len(candidate.errors), candidate.mean_error))
+    return min(
+        candidates, key=lambda candidate: (-len(candidate.errors), candidate.mean_error_percent)
+    )
 
 
 def simplest_good_candidate(candidates: Sequence[Candidate], by: float = NEARLY) -> Candidate:
@@ -119,8 +121,8 @@ def good_candidates(candidates: Sequence[Candidate], by: float = NEARLY) -> list
     best = best_candidate(candidates)
     good = []
     for candidate in candidates:
-        is_behind = candidate.is_clearly_worse(best, by) or candidate.explains_less(best)
-        if candidate is best or not (is_behind or candidate.fails_alone(best)):
+        is_behind = candidate.is_clearly_worse(best, by) or candidate.fits_far_worse_than(best)
+        if candidate is best or not (is_behind or candidate.fails_where_other_predicts(best)):
             good.append(candidate)
     return good
 
@@ -238,7 +240,7 @@ def try_structured_model(
     brief = short_spec(spec)
     trial = Trial()
     for fold in folds:
-        if best is not None and is_hopeless(trial.errors, best):
+        if best is not None and is_many_times_worse(trial.errors, best):
             break
         part = fold.shift_out_dead_time(int(spec.dead_time)) if spec.dead_time else fold
         fit = StructuredFit(brief, part, seed)
@@ -257,7 +259,9 @@ def train_further(fits: Sequence[StructuredFit], folds: Sequence[DataSet], steps
     return trial
 
 
-def is_hopeless(errors: Sequence[float] | Float[np.ndarray, "folds"], best: Candidate) -> bool:
+def is_many_times_worse(
+    errors: Sequence[float] | Float[np.ndarray, "folds"], best: Candidate
+) -> bool:
     """Whether a candidate's errors so far are many times those of the best candidate."""
     count = len(errors)
     so_far = float(np.sum(errors))

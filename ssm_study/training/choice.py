@@ -61,7 +61,7 @@ def iterate_choices(
         candidates.remove(chosen)
 
 
-def make_announcer(progress: bool, task: str = "choice by folds") -> Callable[[str], None]:
+def make_progress_printer(progress: bool, task: str = "choice by folds") -> Callable[[str], None]:
     """Function that prints progress lines of a task, or does nothing if progress is switched
     off."""
     from rich.console import Console

@@ -30,11 +30,11 @@ def choose_delay(search: Search, data: DataSet) -> None:
     they are `LATE` or more, a direct path where they are none or one, or noise hides the answer.
     """
     lag = response_lag(data)
-    if search.is_open("dead_time"):
+    if search.is_undecided("dead_time"):
         late = lag is not None and lag >= LATE and search.spec.feedthrough is not True
         values = (0, lag - 1) if lag is not None and late else (0,)
         choose_between_two(search, "dead time", "dead_time", values, DELAY_GAIN)
-    if search.is_open("feedthrough"):
+    if search.is_undecided("feedthrough"):
         values = (False, True) if lag is None or lag < LATE - 1 else (False,)
         choose_between_two(search, "direct path", "feedthrough", values, DIRECT_GAIN)
 
@@ -72,7 +72,7 @@ def response_lag(data: DataSet) -> int | None:
 def choose_integrator(search: Search, data: DataSet) -> None:
     """Choose whether the model's output is a running sum. It is tried if a linear model nearly
     integrates."""
-    if search.is_open("integrating_output"):
+    if search.is_undecided("integrating_output"):
         tried = search.spec.neurons != 0 and nearly_integrates(data)
         values = (False, True) if tried else (False,)
         choose_between_two(search, "integrator", "integrating_output", values, DELAY_GAIN)
@@ -103,7 +103,7 @@ def nearly_integrates(data: DataSet) -> bool:
 def choose_input_path(search: Search) -> None:
     """Choose whether the input acts on the neurons directly. With an integrator it never does,
     since neurons that can cut off the input prevent every certificate."""
-    if not search.is_open("input_path"):
+    if not search.is_undecided("input_path"):
         return
     if search.has_integrator or search.spec.neurons == 0:
         search.decided["input_path"] = "none"

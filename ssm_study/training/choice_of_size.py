@@ -70,7 +70,7 @@ def try_model_sizes(search: Search) -> list[Candidate]:
 
     Linear models of growing order are tried by output error first.
     """
-    if not any(search.is_open(name) for name in ("order", "neurons", "knots")):
+    if not any(search.is_undecided(name) for name in ("order", "neurons", "knots")):
         return []
     candidates = [] if search.has_integrator else try_sizes_without_neurons(search)
     sizes = INTEGRATING_SIZES if search.has_integrator else SIZES
@@ -82,18 +82,18 @@ def try_model_sizes(search: Search) -> list[Candidate]:
             break
         needs_order = False
         candidates.append(search.score_structured_model("size", larger))
-    free = try_free_models(search)
+    free = try_noncontracting_models(search)
     contracting = train_finalists(search, candidates)
     return [*contracting, *candidates_far_ahead(free, contracting)]
 
 
-def try_free_models(search: Search) -> list[Candidate]:
+def try_noncontracting_models(search: Search) -> list[Candidate]:
     """Candidates that need not contract in open loop.
 
     No metric common to all slopes of a spring that hardens exists where it is lightly damped.
     Feedback adds the damping, so that the closed loop can be certified all the same.
     """
-    if not search.is_open("rate") or search.has_integrator:
+    if not search.is_undecided("rate") or search.has_integrator:
         return []
     return score_sizes(search, "no contraction", FREE_SIZES)
 
@@ -122,9 +122,9 @@ def train_finalists(search: Search, candidates: Sequence[Candidate]) -> list[Can
     """
     best = best_candidate(candidates)
     trained = [candidate for candidate in candidates if len(candidate.fits) == len(best.errors)]
-    most = FINALIST * best.mean_error
-    near = [candidate for candidate in trained if candidate.mean_error <= most]
-    by_error = sorted(near, key=lambda candidate: candidate.mean_error)
+    most = FINALIST * best.mean_error_percent
+    near = [candidate for candidate in trained if candidate.mean_error_percent <= most]
+    by_error = sorted(near, key=lambda candidate: candidate.mean_error_percent)
     finalists = [id(candidate) for candidate in by_error[:MOST_FINALISTS]]
     return [
         search.train_further(candidate, FURTHER_STEPS) if id(candidate) in finalists else candidate
@@ -137,7 +137,7 @@ def try_sizes_without_neurons(search: Search) -> list[Candidate]:
     map."""
     order = int(TRIED_SIZE["order"])
     candidates = []
-    if search.folds[0].scale.outputs == 1 and search.is_open("order"):
+    if search.folds[0].scale.outputs == 1 and search.is_undecided("order"):
         linear = choose_linear_order(search)
         order = int(linear.settings["order"])
         candidates.append(
@@ -186,4 +186,4 @@ def other_structures(candidates: Sequence[Candidate], chosen: Candidate) -> list
     contracting = [
         candidate for candidate in structured if candidate.settings.get("rate", 0.0) is not None
     ]
-    return sorted(contracting, key=lambda candidate: candidate.mean_error)
+    return sorted(contracting, key=lambda candidate: candidate.mean_error_percent)

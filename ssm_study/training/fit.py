@@ -242,7 +242,7 @@ class Fit(pl.LightningModule):
             [(torch.sqrt(records.weight) * (y_hat - records.y)).flatten(), defects.flatten()]
         )
 
-    def residual_at(self, flat: Float[Tensor, "P"]) -> Float[Tensor, "N"]:
+    def residuals_at(self, flat: Float[Tensor, "P"]) -> Float[Tensor, "N"]:
         """Residuals of the simulation as a function of all trainable parameters."""
         named = [(name, p) for name, p in self.named_parameters() if p.requires_grad]
         parts = flat.split([p.numel() for _, p in named])

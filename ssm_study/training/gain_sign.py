@@ -36,7 +36,7 @@ def corner_gains(matrices: KernelMatrices) -> Float[np.ndarray, "corners"]:
     return (matrices.c @ states)[:, 0, 0]
 
 
-def missing_gain(matrices: KernelMatrices, least_share: float) -> Float[np.ndarray, "corners"]:
+def gain_shortfall(matrices: KernelMatrices, least_share: float) -> Float[np.ndarray, "corners"]:
     """Weighted amount by which the gain at each combination of extreme slopes is below a share of
     the largest."""
     with np.errstate(all="ignore"):
@@ -47,7 +47,7 @@ def missing_gain(matrices: KernelMatrices, least_share: float) -> Float[np.ndarr
     return WEIGHT * np.maximum(least_share - gains / largest, 0.0)
 
 
-def slopes_by_differences(
+def jacobian_by_differences(
     residuals: Callable[[Float[np.ndarray, "P"]], Float[np.ndarray, "V"]],
     flat: Float[np.ndarray, "P"],
     present: Float[np.ndarray, "V"],

@@ -80,7 +80,7 @@ class Levenberg(OptimiserSpec):
         from ssm_study.training.levenberg import LevenbergMarquardt
 
         named = [(name, p) for name, p in fit.named_parameters() if p.requires_grad]
-        return LevenbergMarquardt(named, fit.residual_at, self.damping, self.longest_step)
+        return LevenbergMarquardt(named, fit.residuals_at, self.damping, self.longest_step)
 
 
 @dataclass(frozen=True, kw_only=True)

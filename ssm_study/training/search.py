@@ -45,12 +45,12 @@ class Choice:
         if not self.rows:
             return ""
         settings = ", ".join(
-            f"{setting_words(name)} {setting_words(getattr(self.spec, name))}" for name in automatic
+            f"{setting_text(name)} {setting_text(getattr(self.spec, name))}" for name in automatic
         )
         return f"{settings}: of {len(self.rows)} models compared on {FOLDS} folds"
 
 
-def setting_words(value: object) -> str:
+def setting_text(value: object) -> str:
     """Text of a setting's name or value, such as `dead time`, `yes` or `5`."""
     return {"True": "yes", "False": "no", "None": "none"}.get(
         str(value), str(value).replace("_", " ")
@@ -70,7 +70,7 @@ class Search:
     chosen: list[Candidate] = field(default_factory=list)
     certified: dict[int, bool] = field(default_factory=dict)  # by identity of the candidate
 
-    def is_open(self, name: str) -> bool:
+    def is_undecided(self, name: str) -> bool:
         """Whether a setting is to be chosen from the records and is not decided yet."""
         return bool(getattr(self.spec, name) == AUTO) and name not in self.decided
 
@@ -172,7 +172,7 @@ class Search:
     def adopt_settings(self, candidate: Candidate, settings: Settings) -> None:
         """Decide the undecided settings as a candidate has them."""
         self.chosen.append(candidate)
-        self.decided |= {name: value for name, value in settings.items() if self.is_open(name)}
+        self.decided |= {name: value for name, value in settings.items() if self.is_undecided(name)}
 
     def make_choice(self, candidate: Candidate | None, others: Sequence[Candidate] = ()) -> Choice:
         """Make the choice of all decided settings, with the sizes of a candidate. The mean that
@@ -181,7 +181,7 @@ class Search:
         return Choice(
             spec=self._decided_spec(candidate),
             rows=self.candidate_rows(chosen),
-            error=None if candidate is None else candidate.mean_error,
+            error=None if candidate is None else candidate.mean_error_percent,
             is_linear=candidate is not None and candidate.model == LINEAR,
             others=tuple(self._decided_spec(other) for other in others),
         )

@@ -55,7 +55,7 @@ def best_seeds(
         seed = first + 1000 * (done - 1)
         fits[seed] = StructuredFit(spec, part, seed)
         fits[seed].take_steps(STEPS)
-        announce(f"{done} of {count}, {training_fit_words(float(fits[seed].loss))}")
+        announce(f"{done} of {count}, {training_fit_text(float(fits[seed].loss))}")
     finite = [seed for seed, fit in fits.items() if np.isfinite(float(fit.loss))]
     by_loss = sorted(finite, key=lambda seed: float(fits[seed].loss))
     certified = first_certified_seeds(spec, {seed: fits[seed] for seed in by_loss}, best)
@@ -78,7 +78,7 @@ def first_certified_seeds(
     return certified
 
 
-def training_fit_words(loss: float) -> str:
+def training_fit_text(loss: float) -> str:
     """Text on the fit to the training records at a given loss."""
     if not np.isfinite(loss):
         return "the simulation diverges"

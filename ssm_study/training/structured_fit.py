@@ -122,7 +122,7 @@ class StructuredFit(pl.LightningModule):
 
     def take_further_steps(self, steps: int) -> None:
         """Take a limited number of further training steps."""
-        at = self._descent
+        at = self._current_descent
         before = np.inf
         for _ in range(steps):
             if has_converged(before, at.loss, at.damping):
@@ -132,7 +132,7 @@ class StructuredFit(pl.LightningModule):
         self._store_descent(at)
 
     @property
-    def _descent(self) -> Descent:
+    def _current_descent(self) -> Descent:
         """State of the minimisation, read from the module's buffers."""
         theta = {name: part.copy() for name, part in self.parameter_blocks.items()}
         return Descent(theta=theta, loss=float(self.loss), damping=float(self.damping))
@@ -149,7 +149,7 @@ class StructuredFit(pl.LightningModule):
         if torch.isnan(self.loss):
             self.take_steps(0)
             return
-        self._store_descent(take_step(self.problem, self._descent, self._trained_blocks))
+        self._store_descent(take_step(self.problem, self._current_descent, self._trained_blocks))
 
     @property
     def _trained_blocks(self) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ from ssm_study.models.structured_kernel import (
 )
 from ssm_study.models.structured_spec import TrainablePieces
 from ssm_study.refusal import require
-from ssm_study.training.gain_sign import MOST_NEURONS, missing_gain, slopes_by_differences
+from ssm_study.training.gain_sign import MOST_NEURONS, gain_shortfall, jacobian_by_differences
 from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, levenberg_marquardt_step
 from ssm_study.training.windows import pad_records
 
@@ -162,30 +162,30 @@ class SimulationProblem:
             error = self.simulate_output(theta) - self.records.y
             return (self.records.weight * error).ravel()
 
-    def missing_gain(self, theta: Theta) -> Float[np.ndarray, "V"]:
+    def gain_sign_residuals(self, theta: Theta) -> Float[np.ndarray, "V"]:
         """Residuals of the penalty on sign changes of the steady-state gain; empty without this
         penalty."""
         inputs = self.lift.channels + self.lift.passed
         is_asked = self.gain_share > 0.0 and 0 < len(self.neurons) <= MOST_NEURONS
         if not is_asked or (inputs, self.read.channels) != (1, 1):
             return np.zeros(0)
-        return missing_gain(self.matrices(theta), self.gain_share)
+        return gain_shortfall(self.matrices(theta), self.gain_share)
 
-    def missing_gain_linearised(
+    def gain_sign_residuals_and_jacobian(
         self, theta: Theta, free: tuple[str, ...]
     ) -> tuple[Float[np.ndarray, "V"], Float[np.ndarray, "V P"]]:
         """Residuals of the penalty on sign changes of the steady-state gain, and their Jacobian by
         differences."""
-        missing = self.missing_gain(theta)
+        missing = self.gain_sign_residuals(theta)
         flat = pack_parameters(theta, free)
         moves_gain = [np.full(theta[name].size, name in GAIN_BLOCKS) for name in free]
         moving = np.flatnonzero(np.concatenate(moves_gain))
         moving = moving if missing.any() else moving[:0]
 
-        def missing_at(moved: Float[np.ndarray, "P"]) -> Float[np.ndarray, "V"]:
-            return self.missing_gain(theta | unpack_parameters(moved, theta, free))
+        def residuals_at(moved: Float[np.ndarray, "P"]) -> Float[np.ndarray, "V"]:
+            return self.gain_sign_residuals(theta | unpack_parameters(moved, theta, free))
 
-        return missing, slopes_by_differences(missing_at, flat, missing, moving)
+        return missing, jacobian_by_differences(residuals_at, flat, missing, moving)
 
     def residual_and_jacobian(
         self, theta: Theta, free: tuple[str, ...]
@@ -299,7 +299,7 @@ def regularised_loss(problem: SimulationProblem, theta: Theta, free: tuple[str, 
         penalties = [problem.ridge_weight(name) * float(np.sum(theta[name] ** 2)) for name in free]
         value = float(residual @ residual) + sum(penalties)
     if np.isfinite(value):
-        missing = problem.missing_gain(theta)
+        missing = problem.gain_sign_residuals(theta)
         value += float(missing @ missing)
     return value if np.isfinite(value) else np.inf
 
@@ -345,7 +345,7 @@ def linearise_loss(
         normal = turn.T @ (j.T @ j) @ turn
         gradient = turn.T @ (j.T @ residual) + weights * pack_parameters(theta, free)
     normal[np.diag_indices_from(normal)] += weights
-    missing, slopes = problem.missing_gain_linearised(theta, free)
+    missing, slopes = problem.gain_sign_residuals_and_jacobian(theta, free)
     normal += slopes.T @ slopes
     gradient += slopes.T @ missing
     return gradient, normal

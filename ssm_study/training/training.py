@@ -114,10 +114,10 @@ class Training:
         records."""
         from itertools import islice
 
-        from ssm_study.training.choice import MOST_TRAINED, iterate_choices, make_announcer
+        from ssm_study.training.choice import MOST_TRAINED, iterate_choices, make_progress_printer
 
         began = time.perf_counter()
-        choices = iterate_choices(spec, data, session.seed, make_announcer(session.progress))
+        choices = iterate_choices(spec, data, session.seed, make_progress_printer(session.progress))
         best: Identification | None = None
         for k, choice in enumerate(islice(choices, MOST_TRAINED)):
             folder = session.folder / f"choice_{k}" if k else session.folder
@@ -194,11 +194,11 @@ class Training:
         self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
         """Train a chosen model from the best of many short training runs."""
-        from ssm_study.training.choice import make_announcer
+        from ssm_study.training.choice import make_progress_printer
         from ssm_study.training.short_starts import best_seeds, count_starts, short_spec
 
         brief = short_spec(spec)
-        announce = make_announcer(session.progress, "short starts")
+        announce = make_progress_printer(session.progress, "short starts")
         seeds = best_seeds(brief, data, session.seed, *count_starts(spec), announce)
         return self._train_best_of_several(
             [brief] * len(seeds), data, session, spec.members, only_certified=True, seeds=seeds

@@ -18,7 +18,7 @@ import ssm_study as st
 from ssm_study.api import parts
 from ssm_study.api.design import Design
 from ssm_study.api.model import Model
-from ssm_study.api.summaries import choice_words, chosen_sizes, size_words, summarise_prediction
+from ssm_study.api.summaries import choice_text, chosen_sizes, size_text, summarise_prediction
 from ssm_study.cli.main import main
 from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
@@ -393,7 +393,7 @@ def test_a_saved_model_loads_and_simulates_to_the_last_digit(
 
 def test_the_summary_counts_states_and_neurons_as_the_choice_does() -> None:
     assert chosen_sizes("order 3, neurons 5, knots 16") == {"order": 3, "neurons": 5}
-    assert size_words(5, 5) == 5
-    assert size_words(5, None) == 5
-    assert size_words(4, 5) == "4 (of the 5 chosen, the others were not needed)"
-    assert choice_words("order 3, input path none") == "order 3, input drives the neurons no"
+    assert size_text(5, 5) == 5
+    assert size_text(5, None) == 5
+    assert size_text(4, 5) == "4 (of the 5 chosen, the others were not needed)"
+    assert choice_text("order 3, input path none") == "order 3, input drives the neurons no"

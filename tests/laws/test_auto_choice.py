@@ -22,7 +22,7 @@ from ssm_study.loop.regulation import Loop
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import measure_mismatch
-from ssm_study.robustness.prediction import Prediction, predict
+from ssm_study.robustness.prediction import Prediction, predict_margins
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.candidate_grid import OWN_SHARE
@@ -40,7 +40,9 @@ SMALL = Auto(
 
 
 def predicted(design: Design, record: Trajectory) -> Prediction:
-    return predict(motor_model(), design.pair, BALLS, measure_mismatch(motor_model(), (record,)))
+    return predict_margins(
+        motor_model(), design.pair, BALLS, measure_mismatch(motor_model(), (record,))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +92,7 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
     pairs = np.array([(i, j) for i in range(len(candidates.ks)) for j in range(len(candidates.ls))])
     gains = candidates.gains(pairs)
     areas = relative_areas(given, gains, (record,))
-    found = [predict(given, candidates.gains(pair), balls, shown) for pair in pairs]
+    found = [predict_margins(given, candidates.gains(pair), balls, shown) for pair in pairs]
     keeps = np.array([prediction.predicts_stability() for prediction in found])
     assert 0 < keeps.sum() < len(keeps)
     expected = np.array(
@@ -103,7 +105,7 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
     k = own.k[None]
     l_z = None if own.l_z is None else own.l_z[None]
     one = replace(own, k=k, l=own.l[None], l_z=l_z)
-    margin = predict(given, own, balls, shown).resolved_margin
+    margin = predict_margins(given, own, balls, shown).resolved_margin
     area = expected_area(relative_areas(given, one, (record,))[0], 1 / margin, shown.spread)
     smallest = expected[keeps].min()
     assert area == pytest.approx(smallest, rel=0.01)
@@ -190,10 +192,10 @@ def test_the_search_goes_on_where_the_first_found_are_refused_as_designs(monkeyp
     judged = []
 
     def hard_to_please(*asked: Any) -> Prediction:
-        judged.append(found := predict(*asked))
+        judged.append(found := predict_margins(*asked))
         return found if len(judged) > refused else replace(found, resolved_margin=0.999)
 
-    monkeypatch.setattr("ssm_study.synthesis.auto.predict", hard_to_please)
+    monkeypatch.setattr("ssm_study.synthesis.auto.predict_margins", hard_to_please)
     design = SMALL.design(motor_model(), BALLS, (motor_record(),))
     assert len(judged) == refused + 1
     assert "best expected response" in design.state_feedback.solver_status
@@ -343,7 +345,7 @@ def test_an_unstable_model_has_no_cautious_rate():
     model = motor_model()
     a = model.linear.a * 1.05
     linear = replace(model.linear, a=a)
-    unstable = model.with_linear(linear)
+    unstable = model.with_linear_part(linear)
     candidates = SMALL.candidates(unstable, BALLS)
     frontier = controller_frontier(unstable.linear, INPUT_BALL)
     limit = frontier.rate_limit

@@ -171,7 +171,7 @@ def test_figures_are_counted_unless_they_are_asked_for(tmp_path: Path) -> None:
 def test_a_run_without_a_setting_says_what_it_does(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ssm_study.cli.run.check_request", refuse_anything)
+    monkeypatch.setattr("ssm_study.cli.run.compose_request", refuse_anything)
     for words, is_told in (([], True), (["seed=3"], False)):
         assert main(["run", *words]) == WRONG_REQUEST
         err = capsys.readouterr().err

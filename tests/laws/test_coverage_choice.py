@@ -25,7 +25,7 @@ from ssm_study.synthesis.measured_discs_choice import (
 from ssm_study.synthesis.measured_discs_run import (
     add_coverage_certificate,
     coverage_columns,
-    is_coverage_sought,
+    seeks_coverage,
 )
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
@@ -77,10 +77,10 @@ def test_with_neurons_a_proof_is_sought_where_noise_can_be_told_from_mismatch() 
     assert known.separates_noise
     assert not once.separates_noise
     neurons = random_model(0, neurons=True)
-    assert is_coverage_sought(neurons, None, known)
-    assert not is_coverage_sought(neurons, None, once)
-    assert is_coverage_sought(neurons, 1.0, once)
-    assert is_coverage_sought(SSM_MODEL, None, once)
+    assert seeks_coverage(neurons, None, known)
+    assert not seeks_coverage(neurons, None, once)
+    assert seeks_coverage(neurons, 1.0, once)
+    assert seeks_coverage(SSM_MODEL, None, once)
 
 
 def test_a_coverage_below_zero_is_no_request() -> None:

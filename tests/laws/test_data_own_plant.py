@@ -109,7 +109,7 @@ def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(
     for view in shown.views:
         actual = np.abs(view.linear[1:5])
         np.testing.assert_allclose(actual, 1 / 3, rtol=0.15)
-    assert shown.comes_to_rest
+    assert shown.plant_comes_to_rest
 
 
 HIDDEN = (0.3, 0.9)  # rad/sample

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import ssm_study as st
-from ssm_study.api.summaries import has_effect, summarise_prediction
+from ssm_study.api.summaries import moves_poles, summarise_prediction
 from ssm_study.refusal import BadRequest
 
 A = np.array([[0.9, 0.1], [0.0, 0.8]])
@@ -112,8 +112,8 @@ def test_an_idle_controller_is_not_praised() -> None:
 
 def test_poles_that_move_are_an_effect() -> None:
     poles = np.array([0.9 + 0j, 0.8 + 0j])
-    assert not has_effect(poles, poles[::-1])
-    assert has_effect(poles, poles - 0.01)
+    assert not moves_poles(poles, poles[::-1])
+    assert moves_poles(poles, poles - 0.01)
 
 
 def test_no_gain_is_promised_where_an_unstable_mode_is_out_of_reach() -> None:

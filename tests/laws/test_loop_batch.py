@@ -32,7 +32,7 @@ def test_a_batch_is_its_rows(reference):
     loop = Loop(
         horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5, reference=reference
     )
-    y0, noise = loop.draw_conditions(motor(), seed=1)
+    y0, noise = loop.draw_starts_and_noise(motor(), seed=1)
     together = loop.simulate(motor(), controller(), y0, noise)
     for i in range(len(y0)):
         alone = loop.simulate(motor(), controller(), y0[i : i + 1], noise[i : i + 1])
@@ -49,9 +49,9 @@ def test_the_loop_is_the_equations_written_out():
     design = motor_design()
     k = design.state_feedback.k
     observer_gain = design.observer.l
-    y0, noise = LOOP.draw_conditions(motor(), seed=3)
+    y0, noise = LOOP.draw_starts_and_noise(motor(), seed=3)
     run = LOOP.simulate(motor(), controller(), y0[:1], noise[:1])
-    x = motor().states_at(y0[:1])
+    x = motor().equilibrium_states(y0[:1])
     x_hat = np.zeros(model.order)
     for sample in range(run.u.shape[1]):
         y = x[0, 2] + noise[0, sample, 0]
@@ -70,7 +70,7 @@ def test_the_loop_is_the_equations_written_out():
 
 
 def test_the_seed_decides_the_draw_and_nothing_else_does():
-    first, again, other = (LOOP.draw_conditions(motor(), seed=s) for s in (4, 4, 5))
+    first, again, other = (LOOP.draw_starts_and_noise(motor(), seed=s) for s in (4, 4, 5))
     np.testing.assert_array_equal(first[0], again[0])
     np.testing.assert_array_equal(first[1], again[1])
     assert not np.array_equal(first[0], other[0])
@@ -81,7 +81,7 @@ def test_the_seed_decides_the_draw_and_nothing_else_does():
 
 def test_noise_has_the_stated_variance():
     loop = Loop(horizon_s=5.0, measurement_noise_variance=0.02, initial_conditions=100)
-    conditions = loop.draw_conditions(motor(), seed=0)
+    conditions = loop.draw_starts_and_noise(motor(), seed=0)
     noise = conditions[1]
     assert noise.var() == pytest.approx(0.02, rel=0.02)
 
@@ -138,7 +138,7 @@ def test_the_model_in_the_plants_place_replays_itself():
     np.testing.assert_allclose(actual, expected, rtol=1e-12, atol=1e-12)
     output_equilibrium = model.scale.output_equilibrium
     y0 = output_equilibrium + np.array([[0.3, -0.2], [1.0, 1.0]])
-    actual = plant.output(plant.states_at(y0))
+    actual = plant.output(plant.equilibrium_states(y0))
     np.testing.assert_allclose(actual, y0, rtol=1e-9)
 
 

@@ -83,7 +83,7 @@ def test_a_state_the_input_never_reaches_is_not_invented(model: SSM) -> None:
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_an_unstable_model_of_which_numbers_overflow_starts_at_rest(model: SSM) -> None:
     seen = record(model, np.array([1.5, -0.4]))
-    unstable = model.with_linear(replace(model.linear, a=1e3 * model.linear.a))
+    unstable = model.with_linear_part(replace(model.linear, a=1e3 * model.linear.a))
     assert np.array_equal(estimate_initial_state(unstable, seen, 200), np.zeros(2))
     assert estimate_initial_state(model, seen, 200).any()
 

@@ -5,8 +5,8 @@ import pytest
 import report_tables
 import scipy
 
-from ssm_study.report.answers import answers, parameters_line
-from ssm_study.report.page.charts import panels
+from ssm_study.report.answers import parameters_line, question_answers
+from ssm_study.report.page.charts import plottable_panels
 from ssm_study.report.page.data import compared_columns, page_title
 from ssm_study.table.columns import swept_settings
 
@@ -14,7 +14,7 @@ QUESTIONS = ("Where does feasibility end", "better fit", "prediction hold")
 
 
 def said(table: pd.DataFrame, about: str) -> str:
-    return next(" ".join(a.sentences) for a in answers(table) if about in a.question)
+    return next(" ".join(a.sentences) for a in question_answers(table) if about in a.question)
 
 
 def row(**values: object) -> dict[str, object]:
@@ -31,16 +31,16 @@ def test_every_question_that_the_table_has_numbers_for_is_answered() -> None:
     for words in QUESTIONS:
         assert said(report_tables.table(40), words)
     table = report_tables.empty()
-    assert answers(table) == []
+    assert question_answers(table) == []
     table = report_tables.failures()
-    questions = [answer.question for answer in answers(table)]
+    questions = [answer.question for answer in question_answers(table)]
     assert questions == ["Does a better fit mean a better loop?"]
 
 
 def test_a_log_has_no_question_about_a_plant() -> None:
     on_model = row(loop_on="identified model", predicted_stable=True)
     table = pd.DataFrame([on_model])
-    (answer,) = (a for a in answers(table) if "prediction" in a.question)
+    (answer,) = (a for a in question_answers(table) if "prediction" in a.question)
     assert answer.question == "Does the prediction hold on the model?"
 
 
@@ -78,14 +78,14 @@ def test_what_a_study_can_show_of_the_prediction_is_counted_by_model() -> None:
 
 def test_a_question_that_is_answered_in_words_names_no_plot() -> None:
     table = report_tables.table(40)
-    questions = [answer.question for answer in answers(table)]
-    titles = [panel["question"] for panel in panels(table, questions)]
+    questions = [answer.question for answer in question_answers(table)]
+    titles = [panel["question"] for panel in plottable_panels(table, questions)]
     assert "Initial states settled against stability margin" in titles
     assert "What does a faster rate buy?" in titles
     stems = {" ".join(question.split()[:3]) for question in questions}
     assert not [title for title in titles if title.startswith(tuple(stems))]
     assert "Does the prediction hold on the plant?" in [
-        panel["question"] for panel in panels(table)
+        panel["question"] for panel in plottable_panels(table)
     ]
 
 

@@ -21,7 +21,7 @@ from ssm_study.report import figures
 from ssm_study.report.figures import learned_dead_zone
 from ssm_study.report.run_pictures import PICTURES, picture_of_run
 from ssm_study.report.study_folder import NothingToDraw, RunFolder, StudyFolder
-from ssm_study.table.rank import best_first
+from ssm_study.table.rank import sort_best_first
 
 STUDIES = {
     "runs": report_tables.table(40),
@@ -36,7 +36,7 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folders = {
         name: report_tables.write_study(root / name, table) for name, table in STUDIES.items()
     }
-    best = best_first(STUDIES["runs"]).iloc[0]["run"]
+    best = sort_best_first(STUDIES["runs"]).iloc[0]["run"]
     folder = folders["runs"] / best
     random_run(folder, kind="mlp", channels=1, seed=1)
     write_recordings(folders["runs"] / best)
@@ -156,7 +156,7 @@ def test_the_figures_after_a_run_are_its_own_and_not_the_bests(
     folder = studies["runs"]
     names = ("closed_loop_responses",)
     runs = STUDIES["runs"]
-    best = best_first(runs).iloc[0]["run"]
+    best = sort_best_first(runs).iloc[0]["run"]
     record = (
         runs[(runs["status"] == "ok") & (runs["run"] != best)]
         .astype(object)
@@ -182,9 +182,9 @@ def test_the_figures_after_a_run_are_its_own_and_not_the_bests(
     assert own != others
     later = time.time_ns() + 10**9
     os.utime(told, ns=(later, later))
-    assert endings._read_stored_list(told, folder, pictures) == [1]
+    assert endings._read_cached_list(told, folder, pictures) == [1]
     os.utime(pictures[1], ns=(later + 1, later + 1))
-    assert endings._read_stored_list(told, folder, pictures) == []
+    assert endings._read_cached_list(told, folder, pictures) == []
 
 
 @pytest.mark.parametrize("name", ["feasibility_map", "closed_loop_responses"])
@@ -230,7 +230,7 @@ def test_a_full_figure_has_a_paper_width_and_a_unit_on_every_axis(
 
 def test_a_rate_without_certificate_is_no_bound(studies: dict[str, Path], tmp_path: Path) -> None:
     folder = Path(shutil.copytree(studies["runs"], tmp_path / "runs"))
-    path = folder / best_first(STUDIES["runs"]).iloc[0]["run"] / "certificate.json"
+    path = folder / sort_best_first(STUDIES["runs"]).iloc[0]["run"] / "certificate.json"
     text = path.read_text()
     content = json.loads(text)
     content["state_feedback"]["certified"] = False
@@ -244,7 +244,7 @@ def test_of_a_model_with_neurons_it_is_not_said_that_there_is_none(
     studies: dict[str, Path], tmp_path: Path
 ) -> None:
     folder = Path(shutil.copytree(studies["runs"], tmp_path / "runs"))
-    path = folder / best_first(STUDIES["runs"]).iloc[0]["run"] / "model.json"
+    path = folder / sort_best_first(STUDIES["runs"]).iloc[0]["run"] / "model.json"
     text = json.dumps(structured_cases.model().to_json())
     path.write_text(text)
     told: list[str] = []

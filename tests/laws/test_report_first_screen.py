@@ -9,12 +9,12 @@ import report_tables
 from report_browser import complaints, count_shown_runs, groups_shown, wait_for
 from report_runs import random_run, write_recordings
 
-from ssm_study.report.page.data import provenance, slider_settings
-from ssm_study.report.page.first_screen import remarks
+from ssm_study.report.page.data import provenance_lines, slider_settings
+from ssm_study.report.page.first_screen import outcome_remarks
 from ssm_study.report.page.writing import write_page
 from ssm_study.report.study_folder import StudyFolder
 from ssm_study.report.words import SETTLED
-from ssm_study.table.rank import best_first
+from ssm_study.table.rank import sort_best_first
 
 
 def test_runs_whose_rate_auto_chose_are_one_group(browser: Any, tmp_path: Path) -> None:
@@ -110,7 +110,7 @@ def test_every_run_that_came_to_less_than_a_certified_loop_is_listed_with_its_re
 def test_a_name_shows_what_not_all_runs_share_and_the_best_run_has_a_ring(
     browser: Any, tmp_path: Path
 ) -> None:
-    table = best_first(report_tables.table(4)).reset_index(drop=True)
+    table = sort_best_first(report_tables.table(4)).reset_index(drop=True)
     digits = [f"{k:010x}" for k in range(4)]
     table["run"] = [f"order{4 + k // 2}-width8-seed0-{digits[k]}" for k in range(4)]
     study_folder = report_tables.write_study(tmp_path / "study", table)
@@ -231,7 +231,7 @@ def test_the_provenance_says_in_words_whether_the_code_was_as_committed(tmp_path
         table = report_tables.table(6).assign(git_dirty=pd.array((dirty * 6)[:6], dtype="boolean"))
         folder = report_tables.write_study(tmp_path / str(len(told)), table)
         study = StudyFolder(folder=folder)
-        assert dict(provenance(study, study.table))["working tree"].startswith(told)
+        assert dict(provenance_lines(study, study.table))["working tree"].startswith(told)
 
 
 def write_sweep_page(folder: Path) -> Path:
@@ -328,7 +328,7 @@ def test_the_slider_says_why_a_run_is_infeasible_and_what_all_its_runs_share() -
 def test_a_reason_does_not_say_once_more_that_the_run_is_infeasible() -> None:
     reason = "rate 0.4 is infeasible: the slopes allow only rates below 0.219"
     record = {"verdict": "infeasible", "infeasible_reason": reason}
-    (outcome,) = remarks(record)
+    (outcome,) = outcome_remarks(record)
     assert outcome.text.endswith(" Rate 0.4: the slopes allow only rates below 0.219.")
     assert outcome.text.lower().count("infeasible") == 1
 
@@ -338,8 +338,8 @@ FRESH = {"verdict": SETTLED.word, "coverage": 1.068, "coverage_needed": 12.047, 
 
 def test_fresh_data_beyond_the_proof_are_a_warning() -> None:
     """The proof covers the run's own records; data that nobody has used show more."""
-    (remark,) = remarks(FRESH)
+    (remark,) = outcome_remarks(FRESH)
     assert remark.is_warning
     assert remark.text.endswith("3 fresh data sets need at most 12.05 times, more than is covered.")
     for harmless in ({"coverage_needed": 1.0}, {"coverage_needed": None}, {"coverage": None}):
-        assert list(remarks(FRESH | harmless)) == []
+        assert list(outcome_remarks(FRESH | harmless)) == []

@@ -8,8 +8,8 @@ from typing import Any
 import report_tables
 from rich.console import Console
 
-from ssm_study.report.outcome import pi_words, print_outcome
-from ssm_study.report.page.proof_card import coverage_words
+from ssm_study.report.outcome import pi_comparison_text, print_outcome
+from ssm_study.report.page.proof_card import coverage_sentence
 from ssm_study.training.choice import REFIT_WORDS
 
 RADIUS = "spectral radius of the controller"
@@ -213,7 +213,7 @@ def test_records_that_trained_the_model_are_named_beside_what_they_show() -> Non
     refitted = record | {"training_ended": f"100 epochs{REFIT_WORDS}"}
     text = " ".join(printed(refitted).split())
     assert text.count(remark) == 2
-    assert remark in coverage_words(refitted)
+    assert remark in coverage_sentence(refitted)
 
 
 def test_no_number_is_rounded_across_the_bound_it_is_compared_with() -> None:
@@ -245,9 +245,9 @@ def test_cannot_judge_stands_first() -> None:
 
 def test_a_pi_that_is_faster_is_said_to_be() -> None:
     record = {"stable_count_pi": 4, "initial_conditions": 4, "settling_time_pi_s": 0.05}
-    assert pi_words(record | {"settling_time_mean_s": 0.1}).endswith(
+    assert pi_comparison_text(record | {"settling_time_mean_s": 0.1}).endswith(
         "faster than the certified controller"
     )
-    assert pi_words(record | {"settling_time_mean_s": 0.04}) == "0.050 s, 4 of 4"
+    assert pi_comparison_text(record | {"settling_time_mean_s": 0.04}) == "0.050 s, 4 of 4"
     lost = record | {"stable_count_pi": 3, "settling_time_mean_s": 0.1}
-    assert pi_words(lost) == "0.050 s, 3 of 4"
+    assert pi_comparison_text(lost) == "0.050 s, 3 of 4"

@@ -17,7 +17,7 @@ from report_browser import (
 from report_runs import random_run, write_recordings
 
 from ssm_study.report.page.writing import write_page
-from ssm_study.table.rank import best_first
+from ssm_study.table.rank import sort_best_first
 
 RUNS = 150
 
@@ -30,11 +30,11 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     table = report_tables.table(RUNS)
     table["error_message"] = None
     table.loc[table.status == "failed", "error_message"] = HOSTILE
-    index = best_first(table).index
+    index = sort_best_first(table).index
     table["run"] = table["run"].where(table.index != index[0], "order8-width8-seed0-0123456789")
     sweep_path = tmp_path_factory.mktemp("study") / "sweep"
     folder = report_tables.write_study(sweep_path, table)
-    run = best_first(table)["run"]
+    run = sort_best_first(table)["run"]
     best, second = run.head(2)
     run = random_run(folder / best, kind="mlp", channels=1, seed=1)
     write_recordings(run)

@@ -4,7 +4,7 @@ from typing import Any
 
 import pandas as pd
 
-from ssm_study.report.page.runner_up import RunnerUp, runner_up
+from ssm_study.report.page.runner_up import RunnerUp, choose_runner_up
 from ssm_study.report.words import SETTLED
 
 
@@ -15,7 +15,7 @@ def run(time_s: float, margin: float, gain: float, **values: Any) -> dict[str, A
 
 
 def found(*runs: dict[str, Any]) -> RunnerUp | None:
-    return runner_up(pd.DataFrame(list(runs)))
+    return choose_runner_up(pd.DataFrame(list(runs)))
 
 
 BEST = run(0.08, 1.36, 33.0)
@@ -41,4 +41,4 @@ def test_a_run_that_is_no_real_alternative_is_not_named() -> None:
     assert found(BEST, run(0.1, 4.0, 5.0, verdict="infeasible")) is None
     assert found(BEST, run(0.1, 4.0, float("nan"))) is None, "no number to compare"
     assert found(BEST | {"verdict": "infeasible"}, run(0.1, 4.0, 5.0)) is None
-    assert runner_up(pd.DataFrame()) is None
+    assert choose_runner_up(pd.DataFrame()) is None

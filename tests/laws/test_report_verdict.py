@@ -4,7 +4,7 @@ import pandas as pd
 import report_tables
 
 from ssm_study.report import words
-from ssm_study.table.rank import best_first, predicted_stable
+from ssm_study.table.rank import predicted_stable, sort_best_first
 
 
 def row(**values: object) -> dict[str, object]:
@@ -24,7 +24,7 @@ def test_a_fast_loop_without_certificate_never_beats_a_certified_one() -> None:
     lost = row(run="lost", settling_time_mean_s=0.02, stable_fraction=0.9)
     failed = {"run": "failed", "status": "failed"}
     table = pd.DataFrame([failed, bare, slow, lost, quick])
-    run = best_first(table)["run"]
+    run = sort_best_first(table)["run"]
     order = run.tolist()
     expected = ["quick", "slow", "lost", "bare", "failed"]
     assert order == expected
@@ -34,7 +34,7 @@ def test_a_baseline_that_is_only_scored_is_identified_not_uncertified() -> None:
     baseline = {"run": "gru", "status": "ok", "fit_test_percent": 95.0}
     table = pd.DataFrame([baseline, row(run="ours")])
     expected = ["identified", "certified, settles"]
-    assert words.verdicts(table).tolist() == expected
+    assert words.verdict_words(table).tolist() == expected
 
 
 def test_a_certified_run_without_a_loop_is_not_said_to_miss_a_start() -> None:
@@ -45,17 +45,17 @@ def test_a_certified_run_without_a_loop_is_not_said_to_miss_a_start() -> None:
         "fit_test_percent": 95.0,
     }
     table = pd.DataFrame([untried])
-    assert words.verdicts(table).tolist() == ["certified, not tried"]
+    assert words.verdict_words(table).tolist() == ["certified, not tried"]
     table = pd.DataFrame([untried, row(stable_fraction=0.5)])
     expected = words.LOST.word
-    assert words.verdicts(table).tolist()[1] == expected
+    assert words.verdict_words(table).tolist()[1] == expected
 
 
 def test_an_unknown_status_counts_as_failed_not_as_fine() -> None:
     for status in ("failed", "lost", "corrupt", "running", None):
         table = pd.DataFrame([row(status=status)])
         expected = [words.FAILED.word]
-        assert words.verdicts(table).tolist() == expected
+        assert words.verdict_words(table).tolist() == expected
 
 
 def test_counts_add_up() -> None:

@@ -17,7 +17,7 @@ from ssm_study.table.columns import COLUMNS
 from ssm_study.table.filters import filter_rows
 from ssm_study.table.gather import gather
 from ssm_study.table.rank import rank_runs
-from ssm_study.table.show import plain_table, show_table, summary_lines
+from ssm_study.table.show import render_table, show_table, summary_lines
 
 RECORDS = [
     {
@@ -233,10 +233,10 @@ def test_the_column_sorted_by_is_shown_and_a_misspelt_one_is_answered_with_the_n
     study: Path,
 ) -> None:
     table = gather(study)
-    lines = plain_table(rank_runs(table, "rmse_test"), "rmse_test").splitlines()
+    lines = render_table(rank_runs(table, "rmse_test"), "rmse_test").splitlines()
     expected = ["run", "rmse", "status"]
     assert lines[0].split()[:3] == expected
-    lines = plain_table(rank_runs(table, "fit_test_percent"), "fit_test_percent").splitlines()
+    lines = render_table(rank_runs(table, "fit_test_percent"), "fit_test_percent").splitlines()
     heads = lines[0]
     expected = ["fit", "%"]
     assert heads.split()[1:3] == expected
@@ -267,7 +267,7 @@ def test_no_cell_is_a_formula_and_no_name_commands_the_terminal(study: Path) -> 
     assert "'=HYPERLINK(1)" in text
     # The table itself says what it was.
     assert table.set_index("run").loc["c", "error_message"] == "=HYPERLINK(1)"
-    said = plain_table(table) + "\n".join(summary_lines(table, 5))
+    said = render_table(table) + "\n".join(summary_lines(table, 5))
     assert "\x1b" not in said
     assert "\\x1b[2J" in said
 

@@ -16,16 +16,16 @@ from ssm_study.bounds.frequency import frequency_response
 from ssm_study.data.simulated import PERIOD, SINE_SHARES, simulate_sine_records
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.mismatch import measure_mismatch
-from ssm_study.robustness.prediction import predict
-from ssm_study.robustness.sensitivity import sensitivity
+from ssm_study.robustness.prediction import predict_margins
+from ssm_study.robustness.sensitivity import error_to_input_response
 from ssm_study.robustness.sine_trials import (
     SineMismatch,
-    add_sines,
+    add_sines_to_mismatch,
     measure_sine_mismatch,
-    peak_lines,
+    sensitive_lines,
 )
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.sine_judgement import frequencies_to_test, sine_columns
+from ssm_study.synthesis.sine_judgement import lines_to_test, sine_columns
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 FAST = design(input_weight=1e-3)
@@ -72,11 +72,11 @@ def test_what_noise_hides_is_not_zero() -> None:
 
 
 def test_a_sine_that_shows_more_than_the_records_refutes_the_prediction() -> None:
-    before = predict(SSM_MODEL, FAST.pair, BALLS, MISMATCH)
+    before = predict_margins(SSM_MODEL, FAST.pair, BALLS, MISMATCH)
     assert before.predicts_stability()
-    (line, *_) = peak_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
+    (line, *_) = sensitive_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
     angle = 2 * np.pi * line / PERIOD
-    loop = sensitivity(SSM_MODEL.linear, FAST.pair, 1.0, 1.0)
+    loop = error_to_input_response(SSM_MODEL.linear, FAST.pair, 1.0, 1.0)
     peak = abs(frequency_response(loop, np.array([angle]))[0, 0, 0])
     harmful = SineMismatch(angle=angle, amplitude=0.3, gain=1.2 / peak)
     facts = sine_columns(FAST, SSM_MODEL, BALLS, MISMATCH, [harmful])
@@ -93,7 +93,7 @@ def test_a_sine_below_every_record_has_a_view_of_its_own() -> None:
     smallest = MISMATCH.views[0]
     amplitude = smallest.amplitude / 10
     tiny = SineMismatch(angle=0.3, amplitude=amplitude, gain=5.0)
-    mismatch = add_sines(MISMATCH, [tiny])
+    mismatch = add_sines_to_mismatch(MISMATCH, [tiny])
     views = mismatch.views
     expected = len(MISMATCH.views) + 1
     assert len(views) == expected
@@ -107,10 +107,10 @@ def test_a_sine_below_every_record_has_a_view_of_its_own() -> None:
 
 
 def test_the_trials_lie_at_the_peaks_of_the_sensitivity() -> None:
-    lines = peak_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
+    lines = sensitive_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
     assert 1 <= len(lines) <= 2
     angles = 2 * np.pi * np.arange(4, PERIOD // 2) / PERIOD
-    loop = sensitivity(SSM_MODEL.linear, FAST.pair, 1.0, 1.0)
+    loop = error_to_input_response(SSM_MODEL.linear, FAST.pair, 1.0, 1.0)
     size = np.abs(frequency_response(loop, angles)[:, 0, 0])
     largest = max(size[line - 4] for line in lines)
     assert largest > 0.99 * size.max()
@@ -118,8 +118,8 @@ def test_the_trials_lie_at_the_peaks_of_the_sensitivity() -> None:
 
 def test_where_no_noise_is_known_nothing_is_tried() -> None:
     unknown = replace(MISMATCH, noise=())
-    assert frequencies_to_test(FAST, SSM_MODEL, BALLS, unknown, PERIOD) == []
-    assert len(frequencies_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)) > 0
+    assert lines_to_test(FAST, SSM_MODEL, BALLS, unknown, PERIOD) == []
+    assert len(lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)) > 0
 
 
 def test_the_simulated_sines_repeat_and_reach_down_to_a_hundredth() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from ssm_study.certificates.frontier import Frontier, frontier
+from ssm_study.certificates.frontier import Frontier, contraction_frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.synthesis.design import REPAIRS
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, guaranteed_cost, solve_at_tau
@@ -28,7 +28,7 @@ def problem(ball: JacobianBall, rate: float = 0.1) -> Problem:
 
 
 def limits(asked: Problem) -> Frontier:
-    return frontier(asked.a, asked.b, asked.ball)
+    return contraction_frontier(asked.a, asked.b, asked.ball)
 
 
 def shares(asked: Problem, contractions: list[float]) -> np.ndarray:

@@ -12,8 +12,12 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis import expected_response
 from ssm_study.synthesis.candidates import Candidates
-from ssm_study.synthesis.decay_response import NO_DECAYS, largest_decay_ratios, simulate_decays
-from ssm_study.synthesis.expected_response import FASTER, ExpectedResponse, compared_indices
+from ssm_study.synthesis.decay_response import (
+    NO_DECAYS,
+    largest_settling_time_ratios,
+    simulate_decays,
+)
+from ssm_study.synthesis.expected_response import FASTER, ExpectedResponse, indices_to_compare
 from ssm_study.systems import Gains
 
 # Relative area on the model and loop gain (1 / margin) of four pairs: fast and near the edge, idle,
@@ -42,7 +46,7 @@ def response(monkeypatch: pytest.MonkeyPatch) -> ExpectedResponse:
 
 def order_of(response: ExpectedResponse) -> list[int]:
     peaks = np.zeros((4, 1))
-    pairs = response.ordered_pairs(peaks, (), None)
+    pairs = response.pairs_by_expected_response(peaks, (), None)
     ranked = list(islice(pairs, 10))
     for pair, is_faster in ranked:
         expected = expected_response.relative_areas()[pair[0]] < expected_response.FASTER
@@ -78,10 +82,10 @@ def test_a_plant_that_does_not_rest_is_offered_nothing(response):
 def test_a_pair_that_only_stirs_up_a_decay_comes_after_the_others(response, monkeypatch):
     """The fast pair settles no sooner than the plant does by itself from where it was recorded."""
     ratios = np.array([1.2, 0.5, 0.5, 0.5])
-    monkeypatch.setattr(expected_response, "largest_decay_ratios", lambda *_: ratios)
+    monkeypatch.setattr(expected_response, "largest_settling_time_ratios", lambda *_: ratios)
     monkeypatch.setattr(expected_response, "relative_areas", lambda *_: 0.5 * AREAS)
     peaks = np.zeros((4, 1))
-    rankeds = response.ordered_pairs(peaks, (), None)
+    rankeds = response.pairs_by_expected_response(peaks, (), None)
     pairs = [(int(ranked.pair[0]), ranked.is_faster) for ranked in rankeds]
     expected = [(1, True), (2, False), (0, False)]
     assert pairs == expected
@@ -89,14 +93,14 @@ def test_a_pair_that_only_stirs_up_a_decay_comes_after_the_others(response, monk
 
 def test_the_compared_pairs_are_the_fastest_and_some_of_the_rest():
     areas = np.linspace(1.0, 0.0, 1000)
-    compared = compared_indices(areas, areas >= FASTER)
+    compared = indices_to_compare(areas, areas >= FASTER)
     assert compared[0] == 999
     expected = set(range(800, 1000))
     assert set(compared[:200]) == expected
     assert min(compared) < 10  # the slowest are among them
     slow = np.array([True, False])
     expected = [1, 0]
-    assert compared_indices(np.array([0.1, 0.8]), slow) == expected
+    assert indices_to_compare(np.array([0.1, 0.8]), slow) == expected
 
 
 def test_a_decay_is_answered_by_the_model_alone():
@@ -115,8 +119,8 @@ def test_a_decay_is_answered_by_the_model_alone():
     assert len(decays) == 1
     k = np.zeros((1, 1, model.order))
     none = Gains(k=k, l=np.zeros((1, model.order, 1)))
-    assert largest_decay_ratios(model, none, decays, 0.05) == pytest.approx([1.0])
-    assert not largest_decay_ratios(model, none, NO_DECAYS, 0.05).any()
+    assert largest_settling_time_ratios(model, none, decays, 0.05) == pytest.approx([1.0])
+    assert not largest_settling_time_ratios(model, none, NO_DECAYS, 0.05).any()
     u = trial.u + 1.0
     moving = replace(trial, u=u)
     assert not len(simulate_decays(model, (moving,), (excited,)))

@@ -14,7 +14,7 @@ from ssm_study.report.study_folder import StudyFolder
 from ssm_study.table.columns import DECLARED, column_label, find_declaration
 from ssm_study.table.gather import table_from_records
 from ssm_study.table.rank import rank_runs
-from ssm_study.table.show import plain_table, short_names
+from ssm_study.table.show import render_table, short_run_names
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMITTED = sorted(path.parent for path in (ROOT / "results" / "reference").glob("*/runs.csv"))
@@ -122,9 +122,9 @@ def test_show_page_and_figures_name_the_same_run(folder: Path) -> None:
     table = table_from_records(records)
     run = rank_runs(table)["run"]
     best = run.iloc[0]
-    lines = plain_table(rank_runs(table)).splitlines()
+    lines = render_table(rank_runs(table)).splitlines()
     run = rank_runs(table)["run"]
-    expected = short_names(run).iloc[0]
+    expected = short_run_names(run).iloc[0]
     assert lines[1].split()[0] == expected
     run = sort_for_page(table)["run"]
     assert run.iloc[0] == best

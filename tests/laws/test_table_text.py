@@ -6,7 +6,7 @@ from ssm_study.report.page.data import page_title
 from ssm_study.table.columns import swept_settings
 from ssm_study.table.filters import filter_rows
 from ssm_study.table.gather import table_from_records
-from ssm_study.table.show import cost_lines, plain_table, stage_costs, summary_lines
+from ssm_study.table.show import cost_lines, render_table, stage_costs, summary_lines
 
 
 def test_a_wide_table_is_cut_to_eighty_columns() -> None:
@@ -23,7 +23,7 @@ def test_a_wide_table_is_cut_to_eighty_columns() -> None:
         }
         for i in range(3)
     ]
-    lines = plain_table(table_from_records(wide)).splitlines()
+    lines = render_table(table_from_records(wide)).splitlines()
     largest = max(map(len, lines))
     assert largest <= 80
 
@@ -47,7 +47,7 @@ def sweep(count: int) -> pd.DataFrame:
 
 
 def test_what_was_swept_stands_before_what_came_of_it() -> None:
-    lines = plain_table(sweep(6)).splitlines()
+    lines = render_table(sweep(6)).splitlines()
     heads, first = lines[:2]
     expected = ["run", "status", "order", "r", "ctl", "settled"]
     assert heads.split()[:6] == expected
@@ -74,7 +74,7 @@ def test_settings_of_the_command_tell_runs_apart() -> None:
     assert page_title(table) == "What changes with plant.step_s and synthesis.invert_input?"
     run = filter_rows(table, "plant__step_s > 0.01 and synthesis__invert_input")["run"]
     assert run.tolist() == ["r-3"]
-    heads, *_, last = plain_table(table).splitlines()
+    heads, *_, last = render_table(table).splitlines()
     expected = ["run", "status", "step_s", "invert_input"]
     assert heads.split() == expected
     expected = ["3", "ok", "0.02", "yes"]
@@ -93,7 +93,7 @@ def test_a_side_that_nobody_certified_is_not_said_to_be() -> None:
             [(True, True), (True, None), (None, True), (None, None)]
         )
     ]
-    lines = plain_table(table_from_records(rows)).splitlines()[1:]
+    lines = render_table(table_from_records(rows)).splitlines()[1:]
     expected = ["both", "ctl", "obs", "-"]
     assert [line.split()[2] for line in lines] == expected
 
@@ -112,14 +112,14 @@ def test_a_setting_that_follows_from_another_gives_way_to_the_outcomes() -> None
          "stable_count": 10, "initial_conditions": 10, "resolved_margin": 1.697,
          "predicted_stable": True},
     ]  # fmt: skip
-    lines = plain_table(table_from_records(rows)).splitlines()
+    lines = render_table(table_from_records(rows)).splitlines()
     heads = lines[0].split()
     assert heads[2] == "model"
     expected = ["settled", "fit", "%", "margin", "predicted"]
     assert heads[-5:] == expected
     assert "scaffold_out" not in heads
     # Where there is room.
-    lines = plain_table(table_from_records(rows), width=160).splitlines()
+    lines = render_table(table_from_records(rows), width=160).splitlines()
     assert "scaffold_out" in lines[0]
 
 

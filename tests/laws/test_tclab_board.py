@@ -37,7 +37,7 @@ class FakeBoard:
     interrupted_at: float = np.inf
 
     def __post_init__(self) -> None:
-        self.state = self.plant.states_at(np.array([[40.0]]))
+        self.state = self.plant.equilibrium_states(np.array([[40.0]]))
         self.duty = 0.0
 
     def Q1(self, percent: float) -> float:
@@ -105,7 +105,7 @@ def test_a_record_of_the_board_is_what_its_equation_gives_sample_by_sample(
     u = rng.uniform(0, 100, (2, 6, 1))
     changed_plant = replace(plant, hardware=True)
     _, y = changed_plant.simulate(u)
-    start = plant.states_at(np.array([[40.0]]))
+    start = plant.equilibrium_states(np.array([[40.0]]))
     response = plant.simulate(u.reshape(1, 12, 1), start)
     whole = response[1][0]
     actual = y.reshape(12, 1)
@@ -163,7 +163,7 @@ def test_the_heater_is_off_whatever_ends_it(cause: type, plant: Any, fake: FakeB
 @pytest.mark.usefixtures("fake")
 def test_a_request_to_terminate_ends_it_as_an_exception_does(plant: Any) -> None:
     changed_plant = replace(plant, hardware=True)
-    changed_plant.states_at(np.zeros((1, 1)))
+    changed_plant.equilibrium_states(np.zeros((1, 1)))
     with pytest.raises(SystemExit):
         os.kill(os.getpid(), signal.SIGTERM)
 
@@ -187,7 +187,7 @@ def test_without_a_board_it_is_refused_in_one_sentence(
     monkeypatch.setitem(sys.modules, "tclab", None)
     changed_plant = replace(plant, hardware=True)
     with pytest.raises(BadRequest, match="no board answers"):
-        changed_plant.states_at(np.zeros((1, 1)))
+        changed_plant.equilibrium_states(np.zeros((1, 1)))
 
 
 def test_many_cases_at_once_are_refused_before_anything_is_heated(
@@ -200,10 +200,10 @@ def test_many_cases_at_once_are_refused_before_anything_is_heated(
     with pytest.raises(
         BadRequest, match=r"a device runs one case, from where it is; use loop.initial_conditions=1"
     ):
-        asked.refuse_sizes()
+        asked.refuse_excessive_sizes()
     loop = replace(asked.loop, initial_conditions=1)
     one = replace(asked, loop=loop, data=replace(asked.data, trials=False))
-    one.refuse_sizes()
+    one.refuse_excessive_sizes()
     with pytest.raises(BadRequest, match="a board runs one case at a time"):
         asked.plant.advance(np.zeros((2, 2)), np.zeros((2, 1)), np.zeros((2, 1)))
     assert not fake.sent

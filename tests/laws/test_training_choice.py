@@ -21,7 +21,7 @@ from ssm_study.training.candidates import (
     Trial,
     best_candidate,
     fit_linear_model,
-    is_hopeless,
+    is_many_times_worse,
     simplest_good_candidate,
 )
 from ssm_study.training.choice import choose_model
@@ -182,10 +182,10 @@ def test_a_loss_on_one_odd_fold_does_not_hide_gains_on_all_others() -> None:
 def test_far_behind_after_two_folds_is_not_tried_on() -> None:
     best = candidate("best", 2.0, 2.0, 2.0, 2.0)
     errors = [4.0, 4.0]
-    assert is_hopeless(errors, best)
-    assert not is_hopeless([40.0], best)
+    assert is_many_times_worse(errors, best)
+    assert not is_many_times_worse([40.0], best)
     errors = [2.5, 2.5]
-    assert not is_hopeless(errors, best)
+    assert not is_many_times_worse(errors, best)
 
 
 @pytest.mark.parametrize("direct", [True, False])

@@ -67,7 +67,7 @@ def turned_round() -> Theta:
 def test_the_penalty_is_part_of_loss_and_step() -> None:
     theta = turned_round()
     problem = integrating(0.05)
-    missing = problem.missing_gain(theta)
+    missing = problem.gain_sign_residuals(theta)
     assert missing.max() > 0.0
     bare = regularised_loss(integrating(0.0), theta, ())
     assert regularised_loss(problem, theta, ()) == pytest.approx(bare + float(missing @ missing))
@@ -78,10 +78,10 @@ def test_the_penalty_is_part_of_loss_and_step() -> None:
 def test_its_derivatives_are_those_of_differences() -> None:
     theta = turned_round()
     problem = integrating(0.05)
-    missing, slopes = problem.missing_gain_linearised(theta, MOVED)
+    missing, slopes = problem.gain_sign_residuals_and_jacobian(theta, MOVED)
     flat = pack_parameters(theta, MOVED)
     direction = 1e-5 * np.random.default_rng(0).normal(size=len(flat))
-    ahead = problem.missing_gain(theta | unpack_parameters(flat + direction, theta, MOVED))
+    ahead = problem.gain_sign_residuals(theta | unpack_parameters(flat + direction, theta, MOVED))
     np.testing.assert_allclose(ahead - missing, slopes @ direction, rtol=1e-2, atol=1e-8)
     assert np.abs(slopes).max() > 0.0
 
@@ -113,5 +113,5 @@ def test_between_the_corners_the_gain_has_no_other_sign() -> None:
 
 def test_there_is_no_penalty_without_neurons_or_where_it_is_not_asked_for() -> None:
     theta = turned_round()
-    assert integrating(0.0).missing_gain(theta).size == 0
-    assert replace(integrating(0.05), neurons=()).missing_gain(theta).size == 0
+    assert integrating(0.0).gain_sign_residuals(theta).size == 0
+    assert replace(integrating(0.05), neurons=()).gain_sign_residuals(theta).size == 0

@@ -16,13 +16,13 @@ from ssm_study.training.choice_of_size import (
     drop_needless_integrator,
     other_structures,
     train_finalists,
-    try_free_models,
+    try_noncontracting_models,
 )
 from ssm_study.training.folds import make_folds
 from ssm_study.training.metrics import Identification
 from ssm_study.training.optimisers import Lbfgs
 from ssm_study.training.search import Choice, Search
-from ssm_study.training.short_starts import STEPS, best_seeds, training_fit_words
+from ssm_study.training.short_starts import STEPS, best_seeds, training_fit_text
 from ssm_study.training.structured_fit import StructuredFit
 from ssm_study.training.training import Training, TrainingSession
 
@@ -127,7 +127,7 @@ def test_the_best_of_short_starts_goes_on_and_certified_ones_come_first() -> Non
     seeds = best_seeds(spec, data, 7, 3, best=3, announce=lines.append)
     assert [line.split(",")[0] for line in lines] == ["1 of 3", "2 of 3", "3 of 3"]
     assert all("fit to the training records" in line for line in lines)
-    assert training_fit_words(float("inf")) == "the simulation diverges"
+    assert training_fit_text(float("inf")) == "the simulation diverges"
     losses = []
     for seed in seeds:
         fit = StructuredFit(spec, data, seed)
@@ -159,10 +159,10 @@ def test_a_model_that_need_not_contract_has_to_gain_a_quarter() -> None:
     for order, error in ((2, 7.0), (3, 9.0)):
         free = candidate("structured", *[error] * 4)
         search.tried.append(replace(free, settings={"order": order, "rate": None}))
-    taken = candidates_far_ahead(try_free_models(search), contracting)
+    taken = candidates_far_ahead(try_noncontracting_models(search), contracting)
     assert [one.settings["order"] for one in taken] == [2]
     search.decided["integrating_output"] = True
-    assert try_free_models(search) == []
+    assert try_noncontracting_models(search) == []
 
 
 def test_finalists_are_trained_further_and_nothing_else() -> None:

@@ -158,7 +158,7 @@ def test_the_residuals_of_shooting_are_its_objective() -> None:
         fit.starts.free += 0.5
     flat = torch.cat([p.detach().flatten() for p in fit.parameters() if p.requires_grad])
     objective = fit.training_loss()
-    actual = fit.residual_at(flat).square().sum()
+    actual = fit.residuals_at(flat).square().sum()
     expected = objective.detach()
     torch.testing.assert_close(actual, expected)
     assert fit.simulate_windows()[1].square().sum() > 0.1

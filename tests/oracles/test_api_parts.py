@@ -47,7 +47,7 @@ def test_settings_are_what_hydra_composes(words: tuple[str, ...]) -> None:
     theirs = plain_settings(config)
     for name, tree in parts.trees.items():
         assert tree == dict(theirs[name])
-    config = compose_configuration([*parts.words_for_command(), "study=any"])
+    config = compose_configuration([*parts.command_overrides(), "study=any"])
     again = plain_settings(config)
     for name in parts.trees:
         assert again[name] == theirs[name]

@@ -133,7 +133,7 @@ def test_a_withdrawn_part_of_an_older_file_is_kept_and_not_checked(
     design = Design.from_json(content)
     expected = {"noise", "tolerance_by_frequency"}
     assert set(design.withdrawn) == expected
-    assert not set(design.withdrawn) & set(design.parts_by_name)
+    assert not set(design.withdrawn) & set(design.certificates_by_name)
     assert design.to_json() == content
     assert failed_checks(content, linear, MOTOR_BALLS) == []
     content["tolerance"]["kappa"] *= 1.01  # what is still claimed is still checked beside it

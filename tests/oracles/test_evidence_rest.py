@@ -141,7 +141,7 @@ def test_a_plant_that_does_not_return_is_told_so_by_the_same_log(tmp_path, wrong
     _, shown, told = fitted_log(tmp_path, EXCITED, wrong(EXCITED))
     assert said in told
     assert UNKNOWN not in told
-    assert not shown.comes_to_rest or shown.offset > 1
+    assert not shown.plant_comes_to_rest or shown.offset > 1
 
 
 @pytest.mark.parametrize("hunts", [0.0, 0.01])
@@ -158,7 +158,7 @@ def test_a_faint_swing_is_a_doubt_and_no_refusal(hunts):
     validation = log.data.validation
     trajectory = Trajectory(u=0.0 * k, y=y, step_s=0.1)
     shown = measure_mismatch(log.model, validation, 0, (trajectory,))
-    assert shown.comes_to_rest
+    assert shown.plant_comes_to_rest
     assert shown.left_at_rest == pytest.approx(hunts, rel=0.1, abs=1e-3)
     told = " ".join(found.sentence for found in judge_records(log, shown))
     assert ("a small limit cycle, or a slow decay" in told) == (hunts > 0)

@@ -64,7 +64,7 @@ def test_the_horizon_is_four_time_constants_between_50_and_150_samples(
     d = model.linear.d
     linear = StateSpace(a=a, b=b, c=c, d=d)
     assert (
-        comparison_scenario(model.with_linear(linear), (motor_record(),), loaded=False)[2]
+        comparison_scenario(model.with_linear_part(linear), (motor_record(),), loaded=False)[2]
         == samples
     )
 
@@ -74,7 +74,7 @@ def test_loads_hold_a_quarter_and_half_of_an_output_scale_on_every_channel_that_
     idle = model.linear.b.copy()
     idle[:, 1] = 0.0
     linear = replace(model.linear, b=idle)
-    model = model.with_linear(linear)
+    model = model.with_linear_part(linear)
     validation = (record(model),)
     x0, load, _ = comparison_scenario(model, validation, loaded=True)
     loads = load[12:]
@@ -129,7 +129,7 @@ def test_the_area_is_the_loop_written_out(integrators: int) -> None:
     rng = np.random.default_rng(0)
     d = 0.3 * rng.normal(size=(2, 2))
     linear = replace(model.linear, d=d)
-    model, n = model.with_linear(linear), model.order
+    model, n = model.with_linear_part(linear), model.order
     ks = 0.05 * rng.normal(size=(2, 2, n + integrators))
     ls = 0.05 * rng.normal(size=(2, n, 2))
     pairs = np.array([[1, 0], [0, 1]])

@@ -87,7 +87,7 @@ def test_the_loop_is_that_of_the_model_without_the_map(made: tuple) -> None:
     runs = []
     for controller in (law, other):
         plant = IdentifiedPlant.from_model(controller.model)
-        y0, noise = asked.draw_conditions(plant, 0)
+        y0, noise = asked.draw_starts_and_noise(plant, 0)
         initial_range = (-1.0, 1.0)
         changed_plant = replace(plant, initial_range=initial_range)
         response = asked.simulate(changed_plant, controller, y0, noise)
@@ -117,7 +117,7 @@ def test_limits_keep_their_order_behind_a_falling_map(monkeypatch: pytest.Monkey
     falling = replace(motor_model(), scaffold_in=scaffold_in)
     b = -falling.linear.b
     linear = replace(falling.linear, b=b)
-    falling = falling.with_linear(linear)
+    falling = falling.with_linear_part(linear)
     asked = Auto(stretch_shares=(0.3,), observer_rates=(0.3,), invert_input=True)
     lower = np.array([-0.4])
     upper = np.array([0.1])

@@ -21,7 +21,7 @@ def test_four_times_what_the_model_takes_to_spend_99_percent_of_its_response(pol
     b = np.ones((2, 1))
     c = np.ones((1, 2))
     linear = replace(model.linear, a=a, b=b, c=c)
-    loop = Loop().with_default_horizon(model.with_linear(linear))
+    loop = Loop().with_default_horizon(model.with_linear_part(linear))
     assert loop.horizon_samples(model.step_s) == samples
     horizon_s = Loop(horizon_s=2.0).with_default_horizon(model).horizon_s
     assert horizon_s == 2.0

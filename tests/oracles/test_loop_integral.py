@@ -21,8 +21,8 @@ from ssm_study.loop.trajectory import scaled_equilibrium
 from ssm_study.plants.disturbance import RampDisturbance, StepDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import measure_mismatch
-from ssm_study.robustness.prediction import predict
-from ssm_study.robustness.sensitivity import peaks_on_grid, sensitivity
+from ssm_study.robustness.prediction import predict_margins
+from ssm_study.robustness.sensitivity import error_to_input_response, peaks_on_grid
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Gains
@@ -198,7 +198,9 @@ def test_the_margin_with_integrators_by_two_routes(design):
     gain = design.observer.l
     angles = np.geomspace(1e-3, np.pi, 200)
     by_space = max(
-        largest_gains(sensitivity(model.linear, Gains(k=k, l=gain), i, 1.0), angles).max()
+        largest_gains(
+            error_to_input_response(model.linear, Gains(k=k, l=gain), i, 1.0), angles
+        ).max()
         for i in (INPUT_BALL.lower, INPUT_BALL.alpha, INPUT_BALL.upper)
     )
     by_factors = peaks_on_grid(model.linear, k[None], gain[None], BALLS, angles)[0, 0]
@@ -223,7 +225,7 @@ def test_auto_chooses_with_integral_action():
     state_feedback_k = chosen.state_feedback.k
     assert state_feedback_k.shape == (1, 3)
     shown = measure_mismatch(motor_model(), (motor_record(),))
-    assert predict(motor_model(), chosen.pair, BALLS, shown).predicts_stability()
+    assert predict_margins(motor_model(), chosen.pair, BALLS, shown).predicts_stability()
     loop = LOADED.run_design(motor(), motor_model(), chosen, seed=0)
     columns = behaviour_columns(loop)
     assert columns["final_error_worst"] < 1e-2

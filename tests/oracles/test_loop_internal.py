@@ -24,7 +24,7 @@ from ssm_study.loop.regulation import Loop
 from ssm_study.loop.rollout import Rollouts
 from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.sensitivity import peaks_on_grid, sensitivity
+from ssm_study.robustness.sensitivity import error_to_input_response, peaks_on_grid
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -52,7 +52,7 @@ def simulated(loop: Loop, design: Design) -> Rollouts:
     return loop.simulate(
         motor(),
         ObserverFeedback.from_design(motor_model(), design),
-        *loop.draw_conditions(motor(), seed=0),
+        *loop.draw_starts_and_noise(motor(), seed=0),
     )
 
 
@@ -155,7 +155,8 @@ def test_the_margin_by_two_routes():
     angles = np.geomspace(1e-3, np.pi, 200)
     slopes = (INPUT_BALL.lower, INPUT_BALL.alpha, INPUT_BALL.upper)
     by_space = max(
-        largest_gains(sensitivity(model.linear, pair, slope, 1.0), angles).max() for slope in slopes
+        largest_gains(error_to_input_response(model.linear, pair, slope, 1.0), angles).max()
+        for slope in slopes
     )
     ks = pair.k[None]
     ls = pair.l[None]

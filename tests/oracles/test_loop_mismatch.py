@@ -20,11 +20,11 @@ from ssm_study.bounds.frequency import hinf_norm, largest_gains
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.bands import ANGLES as BANDS
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
-from ssm_study.robustness.prediction import Prediction, predict
+from ssm_study.robustness.prediction import Prediction, predict_margins
 from ssm_study.robustness.sensitivity import (
     controller_spectral_radius,
+    error_to_input_response,
     peaks_on_grid,
-    sensitivity,
     sensitivity_peak,
 )
 from ssm_study.signals import Trajectory
@@ -136,7 +136,7 @@ def test_the_factors_agree_with_the_state_space_for_several_channels():
     balls = Balls(input=jacobian_ball, output=output)
     angles = np.linspace(0.01, np.pi, 50)
     by_space = max(
-        largest_gains(sensitivity(linear, Gains(k=k, l=gain), i, o), angles).max()
+        largest_gains(error_to_input_response(linear, Gains(k=k, l=gain), i, o), angles).max()
         for i in (0.4, 0.7, 1.0)
         for o in (0.8, 0.95, 1.1)
     )
@@ -169,7 +169,7 @@ def test_the_sensitivity_is_the_loops_own_response_to_output_error():
         x_hat = a @ x_hat + b[:, 0] * slope * u[-1] + gain @ difference
     amplitude = np.abs(np.array(u[-1500:]) @ np.exp(-1j * angle * np.arange(1500))) * 2 / 1500
     pair = Gains(k=k, l=gain)
-    state_space = sensitivity(model.linear, pair, slope, 1.0)
+    state_space = error_to_input_response(model.linear, pair, slope, 1.0)
     expected = largest_gains(state_space, np.array([angle]))[0]
     assert amplitude == pytest.approx(expected, rel=0.01)
 
@@ -203,16 +203,16 @@ def test_a_loop_that_is_unstable_at_one_slope_has_no_margin():
     shown = measure_mismatch(model, (motor_record(),))
     k = 50 * design.state_feedback.k
     observer_l = design.observer.l
-    found = predict(model, Gains(k=k, l=observer_l), BALLS, shown)
+    found = predict_margins(model, Gains(k=k, l=observer_l), BALLS, shown)
     assert found.mismatch_margin == 0.0
     assert found.resolved_margin == 0.0
-    own = predict(model, design.pair, BALLS, shown)
+    own = predict_margins(model, design.pair, BALLS, shown)
     peak = sensitivity_peak(model.linear, design.pair, BALLS)
     expected = 1 / (shown.gain * peak)
     assert own.mismatch_margin == pytest.approx(expected)
     by_frequency = np.zeros(len(BANDS))
     none = flat(by_frequency, 0.0)
-    mismatch_margin = predict(model, design.pair, BALLS, none).mismatch_margin
+    mismatch_margin = predict_margins(model, design.pair, BALLS, none).mismatch_margin
     assert mismatch_margin == np.inf
 
 

@@ -21,7 +21,7 @@ from ssm_study.plants.disturbance import StepDisturbance
 from ssm_study.plants.wrapper import Wrapper
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import measure_mismatch
-from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.prediction import predict_margins
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Gains
@@ -136,7 +136,7 @@ def test_a_grid_of_gains_is_its_designs_one_by_one():
     k = design.pair.k
     l_ = design.pair.l
     gains = Gains(k=np.stack([k, 0.5 * k]), l=np.stack([l_, 0.7 * l_]))
-    y0, noise = SHORT.draw_conditions(motor(), seed=2)
+    y0, noise = SHORT.draw_starts_and_noise(motor(), seed=2)
     observer_feedback_gains = gains.select_pairs(np.repeat([0, 1], 3))
     grid = ObserverFeedback(model=model, gains=observer_feedback_gains)
     together = SHORT.simulate(motor(), grid, np.tile(y0, (2, 1)), np.tile(noise, (2, 1, 1)))
@@ -157,7 +157,7 @@ def test_the_design_grid_reports_each_designs_own_margin():
     candidates = SMALL.candidates(motor_model(), BALLS)
     shown = measure_mismatch(motor_model(), (motor_record(),))
     margins = [
-        predict(motor_model(), Gains(k=k, l=l_), BALLS, shown).mismatch_margin
+        predict_margins(motor_model(), Gains(k=k, l=l_), BALLS, shown).mismatch_margin
         for k in candidates.ks
         for l_ in candidates.ls
     ]

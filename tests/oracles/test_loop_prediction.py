@@ -16,14 +16,19 @@ from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import BAND, Mismatch, measure_mismatch
-from ssm_study.robustness.prediction import PEAK, noise_peak, predict, robustness_measure
+from ssm_study.robustness.prediction import (
+    PEAK,
+    output_peak_from_noise,
+    predict_margins,
+    robustness_measure,
+)
 from ssm_study.robustness.record_errors import View
 from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
     Responses,
     controller_spectral_radius,
+    error_to_input_response,
     largest_singular_values,
-    sensitivity,
     slope_combinations,
 )
 from ssm_study.signals import Scale, Trajectory
@@ -108,7 +113,7 @@ def test_a_linear_mismatch_with_resolved_margin_above_one_never_loses_the_loop(s
     taps = size * white_noise
     gains = Gains(k=k, l=gain)
     mismatch = measure_mismatch(model, (recorded(model, taps),))
-    found = predict(model, gains, ONES, mismatch)
+    found = predict_margins(model, gains, ONES, mismatch)
     if found.resolved_margin > 1.2:  # Welch's estimate is within some percent
         assert closed(model, k, gain, taps) < 1
 
@@ -120,7 +125,7 @@ def test_a_flat_mismatch_has_the_same_margin_either_way(seed):
     design = riccati_synthesis.design(model, ONES)
     record = recorded(model, np.array([0.0, 0.3]))
     mismatch = measure_mismatch(model, (record,))
-    found = predict(model, design.pair, ONES, mismatch)
+    found = predict_margins(model, design.pair, ONES, mismatch)
     assert found.resolved_margin == pytest.approx(found.mismatch_margin, rel=0.1)
 
 
@@ -155,7 +160,7 @@ def test_a_resonance_that_the_total_gain_averages_away_is_seen():
     angles = ANGLES
     pair = Gains(k=k, l=gain)
     ends = slope_combinations(model.linear, pair, BALLS)
-    loops = [sensitivity(*end) for end in ends]
+    loops = [error_to_input_response(*end) for end in ends]
     largest = np.max(
         [largest_singular_values(frequency_response(loop, FINE_ANGLES)) for loop in loops], axis=0
     )
@@ -164,7 +169,7 @@ def test_a_resonance_that_the_total_gain_averages_away_is_seen():
     by_frequency = 0.1 + 0.9 * near(angles[sensitive.argmax()])(angles)
     shown = flat(by_frequency, 0.1)
     gains = Gains(k=k, l=gain)
-    found = predict(model, gains, BALLS, shown)
+    found = predict_margins(model, gains, BALLS, shown)
     expected = 0.1 * found.mismatch_margin
     assert found.resolved_margin == pytest.approx(expected, rel=0.05)
 
@@ -298,13 +303,13 @@ def test_noise_beyond_the_band_refuses_a_loop(sigma, held_up_to, passes):
     sqrt(2) of them.
     """
     model, pair, shown = noisy_loop(sigma, held_up_to)
-    found = predict(model, pair, ONES, shown)
+    found = predict_margins(model, pair, ONES, shown)
     expected = 0.0 if held_up_to > 3 else sigma
     assert found.noise_peak == pytest.approx(expected, rel=0.02)
     assert found.predicts_stability() == passes
     assert np.isinf(found.resolved_margin)
     mismatch = replace(shown, farthest=1.2)
-    assert noise_peak(model, pair, ONES, mismatch) < 1
+    assert output_peak_from_noise(model, pair, ONES, mismatch) < 1
 
 
 def noisy_loop(sigma: float, held_up_to: float) -> tuple[SSM, Gains, Mismatch]:
@@ -314,7 +319,7 @@ def noisy_loop(sigma: float, held_up_to: float) -> tuple[SSM, Gains, Mismatch]:
     samples = 200_000
     riccati_synthesis = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3)
     pair = riccati_synthesis.design(model, ONES).pair
-    loop = sensitivity(model.linear, pair, 1.0, 1.0)
+    loop = error_to_input_response(model.linear, pair, 1.0, 1.0)
     rng = np.random.default_rng(0)
     drawn = rng.standard_normal((samples, 1))
     driven = loop.simulate(drawn)[0]
@@ -342,7 +347,7 @@ def noisy_loop(sigma: float, held_up_to: float) -> tuple[SSM, Gains, Mismatch]:
 @pytest.mark.parametrize("held_up_to", [0.0, 4.0])
 def test_the_noise_peak_counts_the_slope_of_the_input_map_once(held_up_to):
     model, pair, shown = noisy_loop(1.1, held_up_to)
-    own = noise_peak(model, pair, ONES, shown)
+    own = output_peak_from_noise(model, pair, ONES, shown)
     # twice the slope of S_u behind half of B and D is the same loop
     b = model.linear.b / 2
     d = model.linear.d / 2
@@ -352,7 +357,7 @@ def test_the_noise_peak_counts_the_slope_of_the_input_map_once(held_up_to):
     same = replace(model, linear=halved, scaffold_in=scaffold_in)
     jacobian_ball = JacobianBall(alpha=2.0, beta=0.0)
     steeper = replace(ONES, input=jacobian_ball)
-    assert noise_peak(same, pair, steeper, shown) == pytest.approx(own)
+    assert output_peak_from_noise(same, pair, steeper, shown) == pytest.approx(own)
     gain = -0.5 * np.eye(1)
     scaffold_in = LinearScaffold(gain=gain)
     falling = replace(model, scaffold_in=scaffold_in)
@@ -362,8 +367,12 @@ def test_the_noise_peak_counts_the_slope_of_the_input_map_once(held_up_to):
     alphas = (-0.5, 0.5)
     balls = [replace(ONES, input=JacobianBall(alpha=alpha, beta=0.4)) for alpha in alphas]
     turned = replace(pair, k=-pair.k)  # the same loop
-    assert noise_peak(falling, turned, balls[0], shown) == noise_peak(rising, pair, balls[1], shown)
+    assert output_peak_from_noise(falling, turned, balls[0], shown) == output_peak_from_noise(
+        rising, pair, balls[1], shown
+    )
     # of a ball the slope at rest alone counts
     jacobian_ball = JacobianBall(alpha=0.5, beta=0.0)
     point = replace(ONES, input=jacobian_ball)
-    assert noise_peak(rising, pair, balls[1], shown) == noise_peak(rising, pair, point, shown)
+    assert output_peak_from_noise(rising, pair, balls[1], shown) == output_peak_from_noise(
+        rising, pair, point, shown
+    )

@@ -11,7 +11,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.mismatch import measure_mismatch
-from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sensitivity import sensitivity_peak
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -84,16 +84,16 @@ def test_a_loop_that_oscillates_refutes_its_own_design(noise):
     record = recorded(noise)
     known = measure_mismatch(MODEL, (record,))
     shown = measure_mismatch(MODEL, (record,), 0, (trial,))
-    resolved_margin = predict(MODEL, FAST.pair, ONES, known).resolved_margin
+    resolved_margin = predict_margins(MODEL, FAST.pair, ONES, known).resolved_margin
     assert resolved_margin > 1
-    resolved_margin = predict(MODEL, FAST.pair, ONES, shown).resolved_margin
+    resolved_margin = predict_margins(MODEL, FAST.pair, ONES, shown).resolved_margin
     assert resolved_margin < 1
     assert shown.loop is not None
     expected = shown.loop.gain
     assert shown.seen == expected > 5 * known.seen
     peak = sensitivity_peak(MODEL.linear, FAST.pair, ONES)
     assert shown.loop.gain > 0.9 / peak
-    resolved_margin = predict(MODEL, CALM.pair, ONES, shown).resolved_margin
+    resolved_margin = predict_margins(MODEL, CALM.pair, ONES, shown).resolved_margin
     assert resolved_margin > 1
 
 

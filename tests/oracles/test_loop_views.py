@@ -21,7 +21,7 @@ from ssm_study.data.simulated import (
 )
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.mismatch import BAND, Mismatch, measure_mismatch
-from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.return_to_rest import AT_REST
 from ssm_study.signals import Trajectory, find_repetition
 from ssm_study.study.stages.mismatch import read_mismatch, write_mismatch
@@ -118,7 +118,7 @@ def test_a_linear_mismatch_is_all_phase_and_the_loop_is_judged_exactly(seed):
         norm = np.linalg.norm(record.u)
         expected = norm / np.sqrt(record.u.size)
         assert view.amplitude == pytest.approx(expected, rel=0.1)
-        resolved_margin = predict(model, design.pair, ONES, shown).resolved_margin
+        resolved_margin = predict_margins(model, design.pair, ONES, shown).resolved_margin
         found = resolved_margin > 1
         stable = radius(model, design.pair, factor) < 1
         assert found == stable
@@ -157,9 +157,9 @@ def test_of_the_two_conditions_the_better_one_counts():
         shown = measure_mismatch(model, (trajectory,))
         views = tuple(replace(v, linear=0 * v.linear, rest=v.by_frequency) for v in shown.views)
         sizes = replace(shown, views=views)
-        resolved_margin = predict(model, design.pair, ONES, sizes).resolved_margin
+        resolved_margin = predict_margins(model, design.pair, ONES, sizes).resolved_margin
         small_gain.add(resolved_margin > 1)
-        resolved_margin = predict(model, design.pair, ONES, shown).resolved_margin
+        resolved_margin = predict_margins(model, design.pair, ONES, shown).resolved_margin
         assert resolved_margin > 1e4
     assert small_gain == {True, False}
 
@@ -170,7 +170,7 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
     leave nothing."""
     model = linear_model(seed)
     linear = replace(model.linear, d=np.zeros((1, 1)))
-    model = model.with_linear(linear)
+    model = model.with_linear_part(linear)
     moderate = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01)
     design = moderate.design(model, ONES)
     careful = RiccatiSynthesis(rate_controller=0.01, rate_observer=0.1)
@@ -190,7 +190,7 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
     view = mismatch.views
     for stuck, farthest in (((offset, 0.03), 1.0), ((0.1, 10 * offset, 0.3), 2.0), ((), 1.0)):
         shown = Mismatch(views=view, stuck=stuck, farthest=farthest)
-        found = predict(model, design.pair, ONES, shown)
+        found = predict_margins(model, design.pair, ONES, shown)
         largest = max(stuck, default=0.0)
         worst = largest * {2: np.sqrt(20), 3: np.cbrt(20), 0: 0}[len(stuck)]
         left = abs(float(y[0])) / offset * worst / (BAND * farthest)  # in bands
@@ -199,7 +199,7 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
         assert found.predicts_stability() == expected
         changed_careful = replace(careful, internal_model=["step"], integral_weight=0.01)
         integral = changed_careful.design(model, ONES)
-        resolved_margin = predict(model, integral.pair, ONES, shown).resolved_margin
+        resolved_margin = predict_margins(model, integral.pair, ONES, shown).resolved_margin
         assert resolved_margin > 5  # at 1e-4 rad/sample, not at 0
 
 
@@ -215,11 +215,11 @@ def test_between_two_amplitudes_lies_what_neither_shows():
         for f, a in ((-1.0, 0.1), (0.0, scale))
     ]
     alone = [
-        predict(model, design.pair, ONES, measure_mismatch(model, (one,))).resolved_margin
+        predict_margins(model, design.pair, ONES, measure_mismatch(model, (one,))).resolved_margin
         for one in turned
     ]
     mismatch = measure_mismatch(model, tuple(turned))
-    both = predict(model, design.pair, ONES, mismatch).resolved_margin
+    both = predict_margins(model, design.pair, ONES, mismatch).resolved_margin
     assert both <= min(alone)
 
 
@@ -240,9 +240,9 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
                                                       True)):  # fmt: skip
         trajectory = Trajectory(u=still, y=left + noise, step_s=0.01)
         shown = measure_mismatch(model, (record,), 0, (trajectory,))
-        assert shown.comes_to_rest == rests
+        assert shown.plant_comes_to_rest == rests
         pair = motor_design().pair
-        margin = predict(model, pair, BALLS, shown).resolved_margin
+        margin = predict_margins(model, pair, BALLS, shown).resolved_margin
         assert (margin > 0) == rests
         assert np.isfinite(shown.seen) == rests
 

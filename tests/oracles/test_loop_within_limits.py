@@ -12,7 +12,10 @@ import pytest
 import ssm_study as st
 from ssm_study.bounds.slopes import jacobian_ball
 from ssm_study.certificates.certificate import Design
-from ssm_study.certificates.theorems.limited_input import ball_behind_limits, certify_under_limits
+from ssm_study.certificates.theorems.limited_input import (
+    ball_behind_saturation,
+    certify_under_limits,
+)
 from ssm_study.certificates.theorems.unlimited_start import certify_unlimited_start
 from ssm_study.loop.certified_bound import count_bound_violations
 from ssm_study.loop.controller import ObserverFeedback
@@ -28,12 +31,12 @@ from ssm_study.synthesis.deployed import (
     WithinLimits,
     certify_input_limits,
     equilibrium_corners,
-    equilibrium_starts,
     limits_proof,
+    nearest_equilibrium_starts,
     output_range,
 )
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.metrics import limit_columns
+from ssm_study.synthesis.metrics import input_limit_columns
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 LIMIT = np.array([0.6])
@@ -121,7 +124,7 @@ def test_everywhere_is_no_faster_than_the_open_loop_and_holds_for_changing_slope
 def test_the_ball_of_limited_inputs_holds_every_cut_jacobian_also_of_inputs_that_meet() -> None:
     rng = np.random.default_rng(0)
     ball = JacobianBall(alpha=-1.0, beta=0.5)
-    wide = ball_behind_limits(ball, inputs=2)
+    wide = ball_behind_saturation(ball, inputs=2)
     worst = 0.0
     for _ in range(2000):
         white_noise = rng.standard_normal((2, 2))
@@ -131,8 +134,8 @@ def test_the_ball_of_limited_inputs_holds_every_cut_jacobian_also_of_inputs_that
         norm = float(np.linalg.norm(difference, 2))
         worst = max(worst, norm)
     assert 0.9 * wide.beta < worst <= wide.beta * (1 + 1e-12)
-    lower = ball_behind_limits(ball, inputs=1).lower
-    assert lower <= ball.lower < ball.upper < 0 == ball_behind_limits(ball, inputs=1).upper
+    lower = ball_behind_saturation(ball, inputs=1).lower
+    assert lower <= ball.lower < ball.upper < 0 == ball_behind_saturation(ball, inputs=1).upper
 
 
 def test_the_loop_with_its_observer_obeys_the_bound_at_the_limit(pair: tuple[SSM, Design]) -> None:
@@ -208,7 +211,7 @@ def test_where_no_input_holds_an_output_there_is_no_range(pair: tuple[SSM, Desig
     model, design = pair
     c = 0 * model.linear.c
     linear = replace(model.linear, c=c)
-    blind = model.with_linear(linear)
+    blind = model.with_linear_part(linear)
     assert set(certify_input_limits(blind, design, -LIMIT, LIMIT)) == {"state_feedback_limited"}
     with pytest.raises(BadRequest, match="nothing is proved within them"):
         limits_proof(blind, design, -LIMIT, LIMIT)
@@ -280,7 +283,7 @@ def test_one_range_of_two_outputs_is_what_both_have(apart: float, shared: bool) 
     each = limits_proof(model, design, *ends)
     extra_certificates = certify_input_limits(model, design, *ends)
     changed_design = replace(design, extra_certificates=extra_certificates)
-    facts = limit_columns(changed_design, model)
+    facts = input_limit_columns(changed_design, model)
     upper_limit = [0.0, apart]
     assert (each.lower < upper_limit).all()
     lower_limit = [0.0, apart]
@@ -313,7 +316,7 @@ def coupled_pair(gain: np.ndarray) -> tuple[SSM, Design]:
 
 def largest_request(model: SSM, design: Design, output: np.ndarray) -> float:
     """Largest input that the law asks for from rest at this output, the estimate exact."""
-    rest, _, gain = model.linear.steady_states()
+    rest, _, gain = model.linear.equilibrium_basis()
     linear = model.scaffold_out.as_portable().linear
     solution = np.linalg.solve(linear @ gain, output)
     x = rest @ solution
@@ -342,7 +345,7 @@ def test_no_limit_acts_from_any_corner_of_the_box_also_where_the_outputs_are_mix
     assert 0.4 < max(requests) <= 0.6
     np.testing.assert_allclose(found.lower, -found.upper)
 
-    rest, _, gain = model.linear.steady_states()
+    rest, _, gain = model.linear.equilibrium_basis()
     inverse = np.linalg.inv(gain)
     mapped = rest @ inverse @ np.array([[1.0, 1.0], [-1.0, 1.0]])
     limits = np.stack(ends, axis=1)
@@ -352,10 +355,10 @@ def test_no_limit_acts_from_any_corner_of_the_box_also_where_the_outputs_are_mix
     bounding = output_range(model, old.starts)[1] * np.array([1.0, -1.0])
     assert (largest_request(model, design, bounding) / 0.6 > 6) == (coupling > 0)
     part = certify_input_limits(model, design, *ends)["state_feedback_unlimited"]
-    starts = equilibrium_starts(model, part.starts)
+    starts = nearest_equilibrium_starts(model, part.starts)
     checked = check_stored_starts(part, starts)
     assert checked.holds
-    starts = equilibrium_starts(model, old.starts)
+    starts = nearest_equilibrium_starts(model, old.starts)
     checked = check_stored_starts(old, starts)
     holds = checked.holds
     assert holds == (coupling == 0)

@@ -116,14 +116,14 @@ def solvable(known: VerificationContext, weights: Weights, centre: float, kappa:
     numbers["lambda_out"] = np.ones(3) if bent else np.zeros(0)
     of = SimpleNamespace(**{name: np.atleast_2d(value) for name, value in numbers.items()})
     rows = MeasuredDiscs.signal_matrices(of)
-    measured_discs = MeasuredDiscs.static_map_forms(of, rows)
+    measured_discs = MeasuredDiscs.static_map_constraints(of, rows)
     forms = [form for _, form in measured_discs]
     order = len(rows.xi)
     p = cp.Variable((order, order), symmetric=True)
     margin = cp.Variable()
     multipliers = cp.Variable(len(forms), nonneg=True)
     difference = rows.xi.T @ p @ rows.xi - rows.step.T @ p @ rows.step
-    measured_discs = MeasuredDiscs.disc_form(of, rows)
+    measured_discs = MeasuredDiscs.disc_constraint(of, rows)
     form = difference + measured_discs
     form = form + sum(multipliers[i] * forms[i] for i in range(len(forms)))
     limits = [form >> margin * np.eye(rows.xi.shape[1]), margin <= 1]

@@ -11,7 +11,7 @@ from report_runs import random_run, write_recordings
 from ssm_study.api.comparing import compare_simulations
 from ssm_study.cli.main import main
 from ssm_study.refusal import BadRequest
-from ssm_study.report.overlay import overlay, short_names
+from ssm_study.report.overlay import compare_free_runs, short_run_names
 from ssm_study.report.study_folder import RunFolder
 from ssm_study.signals import fit_percent
 
@@ -29,7 +29,7 @@ def runs(tmp_path: Path) -> list[Path]:
 
 
 def test_the_table_has_the_fit_of_each_runs_own_recording(runs: list[Path]) -> None:
-    comparison = overlay(runs[:2])
+    comparison = compare_free_runs(runs[:2])
     run_folder = RunFolder(path=runs[0])
     test = run_folder.test
     assert test is not None
@@ -44,13 +44,13 @@ def test_the_table_has_the_fit_of_each_runs_own_recording(runs: list[Path]) -> N
 
 def test_runs_of_different_records_are_refused_in_a_sentence(runs: list[Path]) -> None:
     with pytest.raises(BadRequest, match=r"its test record is not that of .*order4-seed0-aa"):
-        overlay(runs)
+        compare_free_runs(runs)
     with pytest.raises(BadRequest, match="name two different runs or more"):
-        overlay(runs[:1])
+        compare_free_runs(runs[:1])
     test_path = runs[1] / "test.mcap"
     test_path.unlink()
     with pytest.raises(BadRequest, match="it left no test record"):
-        overlay(runs[:2])
+        compare_free_runs(runs[:2])
 
 
 def test_the_command_prints_the_table_and_draws(
@@ -69,7 +69,7 @@ def test_names_of_runs_in_two_studies_that_are_alike_say_their_study(runs: list[
     other_path = runs[0].parent / "other"
     other = other_path / runs[0].name
     shutil.copytree(runs[0], other)
-    names = short_names([runs[0], other])
+    names = short_run_names([runs[0], other])
     paths = (runs[0], other)
     expected = [f"{path.parent.name}/{path.name}" for path in paths]
     assert names == expected

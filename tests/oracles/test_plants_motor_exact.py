@@ -45,7 +45,7 @@ def test_the_fast_motor_converges_to_the_exact_one_with_order_four(motor: DCMoto
 def test_the_configured_step_is_accurate_with_disturbances(motor: DCMotor, seed: int) -> None:
     u = levels(150, 2.0, seed)
     d = levels(150, 3e-3, 100 + seed)
-    x0 = motor.states_at(np.array([[4.0 - 2 * seed]]))
+    x0 = motor.equilibrium_states(np.array([[4.0 - 2 * seed]]))
     exact = simulate_exactly(motor, u, x0[0], d)
     x, _ = motor.simulate(u[None], x0=x0, d=d[None])
     difference = np.abs(x[0, :, 2] - exact.x[:-1, 2])
@@ -92,7 +92,7 @@ def test_the_motor_sticks_exactly_under_a_torque_below_friction(motor: DCMotor) 
 
 
 def test_the_motor_comes_to_rest_and_stays_there(motor: DCMotor) -> None:
-    x0 = motor.states_at(np.linspace(-4, 4, 5)[:, None])
+    x0 = motor.equilibrium_states(np.linspace(-4, 4, 5)[:, None])
     x, _ = motor.simulate(np.zeros((5, 400, 1)), x0=x0)
     assert (x[:, -50:, 1:3] == 0.0).all()
     assert (np.ptp(x[:, -50:, 3], axis=1) == 0.0).all()  # the twist friction holds does not creep

@@ -61,10 +61,10 @@ def test_quadruple_tank_starts_with_the_upper_levels_at_rest() -> None:
     plant = from_yaml("plant", "quadruple_tank")
     rest = plant.equilibrium()
     y0 = np.array([[5.0, 7.0], [6.0, 6.5]])
-    actual = plant.states_at(rest.y[None])
+    actual = plant.equilibrium_states(rest.y[None])
     expected = rest.x[None]
     np.testing.assert_allclose(actual, expected)
-    x0 = plant.states_at(y0)
+    x0 = plant.equilibrium_states(y0)
     actual = plant.output(x0)
     np.testing.assert_allclose(actual, y0)
     actual = x0[:, 2:]

@@ -18,9 +18,9 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.margin_by_frequency import margin_curves
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.record_errors import View
-from ssm_study.robustness.sensitivity import sensitivity
+from ssm_study.robustness.sensitivity import error_to_input_response
 from ssm_study.signals import Trajectory
 
 STEP_S = 0.01
@@ -54,7 +54,7 @@ def test_the_smallest_margin_of_the_curves_is_the_margin_that_predicts(seed: int
     balls = certified_balls(model)
     mismatch = mismatch_of(0.3)
     (curve,) = margin_curves(model, gains, balls, mismatch)
-    margin = predict(model, gains, balls, mismatch).resolved_margin
+    margin = predict_margins(model, gains, balls, mismatch).resolved_margin
     assert curve.smallest == pytest.approx(margin, rel=1e-12)
     smallest = curve.margin.min()
     assert smallest == pytest.approx(margin, rel=0.02)
@@ -105,7 +105,7 @@ def test_a_disc_holds_minus_one_exactly_where_the_margin_falls_below_one(seed: i
     linear = model.linear
     slope_in = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])
     slope_out = float(model.scaffold_out.jacobian(np.zeros(1))[0, 0])
-    loop = sensitivity(linear, gains, slope_in, slope_out)
+    loop = error_to_input_response(linear, gains, slope_in, slope_out)
     sizes = np.abs(frequency_response(loop, np.maximum(ANGLES, 1e-4))[:, 0, 0])
     sine = np.sin(ANGLES)
     largest = (sine**2 * sizes).max()
@@ -129,7 +129,7 @@ def test_the_nyquist_curve_is_that_of_controller_and_plant() -> None:
     plant, controller = loop_responses(model, gains, angles)
     slope_in = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])
     slope_out = float(model.scaffold_out.jacobian(np.zeros(1))[0, 0])
-    state_space = sensitivity(model.linear, gains, slope_in, slope_out)
+    state_space = error_to_input_response(model.linear, gains, slope_in, slope_out)
     closed = frequency_response(state_space, angles)
     expected = closed[:, 0, 0]
     assert controller / (1 - plant * controller) == pytest.approx(expected)

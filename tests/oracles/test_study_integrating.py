@@ -165,7 +165,7 @@ def test_the_points_at_rest_are_all_of_them() -> None:
             d = rng.standard_normal((2, inputs))
             a = turn @ modes @ turn.T
             system = StateSpace(a=a, b=b, c=c, d=d)
-            x, v, y = system.steady_states()
+            x, v, y = system.equilibrium_basis()
             assert system.integrates == (integrators > 0)
             expected = max(inputs, integrators)
             assert x.shape[1] == expected

@@ -15,7 +15,7 @@ from ssm_study.cli.main import main
 from ssm_study.data.mcap import read_mcap
 from ssm_study.models.identified import SSM
 from ssm_study.models.torch_recurrence import ModalForm, simulate_by_convolution
-from ssm_study.study.line import undeclared_settings
+from ssm_study.study.line import undeclared_number_columns
 from ssm_study.study.loop_recordings import read_rollouts
 from ssm_study.study.verify import verify
 
@@ -226,7 +226,7 @@ def test_a_setting_that_no_column_repeats_has_one_under_its_key() -> None:
         "training/optimiser",
         "a@loop.peer",
     ]
-    facts = undeclared_settings(settings, keys)
+    facts = undeclared_number_columns(settings, keys)
     expected = {
         "loop__peer": None,
         "plant__step_s": 0.01,

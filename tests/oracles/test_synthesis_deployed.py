@@ -19,7 +19,7 @@ from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.deployed_rate import largest_rate
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
-from ssm_study.robustness.sensitivity import noise_gain, sensitivity
+from ssm_study.robustness.sensitivity import error_to_input_response, noise_gain
 from ssm_study.synthesis.deployed import add_gain_certificates, certificate_at_largest_rate
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -167,7 +167,7 @@ def test_without_a_ball_the_tolerance_is_small_gain(seed: int) -> None:
     found = largest_kappa(context)
     slope_in = balls.input.alpha
     slope_out = balls.output.alpha
-    system = sensitivity(linear, design.pair, slope_in, slope_out)
+    system = error_to_input_response(linear, design.pair, slope_in, slope_out)
     peak = hinf_norm(system)
     assert found is not None
     assert found.certified
@@ -276,7 +276,9 @@ def test_far_above_the_tolerance_such_a_mismatch_diverges_and_is_not_proved() ->
     found = largest_kappa(context)
     assert found is not None
     slopes = (0.4, 0.7, 1.0)
-    peaks = [hinf_norm(sensitivity(linear, design.pair, slope, 0.8)) for slope in slopes]
+    peaks = [
+        hinf_norm(error_to_input_response(linear, design.pair, slope, 0.8)) for slope in slopes
+    ]
     assert (
         found.kappa * max(peaks) <= 1
     )  # what holds for slopes that vary is no more than what holds for constant ones

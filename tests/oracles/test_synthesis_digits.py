@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from flint import arb, arb_mat, ctx, fmpq, fmpq_mat
 
-from ssm_study.certificates.frontier import frontier
+from ssm_study.certificates.frontier import contraction_frontier
 from ssm_study.certificates.problem import Problem
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.exact import Exact
@@ -97,7 +97,7 @@ def test_its_gain_is_right_and_its_metric_lacks_a_few_bits(long_numbers: None) -
     """The gain as stored, in floats, is certified by a metric of 62 bits; the same metric in 53 is
     none."""
     problem = hard_problem(1e-4)
-    limit = frontier(problem.a, problem.b, problem.ball).contraction_limit
+    limit = contraction_frontier(problem.a, problem.b, problem.ball).contraction_limit
     faster = float(problem.contraction * (limit / problem.contraction) ** 0.5)
     modes = split_modes(problem.a, problem.b, faster)
     k = minimum_energy_gain(modes, problem.ball, faster).k

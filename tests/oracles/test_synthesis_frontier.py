@@ -14,13 +14,13 @@ from synthesis_modal import ModalLmiSynthesis, modal_energy, modal_gain, solve_o
 from synthesis_ratio import ratio_limit
 
 from ssm_study.certificates.certificate import Infeasible, StateFeedback
-from ssm_study.certificates.frontier import energy_root, frontier
+from ssm_study.certificates.frontier import contraction_frontier, inverse_time_gramian_root
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.certificates.theorem import scaled_condition_number
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.synthesis import modes
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.lmi import LmiSynthesis, paper_lmi
+from ssm_study.synthesis.lmi import LmiSynthesis, certificate_from_paper_lmi
 from ssm_study.synthesis.minimum_energy import (
     SHARES,
     ClosedFormSynthesis,
@@ -102,7 +102,7 @@ def test_the_gain_is_built_between_the_asked_rate_and_the_frontier(radius: float
     finite all the same."""
     ball = JacobianBall(alpha=2.0, beta=radius)
     problem = cost_problem(ball=ball)
-    limit = frontier(problem.a, problem.b, problem.ball).rate_limit
+    limit = contraction_frontier(problem.a, problem.b, problem.ball).rate_limit
     said = []
     for found in (minimum_energy_solution(problem), solution_with_full_metric(problem, 0.5, 1.0)):
         assert holds(problem, found)
@@ -169,7 +169,7 @@ def test_one_percent_beyond_nothing_is_certified_and_the_lmi_never_contradicts(
     assert isinstance(refused, Infeasible)
     assert refused.proved
     assert refused.rate > refused.rate_limit
-    opinion = paper_lmi(case.linear, case.ball, case.rate)
+    opinion = certificate_from_paper_lmi(case.linear, case.ball, case.rate)
     assert not opinion.certified
 
 
@@ -180,7 +180,7 @@ def test_wherever_the_solver_certifies_the_rate_lies_inside(seed: int) -> None:
     for gap in (0.1, -0.1):
         orders = (1, 5)
         case = instance(seed, gap, orders)
-        opinion = paper_lmi(case.linear, case.ball, case.rate)
+        opinion = certificate_from_paper_lmi(case.linear, case.ball, case.rate)
         assert not (opinion.certified and gap < 0)
         if (
             gap > 0 and not opinion.certified
@@ -214,7 +214,7 @@ def test_the_frontier_is_where_the_ratio_limit_crosses(
     rng = np.random.default_rng(seed)
     linear = random_model(rng, 6, kind, mixed=True, inputs=inputs)
     ball = JacobianBall(alpha=1.0, beta=ratio)
-    limit = frontier(linear.a, linear.b, ball).contraction_limit
+    limit = contraction_frontier(linear.a, linear.b, ball).contraction_limit
     contraction = limit * (1 + 1e-6)
     lower_limit = ratio * (1 - 1e-9)
     assert ratio_limit(linear.a, linear.b, contraction) >= lower_limit
@@ -241,7 +241,7 @@ def test_two_decoupled_inputs_are_two_frontiers() -> None:
         a = np.diag([0.9, 0.5])
         b = np.eye(2)
         ball = JacobianBall(alpha=-2.0, beta=2 * ratio)
-        limit = frontier(a, b, ball).contraction_limit
+        limit = contraction_frontier(a, b, ball).contraction_limit
         assert limit == pytest.approx(ratio * 0.9, rel=1e-9)
 
 
@@ -250,10 +250,10 @@ def test_the_scalar_frontier_by_hand() -> None:
     1/2)/(1 - 1/2) = 3."""
     one = np.ones((1, 1))
     ball = JacobianBall.from_slopes(1.0, 3.0)
-    contraction_limit = frontier(0.8 * one, one, ball).contraction_limit
+    contraction_limit = contraction_frontier(0.8 * one, one, ball).contraction_limit
     assert contraction_limit == pytest.approx(0.4)
     ball = JacobianBall.from_slopes(-3.0, -1.0)
-    contraction_limit = frontier(0.8 * one, one, ball).contraction_limit
+    contraction_limit = contraction_frontier(0.8 * one, one, ball).contraction_limit
     assert contraction_limit == pytest.approx(0.4)
 
 
@@ -290,7 +290,7 @@ def test_the_gain_explicit_in_modes_is_the_gain_from_schur_coordinates(seed: int
     expected = w
     if modes.fast:
         a = modes.a_fast / r
-        root = into @ energy_root(a, modes.b_fast / r)
+        root = into @ inverse_time_gramian_root(a, modes.b_fast / r)
         expected = root @ root.conj().T
     atol = 1e-8 * np.abs(w).max(initial=1e-9)
     np.testing.assert_allclose(w, expected, rtol=1e-5, atol=atol)

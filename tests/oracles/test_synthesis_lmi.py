@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from ssm_study.certificates.certificate import StateFeedback
-from ssm_study.certificates.frontier import energy_root
+from ssm_study.certificates.frontier import inverse_time_gramian_root
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.synthesis import lmi
 from ssm_study.synthesis.guaranteed_cost import guaranteed_cost
-from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis, paper_lmi
+from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis, certificate_from_paper_lmi
 from ssm_study.synthesis.modes import split_modes
 from ssm_study.systems import JacobianBall, StateSpace
 
@@ -128,7 +128,7 @@ def test_theorem_one_as_printed_has_a_y_of_its_own(monkeypatch: pytest.MonkeyPat
     c = np.ones((1, 3))
     d = np.zeros((1, 1))
     linear = StateSpace(a=asked.a, b=asked.b, c=c, d=d)
-    assert paper_lmi(linear, asked.ball, asked.rate).certified
+    assert certificate_from_paper_lmi(linear, asked.ball, asked.rate).certified
     (found,) = kept
     difference = np.abs(found.y - found.p)
     largest_difference = difference.max()
@@ -178,7 +178,7 @@ def test_the_energy_root_is_a_root_of_the_energy_and_there_is_none_out_of_reach(
     move at all."""
     a = np.array([[1.3, 0.2], [-0.1, 2.0]])
     b = np.array([[1.0], [0.5]])
-    root = energy_root(a, b)
+    root = inverse_time_gramian_root(a, b)
     inverse = np.linalg.inv(a)
     w = root @ root.T
     expected = inverse @ (w + b @ b.T) @ inverse.T
@@ -186,6 +186,6 @@ def test_the_energy_root_is_a_root_of_the_energy_and_there_is_none_out_of_reach(
     expected = np.tril(root)
     np.testing.assert_array_equal(root, expected)
     with pytest.raises(NoSolution, match="out of the input's reach"):
-        energy_root(np.diag([2.0, 3.0]), np.array([[1.0], [0.0]]))
+        inverse_time_gramian_root(np.diag([2.0, 3.0]), np.array([[1.0], [0.0]]))
     with pytest.raises(NoSolution, match="out of the input's reach"):
-        energy_root(np.diag([2.0, 3.0]), np.zeros((2, 1)))
+        inverse_time_gramian_root(np.diag([2.0, 3.0]), np.zeros((2, 1)))

@@ -25,7 +25,7 @@ from ssm_study.certificates.theorems.structured_observer import StructuredObserv
 from ssm_study.certificates.theorems.structured_state_feedback import StructuredStateFeedback
 from ssm_study.synthesis.structured_lmi import (
     StructuredLmi,
-    fastest_solution,
+    fastest_confirmed_solution,
     is_confirmed_exactly,
     largest_rate,
 )
@@ -36,7 +36,7 @@ from ssm_study.synthesis.structured_riccati import (
     evaluate_saddle,
     least_cost,
     log_multipliers,
-    minimise_goal,
+    minimise_guaranteed_cost,
 )
 from ssm_study.systems import JacobianBall, StructuredSystem
 
@@ -156,7 +156,7 @@ def test_the_gradient_is_that_of_the_goal(side: str, ball: JacobianBall, barrier
     actual = saddle.gradient
     expected = [(up - down) / 2e-5 for up, down in ends]
     np.testing.assert_allclose(actual, expected, rtol=1e-4, atol=1e-7)
-    vector = minimise_goal(game, logs, barrier, 20)
+    vector = minimise_guaranteed_cost(game, logs, barrier, 20)
     saddle = evaluate_saddle(game, vector, barrier)
     goal = saddle.goal
     saddle = evaluate_saddle(game, logs, barrier)
@@ -171,7 +171,7 @@ def test_the_search_from_known_multipliers_ends_where_the_search_from_nothing_do
     """From the solver's matrices at the largest rate, and from the solution with larger weights;
     none of a slow one."""
     system = drawn(5)
-    rate, best = fastest_solution(asked(system, side, ball, 0.5))
+    rate, best = fastest_confirmed_solution(asked(system, side, ball, 0.5))
     problem = asked(system, side, ball, 0.6 * rate)
     dear = replace(problem, input_weight=10.0)
     cold = least_cost(problem)

@@ -40,10 +40,10 @@ def test_its_columns_are_those_of_the_loop_written_out() -> None:
     loop = Loop(initial_conditions=3, measurement_noise_variance=0.0).with_default_horizon(model)
     facts = textbook_pi_columns(plant, model, loop, seed=1)
     pi = tyreus_luyben_pi(linearise_neurons(model))
-    y0, noise = loop.draw_conditions(plant, 1)
+    y0, noise = loop.draw_starts_and_noise(plant, 1)
     times_s = []
     for start in y0:
-        x = plant.states_at(start[None])[0]
+        x = plant.equilibrium_states(start[None])[0]
         integral = 0.0
         outside = [0]
         for k in range(noise.shape[1]):
@@ -67,7 +67,7 @@ def test_it_starts_where_every_controller_starts() -> None:
     plant = IdentifiedPlant.from_model(model)
     loop = Loop(initial_conditions=4).with_default_horizon(model)
     runs = loop.run_on_plant(plant, tyreus_luyben_pi(model), 7)
-    times = settling_times_s(runs.runs_for_settling, plant.settling_band)
+    times = settling_times_s(runs.rollouts_for_settling, plant.settling_band)
     settled = [time for time in times if time]
     settling_time_pi_s = textbook_pi_columns(plant, model, loop, 7)["settling_time_pi_s"]
     expected = np.mean(settled)

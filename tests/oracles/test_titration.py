@@ -12,7 +12,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.data.simulated import PERIOD, simulate_mismatch_records, simulate_sine_records
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
-from ssm_study.robustness.sine_trials import measure_sine_mismatch, peak_lines
+from ssm_study.robustness.sine_trials import measure_sine_mismatch, sensitive_lines
 from ssm_study.signals import Scale
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.sine_judgement import sine_columns
@@ -63,7 +63,7 @@ def least_squares_model(plant: Titration) -> SSM:
 def swing_of(plant: Titration, model: SSM, design: Design) -> float:
     """Largest output, scaled, in the last part of three loops without noise."""
     gains, linear = design.pair, model.linear
-    x = plant.states_at(np.array([[0.5], [-1.0], [0.05]]))
+    x = plant.equilibrium_states(np.array([[0.5], [-1.0], [0.05]]))
     x_hat = np.zeros((3, ORDER))
     sizes = []
     for _ in range(400):
@@ -91,7 +91,7 @@ def judged(
     )
     design = request.design(model, balls)
     assert design.certified
-    lines = peak_lines(model, design.pair, balls, PERIOD)
+    lines = sensitive_lines(model, design.pair, balls, PERIOD)
     rng = np.random.default_rng([0, 13])
     records = simulate_sine_records(plant, rng, NOISE, lines)
     sines = measure_sine_mismatch(model, records, mismatch, PERIOD)
@@ -107,7 +107,7 @@ def outcomes(request) -> tuple[Titration, list[tuple[bool, float]]]:
     trials = simulate_mismatch_records(plant, rng, NOISE)
     full = tuple(trial for trial in trials if trial.name == "trial_at_1")
     mismatch = measure_mismatch(model, full, 0, trials)
-    assert mismatch.comes_to_rest
+    assert mismatch.plant_comes_to_rest
     weights = [(0.1, 0.1), (1.0, 1.0)]
     return plant, [judged(plant, model, mismatch, *pair) for pair in weights]
 

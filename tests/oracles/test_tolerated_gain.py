@@ -17,7 +17,7 @@ from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.measured_discs_structured import StructuredMeasuredDiscs
 from ssm_study.robustness.coverage import Weights
-from ssm_study.robustness.sensitivity import sensitivity
+from ssm_study.robustness.sensitivity import error_to_input_response
 from ssm_study.synthesis.deployed import add_gain_certificates, certificate_at_largest_rate
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -125,7 +125,7 @@ def test_frozen_slopes_lose_the_loop_above_and_never_below(seed: int, h: float) 
         for slope in (0.6, 0.8, 1.0):
             linear = system.linearise_at_slopes(slopes)
             pair = Gains(k=k, l=injected)
-            state_space = sensitivity(linear, pair, slope, 0.8)
+            state_space = error_to_input_response(linear, pair, slope, 0.8)
             peaks.append(hinf_norm(state_space))
     upper_limit = proved.kappa * max(peaks)
     assert 0.2 < upper_limit <= 1

@@ -8,7 +8,7 @@ import pytest
 
 from ssm_study.bounds.network import Network
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
-from ssm_study.study.unreached_numbers import cancelled_biases, unreached_places
+from ssm_study.study.unreached_numbers import cancelled_biases, unreached_ranges
 
 MAP = MonotoneScaffold(
     breakpoints=np.array([[-2.0, -1.5, -0.6, 0.4, 0.7, 1.3, 2.2]]),
@@ -20,7 +20,7 @@ MAP = MonotoneScaffold(
 def test_a_number_is_listed_exactly_if_no_signal_changes_with_it(ends: tuple[float, float]) -> None:
     signal = np.linspace(*ends, 801)[:, None]
     listed = []
-    for place in unreached_places("scaffold_in", MAP.breakpoints, signal):
+    for place in unreached_ranges("scaffold_in", MAP.breakpoints, signal):
         row, _, numbers = place.partition(": ")
         listed += [f"{row}.{number}" for number in numbers.split(", ")]
     without_effect = []

@@ -15,8 +15,8 @@ from ssm_study.models.metrics import Simulation
 from ssm_study.models.warm_start import (
     PAST,
     SAMPLES,
-    choose_piece_starts,
-    piece_start_columns,
+    choose_initial_state_source,
+    initial_state_columns,
     preceding_log,
     simulate_validation_and_test,
     state_from_past,
@@ -77,11 +77,11 @@ def test_the_state_from_the_past_is_that_of_the_plant() -> None:
 
 def test_noise_over_the_first_samples_prefers_the_past_and_a_wandering_load_the_samples() -> None:
     noisy = cut(log(noise=0.1))
-    piece_starts = choose_piece_starts(model(), noisy)
+    piece_starts = choose_initial_state_source(model(), noisy)
     choice = piece_starts.choice
     assert choice == PAST
     wandering = cut(log(drift=0.1))
-    piece_starts = choose_piece_starts(model(), wandering)
+    piece_starts = choose_initial_state_source(model(), wandering)
     choice = piece_starts.choice
     assert choice == SAMPLES
 
@@ -90,7 +90,7 @@ def test_noise_over_the_first_samples_prefers_the_past_and_a_wandering_load_the_
 def test_the_headline_is_that_of_the_choice_and_the_other_fit_is_a_column(splitter) -> None:
     data = cut(log(noise=0.1), splitter)
     validation, test = simulate_validation_and_test(model(), data)
-    facts = piece_start_columns(model(), data, test)
+    facts = initial_state_columns(model(), data, test)
     from_samples = Simulation.simulate_records(model(), data.test, START_UP)
     assert facts["piece_start"] == PAST
     assert facts["fit_test_other_start_percent"] == from_samples.fit_percent
@@ -106,7 +106,7 @@ def test_a_doubt_has_both_fits_where_they_differ_by_more_than_ten_points() -> No
     )
     validation, test = simulate_validation_and_test(model(), data)
     case = Case(data=data, model=model(), validation=validation, test=test)
-    fit_test_other_start_percent = piece_start_columns(model(), data, test)[
+    fit_test_other_start_percent = initial_state_columns(model(), data, test)[
         "fit_test_other_start_percent"
     ]
     difference = fit_test_other_start_percent - test.fit_percent
@@ -123,12 +123,12 @@ def test_a_doubt_has_both_fits_where_they_differ_by_more_than_ten_points() -> No
 def test_a_record_without_a_past_has_one_start() -> None:
     """Simulated records, the beginning of a log, a piece behind a hole, no start-up samples."""
     simulated = cut(replace(log(), log=0))
-    piece_starts = choose_piece_starts(model(), simulated)
+    piece_starts = choose_initial_state_source(model(), simulated)
     choice = piece_starts.choice
     assert choice is None
     parts = simulate_validation_and_test(model(), simulated)
     test = parts[1]
-    piece_start = piece_start_columns(model(), simulated, test)["piece_start"]
+    piece_start = initial_state_columns(model(), simulated, test)["piece_start"]
     assert piece_start is None
     data = cut(log())
     piece = data.training[0]
@@ -138,6 +138,6 @@ def test_a_record_without_a_past_has_one_start() -> None:
     changed_data = replace(data, test=(behind_a_hole,))
     assert preceding_log(changed_data, behind_a_hole) is None
     from_rest = replace(data, start_up_samples=0)
-    piece_starts = choose_piece_starts(model(), from_rest)
+    piece_starts = choose_initial_state_source(model(), from_rest)
     choice = piece_starts.choice
     assert choice is None

@@ -74,7 +74,7 @@ def test_whatever_is_raised_is_one_sentence(
         else:
             named = {
                 "new": "commands.write_new_study",
-                "excite": "commands.excite",
+                "excite": "commands.write_excitation",
                 "run": "run.run",
             }[command]
             monkeypatch.setattr(f"ssm_study.cli.{named}", ends)

@@ -10,7 +10,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from ssm_study.cli.main import main
-from ssm_study.cli.request import check_request, translate_arguments
+from ssm_study.cli.request import compose_request, translate_arguments
 from ssm_study.engine.records import parse_record
 from ssm_study.refusal import BadRequest
 from ssm_study.study.allow_list import PLUGINS, is_allowed_target, refuse_foreign_targets
@@ -132,9 +132,9 @@ def test_an_evil_configuration_is_refused_before_hydra_touches_it(tmp_path: Path
     marker = tmp_path / "marker"
     (tmp_path / "study.yaml").write_text(EVIL_STUDY % (marker, marker))
     with pytest.raises(BadRequest, match="_target_"):
-        check_request([], tmp_path, "study")
+        compose_request([], tmp_path, "study")
     with pytest.raises(BadRequest, match=r"hydra\.callbacks"):
-        check_request(["~part"], tmp_path, "study")
+        compose_request(["~part"], tmp_path, "study")
     assert not marker.exists()
 
 

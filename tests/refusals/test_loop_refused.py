@@ -86,7 +86,7 @@ def test_a_model_with_feedthrough_in_the_plants_place():
     d = np.ones((1, 1))
     linear = StateSpace(a=a, b=b, c=c, d=d)
     with pytest.raises(BadRequest, match="feedthrough"):
-        IdentifiedPlant.from_model(model.with_linear(linear))
+        IdentifiedPlant.from_model(model.with_linear_part(linear))
     channel = Channel(name="x", unit="1")
     inputs = (channel,) * 2
     with pytest.raises(BadRequest, match="name each of its signals"):

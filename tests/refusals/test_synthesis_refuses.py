@@ -13,7 +13,7 @@ from synthesis_ratio import ratio_limit
 
 from ssm_study import exact
 from ssm_study.certificates.certificate import Design, Infeasible, StateFeedback, certificate_digest
-from ssm_study.certificates.frontier import frontier, unreached_modulus
+from ssm_study.certificates.frontier import contraction_frontier, largest_uncontrollable_modulus
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.exact import Exact
@@ -236,14 +236,14 @@ def test_what_sets_the_limit_of_several_inputs_is_named(
     b = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     a = np.diag([0.9, 1.2, 1.2])
     ball = JacobianBall.from_slopes(lower, 1.0)
-    found = frontier(a, b, ball)
+    found = contraction_frontier(a, b, ball)
     assert found.contraction_limit == pytest.approx(limit)
     assert found.decided_by == by
 
 
 def test_a_repeated_mode_one_input_cannot_split_counts_as_out_of_reach() -> None:
     plant = system([[0.9, 0.0], [0.0, 0.9]], [1.0, 2.0], [1.0, 1.0])
-    assert unreached_modulus(plant.a, plant.b) == pytest.approx(0.9)
+    assert largest_uncontrollable_modulus(plant.a, plant.b) == pytest.approx(0.9)
 
 
 @pytest.mark.parametrize("unit", [1e-15, 1e-6, 1.0, 1e6, 1e15])
@@ -251,11 +251,11 @@ def test_what_is_out_of_reach_does_not_hang_on_the_inputs_unit(unit: float) -> N
     reached = system([[0.9, 0.1], [0.0, 0.5]], [1.0, 2.0], [1.0, 1.0])
     split = np.array([[unit], [0.0]])
     b = unit * reached.b
-    assert unreached_modulus(reached.a, b) == 0
+    assert largest_uncontrollable_modulus(reached.a, b) == 0
     a = np.diag([0.9, 0.5])
-    assert unreached_modulus(a, split) == pytest.approx(0.5)
+    assert largest_uncontrollable_modulus(a, split) == pytest.approx(0.5)
     a = np.diag([0.9, 0.9])
-    assert unreached_modulus(a, split) == pytest.approx(0.9)
+    assert largest_uncontrollable_modulus(a, split) == pytest.approx(0.9)
 
 
 def clustered(order: int) -> StateSpace:
@@ -286,7 +286,7 @@ def test_a_near_miss_is_handed_on_as_found_and_says_that_it_is_not_certified() -
     ball = BALLS.input
     riccati_synthesis = RiccatiSynthesis(**RATES)
     problem = riccati_synthesis.problem(PLANT, ball)
-    design_attempt_frontier = frontier(PLANT.a, PLANT.b, ball)
+    design_attempt_frontier = contraction_frontier(PLANT.a, PLANT.b, ball)
     started = time.perf_counter()
     request = DesignAttempt(
         theorem=StateFeedbackOfBall,
@@ -310,7 +310,7 @@ def test_matrices_that_are_not_finite() -> None:
     a = np.array([[np.nan]])
     b = np.ones((1, 1))
     with pytest.raises(BadRequest, match="a"):
-        frontier(a, b, BALLS.input)
+        contraction_frontier(a, b, BALLS.input)
 
 
 ILL = st.sampled_from([1e-12, 1e-9, 1e-3, 1.0, 1e6])
@@ -363,7 +363,7 @@ def test_the_frontier_of_modes_that_two_inputs_hardly_tell_apart() -> None:
     b = np.array([[0.57466926, -0.3113685], [-0.18975561, 0.30924853], [0.26792832, 0.38736124]])
     jacobian_ball = JacobianBall.from_slopes(1 / 3, 1.0)
     for ball in (BALLS.input, jacobian_ball):
-        contraction_limit = frontier(a, b, ball).contraction_limit
+        contraction_limit = contraction_frontier(a, b, ball).contraction_limit
         expected = np.sqrt(ball.relative_radius)
         assert contraction_limit == pytest.approx(expected, abs=1e-6)
 

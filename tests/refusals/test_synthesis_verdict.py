@@ -13,7 +13,7 @@ import pytest
 
 from ssm_study import exact
 from ssm_study.certificates.certificate import Design, Infeasible, StateFeedback, certificate_digest
-from ssm_study.certificates.frontier import frontier
+from ssm_study.certificates.frontier import contraction_frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.certificates.theorem import (
     VerificationContext,
@@ -52,7 +52,7 @@ def stored(rate: float) -> dict:
 def test_an_attempt_without_matrices_is_followed_by_the_next() -> None:
     riccati_synthesis = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3)
     problem = riccati_synthesis.problem(PLANT, BALLS.input)
-    limit = frontier(PLANT.a, PLANT.b, BALLS.input)
+    limit = contraction_frontier(PLANT.a, PLANT.b, BALLS.input)
     asked = {"rate": 0.3, "ball": BALLS.input, "frontier": limit}
     request = DesignAttempt(theorem=StateFeedbackOfBall, **asked, method="any", started=0.0)
 
@@ -177,7 +177,7 @@ def test_one_unit_in_the_last_place_of_a_stored_number_is_found(
     zero = np.zeros((1, 1))
     linear = StateSpace(a=zero, b=one, c=one, d=zero)
     ball = BALLS.input
-    limit = frontier(zero, one, ball).rate_limit
+    limit = contraction_frontier(zero, one, ball).rate_limit
     state_feedback = designed().state_feedback
     scalar = replace(state_feedback, a=zero, b=one, p=one, y=one, k=zero, x=zero, rate_limit=limit)
     text = json.dumps(replace(designed(), state_feedback=scalar).to_json())
@@ -217,7 +217,7 @@ def test_a_rate_of_one_or_more_is_no_certificate_though_the_inequality_may_hold(
 
 
 def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
-    limit = frontier(PLANT.a, PLANT.b, BALLS.input)
+    limit = contraction_frontier(PLANT.a, PLANT.b, BALLS.input)
     request = DesignAttempt(
         theorem=StateFeedbackOfBall,
         rate=limit.rate_limit,

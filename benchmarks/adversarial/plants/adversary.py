@@ -55,7 +55,7 @@ class Adversary(Plant):
     def equilibrium(self) -> Equilibrium:
         return Equilibrium(u=np.zeros(1), x=np.zeros(self.order), y=np.zeros(1))
 
-    def states_at(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N n"]:
+    def equilibrium_states(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N n"]:
         x = np.zeros((len(y0), self.order))
         x[:, self.reading] = y0[:, 0]
         return x

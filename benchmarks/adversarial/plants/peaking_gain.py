@@ -30,7 +30,7 @@ class PeakingGain(Adversary):
         b, a = x.T
         return np.stack([(a - b) / self.second_s, (u - a) / self.first_s], axis=1)
 
-    def states_at(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 2"]:
+    def equilibrium_states(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 2"]:
         b = np.zeros_like(y0)
         for _ in range(60):  # Newton's method, damped: the map is monotone and steep near zero
             slope = 1 + self.peak / np.cosh(b / self.width) ** 2

@@ -32,5 +32,5 @@ class Play(Adversary):
         pushed = ((m - h >= self.gap) & (dm > 0)) | ((m - h <= -self.gap) & (dm < 0))
         return np.stack([(h - y) / self.load_s, dm, np.where(pushed, dm, 0.0)], axis=1)
 
-    def states_at(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 3"]:
+    def equilibrium_states(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 3"]:
         return np.concatenate([y0, y0, y0], axis=1)

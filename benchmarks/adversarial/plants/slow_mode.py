@@ -35,5 +35,5 @@ class SlowMode(Adversary):
     def output(self, x: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 1"]:
         return x[:, :1] + x[:, 2:3]
 
-    def states_at(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 3"]:
+    def equilibrium_states(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 3"]:
         return np.concatenate([0.5 * y0, np.zeros_like(y0), 0.5 * y0], axis=1)

@@ -35,7 +35,7 @@ class Titration(Adversary):
         moved = super().advance(x, x[:, 3:], d)
         return np.column_stack([moved[:, 0], u[:, 0], x[:, 1:3]])
 
-    def states_at(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 4"]:
+    def equilibrium_states(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 4"]:
         b = np.zeros_like(y0)
         for _ in range(60):  # Newton's method, damped: the map is monotone and steep near zero
             slope = 1 + self.height / self.width / np.cosh(b / self.width) ** 2

@@ -103,7 +103,7 @@ class TemperatureLab(Plant):
             u=np.array([self.rest_percent]), x=np.array([hot, hot]), y=np.array([hot])
         )
 
-    def states_at(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 2"]:
+    def equilibrium_states(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 2"]:
         """Transistor and sensor as warm as each other; of the board as warm as it is."""
         if self.hardware:
             y0 = np.full((len(y0), 1), board.attached().read())
@@ -120,7 +120,9 @@ class TemperatureLab(Plant):
             return super().simulate(u, x0, d)
         try:
             found = [
-                super(TemperatureLab, self).simulate(one[None], self.states_at(np.zeros((1, 1))))
+                super(TemperatureLab, self).simulate(
+                    one[None], self.equilibrium_states(np.zeros((1, 1)))
+                )
                 for one in u
             ]
         finally:

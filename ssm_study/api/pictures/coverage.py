@@ -54,12 +54,12 @@ def coverage_picture(
         own = [row for row in rows if row.record == record]
         look: dict[str, Any] = {"colour": style.CYCLE[i % len(style.CYCLE)]}
         look["dashes"] = DASH_CYCLE[i % len(DASH_CYCLE)]
-        series += _record_series(own, part.kappa, step_s, labels.get(record, record), look)
+        series += _coverage_curve(own, part.kappa, step_s, labels.get(record, record), look)
     need, where = weights.needed_radius(premise.requirements(part.centre))
     coverage = part.kappa / need
     band = next((row for row in rows if row.decides), None)
     if band is not None and np.isclose(band.need, need, rtol=1e-6):
-        series.append(_deciding_dot(band, part.kappa, step_s))
+        series.append(_smallest_coverage_dot(band, part.kappa, step_s))
     verdict = "covered" if coverage >= 1 else "not covered"
     deciding = physical_words(where, labels, step_s)
     title = f"Coverage {_format_coverage(coverage)}, {verdict}; decided by: {deciding}"
@@ -99,7 +99,7 @@ def physical_words(where: str, labels: dict[str, str], step_s: float) -> str:
     return f"{labels.get(record, record)}, {words}" if words else labels.get(record, record)
 
 
-def _record_series(
+def _coverage_curve(
     rows: list[CoverageBand], kappa: float, step_s: float, name: str, look: dict[str, Any]
 ) -> list[Series]:
     """Curve of the coverage over the frequency bands of one record."""
@@ -122,7 +122,7 @@ def _record_series(
     return [lit, series]
 
 
-def _deciding_dot(band: CoverageBand, kappa: float, step_s: float) -> Series:
+def _smallest_coverage_dot(band: CoverageBand, kappa: float, step_s: float) -> Series:
     """Dot at the frequency band with the smallest coverage."""
     hertz = band.frequency / (2 * np.pi * step_s)
     y = np.array([kappa / band.need])

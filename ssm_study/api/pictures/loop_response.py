@@ -75,7 +75,7 @@ def set_point_picture(
     reason = "No step of the set point can be held."
     for candidate in sizes:
         try:
-            run = _simulate_step(plant, controller, loop, candidate)
+            run = _simulate_step_response(plant, controller, loop, candidate)
         except BadRequest as refusal:
             reason = f"No step of the set point can be held: {refusal}"
             continue
@@ -83,7 +83,9 @@ def set_point_picture(
     raise NothingToShow(reason)
 
 
-def _simulate_step(plant: Any, controller: ObserverFeedback, loop: Loop, size: float) -> Rollouts:
+def _simulate_step_response(
+    plant: Any, controller: ObserverFeedback, loop: Loop, size: float
+) -> Rollouts:
     """Simulate the closed loop from the equilibrium through a step of the set point."""
     samples = loop.horizon_samples(plant.step_s)
     at_s = BEFORE * samples * plant.step_s

@@ -58,7 +58,7 @@ def margin_picture(
     rules = [guide_line]
     decided_by_curve = margin is None or least.smallest <= 1.001 * margin
     if decided_by_curve:
-        series.append(_deciding_dot(at_hertz, least.smallest))
+        series.append(_smallest_margin_dot(at_hertz, least.smallest))
         title = f"Stability margin {least.smallest:.3g}, decided at {at_hertz:.3g} Hz"
     else:
         rules.append(GuideLine(y=margin, name="the design's margin, between two amplitudes"))
@@ -75,7 +75,7 @@ def margin_picture(
     return Picture(title=title, panels=(panel,))
 
 
-def _deciding_dot(hertz: float, margin: float) -> Series:
+def _smallest_margin_dot(hertz: float, margin: float) -> Series:
     """Dot at the frequency that decides the stability margin."""
     return Series(
         x=np.array([hertz]),

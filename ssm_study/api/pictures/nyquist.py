@@ -13,7 +13,7 @@ from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.record_errors import View
-from ssm_study.robustness.sensitivity import FINE_ANGLES, sensitivity
+from ssm_study.robustness.sensitivity import FINE_ANGLES, error_to_input_response
 from ssm_study.systems import Gains
 
 REACH = 2.2  # how far from the origin the curve is drawn: the point -1 decides
@@ -70,7 +70,7 @@ def loop_responses(
     linear = linearise_at_equilibrium(model)
     slope_in = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])
     slope_out = float(model.scaffold_out.jacobian(np.zeros(1))[0, 0])
-    state_space = sensitivity(linear, pair, slope_in, slope_out)
+    state_space = error_to_input_response(linear, pair, slope_in, slope_out)
     closed = frequency_response(state_space, angles)[:, 0, 0]
     plant = slope_in * slope_out * frequency_response(linear, angles)[:, 0, 0]
     return plant, closed / (1 + plant * closed)

@@ -78,7 +78,7 @@ def largest_rate(
     if ball.beta == 0 or not k.any():
         return 1 - smallest**2
 
-    def excess(log_r: float) -> float:
+    def excess_factor(log_r: float) -> float:
         """Contraction factor that a metric proves minus the assumed factor, by the logarithm of the
         assumed one."""
         r = float(np.exp(log_r))
@@ -92,13 +92,13 @@ def largest_rate(
 
     low = float(np.log(smallest))
     high = float(np.log(smallest)) + 1.0  # the norm falls as r grows: bracket, then Brent
-    if excess(low) <= 0:
+    if excess_factor(low) <= 0:
         # the gain does next to nothing: the metric of the linear part has all the room
         return 1 - smallest**2
-    while excess(high) >= 0:
+    while excess_factor(high) >= 0:
         low = high
         high = high + 1.0
-    root = scipy.optimize.brentq(excess, low, high, xtol=RATE_TOLERANCE)
+    root = scipy.optimize.brentq(excess_factor, low, high, xtol=RATE_TOLERANCE)
     return float(1 - np.exp(2 * root))
 
 

@@ -64,7 +64,7 @@ NUDGE = 1e-9  # a pole on the circle has a gain, too
 SINE = re.compile(r"sine\((\d+(?:\.\d*)?(?:e-?\d+)?) ?Hz\)")
 
 
-def parse_frequencies(words: Sequence[str]) -> dict[float, int]:
+def count_modes_by_frequency(words: Sequence[str]) -> dict[float, int]:
     """Number of internal-model modes at each frequency (Hz) for signals such as `step`, `ramp` and
     `sine(f)`. `step` is one at zero, `ramp` two, `sine(0.5Hz)` one at 0.5.
 
@@ -90,7 +90,7 @@ def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Interna
     faster than the sampling allows."""
     blocks = []
     nyquist = 0.5 / step_s
-    for hertz, count in parse_frequencies(words).items():
+    for hertz, count in count_modes_by_frequency(words).items():
         problem = (
             f"half the sampling rate is {nyquist:g} Hz, and a model knows nothing from there on"
         )
@@ -127,7 +127,7 @@ def append_internal_model(
     remedy = "use a synthesis without an internal model"
     require(len(gain) <= inputs, FIELD, f"{len(gain)} outputs, {inputs} inputs", problem, remedy)
     outputs = len(gain)
-    hertz = np.array(list(parse_frequencies(words)))
+    hertz = np.array(list(count_modes_by_frequency(words)))
     modes = internal_model(words, model.step_s, outputs)
     mode_angles = 2 * np.pi * hertz * model.step_s
     angles = np.concatenate([mode_angles, ANGLES])

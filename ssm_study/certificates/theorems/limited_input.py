@@ -38,7 +38,7 @@ Example. `x+ = 0.5 x + sat(-0.4 x)`: between 0.5 and 0.1 of a distance is left, 
 import math
 from dataclasses import dataclass, replace
 
-from ssm_study.certificates.frontier import frontier
+from ssm_study.certificates.frontier import contraction_frontier
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.deployed_rate import certificate_at_largest_rate
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
@@ -54,10 +54,10 @@ class LimitedFeedback(StateFeedbackOfBall):
 
     @classmethod
     def required_ball(cls, context: VerificationContext) -> JacobianBall:
-        return ball_behind_limits(context.balls.input, context.controlled.b.shape[1])
+        return ball_behind_saturation(context.balls.input, context.controlled.b.shape[1])
 
 
-def ball_behind_limits(ball: JacobianBall, inputs: int) -> JacobianBall:
+def ball_behind_saturation(ball: JacobianBall, inputs: int) -> JacobianBall:
     """Ball of Jacobians of the input map behind a saturation. It contains zero and the ball of
     `S_u`; its radius is rounded up."""
     size = abs(ball.alpha)
@@ -74,8 +74,8 @@ def certify_under_limits(part: StateFeedbackOfBall) -> LimitedFeedback | None:
     rate is proved. The rate is near the largest one with limits."""
     ball = JacobianBall(alpha=part.alpha, beta=part.beta)
     inputs = part.b.shape[1]
-    limited_ball = ball_behind_limits(ball, inputs)
-    limit = frontier(part.a, part.b, limited_ball)
+    limited_ball = ball_behind_saturation(ball, inputs)
+    limit = contraction_frontier(part.a, part.b, limited_ball)
     rates = {"rate": LEAST, "rate_limit": limit.rate_limit}
     slow_certificate = LimitedFeedback(**(vars(part) | vars(limited_ball) | rates))
     certificate = certificate_at_largest_rate(slow_certificate)

@@ -133,8 +133,8 @@ class MeasuredDiscs(Theorem):
         storage = signals.xi.T @ of.p @ signals.xi
         next_storage = signals.step.T @ of.p @ signals.step
         form = storage - next_storage
-        form = form + cls.disc_form(of, signals)
-        for multiplier, map_form in cls.static_map_forms(of, signals):
+        form = form + cls.disc_constraint(of, signals)
+        for multiplier, map_form in cls.static_map_constraints(of, signals):
             form = form + multiplier * map_form
         disc = of.kappa * of.kappa * of.floor * of.floor - of.centre * of.centre
         conditions = {"inequality": [[form]], "model inside the disc": [[disc]]}
@@ -145,7 +145,7 @@ class MeasuredDiscs(Theorem):
         return conditions
 
     @staticmethod
-    def disc_form(of: Any, signals: Any) -> Any:
+    def disc_constraint(of: Any, signals: Any) -> Any:
         """Quadratic form of the loop's signals that is negative where the model error lies in the
         measured disc. `|e - c m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`."""
         deviation = signals.e - of.centre * signals.m
@@ -157,7 +157,7 @@ class MeasuredDiscs(Theorem):
         return deviation.T @ deviation - of.kappa * of.kappa * reference
 
     @classmethod
-    def static_map_forms(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
+    def static_map_constraints(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
         """Quadratic constraints on the static maps' inputs and outputs, each with its
         multiplier."""
         u = signals.u
@@ -216,7 +216,7 @@ class MeasuredDiscs(Theorem):
         next_eps = model_a @ rows.eps + of.l @ rows.injected
         next_w, rows.w_m = apply_filter(of.weight_output, rows.x_w, rows.m, p)
         next_v, rows.v_u = apply_filter(of.weight_input, rows.x_v, rows.u, m)
-        next_x, next_eps = cls.neurons_at_states(of, rows, next_x, next_eps)
+        next_x, next_eps = cls.add_neurons_to_states(of, rows, next_x, next_eps)
         next_states = [[next_x], [next_eps]]
         next_states += [[filtered] for filtered in (next_w, next_v) if filtered.shape[0]]
         rows.step = assemble_blocks(next_states)
@@ -229,7 +229,7 @@ class MeasuredDiscs(Theorem):
         return np.zeros((of.c.shape[0], rows.xi.shape[1]))
 
     @classmethod
-    def neurons_at_states(cls, of: Any, rows: Any, moved: Any, error: Any) -> tuple[Any, Any]:
+    def add_neurons_to_states(cls, of: Any, rows: Any, moved: Any, error: Any) -> tuple[Any, Any]:
         """Add the neurons' contribution to the next states of model and observer. A model with one
         layer has none, so that the states stay unchanged."""
         del of, rows

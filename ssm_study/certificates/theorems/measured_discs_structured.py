@@ -82,14 +82,14 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
         return of.h @ (rows.w if letter == "w" else rows.d_w)
 
     @classmethod
-    def neurons_at_states(cls, of: Any, rows: Any, moved: Any, error: Any) -> tuple[Any, Any]:
+    def add_neurons_to_states(cls, of: Any, rows: Any, moved: Any, error: Any) -> tuple[Any, Any]:
         n = of.c.shape[1]
         moved = moved + of.e @ rows.w
         error = error + of.e[:n, :] @ rows.d_w
         return moved, error
 
     @classmethod
-    def neuron_pairs(cls, of: Any, rows: Any) -> list[tuple[Any, Any]]:
+    def neuron_difference_pairs(cls, of: Any, rows: Any) -> list[tuple[Any, Any]]:
         """Differences of the neurons' outputs and inputs for each pair of model, observer and
         equilibrium."""
         n = of.c.shape[1]
@@ -101,10 +101,10 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
         return [model_pair, error_pair, observer_pair]
 
     @classmethod
-    def static_map_forms(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
-        forms = super().static_map_forms(of, signals)
+    def static_map_constraints(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
+        forms = super().static_map_constraints(of, signals)
         q = of.g.shape[0]
-        for i, (output, argument) in enumerate(cls.neuron_pairs(of, signals)):
+        for i, (output, argument) in enumerate(cls.neuron_difference_pairs(of, signals)):
             start = i * q
             multipliers = of.lambda_[:, start : start + q]
             weighted = multiplier_matrix(multipliers) @ (output - argument)

@@ -69,7 +69,7 @@ class StructuredObserver(ProblemCertificate, Observer):
     def inequality(of: Any) -> Blocks:
         """Blocks of the theorem's inequality with the multipliers of the certificate."""
         weights = multiplier_matrix(of.lambda_)
-        return inequality(of, weights, weights @ of.l_z)
+        return structured_observer_inequality(of, weights, weights @ of.l_z)
 
     @classmethod
     def holds(cls, **numbers: Any) -> bool:
@@ -92,7 +92,7 @@ def _closes_algebraic_loop(h: NeuronOutput, l_z: NeuronInjection) -> bool:
     return bool(np.any(h) and np.any(l_z))
 
 
-def inequality(of: Any, weights: Any, n: Any) -> Blocks:
+def structured_observer_inequality(of: Any, weights: Any, n: Any) -> Blocks:
     """Blocks of the theorem's inequality for given multipliers and injection into the neurons. `N =
     Lambda L_z`; `weights` is the diagonal matrix Lambda."""
     neuron_inputs = weights @ of.f + of.alpha * (n @ of.c)

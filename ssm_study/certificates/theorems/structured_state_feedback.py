@@ -71,10 +71,10 @@ class StructuredStateFeedback(ProblemCertificate, StateFeedback):
         """Blocks of the theorem's inequality with the multipliers of the certificate."""
         weights = multiplier_matrix(of.lambda_)
         identity = np.eye(weights.shape[0])
-        return inequality(of, (weights, identity, weights))
+        return structured_feedback_inequality(of, (weights, identity, weights))
 
 
-def inequality(of: Any, row: tuple[Any, Any, Any]) -> Blocks:
+def structured_feedback_inequality(of: Any, row: tuple[Any, Any, Any]) -> Blocks:
     """Blocks of the theorem's inequality, with the neurons' row scaled by a diagonal matrix. For
     any diagonal S, `row` is `(S, S T, S T S)`."""
     scale, scaled_t, t = row

@@ -67,10 +67,10 @@ class Excitation(ABC):
 
     def signal(self, request: SignalRequest, rng: np.random.Generator) -> Inputs:
         """Generate the excitation signal in physical units."""
-        own_request = self._with_own_settings(request)
+        own_request = self._with_own_amplitude_and_clock(request)
         return self.unit_signal(own_request, rng) * np.array(own_request.amplitude)
 
-    def _with_own_settings(self, request: SignalRequest) -> SignalRequest:
+    def _with_own_amplitude_and_clock(self, request: SignalRequest) -> SignalRequest:
         """Replace the plant's amplitude and clock period in a request by the excitation's own
         values, where it has any."""
         amplitude = request.amplitude if self.amplitude is None else self.amplitude

@@ -196,7 +196,7 @@ def title_without_unit(title: str) -> str:
     return re.sub(r"\s*(\[[^\]]*\]|\([^()]*\))\s*$", "", title).strip()
 
 
-def fold_title(title: str) -> str:
+def normalise_title(title: str) -> str:
     """Reduce a column's title to its letters and digits in lower case, for comparison. The two
     micro signs count as the same letter."""
     normal = unicodedata.normalize("NFKC", title)
@@ -212,10 +212,10 @@ def find_column(path: Path, name: str, titles: list[str], header: bool | None = 
     """
     where = f"{path.name} (column)"
     plain = [title_without_unit(title) for title in titles]
-    folded = [fold_title(title) for title in titles]
-    folded_plain = [fold_title(title) for title in plain]
+    folded = [normalise_title(title) for title in titles]
+    folded_plain = [normalise_title(title) for title in plain]
     ways = (list(titles), plain, folded, folded_plain)
-    wanted_forms = (name, name, fold_title(name), fold_title(name))
+    wanted_forms = (name, name, normalise_title(name), normalise_title(name))
     number = int(name) if name.isascii() and name.isdigit() else None
     numbered = number is not None and number < len(titles)
     for word, titles_in_form in zip(wanted_forms, ways, strict=True):

@@ -14,7 +14,7 @@ from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
-from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.prediction import predict_margins
 from ssm_study.signals import DataSet, Trajectory
 from ssm_study.systems import Balls
 
@@ -111,7 +111,7 @@ def build_compared_controller(
     except BadRequest as refusal:
         return None, columns | {"reason": str(refusal)}
     if isinstance(controller, ObserverFeedback):
-        prediction = predict(
+        prediction = predict_margins(
             identified.model, controller.gains, identified.balls, identified.mismatch
         )
         columns |= vars(prediction)

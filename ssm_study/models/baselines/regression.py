@@ -188,8 +188,8 @@ def fit_output_error(data: DataSet, order: int, delay: int) -> Polynomial:
     starts = [problem.initial_parameters(f) for f in _initial_denominators(data, order, delay)]
     parameters = min((problem.minimise(start) for start in starts), key=problem.squared_error)
     f = parameters[:order]
-    offset = parameters[-problem.extra_count] * (1.0 + f.sum())
-    b = parameters[order : -problem.extra_count]
+    offset = parameters[-problem.extra_parameter_count] * (1.0 + f.sum())
+    b = parameters[order : -problem.extra_parameter_count]
     codes = np.array([CONSTANT, *regressor_codes(order, delay, data.scale.inputs)])[:, None]
     return Polynomial(codes=codes, theta=np.concatenate([[offset], -f, b]), scale=data.scale)
 
@@ -225,13 +225,13 @@ class _OutputErrorProblem:
     delay: int
 
     @property
-    def extra_count(self) -> int:
+    def extra_parameter_count(self) -> int:
         """Number of parameters for the offset and for each record's free decay."""
         return 1 + self.order * len(self.records)
 
     def initial_parameters(self, f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "P"]:
         """Initial parameters with a given denominator; all others are found by least squares."""
-        other_parameters = np.zeros(self.extra_count + self._input_coefficient_count)
+        other_parameters = np.zeros(self.extra_parameter_count + self._input_coefficient_count)
         parameters = np.concatenate([f, other_parameters])
         residual, jacobian = self.residual_and_jacobian(parameters)
         other_parameters = np.linalg.lstsq(jacobian[:, self.order :], -residual, rcond=None)[0]
@@ -255,7 +255,7 @@ class _OutputErrorProblem:
         for index, (u, y) in enumerate(self.records):
             jacobian = self._output_jacobian(index, u, parameters)
             linear = jacobian[:, self.order :] @ parameters[self.order :]
-            free_run = linear - parameters[-self.extra_count]
+            free_run = linear - parameters[-self.extra_parameter_count]
             filtered = _filter_recursively(parameters[: self.order], -free_run)
             jacobian[:, : self.order] = _delayed_copies(filtered, 1, self.order)
             residuals.append(linear - y[:, 0])
@@ -272,10 +272,10 @@ class _OutputErrorProblem:
             column = n * (1 + channel)
             filtered = _filter_recursively(f, u[:, channel])
             jacobian[:, column : column + n] = _delayed_copies(filtered, self.delay, n)
-        jacobian[:, -self.extra_count] = 1.0
+        jacobian[:, -self.extra_parameter_count] = 1.0
         impulse = np.zeros(len(u))
         impulse[0] = 1.0
-        column = len(parameters) - self.extra_count + 1 + n * index
+        column = len(parameters) - self.extra_parameter_count + 1 + n * index
         jacobian[:, column : column + n] = _delayed_copies(_filter_recursively(f, impulse), 0, n)
         return jacobian
 
@@ -347,7 +347,7 @@ def fit_best_baseline(data: DataSet) -> Baseline | None:
         for order in orders
         for delay in DELAYS
     ]
-    delay = int(_shortest_input_lag(max(tried, key=_validation_fit).model))
+    delay = int(_shortest_input_lag(max(tried, key=_validation_fit_percent).model))
     delays = sorted({0, 1, delay})
     for order in OUTPUT_ERROR_ORDERS:
         words = f"an output-error model with {order} lags, delay {delay}"
@@ -358,7 +358,7 @@ def fit_best_baseline(data: DataSet) -> Baseline | None:
                 path = fit_narx_models(data, lags, degree, late, NARX_TERMS)
                 for model in path:
                     tried.append(_score_baseline(_describe_narx(degree, model), model, data))
-    return max(tried, key=_validation_fit)
+    return max(tried, key=_validation_fit_percent)
 
 
 def baseline_columns(data: DataSet) -> dict[str, object] | None:
@@ -388,7 +388,7 @@ def _describe_narx(degree: int, model: Polynomial) -> str:
     return f"a polynomial NARX of degree {degree} with {len(model.theta)} terms"
 
 
-def _validation_fit(baseline: Baseline) -> float:
+def _validation_fit_percent(baseline: Baseline) -> float:
     """Fit of a simple model to the validation records, in percent."""
     return baseline.fit_validation_percent
 

@@ -91,9 +91,9 @@ class Mlp(Trainable):
     def initial_values(self, frame: MapContext, rng: np.random.Generator) -> StartingValues:
         h = frame.width
         if self.certified:
-            free = certified_initial_values(frame, self.depth, rng)
+            free = certified_initial_layers(frame, self.depth, rng)
         else:
-            free = unconstrained_initial_values(frame, self.depth, rng)
+            free = unconstrained_initial_layers(frame, self.depth, rng)
         if self.train_slopes:  # they begin near the two ends of the sector
             for i in range(self.depth):
                 free[f"slope_negative_{i}"] = np.full(h, -2.0)
@@ -179,7 +179,7 @@ class Mlp(Trainable):
         return MlpScaffold(network=network)
 
 
-def certified_initial_values(
+def certified_initial_layers(
     frame: MapContext, depth: int, rng: np.random.Generator
 ) -> StartingValues:
     """Initial weights and break points for each layer of a perceptron whose slopes are
@@ -190,7 +190,7 @@ def certified_initial_values(
     return directions | kinks
 
 
-def unconstrained_initial_values(
+def unconstrained_initial_layers(
     frame: MapContext, depth: int, rng: np.random.Generator
 ) -> StartingValues:
     """Initial weights and biases of a perceptron without slope constraints."""

@@ -16,7 +16,7 @@ def draw(study: StudyFolder) -> Figure:
     """Draw the closed loop's outputs, the uncontrolled plant's outputs and the inputs, for every
     initial condition."""
     (loop,) = study.read_from_best("closed_loop", otherwise="No run reached the closed loop.")
-    if style.is_narrow():
+    if style.is_single_column():
         fig = style.new_figure(style.COLUMN_IN, 4.6)
         controlled, alone, given = fig.subplots(3, 1)
     else:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from ssm_study import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
-from ssm_study.report.words import column_words, verdict_counts
+from ssm_study.report.words import printed_column_name, verdict_counts
 from ssm_study.table.columns import boolean_column, numeric_column
 
 RATE = "rate_controller"
@@ -42,7 +42,7 @@ def draw(study: StudyFolder) -> Figure:
     draw_frontier(axes, ratio, numeric_column(table, LIMIT))
     style.place_legend_above(axes, columns=2)
     axes.set_xlabel("Certified slope ratio of S$_u$, smallest / largest (–)")
-    axes.set_ylabel(column_words(RATE))
+    axes.set_ylabel(printed_column_name(RATE))
     return fig
 
 

@@ -13,7 +13,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from ssm_study import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
-from ssm_study.report.words import choice_label, column_words, verdict_counts
+from ssm_study.report.words import choice_label, printed_column_name, verdict_counts
 from ssm_study.table.columns import numeric_column, text_column
 
 DOT: dict[str, Any] = {"s": 16, "color": style.BLUE, "lw": 0, "zorder": 3, "clip_on": False}
@@ -86,7 +86,7 @@ def create_panels(table: pd.DataFrame) -> list[PeerPanel]:
 def create_panel(table: pd.DataFrame, name: str, limits: tuple[float, float | None]) -> PeerPanel:
     """Panel of a figure for one column, with given name and scale."""
     values = numeric_column(table, name)
-    label = column_words(name)
+    label = printed_column_name(name)
     return PeerPanel(values=values, label=label, scale={"xlim": limits})
 
 

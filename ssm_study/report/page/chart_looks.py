@@ -22,13 +22,13 @@ CONFIG = {"font": "system-ui, sans-serif", "view": NO_FRAME, "axis": AXIS}
 LOOK = {"$schema": SCHEMA, "config": CONFIG}  # of every chart, which the page's script adds
 
 
-def framed(spec: Spec, description: str, height: int = HEIGHT) -> Spec:
+def framed_specification(spec: Spec, description: str, height: int = HEIGHT) -> Spec:
     """Vega-Lite specification with the width of the report page, without the common `LOOK`."""
     frame = {"width": "container", "height": height, "description": description}
     return frame | spec
 
 
-def quantitative(field: str, title: str | None, **scale: Any) -> Spec:
+def quantitative_axis(field: str, title: str | None, **scale: Any) -> Spec:
     """Vega-Lite axis for a numeric field."""
     axis: Spec = {"field": field}
     axis["type"] = "quantitative"

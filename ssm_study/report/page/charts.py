@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from ssm_study import style
-from ssm_study.report.words import VERDICTS, column_words
+from ssm_study.report.words import VERDICTS, printed_column_name
 from ssm_study.table.columns import numeric_column
 
 HEIGHT = 250  # pixels
@@ -98,7 +98,7 @@ RING_LOOK |= {"opacity": 1, "aria": False}
 RULE_LOOK: dict[str, Any] = {"strokeDash": [4, 3], "color": style.GREY, "aria": False}
 
 
-def panels(table: pd.DataFrame, answered: Collection[str] = ()) -> list[dict[str, Any]]:
+def plottable_panels(table: pd.DataFrame, answered: Collection[str] = ()) -> list[dict[str, Any]]:
     """Plots of the report page for which a study's table has numbers.
 
     Fits that all but agree say nothing. `answered` are the questions that the page answers in
@@ -110,9 +110,9 @@ def panels(table: pd.DataFrame, answered: Collection[str] = ()) -> list[dict[str
     for candidate in PANELS:
         if alike and candidate.x == fits.name:
             continue
-        panel = _telling(table, candidate)
+        panel = _replace_constant_share(table, candidate)
         if _has_numbers(table, panel):
-            spec = specification(panel, table)
+            spec = panel_specification(panel, table)
             drawn.append(vars(panel) | {"spec": spec, "question": panel_title(panel, answered)})
     return drawn
 
@@ -122,14 +122,14 @@ def panel_title(panel: Panel, answered: Collection[str]) -> str:
     words."""
     if question_stem(panel.question) not in map(question_stem, answered):
         return panel.question
-    up = short_column_words(panel.y)
-    across = short_column_words(panel.x)
+    up = short_column_name(panel.y)
+    across = short_column_name(panel.x)
     return f"{up} against {across[:1].lower()}{across[1:]}"
 
 
-def short_column_words(name: str) -> str:
+def short_column_name(name: str) -> str:
     """Printed name of a column without symbol and unit."""
-    without_unit = column_words(name).partition(" (")[0]
+    without_unit = printed_column_name(name).partition(" (")[0]
     return without_unit.partition(",")[0]
 
 
@@ -145,7 +145,7 @@ def _has_numbers(table: pd.DataFrame, panel: Panel) -> bool:
     return bool((across * up).notna().any())
 
 
-def _telling(table: pd.DataFrame, panel: Panel) -> Panel:
+def _replace_constant_share(table: pd.DataFrame, panel: Panel) -> Panel:
     """Replace the share of settled runs in a plot by the settling time where every run settles."""
     if panel.y != "stable_fraction":
         return panel
@@ -156,56 +156,56 @@ def _telling(table: pd.DataFrame, panel: Panel) -> Panel:
     return replace(panel, y="settling_time_mean_s", note=note)
 
 
-def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
+def panel_specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
     """Vega-Lite specification of one scatter plot. The page's script sets the parameters `mask`
     (runs shown) and `chosen` (selected run), and reads `brush`.
 
     It also fills the data sets `runs` and `ticks`.
     """
     upright = [] if panel.rule_x is None else [panel.rule_x]
-    level = _median_of_rule(panel, table)
+    level = _reference_heights(panel, table)
     ticks = numeric_column(table, panel.tick).dropna().tolist()
-    across = _scale(panel.x, table, panel.log == "x", upright)
-    up = _scale(panel.y, table, panel.log == "y", level + ticks)
-    x_words = column_words(panel.x)
-    y_words = column_words(panel.y)
+    across = _axis_scale(panel.x, table, panel.log == "x", upright)
+    up = _axis_scale(panel.y, table, panel.log == "y", level + ticks)
+    x_words = printed_column_name(panel.x)
+    y_words = printed_column_name(panel.y)
     x = alt.X(f"{panel.x}:Q", title=x_words, scale=across)
     y = alt.Y(f"{panel.y}:Q", title=y_words, scale=up)
-    layers = [_rule().encode(x=alt.datum(value)) for value in upright]
-    layers += [_rule().encode(y=alt.datum(value)) for value in level]
+    layers = [_reference_line().encode(x=alt.datum(value)) for value in upright]
+    layers += [_reference_line().encode(y=alt.datum(value)) for value in level]
     if panel.tick:  # on the points' scale: one of its own would include zero
         bar_height = alt.Y(f"{panel.tick}:Q", scale=up)
-        layers.append(_bars().encode(x=x, y=bar_height))
+        layers.append(_stage_time_bars().encode(x=x, y=bar_height))
     ring_x = alt.X(f"{panel.x}:Q", scale=across)
     ring_y = alt.Y(f"{panel.y}:Q", scale=up)
-    layers.append(_ring().encode(x=ring_x, y=ring_y))
-    layers.append(_points().encode(x=x, y=y))
+    layers.append(_best_run_ring().encode(x=ring_x, y=ring_y))
+    layers.append(_run_points().encode(x=x, y=y))
     chart = alt.layer(*layers, data=RUNS)
     description = f"{panel.question} {y_words} against {x_words}, one point per run"
-    return _dressed(chart, description=description)
+    return _styled_specification(chart, description=description)
 
 
-def _median_of_rule(panel: Panel, table: pd.DataFrame) -> list[float]:
+def _reference_heights(panel: Panel, table: pd.DataFrame) -> list[float]:
     """Height of a plot's horizontal reference line; None if it has none."""
     values = numeric_column(table, panel.rule_y)
     median = float(values.median())
     return [] if np.isnan(median) else [median]
 
 
-def _bars() -> alt.Chart:
+def _stage_time_bars() -> alt.Chart:
     """Layer of a chart with one short bar per run for its stage times."""
     hint = alt.TooltipContent("data")
     chart = alt.Chart(alt.NamedData("ticks"))
     return chart.mark_tick(orient="horizontal", tooltip=hint, **BAR_LOOK)
 
 
-def _ring() -> alt.Chart:
+def _best_run_ring() -> alt.Chart:
     """Layer of a chart with a ring around the best run."""
     best = alt.Chart().transform_filter(BEST)
     return best.mark_point(**RING_LOOK)
 
 
-def _dressed(chart: Any, **properties: Any) -> dict[str, Any]:
+def _styled_specification(chart: Any, **properties: Any) -> dict[str, Any]:
     """Vega-Lite specification with the fonts and colours of the report page."""
     sized = chart.properties(width="container", height=HEIGHT, **properties)
     plain = sized.configure(font="system-ui, sans-serif", background="white")
@@ -215,7 +215,7 @@ def _dressed(chart: Any, **properties: Any) -> dict[str, Any]:
     return spec
 
 
-def groups_specification() -> dict[str, Any]:
+def group_chart_specification() -> dict[str, Any]:
     """Vega-Lite specification of a chart with one row for each group of runs. It has a point per
     run, a bar at the mean of the visible ones, and a ring around the best.
 
@@ -228,21 +228,21 @@ def groups_specification() -> dict[str, Any]:
     visible = alt.Chart().transform_filter(SHOWN)
     grouped = visible.transform_aggregate(value="mean(value)", groupby=["label"])
     means = grouped.mark_tick(**MEAN_LOOK)
-    parts = (means, _ring(), _points("x"))
+    parts = (means, _best_run_ring(), _run_points("x"))
     layers = [part.encode(x=x, y=y) for part in parts]
     chart = alt.layer(*layers, data=RUNS)
-    return _dressed(chart)
+    return _styled_specification(chart)
 
 
-def _points(*brushed: Axis) -> alt.Chart:
+def _run_points(*brushed: Axis) -> alt.Chart:
     """Layer of a chart with one point per run. A selection covers both axes, or those that are
     named."""
     mask = alt.param(name="mask", value=[])
     chosen = alt.param(name="chosen", value=-1)
     hint = alt.TooltipContent("data")
     points = alt.Chart().mark_point(filled=True, strokeWidth=2, aria=False, tooltip=hint)
-    encodings = _encode_verdicts() | _encode_choice()
-    return points.encode(**encodings).add_params(_brush(*brushed), mask, chosen)
+    encodings = _encode_verdicts() | _encode_selection()
+    return points.encode(**encodings).add_params(_brush_selection(*brushed), mask, chosen)
 
 
 def _encode_verdicts() -> dict[str, Any]:
@@ -257,7 +257,7 @@ def _encode_verdicts() -> dict[str, Any]:
     return {"color": color, "shape": shape}
 
 
-def _encode_choice() -> dict[str, Any]:
+def _encode_selection() -> dict[str, Any]:
     """Opacity, size and edge of a point in a chart, by whether its run is shown and whether it is
     selected."""
     opacity = alt.condition(SHOWN, alt.value(0.85), alt.value(0.06))
@@ -266,21 +266,21 @@ def _encode_choice() -> dict[str, Any]:
     return {"opacity": opacity, "size": size, "stroke": stroke}
 
 
-def _brush(*encodings: Axis) -> alt.Parameter:
+def _brush_selection(*encodings: Axis) -> alt.Parameter:
     """Vega-Lite selection by a rectangle that the reader of the page drags."""
     if encodings:
         return alt.selection_interval(name="brush", encodings=list(encodings))
     return alt.selection_interval(name="brush")
 
 
-def _rule() -> alt.Chart:
+def _reference_line() -> alt.Chart:
     """Layer of a chart with a single reference line. With the data of the points, it would be drawn
     once per run."""
     chart = alt.Chart(alt.InlineData([{}]))
     return chart.mark_rule(**RULE_LOOK)
 
 
-def _scale(name: str, table: pd.DataFrame, log: bool, beside: list[float]) -> alt.Scale:
+def _axis_scale(name: str, table: pd.DataFrame, log: bool, beside: list[float]) -> alt.Scale:
     """Linear or logarithmic scale of a chart's axis for a column. It is logarithmic only if all
     values allow it and spread over more than a decade; a share goes from 0 to 1.
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ssm_study.report.page.chart_looks import STROKES, Spec, framed, quantitative
+from ssm_study.report.page.chart_looks import STROKES, Spec, framed_specification, quantitative_axis
 from ssm_study.report.words import choice_label
 from ssm_study.style import BLUE
 
@@ -46,11 +46,11 @@ def controllers_table(rows: pd.DataFrame) -> ComparedTable:
     situations."""
     situations = list(dict.fromkeys(rows["situation"]))
     if len(situations) == 1:
-        return numbers_table(rows)
-    return situations_table(rows, situations)
+        return single_condition_table(rows)
+    return conditions_table(rows, situations)
 
 
-def numbers_table(rows: pd.DataFrame) -> ComparedTable:
+def single_condition_table(rows: pd.DataFrame) -> ComparedTable:
     """Table with the numbers of each controller under a single test condition."""
     cells = []
     for name, own in rows.groupby("controller", sort=False):
@@ -59,7 +59,7 @@ def numbers_table(rows: pd.DataFrame) -> ComparedTable:
     return ComparedTable(caption=OF_ONE_SITUATION, heads=HEADS, rows=cells)
 
 
-def situations_table(rows: pd.DataFrame, situations: list[str]) -> ComparedTable:
+def conditions_table(rows: pd.DataFrame, situations: list[str]) -> ComparedTable:
     """Table with one column per test condition, with the share that settles and the mean settling
     time."""
     tried: dict[tuple[str, str], dict[str, Any]] = {}
@@ -77,8 +77,8 @@ def situations_table(rows: pd.DataFrame, situations: list[str]) -> ComparedTable
 
 def number_cells(row: "pd.Series[Any]") -> list[tuple[str, str]]:
     """Table cells with the numbers of a controller under a single test condition."""
-    texts = [percent(row.get("stable_fraction"))]
-    texts += [number(row.get(name)) for name in NUMBERS]
+    texts = [format_percent(row.get("stable_fraction"))]
+    texts += [format_number(row.get(name)) for name in NUMBERS]
     is_certified = row.get("certified") == 1  # True, or what a table of numbers makes of it
     texts.append("yes" if is_certified else MISSING)
     return [(text, "") for text in texts]
@@ -90,7 +90,7 @@ def settled_cell(row: dict[str, Any]) -> tuple[str, str]:
     share = row.get("stable_fraction", np.nan)
     if pd.isna(share):
         return MISSING, ""
-    words = percent(share)
+    words = format_percent(share)
     time_s = row.get("settling_time_mean_s")
     if time_s is not None and not pd.isna(time_s):
         words += f" {time_s:.3g} s"
@@ -98,12 +98,12 @@ def settled_cell(row: dict[str, Any]) -> tuple[str, str]:
     return words, shade
 
 
-def percent(share: Any) -> str:
+def format_percent(share: Any) -> str:
     """Format a share in per cent."""
     return MISSING if pd.isna(share) else f"{100 * share:.0f} %"
 
 
-def number(value: Any) -> str:
+def format_number(value: Any) -> str:
     """Format a number to four digits."""
     return MISSING if pd.isna(value) else f"{value:.4g}"
 
@@ -140,14 +140,14 @@ def designs_chart(rows: pd.DataFrame) -> Spec:
     values = []
     for _, row in points.iterrows():
         values.append({name: float(f"{value:.4g}") for name, value in row.items()})
-    x = quantitative("margin", "Mismatch margin (–)", type="log")
-    y = quantitative("share", "Starts settled (share)", domain=[-0.05, 1.05], nice=False)
+    x = quantitative_axis("margin", "Mismatch margin (–)", type="log")
+    y = quantitative_axis("share", "Starts settled (share)", domain=[-0.05, 1.05], nice=False)
     mark = {"type": "point", "filled": True, "size": 25, "opacity": 0.5, "color": BLUE}
     dots: Spec = {"data": {"values": values}, "mark": mark}
     dots["encoding"] = {"x": x, "y": y}
     rule: Spec = {"data": {"values": [{}]}, "mark": STROKES}
     rule["encoding"] = {"x": {"datum": 1}}
-    spec = framed({"layer": [rule, dots]}, DESIGNS)
+    spec = framed_specification({"layer": [rule, dots]}, DESIGNS)
     title = f"{len(points)} certified designs for this model"
     return {"title": title, "note": settled_sentence(points), "spec": spec}
 

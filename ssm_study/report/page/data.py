@@ -9,30 +9,30 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from ssm_study.report.answers import answers, parameters_line
+from ssm_study.report.answers import parameters_line, question_answers
 from ssm_study.report.page.chart_looks import LOOK
 from ssm_study.report.page.compared import comparison_json
 from ssm_study.report.page.failures import MOST_REASONS, MOST_RUNS, failure_groups
 from ssm_study.report.page.first_screen import (
-    introduction,
+    best_run_rule,
     outcome_cards,
+    outcome_remarks,
     plain_setting_name,
-    remarks,
     row_as_record,
     setting_text,
     settings_line,
 )
 from ssm_study.report.page.pictures import pictures_of_run
 from ssm_study.report.page.proof_card import ShownLoop
-from ssm_study.report.page.runner_up import runner_up
+from ssm_study.report.page.runner_up import choose_runner_up
 from ssm_study.report.study_folder import RecordedCases, RunFolder, StudyFolder
 from ssm_study.report.words import (
     INFEASIBLE,
     VERDICTS,
     choice_label,
-    column_words,
+    printed_column_name,
     verdict_counts,
-    verdicts,
+    verdict_words,
 )
 from ssm_study.table.columns import (
     DECLARED,
@@ -44,7 +44,7 @@ from ssm_study.table.columns import (
     swept_settings,
     text_column,
 )
-from ssm_study.table.rank import best_first
+from ssm_study.table.rank import sort_best_first
 
 MOST_TRAJECTORIES = 200  # best runs whose trajectories are embedded: about 10 kB each
 MOST_PICTURED = 3  # best runs whose pictures are embedded
@@ -80,14 +80,14 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     data: dict[str, Any] = {"study": study.name, "folder": study.folder.resolve().name}
     data["verdicts"] = [vars(verdict) for verdict in VERDICTS]
     data["columns"] = {name: encode_repeats(table[name]) for name in names}
-    data["words"] = {name: column_words(name) for name in names}
+    data["words"] = {name: printed_column_name(name) for name in names}
     data["menus"] = group_by_part(names)
     data["known_columns"] = compared_columns(table)
     data["first"] = first_columns(table)
     data["parameters"] = swept_settings(table)
-    data["trajectories"] = trajectories(study, table)
-    data["pictures"] = pictures(study, table)
-    data["comparisons"] = comparisons(study, table)
+    data["trajectories"] = best_run_trajectories(study, table)
+    data["pictures"] = best_run_pictures(study, table)
+    data["comparisons"] = best_run_comparisons(study, table)
     data["slider"] = slider_settings(table)
     data["look"] = LOOK
     return data
@@ -121,15 +121,15 @@ def slider_settings(table: pd.DataFrame) -> dict[str, Any] | None:
         others = [other for other in settings if other != name]
         numbers = swept_numbers(table[runs_like_the_best(table, others)], name)
         if len(numbers) > 1:
-            title = column_words(name).partition(" (")[0]
+            title = printed_column_name(name).partition(" (")[0]
             runs = numbers.index.tolist()
-            same = same_settings(table, others)
+            same = shared_settings_text(table, others)
             notes = [slider_note(row_as_record(table.loc[run]), name, same) for run in runs]
             return {"title": title, "runs": runs, "values": numbers.tolist(), "notes": notes}
     return None
 
 
-def same_settings(table: pd.DataFrame, names: list[str]) -> str:
+def shared_settings_text(table: pd.DataFrame, names: list[str]) -> str:
     """Text of the settings that all runs of the slider share, such as `, with seed 1`."""
     record = row_as_record(table.iloc[0])
     parts = [f"{plain_setting_name(name)} {setting_text(record, name)}" for name in names]
@@ -166,15 +166,15 @@ def swept_numbers(table: pd.DataFrame, name: str) -> pd.Series:
     return numbers[~is_repeated].sort_values()
 
 
-def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
+def page_texts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """Text blocks of the page's HTML."""
     parts: dict[str, Any] = {"title": study.name}
     parts["question"] = page_title(table)
     counts = verdict_counts(table)
-    parts["swept"] = f"{subject_words(table)}{counts}. {parameters_line(table)}"
+    parts["swept"] = f"{plants_and_data_text(table)}{counts}. {parameters_line(table)}"
     parts["several"] = len(table) > 1
-    parts["answers"] = answers(table)
-    parts["provenance"] = provenance(study, table)
+    parts["answers"] = question_answers(table)
+    parts["provenance"] = provenance_lines(study, table)
     parts["configuration"] = configuration_text(study)
     parts["failures"] = failure_groups(table)
     parts["most_reasons"] = MOST_REASONS
@@ -182,22 +182,22 @@ def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     parts["names"] = text_column(table, "run").tolist()
     if len(table):
         first = row_as_record(table.iloc[0])
-        parts["introduction"] = introduction(table)
+        parts["introduction"] = best_run_rule(table)
         parts["settings"] = settings_line(table)
-        parts["runner_up"] = runner_up(table)
-        parts["cards"] = outcome_cards(first, shown_loop(study, first))
-        parts["remarks"] = list(remarks(first))
+        parts["runner_up"] = choose_runner_up(table)
+        parts["cards"] = outcome_cards(first, loop_facts(study, first))
+        parts["remarks"] = list(outcome_remarks(first))
     return parts
 
 
-def shown_loop(study: StudyFolder, record: dict[str, Any]) -> ShownLoop | None:
+def loop_facts(study: StudyFolder, record: dict[str, Any]) -> ShownLoop | None:
     """Facts on the closed loop of a run; None if the run left no recording of it."""
     name = record.get("run")
     recording = study.run(name).closed_loop if name else None
     return None if recording is None else ShownLoop.from_recording(recording)
 
 
-def subject_words(table: pd.DataFrame) -> str:
+def plants_and_data_text(table: pd.DataFrame) -> str:
     """Text on the plants and the data of a study. Data: simulated. `."""
     plants = text_column(table, "plant").map(choice_label)
     sources = text_column(table, "data_source")
@@ -217,7 +217,7 @@ def configuration_text(study: StudyFolder) -> str:
     return config.read_text() if config.is_file() else ""
 
 
-def provenance(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str, str]]:
+def provenance_lines(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str, str]]:
     """Lines on where the runs were computed, with several values where the runs disagree."""
     facts = []
     for name in PROVENANCE:
@@ -247,7 +247,7 @@ def run_address(study: StudyFolder, name: str) -> tuple[str, str]:
 
 def page_title(table: pd.DataFrame) -> str:
     """Title of the page as a question, such as `What changes with the model order?`."""
-    varied = [setting_words(name) for name in swept_settings(table)]
+    varied = [setting_text_in_sentence(name) for name in swept_settings(table)]
     if len(varied) > 1 and varied[-1] == "the seed":  # what the mean is taken over
         varied = varied[:-1]
     words = varied[-1] if varied else ""
@@ -256,17 +256,17 @@ def page_title(table: pd.DataFrame) -> str:
     return f"What changes with {words}?"
 
 
-def setting_words(name: str) -> str:
+def setting_text_in_sentence(name: str) -> str:
     """Text for a swept setting in a sentence, without its unit."""
-    without_unit = column_words(name).partition(" (")[0]
+    without_unit = printed_column_name(name).partition(" (")[0]
     word = without_unit.partition(",")[0].lower()
     return word if FURTHER.matches_name(name) else f"the {word}"
 
 
 def sort_for_page(table: pd.DataFrame) -> pd.DataFrame:
     """Table with the best run first and with all columns that the plots need."""
-    table = best_first(table).reset_index(drop=True)
-    table = table.assign(verdict=verdicts(table))
+    table = sort_best_first(table).reset_index(drop=True)
+    table = table.assign(verdict=verdict_words(table))
     lower = numeric_column(table, "input_slope_lower")
     upper = numeric_column(table, "input_slope_upper")
     ratio = lower / upper
@@ -297,7 +297,7 @@ def _plain_json(value: Any) -> Any:
     return value if isinstance(value, (bool, int)) else str(value)
 
 
-def trajectories(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
+def best_run_trajectories(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """Closed-loop trajectories of the best runs, keyed by the name of the run. Only runs that left
     recordings have them."""
     by_run = {}
@@ -308,7 +308,7 @@ def trajectories(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     return by_run
 
 
-def pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
+def best_run_pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """Pictures of the best few runs, keyed by the name of the run. Each picture takes 50 kB and a
     second or two."""
     by_run = {}
@@ -319,7 +319,7 @@ def pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     return by_run
 
 
-def comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
+def best_run_comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """Comparisons of controllers for the best runs that have one, keyed by the name of the run.
     Each is a table or a chart."""
     best = set(text_column(table, "run").head(MOST_TRAJECTORIES))

@@ -7,7 +7,12 @@ from typing import Any
 
 import pandas as pd
 
-from ssm_study.report.page.first_screen import REASONS, reasons, record_verdict, row_as_record
+from ssm_study.report.page.first_screen import (
+    REASONS,
+    failure_reasons,
+    record_verdict,
+    row_as_record,
+)
 from ssm_study.report.words import IDENTIFIED, LOST, NO_FASTER, SETTLED, UNTRIED
 
 MOST_REASONS = 40
@@ -38,7 +43,7 @@ def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
         record = row_as_record(needed.iloc[place])
         sentence = f"{record['verdict']}: {failure_reason(record)}"
         groups.setdefault(NUMBER.sub("#", sentence), []).append((place, sentence))
-    worst_first = sorted(groups, key=lambda sentence: (severity(sentence), sentence))
+    worst_first = sorted(groups, key=lambda sentence: (outcome_severity(sentence), sentence))
     return [make_failure_group(groups[sentence]) for sentence in worst_first]
 
 
@@ -50,7 +55,7 @@ def make_failure_group(runs: list[tuple[int, str]]) -> FailureGroup:
     return FailureGroup(reason=reason, count=len(runs), places=places)
 
 
-def severity(sentence: str) -> int:
+def outcome_severity(sentence: str) -> int:
     """Severity of the outcome that a sentence states, for sorting groups of failures."""
     return next((k for k, word in enumerate(SEVERITY) if sentence.startswith(word)), -1)
 
@@ -63,7 +68,7 @@ def failure_reason(record: dict[str, Any]) -> str:
         settled_count = record.get("stable_count") or 0
         starts = record.get("initial_conditions") or 0
         return f"{settled_count:.0f} of {starts:.0f} starts settle"
-    return " ".join(reasons(record)) or "no reason was recorded"
+    return " ".join(failure_reasons(record)) or "no reason was recorded"
 
 
 def merge_number_ranges(sentences: Sequence[str]) -> str:
@@ -72,11 +77,11 @@ def merge_number_ranges(sentences: Sequence[str]) -> str:
     texts = [NUMBER.findall(sentence) for sentence in sentences]
     columns = iter(zip(*texts, strict=True))
 
-    def number_range(match: re.Match[str]) -> str:
+    def range_of_numbers(match: re.Match[str]) -> str:
         """Text of the range that replaces one number in the merged sentence."""
         column = next(columns)
         low = min(column, key=float)
         high = max(column, key=float)
         return match[0] if float(low) == float(high) else f"{low} to {high}"
 
-    return NUMBER.sub(number_range, sentences[0])
+    return NUMBER.sub(range_of_numbers, sentences[0])

@@ -9,15 +9,21 @@ import pandas as pd
 
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
 from ssm_study.report.outcome import (
-    exceeds_coverage,
-    fresh_data_words,
+    fresh_data_exceed_coverage,
+    fresh_data_text,
     loop_place,
-    pi_words,
-    refit_words,
+    pi_comparison_text,
+    refit_text,
 )
 from ssm_study.report.page.card import Card, Record
-from ssm_study.report.page.proof_card import ShownLoop, proved_card, start_words
-from ssm_study.report.words import SETTLED, VERDICTS, Verdict, column_words, digits_beside_bound
+from ssm_study.report.page.proof_card import ShownLoop, certified_rates_card, proved_starts_text
+from ssm_study.report.words import (
+    SETTLED,
+    VERDICTS,
+    Verdict,
+    format_beside_bound,
+    printed_column_name,
+)
 from ssm_study.table.columns import swept_settings
 
 SUPPORT = {
@@ -44,7 +50,7 @@ def row_as_record(row: "pd.Series[Any]") -> dict[str, Any]:
     return {str(name): None if pd.isna(value) else value for name, value in row.items()}
 
 
-def introduction(table: pd.DataFrame) -> str:
+def best_run_rule(table: pd.DataFrame) -> str:
     """Text that states the rule by which the best run is chosen."""
     record = row_as_record(table.iloc[0])
     if len(table) == 1:
@@ -67,7 +73,7 @@ def settings_line(table: pd.DataFrame) -> str:
 
 def plain_setting_name(name: str) -> str:
     """Printed name of a setting in lower case, without symbol and unit."""
-    return re.sub(r"[ ,]*[(,ρ].*", "", column_words(name)).lower()
+    return re.sub(r"[ ,]*[(,ρ].*", "", printed_column_name(name)).lower()
 
 
 def setting_text(record: Record, name: str) -> str:
@@ -85,9 +91,9 @@ def outcome_cards(record: Record, loop: ShownLoop | None = None) -> list[Card]:
     them."""
     built = [
         model_card(record),
-        proved_card(record, loop),
+        certified_rates_card(record, loop),
         predicted_card(record),
-        seen_card(record, loop),
+        closed_loop_card(record, loop),
     ]
     return [card for card in built if card is not None]
 
@@ -121,13 +127,13 @@ def predicted_card(record: Record) -> Card | None:
     text = f"stability margin (above 1 is needed): {word}"
     radius = record.get("controller_radius")
     if radius is not None:
-        spectral = digits_beside_bound(radius)
+        spectral = format_beside_bound(radius)
         text += f"; spectral radius of the controller {spectral} (below 1 is needed)"
-    text += refit_words(record)
-    return Card(title=title, number=digits_beside_bound(margin), text=text)
+    text += refit_text(record)
+    return Card(title=title, number=format_beside_bound(margin), text=text)
 
 
-def seen_card(record: Record, loop: ShownLoop | None = None) -> Card | None:
+def closed_loop_card(record: Record, loop: ShownLoop | None = None) -> Card | None:
     """Card that says how many initial states settled, how fast, and how a PI controller does."""
     count = record.get("stable_count")
     if count is None:
@@ -140,21 +146,21 @@ def seen_card(record: Record, loop: ShownLoop | None = None) -> Card | None:
     if alone_s is not None:
         text += f"; uncontrolled in {alone_s:.3g} s"
     if record.get("stable_count_pi") is not None:
-        text += f"; a PI tuned from the same model: {pi_words(record)}"
+        text += f"; a PI tuned from the same model: {pi_comparison_text(record)}"
     number = f"{count:.0f} of {record.get('initial_conditions'):.0f}"
-    lines = tuple(filter(None, [start_words(record, loop)]))
-    title = f"Seen on the {seen_place(record)}"
+    lines = tuple(filter(None, [proved_starts_text(record, loop)]))
+    title = f"Seen on the {loop_place_text(record)}"
     return Card(title=title, number=number, text=text, lines=lines)
 
 
-def seen_place(record: Record) -> str:
+def loop_place_text(record: Record) -> str:
     """Short text that says where the loop was closed."""
     return loop_place(record).replace("identified model", "model")
 
 
 def is_loop_closed_on_model(record: Record) -> bool:
     """Whether the loop was closed on the identified model, because a log has no plant."""
-    return seen_place(record) == "model"
+    return loop_place_text(record) == "model"
 
 
 def record_verdict(record: Record) -> Verdict:
@@ -162,7 +168,7 @@ def record_verdict(record: Record) -> Verdict:
     return next(verdict for verdict in VERDICTS if verdict.word == record["verdict"])
 
 
-def reasons(record: Record) -> list[str]:
+def failure_reasons(record: Record) -> list[str]:
     """Reasons why a run is infeasible, not certified or failed, from its record.
 
     The verdict stands before them, so an infeasible rate is not called infeasible once more.
@@ -171,15 +177,15 @@ def reasons(record: Record) -> list[str]:
     return [text.replace(" is infeasible: ", ": ", 1) for text in texts]
 
 
-def remarks(record: Record) -> Iterator[Remark]:
+def outcome_remarks(record: Record) -> Iterator[Remark]:
     """Remarks on a run that is no success, and on the evidence behind its prediction."""
     verdict = record_verdict(record)
     if verdict != SETTLED:
-        sentences = [f"{verdict.word}: {verdict.sentence}", *reasons(record)]
+        sentences = [f"{verdict.word}: {verdict.sentence}", *failure_reasons(record)]
         yield Remark(title="Outcome", text=join_sentences(sentences), is_warning=True)
-    if exceeds_coverage(record):
+    if fresh_data_exceed_coverage(record):
         sentence = "Data that neither fit nor design has used show a larger model error than the "
-        sentence += f"proof covers{fresh_data_words(record).replace(';', ':', 1)}."
+        sentence += f"proof covers{fresh_data_text(record).replace(';', ':', 1)}."
         yield Remark(title="Fresh data", text=sentence, is_warning=True)
     evidence = record.get("evidence")
     if evidence:

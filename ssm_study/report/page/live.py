@@ -51,7 +51,7 @@ class LivePage:
     def page(self) -> str:
         """HTML of the page, with a script that asks for the new state every two seconds."""
         with self.lock:
-            mark = self.current_mark()
+            mark = self.study_state_mark()
             if mark != self.mark and record_marks(self.study):
                 gather(self.study)
                 self.html = write_page(self.study).read_text(encoding="utf-8")
@@ -59,7 +59,7 @@ class LivePage:
             allowed = self.html.replace(POLICY, f"{POLICY}; connect-src 'self'", 1)
             return allowed + SCRIPT
 
-    def current_mark(self) -> str:
+    def study_state_mark(self) -> str:
         """Text that changes whenever a record of the study changes."""
         marks = sorted((name, *mark) for name, mark in record_marks(self.study).items())
         return str(hash(tuple(marks)))
@@ -71,7 +71,7 @@ class LivePage:
         counts = Counter(str(record["status"]) for record in records if record is not None)
         progress_text = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
         return {
-            "mark": self.current_mark(),
+            "mark": self.study_state_mark(),
             "line": f"Live: {counts.total()} runs: {progress_text or 'none yet'}",
         }
 

@@ -7,7 +7,13 @@ from jaxtyping import Bool, Float, Int
 
 from ssm_study.api.pictures.picture import Band, GuideLine, Picture, PicturePanel, Series, Values
 from ssm_study.report.figures import caption
-from ssm_study.report.page.chart_looks import DASH, STROKES, Spec, framed, quantitative
+from ssm_study.report.page.chart_looks import (
+    DASH,
+    STROKES,
+    Spec,
+    framed_specification,
+    quantitative_axis,
+)
 from ssm_study.report.run_pictures import PICTURES, picture_of_run
 from ssm_study.report.study_folder import NothingToDraw, RunFolder
 from ssm_study.style import INK
@@ -51,7 +57,7 @@ def picture_json(name: str, picture: Picture) -> Spec:
     charts = []
     for panel in picture.panels:
         if panel.series:
-            description = f"{picture.title}: {axes_words(panel)}"
+            description = f"{picture.title}: {axes_text(panel)}"
             spec = panel_spec(panel, description)
             legend = legend_entries(panel)
             charts.append({"title": panel.title, "legend": legend, "spec": spec})
@@ -60,7 +66,7 @@ def picture_json(name: str, picture: Picture) -> Spec:
     return content
 
 
-def axes_words(panel: PicturePanel) -> str:
+def axes_text(panel: PicturePanel) -> str:
     """Text that names the two axes of a panel, such as `y against x`."""
     return f"{panel.y_label} against {panel.x_label}"
 
@@ -75,15 +81,15 @@ def panel_spec(panel: PicturePanel, description: str) -> Spec:
     if panel.equal:
         spec["width"] = SQUARE
         spec["height"] = SQUARE
-    return framed(spec, description)
+    return framed_specification(spec, description)
 
 
 def panel_axes(panel: PicturePanel) -> Spec:
     """Vega-Lite axes of a panel, with their scales."""
     x_scale = axis_scale(panel.log_x, panel.x_range)
     y_scale = axis_scale(panel.log_y, panel.y_range)
-    x = quantitative("x", panel.x_label, **x_scale)
-    y = quantitative("y", panel.y_label, **y_scale)
+    x = quantitative_axis("x", panel.x_label, **x_scale)
+    y = quantitative_axis("y", panel.y_label, **y_scale)
     return {"x": x, "y": y}
 
 
@@ -160,7 +166,7 @@ def band_layer(band: Band, panel: PicturePanel, axes: Spec) -> Spec:
     """Vega-Lite layer of a shaded area, cut to the visible range and thinned like a line."""
     x, low = cut_to_range(band.x, band.low, panel.x_range)
     _, high = cut_to_range(band.x, band.high, panel.x_range)
-    every = _stride(len(x))
+    every = _line_stride(len(x))
     values = {"x": short_numbers(x[::every])}
     values["y"] = short_numbers(low[::every])
     values["y2"] = short_numbers(high[::every])
@@ -221,7 +227,7 @@ def starts_of_gaps(is_seen: Bool[np.ndarray, "T"]) -> Bool[np.ndarray, "T"]:
     return previous & ~is_seen
 
 
-def _stride(points: int) -> int:
+def _line_stride(points: int) -> int:
     """Step by which the points of a long line are thinned."""
     stride = math.ceil(points / MOST_POINTS)
     return max(1, stride)

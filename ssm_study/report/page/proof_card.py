@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ssm_study.api.summaries import round_rate_down
 from ssm_study.evidence.finding import CANNOT_JUDGE
-from ssm_study.report.outcome import exceeds_coverage, fresh_data_words, refit_words
+from ssm_study.report.outcome import fresh_data_exceed_coverage, fresh_data_text, refit_text
 from ssm_study.report.page.card import Card, Record
 from ssm_study.study.recordings import RecordedCases
 
@@ -38,13 +38,13 @@ class ShownLoop:
             step_s=recording.step_s("output"),
         )
 
-    def count_inside(self, lower: float, upper: float) -> int:
+    def count_starts_inside(self, lower: float, upper: float) -> int:
         """Number of starts all of whose outputs lie in a range."""
         is_inside = (self.initial_outputs >= lower) & (self.initial_outputs <= upper)
         return int(is_inside.all(axis=1).sum())
 
 
-def proved_card(record: Record, loop: ShownLoop | None = None) -> Card | None:
+def certified_rates_card(record: Record, loop: ShownLoop | None = None) -> Card | None:
     """Card with the certified rates and the model error that they cover, or with the largest
     certifiable rate."""
     rate = record.get("controller_certified_rate")
@@ -55,13 +55,13 @@ def proved_card(record: Record, loop: ShownLoop | None = None) -> Card | None:
     if rate is None:
         return None
     if record.get("controller_certified") and record.get("observer_certified"):
-        lines = (rate_line(record, rate, loop), coverage_words(record), limit_line(record, loop))
+        lines = (rate_line(record, rate, loop), coverage_sentence(record), limit_line(record, loop))
         return Card(
             title=TITLE,
             number=round_rate_down(rate),
             text="certified rate per sample (Theorem 1)",
             lines=tuple(filter(None, lines)),
-            not_covered=tuple(exclusions(record, loop)),
+            not_covered=tuple(unproved_statements(record, loop)),
         )
     if limit is None:
         return Card(title=TITLE, number="nothing", text="there is no certificate")
@@ -80,21 +80,21 @@ def rate_line(record: Record, rate: float, loop: ShownLoop | None) -> str:
     return f"Under control, {shrinking}, their squares by the rate{also}"
 
 
-def coverage_words(record: Record) -> str:
+def coverage_sentence(record: Record) -> str:
     """Sentence on the model error that the proof covers. Below one it covers nothing."""
     coverage = record.get("coverage")
     if coverage is None or record.get("evidence") == CANNOT_JUDGE:
         return ""
     if coverage < 1:
         return "The model error that the records show is not covered"
-    covered = f"A model error {covered_times(coverage)} times as large as the records show is "
-    covered += f"covered, at every frequency above zero{refit_words(record)}"
-    if exceeds_coverage(record):  # a remark of its own says so
+    covered = f"A model error {coverage_text(coverage)} times as large as the records show is "
+    covered += f"covered, at every frequency above zero{refit_text(record)}"
+    if fresh_data_exceed_coverage(record):  # a remark of its own says so
         return covered
-    return covered + fresh_data_words(record)
+    return covered + fresh_data_text(record)
 
 
-def covered_times(coverage: float) -> str:
+def coverage_text(coverage: float) -> str:
     """Text of a coverage as a number, rounded down."""
     return f"{math.floor(100 * coverage) / 100:.2f}"
 
@@ -126,45 +126,45 @@ def limit_line(record: Record, loop: ShownLoop | None) -> str:
     )
 
 
-def exclusions(record: Record, loop: ShownLoop | None) -> list[str]:
+def unproved_statements(record: Record, loop: ShownLoop | None) -> list[str]:
     """Short list of statements that the proof does not make."""
     coverage = record.get("coverage")
     excluded = ["the plant: how far it differs from the model is not in the proof"]
-    is_judged = bool(coverage_words(record))
+    is_judged = bool(coverage_sentence(record))
     is_covered = coverage is not None and coverage >= 1 and is_judged
     if coverage is not None and is_covered:
-        times = covered_times(coverage)
+        times = coverage_text(coverage)
         excluded = [
             f"a plant whose error in the loop exceeds {times} times what the records show",
             "a steady offset (frequency zero), such as friction leaves",
         ]
     start_range = limited_start_range(record)
     if start_range is not None:
-        excluded.append(f"with the input limited, {outside_words(start_range, loop)}")
+        excluded.append(f"with the input limited, {unproved_starts_text(start_range, loop)}")
     excluded.append("how far noise and disturbances move the output")
     if is_covered:
         excluded.append("other set points of the plant: what is proved is that it comes to rest")
     return excluded
 
 
-def outside_words(start_range: tuple[float, float], loop: ShownLoop | None) -> str:
+def unproved_starts_text(start_range: tuple[float, float], loop: ShownLoop | None) -> str:
     """Text on the initial states outside the range that is proved under an input limit."""
     first, last = start_range
     words = f"starts outside {first:.3g} to {last:.3g}"
     if loop is None:
         return words
     total = len(loop.initial_outputs)
-    outside = total - loop.count_inside(*start_range)
+    outside = total - loop.count_starts_inside(*start_range)
     return f"{words} {loop.output_unit}: {outside} of the {total} shown"
 
 
-def start_words(record: Record, loop: ShownLoop | None) -> str:
+def proved_starts_text(record: Record, loop: ShownLoop | None) -> str:
     """Line on how many of the shown initial states lie in the range that is proved with a limited
     input."""
     start_range = limited_start_range(record)
     if start_range is None or loop is None or not record.get("controller_certified"):
         return ""
-    inside = loop.count_inside(*start_range)
+    inside = loop.count_starts_inside(*start_range)
     total = len(loop.initial_outputs)
     verb = "lies" if inside == 1 else "lie"
     words = f"{inside} of the {total} starts {verb} where the proof holds with a limited input"

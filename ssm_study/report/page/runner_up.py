@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from ssm_study.report.page.first_screen import row_as_record
-from ssm_study.report.words import SETTLED, digits_beside_bound
+from ssm_study.report.words import SETTLED, format_beside_bound
 from ssm_study.table.columns import numeric_column, text_column
 from ssm_study.table.rank import predicted_stable
 
@@ -21,7 +21,7 @@ class RunnerUp:
     text: str
 
 
-def runner_up(table: pd.DataFrame) -> RunnerUp | None:
+def choose_runner_up(table: pd.DataFrame) -> RunnerUp | None:
     """Fastest run with at least twice the best run's stability margin, otherwise with at most half
     its gain.
 
@@ -37,7 +37,7 @@ def runner_up(table: pd.DataFrame) -> RunnerUp | None:
         places = table.index[eligible & is_robust]
         if len(places):
             place = int(places[0])
-            return RunnerUp(place=place, text=comparison_words(table, place))
+            return RunnerUp(place=place, text=comparison_text(table, place))
     return None
 
 
@@ -51,13 +51,13 @@ def eligible_runs(table: pd.DataFrame) -> "pd.Series[bool]":
     return is_settled & predicted_stable(table) & is_alike
 
 
-def comparison_words(table: pd.DataFrame, place: int) -> str:
+def comparison_text(table: pd.DataFrame, place: int) -> str:
     """Text that compares a run with the best run in settling time, stability margin and gain."""
     own = row_as_record(table.iloc[place])
     best = row_as_record(table.iloc[0])
     time_s = f"{own['settling_time_mean_s']:.3g} s"
-    own_margin = digits_beside_bound(own["resolved_margin"])
-    best_margin = digits_beside_bound(best["resolved_margin"])
+    own_margin = format_beside_bound(own["resolved_margin"])
+    best_margin = format_beside_bound(best["resolved_margin"])
     margins = f"stability margin {own_margin} (best run: {best_margin})"
     own_gain = f"{own['controller_gain_norm']:.3g}"
     gains = f"gain {own_gain} ({best['controller_gain_norm']:.3g})"

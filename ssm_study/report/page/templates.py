@@ -4,8 +4,13 @@ import json
 
 import pandas as pd
 
-from ssm_study.report.page.chart_looks import Spec, framed, horizontal_legend, quantitative
-from ssm_study.report.words import VERDICTS, column_words
+from ssm_study.report.page.chart_looks import (
+    Spec,
+    framed_specification,
+    horizontal_legend,
+    quantitative_axis,
+)
+from ssm_study.report.words import VERDICTS, printed_column_name
 from ssm_study.style import BLUE, CYCLE, GREY, INK, PALE
 from ssm_study.table.columns import numeric_column, swept_settings
 
@@ -35,7 +40,7 @@ def chart_templates(table: pd.DataFrame) -> Spec:
     only if it has something to show."""
     charts = {"responses": response_chart()}
     charts["signals"] = signal_chart()
-    charts["played"] = played_response_chart()
+    charts["played"] = animated_response_chart()
     parallel = parallel_coordinates(table)
     if parallel is not None:
         charts["parallel"] = parallel
@@ -44,8 +49,8 @@ def chart_templates(table: pd.DataFrame) -> Spec:
 
 def time_axes() -> Spec:
     """Vega-Lite axes for values over time, whose range need not include zero."""
-    x = quantitative("t", TIME)
-    y = quantitative("value", None, zero=False, nice=False)
+    x = quantitative_axis("t", TIME)
+    y = quantitative_axis("value", None, zero=False, nice=False)
     return {"x": x, "y": y}
 
 
@@ -64,7 +69,7 @@ def response_chart() -> Spec:
     by_rank: Spec = {"field": "rank", "type": "ordinal", "legend": None}
     by_rank["scale"] = {"scheme": "viridis"}
     lines = line_layer(by_rank)
-    return framed({"layer": [BAND, lines]}, "")
+    return framed_specification({"layer": [BAND, lines]}, "")
 
 
 def signal_chart() -> Spec:
@@ -73,16 +78,16 @@ def signal_chart() -> Spec:
     by_name["scale"] = {"range": [GREY, *CYCLE]}  # what was measured first
     by_name["legend"] = horizontal_legend(3, 220)
     lines = line_layer(by_name)
-    return framed({"layer": [BAND, lines]}, "")
+    return framed_specification({"layer": [BAND, lines]}, "")
 
 
-def played_response_chart() -> Spec:
+def animated_response_chart() -> Spec:
     """Chart of a single response that the page can animate. It shows one initial state under
     control, up to a moment that a slider or the button moves."""
     params = [slider_parameter("start", "Start "), slider_parameter("moment", "Time (s) ")]
-    layers = [layer_over_time(part) for part in played_parts()]
+    layers = [layer_over_time(part) for part in animated_response_layers()]
     chart = {"params": params, "layer": [BAND, *layers]}
-    return framed(chart, "One start under control, played")
+    return framed_specification(chart, "One start under control, played")
 
 
 def slider_parameter(name: str, words: str) -> Spec:
@@ -91,7 +96,7 @@ def slider_parameter(name: str, words: str) -> Spec:
     return {"name": name, "value": 0, "bind": slider}
 
 
-def played_parts() -> list[Spec]:
+def animated_response_layers() -> list[Spec]:
     """Parts of the animated response: the whole line, the line so far, and the present point."""
     of_start = {"filter": "datum.case === start"}
     until_moment = {"filter": "datum.t <= moment"}
@@ -115,28 +120,28 @@ def layer_over_time(part: Spec) -> Spec:
 def parallel_coordinates(table: pd.DataFrame) -> Spec | None:
     """Parallel-coordinates chart with one line per run over the swept settings and four results;
     None with too few or too many runs. Each axis runs from its smallest to its largest value."""
-    names = parallel_columns(table)
+    names = parallel_coordinate_columns(table)
     if len(names) < FEWEST_AXES or len(table) > MOST_PARALLEL:
         return None
     x = parallel_axis(names)
-    fold = fold_columns(names)
+    fold = unpivot_columns(names)
     layers = [parallel_lines(fold, x, len(table))]
-    layers += [end_label(end, fold, x) for end in ENDS]
-    listed = ", ".join(map(column_words, names))
+    layers += [axis_end_label(end, fold, x) for end in ENDS]
+    listed = ", ".join(map(printed_column_name, names))
     description = f"All runs over {listed}: one line per run"
     spec: Spec = {"data": ROWS, "layer": layers}
     spec["usermeta"] = {"fields": names}
-    return framed(spec, description, PARALLEL_HEIGHT)
+    return framed_specification(spec, description, PARALLEL_HEIGHT)
 
 
-def parallel_columns(table: pd.DataFrame) -> list[str]:
+def parallel_coordinate_columns(table: pd.DataFrame) -> list[str]:
     """Swept settings and results in which the runs of a table differ."""
     candidates = (*swept_settings(table), *PARALLEL)
     present = [name for name in candidates if name in table]
     return [name for name in present if numeric_column(table, name).nunique() > 1]
 
 
-def fold_columns(names: list[str]) -> list[Spec]:
+def unpivot_columns(names: list[str]) -> list[Spec]:
     """Vega-Lite transform to long form: one row for each run and column."""
     fold = {"fold": names, "as": ["key", "value"]}
     known_filter = {"filter": "isValid(datum.value) && isNumber(datum.value)"}
@@ -165,7 +170,7 @@ def aggregate_value(operation: str) -> Spec:
 
 def parallel_axis(names: list[str]) -> Spec:
     """Axis of a parallel-coordinates chart, with one place for each column."""
-    titles = {name: column_words(name).partition(" (")[0] for name in names}
+    titles = {name: printed_column_name(name).partition(" (")[0] for name in names}
     written_titles = json.dumps(titles)
     axis: Spec = {"labelExpr": f"({written_titles})[datum.value]"}
     axis["labelAngle"] = -20
@@ -178,7 +183,7 @@ def parallel_axis(names: list[str]) -> Spec:
     return x
 
 
-def end_label(end: str, fold: list[Spec], x: Spec) -> Spec:
+def axis_end_label(end: str, fold: list[Spec], x: Spec) -> Spec:
     """Vega-Lite layer with the number at one end of each axis of a parallel-coordinates chart."""
     aggregate = {"aggregate": [aggregate_value(end)], "groupby": ["key"]}
     mark = {"type": "text", "dx": 6, "align": "left", "fontSize": 10, "color": INK}

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from ssm_study.durable import write_atomically
 from ssm_study.refusal import BadRequest
-from ssm_study.report.answers import answers
-from ssm_study.report.page.data import page_data, sort_for_page, written_parts
+from ssm_study.report.answers import question_answers
+from ssm_study.report.page.data import page_data, page_texts, sort_for_page
 from ssm_study.report.page.templates import chart_templates
 from ssm_study.report.study_folder import StudyFolder
 
@@ -31,9 +31,9 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
 
         from ssm_study.report.page.charts import (
             EXPLORER,
-            groups_specification,
-            panels,
-            specification,
+            group_chart_specification,
+            panel_specification,
+            plottable_panels,
         )
     except ImportError as error:
         remedy = "pip install 'ssm-study[report]'"
@@ -41,9 +41,9 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
     study = StudyFolder(folder=study_folder, others=others)
     table = sort_for_page(study.table)
     data = page_data(study) | {
-        "panels": panels(table, [answer.question for answer in answers(table)]),
-        "explorer": specification(EXPLORER, table),
-        "groups": groups_specification(),
+        "panels": plottable_panels(table, [answer.question for answer in question_answers(table)]),
+        "explorer": panel_specification(EXPLORER, table),
+        "groups": group_chart_specification(),
         "templates": chart_templates(table),
     }
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
@@ -52,7 +52,7 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
     files = {name: read_asset(name) for name in ("page.css", *SCRIPTS)}
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     html = environment.from_string(read_asset("page.html")).render(
-        **written_parts(study, table),
+        **page_texts(study, table),
         style=files["page.css"],
         data=text,
         library=_charting_library(),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from ssm_study.data.metrics import benchmark_rmse
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.models.metrics import Simulation, fit_columns
-from ssm_study.models.warm_start import piece_start_columns, simulate_validation_and_test
+from ssm_study.models.warm_start import initial_state_columns, simulate_validation_and_test
 from ssm_study.signals import DataSet
 from ssm_study.study.recordings import read_simulation, states_to_text, write_records
 from ssm_study.study.stages.files import write_json
@@ -68,7 +68,7 @@ def measure_score(simulated: ModelRun, data: DataSet, _: Trained) -> Facts:
     scores = benchmark_rmse(data, simulated.test.simulated) if "benchmark" in data.metadata else ()
     train = {"fit_train_percent": records_fit_percent(simulated.model, data.training, data)}
     fits = fit_columns(simulated.validation, simulated.test, scores)
-    return train | fits | piece_start_columns(simulated.model, data, simulated.test)
+    return train | fits | initial_state_columns(simulated.model, data, simulated.test)
 
 
 SCORE = Stage("score", compute_simulated, ModelRun, measure_score, SIMULATED)

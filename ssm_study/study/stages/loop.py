@@ -15,7 +15,7 @@ from ssm_study.study.loop_recordings import (
     NOISE_FREE,
     ON_MODEL,
     ON_PLANT,
-    loop_subject,
+    loop_place_label,
     read_experiment,
     write_experiment,
 )
@@ -48,7 +48,7 @@ def compute_loop(
         return None
     twin = IdentifiedPlant.from_model(model, data.inputs, data.outputs)
     on = plant or twin
-    loop_on = loop_subject(plant)
+    loop_on = loop_place_label(plant)
     stays_within_records = plant is None or design.inverts_input_map
     limited = loop.with_default_limits(data.training_inputs) if stays_within_records else loop
     experiment = limited.with_default_horizon(model)

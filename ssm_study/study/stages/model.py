@@ -67,7 +67,7 @@ def compute_model(
 def read_trained_model(folder: Path) -> Trained:
     """Read the model, with the duration of its training and the reason why the training ended."""
     facts = read_json(folder / "training.json")
-    return Trained(read_model(folder), members=read_members(folder), **facts)
+    return Trained(read_model(folder), members=read_averaged_models(folder), **facts)
 
 
 def measure_model(trained: Trained, data: DataSet) -> Facts:
@@ -84,7 +84,7 @@ def read_model(folder: Path) -> Any:
     return read_model_json(read_json(folder / "model.json"))
 
 
-def read_members(folder: Path) -> tuple[Any, ...]:
+def read_averaged_models(folder: Path) -> tuple[Any, ...]:
     """Models whose mean output is the prediction; empty if a single model is used."""
     path = folder / MEMBERS
     return tuple(read_model_json(each) for each in read_json(path)) if path.exists() else ()

@@ -37,7 +37,7 @@ def compute_synthesis(
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.decay_response import simulate_decays
     from ssm_study.synthesis.deployed import add_gain_certificates
-    from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, is_coverage_sought
+    from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, seeks_coverage
 
     model = bounded.model
     balls = certified_balls(model)
@@ -54,7 +54,7 @@ def compute_synthesis(
             method = method.with_input_limits(lower, upper)
     design = method.design(model, balls, data.validation, mismatch)
     design = add_gain_certificates(design, model, balls, ends)
-    if is_coverage_sought(model, getattr(synthesis, "cover", None), premise):
+    if seeks_coverage(model, getattr(synthesis, "cover", None), premise):
         design = add_coverage_certificate(design, model, balls, premise)
     design.save(folder / "certificate.json")
 
