@@ -80,7 +80,7 @@ def control(
     True
     """
     if isinstance(model, Model) and isinstance(model.simulator, Bilinear):
-        given = {"rate": rate, "observer_rate": observer_rate, "method": method}
+        given: dict[str, Any] = {"rate": rate, "observer_rate": observer_rate, "method": method}
         given |= {"slopes": slopes, "output_slopes": output_slopes}
         given |= {"overrides": overrides or None}
         return design_to_rest(model, given, input_limits, settings)

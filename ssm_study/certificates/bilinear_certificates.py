@@ -58,7 +58,8 @@ class RestCertificates:
             require(name in content, f"certificate.{name}", None, "is missing", AGAIN)
             gains[name] = convert_field(f"certificate.{name}", kind, content[name])
         reasons = content.get("reasons")
-        is_text = isinstance(reasons, dict) and all(isinstance(r, str) for r in reasons.values())
+        is_object = isinstance(reasons, dict)
+        is_text = is_object and all(isinstance(text, str) for text in reasons.values())
         require(is_text, "certificate.reasons", reasons, "is no object of texts", AGAIN)
         names = content.keys() - {*DIMENSIONS, "reasons"}
         for name in sorted(names):

@@ -36,10 +36,12 @@ from ssm_study.certificates.theorem import Blocks
 from ssm_study.certificates.theorems import bilinear_loop
 from ssm_study.certificates.theorems.bilinear_loop import (
     BilinearTheorem,
+    bounded_blocks,
     count_nodes,
     feedback_conditions,
     input_bound,
     matrix_at,
+    node_at,
     positive_numbers,
     width_of,
 )
@@ -62,19 +64,21 @@ class BilinearContraction(BilinearTheorem):
         conditions = feedback_conditions(of)
         count = count_nodes(of)
         for segment in range(count - 1):
-            width = width_of(of, segment)
-            change = matrix_at(of, segment + 1) - matrix_at(of, segment)
-            bound = width * width * of.variation * of.variation * of.p
+            before = matrix_at(of, segment)
+            change = matrix_at(of, segment + 1) - before
+            bound = width_of(of, segment) * of.variation
             label = f"variation on segment {segment + 1}"
-            conditions[label] = [[bound - change.T @ of.p @ change]]
+            conditions[label] = bounded_blocks(change, of.p, bound, of.p)
         reach = of.radius * of.gain_state
         conditions["input by state"] = input_bound(of, of.gain_state, of.p)
         conditions["metric"] = [[of.p]]
-        excess = of.factor - of.factor_controller - reach * of.variation
-        conditions["factor above that of the Jacobian"] = [[excess]]
+        slope = of.factor_controller + reach * of.variation
+        conditions["factor above that of the Jacobian"] = [[of.factor - slope]]
         conditions["factor below 1"] = [[1 - of.factor]]
-        conditions["lowest input"] = [[-of.nodes[:, :1] - reach]]
-        conditions["highest input"] = [[of.nodes[:, count - 1 : count] - reach]]
+        lowest = -node_at(of, 0)
+        conditions["lowest input"] = [[lowest - reach]]
+        highest = node_at(of, count - 1)
+        conditions["highest input"] = [[highest - reach]]
         names = ("factor_controller", "variation", "gain_state", "radius")
         return conditions | positive_numbers(of, *names)
 

@@ -61,9 +61,11 @@ class BilinearTheorem(Theorem, abstract=True):
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
         """Fields of the certificate that are matrices of the model."""
         model = context.system
-        data = {"nodes": model.nodes, "b_nodes": model.b, "c": model.c}
-        data["a_nodes"] = model.a.reshape(-1, model.order)
-        return {name: value for name, value in data.items() if name in vars(self)}
+        stacked = model.a.reshape(-1, model.order)
+        data = {"nodes": model.nodes, "a_nodes": stacked, "b_nodes": model.b}
+        if hasattr(self, "c"):
+            data["c"] = model.c
+        return data
 
     @staticmethod
     def required_ball(context: VerificationContext) -> JacobianBall:  # noqa: ARG004
@@ -110,53 +112,83 @@ class BilinearLoop(BilinearLoopTheorem):
 
 def count_nodes(of: Any) -> int:
     """Number of nodes."""
-    return int(of.nodes.shape[1])
+    _, count = of.nodes.shape
+    return int(count)
 
 
 def matrix_at(of: Any, node: int) -> Any:
     """Matrix A of a node."""
-    n = of.a_nodes.shape[1]
-    return of.a_nodes[node * n : (node + 1) * n, :]
+    rows = rows_of_node(of, node)
+    return of.a_nodes[rows, :]
+
+
+def rows_of_node(of: Any, node: int) -> slice:
+    """Rows that a node has in stacked matrices."""
+    _, n = of.a_nodes.shape
+    first = node * n
+    return slice(first, first + n)
+
+
+def node_at(of: Any, node: int) -> Any:
+    """Scaled input of a node."""
+    place = slice(node, node + 1)
+    return of.nodes[:, place]
 
 
 def width_of(of: Any, segment: int) -> Any:
     """Distance `D_k` between the nodes of a segment."""
-    return of.nodes[:, segment + 1 : segment + 2] - of.nodes[:, segment : segment + 1]
+    lower = node_at(of, segment)
+    upper = node_at(of, segment + 1)
+    return upper - lower
 
 
 def input_step(of: Any, segment: int) -> Any:
     """Step `b_{k+1} - b_k = D_k B_k` over a segment, as a column."""
-    return (of.b_nodes[segment + 1 : segment + 2, :] - of.b_nodes[segment : segment + 1, :]).T
+    lower = slice(segment, segment + 1)
+    upper = slice(segment + 1, segment + 2)
+    step = of.b_nodes[upper, :] - of.b_nodes[lower, :]
+    return step.T
 
 
 def shrinking(matrix: Any, metric: Any, factor: Any) -> Blocks:
     """Blocks that are positive definite exactly if a matrix shrinks the metric's norm by more than
     a factor. `X' P X < factor^2 P`, by its Schur complement."""
-    return [[factor * factor * metric, matrix.T @ metric], [metric]]
+    square = factor * factor
+    changed = matrix.T @ metric
+    return [[square * metric, changed], [metric]]
+
+
+def bounded_blocks(matrix: Any, outer: Any, bound: Any, metric: Any) -> Blocks:
+    """Block that is positive definite exactly if `X' Q X < bound^2 P`, Q the outer metric."""
+    square = bound * bound
+    changed = matrix.T @ outer
+    return [[square * metric - changed @ matrix]]
 
 
 def feedback_conditions(of: Any) -> dict[str, Blocks]:
     """Conditions of the state feedback, for each node and each segment; both sides times `D_k`."""
     conditions: dict[str, Blocks] = {}
-    for node in range(count_nodes(of)):
-        for segment in range(count_nodes(of) - 1):
-            width = width_of(of, segment)
-            closed = width * matrix_at(of, node) + input_step(of, segment) @ of.k
+    for segment in range(count_nodes(of) - 1):
+        width = width_of(of, segment)
+        fed_back = input_step(of, segment) @ of.k
+        factor = width * of.factor_controller
+        for node in range(count_nodes(of)):
+            closed = width * matrix_at(of, node)
+            closed = closed + fed_back
             label = f"state feedback at node {node + 1}, segment {segment + 1}"
-            conditions[label] = shrinking(closed, of.p, width * of.factor_controller)
+            conditions[label] = shrinking(closed, of.p, factor)
     return conditions
 
 
 def observer_conditions(of: Any) -> dict[str, Blocks]:
     """Conditions of the observer, one for each node."""
-    n = of.a_nodes.shape[1]
     conditions: dict[str, Blocks] = {}
     for node in range(count_nodes(of)):
-        gain = of.l_nodes[node * n : (node + 1) * n, :]
-        error_matrix = matrix_at(of, node) + gain @ of.c
-        conditions[f"observer at node {node + 1}"] = shrinking(
-            error_matrix, of.m, of.factor_observer
-        )
+        rows = rows_of_node(of, node)
+        injected = of.l_nodes[rows, :] @ of.c
+        error_matrix = matrix_at(of, node) + injected
+        label = f"observer at node {node + 1}"
+        conditions[label] = shrinking(error_matrix, of.m, of.factor_observer)
     return conditions
 
 
@@ -167,29 +199,32 @@ def coupling_conditions(of: Any) -> dict[str, Blocks]:
     for segment in range(count_nodes(of) - 1):
         width = width_of(of, segment)
         moved = input_step(of, segment) @ of.k
-        bound = width * width * of.coupling * of.coupling * of.m
-        conditions[f"coupling on segment {segment + 1}"] = [[bound - moved.T @ of.p @ moved]]
+        bound = width * of.coupling
+        label = f"coupling on segment {segment + 1}"
+        conditions[label] = bounded_blocks(moved, of.p, bound, of.m)
     return conditions
 
 
 def input_bound(of: Any, gain: Any, metric: Any) -> Blocks:
     """Block that is positive definite exactly if the gain bounds the input by a metric's norm."""
-    return [[gain * gain * metric - of.k.T @ of.k]]
+    one = np.eye(1)
+    return bounded_blocks(of.k, one, gain, metric)
 
 
 def cascade_conditions(of: Any) -> dict[str, Blocks]:
     """Conditions on the numbers by which the norms of state and error add up to one that
     shrinks."""
-    return {
-        "metric of the state": [[of.p]],
-        "metric of the error": [[of.m]],
-        "factor above that of the controller": [[of.factor - of.factor_controller]],
-        "factor above that of the observer": [
-            [of.weight * (of.factor - of.factor_observer) - of.coupling]
-        ],
-        "factor below 1": [[1 - of.factor]],
-        **positive_numbers(of, "factor_controller", "factor_observer", "coupling", "weight"),
-    }
+    names = ("factor_controller", "factor_observer", "coupling", "weight")
+    conditions = positive_numbers(of, *names)
+    conditions["metric of the state"] = [[of.p]]
+    conditions["metric of the error"] = [[of.m]]
+    above_controller = of.factor - of.factor_controller
+    conditions["factor above that of the controller"] = [[above_controller]]
+    above_observer = of.factor - of.factor_observer
+    excess = of.weight * above_observer
+    conditions["factor above that of the observer"] = [[excess - of.coupling]]
+    conditions["factor below 1"] = [[1 - of.factor]]
+    return conditions
 
 
 def positive_numbers(of: Any, *names: str) -> dict[str, Blocks]:
@@ -200,10 +235,14 @@ def positive_numbers(of: Any, *names: str) -> dict[str, Blocks]:
 def range_conditions(of: Any) -> dict[str, Blocks]:
     """Conditions that the input stays within the nodes from every start in the set."""
     conditions = positive_numbers(of, "radius", "gain_state", "gain_error")
-    count = count_nodes(of)
-    for name, limit in (("lowest", -of.nodes[:, :1]), ("highest", of.nodes[:, count - 1 : count])):
-        conditions[f"{name} input by state"] = [[limit - of.radius * of.gain_state]]
-        conditions[f"{name} input by error"] = [[of.weight * limit - of.radius * of.gain_error]]
+    by_state = of.radius * of.gain_state
+    by_error = of.radius * of.gain_error
+    last = count_nodes(of) - 1
+    limits = {"lowest": -node_at(of, 0), "highest": node_at(of, last)}
+    for name, limit in limits.items():
+        conditions[f"{name} input by state"] = [[limit - by_state]]
+        weighted = of.weight * limit
+        conditions[f"{name} input by error"] = [[weighted - by_error]]
     return conditions
 
 
@@ -212,16 +251,12 @@ def example_numbers(factor_controller: float) -> dict[str, Any]:
     A_i`."""
     one = np.ones((1, 1))
     a_nodes = np.array([[0.4], [0.5], [0.6]])
-    scalars = {"factor_observer": 0.2, "coupling": 0.25, "weight": 1.0, "factor": 0.5}
-    scalars |= {"gain_state": 0.3, "gain_error": 0.3, "radius": 3.0}
-    return scalars | {
-        "nodes": np.array([-1.0, 0.0, 1.0]),
-        "a_nodes": a_nodes,
-        "b_nodes": np.array([[-1.0], [0.0], [1.0]]),
-        "c": one,
-        "k": -0.2 * one,
-        "l_nodes": 0.1 - a_nodes,
-        "p": one,
-        "m": one,
-        "factor_controller": factor_controller,
-    }
+    nodes = np.array([-1.0, 0.0, 1.0])
+    numbers: dict[str, Any] = {"factor_observer": 0.2, "coupling": 0.25, "weight": 1.0}
+    numbers |= {"factor": 0.5, "factor_controller": factor_controller}
+    numbers |= {"gain_state": 0.3, "gain_error": 0.3, "radius": 3.0}
+    numbers |= {"nodes": nodes, "a_nodes": a_nodes, "b_nodes": nodes[:, None]}
+    numbers |= {"c": one, "p": one, "m": one}
+    numbers["k"] = -0.2 * one
+    numbers["l_nodes"] = 0.1 - a_nodes
+    return numbers
