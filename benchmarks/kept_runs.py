@@ -36,7 +36,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from ssm_study.renamed import WITHDRAWN_COLUMNS
+from ssm_study.withdrawn import WITHDRAWN_COLUMNS
 
 ROOT = Path(__file__).resolve().parents[1]
 OWN = "own_study"

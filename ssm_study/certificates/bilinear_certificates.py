@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.certificates.certificate import certificate_digest, read_certificate
-from ssm_study.certificates.theorem import AGAIN, Theorem, VerificationContext, convert_field
+from ssm_study.certificates.stored_fields import convert_field
+from ssm_study.certificates.theorem import AGAIN, Theorem, VerificationContext
 from ssm_study.refusal import BadRequest, require
 from ssm_study.systems import Balls, JacobianBall
 

@@ -17,14 +17,9 @@ from jaxtyping import Float
 
 from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import DUAL, Neurons, Problem, Solution, dual_system
-from ssm_study.certificates.theorem import (
-    AGAIN,
-    Blocks,
-    Theorem,
-    VerificationContext,
-    convert_field,
-    find_theorem,
-)
+from ssm_study.certificates.stored_fields import read_fields
+from ssm_study.certificates.theorem import AGAIN, Blocks, Theorem, VerificationContext, find_theorem
+from ssm_study.certificates.withdrawn_parts import TOLERANCE, is_withdrawn_part
 from ssm_study.refusal import BadRequest, require
 from ssm_study.systems import Gains, JacobianBall
 
@@ -255,13 +250,7 @@ OF_LIMITS = {
     "state_feedback_unlimited": "unlimited_start",
 }
 BESIDE |= dict.fromkeys(OF_LIMITS, "state_feedback")
-TOLERANCE = "tolerance"  # the disc on the input alone
 BESIDE[TOLERANCE] = "coverage"
-# Parts that 0.1 wrote and that nothing decides any more, each with its theorems: kept as they were
-# read, and never checked.
-WITHDRAWN_TOLERANCES = {"tolerance", "structured_tolerance"}
-WITHDRAWN_PARTS = {"noise": {"noise_gain"}, TOLERANCE: WITHDRAWN_TOLERANCES}
-WITHDRAWN_PARTS["tolerance_by_frequency"] = WITHDRAWN_TOLERANCES
 WITHDRAWN = "withdrawn in 0.2"
 
 
@@ -367,7 +356,7 @@ class Design:
         part, an unknown or missing field, or a malformed matrix."""
         for part in SIDES:
             require(part in content, f"certificate.{part}", None, "is missing", AGAIN)
-        withdrawn = {name: part for name, part in content.items() if _is_withdrawn(name, part)}
+        withdrawn = {name: part for name, part in content.items() if is_withdrawn_part(name, part)}
         claimed = [name for name in content if name not in withdrawn]
         parts = {name: read_certificate(name, content[name]) for name in claimed}
         sides = {name: parts.pop(name) for name in SIDES}
@@ -392,38 +381,19 @@ def certificate_digest(content: dict[str, Any]) -> str:
     return hashlib.sha256(canonical.encode()).hexdigest()
 
 
-def _is_withdrawn(label: str, content: Any) -> bool:
-    """Whether a part of `certificate.json` claims a theorem that no longer exists."""
-    named = content.get("theorem", label) if isinstance(content, dict) else None
-    return named in WITHDRAWN_PARTS.get(label, ())
-
-
 def read_certificate(label: str, content: dict[str, Any]) -> Any:
     """Construct a certificate from its stored fields by the theorem that it names. A part that
     names none belongs to the theorem of the part's own name."""
-    require(isinstance(content, dict), f"certificate.{label}", content, "is no object", AGAIN)
-    values = {
-        name: value for name, value in content.items() if name not in ("digest", "certified_rate")
-    }
+    where = f"certificate.{label}"
+    require(isinstance(content, dict), where, content, "is no object", AGAIN)
+    derived = ("digest", "certified_rate")
+    stored = {name: value for name, value in content.items() if name not in derived}
     part = BESIDE.get(label, label)
-    theorem = find_theorem(str(values.setdefault("theorem", part)))
-    fits = theorem.part == part and OF_LIMITS.get(label, theorem.name()) == theorem.name()
-    require(fits, f"certificate.{label}.theorem", theorem.name(), "is of another part", AGAIN)
-    feasible = values.pop("feasible", True)
+    theorem = find_theorem(str(stored.setdefault("theorem", part)))
+    name = theorem.name()
+    fits = theorem.part == part and OF_LIMITS.get(label, name) == name
+    require(fits, f"{where}.theorem", name, "is of another part", AGAIN)
+    feasible = stored.pop("feasible", True)
     kind: Any = theorem if feasible else Infeasible
-    values.pop("theorem" if feasible else "certified", None)
-    types = {part.name.rstrip("_"): part for part in fields(kind)}
-    for name in types.keys() ^ values.keys():
-        problem = "is missing" if name in types else "is not part of a certificate"
-        require(False, f"certificate.{label}.{name}", values.get(name), problem, AGAIN)
-    read = {n: convert_field(f"certificate.{label}.{n}", types[n].type, values[n]) for n in types}
-    # The size of each letter of a shape, and the field that has it first.
-    sizes = dict[str, tuple[int, str]]()
-    for name, matrix in read.items():
-        letters = getattr(types[name].type, "dim_str", "").split()
-        shape = np.shape(matrix)
-        for letter, size in zip(letters, shape, strict=True):
-            expected, first = sizes.setdefault(letter, (size, name))
-            problem = f"is to be {' by '.join(letters)}, and {letter} is {expected} in {first}"
-            require(size == expected, f"certificate.{label}.{name} (shape)", shape, problem, AGAIN)
-    return kind(**{types[n].name: value for n, value in read.items()})
+    stored.pop("theorem" if feasible else "certified", None)
+    return kind(**read_fields(where, kind, stored))

@@ -293,25 +293,3 @@ def find_theorem(name: str) -> type[Theorem]:
     problem = "is not a theorem that this installation has"
     require(bool(named_theorems), "certificate.theorem", name, problem, AGAIN)
     return named_theorems[-1]
-
-
-def convert_field(where: str, kind: Any, value: Any) -> Any:
-    """Convert a stored field to the type that the certificate declares for it. Raises `BadRequest`
-    for a value of another kind."""
-    if kind in (bool, str):
-        require(isinstance(value, kind), where, value, f"is not a {kind.__name__}", AGAIN)
-        return value
-    is_number = kind is float
-    refused = np.array(np.nan)
-    try:
-        entries = np.array(value, dtype=object)
-        # NumPy would read "0.5" and true
-        has_words = any(isinstance(entry, bool | str) for entry in entries.flat)
-        matrix = refused if has_words else entries.astype(float)
-    except (TypeError, ValueError, OverflowError):
-        matrix = refused
-    dimensions = 0 if is_number else len(kind.dim_str.split())
-    fits = matrix.ndim == dimensions and bool(np.isfinite(matrix).all())
-    noun = "number" if is_number else "matrix"
-    require(fits, where, value, f"is not a finite {noun}", AGAIN)
-    return float(value) if is_number else matrix

@@ -47,15 +47,17 @@ class Judgement:
     def level(self) -> str:
         """Gravest level among the findings: sound, doubt or cannot judge."""
         levels = {finding.level for finding in self.findings}
-        return next((level for level in (CANNOT_JUDGE, DOUBT) if level in levels), SOUND)
+        if CANNOT_JUDGE in levels:
+            return CANNOT_JUDGE
+        return DOUBT if DOUBT in levels else SOUND
 
     @property
     def reasons(self) -> str | None:
         """Text of all findings, the gravest first; None if there are none."""
-        ordered = sorted(
-            self.findings, key=lambda finding: (CANNOT_JUDGE, DOUBT, "note").index(finding.level)
-        )
-        return " ".join(f"{finding.level}: {finding.sentence}" for finding in ordered) or None
+        gravest_first = (CANNOT_JUDGE, DOUBT, "note")
+        ordered = sorted(self.findings, key=lambda finding: gravest_first.index(finding.level))
+        sentences = [f"{finding.level}: {finding.sentence}" for finding in ordered]
+        return " ".join(sentences) or None
 
     def to_json(self) -> list[dict[str, str]]:
         """Findings as a list for JSON."""

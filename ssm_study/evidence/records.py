@@ -11,19 +11,11 @@ from ssm_study.data.log_dynamics import FOLLOWS, input_shares, largest_explained
 from ssm_study.evidence.feedback import ROUNDING, integrator_share
 from ssm_study.evidence.finding import Case, Finding, ScaledRecord, make_doubt, make_note
 from ssm_study.evidence.response import INTEGRATES, slowest_mode_remainder
+from ssm_study.evidence.rests import judge_rest
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.models.warm_start import join_log_stretches
-from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.return_to_rest import (
-    AT_REST,
-    FAINT,
-    RESPONSES,
-    equilibrium_spread,
-    is_return_to_rest,
-    output_after_motion,
-    remaining_offset,
-)
+from ssm_study.robustness.return_to_rest import RESPONSES
 from ssm_study.signals import DataSet, Trajectory
 
 BEYOND = 0.05
@@ -58,7 +50,7 @@ def judge_records(case: Case, mismatch: Mismatch) -> list[Finding]:
         _judge_spectrum,
     )
     doubts = [make_doubt(sentence) for look in looks for sentence in look(case)]
-    return [*doubts, *_judge_saturation(case), *_judge_rest(case, mismatch)]
+    return [*doubts, *_judge_saturation(case), *judge_rest(case, mismatch)]
 
 
 def _join_scaled_records(case: Case, records: tuple[Trajectory, ...]) -> ScaledRecord:
@@ -331,65 +323,3 @@ def _judge_spectrum(case: Case) -> Iterator[str]:
             f"{100 * share:.0f} % of the test input's power lies where training has none: train "
             "with that spectrum."
         )
-
-
-def _judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
-    """Findings on a plant that does not come to rest, or whose records do not show whether it does.
-    A plant that does not come to rest is not judged; records that leave it open give a note."""
-    response = case.model.linear.impulse_response_length()
-    rests = [
-        output_after_motion(*case.scale_with_disturbances(record), response)
-        for record in case.data.test
-    ]
-    offsets = [remaining_offset(y) for y in rests if len(y)]
-    off = max((*mismatch.stuck, *offsets), default=0.0)
-    if not mismatch.plant_comes_to_rest:
-        left = mismatch.left_at_rest
-        statement = f"{left:.2g} output scales are left at rest input, more than {AT_REST:g}"
-        yield make_doubt(
-            f"The output does not come to rest by itself ({statement}): no loop is predicted to "
-            "settle it."
-        )
-    elif off > AT_REST:
-        statement = (
-            f"After the input has moved it, the output stays {off:.2g} scales off at rest input"
-        )
-        yield make_doubt(
-            f"{statement}: friction, play or several rests; a loop without integrators may stop "
-            "as far off. "
-            "Record more returns to rest."
-        )
-    elif mismatch.left_at_rest is None:
-        apart = equilibrium_spread(
-            case.model.scale, [one for one in case.data.mismatch_records if is_return_to_rest(one)]
-        )
-        problem = "No two returns to rest input outlast the model's response"
-        if (
-            apart > AT_REST
-        ):  # what the short ones show is no proof of friction, and no reason for silence
-            statement = (
-                f"{problem}, and they end {apart:.2g} scales apart, where none seems to move"
-            )
-            yield make_doubt(f"{statement}: friction, play or a slow mode. Record longer ones.")
-        else:
-            yield make_note(
-                f"{problem}: whether the output rests by itself is unknown; add such returns."
-            )
-    elif mismatch.left_at_rest > FAINT:
-        statement = (
-            f"{mismatch.left_at_rest:.2g} output scales are left at rest input: a small limit "
-            "cycle, or a slow decay"
-        )
-        yield make_doubt(
-            f"{statement}. A loop may swing farther, and settles in no narrower band. Record "
-            "longer rests."
-        )
-    if len(mismatch.views) == 1:
-        amplitude = f"{mismatch.views[0].amplitude:.2g} input scales, rms"
-        yield make_note(
-            f"All records have one amplitude ({amplitude}): below it the mismatch is unknown."
-        )
-    if mismatch.unexcited:
-        hertz = min(mismatch.unexcited) / (2 * np.pi * case.data.step_s)
-        bands = f"{len(mismatch.unexcited)} of {len(ANGLES)} bands, from {hertz:.3g} Hz"
-        yield make_note(f"The input has no power in {bands}: the mismatch is poorly known there.")

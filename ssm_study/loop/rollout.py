@@ -6,9 +6,16 @@ Judged on the true output alone, never on the noisy measurement.
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from ssm_study.loop.controller import Controller
+from ssm_study.loop.rollout_log import (
+    SampleOfCase,
+    allocate_log,
+    repeat_last_values,
+    write_samples,
+    write_stopped_cases,
+)
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
 
@@ -20,7 +27,6 @@ UNLIMITED = (-np.inf, np.inf)
 Limit = float | Float[np.ndarray, "*m"]
 Limits = tuple[Limit, Limit]
 PerCase = Float[np.ndarray, "N"]
-Log = dict[str, Float[np.ndarray, "N T _"]]
 States = Float[np.ndarray, "N x"]
 Outputs = Float[np.ndarray, "N p"]
 OutputSignal = Float[np.ndarray, "T p"]
@@ -28,8 +34,6 @@ OutputSignals = Float[np.ndarray, "N T p"]
 Bound = Float[np.ndarray, "p"]
 Inputs = Float[np.ndarray, "N m"]
 Estimates = Float[np.ndarray, "N n"]
-SomeCases = Int[np.ndarray, "S"]
-SampleOfCase = Int[np.ndarray, "N"]
 CaseSelection = Bool[np.ndarray, "N"]
 # share of the horizon, at its end, that a settled case spends in the band: a last sample in it is
 # no rest
@@ -93,14 +97,12 @@ def simulate_closed_loop(
     `measured_disturbance`, physical, drives the identified model and is told to the controller;
     without one it is at its equilibrium. Raises `BadRequest` for unmatched plant and controller.
     """
-    _check_dimensions(plant, controller)
-    if any(np.isfinite(end).any() for end in limits):
-        _check_reference_inputs(controller.required_inputs(reference), limits)
+    _check_request(plant, controller, reference, limits)
     cases, samples, _ = noise.shape
     memory = controller.initial_memory(cases)
     targets = controller.targets(reference)
     estimates = controller.estimate(memory).shape[1]
-    log = _allocate_log(plant, estimates, noise.shape, x0.shape[1])
+    log = allocate_log(plant, estimates, noise.shape, x0.shape[1])
     left_at_sample = np.full(cases, STAYED)
     going = np.arange(cases)
     x = x0
@@ -115,7 +117,7 @@ def simulate_closed_loop(
             stopped = going[leaves]
             left_at_sample[stopped] = k
             last = {"y": y[leaves], "measured": measured[leaves], "states": x[leaves]}
-            _write_stopped_cases(log, plant, stopped, k, last)
+            write_stopped_cases(log, plant, stopped, k, last)
             x = x[inside]
             y = y[inside]
             measured = measured[inside]
@@ -125,47 +127,16 @@ def simulate_closed_loop(
             controller = controller.select_cases(inside)
         estimate = controller.estimate(memory)
         values = {"u": u, "y": y, "measured": measured, "states": x, "estimate": estimate}
-        _write_samples(log, going, k, values)
+        write_samples(log, going, k, values)
         load = () if measured_disturbance is None else (measured_disturbance[k],)
         memory = controller.advance(memory, u, measured, targets[k], *load)
         x = plant.advance(x, u, disturbance[going, k])
         if load:
             x = x + plant.disturbance_effect(*load)
-    _repeat_last_values(log, left_at_sample)
+    repeat_last_values(log, left_at_sample)
     return Rollouts(
         step_s=plant.step_s, reference=reference, bound=bound, left_at_sample=left_at_sample, **log
     )
-
-
-def _write_stopped_cases(
-    log: Log, plant: Plant, stopped: SomeCases, k: int, last: dict[str, np.ndarray]
-) -> None:
-    """Repeat the last values of cases that were stopped at the simulation's bound in all remaining
-    samples of the log."""
-    equilibrium = plant.equilibrium()
-    at_rest = np.tile(equilibrium.u, (len(stopped), 1))
-    last_values = {"u": at_rest, **last}
-    repeated = {name: value[:, None] for name, value in last_values.items()}
-    remaining = slice(k, None)
-    _write_samples(log, stopped, remaining, repeated)
-
-
-def _write_samples(
-    log: Log, cases: SomeCases, samples: int | slice, values: dict[str, np.ndarray]
-) -> None:
-    """Write the signals of some cases at some samples into the log."""
-    for name, value in values.items():
-        log[name][cases, samples] = value
-
-
-def _allocate_log(plant: Plant, estimates: int, shape: tuple[int, ...], states: int) -> Log:
-    """Allocate a log: arrays of zeros for each signal of the simulated runs. `shape` is cases,
-    samples, outputs."""
-    cases, samples, outputs = shape
-    inputs = len(plant.inputs)
-    widths = {"u": inputs, "y": outputs, "measured": outputs}
-    widths |= {"states": states, "estimate": estimates}
-    return {name: np.zeros((cases, samples, width)) for name, width in widths.items()}
 
 
 def _is_inside_bound(
@@ -181,13 +152,15 @@ def _is_inside_bound(
     return np.asarray(is_near & is_small)
 
 
-def _repeat_last_values(log: Log, left_at_sample: SampleOfCase) -> None:
-    """Fill the samples after a case has left the bound with its last values inside the bound."""
-    for case in np.flatnonzero(left_at_sample > 0):
-        left = left_at_sample[case]
-        for values in log.values():
-            last_value = values[case, left - 1]
-            values[case, left:] = last_value
+def _check_request(
+    plant: Plant, controller: Controller, reference: OutputSignal, limits: Limits
+) -> None:
+    """Raise `BadRequest` for a controller that does not fit the plant, and for a reference beyond
+    the reach of limited inputs."""
+    _check_dimensions(plant, controller)
+    if any(np.isfinite(end).any() for end in limits):
+        required_inputs = controller.required_inputs(reference)
+        _check_reference_inputs(required_inputs, limits)
 
 
 def _check_dimensions(plant: Plant, controller: Controller) -> None:

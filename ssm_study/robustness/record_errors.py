@@ -280,25 +280,23 @@ def error_from_periods(record: RecordErrors, sure: bool, noise: BandGains) -> Vi
     _, lines = sort_lines_into_bands(len(drive))
     input_power = band_means(total_power(drive))
     model_power = band_means(total_power(model))
-    repeating_lines = (first * second.conj()).real
-    repeats = band_means(repeating_lines.sum(axis=1))  # noise averages out, see above
+    repeats = _repeating_power(first, second)
     doubt: Any = 0.0
     if not sure:
         variance = (noise_power**2 / 2 + noise_power * np.maximum(repeats, 0.0)) / lines
         doubt = SURE * np.sqrt(variance)
-    linear = _linear_part((first + second) / 2, model)
     chance = 0.0 if sure else SURE**2
     least = (1 + chance) * noise_power / 2 / lines
-    is_known = model_power * np.abs(linear) ** 2 > least
-    is_scalar = (record.e.shape[1] == 1) & (record.u.shape[1] == 1)
-    linear = np.where(is_known & is_scalar, linear, 0.0)
+    mean_error = (first + second) / 2
+    linear = np.zeros(len(ANGLES), dtype=complex)
+    if record.e.shape[1] == record.u.shape[1] == 1:
+        linear = _significant_linear_part(mean_error, model, least)
     explained = model_power * np.abs(linear) ** 2
     whole = np.maximum(repeats - doubt, 0.0)
     rest = np.maximum(repeats - explained - doubt, 0.0)
     # Little or no input: by chance nothing repeats there, or anything.
     is_unexcited = input_power < EXCITED * input_power.mean()
-    measured_lines = (total_power(first) + total_power(second)) / 2
-    measured = band_means(measured_lines)
+    measured = band_means((total_power(first) + total_power(second)) / 2)
     whole = np.where(is_unexcited, measured, whole)
     rest = np.where(is_unexcited, measured, rest)
     linear = np.where(is_unexcited, 0.0, linear)
@@ -315,6 +313,23 @@ def error_from_periods(record: RecordErrors, sure: bool, noise: BandGains) -> Vi
         rest=remainder,
         response=float(plant_power.sum() / total_model_power),
     )
+
+
+def _repeating_power(first: OutputSpectrum, second: OutputSpectrum) -> BandGains:
+    """Power in each band that repeats in both periods of a record, from which noise averages
+    out."""
+    lines = (first * second.conj()).real
+    return band_means(lines.sum(axis=1))
+
+
+def _significant_linear_part(
+    error: OutputSpectrum, model: OutputSpectrum, least: BandGains
+) -> ComplexBandGains:
+    """Linear part of the model error in the bands where it explains more than a given power, zero
+    in the others."""
+    linear = _linear_part(error, model)
+    explained = band_means(total_power(model)) * np.abs(linear) ** 2
+    return np.where(explained > least, linear, 0.0)
 
 
 def _linear_part(error: OutputSpectrum, model: OutputSpectrum) -> ComplexBandGains:

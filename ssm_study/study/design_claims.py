@@ -9,13 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.certificates.certificate import (
-    SIDES,
-    TOLERANCE,
-    WITHDRAWN,
-    Infeasible,
-    StateFeedback,
-)
+from ssm_study.certificates.certificate import SIDES, WITHDRAWN, Infeasible, StateFeedback
 from ssm_study.certificates.theorem import (
     UNFIT,
     Theorem,
@@ -30,6 +24,7 @@ from ssm_study.certificates.theorems.integral_action import (
 )
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
+from ssm_study.certificates.withdrawn_parts import TOLERANCE
 from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA
 from ssm_study.data.simulated import SimulatedData
 from ssm_study.evidence.metrics import withhold_predictions

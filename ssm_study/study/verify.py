@@ -24,13 +24,13 @@ from ssm_study.engine.records import (
     storable_value,
 )
 from ssm_study.refusal import escape_control_characters, require
-from ssm_study.renamed import WITHDRAWN_COLUMNS
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS
 from ssm_study.study.findings import Checked, Claims, Derived, NotChecked
 from ssm_study.study.form import check_form
 from ssm_study.study.rest_claims import check_rest_design
 from ssm_study.study.run_files import RunFiles, error_text
 from ssm_study.table.columns import find_declaration
+from ssm_study.withdrawn import WITHDRAWN_COLUMNS
 
 SECTION_CLAIMS = {"settings": "requested", "records": "data", "loops": "loop"}
 UNGIVEN = "nothing in the run's files gives it"

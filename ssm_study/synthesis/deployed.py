@@ -17,7 +17,6 @@ from jaxtyping import Float
 from ssm_study.bounds.network import invert_map
 from ssm_study.certificates.certificate import (
     OF_LIMITS,
-    TOLERANCE,
     Design,
     Infeasible,
     ProblemCertificate,
@@ -33,6 +32,7 @@ from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.certificates.theorems.structured_observer import StructuredObserver
 from ssm_study.certificates.theorems.unlimited_start import certify_unlimited_start
+from ssm_study.certificates.withdrawn_parts import TOLERANCE
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require

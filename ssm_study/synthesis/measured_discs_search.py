@@ -8,21 +8,20 @@ matrix P, and exact arithmetic decides. Source: docs/theory.md, "Measured discs"
 """
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import scipy
 from jaxtyping import Float
 
-from ssm_study.certificates.problem import NoSolution, symmetric_part
+from ssm_study.certificates.problem import NoSolution
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.certificates.theorems.measured_discs_structured import StructuredMeasuredDiscs
 from ssm_study.robustness.coverage import Premise, Weights
 from ssm_study.robustness.coverage_items import Item
+from ssm_study.synthesis.measured_discs_metric import first_exact_certificate
 from ssm_study.synthesis.measured_discs_program import (
     MOST,
     VIOLATED,
@@ -53,9 +52,6 @@ INPUT_ALONE = Weights(floor=1e-9, output=0 * _ONE, input=_ONE)
 ROOMS = (1e-3, 1e-2)  # margins by frequency, in units of each free signal's own weight
 SMALLEST = 1e-4  # of nu: below, nothing is worth a proof
 FARTHEST = 30.0  # of a multiplier, over that of the optimum: one that costs nothing would run away
-SLACKS = (1e-4, 1e-6, 1e-8)  # of the Riccati equation, where each signal's own weight is one
-KEPT = 0.5  # of the margin by frequency, for the equation
-FLOOR = 1e-10  # directions of the loop that no signal reaches keep this share of the mean
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,88 +242,6 @@ def _theorem_variables(
             values_so_far = numbers.get(name, np.zeros(0))
             numbers[name] = np.append(values_so_far, value)
     return numbers
-
-
-def first_exact_certificate(
-    theorem: type[MeasuredDiscs],
-    context: VerificationContext,
-    numbers: dict[str, Any],
-    margin: float,
-    started: float,
-) -> MeasuredDiscs | None:
-    """Certificate with the first metric P that exact arithmetic accepts; None if it accepts
-    none."""
-    if margin <= 0:
-        return None
-    ball = context.balls.input
-    matrices = theorem.loop_matrices(context) | numbers
-    matrices["alpha"] = ball.alpha
-    matrices["beta"] = ball.beta
-    for p in metric_candidates(theorem, matrices, margin):
-        proof: MeasuredDiscs = theorem.from_numbers(
-            matrices | {"p": p},
-            started=started,
-            status="one convex program, one Riccati equation",
-            method="measured discs",
-        )
-        if proof.certified:
-            return proof
-    return None
-
-
-def metric_candidates(
-    theorem: type[MeasuredDiscs], numbers: dict[str, Any], margin: float
-) -> Iterator[Float[np.ndarray, "x x"]]:
-    """Candidates for the metric P, from Riccati equations with several slacks."""
-    matrices = {name: np.atleast_2d(value) for name, value in numbers.items()}
-    of = SimpleNamespace(**matrices)
-    rows = theorem.signal_matrices(of)
-    order = len(rows.xi)
-    form = theorem.disc_constraint(of, rows)
-    for multiplier, map_form in theorem.static_map_constraints(of, rows):
-        form = form + multiplier * map_form
-    a = rows.step[:, :order]
-    b = rows.step[:, order:]
-    free_signals = np.diagonal(form)[order:]
-    own_weights = np.abs(free_signals)
-    smallest = 1e-9 * own_weights.max()
-    root = np.sqrt(np.maximum(own_weights, smallest))
-    driven = b / root
-    matrix = scipy.linalg.solve_discrete_lyapunov(a, driven @ driven.T)
-    gramian = symmetric_part(matrix)
-    share = FLOOR * np.trace(gramian) / order
-    state_identity = np.eye(order)
-    right = np.linalg.cholesky(gramian + share * state_identity)
-    left = np.linalg.inv(right)
-    unit_signals = np.diag(1 / root)
-    scaling = scipy.linalg.block_diag(right, unit_signals)
-    scaled = symmetric_part(scaling.T @ form @ scaling)
-    state_form = scaled[:order, :order]
-    coupling = scaled[:order, order:]
-    signal_form = scaled[order:, order:]
-    signal_identity = np.eye(len(root))
-    scaled_a = left @ a @ right
-    scaled_b = left @ driven
-    for slack in SLACKS:
-        q = state_form - slack * margin * state_identity
-        r = signal_form - KEPT * margin * signal_identity
-        try:
-            x = scipy.linalg.solve_discrete_are(scaled_a, scaled_b, q, r, s=coupling)
-        except (np.linalg.LinAlgError, ValueError):
-            continue
-        p = symmetric_part(-(left.T @ x @ left))
-        if lmi_margin(theorem, numbers | {"p": p}) > 0:
-            yield p
-
-
-def lmi_margin(theorem: type[MeasuredDiscs], numbers: dict[str, Any]) -> float:
-    """Smallest eigenvalue, in floats, of the theorem's matrices after scaling to unit diagonals."""
-    matrices = theorem.as_floats(**numbers)
-    smallest_eigenvalues = []
-    for name in ("inequality", "p"):
-        eigenvalues = np.linalg.eigvalsh(matrices[name])
-        smallest_eigenvalues.append(float(eigenvalues[0]))
-    return min(smallest_eigenvalues)
 
 
 def certify_largest_coverage(

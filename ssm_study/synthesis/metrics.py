@@ -10,15 +10,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.certificates.certificate import (
-    TOLERANCE,
-    Design,
-    Infeasible,
-    Observer,
-    StateFeedback,
-)
+from ssm_study.certificates.certificate import Design, Infeasible, Observer, StateFeedback
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.withdrawn_parts import TOLERANCE
 from ssm_study.columns import EIGENVALUE, ITERATED, Column, iterated_column
 from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage_columns import COLUMNS as COVERAGE_COLUMNS

@@ -21,13 +21,13 @@ DENSITY = {
     "ssm_study/api": (11.3, 3.1),
     "ssm_study/conformance": (11.4, 0.0),
     "ssm_study/data": (10.9, 1.8),
-    "ssm_study/evidence": (11.3, 1.0),
+    "ssm_study/evidence": (10.8, 1.0),
     "ssm_study/export": (11.1, 2.7),
-    "ssm_study/loop": (12.0, 2.4),
+    "ssm_study/loop": (11.3, 2.0),
     "ssm_study/models": (12.6, 3.6),
     "ssm_study/robustness": (10.9, 1.6),
     "ssm_study/study": (10.6, 1.6),
-    "ssm_study/synthesis": (11.5, 3.4),
+    "ssm_study/synthesis": (10.9, 2.8),
     "ssm_study/table": (11.5, 1.4),
     "ssm_study/training": (12.0, 3.1),
     "tests": (12.1, 3.5),
@@ -36,8 +36,8 @@ LONGEST_FILE = 400  # lines
 LONGEST_BODY = 40  # lines of a function, its docstring left out
 MOST_PACKED = 250  # assignments of several values to several names
 # Files and functions that are still longer. A name that is short enough by now has to go.
-LONG_FILES = frozenset({"ssm_study/renamed.py"})
-LONG_BODIES = frozenset({"ssm_study/evidence/records.py: _judge_rest"})
+LONG_FILES: frozenset[str] = frozenset()
+LONG_BODIES: frozenset[str] = frozenset()
 
 
 def load_counter() -> ModuleType:

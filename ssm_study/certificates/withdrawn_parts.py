@@ -1,0 +1,16 @@
+"""Parts of `certificate.json` that earlier versions wrote and that nothing decides any more."""
+
+from typing import Any
+
+TOLERANCE = "tolerance"  # the disc on the input alone
+# Parts that 0.1 wrote and that nothing decides any more, each with its theorems: kept as they were
+# read, and never checked.
+WITHDRAWN_TOLERANCES = {"tolerance", "structured_tolerance"}
+WITHDRAWN_PARTS = {"noise": {"noise_gain"}, TOLERANCE: WITHDRAWN_TOLERANCES}
+WITHDRAWN_PARTS["tolerance_by_frequency"] = WITHDRAWN_TOLERANCES
+
+
+def is_withdrawn_part(label: str, content: Any) -> bool:
+    """Whether a part of `certificate.json` claims a theorem that no longer exists."""
+    named = content.get("theorem", label) if isinstance(content, dict) else None
+    return named in WITHDRAWN_PARTS.get(label, ())
