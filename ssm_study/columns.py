@@ -85,6 +85,6 @@ class Column:
 def iterated_column(
     name: str, better: Literal["high", "low", ""], word: str, unit: str = "", head: str = ""
 ) -> Column:
-    """Definition of a column with a number that an iteration produces, such as a norm or an
-    eigenvalue, so that it is verified to `ITERATED`."""
+    """Definition of a column whose number results from an iteration, such as a norm or an
+    eigenvalue."""
     return Column(name, "Float64", better, head, word, unit, ITERATED)

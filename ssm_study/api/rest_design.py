@@ -1,4 +1,4 @@
-"""Controllers of models with products of input and state in Python: what is proved, loops, export.
+"""Controllers of bilinear models in Python: what is proved, closed loops, export.
 
 What is proved of them is that the loop comes to rest; two motions are compared only inside a stated
 set (`certificates.theorems.bilinear_loop`, `bilinear_contraction`).
@@ -46,8 +46,8 @@ MODEL_WORDS = {
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class RestDesign:
-    """Controller with its observer for a model with products of input and state. `v = K xh`, cut at
-    the ends of the recorded inputs.
+    """Controller with its observer for a bilinear model, whose loop is proved to come to rest. `v =
+    K xh`, cut at the ends of the recorded inputs.
 
     `certificates` has the gains and what is proved; `channels` are the model's input and outputs.
     """
@@ -58,13 +58,14 @@ class RestDesign:
 
     @property
     def certified(self) -> bool:
-        """Whether the loop is proved, in exact arithmetic, to come to rest, from a stated set of
-        starts or from all."""
+        """Whether the loop is proved, in exact arithmetic, to come to rest from a stated set of
+        initial states or from all."""
         return self.certificates.certified
 
     @property
     def controller(self) -> BilinearFeedback:
-        """Control law. Raises `BadRequest` with the reason where no gains were found."""
+        """Controller that is simulated and exported: state feedback with observer and limited
+        input. Raises `BadRequest` with the reason where no gains were found."""
         reason = self.certificates.reasons.get("gains", "")
         require(not reason, "design", "no gains", reason, "fit another model")
         certificates = self.certificates
@@ -72,7 +73,7 @@ class RestDesign:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Numbers that are proved of the loop, by the names of the certificates' fields."""
+        """Numbers that are proved for the closed loop, by the names of the certificates' fields."""
         facts: dict[str, Any] = {"certified": self.certified}
         for label, part in self.certificates.parts.items():
             for name, value in vars(part).items():
@@ -83,8 +84,8 @@ class RestDesign:
     def simulate(
         self, y0: Values, horizon_s: float | None = None, plant: Plant | None = None
     ) -> pd.DataFrame:
-        """Simulate the loop without noise from initial outputs `(N, p)` or `(N,)`, on the model or
-        on a plant. The estimate starts at rest.
+        """Simulate the closed loop without noise from initial outputs `(N, p)` or `(N,)`, on the
+        model or on a plant. The estimate starts at rest.
 
         One row per case and sample: `case, time_s`, inputs and outputs by name. Raises `BadRequest`
         for other channels.
@@ -112,7 +113,8 @@ class RestDesign:
 
     @property
     def _default_samples(self) -> int:
-        """Samples in which the proved factor leaves one percent, within limits."""
+        """Default number of samples of a simulation: until the proved factor leaves one percent of
+        the start."""
         factors = [value for name, value in self.facts.items() if name.endswith("_factor")]
         slowest = max(factors, default=DECAYED)
         samples = int(np.ceil(np.log(DECAYED) / np.log(slowest)))
@@ -159,7 +161,7 @@ class RestDesign:
         return cls(model=model, certificates=certificates, channels=tuple(channels))
 
     def summary(self) -> pd.Series:
-        """Table of what is proved of the design, in words."""
+        """Table of what is proved for the design, as text."""
         model = self.model
         lines: dict[str, Any] = {"model": f"{model.order} states, {len(model.nodes)} nodes"}
         ends = model.scale.physical_input(model.nodes[[0, -1], None])[:, 0]
@@ -172,12 +174,13 @@ class RestDesign:
         return pd.Series(lines, name="design", dtype=object)
 
     def _describe_part(self, part: Any) -> str:
-        """Text on the factor that a certificate proves and on the set in which it holds."""
+        """Text on the contraction factor that a certificate proves and the set of states in which
+        it holds."""
         factor = np.ceil(part.factor * 1e4) / 1e4
         words = f"to {factor:.4f} of its distance or less in each sample"
         if not hasattr(part, "radius"):
             return words
-        lowest, highest = resting_inputs(self.model, part)
+        lowest, highest = equilibrium_input_range(self.model, part)
         ends = self.model.scale.physical_input(np.array([[lowest], [highest]]))[:, 0]
         return f"{words}, from rest at inputs of {ends[0]:.4g} to {ends[1]:.4g}"
 
@@ -189,24 +192,24 @@ class RestDesign:
         return html_table("RestDesign", self.summary())
 
 
-def resting_inputs(model: Bilinear, part: Any) -> tuple[float, float]:
-    """Lowest and highest scaled input from whose states at rest a loop may start. The starts are in
-    the set of its certificate; the observer's estimate starts at zero."""
+def equilibrium_input_range(model: Bilinear, part: Any) -> tuple[float, float]:
+    """Range of scaled inputs at whose equilibria a loop may start according to a certificate. The
+    starts are in the set of its certificate; the observer's estimate starts at zero."""
     ends = []
     for end in model.nodes[[0, -1]]:
         reached = 0.0
         for v in np.linspace(0.0, end, LEVELS)[1:]:
-            x = resting_state(model, float(v))
-            if x is None or set_norm(part, x) > part.radius:
+            x = equilibrium_state(model, float(v))
+            if x is None or certified_norm(part, x) > part.radius:
                 break
             reached = float(v)
         ends.append(reached)
     return ends[0], ends[1]
 
 
-def resting_state(model: Bilinear, v: float) -> Float[np.ndarray, "n"] | None:
-    """State at which the model rests under a constant scaled input; None where it has none that it
-    returns to."""
+def equilibrium_state(model: Bilinear, v: float) -> Float[np.ndarray, "n"] | None:
+    """Equilibrium state of a bilinear model under a constant scaled input; None if there is none to
+    which it returns."""
     hats = hat_functions(model.nodes, np.array([v]))[0]
     a = np.einsum("q,qij->ij", hats, model.a)
     if np.abs(np.linalg.eigvals(a)).max() >= 1.0:
@@ -214,8 +217,9 @@ def resting_state(model: Bilinear, v: float) -> Float[np.ndarray, "n"] | None:
     return np.asarray(np.linalg.solve(np.eye(model.order) - a, hats @ model.b))
 
 
-def set_norm(part: Any, x: Float[np.ndarray, "n"]) -> float:
-    """Norm by which a certificate's set is stated, of a state whose estimate is zero."""
+def certified_norm(part: Any, x: Float[np.ndarray, "n"]) -> float:
+    """Norm of a state by which a certificate describes its set of initial states, with the estimate
+    at zero."""
     norm = float(np.sqrt(x @ part.p @ x))
     if not hasattr(part, "m"):
         return norm
@@ -223,7 +227,7 @@ def set_norm(part: Any, x: Float[np.ndarray, "n"]) -> float:
 
 
 def holds_rest_design(folder: Path) -> bool:
-    """Whether a folder holds a saved design for a model with products of input and state."""
+    """Whether a folder holds a saved design for a bilinear model."""
     return all((folder / name).is_file() for name in (MODEL, CERTIFICATE, CHANNELS))
 
 

@@ -93,8 +93,7 @@ def _gramian_factors(linear: StateSpace) -> tuple[Square, Square]:
 
 
 def _square_root_factor(gramian: Square) -> Square:
-    """Square-root factor of a Gramian, `R` with `R R^T = W`, by eigenvalues, so that a singular
-    Gramian is no error."""
+    """Square-root factor `R` of a Gramian, `R R^T = W`, which may be singular."""
     values, vectors = np.linalg.eigh(gramian)
     roots = np.sqrt(np.maximum(values, 0.0))
     return vectors * roots
@@ -139,8 +138,9 @@ def bound_local_controllability(a: Square, b: InputMatrix, ball: JacobianBall) -
 
 
 def _distance_to_uncontrollable(a: Square, b: InputMatrix) -> float:
-    """Smallest singular value of `[A - lambda I, B]` over the modes lambda. By Popov, Belevitch and
-    Hautus a mode is out of reach iff this matrix loses rank."""
+    """Smallest singular value of `[A - lambda I, B]` over the eigenvalues lambda of A, a distance
+    to uncontrollability. By Popov, Belevitch and Hautus a mode is out of reach iff this matrix
+    loses rank."""
     identity = np.eye(len(a))
     smallest_values = []
     for mode in np.linalg.eigvals(a):

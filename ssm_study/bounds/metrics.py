@@ -84,7 +84,8 @@ def model_bound_columns(model: Any) -> dict[str, Any]:
 
 
 def _slope_columns(model: Any, input_bound: SlopeBound, output_bound: SlopeBound) -> dict[str, Any]:
-    """Columns with the proved slopes of the input map and the output map, and with the paper's."""
+    """Columns with the proved slopes of input map and output map, and with the slopes by the
+    paper's method."""
     facts = dict[str, Any]()
     for side, bound in {"input": input_bound, "output": output_bound}.items():
         facts[f"{side}_slope_lower"] = bound.lower

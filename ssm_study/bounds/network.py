@@ -155,7 +155,7 @@ class PortableMap:
 
 
 def _append_to_each(layers: tuple[Vector, ...], entries: Vector) -> tuple[Vector, ...]:
-    """Append the same entries to the vector of each layer."""
+    """Append the same entries to the vector of each network layer."""
     return tuple(np.append(layer, entries) for layer in layers)
 
 

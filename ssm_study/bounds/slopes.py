@@ -95,10 +95,10 @@ def network_bound(network: Network) -> SlopeBound:
         lipsdp = lipsdp_bound(network)
     except BadRequest:  # the solver failed: what it was to improve on stands
         return interval
-    return min(interval, lipsdp, key=_order_of_tightness)
+    return min(interval, lipsdp, key=tightness_key)
 
 
-def _order_of_tightness(bound: SlopeBound) -> tuple[float, float]:
+def tightness_key(bound: SlopeBound) -> tuple[float, float]:
     """Sort key of slope bounds, the smallest for the tightest. Balls that exclude zero compare by
     their relative radius, as the frontier sees them; the others by their radius."""
     relative_radius = min(bound.ball.relative_radius, 1.0)

@@ -1,5 +1,4 @@
-"""Certificates of the loop of a model with products of input and state, and the file that stores
-them."""
+"""Certificates of the closed loop of a bilinear model, and the file that stores them."""
 
 import json
 from collections.abc import Mapping
@@ -22,7 +21,8 @@ DIMENSIONS = {"k": Float[np.ndarray, "m n"], "l_nodes": Float[np.ndarray, "q n p
 
 @dataclass(frozen=True, kw_only=True)
 class RestCertificates:
-    """Gains of a loop and what is proved of it, by part, or the reason why it is not.
+    """Gains of a bilinear model's closed loop with their certificates, or the reasons why there are
+    none.
 
     `v = K xh`; `l_nodes (q, n, p)` are the observer's gains at the nodes. The parts are named after
     their theorems.
@@ -35,7 +35,7 @@ class RestCertificates:
 
     @property
     def certified(self) -> bool:
-        """Whether the loop is proved to come to rest, from a set of starts or from all."""
+        """Whether the loop is proved to come to rest from a set of initial states or from all."""
         names = ("bilinear_loop", "bilinear_everywhere")
         return any(name in self.parts and self.parts[name].certified for name in names)
 
@@ -76,8 +76,8 @@ class RestCertificates:
 
 
 def failed_rest_checks(content: Mapping[str, Any], model: Any) -> list[str]:
-    """Sentences on those claims in a stored `certificate.json` that do not hold for a model with
-    products of input and state; empty if all hold.
+    """Sentences on those claims in a stored certificate that do not hold for a bilinear model;
+    empty if all hold.
 
     Claims are each part's digest, the model's fields, the deployed gains, and `certified`.
     """

@@ -116,7 +116,8 @@ class Columns:
 
     @property
     def measured_outputs(self) -> tuple[Channel, ...]:
-        """Output channels as the file has them. With `differentiate`, `outputs` are their rates."""
+        """Output channels in the file, before any differentiation. With `differentiate`, `outputs`
+        are their rates."""
         return name_channels(self.output, self.output_unit, "output", self.has_output_files)
 
     @property

@@ -131,7 +131,7 @@ def responds_within_sample(data: DataSet) -> bool:
 
 
 def _least_squares(rows: Rows, targets: Rows) -> Rows:
-    """Weights of the least-squares fit of targets by rows of regressors."""
+    """Coefficients of the least-squares fit of targets by regressors."""
     weights, *_ = np.linalg.lstsq(rows, targets, rcond=ROUNDING)
     return weights
 

@@ -1,5 +1,4 @@
-"""Export of a controller with products of input and state as C99: a header with everything in it,
-and a program that replays it."""
+"""Export of a bilinear controller as C99: one header, and a program that replays it."""
 
 from collections.abc import Sequence
 
@@ -20,7 +19,7 @@ REPLAYED = 200  # samples
 def render_bilinear_c(
     controller: BilinearFeedback, name: str, real: str, about: Sequence[str], digest: str
 ) -> dict[str, str]:
-    """Names and texts of the C files of a controller: header and replay program.
+    """Names and texts of the C files of a bilinear controller: header and replay program.
 
     `about` are lines of the header's comment. Raises `BadRequest` for a name that C does not allow
     and for an unknown type of number.
@@ -47,7 +46,7 @@ def render_bilinear_c(
 
 
 def render_tables(controller: BilinearFeedback, name: str, real: str) -> str:
-    """C definitions of all constant arrays of a controller."""
+    """C definitions of all constant arrays of a bilinear controller."""
     model = controller.model
     scale = model.scale
     arrays = {"nodes": model.nodes, "a": model.a, "b": model.b, "c": model.c}
@@ -62,8 +61,7 @@ def render_tables(controller: BilinearFeedback, name: str, real: str) -> str:
 
 
 def render_replayed_signals(controller: BilinearFeedback, real: str) -> dict[str, object]:
-    """Texts of the outputs that a replay measures, the inputs that it expects, and how far these
-    may be missed."""
+    """C texts of the signals of a replay: measured outputs, expected inputs, and the tolerance."""
     y, u = replayed_signals(controller)
     measured = [render_number(value, real) for value in y.ravel()]
     expected = [render_number(value, real) for value in u.ravel()]
@@ -77,8 +75,7 @@ def render_replayed_signals(controller: BilinearFeedback, real: str) -> dict[str
 def replayed_signals(
     controller: BilinearFeedback,
 ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T 1"]]:
-    """Measured outputs of a replay, far enough from rest that the input is cut, and the inputs that
-    the controller answers with."""
+    """Measured outputs of a replay, and the inputs with which the controller responds."""
     rng = np.random.default_rng(0)
     scale = controller.model.scale
     levels = rng.uniform(-3.0, 3.0, (REPLAYED // 10, scale.outputs))

@@ -86,7 +86,7 @@ def render_c_files(
 
 
 def refuse_c_keyword(name: str) -> None:
-    """Raise `BadRequest` for a prefix that cannot begin a name in C."""
+    """Raise `BadRequest` for a prefix with which no C name can begin."""
     is_identifier = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is not None
     allowed = is_identifier and name not in KEYWORDS.split()
     require(allowed, "prefix", name, "is no name in C", "use letters, digits and _")

@@ -1,4 +1,4 @@
-"""Control law and simulated plant of a model with products of input and state."""
+"""Controller and simulated plant of a bilinear model."""
 
 # ruff: noqa: ARG002 - every law gets all arguments; this one needs less
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ SETTLED = 0.05  # of an output scale from the equilibrium
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearFeedback(Controller):
-    """Feedback of an observer's estimate to rest; the input is cut at the outermost nodes. `v = K
+    """State feedback from an observer's estimate for a bilinear model, with a limited input. `v = K
     xh`, `xh+ = sum_i theta_i(v) (A_i xh + b_i + L_i (C xh - w))`, v and w scaled.
 
     Shapes: `k (1, n)`, `l_nodes (q, n, p)`. The observer takes the input that was applied.
@@ -79,7 +79,8 @@ class BilinearFeedback(Controller):
 
 
 def advance_states(model: Bilinear, x: Estimate, u: Inputs, added: Correction = 0.0) -> Estimate:
-    """Next states of the model for several cases at once, with a correction at each node."""
+    """Next states of a bilinear model for several cases at once, with a correction at each node of
+    the input."""
     at_nodes = np.einsum("qij,Nj->Nqi", model.a, x)
     at_nodes = at_nodes + model.b
     at_nodes = at_nodes + added
@@ -89,8 +90,8 @@ def advance_states(model: Bilinear, x: Estimate, u: Inputs, added: Correction = 
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearPlant(Plant):
-    """Model with products of input and state that is simulated in place of the plant. Its states
-    are scaled; `d` is added to them."""
+    """Bilinear model that is simulated in place of the plant. Its states are scaled; `d` is added
+    to them."""
 
     model: Bilinear
     step_s: float
@@ -103,7 +104,7 @@ class BilinearPlant(Plant):
 
     @classmethod
     def from_model(cls, model: Bilinear, inputs: Channels, outputs: Channels) -> "BilinearPlant":
-        """Plant that simulates an identified model; 5 % of an output scale count as settled."""
+        """Plant that simulates an identified bilinear model."""
         unit = float(model.scale.output_scale.min())
         names = [f"x_{i + 1}" for i in range(model.order)]
         states = tuple(Channel(name=name, unit="") for name in names)
@@ -117,8 +118,8 @@ class BilinearPlant(Plant):
         x = np.zeros(self.model.order)
         return Equilibrium(u=scale.input_equilibrium, x=x, y=scale.output_equilibrium)
 
-    def states_at(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
-        """States of the least norm that read given outputs."""
+    def equilibrium_states(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
+        """Smallest states at which the bilinear model has given outputs."""
         scaled = self.model.scale.scaled_output(y0)
         return scaled @ np.linalg.pinv(self.model.c).T
 

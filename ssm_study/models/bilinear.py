@@ -1,4 +1,5 @@
-"""Model whose matrices follow the input: products of input and state. No torch here.
+"""Bilinear model: a recurrence whose matrices depend on the input, so that input and state are
+multiplied. No torch here.
 
     x+ = sum_i theta_i(v) (A_i x + b_i),    w = C x,    b_i = 0 at the node zero
 
@@ -24,16 +25,17 @@ AGAIN = "write model.json again"
 
 
 def hat_functions(nodes: Nodes, v: Float[np.ndarray, "T"]) -> Hats:
-    """Values of the hat functions at several inputs. They are linear between the nodes and constant
-    beyond the ends, so that each row adds up to one."""
+    """Values of the hat functions, which interpolate linearly between the nodes, at several inputs.
+    They are linear between the nodes and constant beyond the ends, so that each row adds up to
+    one."""
     units = np.eye(len(nodes))
     return np.stack([np.interp(v, nodes, unit) for unit in units], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bilinear(Simulator, names=("bilinear",)):
-    """Identified model with products of input and state, of one input. `x+ = sum_i theta_i(v) (a_i
-    x + b_i), w = c x`, v and w the scaled input and output.
+    """Identified bilinear model of one input, with matrices at several input levels (nodes). `x+ =
+    sum_i theta_i(v) (a_i x + b_i), w = c x`, v and w the scaled input and output.
 
     Shapes: `nodes (q,)`, ascending, one of them zero, `a (q, n, n)`, `b (q, n)`, zero at that node,
     `c (p, n)`.
@@ -66,11 +68,11 @@ class Bilinear(Simulator, names=("bilinear",)):
 
     @property
     def order(self) -> int:
-        """Number of states of the model."""
+        """Model order, the number of states."""
         return self.c.shape[1]
 
     def hats(self, u: Float[np.ndarray, "T 1"]) -> Hats:
-        """Values of the hat functions along a physical input."""
+        """Values of the model's hat functions along a physical input."""
         return hat_functions(self.nodes, self.scale.scaled_input(u)[:, 0])
 
     def simulate(self, u: Inputs, x0: Float[np.ndarray, "*batch n"] | None = None) -> Outputs:
@@ -80,34 +82,34 @@ class Bilinear(Simulator, names=("bilinear",)):
         if u.ndim > 2:
             pairs = zip(u, starts, strict=True)
             return np.stack([self.simulate(*pair) for pair in pairs])
-        from ssm_study.models.bilinear_kernel import run_states  # loads numba
+        from ssm_study.models.bilinear_kernel import simulate_states  # loads numba
 
         x0 = np.asarray(starts, dtype=np.float64)
-        states = run_states(self.hats(u), self.a, self.b, x0)
+        states = simulate_states(self.hats(u), self.a, self.b, x0)
         return self.scale.physical_output(states @ self.c.T)
 
     def simulate_from_outputs(self, u: Inputs, y_start: Measured) -> Outputs:
-        """Simulate the model in free run from the state that explains the first outputs."""
+        """Simulate the model in free run after some measured outputs."""
         if u.ndim > 2:
             pairs = zip(u, y_start, strict=True)
             return np.stack([self.simulate_from_outputs(*pair) for pair in pairs])
-        x0 = self.estimate_start(u, y_start) if y_start.shape[-2] else None
+        x0 = self.estimate_initial_state(u, y_start) if y_start.shape[-2] else None
         return self.simulate(u, x0)
 
-    def estimate_start(
+    def estimate_initial_state(
         self, u: Float[np.ndarray, "T 1"], y_start: Float[np.ndarray, "S p"]
     ) -> Float[np.ndarray, "n"]:
-        """Estimate the initial state by regularised least squares; the outputs are linear in it.
-        `argmin |w - w_hat(x0)|^2 / noise + x0' W^{-1} x0`, W the second moment of the states that
-        the input reaches from rest."""
-        from ssm_study.models.bilinear_kernel import run_state_derivatives, run_states
+        """Estimate the initial state from the first outputs by regularised least squares. `argmin
+        |w - w_hat(x0)|^2 / noise + x0' W^{-1} x0`, W the second moment of the states that the input
+        reaches from rest."""
+        from ssm_study.models.bilinear_kernel import simulate_state_derivatives, simulate_states
 
         samples = len(y_start)
         hats = self.hats(u)
         rest = np.zeros(self.order)
-        reached = run_states(hats, self.a, self.b, rest)
+        reached = simulate_states(hats, self.a, self.b, rest)
         prior = reached.T @ reached / len(reached)
-        states, by_start = run_state_derivatives(hats[:samples], self.a, self.b, rest, True)
+        states, by_start = simulate_state_derivatives(hats[:samples], self.a, self.b, rest, True)
         regressors = (self.c @ by_start).reshape(-1, self.order)
         missing = self.scale.scaled_output(y_start) - states @ self.c.T
         covariance = regressors @ prior @ regressors.T + START_UP_NOISE * np.eye(len(regressors))

@@ -1,5 +1,4 @@
-"""Compiled code of the recurrence whose matrices follow the input, for free runs and forward
-sensitivities.
+"""Compiled code for free runs of a bilinear model and their derivatives.
 
 `x+ = sum_i h_i (A_i x + b_i)` with the hat functions h given, `hats (T, q)`, `a (q, n, n)`, `b (q,
 n)`, `x0 (n,)`, all float64 and contiguous.
@@ -14,8 +13,9 @@ from ssm_study.compilation import compile_with_numba
 
 @compile_with_numba
 @no_type_check
-def run_states(hats, a, b, x0):
-    """States `(T, n)` of `x+ = sum_i hats[k, i] (a_i x + b_i)` from `x0`."""
+def simulate_states(hats, a, b, x0):
+    """States `(T, n)` of the bilinear recurrence `x+ = sum_i hats[k, i] (a_i x + b_i)` from
+    `x0`."""
     samples, q = hats.shape
     n = len(x0)
     states = np.empty((samples, n))
@@ -38,14 +38,14 @@ def run_states(hats, a, b, x0):
 
 @compile_with_numba
 @no_type_check
-def run_state_derivatives(hats, a, b, x0, of_start):
-    """States, and their derivatives `(T, n, P)` by `a`, `b` (unless `of_start`) and `x0`, by
-    rows."""
+def simulate_state_derivatives(hats, a, b, x0, of_start):
+    """States of the bilinear recurrence, and their derivatives with respect to its parameters or
+    its initial state."""
     samples, q = hats.shape
     n = len(x0)
     first_b = 0 if of_start else q * n * n
     first_x0 = 0 if of_start else first_b + q * n
-    states = run_states(hats, a, b, x0)
+    states = simulate_states(hats, a, b, x0)
     derivatives = np.zeros((samples, n, first_x0 + n))
     s = np.zeros((n, first_x0 + n))
     for row in range(n):

@@ -1,4 +1,4 @@
-"""Least-squares problem of fitting a model with products of input and state to its free run.
+"""Least-squares problem of fitting the free run of a bilinear model to the records.
 
 The parameters in a row are a free matrix for each node, `b_i`, `c`, an offset of the output and an
 initial state for each record. With a rate, `A_i = rate con(X_i)` (`models.contracting`): all have a
@@ -14,7 +14,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.models.bilinear import Bilinear, Hats, Nodes, hat_functions
-from ssm_study.models.bilinear_kernel import run_state_derivatives, run_states
+from ssm_study.models.bilinear_kernel import simulate_state_derivatives, simulate_states
 from ssm_study.models.contracting import (
     FreeParameters,
     RecurrenceMatrices,
@@ -39,8 +39,7 @@ Vector = Float[np.ndarray, "P"]
 
 
 class FitParameters(NamedTuple):
-    """Parameters by name: `x (q, n, n)` free matrices, `b (q, n)`, `c (p, n)`, `offset (p,)` and
-    `x0 (records, n)`."""
+    """Parameters of a bilinear model during its fit, by name."""
 
     x: Float[np.ndarray, "q n n"]
     b: Float[np.ndarray, "q n"]
@@ -49,11 +48,11 @@ class FitParameters(NamedTuple):
     x0: Float[np.ndarray, "r n"]
 
     def flatten(self) -> Vector:
-        """All parameters in a row."""
+        """All parameters of the fit as one vector."""
         return np.concatenate([part.ravel() for part in self])
 
     def with_values(self, values: Vector) -> "FitParameters":
-        """Parameters of the same shapes with the values of a row."""
+        """Parameters of the same shapes with the entries of a vector as values."""
         ends = np.cumsum([part.size for part in self])[:-1]
         pieces = np.split(values, ends)
         shaped = [piece.reshape(part.shape) for piece, part in zip(pieces, self, strict=True)]
@@ -62,7 +61,7 @@ class FitParameters(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearProblem:
-    """Residuals of the free runs over all training records, and their Jacobian, written out."""
+    """Simulation errors of a bilinear model over all training records, and their Jacobian."""
 
     order: int
     rate: float | None
@@ -75,7 +74,8 @@ class BilinearProblem:
     def from_records(
         cls, records: Pairs, order: int, nodes: int, rate: float | None
     ) -> "BilinearProblem":
-        """Problem with nodes over the range of the inputs; one of them is zero."""
+        """Fitting problem of a bilinear model whose input levels (nodes) cover the range of the
+        recorded inputs."""
         inputs = np.concatenate([u[:, 0] for u, _ in records])
         outputs = np.concatenate([y for _, y in records])
         places = spread_nodes(float(inputs.min()), float(inputs.max()), nodes)
@@ -89,8 +89,7 @@ class BilinearProblem:
         )
 
     def initial_parameters(self, rng: np.random.Generator, spread: float) -> FitParameters:
-        """Parameters of the linear model of ARX at every node, in coordinates in which its norm is
-        below the rate, with a random part of size `spread`."""
+        """Initial parameters of the fit: a linear ARX model at every node, plus a random part."""
         n = self.order
         longest = max(len(u) for u, _ in self.records)
         lags = min(ARX_LAGS, longest // 4)
@@ -113,7 +112,7 @@ class BilinearProblem:
         return FitParameters(x=np.stack(free), b=b, c=c, offset=np.zeros(len(c)), x0=x0)
 
     def _free_matrix(self, a: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-        """Free matrix that stands for the matrix of a node."""
+        """Unconstrained matrix that stands for the state matrix of a node."""
         if self.rate is None:
             return a
         n = len(a)
@@ -121,7 +120,7 @@ class BilinearProblem:
         return parameters_from_matrices(core, self.rate).x_g
 
     def state_matrices(self, parts: FitParameters) -> Float[np.ndarray, "q n n"]:
-        """Matrices `A_i` of all nodes."""
+        """State matrices `A_i` of all nodes."""
         if self.rate is None:
             return parts.x
         return np.stack(
@@ -129,30 +128,32 @@ class BilinearProblem:
         )
 
     @property
-    def rest_map(self) -> Float[np.ndarray, "q q"]:
-        """Matrix on the nodes by which rest stays at rest: `b_i` minus that of the node zero."""
+    def equilibrium_projection(self) -> Float[np.ndarray, "q q"]:
+        """Matrix that subtracts the vector `b` of the node zero from all others, so that the
+        equilibrium is kept."""
         at_zero = np.where(self.nodes == 0.0, 1.0, 0.0)
         return np.eye(len(self.nodes)) - np.tile(at_zero, (len(self.nodes), 1))
 
     def model(self, parts: FitParameters, scale: Scale, step_s: float) -> Bilinear:
-        """Explicit numbers of the model. The offset of the output moves its equilibrium."""
+        """Bilinear model from the parameters of the fit. The offset of the output moves its
+        equilibrium."""
         moved = scale.output_equilibrium + scale.output_scale * parts.offset
         return Bilinear(
             nodes=self.nodes,
             a=self.state_matrices(parts),
-            b=self.rest_map @ parts.b,
+            b=self.equilibrium_projection @ parts.b,
             c=parts.c,
             scale=replace(scale, output_equilibrium=moved),
             step_s=step_s,
         )
 
     def residual(self, parts: FitParameters) -> Float[np.ndarray, "R"]:
-        """Errors of the free runs of all records in a row, over the norm of the outputs."""
+        """Free-run errors of all records in one vector, relative to the norm of the outputs."""
         a = self.state_matrices(parts)
-        b = self.rest_map @ parts.b
+        b = self.equilibrium_projection @ parts.b
         errors = []
         for hats, (_, y), x0 in zip(self.hats, self.records, parts.x0, strict=True):
-            states = run_states(hats, a, b, x0)
+            states = simulate_states(hats, a, b, x0)
             errors.append((states @ parts.c.T + parts.offset - y).ravel())
         return np.concatenate(errors) / self.deviation
 
@@ -166,14 +167,14 @@ class BilinearProblem:
     def residual_and_jacobian(
         self, parts: FitParameters
     ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R P"]]:
-        """Residual, and its Jacobian by all parameters."""
+        """Free-run errors of all records, and their Jacobian with respect to all parameters."""
         a = self.state_matrices(parts)
-        b = self.rest_map @ parts.b
+        b = self.equilibrium_projection @ parts.b
         slopes = self._derivatives_by_free_matrices(parts)
         residuals = []
         jacobians = []
         for index, (hats, (_, y)) in enumerate(zip(self.hats, self.records, strict=True)):
-            states, by_all = run_state_derivatives(hats, a, b, parts.x0[index], False)
+            states, by_all = simulate_state_derivatives(hats, a, b, parts.x0[index], False)
             residuals.append((states @ parts.c.T + parts.offset - y).ravel())
             jacobians.append(self._jacobian_of_record(parts, states, by_all, slopes, index))
         deviation = self.deviation
@@ -187,7 +188,7 @@ class BilinearProblem:
         slopes: Float[np.ndarray, "q nn nn"],
         index: int,
     ) -> Float[np.ndarray, "R P"]:
-        """Jacobian of the outputs of one record by all parameters."""
+        """Jacobian of the outputs of one record with respect to all parameters."""
         q, n, _ = parts.x.shape
         p = len(parts.c)
         samples = len(states)
@@ -199,7 +200,7 @@ class BilinearProblem:
         identity = np.eye(p)
         blocks = [
             np.einsum("kpqi,qij->kpqj", by_a, slopes),
-            np.einsum("kpqn,qs->kpsn", by_b, self.rest_map),
+            np.einsum("kpqn,qs->kpsn", by_b, self.equilibrium_projection),
             np.einsum("po,kn->kpon", identity, states),
             np.broadcast_to(identity, (samples, p, p)),
             by_x0,
@@ -208,7 +209,7 @@ class BilinearProblem:
         return np.concatenate(rows, axis=1)
 
     def _derivatives_by_free_matrices(self, parts: FitParameters) -> Float[np.ndarray, "q nn nn"]:
-        """Derivative of each `A_i` by its free matrix, both by rows."""
+        """Derivative of each state matrix `A_i` with respect to its unconstrained matrix."""
         q, n, _ = parts.x.shape
         units = np.eye(n * n)
         if self.rate is None:
@@ -222,8 +223,7 @@ class BilinearProblem:
         return np.stack(derivatives)
 
     def minimise(self, parts: FitParameters, steps: int) -> FitParameters:
-        """Minimise the squared error of the free run by at most so many steps of
-        Levenberg-Marquardt."""
+        """Minimise the squared free-run error by a limited number of Levenberg-Marquardt steps."""
         damping = 1e-2
         for _ in range(steps):
             residual, jacobian = self.residual_and_jacobian(parts)
@@ -249,8 +249,8 @@ class BilinearProblem:
 
 
 def spread_nodes(lowest: float, highest: float, count: int) -> Nodes:
-    """Nodes from the lowest to the highest input, at equal distances on each side of zero, which is
-    one of them."""
+    """Input levels (nodes) from the lowest to the highest input, equally spaced on each side of
+    zero."""
     lowest = min(lowest, 0.0)
     highest = max(highest, 0.0)
     share = -lowest / (highest - lowest) if highest > lowest else 0.5
@@ -261,11 +261,11 @@ def spread_nodes(lowest: float, highest: float, count: int) -> Nodes:
 
 
 def _contraction_coordinates(a: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Matrix T with `|T a T^{-1}| < 1` for a stable `a`."""
+    """Coordinates T in which a stable matrix has a norm below one, `|T a T^{-1}| < 1`."""
     p = scipy.linalg.solve_discrete_lyapunov(a.T, np.eye(len(a)))
     return np.asarray(np.linalg.cholesky(p).T)
 
 
 def _without_neurons(x: Float[np.ndarray, "n n"]) -> FreeParameters:
-    """Free parameters of a contracting recurrence without neurons."""
+    """Free parameters of a contracting recurrence without neurons, from its free state matrix."""
     return FreeParameters(x_e=np.zeros((len(x), 0)), x_g=x, log_d=np.zeros(0))

@@ -1,4 +1,4 @@
-"""Settings of the model with products of input and state, and its fit from several starts."""
+"""Settings of a bilinear model, and its fit from several initial parameters."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
@@ -23,8 +23,8 @@ SPREAD = 0.15  # random part of a further start's matrices
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearSpec(SolvedSpec):
-    """Settings of a model with products of input and state: `order` states and a matrix at each of
-    `nodes` input levels.
+    """Settings of a bilinear model with `order` states and a matrix at each of `nodes` input
+    levels.
 
     With a `rate` the matrices have norms below it, so that the model contracts in open loop; null
     leaves them free. Levenberg-Marquardt on the error of the free run, at most `steps` steps from
@@ -52,7 +52,7 @@ class BilinearSpec(SolvedSpec):
         require(contracts, "model.rate", self.rate, "must lie in (0, 1)", "use 0.999 or null")
 
     def solve(self, data: DataSet) -> Bilinear:
-        """Fit the model to the training records.
+        """Fit the bilinear model to the training records.
 
         Raises `BadRequest` for several inputs and for records that are too short.
         """
@@ -77,7 +77,7 @@ class BilinearSpec(SolvedSpec):
                 continue
         problem = "no start leads to a model of these records"
         require(candidates, "model.order", self.order, problem, "use fewer states")
-        return max(candidates, key=lambda model: validation_fit(model, data))
+        return max(candidates, key=lambda model: validation_fit_percent(model, data))
 
     def _fit_from(
         self, problem: "BilinearProblem", parts: "FitParameters", data: DataSet
@@ -87,8 +87,9 @@ class BilinearSpec(SolvedSpec):
         return problem.model(fitted, data.scale, data.step_s)
 
 
-def validation_fit(model: Bilinear, data: DataSet) -> float:
-    """Fit of the free run to the validation records, in percent; minus infinity if it diverges."""
+def validation_fit_percent(model: Bilinear, data: DataSet) -> float:
+    """Fit of the model's free run to the validation records, in percent; minus infinity if it
+    diverges."""
     with np.errstate(all="ignore"):
         simulation = Simulation.simulate_records(model, data.validation, data.start_up_samples)
         fit = simulation.fit_percent

@@ -48,7 +48,8 @@ def read_run_files(run: RunFolder, *parts: str) -> list[Any]:
 
 
 def run_input_scale(run: RunFolder, model: Any) -> InputScale | None:
-    """Input scale of a run's model with its unit; None for several inputs or without a record."""
+    """Scale of the input of a run's model with its unit; None for several inputs or without a
+    record."""
     if run.validation is None:
         return None
     return physical_input_scale(model, run.validation.unit("input"))

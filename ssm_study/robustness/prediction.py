@@ -86,14 +86,14 @@ def predict_margins(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch)
     measure = robustness_measure(model, pair, balls, mismatch)
     controller_radius = controller_spectral_radius(model.system, pair, balls)
     return Prediction(
-        mismatch_margin=_margin(total_gain),
-        resolved_margin=_margin(measure),
+        mismatch_margin=margin_from_loop_gain(total_gain),
+        resolved_margin=margin_from_loop_gain(measure),
         controller_radius=float(controller_radius),
         noise_peak=output_peak_from_noise(model, pair, balls, mismatch),
     )
 
 
-def _margin(loop_gain: float) -> float:
+def margin_from_loop_gain(loop_gain: float) -> float:
     """Stability margin that belongs to a loop gain, its inverse; infinite for a gain of zero."""
     return 1 / loop_gain if loop_gain else float("inf")
 

@@ -42,7 +42,7 @@ def repeats_one_line(errors: RecordErrors) -> bool:
 
 
 def _input_power_at_lines(errors: RecordErrors) -> Float[np.ndarray, "L"]:
-    """Power of a record's input at each spectral line of its second period, the mean first."""
+    """Power of a record's input at each spectral line of its second period."""
     _, second_period = errors.periods(errors.u)
     return np.asarray((np.abs(second_period) ** 2).sum(axis=1))
 

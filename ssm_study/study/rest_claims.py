@@ -1,4 +1,4 @@
-"""Checks of the claims of a saved design for a model with products of input and state."""
+"""Checks of the claims of a saved design for a bilinear model."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +14,7 @@ NO_FILES = (BadRequest, ValueError, KeyError, TypeError)
 
 
 def check_rest_design(folder: Path) -> Iterator[Checked]:
-    """Check every certificate of a saved design again in exact arithmetic, against its model."""
+    """Check every certificate of a saved bilinear design again in exact arithmetic."""
     try:
         model = read_model_json(read_json(folder / MODEL))
         content = read_json(folder / CERTIFICATE)

@@ -1,5 +1,4 @@
-"""Gains of controller and observer for a model with products of input and state, and the
-certificates of their loop.
+"""Gains of controller and observer for a bilinear model, and the certificates of its closed loop.
 
 Gains are those of least guaranteed cost over all vertices (semidefinite programs); then metrics are
 sought for these gains, as they are rounded. What counts is decided afterwards in exact arithmetic.
@@ -39,8 +38,8 @@ Matrix = Float[np.ndarray, "n n"]
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearSynthesis:
-    """Settings of the design: what the input costs, and the deviation of the sensor's noise, both
-    in scaled units."""
+    """Settings of a bilinear design: weight of the input in the cost, and deviation of the sensor
+    noise."""
 
     input_weight: float = 1.0
     sensor_noise: float = SENSOR_NOISE
@@ -50,7 +49,7 @@ class BilinearSynthesis:
         require_positive("sensor_noise", self.sensor_noise, "try 0.05")
 
     def design(self, model: Bilinear) -> RestCertificates:
-        """Design controller and observer, and certify what holds of their loop."""
+        """Design controller and observer of a bilinear model, and certify their closed loop."""
         try:
             k = feedback_gain(model, self.input_weight)
             gains = observer_gains(model, self.sensor_noise)
@@ -72,8 +71,8 @@ class BilinearSynthesis:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopVertices:
-    """Matrices of the loop at the nodes and on the segments between them, and metrics in which they
-    shrink."""
+    """Matrices of a bilinear loop at the nodes and segments of its input, and metrics in which they
+    contract."""
 
     model: Bilinear
     k: Float[np.ndarray, "1 n"]
@@ -81,67 +80,67 @@ class LoopVertices:
 
     @property
     def limit(self) -> float:
-        """Largest input, in both directions, that stays within the nodes."""
+        """Largest input amplitude, in both directions, that stays within the nodes."""
         return float(min(-self.model.nodes[0], self.model.nodes[-1]))
 
     @cached_property
     def closed_loops(self) -> list[Matrix]:
-        """Matrices `A_i + B_k K` of all nodes and segments."""
+        """Closed-loop matrices `A_i + B_k K` of all nodes and segments."""
         return [a + b @ self.k for a in self.model.a for b in input_columns(self.model)]
 
     @cached_property
     def error_matrices(self) -> list[Matrix]:
-        """Matrices `A_i + L_i C` of all nodes."""
+        """Matrices `A_i + L_i C` of the estimation error at all nodes."""
         pairs = zip(self.model.a, self.gains, strict=True)
         return [a + gain @ self.model.c for a, gain in pairs]
 
     @property
     def floor(self) -> Matrix:
-        """Least metric that is sought; in it the input is at most the distance from rest."""
+        """Smallest metric that is allowed; in it the input is at most the norm of the state."""
         return self.k.T @ self.k + ROUNDING * np.eye(self.model.order)
 
     @cached_property
     def state_metric(self) -> Matrix:
-        """Metric in which the state shrinks under the state feedback."""
+        """Metric in which the state contracts under the state feedback."""
         reason = "no metric is found in which the state shrinks at all input levels"
-        return shrinking_metric(self.closed_loops, self.floor, reason)
+        return contraction_metric(self.closed_loops, self.floor, reason)
 
     @cached_property
     def uncontrolled_metric(self) -> Matrix:
-        """Metric in which the state shrinks with and without the state feedback."""
+        """Metric in which the state contracts with and without the state feedback."""
         reason = "the model without control is not shown to come to rest at all input levels"
-        return shrinking_metric([*self.closed_loops, *self.model.a], self.floor, reason)
+        return contraction_metric([*self.closed_loops, *self.model.a], self.floor, reason)
 
     @cached_property
     def error_metric(self) -> Matrix:
-        """Metric in which the observer's error shrinks."""
+        """Metric in which the estimation error contracts."""
         reason = "no metric is found in which the observer's error shrinks"
-        return shrinking_metric(self.error_matrices, self.floor, reason)
+        return contraction_metric(self.error_matrices, self.floor, reason)
 
 
 def input_columns(model: Bilinear) -> Float[np.ndarray, "s n 1"]:
-    """Slopes `B_k` of b over the segments, as columns."""
+    """Slopes `B_k` of the vector b over the segments between nodes, as columns."""
     widths = np.diff(model.nodes)[:, None]
     slopes = np.diff(model.b, axis=0) / widths
     return slopes[:, :, None]
 
 
-def second_moment(model: Bilinear) -> Matrix:
-    """Second moment of the states that random inputs over the range of the nodes reach."""
-    from ssm_study.models.bilinear_kernel import run_states  # loads numba
+def state_second_moment(model: Bilinear) -> Matrix:
+    """Second moment of the states that random inputs within the nodes reach."""
+    from ssm_study.models.bilinear_kernel import simulate_states  # loads numba
 
     rng = np.random.default_rng(0)
     levels = rng.uniform(model.nodes[0], model.nodes[-1], 200)
     hats = hat_functions(model.nodes, np.repeat(levels, 10))
-    states = run_states(hats, model.a, model.b, np.zeros(model.order))
+    states = simulate_states(hats, model.a, model.b, np.zeros(model.order))
     if not np.isfinite(states).all():
         raise NoSolution("the model's free run grows without bound")
     return states.T @ states / len(states)
 
 
 def feedback_gain(model: Bilinear, input_weight: float) -> Float[np.ndarray, "1 n"]:
-    """Gain K with the least bound on the cost `sum |w|^2 + input_weight v^2` that holds for all
-    vertices.
+    """State-feedback gain K with the smallest bound on a quadratic cost that holds at all vertices
+    of the model.
 
     With `W = P^{-1}` and `Z = K W`: `(A + B K)' P (A + B K) - P + C'C + R K'K < 0`, by a Schur
     complement; the trace of P is minimised.
@@ -168,15 +167,15 @@ def feedback_gain(model: Bilinear, input_weight: float) -> Float[np.ndarray, "1 
 
 
 def observer_gains(model: Bilinear, sensor_noise: float) -> Float[np.ndarray, "q n p"]:
-    """Gains L_i with the least bound on the variance of the estimate's error that holds for all
-    nodes.
+    """Observer gains L_i with the smallest bound on the variance of the estimation error that holds
+    at all nodes.
 
     With `M` and `Y_i = M L_i`: `(A + L C) S (A + L C)' + G G' + L N L' < S`, `S = M^{-1}`, by a
     Schur complement; the trace of S is minimised.
     """
     n = model.order
     p = len(model.c)
-    moment = second_moment(model)
+    moment = state_second_moment(model)
     drift = np.linalg.cholesky(DRIFT * moment + STRICT * np.trace(moment) * np.eye(n))
     m = cp.Variable((n, n), symmetric=True)
     bound = cp.Variable((n, n), symmetric=True)
@@ -196,7 +195,7 @@ def observer_gains(model: Bilinear, sensor_noise: float) -> Float[np.ndarray, "q
 
 
 def solve_or_explain(program: cp.Problem, reason: str) -> str:
-    """Solve a program and return the solver's status; raises `NoSolution` with the reason."""
+    """Solve a cvxpy program and return its status; raises `NoSolution` with the given reason."""
     try:
         return solve_program(program, SOLVER)
     except NoSolution as failure:
@@ -213,9 +212,9 @@ def symmetric_value(variable: cp.Variable) -> Matrix:
     return symmetric_part(solved_value(variable))
 
 
-def shrinking_metric(matrices: list[Matrix], floor: Matrix, reason: str) -> Matrix:
-    """Metric in which all matrices shrink distances, by nearly the least factor; the smallest that
-    is at least `floor`. Raises `NoSolution` with the reason where none is found."""
+def contraction_metric(matrices: list[Matrix], floor: Matrix, reason: str) -> Matrix:
+    """Smallest metric in which all given matrices contract, by nearly the smallest common factor.
+    Raises `NoSolution` with the reason where none is found."""
     highest = 1.0 - 10.0 * ROUNDING
     metric = metric_for_factor(matrices, highest, floor, reason)
     lowest = max(float(np.abs(np.linalg.eigvals(matrix)).max()) for matrix in matrices)
@@ -233,7 +232,7 @@ def shrinking_metric(matrices: list[Matrix], floor: Matrix, reason: str) -> Matr
 
 
 def metric_for_factor(matrices: list[Matrix], factor: float, floor: Matrix, reason: str) -> Matrix:
-    """Metric in which all matrices shrink distances by a given factor."""
+    """Metric in which all given matrices contract by a given factor."""
     n = len(floor)
     p = cp.Variable((n, n), symmetric=True)
     constraints = [p >> floor]
@@ -247,8 +246,8 @@ def metric_for_factor(matrices: list[Matrix], factor: float, floor: Matrix, reas
     return symmetric_value(p)
 
 
-def largest_shrinkage(matrices: list[Matrix], metric: Matrix) -> float:
-    """Largest factor by which some matrix changes a metric's norm, rounded up."""
+def largest_norm_factor(matrices: list[Matrix], metric: Matrix) -> float:
+    """Largest factor by which any of several matrices changes a metric's norm, rounded up."""
     root = np.linalg.cholesky(metric).T
     inverse = np.linalg.inv(root)
     norms = [float(np.linalg.norm(root @ matrix @ inverse, 2)) for matrix in matrices]
@@ -258,15 +257,15 @@ def largest_shrinkage(matrices: list[Matrix], metric: Matrix) -> float:
 def bound_by_metric(
     rows: Float[np.ndarray, "_ n"], metric: Matrix, outer: Float[np.ndarray, "_ _"] | None = None
 ) -> float:
-    """Least g with `|rows x| <= g |x|`, in the metric's norm on the right and, if given, that of
-    `outer` on the left; rounded up."""
+    """Smallest g with `|rows x| <= g |x|` in the norms of given metrics, rounded up."""
     inverse = np.linalg.inv(np.linalg.cholesky(metric).T)
     left = np.eye(len(rows)) if outer is None else np.linalg.cholesky(outer).T
     return max(float(np.linalg.norm(left @ rows @ inverse, 2)), ROUNDING) * (1.0 + ROUNDING)
 
 
-def common_numbers(loop: LoopVertices, p: Matrix) -> dict[str, Any]:
-    """Fields that every certificate has: the model's matrices, the state feedback, its metric."""
+def model_and_feedback_numbers(loop: LoopVertices, p: Matrix) -> dict[str, Any]:
+    """Fields that every certificate of a bilinear loop has: model matrices, state feedback and its
+    metric."""
     model = loop.model
     return {
         "alpha": 1.0,
@@ -276,16 +275,16 @@ def common_numbers(loop: LoopVertices, p: Matrix) -> dict[str, Any]:
         "b_nodes": model.b,
         "k": loop.k,
         "p": p,
-        "factor_controller": largest_shrinkage(loop.closed_loops, p),
+        "factor_controller": largest_norm_factor(loop.closed_loops, p),
     }
 
 
 def observer_numbers(loop: LoopVertices, p: Matrix, least_factor: float) -> dict[str, Any]:
-    """Fields that every certificate of a loop with its observer has: the observer's gains, their
-    metric, and how state and error add up to a norm that shrinks by `factor`."""
+    """Fields that every certificate of a bilinear loop with an observer has: observer gains and
+    their metric."""
     model = loop.model
     m = loop.error_metric
-    factor_observer = largest_shrinkage(loop.error_matrices, m)
+    factor_observer = largest_norm_factor(loop.error_matrices, m)
     coupling = max(bound_by_metric(b @ loop.k, m, p) for b in input_columns(model))
     through_observer = factor_observer + OBSERVER_SHARE * (1.0 - factor_observer)
     above = least_factor + ROUNDING + BACK_OFF * (1.0 - least_factor)
@@ -302,11 +301,10 @@ def observer_numbers(loop: LoopVertices, p: Matrix, least_factor: float) -> dict
 
 
 def certify_loop(loop: LoopVertices) -> BilinearLoop:
-    """Certificate that the loop comes to rest from a set of starts; raises `NoSolution` where none
-    is found."""
+    """Certificate that a bilinear loop comes to rest from a set of initial states."""
     started = time.perf_counter()
     refuse_one_sided_input(loop)
-    numbers = common_numbers(loop, loop.state_metric)
+    numbers = model_and_feedback_numbers(loop, loop.state_metric)
     numbers |= observer_numbers(loop, loop.state_metric, numbers["factor_controller"])
     gain_state = bound_by_metric(loop.k, loop.state_metric)
     gain_error = bound_by_metric(loop.k, loop.error_metric)
@@ -314,31 +312,31 @@ def certify_loop(loop: LoopVertices) -> BilinearLoop:
     numbers["gain_state"] = gain_state
     numbers["gain_error"] = gain_error
     numbers["radius"] = loop.limit / reach * (1.0 - ROUNDING)
-    return decide(BilinearLoop, numbers, started)
+    return decide_exactly(BilinearLoop, numbers, started)
 
 
 def certify_everywhere(loop: LoopVertices) -> BilinearEverywhere:
-    """Certificate that the loop with a cut input comes to rest from every start; raises
-    `NoSolution` where none is found."""
+    """Certificate that a bilinear loop with a limited input comes to rest from every initial
+    state."""
     started = time.perf_counter()
     p = loop.uncontrolled_metric
-    numbers = common_numbers(loop, p)
-    uncontrolled = largest_shrinkage([*loop.model.a], p)
+    numbers = model_and_feedback_numbers(loop, p)
+    uncontrolled = largest_norm_factor([*loop.model.a], p)
     numbers["factor_uncontrolled"] = uncontrolled
     numbers |= observer_numbers(loop, p, max(numbers["factor_controller"], uncontrolled))
-    return decide(BilinearEverywhere, numbers, started)
+    return decide_exactly(BilinearEverywhere, numbers, started)
 
 
 def certify_contraction(loop: LoopVertices) -> BilinearContraction:
-    """Certificate that two motions under state feedback approach each other inside a set; raises
-    `NoSolution` where none is found."""
+    """Certificate that two trajectories of a bilinear loop approach each other inside a set of
+    states."""
     started = time.perf_counter()
     refuse_one_sided_input(loop)
     model = loop.model
-    numbers = common_numbers(loop, loop.state_metric)
+    numbers = model_and_feedback_numbers(loop, loop.state_metric)
     widths = np.diff(model.nodes)[:, None, None]
     changes = np.diff(model.a, axis=0) / widths
-    variation = largest_shrinkage([*changes], loop.state_metric)
+    variation = largest_norm_factor([*changes], loop.state_metric)
     gain_state = bound_by_metric(loop.k, loop.state_metric)
     slope = variation * gain_state
     controller = numbers["factor_controller"]
@@ -352,17 +350,18 @@ def certify_contraction(loop: LoopVertices) -> BilinearContraction:
         "radius": radius,
         "factor": factor,
     }
-    return decide(BilinearContraction, numbers, started)
+    return decide_exactly(BilinearContraction, numbers, started)
 
 
 def refuse_one_sided_input(loop: LoopVertices) -> None:
-    """Raise `NoSolution` where the input at the equilibrium is an end of the inputs in the log."""
+    """Raise `NoSolution` if the input at the equilibrium is the smallest or largest input of the
+    log."""
     if loop.limit <= 0.0:
         raise NoSolution("the equilibrium of the input is an end of the inputs that the log has")
 
 
-def decide(kind: Any, numbers: dict[str, Any], started: float) -> Any:
-    """Certificate with the verdict of exact arithmetic; raises `NoSolution` where it fails."""
+def decide_exactly(kind: Any, numbers: dict[str, Any], started: float) -> Any:
+    """Certificate with the verdict of exact arithmetic; raises `NoSolution` if it is refused."""
     status = f"{SOLVER.lower()}: optimal"
     certificate = kind.from_numbers(numbers, started=started, status=status, method="vertices")
     if not certificate.certified:

@@ -67,7 +67,7 @@ class DesignAttempt:
     method: str
     started: float
 
-    def refuse_beyond_limit(self) -> Infeasible | None:
+    def infeasible_beyond_limit(self) -> Infeasible | None:
         """Result of an attempt whose requested rate exceeds the theoretical limit; None if it does
         not."""
         ball = self.ball
@@ -354,7 +354,7 @@ class Synthesis(ABC):
             method=self.method,
             started=started,
         )
-        if refused := request.refuse_beyond_limit():
+        if refused := request.infeasible_beyond_limit():
             return refused
         problem = self.problem(system, ball, theorem.observes)
         return request.first_certified_solution(problem, self.attempts(problem, limit))

@@ -66,7 +66,7 @@ class Coverage:
 
     @property
     def covers_records(self) -> bool:
-        """Whether the proof covers at least the model error that the records show."""
+        """Whether the proof covers at least the model error in the records."""
         return self.coverage is not None and self.coverage >= 1
 
 

@@ -9,8 +9,8 @@ from report_runs import random_model
 
 from ssm_study import style
 from ssm_study.api.pictures.bode import bode_picture, record_gain_ratio
-from ssm_study.api.pictures.coverage import physical_words
-from ssm_study.api.pictures.margin import amplitude_words
+from ssm_study.api.pictures.coverage import requirement_text
+from ssm_study.api.pictures.margin import amplitude_text
 from ssm_study.api.pictures.picture import DASH_CYCLE, DASHED, Band, GuideLine, PicturePanel, Series
 from ssm_study.report.page.pictures import MOST_POINTS, legend_entries, panel_spec, thin_line
 from ssm_study.signals import Trajectory
@@ -86,15 +86,15 @@ def test_a_thinned_line_keeps_its_peaks_its_ends_and_its_gaps() -> None:
 
 
 def test_amplitudes_and_places_are_printed_in_physical_units() -> None:
-    assert amplitude_words(0.5, (4.0, "V")) == "input of rms 2 V"
-    assert amplitude_words(0.5, None) == "input of rms 0.5 input scales"
+    assert amplitude_text(0.5, (4.0, "V")) == "input of rms 2 V"
+    assert amplitude_text(0.5, None) == "input of rms 0.5 input scales"
     labels = {"input of rms 0.5": "input of rms 2 V"}
     step_s = 0.01
-    words = physical_words("input of rms 0.5, 0.31 to 0.63 rad/sample", labels, step_s)
+    words = requirement_text("input of rms 0.5, 0.31 to 0.63 rad/sample", labels, step_s)
     assert words == "input of rms 2 V, 4.93 to 10 Hz"
-    words = physical_words("input of rms 0.5, around 0.00 rad/sample", labels, step_s)
+    words = requirement_text("input of rms 0.5, around 0.00 rad/sample", labels, step_s)
     assert words == "input of rms 2 V, the lowest frequencies"
-    assert physical_words("input of rms 0.5, in total", labels, step_s) == (
+    assert requirement_text("input of rms 0.5, in total", labels, step_s) == (
         "input of rms 2 V, in total"
     )
 

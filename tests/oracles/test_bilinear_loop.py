@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from test_models_bilinear import known_model
 
-from ssm_study.api.rest_design import RestDesign, resting_inputs, resting_state
+from ssm_study.api.rest_design import RestDesign, equilibrium_input_range, equilibrium_state
 from ssm_study.certificates.bilinear_certificates import RestCertificates, failed_rest_checks
 from ssm_study.certificates.theorems.bilinear_contraction import BilinearContraction
 from ssm_study.certificates.theorems.bilinear_everywhere import BilinearEverywhere
@@ -260,13 +260,13 @@ def test_the_loop_settles_sooner_than_the_model_alone(certificates: RestCertific
 def test_the_named_starts_from_rest_are_in_the_set(certificates: RestCertificates) -> None:
     part = certificates.parts["bilinear_loop"]
     model = known_model()
-    lowest, highest = resting_inputs(model, part)
+    lowest, highest = equilibrium_input_range(model, part)
     assert lowest == -1.0
     assert 0.0 < highest < 1.0
     level = np.array([[highest]])
     inputs = np.repeat(level, 400, axis=0)
     y = model.simulate(inputs)
-    x = resting_state(model, highest)
+    x = equilibrium_state(model, highest)
     np.testing.assert_allclose(model.c @ x, y[-1], atol=1e-9)
     norm = np.sqrt(x @ part.p @ x)
     norm += part.weight * np.sqrt(x @ part.m @ x)

@@ -226,12 +226,12 @@ def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
         method="any",
         started=0.0,
     )
-    refused = request.refuse_beyond_limit()
+    refused = request.infeasible_beyond_limit()
     assert isinstance(refused, Infeasible)
     assert refused.proved
     rate = float(np.nextafter(limit.rate_limit, 0))
     changed_request = replace(request, rate=rate)
-    assert changed_request.refuse_beyond_limit() is None
+    assert changed_request.infeasible_beyond_limit() is None
 
 
 @pytest.mark.parametrize(

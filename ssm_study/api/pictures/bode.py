@@ -73,8 +73,8 @@ def bode_picture(
 
 
 def record_gain_ratio(model: Model, record: Trajectory) -> float | None:
-    """Gain of the input map over a record, over its slope at rest; None where they all but agree
-    or for several inputs.
+    """Ratio of the input map's gain over a record to its slope at the equilibrium; None where they
+    nearly agree or there are several inputs.
 
     The gain of a static map that a cross spectrum shows is `E[S(u) u] / E[u^2]`, exactly so for
     Gaussian inputs. Source: Bussgang 1952.

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ssm_study import style
-from ssm_study.api.pictures.margin import InputScale, amplitude_words
+from ssm_study.api.pictures.margin import InputScale, amplitude_text
 from ssm_study.api.pictures.picture import (
     DASH_CYCLE,
     GuideLine,
@@ -48,7 +48,7 @@ def coverage_picture(
     if not rows:
         raise NothingToShow("The records show no model error in any band.")
     records = list(dict.fromkeys(row.record for row in rows))
-    labels = record_labels(premise, input_scale)
+    labels = record_names(premise, input_scale)
     series = []
     for i, record in enumerate(records):
         own = [row for row in rows if row.record == record]
@@ -61,7 +61,7 @@ def coverage_picture(
     if band is not None and np.isclose(band.need, need, rtol=1e-6):
         series.append(_smallest_coverage_dot(band, part.kappa, step_s))
     verdict = "covered" if coverage >= 1 else "not covered"
-    deciding = physical_words(where, labels, step_s)
+    deciding = requirement_text(where, labels, step_s)
     title = f"Coverage {_format_coverage(coverage)}, {verdict}; decided by: {deciding}"
     guide_line = GuideLine(y=1.0, dashed=False, name="1: below, not covered")
     rules = (guide_line,)
@@ -77,20 +77,18 @@ def coverage_picture(
     return Picture(title=title, panels=(panel,), wide=True)
 
 
-def record_labels(premise: Premise, input_scale: InputScale | None) -> dict[str, str]:
-    """Printed name of each record by the name in its spectrum, with the input's amplitude in
-    physical units."""
+def record_names(premise: Premise, input_scale: InputScale | None) -> dict[str, str]:
+    """Printed name of each record, with the amplitude of its input in physical units."""
     spectra = (*premise.repeating, *premise.averaged, *premise.sines)
     return {
-        spectrum.name: amplitude_words(spectrum.amplitude, input_scale)
+        spectrum.name: amplitude_text(spectrum.amplitude, input_scale)
         for spectrum in spectra
         if AMPLITUDE.fullmatch(spectrum.name)
     }
 
 
-def physical_words(where: str, labels: dict[str, str], step_s: float) -> str:
-    """Words for the requirement that decides, with amplitudes in physical units and frequencies in
-    Hz."""
+def requirement_text(where: str, labels: dict[str, str], step_s: float) -> str:
+    """Text on the deciding requirement, with amplitudes in physical units and frequencies in Hz."""
     record, _, place = where.partition(", ")
     hertz_per_angle = 1 / (2 * np.pi * step_s)
     in_hertz = ANGLE.sub(lambda angle: f"{float(angle[0]) * hertz_per_angle:.3g}", place)

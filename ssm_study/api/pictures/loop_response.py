@@ -139,7 +139,7 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
 
 
 def _settling_band(time_s: Times, goal: Times, half_width: float, unit: str) -> Band:
-    """Band around a set point that steps: its edges are vertical there, as the step itself."""
+    """Band in which a response counts as settled, around a set point that steps."""
     twice_s = np.repeat(time_s, 2)[1:]
     held_goal = np.repeat(goal, 2)[:-1]
     is_corner = np.ones(len(twice_s), dtype=bool)

@@ -90,17 +90,18 @@ def _curve_label(curve: MarginCurve, input_scale: InputScale | None) -> str:
     """Legend entry of one curve of the stability margin."""
     if curve.amplitude is None:
         return "trials in closed loop"
-    return amplitude_words(curve.amplitude, input_scale)
+    return amplitude_text(curve.amplitude, input_scale)
 
 
 def physical_input_scale(model: Model, unit: str) -> InputScale | None:
-    """Scale of a model's input in physical units, with their name; None for several inputs."""
+    """Scale of a model's input in physical units, with the name of the unit; None for several
+    inputs."""
     scales = model.scale.input_scale
     return (float(scales[0]), unit) if len(scales) == 1 else None
 
 
-def amplitude_words(amplitude: float, input_scale: InputScale | None) -> str:
-    """Words for an amplitude of the input in physical units, otherwise in input scales."""
+def amplitude_text(amplitude: float, input_scale: InputScale | None) -> str:
+    """Text of an input amplitude in physical units if they are known, otherwise in input scales."""
     if input_scale is None:
         return f"input of rms {amplitude:.2g} input scales"
     size, unit = input_scale

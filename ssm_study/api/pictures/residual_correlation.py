@@ -24,10 +24,10 @@ def residual_correlation_picture(
     lags = min(MAX_LAG, min(map(len, errors)) // 4)
     bound = SURE / np.sqrt(samples)
     own = correlate_signals(errors, errors, 0, 0, lags, one_sided=True)
-    panels = [_correlation_panel(own, bound, f"Error of {spaced(output_name)} with itself")]
+    panels = [_correlation_panel(own, bound, f"Error of {with_spaces(output_name)} with itself")]
     for j, name in enumerate(input_names):
         cross = correlate_signals(errors, inputs, 0, j, lags, one_sided=False)
-        picture_panel = _correlation_panel(cross, bound, f"Error with {spaced(name)}")
+        picture_panel = _correlation_panel(cross, bound, f"Error with {with_spaces(name)}")
         panels.append(picture_panel)
     inside = float(np.mean(np.abs(own[1][1:]) <= bound))
     title = (
@@ -38,7 +38,7 @@ def residual_correlation_picture(
     return Picture(title=title, panels=tuple(panels), columns=len(panels))
 
 
-def spaced(name: str) -> str:
+def with_spaces(name: str) -> str:
     """Name of a channel with spaces for underscores."""
     return name.replace("_", " ")
 

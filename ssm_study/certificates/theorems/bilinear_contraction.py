@@ -1,5 +1,5 @@
-"""State feedback of a model with products of input and state: inside a stated set any two motions
-approach each other.
+"""State feedback of a bilinear model: inside a stated set of states any two trajectories approach
+each other.
 
 Problem. `x+ = sum_i theta_i(v) (A_i x + b_i)` as in `bilinear_loop`, with `v = K x`, the state
 known: where do two motions approach each other, and how fast?
@@ -39,17 +39,17 @@ from ssm_study.certificates.theorems.bilinear_loop import (
     bounded_blocks,
     count_nodes,
     feedback_conditions,
-    input_bound,
+    input_bound_block,
     matrix_at,
     node_at,
     positive_numbers,
-    width_of,
+    segment_width,
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearContraction(BilinearTheorem):
-    """Certificate that two motions under state feedback approach each other inside `|x|_P <=
+    """Certificate that two trajectories under state feedback approach each other inside `|x|_P <=
     radius`, by `factor` in each sample. `variation` bounds how fast A follows the input."""
 
     gain_state: float
@@ -60,17 +60,18 @@ class BilinearContraction(BilinearTheorem):
 
     @staticmethod
     def conditions(of: Any) -> dict[str, Blocks]:
-        """Inequalities at all vertices, and those of the set."""
+        """Matrix inequalities at all vertices of the bilinear model, and those of the set of
+        states."""
         conditions = feedback_conditions(of)
         count = count_nodes(of)
         for segment in range(count - 1):
             before = matrix_at(of, segment)
             change = matrix_at(of, segment + 1) - before
-            bound = width_of(of, segment) * of.variation
+            bound = segment_width(of, segment) * of.variation
             label = f"variation on segment {segment + 1}"
             conditions[label] = bounded_blocks(change, of.p, bound, of.p)
         reach = of.radius * of.gain_state
-        conditions["input by state"] = input_bound(of, of.gain_state, of.p)
+        conditions["input by state"] = input_bound_block(of, of.gain_state, of.p)
         conditions["metric"] = [[of.p]]
         slope = of.factor_controller + reach * of.variation
         conditions["factor above that of the Jacobian"] = [[of.factor - slope]]
@@ -84,7 +85,7 @@ class BilinearContraction(BilinearTheorem):
 
 
 def example_numbers(factor: float) -> dict[str, Any]:
-    """Numbers of the example in the docstring."""
+    """Numbers of the worked example in the docstring."""
     numbers = bilinear_loop.example_numbers(0.45)
     for name in ("c", "l_nodes", "m", "factor_observer", "coupling", "weight", "gain_error"):
         del numbers[name]

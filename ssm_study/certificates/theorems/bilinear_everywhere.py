@@ -1,5 +1,4 @@
-"""The same loop with its input cut at the outermost nodes: it comes to rest from every start, where
-the model without control shrinks the same norm.
+"""Bilinear loop whose input is limited: it comes to rest from every initial state.
 
 Problem. That of `bilinear_loop`, with `v = sat(K xh)`, cut at `v_1` and `v_q`: does the loop come
 to rest from every start?
@@ -37,21 +36,21 @@ from ssm_study.certificates.theorems import bilinear_loop
 from ssm_study.certificates.theorems.bilinear_loop import (
     BilinearLoopTheorem,
     cascade_conditions,
+    contraction_blocks,
     count_nodes,
     coupling_conditions,
     feedback_conditions,
     matrix_at,
     observer_conditions,
     positive_numbers,
-    shrinking,
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearEverywhere(BilinearLoopTheorem):
-    """Certificate that the loop with a cut input comes to rest from every start. `V = |x|_P +
-    weight |e|_M` shrinks by `factor`; the model without control shrinks `|x|_P` by
-    `factor_uncontrolled`."""
+    """Certificate that the bilinear loop with a limited input comes to rest from every initial
+    state. `V = |x|_P + weight |e|_M` shrinks by `factor`; the model without control shrinks `|x|_P`
+    by `factor_uncontrolled`."""
 
     factor_uncontrolled: float
 
@@ -59,18 +58,18 @@ class BilinearEverywhere(BilinearLoopTheorem):
 
     @staticmethod
     def conditions(of: Any) -> dict[str, Blocks]:
-        """Inequalities at all vertices, with and without control."""
+        """Matrix inequalities at all vertices of the bilinear model, with and without control."""
         matrices = feedback_conditions(of) | observer_conditions(of) | coupling_conditions(of)
         for node in range(count_nodes(of)):
             label = f"without control at node {node + 1}"
-            matrices[label] = shrinking(matrix_at(of, node), of.p, of.factor_uncontrolled)
+            matrices[label] = contraction_blocks(matrix_at(of, node), of.p, of.factor_uncontrolled)
         excess = of.factor - of.factor_uncontrolled
         matrices["factor above that without control"] = [[excess]]
         return matrices | cascade_conditions(of) | positive_numbers(of, "factor_uncontrolled")
 
 
 def example_numbers(factor_uncontrolled: float) -> dict[str, Any]:
-    """Numbers of the example in the docstring."""
+    """Numbers of the worked example in the docstring."""
     numbers = bilinear_loop.example_numbers(0.45)
     del numbers["radius"], numbers["gain_error"], numbers["gain_state"]
     return numbers | {"factor": 0.7, "factor_uncontrolled": factor_uncontrolled}

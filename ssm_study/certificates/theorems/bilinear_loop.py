@@ -1,5 +1,5 @@
-"""Controller and observer of a model with products of input and state: the loop comes to rest from
-a stated set of states, and the input stays within the nodes.
+"""Controller and observer of a bilinear model: the loop comes to rest from a stated set of initial
+states.
 
 Problem. `x+ = sum_i theta_i(v) (A_i x + b_i)`, `w = C x`, one input v, hat functions `theta_i` on
 nodes `v_1 < ... < v_q`, `b_i = 0` at the node zero. `v = K xh`, `xh+ = sum_i theta_i(v) (A_i xh +
@@ -45,8 +45,8 @@ from ssm_study.systems import JacobianBall
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearTheorem(Theorem, abstract=True):
-    """Certificate about a model with products of input and state, whose matrices it stores.
-    `a_nodes` has the A_i below one another, `b_nodes` the b_i in its rows."""
+    """Certificate about a bilinear model, with the matrices of the model. `a_nodes` has the A_i
+    below one another, `b_nodes` the b_i in its rows."""
 
     nodes: Float[np.ndarray, "q"]
     a_nodes: Float[np.ndarray, "qn n"]
@@ -69,18 +69,18 @@ class BilinearTheorem(Theorem, abstract=True):
 
     @staticmethod
     def required_ball(context: VerificationContext) -> JacobianBall:  # noqa: ARG004
-        """Ball of the identity: the model has no static maps."""
+        """Ball of Jacobians of the identity, because a bilinear model has no static maps."""
         return JacobianBall(alpha=1.0, beta=0.0)
 
     @classmethod
     def largest_provable_rate(cls, context: VerificationContext) -> float | None:  # noqa: ARG003
-        """Always None, because no formula is known."""
+        """Return None, because no formula for the largest rate is known."""
         return None
 
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearLoopTheorem(BilinearTheorem, abstract=True):
-    """Certificate about the loop of a model with products of input and state, with its observer."""
+    """Base class of certificates about the closed loop of a bilinear model with its observer."""
 
     c: Float[np.ndarray, "p n"]
     l_nodes: Float[np.ndarray, "qn p"]
@@ -92,8 +92,8 @@ class BilinearLoopTheorem(BilinearTheorem, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearLoop(BilinearLoopTheorem):
-    """Certificate that the loop comes to rest from a stated set. `V = |x|_P + weight |e|_M` shrinks
-    by `factor` from every start with `V <= radius`."""
+    """Certificate that a bilinear loop comes to rest from a stated set of initial states. `V =
+    |x|_P + weight |e|_M` shrinks by `factor` from every start with `V <= radius`."""
 
     gain_state: float
     gain_error: float
@@ -103,10 +103,11 @@ class BilinearLoop(BilinearLoopTheorem):
 
     @staticmethod
     def conditions(of: Any) -> dict[str, Blocks]:
-        """Inequalities at all vertices, and those of the numbers that tie them together."""
+        """Matrix inequalities at all vertices of the bilinear model, and conditions that connect
+        their numbers."""
         matrices = feedback_conditions(of) | observer_conditions(of) | coupling_conditions(of)
-        matrices["input by state"] = input_bound(of, of.gain_state, of.p)
-        matrices["input by error"] = input_bound(of, of.gain_error, of.m)
+        matrices["input by state"] = input_bound_block(of, of.gain_state, of.p)
+        matrices["input by error"] = input_bound_block(of, of.gain_error, of.m)
         return matrices | cascade_conditions(of) | range_conditions(of)
 
 
@@ -135,7 +136,7 @@ def node_at(of: Any, node: int) -> Any:
     return of.nodes[:, place]
 
 
-def width_of(of: Any, segment: int) -> Any:
+def segment_width(of: Any, segment: int) -> Any:
     """Distance `D_k` between the nodes of a segment."""
     lower = node_at(of, segment)
     upper = node_at(of, segment + 1)
@@ -150,7 +151,7 @@ def input_step(of: Any, segment: int) -> Any:
     return step.T
 
 
-def shrinking(matrix: Any, metric: Any, factor: Any) -> Blocks:
+def contraction_blocks(matrix: Any, metric: Any, factor: Any) -> Blocks:
     """Blocks that are positive definite exactly if a matrix shrinks the metric's norm by more than
     a factor. `X' P X < factor^2 P`, by its Schur complement."""
     square = factor * factor
@@ -166,17 +167,18 @@ def bounded_blocks(matrix: Any, outer: Any, bound: Any, metric: Any) -> Blocks:
 
 
 def feedback_conditions(of: Any) -> dict[str, Blocks]:
-    """Conditions of the state feedback, for each node and each segment; both sides times `D_k`."""
+    """Conditions on the state feedback for each node and segment of a bilinear model, both sides
+    times `D_k`."""
     conditions: dict[str, Blocks] = {}
     for segment in range(count_nodes(of) - 1):
-        width = width_of(of, segment)
+        width = segment_width(of, segment)
         fed_back = input_step(of, segment) @ of.k
         factor = width * of.factor_controller
         for node in range(count_nodes(of)):
             closed = width * matrix_at(of, node)
             closed = closed + fed_back
             label = f"state feedback at node {node + 1}, segment {segment + 1}"
-            conditions[label] = shrinking(closed, of.p, factor)
+            conditions[label] = contraction_blocks(closed, of.p, factor)
     return conditions
 
 
@@ -188,16 +190,16 @@ def observer_conditions(of: Any) -> dict[str, Blocks]:
         injected = of.l_nodes[rows, :] @ of.c
         error_matrix = matrix_at(of, node) + injected
         label = f"observer at node {node + 1}"
-        conditions[label] = shrinking(error_matrix, of.m, of.factor_observer)
+        conditions[label] = contraction_blocks(error_matrix, of.m, of.factor_observer)
     return conditions
 
 
 def coupling_conditions(of: Any) -> dict[str, Blocks]:
-    """Conditions that bound how far an error of the observer moves the state, one for each
+    """Conditions that bound the effect of the estimation error on the state, one for each
     segment."""
     conditions: dict[str, Blocks] = {}
     for segment in range(count_nodes(of) - 1):
-        width = width_of(of, segment)
+        width = segment_width(of, segment)
         moved = input_step(of, segment) @ of.k
         bound = width * of.coupling
         label = f"coupling on segment {segment + 1}"
@@ -205,7 +207,7 @@ def coupling_conditions(of: Any) -> dict[str, Blocks]:
     return conditions
 
 
-def input_bound(of: Any, gain: Any, metric: Any) -> Blocks:
+def input_bound_block(of: Any, gain: Any, metric: Any) -> Blocks:
     """Block that is positive definite exactly if the gain bounds the input by a metric's norm."""
     one = np.eye(1)
     return bounded_blocks(of.k, one, gain, metric)
@@ -228,12 +230,13 @@ def cascade_conditions(of: Any) -> dict[str, Blocks]:
 
 
 def positive_numbers(of: Any, *names: str) -> dict[str, Blocks]:
-    """Conditions that numbers of the certificate are positive."""
+    """Conditions that the given numbers of the certificate are positive."""
     return {f"{name} above 0": [[getattr(of, name)]] for name in names}
 
 
 def range_conditions(of: Any) -> dict[str, Blocks]:
-    """Conditions that the input stays within the nodes from every start in the set."""
+    """Conditions that keep the input within the outermost nodes from every initial state in the
+    set."""
     conditions = positive_numbers(of, "radius", "gain_state", "gain_error")
     by_state = of.radius * of.gain_state
     by_error = of.radius * of.gain_error
@@ -247,8 +250,7 @@ def range_conditions(of: Any) -> dict[str, Blocks]:
 
 
 def example_numbers(factor_controller: float) -> dict[str, Any]:
-    """Numbers of the example in the docstring, all by hand: one state, three nodes, `L_i = 0.1 -
-    A_i`."""
+    """Numbers of the worked example in the docstring: one state, three nodes, `L_i = 0.1 - A_i`."""
     one = np.ones((1, 1))
     a_nodes = np.array([[0.4], [0.5], [0.6]])
     nodes = np.array([-1.0, 0.0, 1.0])

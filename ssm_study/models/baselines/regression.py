@@ -62,7 +62,7 @@ class Polynomial(Simulator, names=("narx",)):
         """Simulate the polynomial model in free run after some measured outputs."""
         v = self.scale.scaled_input(u)
         measured = self.scale.scaled_output(y_start)[..., 0]
-        by_input = _input_factors(self.codes, v)
+        by_input = _input_factor_product(self.codes, v)
         is_output = (self.codes >= OUTPUT) & (self.codes < INPUT)
         lags = np.where(is_output, self.codes - OUTPUT, 0)
         past = np.zeros((*v.shape[:-2], 1 + max(1, int(lags.max()))))
@@ -80,7 +80,7 @@ class Polynomial(Simulator, names=("narx",)):
         return self.scale.physical_output(y[..., None])
 
 
-def _input_factors(codes: Codes, v: Float[np.ndarray, "*batch T m"]) -> np.ndarray:
+def _input_factor_product(codes: Codes, v: Float[np.ndarray, "*batch T m"]) -> np.ndarray:
     """Product of the input factors in each term of a polynomial model, at each sample."""
     product = np.ones((*v.shape[:-1], len(codes)))
     for term, row in enumerate(codes):

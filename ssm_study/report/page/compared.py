@@ -85,8 +85,7 @@ def number_cells(row: "pd.Series[Any]") -> list[tuple[str, str]]:
 
 
 def settled_cell(row: dict[str, Any]) -> tuple[str, str]:
-    """Table cell with the share that settles and the mean settling time, shaded where some do not
-    settle."""
+    """Table cell with the share of initial states that settle and their mean settling time."""
     share = row.get("stable_fraction", np.nan)
     if pd.isna(share):
         return MISSING, ""

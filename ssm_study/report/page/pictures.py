@@ -94,12 +94,11 @@ def panel_axes(panel: PicturePanel) -> Spec:
 
 
 def legend_entries(panel: PicturePanel) -> list[LegendEntry]:
-    """Legend of a panel: each named part with the mark, colour and dashes with which it is drawn,
-    in the order guide lines, series, bands."""
-    entries = [(rule.name, "line", INK, dash_words(rule_dashes(rule))) for rule in panel.rules]
+    """Legend of a panel: each named curve or line with its mark, colour and dashes."""
+    entries = [(rule.name, "line", INK, dash_text(rule_dashes(rule))) for rule in panel.rules]
     for series in panel.series:
         mark = "line" if series.mark in JOINED else series.mark
-        entries.append((series.name, mark, series.colour, dash_words(series.dashes)))
+        entries.append((series.name, mark, series.colour, dash_text(series.dashes)))
     entries += [(band.name, "band", band.colour, "") for band in panel.bands]
     named = [entry for entry in entries if entry[0]]
     return list(dict.fromkeys(named))
@@ -110,7 +109,7 @@ def rule_dashes(rule: GuideLine) -> tuple[int, ...]:
     return tuple(DASH) if rule.dashed else ()
 
 
-def dash_words(dashes: tuple[int, ...]) -> str:
+def dash_text(dashes: tuple[int, ...]) -> str:
     """Lengths of dash and gap as SVG writes them."""
     return " ".join(map(str, dashes))
 
@@ -132,7 +131,7 @@ def series_layer(series: Series, panel: PicturePanel, axes: Spec) -> Spec:
     shortened to one missing point."""
     x, y = cut_to_range(series.x, series.y, panel.x_range)
     x, y = thin_line(x, y)
-    numbers = {"x": short_numbers(x), "y": short_numbers(y)}
+    numbers = {"x": round_for_page(x), "y": round_for_page(y)}
     transform: list[Spec] = [{"flatten": ["x", "y"]}]
     encoding = dict(axes)
     encoding["color"] = {"value": series.colour}
@@ -167,9 +166,9 @@ def band_layer(band: Band, panel: PicturePanel, axes: Spec) -> Spec:
     x, low = cut_to_range(band.x, band.low, panel.x_range)
     _, high = cut_to_range(band.x, band.high, panel.x_range)
     every = _line_stride(len(x))
-    values = {"x": short_numbers(x[::every])}
-    values["y"] = short_numbers(low[::every])
-    values["y2"] = short_numbers(high[::every])
+    values = {"x": round_for_page(x[::every])}
+    values["y"] = round_for_page(low[::every])
+    values["y2"] = round_for_page(high[::every])
     encoding = dict(axes)
     encoding["y2"] = {"field": "y2"}
     encoding["color"] = {"value": band.colour}
@@ -206,8 +205,8 @@ def thin_line(x: Values, y: Values) -> tuple[Stretch, Stretch]:
 
 
 def keep_extremes(places: Places, y: Values) -> Places:
-    """Places of the lowest and of the highest value in each stretch of a long curve, with its two
-    ends and with what is missing."""
+    """Indices of a long curve's lowest and highest values in each stretch, with its ends and
+    gaps."""
     if len(places) <= MOST_POINTS:
         return places
     kept = {int(places[0]), int(places[-1])}
@@ -233,6 +232,6 @@ def _line_stride(points: int) -> int:
     return max(1, stride)
 
 
-def short_numbers(values: Values) -> list[float | None]:
-    """Round numbers to four significant digits for the page; None breaks a line."""
+def round_for_page(values: Values) -> list[float | None]:
+    """Round numbers to four significant digits for the page; None stands for a gap in a line."""
     return [float(f"{value:.4g}") if np.isfinite(value) else None for value in values]
