@@ -48,10 +48,11 @@ def assemble_dataset(
             _check_record(record, training[0].step_s, start_up_samples)
     scales: dict[str, Any] = {}
     for (name, side), at, own in zip(SIDES, rest, channels, strict=False):
-        values = np.concatenate([getattr(record, side) for record in training])
+        signals = [getattr(record, side) for record in training]
+        values = np.concatenate(signals)
         _refuse_constant_channels(values, own)
-        squares = (values - at) ** 2
-        scales[f"{name}_scale"] = np.sqrt(np.mean(squares, axis=0))
+        mean_squares = np.mean((values - at) ** 2, axis=0)
+        scales[f"{name}_scale"] = np.sqrt(mean_squares)
         scales[f"{name}_equilibrium"] = at
     fields["inputs"] = channels[0]
     fields["outputs"] = channels[1]

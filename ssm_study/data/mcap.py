@@ -64,22 +64,25 @@ class SignalGroup:
     values: Float[np.ndarray, "T c"]
 
     def __post_init__(self) -> None:
-        shape = (len(self.time_s), len(self.channels))
-        found = self.values.shape
+        expected = (len(self.time_s), len(self.channels))
+        shape = self.values.shape
+        problem = f"expected {expected}"
         remedy = "give values of that shape"
-        require(found == shape, f"{self.topic} (values)", found, f"expected {shape}", remedy)
+        require(shape == expected, f"{self.topic} (values)", shape, problem, remedy)
         names = [channel.name for channel in self.channels]
         problem = "must be a unique identifier of letters, digits and underscores"
         for name in names:
-            good = name.isidentifier() and name.isascii() and names.count(name) == 1
+            is_identifier = name.isidentifier() and name.isascii()
+            is_allowed = is_identifier and names.count(name) == 1
             remedy = "rename it"
-            require(good, f"{self.topic} (channel)", name, problem, remedy)
+            require(is_allowed, f"{self.topic} (channel)", name, problem, remedy)
         times = self.time_s
         problem = "times must be finite, increasing and not negative"
+        is_finite = np.isfinite(times).all()
         increases = (np.diff(times) > 0).all()
-        clock = np.isfinite(times).all() and increases and (times >= 0).all()
+        is_clock = is_finite and increases and (times >= 0).all()
         remedy = "use the sampling clock"
-        require(bool(clock), f"{self.topic} (time_s)", times, problem, remedy)
+        require(bool(is_clock), f"{self.topic} (time_s)", times, problem, remedy)
 
 
 def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, str]) -> None:
@@ -129,12 +132,14 @@ def _merge_topics(groups: tuple[SignalGroup, ...]) -> dict[str, list[SignalGroup
     """Merge MCAP topics that have the same parent name and the same times into one topic."""
     below: dict[str, list[SignalGroup]] = defaultdict(list)
     for group in groups:
-        below[group.topic.rpartition("/")[0]].append(group)
+        parent, _, _ = group.topic.rpartition("/")
+        below[parent].append(group)
     topics: dict[str, list[SignalGroup]] = {}
     for parent, parts in below.items():
         names = [part.topic.rpartition("/")[2] for part in parts]
         is_named = all(name.isidentifier() for name in names)
-        has_one_clock = all(np.array_equal(part.time_s, parts[0].time_s) for part in parts)
+        first_times = parts[0].time_s
+        has_one_clock = all(np.array_equal(part.time_s, first_times) for part in parts)
         together = len(parts) > 1 and is_named and has_one_clock
         is_taken = any(group.topic == parent for group in groups)
         if parent == "" or not together or is_taken:
@@ -150,8 +155,8 @@ def _open_channel(
     """Open an MCAP topic whose schema is a protobuf message of doubles, nested if several groups
     share it. Field numbers follow the order of the signals."""
     spaced = re.sub(r"[\W_]", " ", topic)
-    words = [word[0].upper() + word[1:] for word in spaced.split()]
-    message = "".join(words)
+    capitalised = [word[0].upper() + word[1:] for word in spaced.split()]
+    message = "".join(capitalised)
     file = descriptor_pb2.FileDescriptorProto(
         name=f"{message}.proto", package="ssm_study", syntax="proto3"
     )
@@ -242,14 +247,13 @@ def _read_groups(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
     messages: dict[int, list[records.Message]] = {number: [] for number in channels}
     for message in records_by_type[records.Message]:
         messages[message.channel_id].append(message)
-    own = [
-        record.metadata
-        for record in records_by_type[records.Metadata]
-        if record.name == METADATA_NAME
-    ]
-    metadata = {key: value for one in own for key, value in one.items()}
+    metadata = dict[str, str]()
+    for record in records_by_type[records.Metadata]:
+        if record.name == METADATA_NAME:
+            metadata |= record.metadata
     remedy = "record it again"
-    require(records_by_type[records.DataEnd], "path", path, "the data section has no end", remedy)
+    ends = records_by_type[records.DataEnd]
+    require(ends, "path", path, "the data section has no end", remedy)
     counted = len(records_by_type[records.Message])
     promised = {one.message_count for one in records_by_type[records.Statistics]}
     problem = f"{max(promised, default=0)} messages promised, {counted} found"
@@ -270,8 +274,9 @@ def _iterate_records(path: Path) -> Iterator[records.McapRecord]:
     before more than `LARGEST` bytes are unpacked."""
     unpacked = 0
     with path.open("rb") as stream:
+        file_size = path.stat().st_size
         reader = StreamReader(
-            stream, emit_chunks=True, validate_crcs=True, record_size_limit=path.stat().st_size
+            stream, emit_chunks=True, validate_crcs=True, record_size_limit=file_size
         )
         for record in reader.records:
             if not isinstance(record, records.Chunk):
@@ -308,9 +313,12 @@ def _decode_groups(
         at = [k for k, name in enumerate(names) if name[:-1] == part]
         units = [channel.metadata.get(f"unit.{'.'.join(names[k])}", "") for k in at]
         topic = "/".join((channel.topic, *part))
-        nanoseconds = np.array([message.log_time for message in messages], dtype=np.int64)
-        pairs = zip(at, units, strict=True)
-        channels = [Channel(name=names[k][-1], unit=unit) for k, unit in pairs]
+        log_times = [message.log_time for message in messages]
+        nanoseconds = np.array(log_times, dtype=np.int64)
+        channels = []
+        for k, unit in zip(at, units, strict=True):
+            *_, name = names[k]
+            channels.append(Channel(name=name, unit=unit))
         yield SignalGroup(
             topic=topic,
             time_s=nanoseconds / NANOSECONDS,
@@ -347,9 +355,11 @@ def _decode_protobuf(
     if doubles and {len(content) for content in contents} == {len(message)}:
         whole = np.frombuffer(b"".join(contents), np.uint8)
         rows = whole.reshape(len(contents), -1)
-        is_own = np.delete(rows, at, axis=1) == np.delete(message, at)
+        other_bytes = np.delete(rows, at, axis=1)
+        is_own = other_bytes == np.delete(message, at)
         if is_own.all():
-            numbers = np.ascontiguousarray(rows[:, at]).view("<f8")
+            number_bytes = np.ascontiguousarray(rows[:, at])
+            numbers = number_bytes.view("<f8")
             return names, numbers.astype(np.float64)
     # A field that repeats, such as a list of points, has none of the fields of its messages: no
     # number.
@@ -372,6 +382,9 @@ def collect_number_columns(
             problem = f"no number in message {k}"
             remedy = "log a number"
             require(isinstance(value, Real), ".".join(name), value, problem, remedy)
-    rows = [[float(message[name]) for name in names] for message in messages]
+    rows = []
+    for message in messages:
+        rows.append([float(message[name]) for name in names])
     shape = (len(messages), len(names))
-    return names, np.array(rows).reshape(shape)
+    numbers = np.array(rows).reshape(shape)
+    return names, numbers

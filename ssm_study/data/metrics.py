@@ -21,11 +21,15 @@ RANK_TOLERANCE = (
 SAMPLES_FOR_ORDER = 2000
 HIGHEST_ORDER = 50  # looked no further: a model of order 24 is identifiable by then
 
-COLUMNS = (
+SETTING_COLUMNS = (
     Column("seed", "Int64", word="Seed", setting="seed"),
     Column("excitation", "string", word="Excitation", setting="excitation"),
     Column("fold", "Int64", word="Fold that tests", setting="data.fold"),
     Column("fresh_sets", "Int64", word="Fresh data sets", setting="data.fresh_sets"),
+)
+
+COLUMNS = (
+    *SETTING_COLUMNS,
     Column("data_source", "string", word="Data"),
     Column("benchmark", "string", word="Benchmark"),
     Column("disturbances", "string", word="Measured disturbances"),
@@ -63,8 +67,10 @@ def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -
         return tuple(position_rmse_mm(r, y, data.start_up_samples) for r, y in pairs)
     factor = 1.0 if score == "rmse" else 1000.0
     start = data.start_up_samples
-    errors = [rmse(record.y, y, start) for record, y in pairs]
-    return tuple(factor * error for error in errors)
+    errors = []
+    for record, y in pairs:
+        errors.append(factor * rmse(record.y, y, start))
+    return tuple(errors)
 
 
 def position_rmse_mm(
@@ -114,7 +120,8 @@ def warn_if_two_level(data: DataSet) -> str | None:
     does."""
     training = np.concatenate([r.u for r in data.training])
     for j, channel in enumerate(data.inputs):
-        levels = len(np.unique(training[:, j]))
+        values = training[:, j]
+        levels = len(np.unique(values))
         if levels <= 2:
             sentence = (
                 f"excitation of {channel.name}: {levels} levels only, so the slopes of a "
@@ -143,8 +150,10 @@ def persistency_order(u: Float[np.ndarray, "T m"]) -> int:
         columns = len(u) - middle + 1
         shifted = [u[k : k + columns].T for k in range(middle)]
         hankel = np.concatenate(shifted)
-        values = np.linalg.svd(hankel, compute_uv=False)
-        is_full = values[-1] > RANK_TOLERANCE * values[0]
+        singular_values = np.linalg.svd(hankel, compute_uv=False)
+        largest = singular_values[0]
+        smallest = singular_values[-1]
+        is_full = smallest > RANK_TOLERANCE * largest
         if is_full:
             order = middle
         else:

@@ -78,21 +78,26 @@ class Columns:
         problem = "not in [0, 1)"
         require(0 <= jitter < 1, "data.jitter_tolerance", jitter, problem, "use 0.05")
         _ = self.text_settings  # refuses what is no separator or decimal mark
-        for field, names in (("data.input", self.input), ("data.output", self.output)):
-            columns = as_name_list(names)
-            named = len(columns) > 0 and all(columns)
-            problem = "names no column"
-            require(named, field, names, problem, "name at least one")
-            twice = [name for name in columns if columns.count(name) > 1]
-            problem = "the same column twice"
-            require(not twice, field, twice[:1], problem, "name each column once")
-            clock = self.time is not None and str(self.time) in columns
-            problem = "is the clock (data.time)"
-            require(not clock, field, self.time, problem, "name a signal")
-        both = set(as_name_list(self.input)) & set(as_name_list(self.output))
+        self._check_columns("data.input", self.input)
+        self._check_columns("data.output", self.output)
+        inputs = set(as_name_list(self.input))
+        both = inputs & set(as_name_list(self.output))
+        are_apart = self.has_output_files or not both
         remedy = "name other columns, or data.output_path"
-        problem = "is an input too"
-        require(self.has_output_files or not both, "data.output", sorted(both), problem, remedy)
+        require(are_apart, "data.output", sorted(both), "is an input too", remedy)
+
+    def _check_columns(self, field: str, names: Names) -> None:
+        """Raise `BadRequest` for input or output columns that are none, the same twice, or the
+        clock."""
+        columns = as_name_list(names)
+        is_named = len(columns) > 0 and all(columns)
+        require(is_named, field, names, "names no column", "name at least one")
+        twice = [name for name in columns if columns.count(name) > 1]
+        problem = "the same column twice"
+        require(not twice, field, twice[:1], problem, "name each column once")
+        is_clock = self.time is not None and str(self.time) in columns
+        problem = "is the clock (data.time)"
+        require(not is_clock, field, self.time, problem, "name a signal")
 
     @property
     def text_settings(self) -> TextSettings:
@@ -123,10 +128,12 @@ class Columns:
     @property
     def outputs(self) -> tuple[Channel, ...]:
         """Output channels of the data set, differentiated where that is requested."""
-        rates = tuple(
-            Channel(name=f"{c.name}_rate", unit=f"{c.unit}/s") for c in self.measured_outputs
-        )
-        return rates if self.differentiate else self.measured_outputs
+        if not self.differentiate:
+            return self.measured_outputs
+        rates = []
+        for channel in self.measured_outputs:
+            rates.append(Channel(name=f"{channel.name}_rate", unit=f"{channel.unit}/s"))
+        return tuple(rates)
 
     def read_record(
         self,

@@ -63,8 +63,9 @@ def title_word_score(name: str, words: tuple[str, ...]) -> float:
     parts = [part for part in re.split(r"[^a-z]+", name.lower()) if part]
     if any(part in words for part in parts):
         return 1.0
-    long_words = [word for word in words if len(word) > 3]
-    return 0.5 if any(part.startswith(word) for part in parts for word in long_words) else 0.0
+    long_words = tuple(word for word in words if len(word) > 3)
+    begins_with_word = any(part.startswith(long_words) for part in parts)
+    return 0.5 if begins_with_word else 0.0
 
 
 def doubtful_guess_sentences(

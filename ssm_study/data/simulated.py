@@ -136,9 +136,8 @@ class SimulatedData:
     ) -> tuple[Trajectory, ...]:
         """Simulate single-sine experiments at given frequencies, those to which a design is most
         sensitive."""
-        return simulate_sine_records(
-            plant, np.random.default_rng([seed, SINES]), self.noise_deviation(plant), lines
-        )
+        rng = np.random.default_rng([seed, SINES])
+        return simulate_sine_records(plant, rng, self.noise_deviation(plant), lines)
 
     def noise_deviation(self, plant: Plant) -> Float[np.ndarray, "p"]:
         """Standard deviation of the simulated sensor noise, in physical units."""
@@ -165,7 +164,8 @@ class SimulatedData:
             clock_s=plant.input_clock_s,
         )
         signals = [excitation.signal(request, rng) for _ in range(count)]
-        u = plant.equilibrium().u + np.stack(signals)
+        deviations = np.stack(signals)
+        u = plant.equilibrium().u + deviations
         _, y = plant.simulate(u)
         if noisy:
             noise = rng.standard_normal(y.shape)
@@ -185,7 +185,8 @@ def simulate_mismatch_records(
     slow return.
     """
     rest = plant.equilibrium()
-    longest = 5 * max(round(plant.input_clock_s / plant.step_s), 1)
+    clock_samples = round(plant.input_clock_s / plant.step_s)
+    longest = 5 * max(clock_samples, 1)
     amplitude = np.array(plant.input_amplitude)
     signals = [_broadband_input(rng, longest) for _ in rest.u]
     period = np.stack(signals, axis=1) * amplitude
@@ -258,6 +259,7 @@ def _broadband_input(rng: np.random.Generator, longest: int) -> Float[np.ndarray
     """Generate a broadband signal with random levels and random holding times. Levels are uniform
     in [-1, 1]; the logarithm of the holding time is uniform up to `longest`."""
     exponents = rng.uniform(0.0, np.log(longest + 1), PERIOD)
-    holds = np.exp(exponents).astype(int)
+    holding_times = np.exp(exponents).astype(int)
     levels = rng.uniform(-1.0, 1.0, PERIOD)
-    return np.repeat(levels, holds)[:PERIOD]
+    signal = np.repeat(levels, holding_times)
+    return signal[:PERIOD]

@@ -59,11 +59,13 @@ def _cut_record_at_gaps(
 def split_by_time(record: Trajectory, validation: float, test: float) -> Pieces:
     """Split a record by time, the first part for training and the last for the test. Contiguous
     pieces, in the order of time: training first."""
-    first = round(len(record) * (1 - validation - test))
-    second = round(len(record) * (1 - test))
+    samples = len(record)
+    first = round(samples * (1 - validation - test))
+    second = round(samples * (1 - test))
     training = record[:first]
-    middle = record[first:second]
-    return [training], [middle], [record[second:]]
+    validating = record[first:second]
+    testing = record[second:]
+    return [training], [validating], [testing]
 
 
 def split_into_blocks(record: Trajectory) -> Pieces:
@@ -73,7 +75,9 @@ def split_into_blocks(record: Trajectory) -> Pieces:
     samples = edges.round().astype(int)
     blocks = [record[a:b] for a, b in pairwise(samples)]
     training = [block for k, block in enumerate(blocks) if k % 5 < 3]
-    return training, blocks[3::5], blocks[4::5]
+    validating = blocks[3::5]
+    testing = blocks[4::5]
+    return training, validating, testing
 
 
 def split_at_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pieces:
@@ -100,7 +104,9 @@ def _interval_samples(record: Trajectory, pair: np.ndarray, field: str) -> tuple
     """First sample of an interval given in seconds, and the sample after its last. Raises
     `BadRequest` for any other value."""
     is_pair = pair.shape == (2,) and pair.dtype.kind in "iuf"
-    ends = np.rint(pair / record.step_s) if is_pair else np.zeros(2)
+    ends = np.zeros(2)
+    if is_pair:
+        ends = np.rint(pair / record.step_s)
     inside = 0 <= ends[0] < ends[1] <= len(record)
     duration_s = len(record) * record.step_s
     problem = f"the log lasts {duration_s:g} s"
@@ -113,7 +119,8 @@ def _interval_samples(record: Trajectory, pair: np.ndarray, field: str) -> tuple
 def split_by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
     """Split a record into equal folds, of which one tests and the one before it validates. The last
     fold counts as the one before the first; all others train."""
-    piece = folds * np.arange(len(record)) // len(record)
+    samples = len(record)
+    piece = folds * np.arange(samples) // samples
     is_tested = piece == fold
     validates = piece == (fold - 1) % folds
     part = np.select([is_tested, validates], [2, 1], 0)
@@ -122,10 +129,12 @@ def split_by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
 
 def cut_out_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajectory], Trajectory]:
     """Cut a record into one of several equal folds and the remaining pieces."""
-    start = round(len(record) * fold / folds)
-    end = round(len(record) * (fold + 1) / folds)
+    samples = len(record)
+    start = round(samples * fold / folds)
+    end = round(samples * (fold + 1) / folds)
     sides = (record[:start], record[end:])
-    return [piece for piece in sides if len(piece)], record[start:end]
+    remaining = [piece for piece in sides if len(piece)]
+    return remaining, record[start:end]
 
 
 def rest_segments(record: Trajectory) -> list[Trajectory]:
@@ -152,8 +161,11 @@ def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Traject
     between = []
     for (a, b), (_, end) in pairwise(rests):
         between.append(record[(a + b) // 2 : end])
-    inputs = [piece.inputs_and_disturbances[start_up_samples:] for piece in between]
-    return between if all(find_repetition(u) for u in inputs) else []
+    for piece in between:
+        scored_input = piece.inputs_and_disturbances[start_up_samples:]
+        if not find_repetition(scored_input):
+            return []
+    return between
 
 
 def _rest_ranges(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
@@ -180,7 +192,8 @@ def _cut_into_parts(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
     changes = np.diff(part, prepend=-1, append=-1)
     edges = np.flatnonzero(changes)
     for a, b in pairwise(edges):
-        pieces[part[a]].append(record[a:b])
+        pieces_of_part = pieces[part[a]]
+        pieces_of_part.append(record[a:b])
     return pieces
 
 
@@ -188,8 +201,9 @@ def is_test_output_different(parts: Pieces) -> bool:
     """Whether the test output differs from the training output in mean or standard deviation."""
     if not parts[0] or not parts[2]:
         return True
-    trained = np.concatenate([record.y for record in parts[0]])
-    tested = np.concatenate([record.y for record in parts[2]])
+    training, _, testing = parts
+    trained = np.concatenate([record.y for record in training])
+    tested = np.concatenate([record.y for record in testing])
     spread = trained.std(axis=0) + np.finfo(float).tiny
     other = tested.std(axis=0)
     shift = tested.mean(axis=0) - trained.mean(axis=0)

@@ -37,8 +37,9 @@ def decode_text(path: Path, content: bytes) -> tuple[str, str]:
                 problem = "has no readable text"
                 remedy = "export it as UTF-8 CSV"
                 raise BadRequest("data.path", path, problem, remedy) from error
-    packed = next((word for mark, word in PACKED.items() if content.startswith(mark)), "")
-    require(not packed, "data.path", path, f"is packed ({packed})", "unpack it first")
+    for mark, packer in PACKED.items():
+        is_packed = content.startswith(mark)
+        require(not is_packed, "data.path", path, f"is packed ({packer})", "unpack it first")
     content = content.rstrip(b"\0\x1a")  # a logger's unwritten end, and that of old DOS
     encoding = detect_wide_encoding(content)
     if encoding:
@@ -100,8 +101,11 @@ def detect_wide_encoding(content: bytes) -> str:
     """Encoding of a text that has two bytes for each letter and no byte order mark; empty for any
     other text."""
     halves = {"utf-16-le": content[1::2], "utf-16-be": content[::2]}
-    zeros = {name: half.count(0) / max(len(half), 1) for name, half in halves.items()}
-    wide = [name for name, share in zeros.items() if share > MOSTLY_ZERO]
+    zero_shares = {}
+    for name, half in halves.items():
+        zero_shares[name] = half.count(0) / max(len(half), 1)
+    wide = [name for name, share in zero_shares.items() if share > MOSTLY_ZERO]
     has_rows = content.count(b"\n") > 1
-    is_wide = len(wide) == 1 and min(zeros.values()) == 0
+    has_full_half = min(zero_shares.values()) == 0
+    is_wide = len(wide) == 1 and has_full_half
     return wide[0] if is_wide and has_rows else ""

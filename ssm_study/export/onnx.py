@@ -57,15 +57,18 @@ class _GraphBuilder:
         if s.network is None:
             return self.append_operator("Sum", *terms)
         d = v
+        zero = np.zeros(1)
         for w, b, low, high in s.network.hidden_layers():
-            z = self.append_operator("Add", self.append_product(d, w), b)
-            above = self.append_operator("Max", z, np.zeros(1))
-            below = self.append_operator("Min", z, np.zeros(1))
+            weighted = self.append_product(d, w)
+            z = self.append_operator("Add", weighted, b)
+            above = self.append_operator("Max", z, zero)
+            below = self.append_operator("Min", z, zero)
             steep = self.append_operator("Mul", above, high)
             flat = self.append_operator("Mul", below, low)
-            d = self.append_operator("Sum", steep, flat, -np.where(b >= 0, high, low) * b)
-        matrix = s.network.weights[-1]
-        terms.append(self.append_product(d, matrix))
+            slopes_at_zero = np.where(b >= 0, high, low)
+            d = self.append_operator("Sum", steep, flat, -slopes_at_zero * b)
+        last_weight = s.network.weights[-1]
+        terms.append(self.append_product(d, last_weight))
         return self.append_operator("Sum", *terms)
 
     def append_neurons(self, neurons: PortableNeurons, x: str, lifted: str, error: str = "") -> str:
@@ -74,14 +77,17 @@ class _GraphBuilder:
 
         The kinds stand side by side, each masked to its own neurons.
         """
-        terms = [self.append_product(x, neurons.f), self.append_product(lifted, neurons.g)]
+        from_state = self.append_product(x, neurons.f)
+        from_input = self.append_product(lifted, neurons.g)
+        terms = [from_state, from_input]
         if error:
             terms.append(self.append_product(error, neurons.l_z))
         z = self.append_operator("Sum", *terms, neurons.bias)
         parts = []
         for kind in sorted(set(neurons.kinds)):
-            own = np.array([each == kind for each in neurons.kinds], dtype=float)
-            parts.append(self.append_operator("Mul", self.append_activation(kind, z), own))
+            is_of_kind = np.array([each == kind for each in neurons.kinds], dtype=float)
+            activated = self.append_activation(kind, z)
+            parts.append(self.append_operator("Mul", activated, is_of_kind))
         return self.append_operator("Sum", *parts, -neurons.phi_bias)
 
     def append_activation(self, kind: str, z: str) -> str:
@@ -93,20 +99,23 @@ class _GraphBuilder:
         if kind == "relu":
             return above
         if kind == "softplus":  # max(z, 0) + ln(1 + exp(-|z|))
-            negative = self.append_operator("Neg", self.append_operator("Abs", z))
+            magnitude = self.append_operator("Abs", z)
+            negative = self.append_operator("Neg", magnitude)
             fading = self.append_operator("Exp", negative)
-            return self.append_operator(
-                "Add", above, self.append_operator("Log", self._append_increment(fading))
-            )
-        from_below = self.append_operator("Max", z, -np.ones(1))
-        clipped = self.append_operator("Min", from_below, np.ones(1))
+            increment = self._append_increment(fading)
+            logarithm = self.append_operator("Log", increment)
+            return self.append_operator("Add", above, logarithm)
+        one = np.ones(1)
+        from_below = self.append_operator("Max", z, -one)
+        clipped = self.append_operator("Min", from_below, one)
         if kind == "saturation":
             return clipped
         square = self.append_operator("Mul", clipped, clipped)
         third = self.append_operator("Div", clipped, np.full(1, 3.0))
         cubed = self.append_operator("Mul", square, third)
         # Clipped cubic: slope one beyond.
-        return self.append_operator("Add", cubed, self.append_operator("Sub", z, clipped))
+        beyond = self.append_operator("Sub", z, clipped)
+        return self.append_operator("Add", cubed, beyond)
 
     def _append_increment(self, x: str) -> str:
         """Append the addition of one to a signal to the graph."""
@@ -125,21 +134,16 @@ def build_onnx_model(controller: PortableController, about: str) -> Any:
         """Declaration of an input or output of the ONNX graph."""
         return helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["batch", width])
 
-    outputs = controller.scale.outputs
-    inputs = [declare_signal("y", outputs), declare_signal("state", states)]
-    if controller.scale.disturbances:
-        disturbances = controller.scale.disturbances
-        inputs.append(declare_signal("d", disturbances))
+    scale = controller.scale
+    inputs = [declare_signal("y", scale.outputs), declare_signal("state", states)]
+    if scale.disturbances:
+        inputs.append(declare_signal("d", scale.disturbances))
+    outputs = [declare_signal("u", scale.inputs), declare_signal("next_state", states)]
     onnx_graph = helper.make_graph(
-        graph.nodes,
-        "controller",
-        inputs,
-        [declare_signal("u", controller.scale.inputs), declare_signal("next_state", states)],
-        graph.constants,
-        about,
+        graph.nodes, "controller", inputs, outputs, graph.constants, about
     )
-    opset_imports = [helper.make_opsetid("", OPSET)]
-    model: onnx.ModelProto = helper.make_model(onnx_graph, opset_imports=opset_imports)
+    opset = helper.make_opsetid("", OPSET)
+    model: onnx.ModelProto = helper.make_model(onnx_graph, opset_imports=[opset])
     model.ir_version = IR_VERSION
     model.producer_name = "ssm-study"
     checker.check_model(model, full_check=True)
@@ -157,10 +161,12 @@ def _build_controller_graph(controller: PortableController) -> _GraphBuilder:
     graph.append_operator("Add", physical, scale.input_equilibrium, output="u")
     lifted = graph.append_map(controller.s_in, v)
     from_state = graph.append_product("state", controller.c)
-    read = graph.append_operator("Add", from_state, graph.append_product(lifted, controller.d))
+    from_input = graph.append_product(lifted, controller.d)
+    read = graph.append_operator("Add", from_state, from_input)
     if neurons and neurons.h.any():
         neuron_outputs = graph.append_neurons(neurons, "state", lifted)
-        read = graph.append_operator("Add", read, graph.append_product(neuron_outputs, neurons.h))
+        from_neurons = graph.append_product(neuron_outputs, neurons.h)
+        read = graph.append_operator("Add", read, from_neurons)
     predicted = graph.append_map(controller.s_out, read)
     shifted = graph.append_operator("Sub", "y", scale.output_equilibrium)
     measured = graph.append_operator("Div", shifted, scale.output_scale)
@@ -173,9 +179,11 @@ def _build_controller_graph(controller: PortableController) -> _GraphBuilder:
     }
     if scale.disturbances:
         moved = graph.append_operator("Sub", "d", scale.disturbance_equilibrium)
-        factors[graph.append_operator("Div", moved, scale.disturbance_scale)] = controller.b_d
+        disturbance = graph.append_operator("Div", moved, scale.disturbance_scale)
+        factors[disturbance] = controller.b_d
     if neurons:
-        factors[graph.append_neurons(neurons, "state", lifted, error)] = neurons.into
+        corrected_outputs = graph.append_neurons(neurons, "state", lifted, error)
+        factors[corrected_outputs] = neurons.into
     terms = [graph.append_product(signal, matrix) for signal, matrix in factors.items()]
     graph.append_operator("Sum", *terms, output="next_state")
     return graph

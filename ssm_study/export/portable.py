@@ -41,10 +41,11 @@ class PortableNeurons:
     phi_bias: Float[np.ndarray, "r"]
     kinds: tuple[str, ...]
 
-    def __call__(self, x: "Vector", lifted: "Vector", error: "Vector | None" = None) -> "Vector":
+    def __call__(self, x: Vector, lifted: Vector, error: Vector | None = None) -> Vector:
         """Outputs of the neurons, computed in the order of the C code. Without `error` no
         correction is injected."""
-        z = multiply_in_order(self.g, lifted, multiply_in_order(self.f, x, self.bias))
+        from_state = multiply_in_order(self.f, x, self.bias)
+        z = multiply_in_order(self.g, lifted, from_state)
         if error is not None:
             z = multiply_in_order(self.l_z, error, z)
         return evaluate_activations(self.kinds, z) - self.phi_bias
@@ -89,11 +90,13 @@ class PortableController:
     def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
         """Constant arrays of the controller by name, without its static maps."""
         matrices = {name: getattr(self, name) for name in MATRICES}
+        scale = {name: values for name, values in vars(self.scale).items() if values.size}
         neurons = dict(vars(self.neurons)) if self.neurons else {}
         neurons.pop("kinds", None)
-        scale = {name: values for name, values in vars(self.scale).items() if values.size}
-        disturbances = {"b_d": self.b_d} if self.b_d.size else {}
-        return matrices | scale | neurons | disturbances
+        arrays = matrices | scale | neurons
+        if self.b_d.size:
+            arrays["b_d"] = self.b_d
+        return arrays
 
     @property
     def frozen_state_range(self) -> slice:
@@ -105,13 +108,15 @@ class PortableController:
         rows = np.flatnonzero(self.e.any(axis=1))
         modes = self.a[rows][:, rows]
         rest_by_themselves = np.array_equal(frozen_modes(modes), modes)
-        count = 0 if rest_by_themselves else int((np.diagonal(modes) == 1).sum())
+        is_integrator = np.diagonal(modes) == 1
+        count = 0 if rest_by_themselves else int(is_integrator.sum())
         first = len(self.a) - len(rows)
         return slice(first, first + count)
 
     def recurrence(self) -> System:
         """Linear recurrence of the controller's model, without the internal model."""
-        n = len(self.a) - int(self.e.any(axis=1).sum())  # E drives the internal model alone
+        is_internal = self.e.any(axis=1)  # E drives the internal model alone
+        n = len(self.a) - int(is_internal.sum())
         a = self.a[:n, :n].astype(float)
         b = self.b[:n].astype(float)
         c = self.c[:, :n].astype(float)
@@ -134,13 +139,8 @@ def _refuse_unexportable_design(design: Design) -> None:
             reason = part.reason.rstrip(".")
             raise BadRequest(f"certificate.{name}", "infeasible", reason, "export another run")
     problem = "this control law undoes the input map, which the exported code cannot do"
-    require(
-        not design.inverts_input_map,
-        "synthesis.invert_input",
-        True,
-        problem,
-        "export a run without it",
-    )
+    remedy = "export a run without it"
+    require(not design.inverts_input_map, "synthesis.invert_input", True, problem, remedy)
 
 
 def convert_controller(model: Model, design: Design) -> PortableController:
@@ -162,11 +162,14 @@ def convert_controller(model: Model, design: Design) -> PortableController:
     problem = f"the model has order {n}"
     require(fits, "certificate", gains.k.shape, problem, "export the run as stored")
     below = ((0, added), (0, 0))
+    beside = ((0, 0), (0, added))
     into_modes = error_input_matrix(modes, p)
+    into_model = np.zeros((n, p))
     a = scipy.linalg.block_diag(linear.a, modes)
     b = np.pad(linear.b, below)
-    c = np.pad(linear.c, ((0, 0), (0, added)))
-    e = np.vstack([np.zeros((n, p)), into_modes])
+    c = np.pad(linear.c, beside)
+    l_ = np.pad(gains.l, below)
+    e = np.vstack([into_model, into_modes])
     s_in = model.scaffold_in.as_portable()
     s_out = model.scaffold_out.as_portable()
     neurons = _convert_neurons(model, gains.l_z, added)
@@ -178,7 +181,7 @@ def convert_controller(model: Model, design: Design) -> PortableController:
         c=c,
         d=linear.d,
         k=gains.k,
-        l=np.pad(gains.l, below),
+        l=l_,
         e=e,
         s_in=s_in,
         s_out=s_out,
@@ -195,18 +198,19 @@ def _convert_neurons(
     """Convert the neurons of a model to plain arrays; None for a model without neurons."""
     if not isinstance(model, StructuredSSM) or not model.neurons:
         return None
-    outputs = model.scale.outputs
-    none = np.zeros((len(model.neurons), outputs))
-    into = np.pad(model.e, ((0, added), (0, 0)))
-    f = np.pad(model.f, ((0, 0), (0, added)))
-    portable_neurons_l_z = none if l_z is None else l_z
+    below = ((0, added), (0, 0))
+    beside = ((0, 0), (0, added))
+    into = np.pad(model.e, below)
+    f = np.pad(model.f, beside)
+    if l_z is None:
+        l_z = np.zeros((len(model.neurons), model.scale.outputs))
     phi_bias = evaluate_activations(model.neurons, model.bias)
     return PortableNeurons(
         into=into,
         f=f,
         g=model.g,
         h=model.h,
-        l_z=portable_neurons_l_z,
+        l_z=l_z,
         bias=model.bias,
         phi_bias=phi_bias,
         kinds=model.neurons,
@@ -222,7 +226,8 @@ def multiply_in_order(
     """
     y = np.zeros(len(a), dtype=a.dtype) if start is None else start
     for j, value in enumerate(x):
-        y = y + a[:, j] * value  # two roundings, as in C without contraction
+        product = a[:, j] * value  # two roundings, as in C without contraction
+        y = y + product
     return y
 
 
