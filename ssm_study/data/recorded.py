@@ -12,9 +12,10 @@ from jaxtyping import Float
 
 from ssm_study.data import splits
 from ssm_study.data.assembly import Channels, Parts, assemble_dataset
+from ssm_study.data.channel_names import Names, as_name_list, name_channels
 from ssm_study.data.closed_loop import project_inputs_on_set_points, reconstruct_pi_set_point
 from ssm_study.data.readers.reader import has_columns
-from ssm_study.data.recording import Columns, Names, as_name_list, name_channels
+from ssm_study.data.recording import Columns
 from ssm_study.data.splits import (
     BLOCKS,
     FEWEST,

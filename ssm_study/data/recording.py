@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.data.channel_names import Names, as_name_list, name_channels
 from ssm_study.data.clock import EvenRows, cut_at_missing_values, log_length, require_equal_period
 from ssm_study.data.clock_column import (
     clock_column_seconds,
@@ -19,7 +20,6 @@ from ssm_study.data.clock_column import (
 from ssm_study.data.clock_restarts import resample_experiments
 from ssm_study.data.log_refusals import missing_values_error, refusal_with_look_command
 from ssm_study.data.missing_codes import missing_code_remarks
-from ssm_study.data.plain_names import plain_name
 from ssm_study.data.readers.reader import (
     Reader,
     Table,
@@ -33,16 +33,8 @@ from ssm_study.signals import Channel, Trajectory
 
 ClockTimes = Float[np.ndarray, "T"]
 
-Names = str | int | list[str] | list[int] | tuple[str, ...]
 # Of a file without names whose first column counts the rows; the evidence then has a doubt.
 ASSUMED_SECOND = "and a row is taken to last one second"
-
-
-def as_name_list(names: Names) -> tuple[str, ...]:
-    """Convert one name, or number of a column, or several to a tuple of names."""
-    if isinstance(names, str | int):
-        return (str(names),)
-    return tuple(map(str, names))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -384,25 +376,3 @@ def decimate_record(
     periods = len(u) // every
     blocks = u[: periods * every].reshape(periods, every, -1)
     return blocks.mean(axis=1), y[: periods * every : every]
-
-
-def name_channels(names: Names, units: Names, side: str, apart: bool) -> tuple[Channel, ...]:
-    """Name the input, output or disturbance channels of a recording, with their units. Recordings
-    store signals under plain names: `Motor voltage (V)` becomes `Motor_voltage_V`.
-
-    A number says which side it is of, `input_0`; so does every name of files apart, where two may
-    be equal.
-    """
-    columns = as_name_list(names)
-    stated = as_name_list(units)
-    stated = ("",) * len(columns) if stated == ("",) else stated
-    problem = f"there are {len(columns)} columns"
-    remedy = "give one unit per column"
-    require(len(stated) == len(columns), f"data.{side}_unit", units, problem, remedy)
-    plain = [plain_name(column) for column in columns]
-    twice = next((name for name in plain if plain.count(name) > 1), "")
-    problem = f"two of them would be called {twice}"
-    require(not twice, f"data.{side}", ", ".join(columns), problem, "rename a column of the log")
-    plain = [f"{side}_{words}" if apart or words[0].isdigit() else words for words in plain]
-    pairs = zip(plain, stated, strict=True)
-    return tuple(Channel(name=name, unit=unit) for name, unit in pairs)

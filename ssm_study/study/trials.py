@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssm_study.certificates.certificate import Design
+from ssm_study.data.channel_names import as_name_list
 from ssm_study.data.clock import AGREEMENT
-from ssm_study.data.recording import Columns, as_name_list
+from ssm_study.data.recording import Columns
 from ssm_study.engine.settings import run_name
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.loop.rollout import Rollouts

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.data.channel_names import Names, as_name_list
 from ssm_study.data.excitations.excitation import Excitation, SignalRequest
 from ssm_study.data.readers.reader import read_table
-from ssm_study.data.recording import Names, as_name_list
 from ssm_study.refusal import require
 
 

@@ -1,0 +1,39 @@
+"""Names and units of the channels of a recording, from what a configuration states."""
+
+from ssm_study.data.plain_names import plain_name
+from ssm_study.refusal import require
+from ssm_study.signals import Channel
+
+Names = str | int | list[str] | list[int] | tuple[str, ...]
+
+
+def as_name_list(names: Names) -> tuple[str, ...]:
+    """Convert one name, or number of a column, or several to a tuple of names."""
+    if isinstance(names, str | int):
+        return (str(names),)
+    return tuple(map(str, names))
+
+
+def name_channels(names: Names, units: Names, side: str, apart: bool) -> tuple[Channel, ...]:
+    """Name the input, output or disturbance channels of a recording, with their units. Recordings
+    store signals under plain names: `Motor voltage (V)` becomes `Motor_voltage_V`.
+
+    A number says which side it is of, `input_0`; so does every name of files apart, where two may
+    be equal.
+    """
+    columns = as_name_list(names)
+    stated_units = as_name_list(units)
+    if stated_units == ("",):
+        stated_units = ("",) * len(columns)
+    has_all_units = len(stated_units) == len(columns)
+    problem = f"there are {len(columns)} columns"
+    require(has_all_units, f"data.{side}_unit", units, problem, "give one unit per column")
+    plain = [plain_name(column) for column in columns]
+    twice = [name for name in plain if plain.count(name) > 1]
+    problem = f"two of them would be called {twice[0]}" if twice else ""
+    require(not twice, f"data.{side}", ", ".join(columns), problem, "rename a column of the log")
+    channels = []
+    for name, unit in zip(plain, stated_units, strict=True):
+        needs_side = apart or name[0].isdigit()
+        channels.append(Channel(name=f"{side}_{name}" if needs_side else name, unit=unit))
+    return tuple(channels)
