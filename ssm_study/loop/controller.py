@@ -58,14 +58,13 @@ class Controller(ABC):
         return reference
 
     def required_inputs(self, reference: Reference) -> Float[np.ndarray, "K m"]:
-        """Inputs that the control law needs for the extreme values of the reference; empty unless
-        overridden."""
+        """Inputs that the control law needs to hold the extreme values of the reference; empty
+        unless overridden."""
         return np.zeros((0, self.dimensions[0]))
 
     @abstractmethod
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
-        """Inputs that the control law needs to hold the extreme values of the reference; empty
-        unless overridden."""
+        """Input that the control law applies over the coming sample."""
 
     def advance(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
