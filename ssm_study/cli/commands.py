@@ -204,8 +204,7 @@ def export_warnings(run: Path, header_path: Path) -> list[str]:
 
 
 def may_overwrite(folder: Path) -> bool:
-    """Whether an earlier export may be replaced: the answer of the user on a terminal, otherwise
-    true."""
+    """Whether an earlier export may be replaced; asks the user on a terminal."""
     earlier = sorted(path.name for path in folder.glob("*") if path.suffix in EXPORTED)
     if not earlier or not sys.stdin.isatty():
         return True

@@ -142,7 +142,8 @@ class Code:
         return current_symbol(module, name)
 
     def _is_followed(self, top: str) -> bool:
-        """Whether the sources of a package are read, as for this package and uninstalled code."""
+        """Whether the code of a package counts for fingerprints: this package's and other code that
+        is not installed."""
         if top not in self.followed:
             path = None if top in sys.stdlib_module_names else self._source_path(top)
             is_ours = top in (*self.folders, OURS, "__main__")

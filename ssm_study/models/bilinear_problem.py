@@ -112,7 +112,7 @@ class BilinearProblem:
         return FitParameters(x=np.stack(free), b=b, c=c, offset=np.zeros(len(c)), x0=x0)
 
     def _free_matrix(self, a: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-        """Unconstrained matrix that stands for the state matrix of a node."""
+        """Unconstrained matrix from which the contracting state matrix of a node is computed."""
         if self.rate is None:
             return a
         n = len(a)

@@ -63,7 +63,7 @@ class RunFolder:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Record of the run."""
+        """Content of `record.json`, the record of the run."""
         return self._parse_file("record.json") or {}
 
     @cached_property

@@ -56,7 +56,7 @@ class RecordedCases:
         return cls(path=path, cases={name: cases[name] for name in prefixes}, about=about)
 
     def signals(self, name: str) -> list[SignalGroup]:
-        """One recorded signal in all cases."""
+        """Recorded signal of a given name in all cases."""
         is_there = all(name in case for case in self.cases.values())
         require(is_there, "topic", name, f"{self.path.name} lacks it", "run the study again")
         return [case[name] for case in self.cases.values()]

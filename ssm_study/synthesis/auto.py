@@ -180,9 +180,8 @@ class Auto:
     def _search_covered_gains(
         self, response: ExpectedResponse, premise: Premise, validation: Trajectories
     ) -> Search:
-        """Make the function that searches near the gains of the grid for gains whose proof covers
-        the recorded model error. The search is longer, and accepts slower gains, if a coverage is
-        requested."""
+        """Function that searches near given gains for gains whose proof covers the recorded model
+        error. The search is longer, and accepts slower gains, if a coverage is requested."""
         is_asked = self.cover is not None
         has_neurons = not isinstance(response.model, SSM)
         search = GainSearch(

@@ -68,8 +68,8 @@ class DesignAttempt:
     started: float
 
     def infeasible_beyond_limit(self) -> Infeasible | None:
-        """Result of an attempt whose requested rate exceeds the theoretical limit; None if it does
-        not."""
+        """Infeasible result of an attempt whose requested rate exceeds the theoretical limit; None
+        if it does not."""
         ball = self.ball
         limit = self.frontier.rate_limit
         if abs(ball.alpha) <= ball.beta:

@@ -325,6 +325,6 @@ def _local_minima(values: Angles, below: float) -> list[int]:
 
 
 def form_sizes(forms: Complex[np.ndarray, "A F G G"]) -> Float[np.ndarray, "A"]:
-    """Size of each quadratic form, by which its multiplier is scaled."""
+    """Size (norm) of each quadratic form, by which its multiplier is scaled."""
     largest_entries = np.abs(forms).max(axis=(1, 2, 3))
     return np.asarray(np.maximum(largest_entries, np.finfo(float).tiny))

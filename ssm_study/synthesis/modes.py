@@ -42,7 +42,7 @@ class Modes:
 
     @property
     def fast(self) -> int:
-        """Number of fast modes."""
+        """Number of fast modes, those outside a circle of given radius."""
         return len(self.a_fast)
 
 

@@ -30,7 +30,7 @@ class OptimiserSpec(ABC):
 
     @property
     def calls_per_epoch(self) -> int:
-        """Number of training steps in an epoch."""
+        """Number of optimiser calls in an epoch."""
         return self.steps_per_epoch
 
     @abstractmethod

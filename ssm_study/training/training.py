@@ -213,7 +213,7 @@ class Training:
         only_certified: bool = False,
         seeds: Sequence[int] | None = None,
     ) -> "Identification":
-        """Best model of several training runs from different initial parameters.
+        """Train several times from different initial parameters, and choose the best model.
 
         With `only_certified` those without a certified state feedback and observer are dropped, if
         any has both.

@@ -75,8 +75,8 @@ class StructuredStateFeedback(ProblemCertificate, StateFeedback):
 
 
 def structured_feedback_inequality(of: Any, row: tuple[Any, Any, Any]) -> Blocks:
-    """Blocks of the theorem's inequality, with the neurons' row scaled by a diagonal matrix. For
-    any diagonal S, `row` is `(S, S T, S T S)`."""
+    """Blocks of the theorem's inequality for given matrices, with the row of the neurons scaled.
+    For any diagonal S, `row` is `(S, S T, S T S)`."""
     scale, scaled_t, t = row
     identity = np.eye(of.b.shape[1])
     state_step = of.a @ of.y + of.alpha * (of.b @ of.x)

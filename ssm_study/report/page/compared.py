@@ -76,7 +76,7 @@ def conditions_table(rows: pd.DataFrame, situations: list[str]) -> ComparedTable
 
 
 def number_cells(row: "pd.Series[Any]") -> list[tuple[str, str]]:
-    """Table cells with the numbers of a controller under a single test condition."""
+    """Table cells with the numbers of one controller under a single test condition."""
     texts = [format_percent(row.get("stable_fraction"))]
     texts += [format_number(row.get(name)) for name in NUMBERS]
     is_certified = row.get("certified") == 1  # True, or what a table of numbers makes of it

@@ -94,7 +94,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
 
 
 def compared_columns(table: pd.DataFrame) -> list[str]:
-    """Columns by which the page compares runs. All columns stay in the record and in the CSV."""
+    """Columns that the page lists for each run. All columns stay in the record and in the CSV."""
     replaced = {
         name for name, better in WEAKER.items() if numeric_column(table, better).notna().any()
     }
