@@ -5,7 +5,7 @@
     model = st.fit(u, y, step_s)       # arrays, series or frames, one per record
     print(model)                       # fit on the test record, states, slopes, evidence
     st.compare([model, st.fit(u, y, step_s, model="arx")], u, y).plot()   # beside a baseline
-    design = st.control(model)         # controller and observer; design.certified is True or False
+    design = st.control(model)         # controller, observer; design.certified is True or False
     design.to_c("controller.h")        # C99; design.save(folder), model.save(folder)
     st.load(folder)                    # the saved design or model
 
@@ -15,9 +15,12 @@
     st.study("experiment=paper")       # the table of a study, as `ssm-study run` makes it
     st.Estimator(step_s=step_s)        # for scikit-learn's searches
 
-The model is `x+ = A x + B S_u(u)`, `y = S_y(C x)` with `model="ssm"`, which takes seconds. By
-default `fit` compares a dozen or more models with neurons inside the recurrence on folds of the
-records, which takes minutes. Pictures are Matplotlib figures: `model.plot()`, `bode()`,
+The model is `x+ = A x + B S_u(u)`, `y = S_y(C x)` with `model="ssm"`, which takes seconds: S_u and
+S_y are learned maps of each input and output. With `model="structured"` neurons w stand inside the
+recurrence: `x+ = A x + B v + E w`, `w = phi(F x + G v + bias) - phi(bias)`, `y = S_y(C x + D v +
+H w)`, `v = S_u(u)`, every slope of phi from 0 to 1. By default `fit` compares a dozen or more such
+models on folds of the records, which takes minutes; `help(st.fit)` lists all kinds, what each takes
+and what its result answers. Pictures are Matplotlib figures: `model.plot()`, `bode()`,
 `residuals()`, `poles()`, `input_map()`; `design.plot()`, `step()`, `margin_plot()`,
 `coverage_plot()`, `nyquist()`, `poles()`.
 

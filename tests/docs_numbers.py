@@ -12,6 +12,7 @@ import pytest
 from rich.console import Console
 
 from ssm_study.report.outcome import print_outcome
+from ssm_study.report.run_facts import RunFacts
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
@@ -19,11 +20,11 @@ NEAR = 0.1  # share by which a number may differ on another processor
 TEXT_BLOCK = re.compile(r"^```text\n(.*?)^```", re.M | re.S)
 
 
-def printed_outcome(record: Mapping[str, Any]) -> str:
+def printed_outcome(record: Mapping[str, Any], facts: RunFacts) -> str:
     """The outcome table of a run as plain text, without the figures."""
     stream = io.StringIO()
     console = Console(file=stream, width=80, no_color=True)
-    print_outcome(record, (), console)
+    print_outcome(record, (), console, facts)
     return stream.getvalue()
 
 

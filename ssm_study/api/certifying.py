@@ -19,6 +19,7 @@ from ssm_study.api.design import Design
 from ssm_study.api.summaries import html_table, round_rate_down
 from ssm_study.api.systems import read_linear_system, read_matrix
 from ssm_study.certificates.certificate import Side
+from ssm_study.certificates.decay_time import decay_time_words
 from ssm_study.certificates.frontier import contraction_frontier
 from ssm_study.certificates.problem import (
     NoSolution,
@@ -120,9 +121,9 @@ class Certification:
             if gain.rate is None:
                 lines[name] = f"nothing is proved: {gain.reason}"
             else:
-                lines[name] = (
-                    f"contracts at rate {round_rate_down(gain.rate, 6)} per sample, decided exactly"
-                )
+                rate = f"rate {round_rate_down(gain.rate, 6)} per sample"
+                decay = decay_time_words(gain.rate)
+                lines[name] = f"contracts at {rate} ({decay}), decided exactly"
             lines[f"{name}, slopes"] = _describe_slopes(name, gain.slopes)
             if gain.overshoot is not None:
                 growth = math.ceil(gain.overshoot * 1000) / 1000

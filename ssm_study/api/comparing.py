@@ -12,7 +12,7 @@ from typing_extensions import TypeAliasType
 
 from ssm_study.api.arguments import Values
 from ssm_study.api.model import Model
-from ssm_study.data.arrays import check_time_index, signal_columns
+from ssm_study.api.scoring import require_motion, simulate_given_record
 from ssm_study.refusal import require
 from ssm_study.signals import fit_percent, rmse
 
@@ -65,13 +65,19 @@ class ModelComparison:
 
 
 def compare(
-    models: Models, u: Values, y: Values, disturbance: Values | None = None
+    models: Models,
+    u: Values,
+    y: Values,
+    disturbance: Values | None = None,
+    *,
+    start_up_samples: int | None = None,
 ) -> ModelComparison:
-    """Simulate several models on one record and score them. A measured disturbance is given to the
-    models that have a path for it.
+    """Simulate several models on one record and score them, as `Model.score` does: the first
+    `start_up_samples` (20, or what the data say) tell the initial state and are not scored.
 
-    `models` is a list, or a mapping from names to models. Best fit first. Raises `BadRequest` for
-    no models, and where a model has other channels than the record.
+    `models` is a list, or a mapping from names to models. Best fit first. A measured disturbance is
+    given to the models that have a path for it. Raises `BadRequest` for no models, and where a
+    model has other channels than the record.
 
     >>> import numpy as np, ssm_study as st
     >>> rng = np.random.default_rng(0)
@@ -84,25 +90,24 @@ def compare(
     """
     named = read_models(models)
     first = next(iter(named.values()))
-    measured = signal_columns(y, "y", columns=first.output_names)[1]
-    simulated = {}
+    if start_up_samples is None:
+        start_up_samples = max(model.data.start_up_samples for model in named.values())
+    simulations = {}
     for name, model in named.items():
-        step_s = model.data.step_s
-        check_time_index(u, y, step_s)
-        takes_disturbance = bool(model.disturbance_names)
-        predicted = model.predict(u, disturbance if takes_disturbance else None)
-        output = signal_columns(predicted, "y", columns=first.output_names)[1]
-        problem = f"{name} answers with {output.shape}"
-        remedy = "give the outputs of this input"
-        require(output.shape == measured.shape, "y", measured.shape, problem, remedy)
-        simulated[name] = [output]
+        own_disturbance = disturbance if model.disturbance_names else None
+        run = simulate_given_record(model, u, y, own_disturbance, start_up_samples, name)
+        require_motion(run)
+        simulations[name] = run
     states = {name: getattr(model.simulator, "order", None) for name, model in named.items()}
+    measured = next(iter(simulations.values())).records[0].y
+    simulated = {name: run.simulated for name, run in simulations.items()}
     return compare_simulations(
         [measured],
         simulated,
         output_names=first.output_names,
         step_s=first.data.step_s,
         states=states,
+        start_up_samples=start_up_samples,
         record_words="the given record",
     )
 

@@ -14,7 +14,7 @@ from jaxtyping import Complex, Float
 from ssm_study import save_as_run
 from ssm_study.api.arguments import Values
 from ssm_study.api.design_files import write_records
-from ssm_study.api.known_maps import name_unknown_maps, refuse_unknown_maps
+from ssm_study.api.known_maps import name_unknown_maps, refuse_unknown_maps, warn_of_unknown_maps
 from ssm_study.api.model import Model, draw_or_refuse
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.summaries import html_table, render_text_table, summarise_design
@@ -30,8 +30,10 @@ from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest, require
 from ssm_study.synthesis.deployed import WithinLimits, limits_proof
 from ssm_study.synthesis.expected_response import response_columns
+from ssm_study.synthesis.loop_poles import eigenvalue_groups
 from ssm_study.synthesis.measured_discs_run import coverage_columns
 from ssm_study.synthesis.metrics import design_columns, proof_columns
+from ssm_study.synthesis.withheld_coverage import withhold_idle_coverage
 
 if TYPE_CHECKING:
     import control as python_control
@@ -91,13 +93,23 @@ class Design:
 
     @property
     def certified(self) -> bool:
-        """Whether both certificates hold in exact arithmetic: state feedback and observer each
-        contract, with an observer that computes the plant's own maps.
+        """Whether all of `verdicts` are True: controller, observer, and the loop of both."""
+        return all(self.verdicts.values())
 
-        Where `unknown_maps` has an entry it cannot compute them; nothing is then claimed of a loop
-        of both, and the design is not exported.
+    @property
+    def verdicts(self) -> dict[str, bool]:
+        """Verdicts of exact arithmetic by name: `controller`, that the state feedback contracts;
+        `observer`, that the estimate approaches the state; `loop`, that the model comes to rest
+        under both.
+
+        The loop is certified where both sides are and the observer computes the plant's own maps;
+        it cannot where `unknown_maps` has an entry, and such a design is not exported.
         """
-        return self.certificate.certified
+        sides = self.certificate.certificates_by_name
+        verdicts = {"controller": sides["state_feedback"].certified}
+        verdicts["observer"] = sides["observer"].certified
+        verdicts["loop"] = all(verdicts.values()) and not self.unknown_maps
+        return verdicts
 
     @cached_property
     def unknown_maps(self) -> dict[str, str]:
@@ -128,6 +140,8 @@ class Design:
             data.mismatch_records,
         )
         evidence = self.origin.evidence
+        if self.certificate.feasible:
+            facts = withhold_idle_coverage(facts, self.model, self.certificate.pair)
         facts = withhold_predictions(facts, evidence.level)
         facts |= {"evidence": evidence.level, "evidence_reasons": evidence.reasons}
         return facts
@@ -175,8 +189,6 @@ class Design:
 
         Per sample, with the slopes of the maps and of the neurons at rest.
         """
-        from ssm_study.api.pictures.poles import eigenvalue_groups
-
         gains = self.certificate.pair
         return eigenvalue_groups(self.model, gains)
 
@@ -256,6 +268,7 @@ class Design:
         from ssm_study.api.pictures.loop_response import initial_response_picture
         from ssm_study.loop.controller import Uncontrolled
 
+        warn_of_unknown_maps(self.unknown_maps)
         on = choose_plant(self, plant)
         scale = self.model.scale
         if y0 is None:
@@ -280,6 +293,7 @@ class Design:
         from ssm_study.api.loops import choose_plant
         from ssm_study.api.pictures.loop_response import set_point_picture
 
+        warn_of_unknown_maps(self.unknown_maps)
         if size is not None:
             size = read_number("size", size)
         on = choose_plant(self, plant)
@@ -341,6 +355,7 @@ class Design:
         """
         from ssm_study.api.pictures.nyquist import nyquist_picture
 
+        warn_of_unknown_maps(self.unknown_maps)
         mismatch = None if self.origin is None else self.origin.mismatch
         return draw_or_refuse(
             "nyquist", lambda: nyquist_picture(self.model, self.certificate.pair, mismatch)
@@ -355,6 +370,7 @@ class Design:
         from ssm_study.api.pictures.drawing import draw_picture
         from ssm_study.api.pictures.poles import poles_picture
 
+        warn_of_unknown_maps(self.unknown_maps)
         rate = self.certificate.certified_rate("state_feedback")
         picture = poles_picture(self.eigenvalues(), rate)
         return draw_picture(picture)
@@ -369,6 +385,8 @@ class Design:
         if plant is not None:
             return "the simulated plant"
         is_identified = self.origin is not None or bool(self.stored_record)
+        if self.unknown_maps:
+            return "the given model with slopes in the middle of their range"
         return "the identified model" if is_identified else "the given model"
 
     def _model_with_records(self) -> Model:

@@ -2,20 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from numbers import Integral
 from typing import Any
-
-import numpy as np
 
 from ssm_study.api.arguments import Signals, Slopes, Values
 from ssm_study.api.fitting import fit
 from ssm_study.api.model import Model
-from ssm_study.data.arrays import disturbance_values, signal_columns
-from ssm_study.models.metrics import Simulation
-from ssm_study.refusal import BadRequest, require, require_at_least
-from ssm_study.signals import Trajectory
-
-FEWEST_SCORED = 2  # samples
+from ssm_study.refusal import BadRequest, require
 
 
 @dataclass(kw_only=True, eq=False)
@@ -42,7 +34,7 @@ class Estimator:
     True
     """
 
-    step_s: float = 1.0
+    step_s: float | None = None
     model: str = "log"
     order: int | str | None = None
     neurons: int | None = None
@@ -106,24 +98,7 @@ class Estimator:
         before `fit`, and for a record that is no longer than its start.
         """
         model = self._require_model()
-        is_count = isinstance(self.start_up_samples, Integral)
-        remedy = "use 20"
-        require(is_count, "start_up_samples", self.start_up_samples, "is no whole number", remedy)
-        require_at_least(0, "start_up_samples", self.start_up_samples, remedy)
-        channels = len(model.data.inputs)
-        inputs = signal_columns(u, "u", channels, model.input_names)[1]
-        outputs = signal_columns(y, "y", len(model.data.outputs), model.output_names)[1]
-        scored = len(outputs) - self.start_up_samples
-        remedy = "give a longer record, or fewer start_up_samples"
-        require(scored >= FEWEST_SCORED, "y", len(outputs), "nothing is left to score", remedy)
-        moves = bool(np.ptp(outputs[self.start_up_samples :], axis=0).any())
-        problem = "is constant, and the score compares the error with its deviation from the mean"
-        require(moves, "y", "one value", problem, "score a record in which it moves")
-        measured = disturbance_values(disturbance, model.disturbance_names, len(inputs))
-        step_s = model.data.step_s
-        record = Trajectory(u=inputs, y=outputs, d=measured, step_s=step_s)
-        simulation = Simulation.simulate_records(model.simulator, (record,), self.start_up_samples)
-        return simulation.fit_percent
+        return model.score(u, y, disturbance, start_up_samples=self.start_up_samples)
 
     def _require_model(self) -> Model:
         """Identified model of the estimator. Raises `BadRequest` before `fit`."""

@@ -13,7 +13,7 @@ from ssm_study.api.parts import Parts
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.steps import identify_model
 from ssm_study.api.systems import read_folder, read_slopes
-from ssm_study.data.arrays import write_log_files
+from ssm_study.data.arrays import index_period_s, write_log_files
 from ssm_study.refusal import NO_NUMBERS, BadRequest, require, require_positive
 
 CHOICES = {
@@ -29,7 +29,7 @@ CHOICES = {
 def fit(
     u: Signals,
     y: Signals,
-    step_s: float,
+    step_s: float | None = None,
     *overrides: str,
     disturbance: Signals | None = None,
     model: str = "log",
@@ -45,24 +45,34 @@ def fit(
 ) -> Model:
     """Identify a structured state-space model from inputs and outputs.
 
-    `u[k]` is held over `[k, k+1) step_s` and `y[k]` is sampled at `k step_s`, in seconds. Shapes
+    `u[k]` is held over `[k, k+1) step_s` and `y[k]` is sampled at `k step_s`, in seconds; frames
+    with an index of times need no `step_s`. Shapes
     `u (T, m)` or `(T,)`, `y (T, p)` or `(T,)`: arrays, series or frames (whose columns name the
     channels), or lists of them, one per experiment. The last 40 % of each record validate and test
     the model, or blocks of it where its end is unlike its beginning. `disturbance`, of the same
     lengths, holds what is measured and not commanded (a load, a temperature outside): it drives
     model and observer by a path of its own, and the controller does not compensate it.
 
-    `model` is one of these (`conf/model`):
+    `model` is one of these (`conf/model`), with settings of its own in brackets:
 
     * "log", the default: "structured", whose sizes and paths are chosen by comparing a dozen or
       more models on folds of the records. It takes one to three minutes for 1000 samples;
-    * "structured": neurons inside the recurrence, 5 states and 5 neurons unless you say so;
-    * "ssm": the paper's, a static input map before a linear recurrence. It takes seconds;
-    * "delayed": "ssm" behind a dead time; "linear": "ssm" without the map; "n4sid": by subspaces;
-    * "bilinear": products of input and state, for one input (a heater in a flow, a generator's
-      field). It takes seconds; of its loops is proved that they come to rest;
-    * baselines, which are scored and compared, not controlled: "arx", "output_error", "narx",
-      "gru", "lstm".
+    * "structured" [order, neurons, slopes, feedthrough, dead_time]: neurons inside the recurrence,
+      5 states and 5 neurons unless you say so;
+    * "ssm" [order, slopes, feedthrough, hidden_width]: the paper's, a static input map before a
+      linear recurrence. It takes seconds;
+    * "delayed" [as "ssm", dead_time]: "ssm" behind a dead time; "linear" [order, feedthrough]:
+      "ssm" without the map; "n4sid" [order]: linear, by subspaces, which needs
+      `pip install "ssm-study[baselines]"`;
+    * "bilinear" [order, nodes]: products of input and state, for one input (a heater in a flow, a
+      generator's field). It takes seconds; of its loops is proved that they come to rest;
+    * baselines, which are scored and compared, not controlled: "arx" [lags, delay], "output_error"
+      [order, delay], "narx" [lags, degree, terms, delay], "gru", "lstm" [hidden].
+
+    Every result answers `predict`, `score`, `simulation_errors`, `plot`, `residuals`, `facts`,
+    `save`, and takes part in `st.compare`. All but the baselines are taken by `st.control`, and all
+    of these but "bilinear" answer `eigenvalues`, `poles`, `frequency_response`, `bode`,
+    `to_control`, `to_continuous`, `evidence`, `mismatch` and, with one input, `input_map`.
 
     `slopes` are the bounds of the input map's slopes, and `settings` further fields of the model; a
     field left at None has the value of its yaml file. `overrides` are settings as the command takes
@@ -82,7 +92,7 @@ def fit(
     >>> model.score(u, y[:800]) > 95
     True
     """
-    step_s = sampling_time_s(step_s)
+    step_s = stated_or_index_period_s(step_s, u)
     parts = Parts(CHOICES | {"model": model}, overrides)
     parts.set_fields("model", order=order, neurons=neurons, feedthrough=feedthrough, **settings)
     if slopes is not None:
@@ -121,6 +131,17 @@ def fit(
         overrides=parts.command_overrides(),
         later_words=parts.overrides_for_parts("synthesis", "loop", "loop_seed"),
     )
+
+
+def stated_or_index_period_s(step_s: Any, u: Any) -> float:
+    """Sampling time in seconds, that of the index of `u` where none is stated. Raises `BadRequest`
+    where neither gives one."""
+    if step_s is None:
+        step_s = index_period_s(u)
+    remedy = "give it in seconds, as in st.fit(u, y, 0.1)"
+    problem = "is not given, and u has no index of times"
+    require(step_s is not None, "step_s", step_s, problem, remedy)
+    return sampling_time_s(step_s)
 
 
 def sampling_time_s(step_s: Any) -> float:

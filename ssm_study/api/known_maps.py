@@ -7,6 +7,7 @@ map that the observer knows, and an exported observer with another map is not co
 1 loses the plant with slope 1.2, at spectral radius 1.065.
 """
 
+import warnings
 from typing import Any
 
 from ssm_study.bounds.slopes import certified_balls
@@ -16,6 +17,11 @@ from ssm_study.refusal import require
 
 SAME_SLOPE = 1e-9  # two slopes that differ by no larger share are one
 MAPS = {"state_feedback": ("input map", "slopes"), "observer": ("output map", "output_slopes")}
+
+
+class UnknownMap(UserWarning):
+    """Warning that a loop or picture takes one gain for a map of which only the slopes are
+    known."""
 
 
 def name_unknown_maps(model: Any, certificate: Certificates) -> dict[str, str]:
@@ -47,3 +53,16 @@ def refuse_unknown_maps(unknown: dict[str, str]) -> None:
     same = " and ".join(f"{argument}=(g, g)" for argument in unknown)
     remedy = f"give {same} for a map that is the known gain g, or identify the map with st.fit"
     require(not unknown, "design", "maps known by their slopes", problem, remedy)
+
+
+def warn_of_unknown_maps(unknown: dict[str, str]) -> None:
+    """Warn that a loop or picture takes the gain in the middle of the slopes for each unknown
+    map."""
+    if not unknown:
+        return
+    maps = " and the ".join(unknown.values())
+    message = (
+        f"the {maps}: plant and observer take the gain in the middle for it, and nothing is "
+        "certified of the loop with another map"
+    )
+    warnings.warn(message, UnknownMap, stacklevel=3)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Complex, Float
+from jaxtyping import Complex
 
 from ssm_study.api.arguments import Values
 from ssm_study.api.linearisation import (
@@ -17,6 +17,7 @@ from ssm_study.api.linearisation import (
     tabulate_frequency_response,
 )
 from ssm_study.api.model_files import holds_saved_model, read_model_fields, write_model_files
+from ssm_study.api.scoring import require_motion, simulate_given_record
 from ssm_study.api.steps import judge_evidence, measure_mismatch
 from ssm_study.api.summaries import html_table, render_text_table, summarise_model
 from ssm_study.api.systems import read_folder
@@ -33,7 +34,7 @@ from ssm_study.models.structured import StructuredSSM, linearise_at_equilibrium
 from ssm_study.models.warm_start import initial_state_columns, simulate_validation_and_test
 from ssm_study.refusal import BadRequest, require
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.signals import DataSet, fit_percent
+from ssm_study.signals import DataSet
 from ssm_study.training.metrics import records_fit_percent, training_columns
 
 if TYPE_CHECKING:
@@ -137,37 +138,39 @@ class Model:
             return y
         return pd.DataFrame(y, index=u.index, columns=self.output_names)
 
-    def score(self, u: Values, y: Values, disturbance: Values | None = None) -> float:
-        """Fit in percent of a free run from the equilibrium, `100 (1 - ||y - y_hat|| / ||y -
-        mean||)`.
+    def score(
+        self,
+        u: Values,
+        y: Values,
+        disturbance: Values | None = None,
+        *,
+        start_up_samples: int | None = None,
+    ) -> float:
+        """Fit of a free run in percent, `100 (1 - ||y - y_hat|| / ||y - mean||)`, as
+        `facts["fit_test_percent"]` is measured.
 
-        Raises `BadRequest` where the shapes differ.
+        The record may begin in motion: its first `start_up_samples` (20, or what the data say) tell
+        the initial state and are not scored. With 0 the run starts from equilibrium and all of it
+        is scored. Raises `BadRequest` where the shapes differ, and for a record no longer than its
+        start.
         """
-        measured, predicted = self._measured_and_simulated(u, y, disturbance)
-        moves = bool(np.ptp(measured, axis=0).any())
-        problem = "is constant, and the score compares the error with its deviation from the mean"
-        require(moves, "y", "one value", problem, "score a record in which it moves")
-        return fit_percent(measured, predicted)
+        simulation = simulate_given_record(self, u, y, disturbance, start_up_samples)
+        require_motion(simulation)
+        return simulation.fit_percent
 
     def simulation_errors(
-        self, u: Values, y: Values, disturbance: Values | None = None
+        self,
+        u: Values,
+        y: Values,
+        disturbance: Values | None = None,
+        *,
+        start_up_samples: int | None = None,
     ) -> pd.DataFrame:
-        """Measured minus simulated outputs of a free run, one column for each output."""
-        measured, predicted = self._measured_and_simulated(u, y, disturbance)
-        return pd.DataFrame(measured - predicted, columns=self.output_names)
-
-    def _measured_and_simulated(
-        self, u: Values, y: Values, disturbance: Values | None
-    ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
-        """Measured and simulated outputs of one record."""
-        step_s = self.data.step_s
-        check_time_index(u, y, step_s)
-        measured = signal_columns(y, "y", columns=self.output_names)[1]
-        predicted = np.asarray(self.predict(u, disturbance), dtype=np.float64)
-        problem = f"the model answers with {predicted.shape}"
-        remedy = "give the outputs of this input"
-        require(measured.shape == predicted.shape, "y", measured.shape, problem, remedy)
-        return measured, predicted
+        """Measured minus simulated outputs of the free run that `score` scores, one column for each
+        output; the first `start_up_samples` rows have told the initial state."""
+        simulation = simulate_given_record(self, u, y, disturbance, start_up_samples)
+        errors = simulation.records[0].y - simulation.simulated[0]
+        return pd.DataFrame(errors, columns=self.output_names)
 
     def eigenvalues(self) -> Complex[np.ndarray, "n"]:
         """Eigenvalues of the model, linearised at its equilibrium."""

@@ -5,6 +5,7 @@ import pandas as pd
 
 from ssm_study.api.arguments import Values
 from ssm_study.api.design import Design
+from ssm_study.api.known_maps import warn_of_unknown_maps
 from ssm_study.api.loops import choose_plant, simulate_loop, tabulate_rollouts
 from ssm_study.api.model import Model
 from ssm_study.api.rest_design import RestDesign
@@ -27,7 +28,8 @@ def simulate(
     settings of `loop` say (`"loop.horizon_s=3"`, `"reference@loop.reference=step"`). One row per
     case and sample: `case, time_s`, inputs and outputs by name. A measured `disturbance (T, k)`
     drives model and observer; a loop then lasts as long as it, on the identified model. Without it
-    disturbances are at their mean.
+    disturbances are at their mean. No limit clamps the input. Where only a range of slopes is given
+    for a map, the gain in its middle is taken, with a warning.
 
     Raises `BadRequest` for other channels, and for what the command refuses of the loop.
     """
@@ -47,6 +49,7 @@ def simulate(
     is_design = isinstance(subject, Design)
     remedy = "give what st.fit or st.control returned"
     require(is_design, "subject", type(subject).__name__, "is no model and no design", remedy)
+    warn_of_unknown_maps(subject.unknown_maps)
     on = choose_plant(subject, plant)
     rollouts = simulate_loop(subject, values, on, overrides, disturbance=disturbance)
     return tabulate_rollouts(rollouts, on)

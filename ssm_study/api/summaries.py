@@ -8,21 +8,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Complex
 
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.certificates.certificate import Infeasible
-from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
+from ssm_study.certificates.decay_time import decay_time_words
+from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, evidence_words
+from ssm_study.evidence.metrics import NO_JUDGEMENT
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import StructuredSSM
+from ssm_study.robustness.coverage_columns import WITHHELD
 from ssm_study.signals import DataSet
+from ssm_study.synthesis.loop_poles import moves_poles
+from ssm_study.synthesis.withheld_coverage import IDLE
 
 if TYPE_CHECKING:
     from ssm_study.api.design import Design
     from ssm_study.api.model import Model
 
 PROVED = {True: "certified in exact arithmetic", False: "not certified"}
-LEAST_EFFECT = 1e-3  # distance of a pole, in the unit circle
 STABILITY = {True: "stays stable", False: "may not stay stable", None: "no prediction"}
 
 
@@ -64,7 +67,8 @@ def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dic
     upper = facts.get("input_slope_upper")
     if lower is not None and upper is not None:
         lines["slopes of the input map"] = f"{lower:.3g} to {upper:.3g}"
-    lines["evidence"] = model.evidence.level
+    evidence = model.evidence
+    lines["evidence"] = evidence_words(evidence.level, evidence.reasons, "print(model.evidence)")
     return lines
 
 
@@ -98,12 +102,14 @@ def summarise_design(design: "Design") -> pd.Series:
         if isinstance(part, Infeasible):
             lines[name] = f"no certificate: {part.reason}"
             continue
-        lines |= summarise_side(name, part, certificate.certified_rate(side))
+        lines |= summarise_side(name, part, certificate.certified_rate(side), design.model.step_s)
     if design.unknown_maps:
         maps = " and the ".join(design.unknown_maps.values())
         lines["loop of both"] = f"not certified: the observer would have to know the {maps}"
     if not certificate.feasible:
         return pd.Series(lines, name="design", dtype=object)
+    if design.unknown_maps:
+        lines["drawn and simulated"] = "with the gain in the middle of these slopes"
     poles = design.eigenvalues()
     slowest = {name: np.abs(values).max() for name, values in poles.items()}
     if isinstance(design.model, SSM):
@@ -123,17 +129,6 @@ def summarise_design(design: "Design") -> pd.Series:
     elif design.origin is None and not design.stored_record:
         lines |= summarise_assumptions(certificate)
     return pd.Series(lines, name="design", dtype=object)
-
-
-def moves_poles(
-    uncontrolled: Complex[np.ndarray, "n"], controlled: Complex[np.ndarray, "m"]
-) -> bool:
-    """Whether a controller moves the poles of a model by more than a small threshold."""
-    if len(uncontrolled) != len(controlled):  # an internal model
-        return True
-    before = np.sort_complex(uncontrolled)
-    after = np.sort_complex(controlled)
-    return bool(np.abs(before - after).max(initial=0.0) > LEAST_EFFECT)
 
 
 def summarise_input_limits(facts: dict[str, Any]) -> dict[str, str]:
@@ -169,10 +164,12 @@ def round_rate_down(rate: float, digits: int = 3) -> str:
     return text if float(text) <= rate else f"{float(text) - step:.{digits}g}"
 
 
-def summarise_side(name: str, part: Any, rate: float | None) -> dict[str, str]:
+def summarise_side(name: str, part: Any, rate: float | None, step_s: float) -> dict[str, str]:
     """Summary lines on the certificate of a controller or observer, with the reason where exact
     arithmetic does not confirm it."""
-    value = "no rate" if rate is None else f"rate {round_rate_down(rate)} per sample"
+    value = "no rate"
+    if rate is not None:
+        value = f"rate {round_rate_down(rate)} per sample ({decay_time_words(rate, step_s)})"
     lines = {name: f"{value}, {PROVED[part.certified]} (limit {round_rate_down(part.rate_limit)})"}
     if not part.certified:
         lines[f"{name}, reason"] = part.solver_status
@@ -189,13 +186,14 @@ def summarise_prediction(facts: dict[str, Any], acts: bool = True) -> dict[str, 
     if margin is not None and judged and acts:
         suffix = f" (stability margin {margin:.3g})"
     coverage = facts.get("coverage")
-    covered = "not covered"
+    reason = str(facts.get("coverage_reason"))
+    covered = reason if reason.startswith(WITHHELD) else "not covered"
     if coverage is not None and coverage >= 1:
         covered = f"a model error {coverage:.3g} times as large as the records show"
         if not acts:
-            covered = "withheld: the controller hardly acts"
-        if not judged:
-            covered = "withheld: the records do not show the model error"
+            covered = IDLE
+    if not judged and (coverage is not None or reason == NO_JUDGEMENT):
+        covered = f"{WITHHELD}: the records do not show the model error"
     prediction = STABILITY[facts.get("predicted_stable")]
     if facts.get("predicted_faster") is False:
         prediction += ", no faster than without control"
@@ -203,10 +201,12 @@ def summarise_prediction(facts: dict[str, Any], acts: bool = True) -> dict[str, 
         prediction += ", settles sooner than without control"
     if facts["evidence"] == DOUBT:
         prediction += ", with doubts"
+    where = 'record["evidence_reasons"]'
+    evidence = evidence_words(str(facts["evidence"]), facts.get("evidence_reasons"), where)
     return {
         "covered by the proof": covered,
         "predicted for the plant": prediction + suffix,
-        "evidence": str(facts["evidence"]),
+        "evidence": evidence,
     }
 
 

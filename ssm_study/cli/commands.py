@@ -140,11 +140,17 @@ def show_run(options: argparse.Namespace) -> None:
 
 
 def verify_run(options: argparse.Namespace) -> int:
-    """Recompute the claims of a run and print the verdict."""
+    """Recompute the claims of a run and print the verdict: the claims that fail, and one line for
+    all."""
     from ssm_study.study.verify import verify
 
     verified = verify(options.run)
-    print(verified.to_json() if options.json else "\n".join(verified.lines()))
+    if options.json:
+        print(verified.to_json())
+    else:
+        *failures, verdict = verified.lines(every_claim=options.verbose)
+        hint = "" if options.verbose else " (-v lists every claim)"
+        print("\n".join([*failures, f"{verdict}{hint}"]))
     return DONE if verified.holds else SOME_FAILED
 
 

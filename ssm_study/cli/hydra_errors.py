@@ -13,6 +13,7 @@ from ssm_study.engine.settings import walk_nodes
 from ssm_study.refusal import BadRequest, require
 
 ASK = "see `ssm-study run --help`"
+MOST_SUGGESTED = 2  # settings
 UNKNOWN_CHOICE = re.compile(r"Could not find '(.+)/([^/']+)' Available options in '.+': (.+)")
 
 
@@ -42,6 +43,11 @@ def explain_hydra_error(error: BaseException, overrides: list[str], folder: Path
             if at
             else suggest_for_key(key, overrides, folder) or ASK
         )
+    elif match := re.search(r"Key '([^']+)' is not in struct", message):  # of a sweep
+        full_key = re.search(r"full_key: (\S+)", str(error))
+        key = full_key[1] if full_key is not None else match[1]
+        problem = f"Could not override '{key}'"
+        remedy = suggest_for_key(key, overrides, folder) or ASK
     else:
         problem = message
         remedy = ASK
@@ -106,7 +112,7 @@ def refuse_misspelt_option(word: str) -> None:
 
 def suggest_for_key(key: str, overrides: list[str], folder: Path) -> str:
     """Suggestion for a configuration key that does not exist. It names the choice that has the key,
-    else the nearest key or group; it is empty where nothing is near."""
+    else the nearest keys or group; it is empty where nothing is near."""
     if owners := choices_with_key(key, folder):
         verb = "have" if len(owners) > 1 else "has"
         return f"{' and '.join(owners)} {verb} it: add {owners[0]}"
@@ -116,7 +122,21 @@ def suggest_for_key(key: str, overrides: list[str], folder: Path) -> str:
     near = get_close_matches(key, keys + groups, n=1)
     if not near and len(key) > 2:
         near = [group for group in groups if group.startswith(key)]
-    return f"did you mean {near[0]}?" if near else ""
+    if not near:
+        near = settings_named(key, keys)
+    return f"did you mean {' or '.join(near[:MOST_SUGGESTED])}?" if near else ""
+
+
+def settings_named(key: str, keys: list[str]) -> list[str]:
+    """Settings that are nearly called as the last part of a key, or begin with it as a word, such
+    as `synthesis.rate_controller` for `rate`."""
+    last = key.rpartition(".")[2]
+    named: dict[str, list[str]] = {}
+    for path in keys:
+        named.setdefault(path.rpartition(".")[2], []).append(path)
+    near = [name for name in named if name.startswith(f"{last}_")]
+    near = near or get_close_matches(last, list(named), n=1)
+    return [path for name in near for path in named[name]]
 
 
 def compose_without_key(key: str, overrides: list[str], folder: Path) -> DictConfig:

@@ -21,10 +21,14 @@ def add_overlay(commands: Any) -> None:
 
 def overlay_runs(options: argparse.Namespace) -> None:
     """Print the table that compares the runs, and draw their free runs."""
-    from ssm_study.report.overlay import compare_free_runs
+    from ssm_study.report.overlay import baseline_line, compare_free_runs
     from ssm_study.table.folders import find_run_folder
 
-    comparison = compare_free_runs([find_run_folder(run) for run in options.runs])
+    folders = [find_run_folder(run) for run in options.runs]
+    comparison = compare_free_runs(folders)
     print(comparison)
+    baseline = baseline_line(folders)
+    if baseline:
+        print(baseline)
     comparison.plot().savefig(options.picture, dpi=150)
     print(options.picture)

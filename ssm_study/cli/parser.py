@@ -148,6 +148,8 @@ def add_verify_options(command: argparse.ArgumentParser) -> None:
     """Add the options of `verify`."""
     json_help = "print JSON: every claim, and what was not checked"
     command.add_argument("--json", action="store_true", help=json_help)
+    verbose_help = "list every claim with what was found, not those alone that fail"
+    command.add_argument("-v", "--verbose", action="store_true", help=verbose_help)
 
 
 def add_refine_options(command: argparse.ArgumentParser) -> None:

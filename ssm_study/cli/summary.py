@@ -14,20 +14,36 @@ from rich.text import Text
 from ssm_study import __version__
 from ssm_study.cli.paper_figures import PAPER_FIGURES
 from ssm_study.durable import refuse_symbolic_link, write_atomically
-from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, RECORD, read_record
+from ssm_study.engine.records import (
+    CORRUPT,
+    FAILED,
+    INFEASIBLE,
+    LOST,
+    OK,
+    RECORD,
+    RUNNING,
+    read_record,
+)
 from ssm_study.refusal import BadRequest
 from ssm_study.study.line import study_folder
 
 RUN_FIGURES = PAPER_FIGURES
+ELSEWHERE = (
+    "another process is at this run, so nothing was done here; when it is through, the same "
+    "command prints the outcome"
+)
 WIDTH = 80  # of the outcome, where a terminal is not narrower
 
 
 def print_run_summary(config: DictConfig) -> bool:
-    """Gather the study, draw the figures of the run and print its outcome. True if the run failed
-    or, with `strict`, cannot be judged."""
+    """Gather the study, draw the figures of the run and print its outcome. True if the run failed,
+    is another process's or, with `strict`, cannot be judged."""
     study = study_folder(config)
     console = Console()
     record = read_record(study / str(config.run)) or {}
+    if record.get("status") == RUNNING:  # with its lock held: this command left the run alone
+        print(f"{study.name}/{config.run}: {ELSEWHERE}")
+        return True
     width = min(WIDTH, console.width) if console.is_terminal else WIDTH
     # A baseline closes no loop.
     drawn = RUN_FIGURES if "stable_count" in record else RUN_FIGURES[:1]
@@ -74,6 +90,7 @@ def _outcome_text(
     coloured for a terminal of the given width."""
     from ssm_study.report.figures import draw_figures  # here: a sweep and its jobs draw nothing
     from ssm_study.report.outcome import print_outcome
+    from ssm_study.report.run_facts import RunFacts
     from ssm_study.table.gather import gather
 
     gather(study)
@@ -88,7 +105,9 @@ def _outcome_text(
         no_color=False,
     )
     with page.capture() as captured:
-        print_outcome(record, [path for path in printed_figures if path.is_file()], page)
+        drawn_figures = [path for path in printed_figures if path.is_file()]
+        facts = RunFacts.read(study / str(record.get("run")))
+        print_outcome(record, drawn_figures, page, facts)
     return captured.get().rstrip("\n")
 
 

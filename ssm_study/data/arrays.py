@@ -240,6 +240,20 @@ def check_time_index(u: Any, y: Any, step_s: float | None) -> None:
         require(agrees, "step_s", step_s, problem, remedy)
 
 
+def index_period_s(signals: Any) -> float | None:
+    """Sampling time that the time index of a series or frame shows, of the first one in a list;
+    None for arrays and for an index without times."""
+    first = signals[0] if isinstance(signals, list | tuple) and len(signals) else signals
+    if not isinstance(first, pd.Series | pd.DataFrame):
+        return None
+    times_s = index_times_s(first.index)
+    if times_s is None:
+        return None
+    refuse_uneven_index(times_s, "u")
+    period_s = float(times_s[-1] - times_s[0]) / (len(times_s) - 1)
+    return float(f"{period_s:.9g}")
+
+
 def refuse_uneven_index(times_s: Float[np.ndarray, "T"], name: str) -> None:
     """Raise `BadRequest` for a time index that runs backwards, has a gap, or is not evenly
     spaced."""

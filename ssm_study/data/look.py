@@ -21,8 +21,9 @@ from ssm_study.data.clock_column import (
     runs_like_clock,
 )
 from ssm_study.data.column_facts import ColumnFacts, column_facts
+from ssm_study.data.command_words import column_index, quote_for_command, unit_settings
 from ssm_study.data.log_dynamics import FEEDTHROUGH, INTEGRATOR, describe_log_dynamics
-from ssm_study.data.readers.reader import Table, choose_reader, normalise_title, title_without_unit
+from ssm_study.data.readers.reader import Table, choose_reader
 from ssm_study.data.recorded import RecordedData
 from ssm_study.data.signal_guess import doubtful_guess_sentences, guess_signals, is_set_point_title
 from ssm_study.data.text_layout import TextSettings
@@ -157,7 +158,7 @@ def look(
 def look_with_settings(path: Path, stated: LogSettings) -> LogLook:
     """Examine a log file with stated settings."""
     table = choose_reader(path, stated.text).contents(path)
-    require(table.columns, "data.path", path, "has no column of numbers", "export it as CSV")
+    require_numeric_column(path, table)
     facts = [column_facts(name, table) for name in table.columns]
     clock = stated.time if stated.time is not None else clock_column_name(table)
     u, y = choose_signals(table, facts, clock, stated)
@@ -180,7 +181,7 @@ def look_with_settings(path: Path, stated: LogSettings) -> LogLook:
         others = other_signal_names(facts, clock, (u, y, stated.disturbance))
         others = [name for name in others if name not in clocks]
         sentences += other_signal_sentences(others)
-    command = NO_SIGNALS if doubts else study_command(path, u, y, stated, reading, sentences)
+    command = NO_SIGNALS if doubts else study_command(path, u, y, stated, reading, facts, sentences)
     return LogLook(
         path=path,
         columns=facts,
@@ -192,10 +193,20 @@ def look_with_settings(path: Path, stated: LogSettings) -> LogLook:
         output=y,
         disturbance=stated.disturbance,
         step_is_known=reading.step_is_known,
-        disturbed_command=command_with_disturbance(command, others, stated)
-        if reading.records
-        else "",
+        disturbed_command=command_with_disturbance(command, others, stated, facts),
     )
+
+
+def require_numeric_column(path: Path, table: Table) -> None:
+    """Raise `BadRequest` for a log without a column of numbers, with the first cell that is none
+    where a column holds numbers but for a few cells."""
+    problem = "has no column of numbers"
+    remedy = "export it as CSV"
+    cells = [f"{name}: {reason}" for name, reason in table.skipped.items() if " in line " in reason]
+    if cells:
+        problem = f"{problem} ({cells[0]})"
+        remedy = "correct the file there"
+    require(table.columns, "data.path", path, problem, remedy)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -321,17 +332,6 @@ def other_signal_sentences(moving: Sequence[str]) -> list[str]:
     ]
 
 
-def column_index(titles: Sequence[str], name: str | None) -> int | None:
-    """Index of the column that a name or a number on the command line stands for; None if there is
-    no such column."""
-    if name is None or name in titles:
-        return None if name is None else titles.index(name)
-    plain = [normalise_title(title_without_unit(title)) for title in titles]
-    if normalise_title(name) in plain:
-        return plain.index(normalise_title(name))
-    return int(name) if name.isdigit() and int(name) < len(titles) else None
-
-
 def clock_sentences(table: Table, clock: str | None) -> list[str]:
     """Sentences on which column is the clock of a log, and what sampling period it shows."""
     if clock is None or clock not in table.columns:
@@ -351,6 +351,7 @@ def study_command(
     y: str | None,
     stated: LogSettings,
     reading: Reading,
+    facts: Sequence[ColumnFacts],
     sentences: Sequence[str],
 ) -> str:
     """Command line that fits a model to the log, ready to be pasted."""
@@ -364,6 +365,7 @@ def study_command(
         f"data.input={quote_for_command(u)}",
         f"data.output={quote_for_command(y)}",
         *stated.overrides(),
+        *unit_settings(facts, {"input": u, "output": y, "disturbance": stated.disturbance}),
     ]
     if not reading.step_is_known and stated.step_s is None:
         words.append("data.step_s=SECONDS")
@@ -372,24 +374,19 @@ def study_command(
     return " ".join(words)
 
 
-def command_with_disturbance(command: str, others: Sequence[str], stated: LogSettings) -> str:
-    """Command line that reads the one remaining signal of a log as a measured disturbance; empty if
-    there is none, or several."""
-    if len(others) != 1 or stated.disturbance is not None:
+def command_with_disturbance(
+    command: str, others: Sequence[str], stated: LogSettings, facts: Sequence[ColumnFacts]
+) -> str:
+    """Command line with the one further signal of a log as a measured disturbance; empty if there
+    is none, or several."""
+    if len(others) != 1 or command == NO_COMMAND or stated.disturbance is not None:
         return ""
-    return f"{command} data.disturbance={quote_for_command(others[0])}"
+    units = unit_settings(facts, {"disturbance": others[0]})
+    words = [command, f"data.disturbance={quote_for_command(others[0])}", *units]
+    return " ".join(words)
 
 
 def study_name(path: Path) -> str:
     """Name of a study for a log: the name of its file in plain letters, without suffix."""
     letters = unicodedata.normalize("NFKD", path.stem).encode("ascii", "ignore").decode()
     return re.sub(r"[^A-Za-z0-9_-]+", "_", letters).strip("_-")[:MOST_LETTERS] or "log"
-
-
-def quote_for_command(text: str) -> str:
-    """Quote a value so that both the shell and the configuration read it unchanged. Letters and
-    digits need no quotes."""
-    if re.fullmatch(r"[\w./:\-]+", text, re.ASCII):
-        return text
-    escaped = text.replace("\\", "\\\\").replace("'", "\\'")
-    return f"\"'{escaped}'\""

@@ -12,6 +12,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from ssm_study.data.mixed_decimals import describe_mixed_decimals
 from ssm_study.data.text_cells import MISSING, is_number, is_value, split_cells
 from ssm_study.data.text_encoding import decode_text
 from ssm_study.data.text_header import (
@@ -151,9 +152,7 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
     cells = SampledCells.from_lines([line for _, line in body], separator, decimal)
     length = cells.header_length()
     if length is None:
-        problem = "has no rows of numbers"
-        remedy = f"{EXPORT}; {SETTINGS_HELP}"
-        raise BadRequest("data.path", path, problem, remedy)
+        raise no_numbers_error(path, body)
     header = read_header(path, cells, length, settings.header)
     if header.names is None and comments and length == 0:
         names = parse_names_in_comment(comments, separator, cells.columns, decimal)
@@ -175,6 +174,18 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
         columns=cells.columns,
         remarks=remarks + header.remarks + below,
     )
+
+
+def no_numbers_error(path: Path, body: list[NumberedLine]) -> BadRequest:
+    """Error for a text without rows of numbers, with the lines between which the decimal mark
+    changes."""
+    mixed = describe_mixed_decimals(body)
+    if mixed:
+        problem = f"numbers are written in two ways: {mixed}"
+        remedy = "write all of them alike, with a point or with a comma"
+        return BadRequest("data.path", path, problem, remedy)
+    remedy = f"{EXPORT}; {SETTINGS_HELP}"
+    return BadRequest("data.path", path, "has no rows of numbers", remedy)
 
 
 def separate_comments(text: str) -> tuple[list[NumberedLine], list[str]]:

@@ -1,6 +1,7 @@
 """Findings about the records and the model, each a sentence with a level of severity. Each is one
 sentence with its number and what to do, at one of three levels."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -29,6 +30,15 @@ class Finding:
 
     level: Level
     sentence: str
+
+
+def evidence_words(level: str, reasons: str | None, where: str) -> str:
+    """Level of the evidence; if it is sound with notes, their number and where they are printed."""
+    count = len(re.findall(r"(?:^| )note: ", reasons or ""))
+    if level != SOUND or not count:
+        return level
+    plural = "" if count == 1 else "s"
+    return f"{level}, {count} note{plural} ({where})"
 
 
 Inputs = Float[np.ndarray, "T m"]

@@ -36,7 +36,7 @@ COLUMNS = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Judgement:
     """All findings about the evidence that the records give for a model. Its level is that of the
     gravest finding: `sound` (notes at most), `doubt` or `cannot judge`."""
@@ -58,6 +58,10 @@ class Judgement:
         ordered = sorted(self.findings, key=lambda finding: gravest_first.index(finding.level))
         sentences = [f"{finding.level}: {finding.sentence}" for finding in ordered]
         return " ".join(sentences) or None
+
+    def __repr__(self) -> str:
+        lines = [f"  {finding.level}: {finding.sentence}" for finding in self.findings]
+        return "\n".join([f"Evidence: {self.level}", *lines])
 
     def to_json(self) -> list[dict[str, str]]:
         """Findings as a list for JSON."""

@@ -12,8 +12,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
+from ssm_study.certificates.decay_time import decay_time_words
+from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, evidence_words
+from ssm_study.report.run_facts import RunFacts
 from ssm_study.report.words import NO_FASTER, SETTLED, prediction_text, verdict_per_run
+from ssm_study.robustness.coverage_columns import WITHHELD
 
 WIDTH = 80
 MISSING = "–"
@@ -24,13 +27,23 @@ AHEAD = 0.1  # percent points of fit, which are printed, from which on a baselin
 LIMITS_OF = {False: "Within input limits", True: "Exported, within limits"}
 SCORE_UNITS = {"emps": " mm", "cascaded_tanks": " V", "ced": " ticks/s"}  # as published
 DOUBTFUL_NOISE_GAIN = 2.0  # noise that reaches the output, over what the model says of it
+UNFINISHED = {
+    "running": "running: a process is at this run",
+    "lost": "lost: the run was stopped before its end; the same command takes it up again",
+}
+NOTES = "ssm-study show RUN"
 THEOREMS = {"controller": "Theorem 1", "observer": "Theorem 2"}
 Row = tuple[str, str, str]  # the column that must be known, label, value
 
 
-def print_outcome(record: Mapping[str, Any], figures: Sequence[Path], console: Console) -> None:
+def print_outcome(
+    record: Mapping[str, Any],
+    figures: Sequence[Path],
+    console: Console,
+    facts: RunFacts | None = None,
+) -> None:
     """Print the table of a run's results and the paths of its figures."""
-    console.print(outcome_table(record), width=min(WIDTH, console.width))
+    console.print(outcome_table(record, facts or RunFacts()), width=min(WIDTH, console.width))
     for reason in outcome_reasons(record):
         console.print(Text(reason), soft_wrap=False, width=WIDTH)
     for line in figure_lines(figures):
@@ -48,7 +61,7 @@ def figure_lines(figures: Sequence[Path]) -> list[str]:
     return [f"{stem}{', '.join(suffixes)}" for stem, suffixes in kinds.items()]
 
 
-def outcome_table(record: Mapping[str, Any]) -> Table:
+def outcome_table(record: Mapping[str, Any], facts: RunFacts) -> Table:
     """Table of a run's results for the terminal, in the order model, proof, prediction, plant."""
     table = Table(show_header=False, box=None, pad_edge=False, width=WIDTH)
     table.add_column(width=27, no_wrap=True)
@@ -57,7 +70,7 @@ def outcome_table(record: Mapping[str, Any]) -> Table:
     table.add_row("Outcome", outcome_text(record))
     blocks = (
         ("MODEL", "", model_rows(record)),
-        ("PROVED", "of the model", proved_rows(record)),
+        ("PROVED", "of the model", proved_rows(record, facts)),
         ("PREDICTED", "", prediction_rows(record)),
         ("SEEN", f"on the {loop_place(record)}", closed_loop_rows(record)),
     )
@@ -73,6 +86,9 @@ def outcome_table(record: Mapping[str, Any]) -> Table:
 def outcome_text(record: Mapping[str, Any]) -> Text:
     """Text of the run's verdict with its sentence. `cannot judge` comes first where the evidence
     allows no judgement."""
+    unfinished = UNFINISHED.get(str(record.get("status")))
+    if unfinished is not None:
+        return Text(unfinished)
     verdict = verdict_per_run(pd.DataFrame([dict(record)])).iloc[0]
     settles = verdict in (SETTLED, NO_FASTER)
     where = ", on the identified model" if settles and not _is_on_plant(record) else ""
@@ -153,7 +169,7 @@ def log_reading_text(record: Mapping[str, Any]) -> str:
     return "; ".join(parts)
 
 
-def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:
+def proved_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
     """Rows on the rates that exact arithmetic proves for the deployed gains on the model."""
     for side, theorem in THEOREMS.items():
         name = f"{side}_certified_rate"
@@ -166,12 +182,17 @@ def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:
             yield f"rate_{side}", label, requested_words
         else:
             proved = f"{format_column(record, name)} per sample ({theorem})"
-            yield name, label, f"{proved}; {requested_words}"
-    yield from limit_rows(record)
+            decay = decay_time_words(float(record[name]), facts.step_s)
+            timed = f"{proved}, {decay}" if decay else proved
+            yield name, label, f"{timed}; {requested_words}"
+    yield from limit_rows(record, facts)
+    if facts.no_set_points_reason:
+        words = f"none: {facts.no_set_points_reason}"
+        yield "controller_gain_norm", "Exported, set points", words
     yield from coverage_rows(record)
 
 
-def limit_rows(record: Mapping[str, Any]) -> Iterator[Row]:
+def limit_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
     """Rows on the rate that is proved under input limits, and on the initial outputs from which the
     full rate holds."""
     label = LIMITS_OF[_is_on_plant(record)]
@@ -183,11 +204,10 @@ def limit_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     outputs = "a range of each initial output (see the exported header)"
     if record.get("unlimited_from") is not None:
         first, last = (format_column(record, f"unlimited_{end}") for end in ("from", "to"))
-        outputs = f"initial outputs in [{first}, {last}]"
-    value = (
-        f"input {low} to {high}: contracts globally {everywhere}, at the full rate from {outputs}"
-    )
-    yield "limit_lower", label, value
+        outputs = f"initial outputs in [{first}, {last}]{facts.output_unit}"
+    limits = f"input {low} to {high}{facts.input_unit}"
+    contraction = f"contracts globally {everywhere}, at the full rate from {outputs}"
+    yield "limit_lower", label, f"{limits}: {contraction}"
 
 
 def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
@@ -202,7 +222,9 @@ def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
         value = until.format(format_column(record, "certified_tolerance"))
         yield "certified_tolerance", "Mismatch tolerated", f"{value}, as a gain on the input"
     elif coverage is None:
-        yield "coverage_reason", label, f"not covered: {record.get('coverage_reason')}"
+        reason = str(record.get("coverage_reason"))
+        words = reason if reason.startswith(WITHHELD) else f"not covered: {reason}"
+        yield "coverage_reason", label, words
     elif coverage < 1:
         where = record.get("coverage_reference")
         yield "coverage", label, f"not covered: the records show more than is proved ({where})"
@@ -252,7 +274,9 @@ def fresh_data_exceed_coverage(record: Mapping[str, Any]) -> bool:
 def prediction_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Rows on the behaviour that model and records predict before the controller is tried on the
     plant."""
-    yield "evidence", "Evidence", str(record.get("evidence"))
+    level = str(record.get("evidence"))
+    reasons_words = evidence_words(level, record.get("evidence_reasons"), NOTES)
+    yield "evidence", "Evidence", reasons_words
     label = "Prediction for the plant" if _is_on_plant(record) else "Prediction"
     if record.get("evidence") == CANNOT_JUDGE:
         yield "evidence", label, "none: the evidence allows no judgement"

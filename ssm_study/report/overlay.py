@@ -39,9 +39,10 @@ def compare_free_runs(folders: Sequence[Path]) -> ModelComparison:
     for name, run in zip(names, runs, strict=True):
         model = run.any_model
         states[name] = None if model is None else model.order
+    disturbances = [run.record.get("disturbances") or "none" for run in runs]
     measured = _signal_values(first, "measured")
     start_up_samples = max(run.start_up_samples for run in runs)
-    return compare_simulations(
+    comparison = compare_simulations(
         measured,
         simulated,
         output_names=first.labels("measured"),
@@ -49,11 +50,28 @@ def compare_free_runs(folders: Sequence[Path]) -> ModelComparison:
         states=states,
         start_up_samples=start_up_samples,
     )
+    if len(set(disturbances)) > 1:
+        by_run = dict(zip(names, disturbances, strict=True))
+        comparison.table["measured disturbances"] = [
+            by_run[name] for name in comparison.table.index
+        ]
+    return comparison
+
+
+def baseline_line(folders: Sequence[Path]) -> str:
+    """Line with the best baseline that the runs fitted to the same data; empty if none did."""
+    records = [RunFolder(path=folder).record for folder in folders]
+    fitted = [record for record in records if record.get("fit_baseline_percent") is not None]
+    if not fitted:
+        return ""
+    best = max(fitted, key=lambda record: float(record["fit_baseline_percent"]))
+    fit = float(best["fit_baseline_percent"])
+    return f"best baseline on this record: {fit:.1f} %, {best.get('baseline')} (not drawn)"
 
 
 def short_run_names(folders: Sequence[Path]) -> list[str]:
-    """Names of runs without the parts that all runs share. Equal names are preceded by the
-    study."""
+    """Names of runs without the parts that all runs share, after their study where studies differ.
+    Names that are still equal are whole."""
     parts = [folder.name.split("-") for folder in folders]
     counts = set(map(len, parts))
     if len(counts) == 1:
@@ -61,6 +79,9 @@ def short_run_names(folders: Sequence[Path]) -> list[str]:
         differs = [len(set(column)) > 1 for column in columns]
         parts = [list(compress(own, differs)) for own in parts]
     names = ["-".join(own) for own in parts]
+    if len({folder.parent for folder in folders}) > 1:
+        pairs = zip(folders, names, strict=True)
+        names = [f"{folder.parent.name}/{name or folder.name}" for folder, name in pairs]
     if len(set(names)) == len(names):
         return names
     return [f"{folder.parent.name}/{folder.name}" for folder in folders]

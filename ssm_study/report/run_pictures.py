@@ -11,14 +11,16 @@ from ssm_study.api.pictures.loop_response import set_point_picture
 from ssm_study.api.pictures.margin import InputScale, margin_picture, physical_input_scale
 from ssm_study.api.pictures.nyquist import nyquist_picture
 from ssm_study.api.pictures.picture import NothingToShow, Picture
-from ssm_study.api.pictures.poles import eigenvalue_groups, poles_picture
+from ssm_study.api.pictures.poles import poles_picture
 from ssm_study.api.pictures.residual_correlation import residual_correlation_picture
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.export.set_points import describe_missing_set_points
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthrough
 from ssm_study.report.study_folder import NothingToDraw, RunFolder, StudyFolder
 from ssm_study.robustness.coverage import measure_premise
 from ssm_study.robustness.margin_by_frequency import margin_curves
 from ssm_study.study.recordings import RecordedCases
+from ssm_study.synthesis.loop_poles import eigenvalue_groups
 
 
 def picture_of_best(name: str, study: StudyFolder) -> Picture:
@@ -125,6 +127,9 @@ def picture_of_set_point_step(run: RunFolder) -> Picture:
     )
     if not design.feasible or has_direct_feedthrough(model):
         raise NothingToDraw("There is no loop to move to a set point.")
+    reason = describe_missing_set_points(run.path)
+    if reason:
+        raise NothingToDraw(f"The exported code follows no set points: {reason}.")
     plant = _identified_plant(model, test)
     recorded = [signal.values for signal in excitation.signals("input")]
     loop = (

@@ -11,6 +11,7 @@ from rich.text import Text
 
 from ssm_study.engine.records import read_record
 from ssm_study.report.outcome import WIDTH, print_outcome
+from ssm_study.report.run_facts import RunFacts
 from ssm_study.report.words import format_beside_bound, printed_column_name
 from ssm_study.table.columns import group_by_part
 
@@ -18,7 +19,7 @@ from ssm_study.table.columns import group_by_part
 def print_run(run_folder: Path, console: Console) -> None:
     """Print a run's outcome, and below it the whole record."""
     record = read_record(run_folder) or {}
-    print_outcome(record, (), console)
+    print_outcome(record, (), console, RunFacts.read(run_folder))
     console.print()
     console.print(record_table(record), width=min(WIDTH, console.width))
 

@@ -2,6 +2,7 @@
 
 from ssm_study.columns import Column, iterated_column
 
+WITHHELD = "withheld"  # how the reason begins where a coverage is proved and says nothing
 COLUMNS = (
     iterated_column(
         "coverage", "high", "Model error covered by the proof, over what records show", "–"

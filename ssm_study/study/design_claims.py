@@ -52,6 +52,7 @@ from ssm_study.synthesis.measured_discs_run import (
 )
 from ssm_study.synthesis.metrics import design_columns
 from ssm_study.synthesis.sine_judgement import simulated_sines, sine_columns
+from ssm_study.synthesis.withheld_coverage import withhold_idle_coverage
 from ssm_study.systems import Balls, System
 
 
@@ -173,7 +174,10 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
         test = run.simulated.test
         fresh = measure_premise(run.model, test.records, mismatch, test.start_up_samples)
     facts = coverage_columns(run.design, run.model, premise, fresh)
-    return facts | recompute_fresh_data_column(run, premise, mismatch)
+    facts |= recompute_fresh_data_column(run, premise, mismatch)
+    if run.record.get("coverage") is not None or not run.design.feasible:
+        return facts  # true of the proof; a run of before such numbers were withheld has them
+    return withhold_idle_coverage(facts, run.model, run.design.pair)
 
 
 def recompute_fresh_data_column(

@@ -74,12 +74,15 @@ class Verification:
             unchecked = f"{unchecked}: {reasons}"
         return f"{holding} of {len(self.findings)} claims hold; {unchecked}"
 
-    def lines(self) -> list[str]:
+    def lines(self, *, every_claim: bool = True) -> list[str]:
         """Text lines, one for each claim, each cause of a failure, and each reason for not
-        checking.
+        checking; without `every_claim` for the causes of failures alone.
 
         The summary comes last.
         """
+        if not every_claim:
+            failed_claims = [finding for finding in self.findings if not finding.holds]
+            return [*finding_lines(failed_claims), self.summary()]
         by_reason: dict[str, list[str]] = {}
         for name, reason in self.unchecked.items():
             by_reason.setdefault(reason, []).append(name)

@@ -6,9 +6,11 @@ import sys
 import webbrowser
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from report_runs import random_run, write_recordings
+from rich.console import Console
 
 from ssm_study import style
 from ssm_study.cli import commands
@@ -17,11 +19,14 @@ from ssm_study.cli.commands import export_warnings, figures_line, may_overwrite
 from ssm_study.cli.main import DONE, WRONG_REQUEST, main
 from ssm_study.cli.request import translate_arguments
 from ssm_study.cli.run import print_progress
-from ssm_study.engine.records import write_record
+from ssm_study.cli.summary import print_run_summary
+from ssm_study.durable import file_lock
+from ssm_study.engine.records import LOCK, write_record
 from ssm_study.engine.runs import Run
 from ssm_study.engine.task import RunStages
 from ssm_study.refusal import BadRequest
 from ssm_study.report.figures import closed_loop_responses
+from ssm_study.report.run_record import print_run
 from ssm_study.report.study_folder import RunFolder
 from ssm_study.table.folders import find_run_folder
 
@@ -54,6 +59,28 @@ def test_a_run_is_named_by_the_begin_or_the_end_of_its_name(tmp_path: Path) -> N
         find_run_folder(tmp_path / "order4")
     with pytest.raises(BadRequest, match="no record"):
         find_run_folder(tmp_path / "seed0")
+
+
+def test_a_run_of_another_process_is_not_said_to_have_failed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its lock decides: once the process is gone, the run is lost and not running."""
+    folder = tmp_path / "mine" / "order4"
+    folder.mkdir(parents=True)
+    write_record(folder, {"status": "running", "run": "order4", "study": "mine"})
+    names = {"results_dir": str(tmp_path), "study": "mine", "run": "order4", "strict": False}
+    config: Any = SimpleNamespace(**names)
+    console = Console(width=200)
+    with file_lock(folder / LOCK) as is_held:
+        assert is_held
+        assert print_run_summary(config)
+        print_run(folder, console)
+    printed = capsys.readouterr().out
+    assert printed.startswith("mine/order4: another process is at this run")
+    assert "running: a process is at this run" in printed
+    assert "failed" not in printed
+    print_run(folder, console)
+    assert "lost: the run was stopped before its end" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("answer", "expected"), [("y", True), ("yes", True), ("", False)])

@@ -74,8 +74,29 @@ def test_a_stretch_that_begins_in_motion_is_scored_from_its_own_state() -> None:
     fitted = arx(settings=settings).fit(u, y)
     position_of_largest = int(np.argmax(np.abs(y[500:600])))
     start = 500 + position_of_largest  # far from rest
-    from_rest = fitted.model_.score(u[start : start + 60], y[start : start + 60])
-    assert fitted.score(u[start : start + 60], y[start : start + 60]) > from_rest + 1
+    stretch = slice(start, start + 60)
+    from_rest = fitted.model_.score(u[stretch], y[stretch], start_up_samples=0)
+    assert fitted.score(u[stretch], y[stretch]) > from_rest + 1
+
+
+def test_model_comparison_and_estimator_score_a_stretch_alike() -> None:
+    """One definition of the fit: that of the model's own test record."""
+    u, y = record()
+    fitted = arx(settings={"lags": 3}).fit(u, y)
+    model = fitted.model_
+    test = model.data.test[0]
+    expected = fitted.score(test.u, test.y)
+    assert model.facts["fit_test_percent"] == pytest.approx(expected, abs=1e-9)
+    assert model.score(test.u, test.y) == expected
+    table = st.compare([model], test.u, test.y).table
+    assert table.fit_percent.item() == pytest.approx(expected, abs=1e-9)
+    errors = model.simulation_errors(test.u, test.y)
+    assert len(errors) == len(test.y)
+    table = st.compare([model], test.u, test.y, start_up_samples=0).table
+    from_rest = model.score(test.u, test.y, start_up_samples=0)
+    assert table.fit_percent.item() == pytest.approx(from_rest, abs=1e-9)
+    with pytest.raises(st.BadRequest, match=r"start_up_samples = -1: .*use 20, or 0"):
+        model.score(u, y, start_up_samples=-1)
 
 
 def test_wrong_use_is_refused_in_a_sentence() -> None:

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 import ssm_study as st
-from ssm_study.api.summaries import moves_poles, summarise_prediction
+from ssm_study.api.summaries import summarise_prediction
 from ssm_study.refusal import BadRequest
+from ssm_study.synthesis.loop_poles import moves_poles
+from ssm_study.synthesis.withheld_coverage import IDLE, withhold_idle_coverage
 
 A = np.array([[0.9, 0.1], [0.0, 0.8]])
 B = np.array([[0.0], [1.0]])
@@ -105,9 +107,15 @@ def test_an_idle_controller_is_not_praised() -> None:
     assert "margin" not in text
     praised = summarise_prediction(facts, acts=True)
     assert "2.7e+03 times" in praised["covered by the proof"]
+    gains = idle.certificate.pair
+    withheld = withhold_idle_coverage(facts | {"coverage_reference": "input"}, idle.model, gains)
+    assert withheld["coverage"] is None
+    assert withheld["coverage_reason"] == IDLE
+    assert summarise_prediction(withheld, acts=False)["covered by the proof"] == IDLE
     active = st.control((A, B, C, NO_DIRECT_PATH, 0.1), rate=0.5)
     assert "effect of the controller" not in active.summary()
     assert "rates below 0.189" in active.summary()["without control"]
+    assert withhold_idle_coverage(facts, active.model, active.certificate.pair) == facts
 
 
 def test_poles_that_move_are_an_effect() -> None:

@@ -1,5 +1,6 @@
 """A design for matrices is exported only where its observer can compute the plant's maps."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 import ssm_study as st
 from ssm_study.api.design import Design
+from ssm_study.api.known_maps import UnknownMap
 from ssm_study.export.targets import describe_origin
 from ssm_study.refusal import BadRequest
 
@@ -38,7 +40,9 @@ def loop_radius(design: Design, plant_slope: float, observer_slope: float) -> fl
 def test_an_observer_with_another_map_can_lose_the_plant(uncertain: Design) -> None:
     """Both certificates hold, of an observer with the plant's own map; with the mean slope in its
     place the same gains lose a plant whose slope is in the range."""
-    assert uncertain.certified
+    expected = {"controller": True, "observer": True, "loop": False}
+    assert uncertain.verdicts == expected
+    assert not uncertain.certified
     assert loop_radius(uncertain, 1.2, 1.2) < 1
     assert loop_radius(uncertain, 1.2, 1.0) == pytest.approx(1.065, abs=1e-3)
 
@@ -74,6 +78,7 @@ def test_a_known_gain_is_exported_with_the_design_s_own_verdict(
     """Header and design agree, and the exported observer computes the map that was given."""
     design = st.control(SYSTEM, slopes=(gain, gain), rate=0.3)
     assert design.certified
+    assert all(design.verdicts.values())
     assert not design.unknown_maps
     assert "loop of both" not in design.summary()
     radius = loop_radius(design, gain, gain)
@@ -103,6 +108,7 @@ def test_a_header_says_why_it_is_not_certified(tmp_path: Path) -> None:
     other.certificate.save(path)
     loaded = st.load(saved)
     assert list(loaded.unknown_maps) == ["slopes"]
+    assert not loaded.certified
     words = describe_origin(saved)
     assert "NOT certified: state_feedback" in words
     assert words.endswith("see certificate.json.")
@@ -119,3 +125,22 @@ def test_poles_of_a_design_are_those_at_the_middle_of_its_slopes() -> None:
     assert poles["estimate"].item() == pytest.approx(0.9 + 0.1 * correction)
     printed = design.summary()["slowest pole, observer"]
     assert printed == f"{abs(poles['estimate'].item()):.4f} per sample"
+
+
+def test_a_loop_with_an_unknown_map_says_which_gain_it_takes(uncertain: Design) -> None:
+    """Neither a table nor a picture takes a map in silence; with a known gain there is no word."""
+    words = "the input map with slopes 0.8 to 1.2: plant and observer take the gain in the middle"
+    with pytest.warns(UnknownMap, match=words):
+        st.simulate(uncertain, [0.1], "loop.horizon_s=0.2")
+    for draw in (uncertain.step, uncertain.nyquist, uncertain.poles):
+        with pytest.warns(UnknownMap, match=words):
+            draw()
+    with pytest.warns(UnknownMap, match=words):
+        figure = uncertain.plot()
+    assert "slopes in the middle of their range" in figure.get_suptitle() + str(figure.texts)
+    assert "gain in the middle" in uncertain.summary()["drawn and simulated"]
+    known = st.control(SYSTEM, rate=0.3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UnknownMap)
+        st.simulate(known, [0.1], "loop.horizon_s=0.2")
+    assert "drawn and simulated" not in known.summary()

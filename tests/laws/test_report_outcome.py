@@ -2,13 +2,21 @@
 why."""
 
 import io
+import math
 from pathlib import Path
 from typing import Any
 
+import pytest
 import report_tables
 from rich.console import Console
 
-from ssm_study.report.outcome import pi_comparison_text, print_outcome
+from ssm_study.report.outcome import (
+    RunFacts,
+    pi_comparison_text,
+    prediction_rows,
+    print_outcome,
+    proved_rows,
+)
 from ssm_study.report.page.proof_card import coverage_sentence
 from ssm_study.training.choice import REFIT_WORDS
 
@@ -34,6 +42,43 @@ def test_no_line_is_longer_than_80_columns_whatever_the_run() -> None:
         lines = printed(record).splitlines()
         largest = max(len(line) for line in lines)
         assert largest <= 80
+
+
+def test_a_rate_stands_beside_its_time_constant() -> None:
+    """In seconds where the sampling time is known: `-2 step / log(1 - rate)`, rounded up."""
+    record = a_run("ok") | {"controller_certified_rate": 0.188, "observer_certified_rate": None}
+    rows = dict(row[1:] for row in proved_rows(record, RunFacts(step_s=0.01)))
+    exact = -2 * 0.01 / math.log(1 - 0.188)
+    assert 0.096 < exact < 0.097
+    assert rows["Controller rate"].startswith("0.188 per sample (Theorem 1), to 37 % in 0.097 s; ")
+    rows = dict(row[1:] for row in proved_rows(record, RunFacts()))
+    assert "to 37 % in 9.7 samples" in rows["Controller rate"]
+    assert "37" not in rows["Observer rate"]
+
+
+def test_why_the_exported_code_follows_no_set_points_is_one_line() -> None:
+    reason = "the model integrates"
+    record = a_run("ok")
+    rows = dict(row[1:] for row in proved_rows(record, RunFacts(no_set_points_reason=reason)))
+    assert rows["Exported, set points"] == "none: the model integrates"
+    assert "Exported, set points" not in dict(row[1:] for row in proved_rows(record, RunFacts()))
+
+
+@pytest.mark.parametrize(
+    ("level", "reasons", "words"),
+    [
+        ("sound", None, "sound"),
+        ("sound", "note: One amplitude.", "sound, 1 note (ssm-study show RUN)"),
+        ("sound", "note: A. note: C.", "sound, 2 notes (ssm-study show RUN)"),
+        ("doubt", "doubt: A. note: B.", "doubt"),
+    ],
+)
+def test_sound_evidence_says_where_its_notes_are(
+    level: str, reasons: str | None, words: str
+) -> None:
+    record = a_run("ok") | {"evidence": level, "evidence_reasons": reasons}
+    rows = dict(row[1:] for row in prediction_rows(record))
+    assert rows["Evidence"] == words
 
 
 def test_plain_in_a_pipe_and_coloured_on_a_terminal() -> None:

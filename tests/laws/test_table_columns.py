@@ -50,7 +50,7 @@ assert main(["run", "experiment=smoke", "results_dir=results", "progress=false"]
 assert main(["show", str(run.parent), "--columns"]) == 0
 words = page_data(StudyFolder(folder=run.parent))["words"]
 print(json.dumps([words[name] for name in ("input_mean_square", "curve_rows")]))
-assert main(["verify", str(run)]) == 0
+assert main(["verify", "-v", str(run)]) == 0
 """
 
 

@@ -1,9 +1,12 @@
 """Parts composed without Hydra are those that Hydra composes from the same words."""
 
+import inspect
+import re
 from pathlib import Path
 
 import pytest
 
+from ssm_study.api import fitting
 from ssm_study.api.parts import GROUPS, Parts, configuration_folders, load_choice
 from ssm_study.cli.from_python import compose_configuration
 from ssm_study.engine.settings import plain_settings
@@ -74,3 +77,23 @@ def test_a_missing_value_is_named() -> None:
     parts = Parts({"data": "recorded"})
     with pytest.raises(BadRequest, match=r"data\.path = \?\?\?: is missing"):
         parts.build("data")
+
+
+VALUES = {"feedthrough": False, "slope_lower": 0.1, "nodes": 3}
+
+
+def test_the_help_of_fit_names_settings_that_each_model_takes() -> None:
+    """Written `"ssm" [order, slopes]`; another model refuses them."""
+    text = inspect.getdoc(fitting.fit) or ""
+    listed = re.findall(r'"(\w+)" \[([^\]]*)\]', text)
+    assert len(listed) >= 8
+    for model, words in listed:
+        for name in re.findall(r"(?<![\w\"])\w+(?![\w\"])", words.replace("as ", "")):
+            field = "slope_lower" if name == "slopes" else name
+            parts = Parts(fitting.CHOICES | {"model": model})
+            parts.set_fields("model", **{field: VALUES.get(field, 2)})
+            parts.build("model")
+    parts = Parts(fitting.CHOICES | {"model": "arx"})
+    parts.set_fields("model", order=2)
+    with pytest.raises(BadRequest, match="order"):
+        parts.build("model")

@@ -10,6 +10,7 @@ from report_runs import random_run, write_recordings
 
 from ssm_study.api.comparing import compare_simulations
 from ssm_study.cli.main import main
+from ssm_study.engine.records import write_record
 from ssm_study.refusal import BadRequest
 from ssm_study.report.overlay import compare_free_runs, short_run_names
 from ssm_study.report.study_folder import RunFolder
@@ -63,6 +64,25 @@ def test_the_command_prints_the_table_and_draws(
     assert "order8-bb" in printed
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert main(["overlay", str(runs[0]), str(runs[2])]) == 2
+
+
+def test_runs_of_two_studies_are_named_with_them_and_their_baseline_stands_below(
+    runs: list[Path], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Models with and without a measured load are told apart in the table."""
+    loaded = runs[0].parent / "loaded" / runs[1].name
+    shutil.copytree(runs[1], loaded)
+    write_record(runs[0], {"fit_baseline_percent": 91.25, "baseline": "an ARX model"})
+    write_record(
+        loaded, {"fit_baseline_percent": 95.04, "baseline": "NARX", "disturbances": "load"}
+    )
+    picture = tmp_path / "both.png"
+    assert main(["overlay", str(runs[0]), str(loaded), "--picture", str(picture)]) == 0
+    printed = capsys.readouterr().out
+    assert "loaded/order8-bb" in printed
+    assert f"{runs[0].parent.name}/order4-aa" in printed
+    assert "measured disturbances" in printed
+    assert "best baseline on this record: 95.0 %, NARX (not drawn)" in printed
 
 
 def test_names_of_runs_in_two_studies_that_are_alike_say_their_study(runs: list[Path]) -> None:

@@ -352,9 +352,12 @@ def test_the_command_ends_with_one_line_and_speaks_json(
     smoke_run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["verify", str(smoke_run)]) == 0
-    out = capsys.readouterr().out
-    lines = out.splitlines()
-    last = lines[-1]
+    (last,) = capsys.readouterr().out.splitlines()
+    assert last.endswith(" (-v lists every claim)")
+    assert main(["verify", str(smoke_run), "-v"]) == 0
+    *claims, verdict = capsys.readouterr().out.splitlines()
+    assert f"{verdict} (-v lists every claim)" == last
+    assert any(line.startswith("holds  fit_test_percent") for line in claims)
     assert main(["verify", str(smoke_run), "--json"]) == 0
     out = capsys.readouterr().out
     said = json.loads(out)
@@ -363,6 +366,17 @@ def test_the_command_ends_with_one_line_and_speaks_json(
         f"{held} of {len(said['claims'])} claims hold; {len(said['not_checked'])} not checked: "
     )
     assert said["holds"] is True
+
+
+def test_of_a_lie_the_command_prints_the_failure_and_the_verdict(
+    copied_run: Path, record: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_record(copied_run, record | {"settling_time_mean_s": 1e-3})
+    assert main(["verify", str(copied_run)]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert not [line for line in lines if line.startswith(("holds", "not checked"))]
+    assert any(line.startswith("FAILS") and "settling_time_mean_s" in line for line in lines)
+    assert "claims hold" in lines[-1]
 
 
 def test_a_long_value_is_told_in_eighty_characters() -> None:

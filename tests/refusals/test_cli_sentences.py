@@ -9,10 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import ssm_study as st
 from ssm_study.api.fitting import sampling_time_s
 from ssm_study.api.linearisation import import_python_control
 from ssm_study.api.parts import format_value
 from ssm_study.cli.main import WRONG_REQUEST, main
+from ssm_study.data.arrays import index_period_s
 from ssm_study.data.plain_names import plain_name
 from ssm_study.refusal import BadRequest
 
@@ -32,6 +34,11 @@ WRONG = {
         ["training/optimiser=glob(*)", "seed.x=1"],
         "seed.x",
     ),
+    "the last word of two settings": (
+        ["rate=0.1"],
+        "did you mean synthesis.rate_controller or synthesis.rate_observer?",
+    ),
+    "a misspelt setting": (["model.ordr=2"], "did you mean model.order?"),
     "nothing for a part of one": (["model.scaffold_in={}"], "changes nothing"),
 }
 
@@ -71,6 +78,18 @@ def test_a_column_that_is_named_twice_is_refused_before_any_run(
 def test_what_is_no_sampling_time_is_refused(value: object) -> None:
     with pytest.raises(BadRequest, match="step_s"):
         sampling_time_s(value)
+
+
+def test_a_fit_without_a_sampling_time_takes_that_of_the_index_or_refuses() -> None:
+    """It was Python's own TypeError; the estimator took one second."""
+    for fit in (st.fit, st.Estimator().fit):
+        with pytest.raises(BadRequest, match=r"step_s = None: is not given, and u has no index"):
+            fit(np.ones(100), np.ones(100))
+    index = pd.timedelta_range("0s", periods=100, freq="100ms")
+    u = pd.Series(np.sin(np.arange(100)), index)
+    assert index_period_s(u) == 0.1
+    assert index_period_s([u, u]) == 0.1
+    assert index_period_s(u.reset_index(drop=True)) is None
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,6 @@ from jaxtyping import Inexact
 from ssm_study import style
 from ssm_study.api.pictures.drawing import circle_points
 from ssm_study.api.pictures.picture import DASHED, Mark, Picture, PicturePanel, Series
-from ssm_study.models.structured import Model, linearise_at_equilibrium
-from ssm_study.systems import Gains
 
 MARKS: tuple[Mark, ...] = ("crosses", "circles", "triangles")
 COLOURS = (style.GREY, style.BLUE, style.VERMILLION)
@@ -45,22 +43,3 @@ def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Pic
         height=2.2,
     )
     return Picture(title=title, panels=(panel,))
-
-
-def eigenvalue_groups(model: Model, gains: Gains) -> dict[str, Poles]:
-    """Eigenvalues of the model, the controlled model and the estimation error at the equilibrium.
-    `A + B J_u K`, `A + L J_y C`."""
-    linear = linearise_at_equilibrium(model)
-    n = len(linear.a)
-    inputs = model.scaffold_in.inputs
-    slope_in = model.scaffold_in.jacobian(np.zeros(inputs))
-    slope_out = model.scaffold_out.jacobian(np.zeros(model.scaffold_out.inputs))
-    controlled = linear.a + linear.b @ slope_in @ gains.k[:, :n]
-    observed = linear.a + gains.l[:n] @ slope_out @ linear.c
-    eigenvalues = np.linalg.eigvals(linear.a)
-    estimate = np.linalg.eigvals(observed).astype(complex)
-    return {
-        "model": eigenvalues.astype(complex),
-        "controlled": np.linalg.eigvals(controlled).astype(complex),
-        "estimate": estimate,
-    }

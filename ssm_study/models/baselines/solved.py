@@ -23,6 +23,7 @@ from ssm_study.systems import StateSpace
 
 # an unstable identified pole is scaled back to this radius, or a free run would overflow
 SLOWEST = 0.9999
+MODELS = {"nfoursid": "n4sid"}  # by the package that they need
 INSTALL = {"nfoursid": 'pip install "ssm-study[baselines]"'}
 MOST_TERMS = 20
 
@@ -179,6 +180,6 @@ def import_library(name: str) -> Any:
         return import_module(name)
     except ImportError as error:
         package = name.split(".")[0]
-        problem = "this baseline needs a package that is not installed"
+        problem = f"needs the package {package}, which is not installed"
         remedy = INSTALL.get(package, f"pip install {package}")
-        raise BadRequest("model", package, problem, remedy) from error
+        raise BadRequest("model", MODELS.get(package, package), problem, remedy) from error

@@ -1,0 +1,78 @@
+"""Free runs of a model on a record that the caller gives, as its own test records are scored.
+
+A slice of a record begins in motion. Its first samples tell the state in which it begins and are
+not scored, just as for the model's own records; with no such samples it starts from equilibrium.
+"""
+
+from numbers import Integral
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ssm_study.api.arguments import Values
+from ssm_study.data.arrays import check_time_index, disturbance_values, signal_columns
+from ssm_study.models.members import mean_of_runs
+from ssm_study.models.metrics import Simulation
+from ssm_study.refusal import require, require_at_least
+from ssm_study.signals import Trajectory
+
+if TYPE_CHECKING:
+    from ssm_study.api.model import Model
+
+FEWEST_SCORED = 2  # samples
+
+
+def simulate_given_record(
+    model: "Model",
+    u: Values,
+    y: Values,
+    disturbance: Values | None,
+    start_up_samples: Any,
+    name: str = "the model",
+) -> Simulation:
+    """Simulate a given record from the state that its first samples show.
+
+    `start_up_samples` is that of the model's own records if it is None, and with 0 the run starts
+    from equilibrium. Raises `BadRequest` for other channels or lengths, and for a record that is no
+    longer than its start.
+    """
+    data = model.data
+    check_time_index(u, y, data.step_s)
+    inputs = signal_columns(u, "u", len(data.inputs), model.input_names)[1]
+    outputs = signal_columns(y, "y", columns=model.output_names)[1]
+    expected_shape = (len(inputs), len(data.outputs))
+    problem = f"{name} answers with {expected_shape}"
+    remedy = "give the outputs of this input"
+    require(outputs.shape == expected_shape, "y", outputs.shape, problem, remedy)
+    measured = disturbance_values(disturbance, model.disturbance_names, len(inputs))
+    start_up = read_start_up(start_up_samples, data.start_up_samples, len(outputs))
+    record = Trajectory(u=inputs, y=outputs, d=measured, step_s=data.step_s)
+    members = model.identification.members or (model.simulator,)
+    runs = [Simulation.simulate_records(member, (record,), start_up) for member in members]
+    return runs[0] if len(runs) == 1 else mean_of_runs(runs)
+
+
+def read_start_up(start_up_samples: Any, default: int, samples: int) -> int:
+    """Number of samples that tell the initial state of a record; the default if it is None. Raises
+    `BadRequest` for what is no number of samples, and where nothing is left to score."""
+    if start_up_samples is None:
+        start_up_samples = default
+    remedy = "use 20, or 0 to start from equilibrium"
+    is_count = isinstance(start_up_samples, Integral) and not isinstance(start_up_samples, bool)
+    require(is_count, "start_up_samples", start_up_samples, "is no whole number", remedy)
+    require_at_least(0, "start_up_samples", start_up_samples, remedy)
+    scored = samples - int(start_up_samples)
+    problem = (
+        f"the first {start_up_samples} samples tell the initial state: nothing is left to score"
+    )
+    remedy = "give a longer record, or fewer start_up_samples"
+    require(scored >= FEWEST_SCORED, "y", samples, problem, remedy)
+    return int(start_up_samples)
+
+
+def require_motion(simulation: Simulation) -> None:
+    """Raise `BadRequest` for a record whose scored outputs are constant."""
+    start = simulation.start_up_samples
+    moves = any(np.ptp(record.y[start:], axis=0).any() for record in simulation.records)
+    problem = "is constant, and the score compares the error with its deviation from the mean"
+    require(moves, "y", "one value", problem, "score a record in which it moves")

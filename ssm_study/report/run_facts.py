@@ -1,0 +1,50 @@
+"""Facts on a run that its record lacks and its files tell."""
+
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from ssm_study.signals import Channel
+from ssm_study.study.recordings import RecordedCases
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunFacts:
+    """Sampling time, units and set points of a run, as its outcome names them.
+
+    `no_set_points_reason` is why the exported code follows no set points, empty if it does. A unit
+    follows a space; it is empty where there are several channels, or none is stated.
+    """
+
+    step_s: float | None = None
+    no_set_points_reason: str = ""
+    input_unit: str = ""
+    output_unit: str = ""
+
+    @classmethod
+    def read(cls, run: Path) -> "RunFacts":
+        """Read the facts from a run folder; a run without a model has none."""
+        from ssm_study.export.set_points import describe_missing_set_points
+
+        step_s = None
+        with suppress(OSError, ValueError, KeyError):
+            text = (run / "model.json").read_text(encoding="utf-8")
+            step_s = float(json.loads(text)["step_s"])
+        units = {"input": "", "measured": ""}
+        with suppress(OSError, ValueError, IndexError):
+            recording = RecordedCases.from_file(run / "test.mcap")
+            units = {name: unit_words(recording.signals(name)[0].channels) for name in units}
+        return cls(
+            step_s=step_s,
+            no_set_points_reason=describe_missing_set_points(run),
+            input_unit=units["input"],
+            output_unit=units["measured"],
+        )
+
+
+def unit_words(channels: Sequence[Channel]) -> str:
+    """Unit of a single channel after a space; empty for several channels and without a unit."""
+    unit = channels[0].unit if len(channels) == 1 else ""
+    return f" {unit}" if unit else ""
