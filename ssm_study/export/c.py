@@ -284,7 +284,8 @@ def _render_replay(device: Device, name: str) -> str:
         texts[label] = _render_signal_table(label, values, device.real)
     if disturbance is not None:
         texts["wanted"] = f"{texts['wanted']}\n{texts['disturbance']}"
-    tolerance = AGREEMENT[device.real] * max(1.0, float(np.abs(applied).max()))
+    largest = float(np.abs(applied).max())
+    tolerance = AGREEMENT[device.real] * max(1.0, largest)
     return _REPLAY.substitute(texts, samples=REPLAYED, tolerance=repr(tolerance))
 
 

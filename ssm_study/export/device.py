@@ -89,7 +89,8 @@ class Device:
             """Input limit rounded to the number type of the C program."""
             inputs = controller.scale.inputs
             each = np.broadcast_to(limit, inputs)
-            return np.clip(each, -largest, largest).astype(kind)
+            finite = np.clip(each, -largest, largest)
+            return finite.astype(kind)
 
         return cls(
             controller=convert_floats(controller, kind),
@@ -250,31 +251,34 @@ class Device:
         controller = self.controller
         neurons = controller.neurons
         rest = self.nearest_equilibrium(r)
-        requested = controller.scale.physical_input(
-            multiply_in_order(controller.k, x - rest["x"], rest["v"])
-        )
+        scaled_request = multiply_in_order(controller.k, x - rest["x"], rest["v"])
+        requested = controller.scale.physical_input(scaled_request)
         u = np.clip(requested, self.lower, self.upper)
         # The observer uses the input that was applied.
-        lifted = _evaluate_map(controller.s_in, controller.scale.scaled_input(u))
+        applied = controller.scale.scaled_input(u)
+        lifted = _evaluate_map(controller.s_in, applied)
         measured = controller.scale.scaled_output(y)
         start = multiply_in_order(controller.c, x)
         read = multiply_in_order(controller.d, lifted, start)
         if neurons and neurons.h.any():
             read = multiply_in_order(neurons.h, neurons(x, lifted), read)
         error = _evaluate_map(controller.s_out, read) - measured
-        following = multiply_in_order(controller.b, lifted, multiply_in_order(controller.a, x))
+        following = multiply_in_order(controller.a, x)
+        following = multiply_in_order(controller.b, lifted, following)
         following = multiply_in_order(controller.l, error, following)
         if d is not None:
-            following = multiply_in_order(
-                controller.b_d, controller.scale.scaled_disturbance(d), following
-            )
+            disturbance = controller.scale.scaled_disturbance(d)
+            following = multiply_in_order(controller.b_d, disturbance, following)
         if neurons:
-            following = multiply_in_order(neurons.into, neurons(x, lifted, error), following)
+            corrected_outputs = neurons(x, lifted, error)
+            following = multiply_in_order(neurons.into, corrected_outputs, following)
         # No error enters the internal model while a limit acts.
         if np.array_equal(u, requested):
-            following = multiply_in_order(controller.e, measured - rest["w"], following)
+            control_error = measured - rest["w"]
+            following = multiply_in_order(controller.e, control_error, following)
         else:
-            following[controller.frozen_state_range] = x[controller.frozen_state_range]
+            frozen = controller.frozen_state_range
+            following[frozen] = x[frozen]
         return u, following
 
     def nearest_equilibrium(self, r: Vector) -> dict[str, Vector]:
@@ -287,23 +291,24 @@ class Device:
         points = self.set_point_maps
         real = REALS[self.real]
         if points is None:
+            states, outputs = controller.l.shape
+            inputs = len(controller.k)
             return {
-                "x": np.zeros(len(controller.a), real),
-                "v": np.zeros(len(controller.k), real),
-                "w": np.zeros(controller.l.shape[1], real),
+                "x": np.zeros(states, real),
+                "v": np.zeros(inputs, real),
+                "w": np.zeros(outputs, real),
             }
-        wanted = evaluate_equilibrium_map(
-            points.to_lifted, _evaluate_inverse_map(points.outward, scale.scaled_output(r))
-        )
-        requested = scale.physical_input(_evaluate_inverse_map(points.inward, wanted))
+        wanted_output = _evaluate_inverse_map(points.outward, scale.scaled_output(r))
+        wanted_mapped = evaluate_equilibrium_map(points.to_lifted, wanted_output)
+        wanted_input = _evaluate_inverse_map(points.inward, wanted_mapped)
+        requested = scale.physical_input(wanted_input)
         u = np.clip(requested, self.lower, self.upper)
         v = scale.scaled_input(u)
         lifted = _evaluate_map(controller.s_in, v)
-        return {
-            "x": evaluate_equilibrium_map(points.at_rest, lifted),
-            "v": v,
-            "w": _evaluate_map(controller.s_out, evaluate_equilibrium_map(points.seen, lifted)),
-        }
+        x = evaluate_equilibrium_map(points.at_rest, lifted)
+        mapped_output = evaluate_equilibrium_map(points.seen, lifted)
+        w = _evaluate_map(controller.s_out, mapped_output)
+        return {"x": x, "v": v, "w": w}
 
     def recomputed_inputs(
         self,
@@ -331,18 +336,24 @@ class Device:
 def _count_map_products(portable: PortableMap) -> int:
     """Number of products in one evaluation of a static map."""
     network = portable.network
-    layers = () if network is None else (*network.weights, *network.biases)
-    return portable.linear.size + sum(part.size for part in layers)
+    products = portable.linear.size
+    if network is not None:
+        products += sum(layer.size for layer in (*network.weights, *network.biases))
+    return products
 
 
 def _count_inverse_products(inverse: Inverse) -> int:
     """Number of products in one evaluation of an inverse map."""
-    return len(inverse.channels) if inverse.matrix is None else inverse.matrix.size
+    if inverse.matrix is None:
+        return len(inverse.channels)
+    return inverse.matrix.size
 
 
 def _count_equilibrium_products(part: Any) -> int:
     """Number of products in one evaluation of a map from set points to equilibria."""
-    return part.slopes.shape[1] if isinstance(part, PiecewiseLinear) else part.size
+    if isinstance(part, PiecewiseLinear):
+        return part.slopes.shape[1]
+    return part.size
 
 
 def _evaluate_map(portable: PortableMap, v: Vector) -> Vector:
@@ -353,10 +364,12 @@ def _evaluate_map(portable: PortableMap, v: Vector) -> Vector:
     d = v
     for w, b, low, high in portable.network.hidden_layers():
         z = multiply_in_order(w, d, b)
-        at_zero = np.where(b >= 0, high, low) * b
-        d = np.where(z >= 0, high * z, low * z) - at_zero
-    a = portable.network.weights[-1]
-    return multiply_in_order(a, d, out)
+        slopes_at_zero = np.where(b >= 0, high, low)
+        at_zero = slopes_at_zero * b
+        activated = np.where(z >= 0, high * z, low * z)
+        d = activated - at_zero
+    last_weight = portable.network.weights[-1]
+    return multiply_in_order(last_weight, d, out)
 
 
 def _evaluate_inverse_map(inverse: Inverse, w: Vector) -> Vector:
@@ -364,4 +377,6 @@ def _evaluate_inverse_map(inverse: Inverse, w: Vector) -> Vector:
 
     Channel by channel the order is that already; for a product `@` promises none.
     """
-    return inverse(w) if inverse.matrix is None else multiply_in_order(inverse.matrix, w)
+    if inverse.matrix is None:
+        return inverse(w)
+    return multiply_in_order(inverse.matrix, w)

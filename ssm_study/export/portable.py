@@ -16,7 +16,14 @@ from ssm_study.certificates.certificate import Design, Infeasible
 from ssm_study.models.structured import Model, StructuredSSM, evaluate_activations
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Scale
-from ssm_study.systems import StateSpace, StructuredSystem, System, error_input_matrix, frozen_modes
+from ssm_study.systems import (
+    Gains,
+    StateSpace,
+    StructuredSystem,
+    System,
+    error_input_matrix,
+    frozen_modes,
+)
 
 Vector = Float[np.ndarray, "_"]
 MATRICES = ("a", "b", "c", "d", "k", "l", "e")
@@ -143,6 +150,16 @@ def _refuse_unexportable_design(design: Design) -> None:
     require(not design.inverts_input_map, "synthesis.invert_input", True, problem, remedy)
 
 
+def _refuse_gains_of_another_model(gains: Gains, order: int, outputs: int) -> None:
+    """Raise `BadRequest` for gains whose sizes are not those of a model."""
+    added = len(gains.modes)
+    controller_fits = gains.k.shape[1] == order + added
+    observer_fits = len(gains.l) == order
+    fits = controller_fits and observer_fits and added % outputs == 0
+    problem = f"the model has order {order}"
+    require(fits, "certificate", gains.k.shape, problem, "export the run as stored")
+
+
 def convert_controller(model: Model, design: Design) -> PortableController:
     """Convert the controller of a model and its design to plain arrays.
 
@@ -156,11 +173,7 @@ def convert_controller(model: Model, design: Design) -> PortableController:
     n = model.order
     p = model.scale.outputs
     added = len(modes)
-    controller_fits = gains.k.shape[1] == n + added
-    observer_fits = len(gains.l) == n
-    fits = controller_fits and observer_fits and added % p == 0
-    problem = f"the model has order {n}"
-    require(fits, "certificate", gains.k.shape, problem, "export the run as stored")
+    _refuse_gains_of_another_model(gains, n, p)
     below = ((0, added), (0, 0))
     beside = ((0, 0), (0, added))
     into_modes = error_input_matrix(modes, p)

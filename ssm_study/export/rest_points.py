@@ -40,8 +40,10 @@ class PiecewiseLinear:
         order = np.argsort(w)
         w = w[order]
         out = out[order]
-        slopes = np.diff(out, axis=0) / np.diff(w)[:, None]
-        offsets = out[:-1] - slopes * w[:-1, None]
+        steps = np.diff(w)[:, None]
+        slopes = np.diff(out, axis=0) / steps
+        starts = w[:-1, None]
+        offsets = out[:-1] - slopes * starts
         points = w[1:-1].copy()
         return cls(points=points, slopes=slopes, offsets=offsets)
 
@@ -54,7 +56,9 @@ class PiecewiseLinear:
 def evaluate_equilibrium_map(by: "PiecewiseLinear | Float[np.ndarray, 'r c']", w: Vector) -> Vector:
     """Evaluate a matrix or a piecewise-linear map at a vector. The product is in the order of the C
     code."""
-    return by(w) if isinstance(by, PiecewiseLinear) else multiply_in_order(by, w)
+    if isinstance(by, PiecewiseLinear):
+        return by(w)
+    return multiply_in_order(by, w)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,8 +104,11 @@ def compute_equilibrium_curve(
     w = evaluate_activations(neurons.kinds, z) - neurons.phi_bias
     read = x @ model.c[0] + lifted * model.d[0, 0] + w @ model.h[0]
     apart = np.diff(read)
-    is_monotone = (apart > 0).all() or (apart < 0).all()
-    return EquilibriumCurve(lifted=lifted, x=x, read=read) if is_monotone else None
+    rises = (apart > 0).all()
+    falls = (apart < 0).all()
+    if not rises and not falls:
+        return None
+    return EquilibriumCurve(lifted=lifted, x=x, read=read)
 
 
 def _find_equilibrium(
@@ -116,9 +123,11 @@ def _find_equilibrium(
         slopes = evaluate_activations(neurons.kinds, z, "slope")
         tangent = model.linearise_at_slopes(slopes)
         following = model.a @ x + model.b[:, 0] * v + model.e @ w
-        return following - x, tangent.a - np.eye(len(x))
+        jacobian = tangent.a - np.eye(len(x))
+        return following - x, jacobian
 
     solved = scipy.optimize.root(equilibrium_residual, near, jac=True, tol=1e-12)
     # At a kink it ends without success, and exactly there.
-    is_solved = np.abs(solved.fun).max(initial=0.0) <= LARGEST_RESIDUAL
+    residuals = np.abs(solved.fun)
+    is_solved = residuals.max(initial=0.0) <= LARGEST_RESIDUAL
     return solved.x if is_solved else None

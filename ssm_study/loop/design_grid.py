@@ -96,7 +96,8 @@ def _prepend_gains(pair: Gains, gains: Gains) -> Gains:
     stacked = {}
     for name, gain in vars(pair).items():
         if gain is not None:
-            stacked[name] = np.concatenate([gain[None], getattr(gains, name)])
+            others = getattr(gains, name)
+            stacked[name] = np.concatenate([gain[None], others])
     return Gains(**stacked)
 
 
@@ -105,7 +106,8 @@ def _prediction_columns(identified: Identified, gains: Gains) -> list[Row]:
     design."""
     mismatch = identified.mismatch
     rows = []
-    for i, area in enumerate(relative_areas(identified.model, gains, identified.validation)):
+    areas = relative_areas(identified.model, gains, identified.validation)
+    for i, area in enumerate(areas):
         pair = gains.select_pairs(i)
         predicted = predict_margins(identified.model, pair, identified.balls, mismatch)
         gain_norm = float(np.linalg.norm(pair.k, 2))
@@ -136,8 +138,10 @@ def _behaviour_columns(
     starts = np.tile(y0, (designs, 1))
     noises = np.tile(noise, (designs, 1, 1))
     run = loop.simulate(plant, controller, starts, noises)
-    quiet = loop.simulate(plant, controller, starts, np.zeros_like(noises))
-    uncontrolled = loop.simulate(plant, Uncontrolled.for_plant(plant), y0, noise)
+    no_noise = np.zeros_like(noises)
+    no_control = Uncontrolled.for_plant(plant)
+    quiet = loop.simulate(plant, controller, starts, no_noise)
+    uncontrolled = loop.simulate(plant, no_control, y0, noise)
     open_loop_s = mean_without_none(settling_times_s(uncontrolled, band))
     times_s = settling_times_s(run, band)
     kinds = classify_motions(quiet, band)

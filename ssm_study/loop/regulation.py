@@ -110,7 +110,8 @@ class IdentifiedPlant(Plant):
     def _steady_state(self, y: Float[np.ndarray, "p"]) -> Float[np.ndarray, "n"]:
         """State in which a constant input holds the output at a given value."""
         try:
-            return scaled_equilibrium(self.model, y)[0]
+            state, _ = scaled_equilibrium(self.model, y)
+            return state
         except BadRequest:
             inputs = self.model.scale.inputs
             fewer_inputs = inputs < self.model.scale.outputs
@@ -128,7 +129,8 @@ class IdentifiedPlant(Plant):
     def advance(
         self, x: States, u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
     ) -> States:
-        return self.model.advance(x, self.model.map_input(u) + d)
+        mapped_input = self.model.map_input(u)
+        return self.model.advance(x, mapped_input + d)
 
     def disturbance_effect(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
         return self.model.disturbance_contribution(measured)
@@ -278,7 +280,8 @@ class Loop:
         noise_free = None
         if noise.any():
             quiet = self.simulate(plant, controller, y0, np.zeros_like(noise))
-            is_settled = None not in settling_times_s(controlled, plant.settling_band)
+            times_s = settling_times_s(controlled, plant.settling_band)
+            is_settled = None not in times_s
             if not is_settled and self._noise_leaves_band(plant, controller, noise):
                 noise_free = quiet
         uncontrolled = self.simulate(plant, Uncontrolled.for_plant(plant), y0, noise)
@@ -298,10 +301,12 @@ class Loop:
         band."""
         still = replace(self, reference=EquilibriumReference(), disturbance=NoDisturbance())
         equilibrium = plant.equilibrium()
-        y0 = np.tile(equilibrium.y, (len(noise), 1))
+        cases = len(noise)
+        y0 = np.tile(equilibrium.y, (cases, 1))
         shaken = still.simulate(plant, controller, y0, noise)
         distance = np.abs(shaken.y - shaken.reference)
-        return bool((distance > plant.settling_band).any())
+        is_outside = distance > plant.settling_band
+        return bool(is_outside.any())
 
     def run_on_model(self, plant: Plant, controller: ObserverFeedback, y0: Outputs) -> Rollouts:
         """Simulate a controller on its own model from the same outputs, without noise and
@@ -312,7 +317,9 @@ class Loop:
         twin = IdentifiedPlant.from_model(controller.model, plant.inputs, plant.outputs)
         twin = replace(twin, initial_range=plant.initial_range)  # the bound is a multiple of it
         quiet = Loop(horizon_s=self.horizon_s, bound_in_initial_ranges=self.bound_in_initial_ranges)
-        no_noise = np.zeros((len(y0), self.horizon_samples(plant.step_s), y0.shape[1]))
+        cases, outputs = y0.shape
+        samples = self.horizon_samples(plant.step_s)
+        no_noise = np.zeros((cases, samples, outputs))
         return quiet.simulate(twin, controller, y0, no_noise)
 
     def with_default_horizon(self, model: Model) -> "Loop":

@@ -215,13 +215,15 @@ def settling_times_s(rollouts: Rollouts, band: float) -> tuple[float | None, ...
     0.
     """
     error = rollouts.y - rollouts.reference
-    outside = (np.abs(error) > band).any(axis=2)
+    is_far = np.abs(error) > band
+    outside = is_far.any(axis=2)
     samples = outside.shape[1]
     backwards = outside[:, ::-1]
     since_last_outside = np.argmax(backwards, axis=1)
     was_outside = outside.any(axis=1)
     first = np.where(was_outside, samples - since_last_outside, 0)
-    dwell = max(int(np.ceil(DWELL * samples)), 1)
+    share_in_samples = np.ceil(DWELL * samples)
+    dwell = max(int(share_in_samples), 1)
     dwells = first <= samples - dwell
     is_settled = rollouts.stayed_within_bound & dwells
     last_step = last_step_sample(rollouts.reference)
@@ -246,13 +248,17 @@ def classify_motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
     size = np.linalg.norm(error, axis=2)
     quarter = max(size.shape[1] // 4, 1)
     half = 2 * quarter
-    third_quarter = size[:, -half:-quarter].max(axis=1)
-    last_quarter = size[:, -quarter:].max(axis=1)
+    in_third_quarter = size[:, -half:-quarter]
+    in_last_quarter = size[:, -quarter:]
+    third_quarter = in_third_quarter.max(axis=1)
+    last_quarter = in_last_quarter.max(axis=1)
     largest_errors = np.abs(error).max(axis=1)
     worst_output = np.argmax(largest_errors, axis=1)
-    worst_error = np.take_along_axis(error, worst_output[:, None, None], axis=2)[:, :, 0]
+    places = worst_output[:, None, None]
+    worst_error = np.take_along_axis(error, places, axis=2)[:, :, 0]
     rise, swing = trend_and_oscillation(worst_error[:, -half:])
-    oscillates = swing > np.maximum(np.abs(rise), band)
+    least_swing = np.maximum(np.abs(rise), band)
+    oscillates = swing > least_swing
     moving = np.where(oscillates, "oscillating", "drifting")
     still_shrinks = last_quarter < STEADY * third_quarter
     kinds = np.where(still_shrinks, "slow", moving)
@@ -267,8 +273,9 @@ def trend_and_oscillation(signals: Float[np.ndarray, "N K"]) -> tuple[PerCase, P
     time = np.linspace(-0.5, 0.5, signals.shape[1])
     time_power = time @ time
     rise = signals @ time / time_power
-    centred = signals - signals.mean(axis=1, keepdims=True)
-    deviation = centred - rise[:, None] * time
+    means = signals.mean(axis=1, keepdims=True)
+    line = rise[:, None] * time
+    deviation = (signals - means) - line
     return rise, np.ptp(deviation, axis=1)
 
 
@@ -283,7 +290,8 @@ def residual_oscillations(rollouts: Rollouts, band: float) -> Float[np.ndarray, 
     is_settled = np.array([time_s is not None for time_s in times_s])
     error = (rollouts.y - rollouts.reference)[is_settled]
     _, samples, outputs = error.shape
-    last = max(int(np.ceil(DWELL * samples)), 2)
+    share_in_samples = np.ceil(DWELL * samples)
+    last = max(int(share_in_samples), 2)
     tails = error[:, -last:]
     swings = []
     for output in range(outputs):
@@ -305,7 +313,8 @@ def overshoots(rollouts: Rollouts, band: float) -> PerCase:
     start = error[:, :1]
     size = np.abs(start[:, 0])
     on_far_side = -np.sign(start) * error
-    excursion = np.maximum(on_far_side, 0.0).max(axis=1)
+    excursions = np.maximum(on_far_side, 0.0)
+    excursion = excursions.max(axis=1)
     counts = (size > band) & (excursion > band)
     divisors = np.where(counts, size, 1.0)
     shares = excursion / divisors

@@ -115,20 +115,26 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     d = np.vstack([system.d, idle])
     weight = SMOOTHNESS * input_identity + d.T @ d
     cross = h.T @ d  # the cross term of a feedthrough
-    p = scipy.linalg.solve_discrete_are(f, g, h.T @ h, weight, s=cross)
+    output_cost = h.T @ h
+    p = scipy.linalg.solve_discrete_are(f, g, output_cost, weight, s=cross)
     curvature = weight + g.T @ p @ g
-    k = np.linalg.solve(curvature, g.T @ p @ f + d.T @ h)
+    gradient = g.T @ p @ f + d.T @ h
+    k = np.linalg.solve(curvature, gradient)
     closed = f - g @ k
     output_map = h - d @ k
     forced = output_map.T @ target[-1]
-    last = -np.linalg.solve(np.eye(n + m) - closed.T, forced)  # a reference held for ever
+    return_difference = np.eye(n + m) - closed.T
+    last = -np.linalg.solve(return_difference, forced)  # a reference held for ever
     c = -np.linalg.solve(curvature, g.T)
     through = np.linalg.solve(curvature, d.T)
     backward = StateSpace(a=closed.T, b=-output_map.T, c=c, d=through)
-    backward_response, _ = backward.simulate(target[::-1], last)
+    reversed_target = target[::-1]
+    backward_response, _ = backward.simulate(reversed_target, last)
     preview = backward_response[::-1]
-    state_and_input = np.vstack([np.eye(n, n + m), closed[n:]])
-    feedthrough = np.vstack([np.zeros((n, m)), g[n:]])
+    state_alone = np.eye(n, n + m)
+    no_feedthrough = np.zeros((n, m))
+    state_and_input = np.vstack([state_alone, closed[n:]])
+    feedthrough = np.vstack([no_feedthrough, g[n:]])
     tracking_loop = StateSpace(a=closed, b=g, c=state_and_input, d=feedthrough)
     plan, _ = tracking_loop.simulate(preview)
     states = plan[:, :n]
@@ -188,7 +194,8 @@ def invert_map(scaffold: Scaffold, w: Matrix) -> Matrix:
         roots = _invert_vector_map(scaffold, w)
     is_zero = (w == 0).all(axis=1, keepdims=True)
     v = np.where(is_zero, 0.0, roots)  # S(0) = 0 holds exactly
-    residuals = np.abs(scaffold(v) - w).max(axis=1)
+    deviations = np.abs(scaffold(v) - w)
+    residuals = deviations.max(axis=1)
     size = max(1.0, float(np.abs(w).max()))
     tolerance = INVERSION_TOLERANCE * size
     is_reached = residuals.max() <= tolerance

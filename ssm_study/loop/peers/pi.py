@@ -55,7 +55,8 @@ class PI(Controller):
         unlimited_input = self.input(memory, y, target)
         is_unlimited = np.isclose(u, unlimited_input, rtol=1e-9, atol=1e-12)
         increment = self.step_s / self.integral_s * (target - y)
-        return memory + np.where(is_unlimited, increment, 0.0)
+        allowed_increment = np.where(is_unlimited, increment, 0.0)
+        return memory + allowed_increment
 
 
 class UltimateGain(NamedTuple):
