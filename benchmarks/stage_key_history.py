@@ -35,7 +35,7 @@ STAGES = {
         "data.excitations.excitation.APRBS",
     ),
     "model": ("compute_model", "models.spec.SSMSpec", "training.training.Training"),
-    "bounds": ("compute_simulated", "bounds.reduction.Reduction"),
+    "bounds": ("compute_free_runs", "bounds.reduction.Reduction"),
     "mismatch": ("compute_mismatch",),
     "evidence": ("compute_evidence",),
     "synthesis": ("compute_synthesis", "synthesis.auto.Auto"),

@@ -29,7 +29,7 @@ from ssm_study.models.stored import read_model_json
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest, require
 from ssm_study.synthesis.deployed import WithinLimits, limits_proof
-from ssm_study.synthesis.expected_response import response_columns
+from ssm_study.synthesis.expected_response import faster_response_column
 from ssm_study.synthesis.loop_poles import eigenvalue_groups
 from ssm_study.synthesis.measured_discs_run import coverage_columns
 from ssm_study.synthesis.metrics import design_columns, proof_columns
@@ -132,7 +132,7 @@ class Design:
         facts = design_columns(self.certificate, self.model, balls, mismatch)
         facts |= self._coverage_columns()
         data = self.origin.data
-        facts |= response_columns(
+        facts |= faster_response_column(
             self.certificate,
             self.model,
             self.origin.mismatch,

@@ -44,7 +44,7 @@ class EvenRows:
     remarks: list[str]
 
 
-def log_length(pieces: EvenRows) -> int:
+def count_log_samples(pieces: EvenRows) -> int:
     """Number of samples of a log up to the end of its last piece."""
     return pieces.starts[-1] + len(pieces.values[-1])
 

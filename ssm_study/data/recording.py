@@ -7,7 +7,12 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.data.channel_names import Names, as_name_list, name_channels
-from ssm_study.data.clock import EvenRows, cut_at_missing_values, log_length, require_equal_period
+from ssm_study.data.clock import (
+    EvenRows,
+    count_log_samples,
+    cut_at_missing_values,
+    require_equal_period,
+)
 from ssm_study.data.clock_column import (
     clock_column_seconds,
     find_clock_column,
@@ -165,9 +170,9 @@ class Columns:
             pieces, remarks = self._read_even_rows(path, output_path or path)
         except BadRequest as error:
             raise refusal_with_look_command(error, path) from error
-        whole = range(first, log_length(pieces) if last is None else last)
-        problem = f"no such samples, {path.name} has {log_length(pieces)}"
-        inside = first < whole.stop <= log_length(pieces)
+        whole = range(first, count_log_samples(pieces) if last is None else last)
+        problem = f"no such samples, {path.name} has {count_log_samples(pieces)}"
+        inside = first < whole.stop <= count_log_samples(pieces)
         remedy = "count from 0"
         require(inside, "data.first, data.last", (first, whole.stop), problem, remedy)
         records = []

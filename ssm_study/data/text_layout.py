@@ -117,7 +117,7 @@ class SampledCells:
         numeric = find_numeric_columns(spread, columns, decimal)
         return cls(first=first, spread=spread, decimal=decimal, columns=columns, numeric=numeric)
 
-    def header_length(self) -> int | None:
+    def header_line_count(self) -> int | None:
         """Number of header lines above the first row of values; None if there is no such row."""
         first = first_value_row(self.first, self.columns, self.numeric, self.decimal)
         if first is None or not any(self.numeric):
@@ -150,7 +150,7 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
     separator, decimal = find_separators([line for _, line in body], settings)
     body, repeats = remove_repeated_header_lines(body)
     cells = SampledCells.from_lines([line for _, line in body], separator, decimal)
-    length = cells.header_length()
+    length = cells.header_line_count()
     if length is None:
         raise no_numbers_error(path, body)
     header = read_header(path, cells, length, settings.header)

@@ -142,8 +142,7 @@ class Code:
         return current_symbol(module, name)
 
     def _is_followed(self, top: str) -> bool:
-        """Whether the code of a package counts for fingerprints: this package's and other code that
-        is not installed."""
+        """Whether fingerprints depend on a package's code, not on its version alone."""
         if top not in self.followed:
             path = None if top in sys.stdlib_module_names else self._source_path(top)
             is_ours = top in (*self.folders, OURS, "__main__")

@@ -81,7 +81,7 @@ class Monitor:
 
         The allowance is a standing error of the settling band in every output; the limit the energy
         with which the model comes to rest from outputs half their scale away. A loop that starts
-        from afar has a larger one (`limit_from`).
+        from afar has a larger one (`sum_limit`).
         """
         part = design.extra_certificates.get(MeasuredDiscs.part)
         is_proved = isinstance(part, MeasuredDiscs) and part.certified
@@ -102,7 +102,7 @@ class Monitor:
             limit=START**2 * decay_energy(model.linear),
         )
 
-    def limit_from(self, first_output: Float[np.ndarray, "p"]) -> float:
+    def sum_limit(self, first_output: Float[np.ndarray, "p"]) -> float:
         """Limit of the monitor's sum for a loop with a given first measured output. It is the
         energy of the decay from half a scale, or from `ROOM` times that output."""
         farther = (ROOM / START) ** 2 * float((first_output**2).sum())

@@ -18,7 +18,7 @@ from ssm_study.refusal import require_at_least
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.candidates import Candidates
-from ssm_study.synthesis.integrated_error import relative_areas
+from ssm_study.synthesis.integrated_error import relative_response_areas
 from ssm_study.systems import Gains
 
 WIDE: dict[str, Any] = {
@@ -106,7 +106,7 @@ def _prediction_columns(identified: Identified, gains: Gains) -> list[Row]:
     design."""
     mismatch = identified.mismatch
     rows = []
-    areas = relative_areas(identified.model, gains, identified.validation)
+    areas = relative_response_areas(identified.model, gains, identified.validation)
     for i, area in enumerate(areas):
         pair = gains.select_pairs(i)
         predicted = predict_margins(identified.model, pair, identified.balls, mismatch)

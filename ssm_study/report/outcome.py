@@ -72,7 +72,7 @@ def outcome_table(record: Mapping[str, Any], facts: RunFacts) -> Table:
         ("MODEL", "", model_rows(record)),
         ("PROVED", "of the model", proved_rows(record, facts)),
         ("PREDICTED", "", prediction_rows(record)),
-        ("SEEN", f"on the {loop_place(record)}", closed_loop_rows(record)),
+        ("SEEN", f"on the {loop_place_text(record)}", closed_loop_rows(record)),
     )
     for title, subject, rows in blocks:
         known_rows = [(label, value) for name, label, value in rows if record.get(name) is not None]
@@ -105,7 +105,7 @@ def _is_on_plant(record: Mapping[str, Any]) -> bool:
     return record.get("loop_on") != "identified model" and not is_log
 
 
-def loop_place(record: Mapping[str, Any]) -> str:
+def loop_place_text(record: Mapping[str, Any]) -> str:
     """Text that says where the loop was closed: `simulated plant` or `identified model`."""
     if not _is_on_plant(record):
         return "identified model"

@@ -74,7 +74,7 @@ class Weights:
         """Squared weight of the input at each frequency."""
         return squared_gain(self.input, angles)
 
-    def needed_radius(self, items: Sequence[Item]) -> tuple[float, str]:
+    def largest_required_radius(self, items: Sequence[Item]) -> tuple[float, str]:
         """Smallest disc radius that meets every requirement of the records, and the deciding
         requirement. It is infinite where a reference signal vanishes."""
         needs = [(self.required_radius(item), item.where) for item in items]

@@ -60,7 +60,7 @@ def margin_curves(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -
             curve = curves.setdefault(None, _WorstCurve())
             curve.include_gain(loop.angles, mismatch_gain * loop.size)
     ordered = sorted(curves.items(), key=lambda item: (item[0] is None, item[0] or 0.0))
-    return [curve.as_margin(amplitude) for amplitude, curve in ordered]
+    return [curve.as_margin_curve(amplitude) for amplitude, curve in ordered]
 
 
 def _less_conservative_gain(
@@ -98,7 +98,7 @@ class _WorstCurve:
             self.largest = float(gain[peak])
             self.angle = float(angles[peak])
 
-    def as_margin(self, amplitude: float | None) -> MarginCurve:
+    def as_margin_curve(self, amplitude: float | None) -> MarginCurve:
         """Stability margin over frequency as the inverse of the largest loop gain. It is infinite
         where nothing was measured."""
         with np.errstate(divide="ignore"):

@@ -43,7 +43,7 @@ from ssm_study.study.findings import (
 from ssm_study.study.run_files import RunFiles
 from ssm_study.synthesis.deployed import nearest_equilibrium_starts
 from ssm_study.synthesis.design import failed_checks
-from ssm_study.synthesis.expected_response import response_columns
+from ssm_study.synthesis.expected_response import faster_response_column
 from ssm_study.synthesis.input_inversion import mismatch_behind_map
 from ssm_study.synthesis.measured_discs_run import (
     coverage_columns,
@@ -80,7 +80,7 @@ def check_certificate(run: RunFiles) -> Claims:
     facts |= recompute_coverage_columns(run)
     if "predicted_faster" in run.record:
         records = run.simulated.validation.records, run.trials
-        facts |= response_columns(design, run.model, mismatch, *records)
+        facts |= faster_response_column(design, run.model, mismatch, *records)
     facts |= recompute_sine_columns(run, balls, mismatch)
     yield Derived(withhold_predictions(facts, run.record.get("evidence")))
 

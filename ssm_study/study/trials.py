@@ -36,7 +36,7 @@ TRIED = "tried_designs.json"  # the designs that were tried before, oldest first
 FEWEST = 30  # samples of a trial: a third of them tell its initial state
 
 
-def compute_with_tried_loops(
+def compute_dataset_with_trials(
     folder: Path, data: DataSet, *tried: "Design | Experiment | None"
 ) -> None:
     """Write the data set together with the records of all closed-loop trials.
@@ -53,7 +53,7 @@ def compute_with_tried_loops(
     _write_data_and_trials(folder, data, tuple(trials))
 
 
-def compute_with_logged_trials(
+def compute_dataset_with_logged_trials(
     folder: Path, records: DataSet, *, refine: list[str], data: "RecordedSource"
 ) -> None:
     """Write the data set together with the user's logs of closed-loop trials."""
@@ -164,5 +164,5 @@ def refined_run_name(settings: Any, refine: int | list[str] | None) -> str:
     return prefix + run_name(changed)
 
 
-TRIALS = Stage("trials", compute_with_tried_loops, read_dataset, files=(LOOPS, TRIED))
-LOGS = Stage("trials", compute_with_logged_trials, read_dataset, files=(LOOPS,))
+TRIALS = Stage("trials", compute_dataset_with_trials, read_dataset, files=(LOOPS, TRIED))
+LOGS = Stage("trials", compute_dataset_with_logged_trials, read_dataset, files=(LOOPS,))

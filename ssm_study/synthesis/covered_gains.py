@@ -28,7 +28,7 @@ from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.decay_response import NO_DECAYS, largest_settling_time_ratios
 from ssm_study.synthesis.deployed import certificate_at_largest_rate
 from ssm_study.synthesis.expected_response import FASTER
-from ssm_study.synthesis.integrated_error import relative_areas
+from ssm_study.synthesis.integrated_error import relative_response_areas
 from ssm_study.synthesis.measured_discs_choice import LoopCoverage, usual_proof_loss
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
 from ssm_study.systems import Balls, Gains
@@ -198,7 +198,9 @@ class GainSearch:
 
     def _response_areas(self, proposals: list[Gains]) -> list[float]:
         """Response area of each of the proposed gains on the model, relative to the open loop."""
-        areas = relative_areas(self.model, stack_gains(proposals), self.validation, self.limits)
+        areas = relative_response_areas(
+            self.model, stack_gains(proposals), self.validation, self.limits
+        )
         return [float(area) for area in areas]
 
     def certify_gains(self, start: Design, gains: Gains) -> Design | None:

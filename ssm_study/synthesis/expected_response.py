@@ -29,7 +29,7 @@ from ssm_study.synthesis.decay_response import (
     largest_settling_time_ratios,
     simulate_decays,
 )
-from ssm_study.synthesis.integrated_error import relative_areas
+from ssm_study.synthesis.integrated_error import relative_response_areas
 from ssm_study.systems import Balls, Gains
 
 Pair = Int[np.ndarray, "2"]
@@ -115,7 +115,7 @@ class ExpectedResponse:
         if not len(pairs) or not self.mismatch.plant_comes_to_rest:
             return
         gains = self.candidates.gains(pairs)
-        areas = relative_areas(self.model, gains, validation, limits)
+        areas = relative_response_areas(self.model, gains, validation, limits)
         band = self.mismatch.band
         ratios = largest_settling_time_ratios(self.model, gains, self.decays, band, limits)
         slow = np.maximum(areas, ratios) >= FASTER
@@ -162,13 +162,15 @@ def predicts_faster_response(
     l_z = None if pair.l_z is None else pair.l_z[None]
     k = pair.k[None]
     single_pair = replace(pair, k=k, l=pair.l[None], l_z=l_z)
-    area = relative_areas(model, single_pair, validation)[0]
+    area = relative_response_areas(model, single_pair, validation)[0]
     decays = simulate_decays(model, trials, validation)
     ratio = largest_settling_time_ratios(model, single_pair, decays, mismatch.band)[0]
     return bool(max(area, ratio) < FASTER)
 
 
-def response_columns(design: Any, model: Model, mismatch: Mismatch, *records: Trajectories) -> Any:
+def faster_response_column(
+    design: Any, model: Model, mismatch: Mismatch, *records: Trajectories
+) -> Any:
     """Column that says whether the design is predicted to be faster than the open loop. It is null
     without a design, and for a law that inverts the input map."""
     if not design.feasible or design.inverts_input_map:

@@ -106,7 +106,7 @@ def _load_over_time(
     return np.asarray(shapes.mean(axis=1))
 
 
-def relative_areas(
+def relative_response_areas(
     model: Model, gains: Gains, validation: Trajectories, limits: Ends | None = None
 ) -> RelativeAreas:
     """Response area of each design relative to the open loop, averaged over the initial states.

@@ -102,13 +102,15 @@ def coverage_columns(
         return {"coverage": None, "coverage_reason": missing}
     weights = certificate_weights(part)
     items = premise.requirements(part.centre)
-    need, where = weights.needed_radius(items)
+    need, where = weights.largest_required_radius(items)
     coverage = part.kappa / need
     facts: dict[str, Any] = {"coverage": coverage, "coverage_reference": where}
     if part.kappa < need:
         facts |= null_coverage_of_unknown_band(part.kappa, weights, items)
     if fresh is not None and fresh.missing_reason(part.centre) is None:
-        facts["coverage_needed"] = weights.needed_radius(fresh.requirements(part.centre))[0] / need
+        facts["coverage_needed"] = (
+            weights.largest_required_radius(fresh.requirements(part.centre))[0] / need
+        )
     return facts
 
 
@@ -137,12 +139,12 @@ def fresh_data_needs(
     if not isinstance(part, MeasuredDiscs) or premise.missing_reason(part.centre) is not None:
         return []
     weights = certificate_weights(part)
-    own_need, _ = weights.needed_radius(premise.requirements(part.centre))
+    own_need, _ = weights.largest_required_radius(premise.requirements(part.centre))
     needs = []
     for records in fresh_sets:
         trials = records.mismatch_records
         fresh = measure_premise(model, records.validation, mismatch, start_up_samples, trials)
-        need, _ = weights.needed_radius(fresh.requirements(part.centre))
+        need, _ = weights.largest_required_radius(fresh.requirements(part.centre))
         needs.append(need / own_need)
     return needs
 
@@ -157,9 +159,9 @@ def null_coverage_of_unknown_band(
 ) -> dict[str, Any]:
     """Columns without a coverage, which name the frequency band without excitation."""
     lit = [item for item in items if not item.dark]
-    if kappa < weights.needed_radius(lit)[0]:
+    if kappa < weights.largest_required_radius(lit)[0]:
         return {}
-    band = weights.needed_radius([item for item in items if item.dark])[1]
+    band = weights.largest_required_radius([item for item in items if item.dark])[1]
     coverage_reason = UNKNOWN.format(f"at {band}")
     return {"coverage": None, "coverage_reason": coverage_reason}
 

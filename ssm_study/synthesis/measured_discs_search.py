@@ -329,7 +329,7 @@ def _certify_program(
             numbers = _theorem_variables(program.forms, weights, program.centre, kappa, multipliers)
             proof = first_exact_certificate(theorem, context, numbers, room, started)
             if proof is not None:
-                need, where = weights.needed_radius(program.items)
+                need, where = weights.largest_required_radius(program.items)
                 covered = proof.kappa / need
                 return Coverage(certificate=proof, coverage=covered, reason="", reference=where)
     return None

@@ -29,8 +29,8 @@ from ssm_study.training.structured_problem import (
 )
 from ssm_study.training.structured_start import (
     add_random_neurons,
-    choose_random_poles,
     contracting_initial_parameters,
+    fit_best_random_poles,
     fit_initial_linear_model,
 )
 
@@ -201,7 +201,7 @@ class StructuredFit(pl.LightningModule):
         fitted = minimise_simulation_error(linear, start, moving, steps)
         if self.integrates:
             return fitted.theta
-        screened_start = choose_random_poles(linear, start, self.estimates, rng)
+        screened_start = fit_best_random_poles(linear, start, self.estimates, rng)
         screened = minimise_simulation_error(linear, screened_start, moving, steps)
         is_better = screened.loss < TRUSTED * fitted.loss
         return screened.theta if is_better else fitted.theta

@@ -101,7 +101,7 @@ def states_at_scored_samples(problem: SimulationProblem, theta: Theta) -> Float[
     return states[:, :-1][problem.records.recorded_mask]
 
 
-def choose_random_poles(
+def fit_best_random_poles(
     problem: SimulationProblem, begun: Theta, estimates: bool, rng: np.random.Generator
 ) -> Theta:
     """Initial linear model with the best of several random sets of poles. The residues of the best

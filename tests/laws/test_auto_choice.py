@@ -27,7 +27,7 @@ from ssm_study.signals import Trajectory
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.candidate_grid import OWN_SHARE
 from ssm_study.synthesis.expected_response import LOSS, expected_area
-from ssm_study.synthesis.integrated_error import relative_areas
+from ssm_study.synthesis.integrated_error import relative_response_areas
 from ssm_study.synthesis.structured_lmi import StructuredLmi
 from ssm_study.systems import Balls, Gains, JacobianBall
 
@@ -91,7 +91,7 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
     shown = measure_mismatch(given, (record,))
     pairs = np.array([(i, j) for i in range(len(candidates.ks)) for j in range(len(candidates.ls))])
     gains = candidates.gains(pairs)
-    areas = relative_areas(given, gains, (record,))
+    areas = relative_response_areas(given, gains, (record,))
     found = [predict_margins(given, candidates.gains(pair), balls, shown) for pair in pairs]
     keeps = np.array([prediction.predicts_stability() for prediction in found])
     assert 0 < keeps.sum() < len(keeps)
@@ -106,7 +106,9 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
     l_z = None if own.l_z is None else own.l_z[None]
     one = replace(own, k=k, l=own.l[None], l_z=l_z)
     margin = predict_margins(given, own, balls, shown).resolved_margin
-    area = expected_area(relative_areas(given, one, (record,))[0], 1 / margin, shown.spread)
+    area = expected_area(
+        relative_response_areas(given, one, (record,))[0], 1 / margin, shown.spread
+    )
     smallest = expected[keeps].min()
     assert area == pytest.approx(smallest, rel=0.01)
 
@@ -157,7 +159,7 @@ def test_more_mismatch_makes_it_slower(chosen):
     worse = replace(record, y=y)
     careful = SMALL.design(motor_model(), BALLS, (worse,))
     areas = [
-        relative_areas(
+        relative_response_areas(
             motor_model(), Gains(k=d.state_feedback.k[None], l=d.observer.l[None]), (record,)
         )[0]
         for d in (chosen, careful)

@@ -7,7 +7,7 @@ import scipy
 
 from ssm_study.report.answers import parameters_line, question_answers
 from ssm_study.report.page.charts import plottable_panels
-from ssm_study.report.page.data import compared_columns, page_title
+from ssm_study.report.page.data import listed_columns, page_title
 from ssm_study.table.columns import swept_settings
 
 QUESTIONS = ("Where does feasibility end", "better fit", "prediction hold")
@@ -92,10 +92,10 @@ def test_a_question_that_is_answered_in_words_names_no_plot() -> None:
 def test_numbers_in_total_leave_the_page_where_one_by_frequency_decides() -> None:
     table = report_tables.table(40).assign(coverage=1.1, certified_tolerance=0.05)
     weaker = {"mismatch_margin", "mismatch_gain", "certified_tolerance"}
-    assert weaker.isdisjoint(compared_columns(table))
-    assert "resolved_margin" in compared_columns(table)
+    assert weaker.isdisjoint(listed_columns(table))
+    assert "resolved_margin" in listed_columns(table)
     bare = table.assign(coverage=None, resolved_margin=None)
-    assert weaker <= set(compared_columns(bare)), "else they are all that there is"
+    assert weaker <= set(listed_columns(bare)), "else they are all that there is"
 
 
 def test_plants_are_answered_one_by_one_since_their_seconds_do_not_compare() -> None:

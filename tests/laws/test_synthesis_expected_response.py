@@ -34,7 +34,7 @@ def response(monkeypatch: pytest.MonkeyPatch) -> ExpectedResponse:
     monkeypatch.setattr(ExpectedResponse, "stable_pairs", lambda *_: PAIRS)
     monkeypatch.setattr(ExpectedResponse, "loop_gain", lambda _, pair, __: LOOP_GAINS[pair[0]])
     monkeypatch.setattr(ExpectedResponse, "resists_noise", lambda *_: True)
-    monkeypatch.setattr(expected_response, "relative_areas", lambda *_: AREAS)
+    monkeypatch.setattr(expected_response, "relative_response_areas", lambda *_: AREAS)
     gains: Any = np.zeros((4, 1, 1))
     ls = gains[:1]
     grid = Candidates(feedback=(), ks=gains, observing=(), ls=ls)
@@ -49,7 +49,7 @@ def order_of(response: ExpectedResponse) -> list[int]:
     pairs = response.pairs_by_expected_response(peaks, (), None)
     ranked = list(islice(pairs, 10))
     for pair, is_faster in ranked:
-        expected = expected_response.relative_areas()[pair[0]] < expected_response.FASTER
+        expected = expected_response.relative_response_areas()[pair[0]] < expected_response.FASTER
         assert is_faster == expected
     return [int(pair[0]) for pair, _ in ranked]
 
@@ -66,7 +66,7 @@ def test_by_expected_area_alone_the_idle_one_came_first(response, monkeypatch):
 
 
 def test_without_a_faster_pair_the_others_are_still_offered(response, monkeypatch):
-    monkeypatch.setattr(expected_response, "relative_areas", lambda *_: AREAS + 1)
+    monkeypatch.setattr(expected_response, "relative_response_areas", lambda *_: AREAS + 1)
     order = order_of(response)
     assert order[0] == 1
     expected = [0, 1, 2]
@@ -83,7 +83,7 @@ def test_a_pair_that_only_stirs_up_a_decay_comes_after_the_others(response, monk
     """The fast pair settles no sooner than the plant does by itself from where it was recorded."""
     ratios = np.array([1.2, 0.5, 0.5, 0.5])
     monkeypatch.setattr(expected_response, "largest_settling_time_ratios", lambda *_: ratios)
-    monkeypatch.setattr(expected_response, "relative_areas", lambda *_: 0.5 * AREAS)
+    monkeypatch.setattr(expected_response, "relative_response_areas", lambda *_: 0.5 * AREAS)
     peaks = np.zeros((4, 1))
     rankeds = response.pairs_by_expected_response(peaks, (), None)
     pairs = [(int(ranked.pair[0]), ranked.is_faster) for ranked in rankeds]

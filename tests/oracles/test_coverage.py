@@ -104,7 +104,7 @@ def test_a_gain_that_is_wrong_needs_as_much_in_every_item(share: float, centre: 
     assert len(items) > 100
     for item in items:
         if item.model_power.sum() > 1e-9:
-            need, _ = OUTPUT_ALONE.needed_radius([item])
+            need, _ = OUTPUT_ALONE.largest_required_radius([item])
             expected = abs(share - centre)
             assert need == pytest.approx(expected, rel=1e-6)
 
@@ -127,7 +127,7 @@ def test_an_offset_that_friction_leaves_is_no_mismatch_of_the_disc() -> None:
     for offset in (0.0, 0.3):
         measured = premise(lambda u, offset=offset: 1.2 * MODEL.simulate(u)[0] + offset)
         items = measured.requirements(0.0)
-        output_alone = OUTPUT_ALONE.needed_radius(items)
+        output_alone = OUTPUT_ALONE.largest_required_radius(items)
         needs.append(output_alone[0])
     assert needs[1] == pytest.approx(needs[0], rel=1e-6)
 
@@ -135,7 +135,7 @@ def test_an_offset_that_friction_leaves_is_no_mismatch_of_the_disc() -> None:
 def test_noise_is_told_from_mismatch_where_an_input_repeats() -> None:
     noisy = premise(scaled_model(0.3), noise=0.02)
     totals = [item for item in noisy.requirements(0.0) if item.where.endswith("in total")]
-    output_alone = OUTPUT_ALONE.needed_radius(totals[1:])
+    output_alone = OUTPUT_ALONE.largest_required_radius(totals[1:])
     assert output_alone[0] == pytest.approx(0.3, rel=0.1)
     small = [item for item in noisy.requirements(0.0) if item.where.startswith("input of rms 0.0")]
     highest = [item for item in small if "around 3.14" in item.where]
@@ -154,7 +154,7 @@ def test_a_record_that_does_not_repeat_counts_its_noise() -> None:
         mismatch = measure_mismatch(model, made)
         known = measure_premise(model, made, mismatch)
         assert not known.repeating
-        output_alone = OUTPUT_ALONE.needed_radius(known.requirements(0.0))
+        output_alone = OUTPUT_ALONE.largest_required_radius(known.requirements(0.0))
         needs.append(output_alone[0])
     assert needs[0] == pytest.approx(0.3, rel=1e-6)
     assert needs[1] > 1.0
@@ -286,7 +286,7 @@ def test_the_table_of_bands_is_the_premise_beside_the_proof() -> None:
         assert row.measured / row.proved_radius == pytest.approx(expected)
     assert sum(row.decides for row in rows) >= 1
     largest = max(row.need for row in rows)
-    upper_limit = weights.needed_radius(known.requirements(part.centre))[0]
+    upper_limit = weights.largest_required_radius(known.requirements(part.centre))[0]
     assert largest <= upper_limit
     assert max(row.need for row in rows) < part.kappa
 

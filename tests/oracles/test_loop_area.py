@@ -10,7 +10,7 @@ from loop_cases import motor_design, motor_model, motor_record, random_model
 from ssm_study.certificates.theorems.integral_action import linear_output_gain
 from ssm_study.models.identified import SSM
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.integrated_error import comparison_scenario, relative_areas
+from ssm_study.synthesis.integrated_error import comparison_scenario, relative_response_areas
 from ssm_study.systems import Gains, StateSpace
 
 
@@ -138,7 +138,7 @@ def test_the_area_is_the_loop_written_out(integrators: int) -> None:
     x0s, loads, horizon = comparison_scenario(model, (given,), loaded=integrators > 0)
     k = ks[pairs[:, 0]]
     gains = Gains(k=k, l=ls[pairs[:, 1]])
-    found = relative_areas(model, gains, (given,))
+    found = relative_response_areas(model, gains, (given,))
     none = np.zeros((2, n)), np.zeros((n, 2))
     cases = list(zip(x0s, loads, strict=True))
     alone = np.array([by_hand(model, *none, x0, load, horizon) for x0, load in cases])
@@ -160,7 +160,7 @@ def test_no_control_is_one_and_a_design_that_diverges_is_huge_and_finite() -> No
     pairs = np.array([[0, 0], [1, 0], [2, 0], [1, 1]])
     gains = Gains(k=ks[pairs[:, 0]], l=ls[pairs[:, 1]])
     validation = (motor_record(),)
-    none, own, wild, blind = relative_areas(model, gains, validation)
+    none, own, wild, blind = relative_response_areas(model, gains, validation)
     assert none == pytest.approx(1.0)
     assert own < 0.9
     assert np.isfinite([wild, blind]).all()

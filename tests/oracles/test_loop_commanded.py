@@ -25,7 +25,7 @@ from ssm_study.synthesis.deployed import add_gain_certificates
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.input_inversion import mismatch_behind_map, model_behind_map
-from ssm_study.synthesis.integrated_error import relative_areas
+from ssm_study.synthesis.integrated_error import relative_response_areas
 
 ASKED = RiccatiSynthesis(
     rate_controller=0.4, rate_observer=0.2, input_weight=0.1, output_noise=0.1, invert_input=True
@@ -109,9 +109,9 @@ def test_limits_keep_their_order_behind_a_falling_map(monkeypatch: pytest.Monkey
 
     def noted(*asked: Any) -> np.ndarray:
         scored.append(asked[-1])
-        return relative_areas(*asked)
+        return relative_response_areas(*asked)
 
-    monkeypatch.setattr("ssm_study.synthesis.expected_response.relative_areas", noted)
+    monkeypatch.setattr("ssm_study.synthesis.expected_response.relative_response_areas", noted)
     gain = -np.eye(1)
     scaffold_in = LinearScaffold(gain=gain)
     falling = replace(motor_model(), scaffold_in=scaffold_in)

@@ -55,7 +55,7 @@ def coverage_picture(
         look: dict[str, Any] = {"colour": style.CYCLE[i % len(style.CYCLE)]}
         look["dashes"] = DASH_CYCLE[i % len(DASH_CYCLE)]
         series += _coverage_curve(own, part.kappa, step_s, labels.get(record, record), look)
-    need, where = weights.needed_radius(premise.requirements(part.centre))
+    need, where = weights.largest_required_radius(premise.requirements(part.centre))
     coverage = part.kappa / need
     band = next((row for row in rows if row.decides), None)
     if band is not None and np.isclose(band.need, need, rtol=1e-6):

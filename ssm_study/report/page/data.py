@@ -82,7 +82,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     data["columns"] = {name: encode_repeats(table[name]) for name in names}
     data["words"] = {name: printed_column_name(name) for name in names}
     data["menus"] = group_by_part(names)
-    data["known_columns"] = compared_columns(table)
+    data["known_columns"] = listed_columns(table)
     data["first"] = first_columns(table)
     data["parameters"] = swept_settings(table)
     data["trajectories"] = best_run_trajectories(study, table)
@@ -93,7 +93,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     return data
 
 
-def compared_columns(table: pd.DataFrame) -> list[str]:
+def listed_columns(table: pd.DataFrame) -> list[str]:
     """Columns that the page lists for each run. All columns stay in the record and in the CSV."""
     replaced = {
         name for name, better in WEAKER.items() if numeric_column(table, better).notna().any()

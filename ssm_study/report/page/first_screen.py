@@ -11,7 +11,7 @@ from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
 from ssm_study.report.outcome import (
     fresh_data_exceed_coverage,
     fresh_data_text,
-    loop_place,
+    loop_place_text,
     pi_comparison_text,
     refit_text,
 )
@@ -149,18 +149,18 @@ def closed_loop_card(record: Record, loop: ShownLoop | None = None) -> Card | No
         text += f"; a PI tuned from the same model: {pi_comparison_text(record)}"
     number = f"{count:.0f} of {record.get('initial_conditions'):.0f}"
     lines = tuple(filter(None, [proved_starts_text(record, loop)]))
-    title = f"Seen on the {loop_place_text(record)}"
+    title = f"Seen on the {short_loop_place_text(record)}"
     return Card(title=title, number=number, text=text, lines=lines)
 
 
-def loop_place_text(record: Record) -> str:
+def short_loop_place_text(record: Record) -> str:
     """Short text that says where the loop was closed."""
-    return loop_place(record).replace("identified model", "model")
+    return loop_place_text(record).replace("identified model", "model")
 
 
 def is_loop_closed_on_model(record: Record) -> bool:
     """Whether the loop was closed on the identified model, because a log has no plant."""
-    return loop_place_text(record) == "model"
+    return short_loop_place_text(record) == "model"
 
 
 def record_verdict(record: Record) -> Verdict:

@@ -5,7 +5,7 @@ from ssm_study.bounds.metrics import model_bound_columns
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.signals import DataSet
-from ssm_study.study.stages.free_run import SIMULATED, ModelRun, compute_simulated, measure_score
+from ssm_study.study.stages.free_run import SIMULATED, ModelRun, compute_free_runs, measure_score
 from ssm_study.study.stages.model import Trained
 
 
@@ -17,4 +17,4 @@ def measure_bounds(simulated: ModelRun, data: DataSet, trained: Trained) -> Fact
     return facts | model_bound_columns(simulated.model)
 
 
-BOUNDS = Stage("bounds", compute_simulated, ModelRun, measure_bounds, SIMULATED)
+BOUNDS = Stage("bounds", compute_free_runs, ModelRun, measure_bounds, SIMULATED)

@@ -43,7 +43,7 @@ class ModelRun:
         return read_simulation(self.folder / "test.mcap")
 
 
-def compute_simulated(
+def compute_free_runs(
     folder: Path, data: DataSet, trained: Trained, *, reduction: "Reduction | None" = None
 ) -> None:
     """Simulate the model on the validation and test records, and write both free runs.
@@ -71,4 +71,4 @@ def measure_score(simulated: ModelRun, data: DataSet, _: Trained) -> Facts:
     return train | fits | initial_state_columns(simulated.model, data, simulated.test)
 
 
-SCORE = Stage("score", compute_simulated, ModelRun, measure_score, SIMULATED)
+SCORE = Stage("score", compute_free_runs, ModelRun, measure_score, SIMULATED)

@@ -10,7 +10,7 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet
 from ssm_study.study.stages.files import read_json, write_json
 from ssm_study.study.stages.free_run import ModelRun
-from ssm_study.study.stages.synthesis import measured_premise
+from ssm_study.study.stages.synthesis import recorded_error_spectra
 from ssm_study.synthesis.measured_discs_run import fresh_data_column, fresh_data_needs
 
 FILE = "fresh_data.json"
@@ -30,7 +30,7 @@ def compute_fresh_data(
     """Simulate fresh data sets, and measure the disc radius that each needs, relative to the run's
     own records. Nothing is simulated without a coverage certificate."""
     model = bounded.model
-    premise = measured_premise(model, records, mismatch)
+    premise = recorded_error_spectra(model, records, mismatch)
     fresh = data.simulate_fresh_sets(plant, seed)
     needs = fresh_data_needs(design, model, premise, mismatch, fresh, records.start_up_samples)
     write_json(folder / FILE, {"needs": [repr(need) for need in needs]})

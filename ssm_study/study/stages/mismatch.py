@@ -38,15 +38,15 @@ def _as_floats(array: Any) -> list[float]:
 def read_mismatch(folder: Path) -> Mismatch:
     """Read the stored model error at every amplitude of the input."""
     content = json.loads((folder / FILE).read_text(encoding="utf-8"))
-    views = tuple(_read_view(view) for view in content.pop("views"))
+    views = tuple(_read_error_at_amplitude(view) for view in content.pop("views"))
     loop = content.pop("loop")
     other_fields: dict[str, Any] = {}
     for name, value in content.items():
         other_fields[name] = tuple(value) if isinstance(value, list) else value
-    return Mismatch(views=views, loop=loop and _read_view(loop), **other_fields)
+    return Mismatch(views=views, loop=loop and _read_error_at_amplitude(loop), **other_fields)
 
 
-def _read_view(content: dict[str, Any]) -> View:
+def _read_error_at_amplitude(content: dict[str, Any]) -> View:
     """Read the model error at one amplitude from the lists in a file."""
     parts: dict[str, Any] = {}
     for name, value in content.items():

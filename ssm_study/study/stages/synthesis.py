@@ -41,7 +41,7 @@ def compute_synthesis(
 
     model = bounded.model
     balls = certified_balls(model)
-    premise = measured_premise(model, data, shown)
+    premise = recorded_error_spectra(model, data, shown)
     mismatch = mismatch_for_law(synthesis, model, data, shown)
     ends = input_limits(limits["input_lower"], limits["input_upper"], data.training_inputs)
     method: Any = synthesis
@@ -59,7 +59,7 @@ def compute_synthesis(
     design.save(folder / "certificate.json")
 
 
-def measured_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise":
+def recorded_error_spectra(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise":
     """Model error by frequency in the records, which the proof of coverage has to cover."""
     from ssm_study.robustness.coverage import measure_premise
 
@@ -67,7 +67,7 @@ def measured_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise"
     return measure_premise(model, data.validation, mismatch, data.start_up_samples, records)
 
 
-def fresh_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise | None":
+def fresh_error_spectra(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise | None":
     """Model error by frequency in the unused test record of a log; None for a simulated plant.
 
     None for a simulated plant.
@@ -88,18 +88,18 @@ def measure_synthesis(
     design: Design, data: DataSet, bounded: ModelRun, shown: Mismatch, judged: Judgement
 ) -> Facts:
     """Columns of the design and of its prediction."""
-    from ssm_study.synthesis.expected_response import response_columns
+    from ssm_study.synthesis.expected_response import faster_response_column
     from ssm_study.synthesis.measured_discs_run import coverage_columns
     from ssm_study.synthesis.withheld_coverage import withhold_idle_coverage
 
     model = bounded.model
     balls = certified_balls(model)
     mismatch = mismatch_for_law(design, model, data, shown)
-    premise = measured_premise(model, data, shown)
-    fresh = fresh_premise(model, data, shown)
+    premise = recorded_error_spectra(model, data, shown)
+    fresh = fresh_error_spectra(model, data, shown)
     facts = design_columns(design, model, balls, mismatch)
     facts |= coverage_columns(design, model, premise, fresh)
-    facts |= response_columns(design, model, mismatch, data.validation, data.mismatch_records)
+    facts |= faster_response_column(design, model, mismatch, data.validation, data.mismatch_records)
     if design.feasible:
         facts = withhold_idle_coverage(facts, model, design.pair)
     return withhold_predictions(facts, judged.level) | second_opinion_columns(design, model, balls)
