@@ -112,11 +112,11 @@ def summarise_design(design: "Design") -> pd.Series:
         lines["drawn and simulated"] = "with the gain in the middle of these slopes"
     poles = design.eigenvalues()
     slowest = {name: np.abs(values).max() for name, values in poles.items()}
+    open_loop_rate = 0.0
     if isinstance(design.model, SSM):
-        rate = 1 - slowest["model"] ** 2
-        lines["without control"] = "the model does not contract"
-        if rate > 0:
-            lines["without control"] = f"the model contracts at rates below {round_rate_down(rate)}"
+        open_loop_rate = 1 - slowest["model"] ** 2
+        proved_rate = certificate.certified_rate("state_feedback")
+        lines["without control"] = describe_open_loop(open_loop_rate, proved_rate)
     acts = moves_poles(poles["model"], poles["controlled"])
     if not acts:
         lines["effect of the controller"] = "hardly any: the poles are those without control"
@@ -124,14 +124,24 @@ def summarise_design(design: "Design") -> pd.Series:
     lines["slowest pole, controlled"] = f"{slowest['controlled']:.4f} per sample"
     lines["slowest pole, observer"] = f"{slowest['estimate']:.4f} per sample"
     if "evidence" in design.facts:
-        lines |= summarise_input_limits(design.facts)
+        lines |= summarise_input_limits(design.facts, open_loop_rate)
         lines |= summarise_prediction(design.facts, acts)
     elif design.origin is None and not design.stored_record:
         lines |= summarise_assumptions(certificate)
     return pd.Series(lines, name="design", dtype=object)
 
 
-def summarise_input_limits(facts: dict[str, Any]) -> dict[str, str]:
+def describe_open_loop(open_loop_rate: float, proved_rate: float | None) -> str:
+    """Text on the rates at which a model contracts without control, with a remark where the
+    controller's proved rate is no larger."""
+    if open_loop_rate <= 0:
+        return "the model does not contract"
+    words = f"the model contracts at rates below {round_rate_down(open_loop_rate)}"
+    shows_no_gain = proved_rate is not None and proved_rate <= open_loop_rate
+    return f"{words}: the controller's rate shows no gain" if shows_no_gain else words
+
+
+def summarise_input_limits(facts: dict[str, Any], open_loop_rate: float) -> dict[str, str]:
     """Lines of the summary on what is proved where the input is limited to the recorded range."""
     rate = facts.get("limited_rate")
     lower = facts.get("limit_lower")
@@ -139,6 +149,8 @@ def summarise_input_limits(facts: dict[str, Any]) -> dict[str, str]:
     if rate is None or lower is None or upper is None:
         return {}
     words = f"rate {round_rate_down(rate)} per sample with inputs from {lower:.3g} to {upper:.3g}"
+    if rate <= open_loop_rate:
+        words += " (no more than without control)"
     return {"controller, input limited": words}
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import ssm_study as st
-from ssm_study.api.summaries import summarise_prediction
+from ssm_study.api.summaries import summarise_input_limits, summarise_prediction
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.loop_poles import moves_poles
 from ssm_study.synthesis.withheld_coverage import IDLE, withhold_idle_coverage
@@ -92,6 +92,20 @@ def test_a_gain_is_compared_with_none(proof: st.Certification) -> None:
     assert summary["controller, without it"] == summary["controller, this gain"]
     assert proof.controller is not None
     assert proof.controller.rate_without == pytest.approx(1 - 0.9**2)
+
+
+def test_a_rate_that_the_open_loop_has_too_is_called_no_gain() -> None:
+    """The lag contracts at 0.19 by itself; 0.05 was asked of its controller."""
+    lag = ([[0.9]], [[1.0]], [[0.1]], [[0.0]], 0.1)
+    slow = st.control(lag, rate=0.05).summary()["without control"]
+    assert slow.endswith("rates below 0.189: the controller's rate shows no gain")
+    fast = st.control(lag, rate=0.5).summary()["without control"]
+    assert fast == "the model contracts at rates below 0.189"
+    facts = {"limited_rate": 0.18, "limit_lower": -1.0, "limit_upper": 1.0}
+    line = summarise_input_limits(facts, 0.19)["controller, input limited"]
+    assert line.endswith("(no more than without control)")
+    line = summarise_input_limits(facts, 0.1)["controller, input limited"]
+    assert line == "rate 0.18 per sample with inputs from -1 to 1"
 
 
 def test_an_idle_controller_is_not_praised() -> None:
