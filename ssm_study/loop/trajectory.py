@@ -100,20 +100,15 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     # Directions of inputs that move no output: at no cost of their own these would drift.
     null_space = scipy.linalg.null_space(outputs, rcond=IDLE_SHARE)
     idle = (inputs @ null_space).T
-    idle_count = len(idle)
     scaled_reference = model.scale.scaled_output(reference)
     output_target = invert_map(model.scaffold_out, scaled_reference)
-    target = np.pad(output_target, ((0, 0), (0, idle_count)))
-    input_identity = np.eye(m)
-    state_row = [system.a, system.b]
-    held_input_row = [np.zeros((m, n)), input_identity]
-    output_row = [system.c, system.d]
-    idle_row = [np.zeros((idle_count, n)), idle]
-    f = np.block([state_row, held_input_row])
-    g = np.vstack([system.b, input_identity])
-    h = np.block([output_row, idle_row])
-    d = np.vstack([system.d, idle])
-    weight = SMOOTHNESS * input_identity + d.T @ d
+    target = np.pad(output_target, ((0, 0), (0, len(idle))))
+    driven_by_changes = _system_of_input_changes(system, idle)
+    f = driven_by_changes.a
+    g = driven_by_changes.b
+    h = driven_by_changes.c
+    d = driven_by_changes.d
+    weight = SMOOTHNESS * np.eye(m) + d.T @ d
     cross = h.T @ d  # the cross term of a feedthrough
     output_cost = h.T @ h
     p = scipy.linalg.solve_discrete_are(f, g, output_cost, weight, s=cross)
@@ -140,6 +135,22 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     states = plan[:, :n]
     scaled_inputs = invert_map(model.scaffold_in, plan[:, n:])
     return np.concatenate([states, scaled_inputs], axis=1)
+
+
+def _system_of_input_changes(system: StateSpace, idle: Matrix) -> StateSpace:
+    """System with the state `(x, v[k-1])` that is driven by changes of the input. Its outputs are
+    the model's and the input's part in the `idle` directions."""
+    n, m = system.b.shape
+    input_identity = np.eye(m)
+    state_row = [system.a, system.b]
+    held_input_row = [np.zeros((m, n)), input_identity]
+    output_row = [system.c, system.d]
+    idle_row = [np.zeros((len(idle), n)), idle]
+    a = np.block([state_row, held_input_row])
+    b = np.vstack([system.b, input_identity])
+    c = np.block([output_row, idle_row])
+    d = np.vstack([system.d, idle])
+    return StateSpace(a=a, b=b, c=c, d=d)
 
 
 def feedback_trajectory(
