@@ -72,8 +72,7 @@ def compare(
     *,
     start_up_samples: int | None = None,
 ) -> ModelComparison:
-    """Simulate several models on one record and score them, as `Model.score` does: the first
-    `start_up_samples` (20, or what the data say) tell the initial state and are not scored.
+    """Simulate several models on one record and score them, as `Model.score` does.
 
     `models` is a list, or a mapping from names to models. Best fit first. A measured disturbance is
     given to the models that have a path for it. Raises `BadRequest` for no models, and where a

@@ -93,14 +93,14 @@ class Design:
 
     @property
     def certified(self) -> bool:
-        """Whether all of `verdicts` are True: controller, observer, and the loop of both."""
+        """Whether exact arithmetic confirms the certificates of controller, observer and closed
+        loop."""
         return all(self.verdicts.values())
 
     @property
     def verdicts(self) -> dict[str, bool]:
-        """Verdicts of exact arithmetic by name: `controller`, that the state feedback contracts;
-        `observer`, that the estimate approaches the state; `loop`, that the model comes to rest
-        under both.
+        """Verdicts of exact arithmetic on the controller, the observer and the closed loop, by
+        name.
 
         The loop is certified where both sides are and the observer computes the plant's own maps;
         it cannot where `unknown_maps` has an entry, and such a design is not exported.

@@ -134,8 +134,8 @@ def fit(
 
 
 def stated_or_index_period_s(step_s: Any, u: Any) -> float:
-    """Sampling time in seconds, that of the index of `u` where none is stated. Raises `BadRequest`
-    where neither gives one."""
+    """Sampling time in seconds, as stated or else from the time index of the inputs. Raises
+    `BadRequest` where neither gives one."""
     if step_s is None:
         step_s = index_period_s(u)
     remedy = "give it in seconds, as in st.fit(u, y, 0.1)"

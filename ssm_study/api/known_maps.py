@@ -20,7 +20,7 @@ MAPS = {"state_feedback": ("input map", "slopes"), "observer": ("output map", "o
 
 
 class UnknownMap(UserWarning):
-    """Warning that a loop or picture takes one gain for a map of which only the slopes are
+    """Warning that a simulation uses a single gain for a static map of which only the slopes are
     known."""
 
 
@@ -56,8 +56,8 @@ def refuse_unknown_maps(unknown: dict[str, str]) -> None:
 
 
 def warn_of_unknown_maps(unknown: dict[str, str]) -> None:
-    """Warn that a loop or picture takes the gain in the middle of the slopes for each unknown
-    map."""
+    """Warn that a simulation uses the mean slope for each static map of which only the slopes are
+    known."""
     if not unknown:
         return
     maps = " and the ".join(unknown.values())

@@ -166,8 +166,7 @@ class Model:
         *,
         start_up_samples: int | None = None,
     ) -> pd.DataFrame:
-        """Measured minus simulated outputs of the free run that `score` scores, one column for each
-        output; the first `start_up_samples` rows have told the initial state."""
+        """Measured minus simulated outputs of a free run, one column for each output."""
         simulation = simulate_given_record(self, u, y, disturbance, start_up_samples)
         errors = simulation.records[0].y - simulation.simulated[0]
         return pd.DataFrame(errors, columns=self.output_names)

@@ -1,4 +1,4 @@
-"""Free runs of a model on a record that the caller gives, as its own test records are scored.
+"""Free runs of a model on a given record, scored as its own test records are.
 
 A slice of a record begins in motion. Its first samples tell the state in which it begins and are
 not scored, just as for the model's own records; with no such samples it starts from equilibrium.
@@ -30,7 +30,7 @@ def simulate_given_record(
     start_up_samples: Any,
     name: str = "the model",
 ) -> Simulation:
-    """Simulate a given record from the state that its first samples show.
+    """Simulate a given record from an initial state that is estimated from its first samples.
 
     `start_up_samples` is that of the model's own records if it is None, and with 0 the run starts
     from equilibrium. Raises `BadRequest` for other channels or lengths, and for a record that is no
@@ -53,8 +53,9 @@ def simulate_given_record(
 
 
 def read_start_up(start_up_samples: Any, default: int, samples: int) -> int:
-    """Number of samples that tell the initial state of a record; the default if it is None. Raises
-    `BadRequest` for what is no number of samples, and where nothing is left to score."""
+    """Number of samples that serve to estimate the initial state of a record; the default if it is
+    None. Raises `BadRequest` for what is no number of samples, and where nothing is left to
+    score."""
     if start_up_samples is None:
         start_up_samples = default
     remedy = "use 20, or 0 to start from equilibrium"

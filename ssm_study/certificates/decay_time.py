@@ -1,4 +1,4 @@
-"""Contraction rate as a time: how long distances take to fall to 37 %."""
+"""Time constant of a contraction rate: how long distances take to fall to 37 %."""
 
 import math
 

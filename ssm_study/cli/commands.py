@@ -140,8 +140,7 @@ def show_run(options: argparse.Namespace) -> None:
 
 
 def verify_run(options: argparse.Namespace) -> int:
-    """Recompute the claims of a run and print the verdict: the claims that fail, and one line for
-    all."""
+    """Check the claims of a run again, and print the verdict."""
     from ssm_study.study.verify import verify
 
     verified = verify(options.run)

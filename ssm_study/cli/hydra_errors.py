@@ -128,8 +128,8 @@ def suggest_for_key(key: str, overrides: list[str], folder: Path) -> str:
 
 
 def settings_named(key: str, keys: list[str]) -> list[str]:
-    """Settings that are nearly called as the last part of a key, or begin with it as a word, such
-    as `synthesis.rate_controller` for `rate`."""
+    """Settings whose names resemble the last part of a key, such as `synthesis.rate_controller` for
+    `rate`."""
     last = key.rpartition(".")[2]
     named: dict[str, list[str]] = {}
     for path in keys:

@@ -241,8 +241,8 @@ def check_time_index(u: Any, y: Any, step_s: float | None) -> None:
 
 
 def index_period_s(signals: Any) -> float | None:
-    """Sampling time that the time index of a series or frame shows, of the first one in a list;
-    None for arrays and for an index without times."""
+    """Sampling time from the time index of a series or frame; None for arrays and for an index
+    without times."""
     first = signals[0] if isinstance(signals, list | tuple) and len(signals) else signals
     if not isinstance(first, pd.Series | pd.DataFrame):
         return None

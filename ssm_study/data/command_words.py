@@ -1,4 +1,4 @@
-"""Words of the command that `look` proposes: quoted values, and the units of the chosen columns."""
+"""Parts of the command that `look` proposes: quoted values, and the units of the chosen columns."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ LETTER = re.compile(r"[^\W\d_]|[%°]")  # what has none, such as a dash, names n
 
 
 def unit_settings(facts: Sequence[ColumnFacts], columns: Mapping[str, str | None]) -> list[str]:
-    """Settings that tell a run the units which a log states for its signals. `columns` has the
+    """Command-line settings for the units that a log states for its signals. `columns` has the
     column of each side: input, output, disturbance."""
     titles = [column.name for column in facts]
     settings = []

@@ -198,8 +198,8 @@ def look_with_settings(path: Path, stated: LogSettings) -> LogLook:
 
 
 def require_numeric_column(path: Path, table: Table) -> None:
-    """Raise `BadRequest` for a log without a column of numbers, with the first cell that is none
-    where a column holds numbers but for a few cells."""
+    """Raise `BadRequest` for a log without a column of numbers, and name the first cell that is no
+    number."""
     problem = "has no column of numbers"
     remedy = "export it as CSV"
     cells = [f"{name}: {reason}" for name, reason in table.skipped.items() if " in line " in reason]
@@ -377,8 +377,8 @@ def study_command(
 def command_with_disturbance(
     command: str, others: Sequence[str], stated: LogSettings, facts: Sequence[ColumnFacts]
 ) -> str:
-    """Command line with the one further signal of a log as a measured disturbance; empty if there
-    is none, or several."""
+    """Command line that reads the one remaining signal of a log as a measured disturbance; empty if
+    there is none, or several."""
     if len(others) != 1 or command == NO_COMMAND or stated.disturbance is not None:
         return ""
     units = unit_settings(facts, {"disturbance": others[0]})

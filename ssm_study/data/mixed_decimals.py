@@ -12,8 +12,8 @@ WITH_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
 
 
 def describe_mixed_decimals(lines: Sequence[tuple[int, str]]) -> str:
-    """Clause that names the first line with a decimal comma and the first with a decimal point;
-    empty where the numbered lines have one mark alone."""
+    """Text on the first line with a decimal comma and the first with a decimal point; empty if only
+    one of them occurs."""
     for separator in SEPARATORS:
         comma = first_line_with(WITH_COMMA, lines, separator)
         point = first_line_with(WITH_POINT, lines, separator)
@@ -29,8 +29,8 @@ def describe_mixed_decimals(lines: Sequence[tuple[int, str]]) -> str:
 def first_line_with(
     form: re.Pattern[str], lines: Sequence[tuple[int, str]], separator: str
 ) -> tuple[int, str] | None:
-    """Number of the first line of several cells of which one has a form, with that cell; None if
-    there is none."""
+    """Number of the first line with a cell of a given form, and that cell; None if there is
+    none."""
     for number, line in lines:
         cells = split_cells(line, separator)
         cell = next((cell for cell in cells if form.fullmatch(cell)), None)

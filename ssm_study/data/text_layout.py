@@ -177,8 +177,8 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
 
 
 def no_numbers_error(path: Path, body: list[NumberedLine]) -> BadRequest:
-    """Error for a text without rows of numbers, with the lines between which the decimal mark
-    changes."""
+    """Error for a text file without rows of numbers, which names the lines between which the
+    decimal mark changes."""
     mixed = describe_mixed_decimals(body)
     if mixed:
         problem = f"numbers are written in two ways: {mixed}"

@@ -33,7 +33,7 @@ class Finding:
 
 
 def evidence_words(level: str, reasons: str | None, where: str) -> str:
-    """Level of the evidence; if it is sound with notes, their number and where they are printed."""
+    """Text on the level of the evidence, with the number of notes."""
     count = len(re.findall(r"(?:^| )note: ", reasons or ""))
     if level != SOUND or not count:
         return level

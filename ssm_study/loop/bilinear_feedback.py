@@ -79,8 +79,8 @@ class BilinearFeedback(Controller):
 
 
 def advance_states(model: Bilinear, x: Estimate, u: Inputs, added: Correction = 0.0) -> Estimate:
-    """Next states of a bilinear model for several cases at once, with a correction at each node of
-    the input."""
+    """Next states of a bilinear model for several cases at once, with a correction at each input
+    level (node)."""
     at_nodes = np.einsum("qij,Nj->Nqi", model.a, x)
     at_nodes = at_nodes + model.b
     at_nodes = at_nodes + added

@@ -1,4 +1,4 @@
-"""Facts on a run that its record lacks and its files tell."""
+"""Facts on a run that its files contain but its record does not."""
 
 import json
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from ssm_study.study.recordings import RecordedCases
 
 @dataclass(frozen=True, kw_only=True)
 class RunFacts:
-    """Sampling time, units and set points of a run, as its outcome names them.
+    """Sampling time, units and set points of a run, for the text on its outcome.
 
     `no_set_points_reason` is why the exported code follows no set points, empty if it does. A unit
     follows a space; it is empty where there are several channels, or none is stated.

@@ -76,7 +76,7 @@ class Verification:
 
     def lines(self, *, every_claim: bool = True) -> list[str]:
         """Text lines, one for each claim, each cause of a failure, and each reason for not
-        checking; without `every_claim` for the causes of failures alone.
+        checking.
 
         The summary comes last.
         """

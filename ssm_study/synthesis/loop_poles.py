@@ -14,7 +14,7 @@ Poles = Complex[np.ndarray, "_"]
 
 
 def moves_poles(uncontrolled: Poles, controlled: Poles) -> bool:
-    """Whether a controller moves the poles of a model by more than `LEAST_EFFECT`."""
+    """Whether a controller moves the poles of a model by more than a small threshold."""
     if len(uncontrolled) != len(controlled):  # an internal model
         return True
     before = np.sort_complex(uncontrolled)

@@ -1,4 +1,4 @@
-"""Coverage of a controller that hardly acts, and the reason why it is withheld.
+"""Coverage of a controller that hardly acts, which is not reported.
 
 Such a controller covers any model error, for the plant comes to rest without it. Source:
 docs/trust.md, "Covered".
@@ -15,8 +15,8 @@ IDLE = f"{WITHHELD}: the controller hardly acts"
 
 
 def withhold_idle_coverage(facts: dict[str, Any], model: Model, gains: Gains) -> dict[str, Any]:
-    """Replace a coverage of one or more by the reason to withhold it, if the controller hardly
-    acts; otherwise the columns stay unchanged."""
+    """Replace the coverage of a controller that hardly acts by the reason why it is not
+    reported."""
     coverage = facts.get("coverage")
     if coverage is None or coverage < 1:
         return facts
