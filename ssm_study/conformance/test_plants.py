@@ -20,8 +20,10 @@ def plant(request: pytest.FixtureRequest) -> Plant:
 def random_inputs(plant: Plant, cases: int) -> np.ndarray:
     """Random input sequences within the plant's default amplitude, one for each case."""
     rng = np.random.default_rng(0)
-    levels = rng.uniform(-1, 1, (cases, SAMPLES, len(plant.inputs)))
-    return plant.equilibrium().u + levels * np.array(plant.input_amplitude)
+    shape = (cases, SAMPLES, len(plant.inputs))
+    levels = rng.uniform(-1, 1, shape)
+    amplitude = np.array(plant.input_amplitude)
+    return plant.equilibrium().u + levels * amplitude
 
 
 def test_the_equilibrium_is_a_fixed_point(plant: Plant) -> None:
@@ -51,8 +53,13 @@ def test_a_batch_equals_its_rows(plant: Plant) -> None:
     """Simulating a batch gives the same as simulating its cases one by one."""
     u = random_inputs(plant, 3)
     _, together = plant.simulate(u)
-    alone = [plant.simulate(u[i : i + 1])[1] for i in range(3)]
-    np.testing.assert_array_equal(together, np.concatenate(alone))
+    outputs = []
+    for i in range(3):
+        single_case = u[i : i + 1]
+        _, y = plant.simulate(single_case)
+        outputs.append(y)
+    one_by_one = np.concatenate(outputs)
+    np.testing.assert_array_equal(together, one_by_one)
 
 
 def test_two_halves_equal_the_whole(plant: Plant) -> None:
@@ -66,7 +73,8 @@ def test_two_halves_equal_the_whole(plant: Plant) -> None:
 def test_states_at_reads_back(plant: Plant) -> None:
     """The state that a plant gives for an output produces that output."""
     offsets = np.linspace(*plant.initial_range, 5)
-    of_each_output = offsets[:, None] * np.ones(len(plant.outputs))
+    each_output = np.ones(len(plant.outputs))
+    of_each_output = offsets[:, None] * each_output
     wanted_output = plant.equilibrium().y + of_each_output
     states = plant.equilibrium_states(wanted_output)
     np.testing.assert_allclose(plant.output(states), wanted_output, rtol=1e-12)
@@ -89,5 +97,6 @@ def test_disturbances_act(plant: Plant) -> None:
     u = random_inputs(plant, 1)
     undisturbed, _ = plant.simulate(u)
     for push in 1e-3 * np.eye(len(plant.disturbances)):
-        disturbed, _ = plant.simulate(u, d=np.tile(push, (1, SAMPLES, 1)))
+        constant_push = np.tile(push, (1, SAMPLES, 1))
+        disturbed, _ = plant.simulate(u, d=constant_push)
         assert not np.array_equal(disturbed, undisturbed)

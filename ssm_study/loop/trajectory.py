@@ -123,8 +123,7 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     c = -np.linalg.solve(curvature, g.T)
     through = np.linalg.solve(curvature, d.T)
     backward = StateSpace(a=closed.T, b=-output_map.T, c=c, d=through)
-    reversed_target = target[::-1]
-    backward_response, _ = backward.simulate(reversed_target, last)
+    backward_response, _ = backward.simulate(target[::-1], last)
     preview = backward_response[::-1]
     state_alone = np.eye(n, n + m)
     no_feedthrough = np.zeros((n, m))

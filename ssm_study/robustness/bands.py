@@ -7,7 +7,8 @@ from jaxtyping import Complex, Float, Inexact, Int
 # Samples per segment of Welch's estimate: bands of a tenth of a radian per sample, 60 averages in
 # 4,000 samples.
 SEGMENT = 64
-ANGLES = np.linspace(0, np.pi, SEGMENT // 2 + 1)  # bands of power, rad/sample
+BANDS = SEGMENT // 2 + 1
+ANGLES = np.linspace(0, np.pi, BANDS)  # bands of power, rad/sample
 
 LinePowers = Float[np.ndarray, "K"]
 BandPowers = Float[np.ndarray, "F"]
@@ -28,10 +29,11 @@ def safe_ratio(values: BandValues, by: BandPowers) -> BandValues:
 
 def sort_lines_into_bands(lines: int) -> tuple[Int[np.ndarray, "K"], BandPowers]:
     """Band of each spectral line except the mean, and the number of lines in each band."""
-    places = np.linspace(0, len(ANGLES) - 1, lines)
-    nearest = np.rint(places)
-    bands = nearest.astype(int)[1:]
-    counts = np.bincount(bands, minlength=len(ANGLES))
+    last_band = BANDS - 1
+    places = np.linspace(0, last_band, lines)
+    nearest = np.rint(places).astype(int)
+    bands = nearest[1:]
+    counts = np.bincount(bands, minlength=BANDS)
     divisors = np.maximum(counts, 1)
     return bands, divisors.astype(float)
 
@@ -39,7 +41,8 @@ def sort_lines_into_bands(lines: int) -> tuple[Int[np.ndarray, "K"], BandPowers]
 def band_means(lines: LinePowers) -> BandPowers:
     """Mean of a spectrum over each frequency band."""
     bands, counts = sort_lines_into_bands(len(lines))
-    sums = np.bincount(bands, weights=lines[1:], minlength=len(ANGLES))
+    without_mean = lines[1:]
+    sums = np.bincount(bands, weights=without_mean, minlength=BANDS)
     return sums / counts
 
 

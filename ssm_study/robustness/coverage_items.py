@@ -77,7 +77,8 @@ class RepeatingPower:
         model and input have come to rest. Source: docs/trust.md, "Covered"."""
         first, second = record.deviation(centre)
         sides = record.sides
-        repeating_power = (first * second.conj()).real.sum(axis=1)
+        product = (first * second.conj()).real
+        repeating_power = product.sum(axis=1)
         repeats = sides * repeating_power
         noise = sides * record.noise
         of_noise = noise * record.noise / 2
@@ -183,8 +184,10 @@ def _group_items(powers: RepeatingPower, size: int, *, is_doubtful: bool) -> lis
 def requirement_from_sine(record: MismatchSpectrum, centre: float) -> Item:
     """Requirement on the weights from a record of a single sine, at the line of the sine only."""
     powers = RepeatingPower.from_record(record, centre)
-    strongest = 1 + int(record.input_power[1:].argmax())
-    line = np.arange(len(record.angles)) == strongest
+    without_mean = record.input_power[1:]
+    strongest = 1 + int(without_mean.argmax())
+    lines = np.arange(len(record.angles))
+    line = lines == strongest
     angle = float(record.angles[strongest])
     place = f"one sine at {angle:.2f} rad/sample"
     return powers.combine_lines(line, place, is_doubtful=True, is_band=True)

@@ -70,9 +70,11 @@ class AveragedSpectrum:
     def deviation_power(self, centre: float) -> Powers:
         """Power of the model error minus the centre of the disc in each frequency bin, with noise
         subtracted."""
-        power = self.error_power - 2 * centre * self.cross + centre**2 * self.model_power
+        cross_power = 2 * centre * self.cross
+        power = self.error_power - cross_power + centre**2 * self.model_power
         noise_power = self.sure * self.drawn
-        return self.sure * np.maximum(power - noise_power, 0.0)
+        without_noise = np.maximum(power - noise_power, 0.0)
+        return self.sure * without_noise
 
 
 def line_powers(spectrum: Complex[np.ndarray, "L c"]) -> Powers:
@@ -86,7 +88,8 @@ def line_spectrum(run: RecordErrors, noise: Float[np.ndarray, "F"]) -> MismatchS
     assert run.period is not None
     lines = np.arange(run.period // 2 + 1)
     angles = 2 * np.pi * lines / run.period
-    has_no_conjugate = np.isclose(angles, 0.0) | np.isclose(angles, np.pi)
+    is_mean = np.isclose(angles, 0.0)
+    has_no_conjugate = is_mean | np.isclose(angles, np.pi)
     sides = np.where(has_no_conjugate, 1.0, 2.0)
     model = run.periods(run.model)
     error = run.periods(run.e)
@@ -123,14 +126,16 @@ def averaged_spectrum_in_loop(
     angles = powers["angles"]
     samples = len(run.u)
     if noise is None:
-        one_sided = np.quantile(powers["error_power"][1:-1], QUIET) / 2
+        inner_bands = powers["error_power"][1:-1]
+        one_sided = np.quantile(inner_bands, QUIET) / 2
     else:
         one_sided = samples * np.interp(angles, ANGLES, noise)
     has_conjugate = (angles > 0) & (angles < np.pi)
     sides = np.where(has_conjugate, 2.0, 1.0)
-    relative_error = float(np.sqrt(1.06 * len(angles) / samples))
+    bands = len(angles)
+    relative_error = float(np.sqrt(1.06 * bands / samples))
     drawn = sides * one_sided
-    sure = np.full(len(angles), 1 + SURE * relative_error)
+    sure = np.full(bands, 1 + SURE * relative_error)
     return AveragedSpectrum(
         name=run.name, amplitude=run.amplitude, drawn=drawn, sure=sure, **powers
     )

@@ -206,7 +206,8 @@ class LoopResponse:
             closed_on_grid = responses[0]
             closed_at_modes = frequency_response(loop, extra)
             closed_loop = np.insert(closed_on_grid, at, closed_at_modes, axis=0)
-            open_on_grid = linear.c @ shared.state_response(linear.a, linear.b) + linear.d
+            state_response = shared.state_response(linear.a, linear.b)
+            open_on_grid = linear.c @ state_response + linear.d
             open_at_modes = frequency_response(linear, extra)
             open_loop = np.insert(open_on_grid, at, open_at_modes, axis=0)
         slope_in, slope_out = slopes
@@ -249,7 +250,8 @@ class LoopResponse:
             return float("inf")
         returned = self.return_difference(linear_part)
         phase = np.unwrap(np.angle(returned))
-        winds = abs(phase[-1] - phase[0]) > np.pi / 2
+        turn = phase[-1] - phase[0]
+        winds = abs(turn) > np.pi / 2
         if winds or returned[0].real <= 0:
             return float("inf")
         plain_gain = np.interp(self.angles, ANGLES, remainder) * self.size
@@ -378,5 +380,6 @@ def _slope_at_equilibrium(scaffold: Scaffold, ball: JacobianBall) -> float:
     """Slope of a static map at the equilibrium, limited to the slopes of its ball."""
     equilibrium = np.zeros(scaffold.inputs)
     jacobian = scaffold.jacobian(equilibrium)
-    slope = np.sign(ball.alpha) * np.linalg.norm(jacobian, 2)
+    size = np.linalg.norm(jacobian, 2)
+    slope = np.sign(ball.alpha) * size
     return float(np.clip(slope, ball.lower, ball.upper))

@@ -139,7 +139,8 @@ class RecordErrors:
         end = self.start + 2 * self.period
         repeating = signal[self.start : end]
         both_periods = repeating.reshape(2, self.period, -1)
-        return np.asarray(np.fft.rfft(both_periods, axis=1))
+        transforms = np.fft.rfft(both_periods, axis=1)
+        return np.asarray(transforms)
 
     def spectra(self) -> Spectra:
         """Fourier transforms of both periods of the error, and of input and model output in the
@@ -190,8 +191,10 @@ def error_from_averages(records: list[RecordErrors]) -> View:
     model error, and no linear part is separated."""
     inputs = [record.u for record in records]
     errors = [record.e for record in records]
-    input_energy = float(sum((u**2).sum() for u in inputs))
-    error_energy = float(sum((e**2).sum() for e in errors))
+    input_energies = [(u**2).sum() for u in inputs]
+    error_energies = [(e**2).sum() for e in errors]
+    input_energy = float(sum(input_energies))
+    error_energy = float(sum(error_energies))
     input_power = welch_power_density(inputs)
     error_power = welch_power_density(errors)
     bands = np.linspace(0, np.pi, len(input_power))
@@ -240,7 +243,8 @@ def _closed_loop_gains(record: RecordErrors, noise: BandGains | None) -> tuple[B
     is_inner = (bands > 0) & (bands < np.pi)
     sides = np.where(is_inner, 2.0, 1.0)  # Welch's density has one side
     if noise is None:
-        one_sided = np.quantile(error_power[1:-1], QUIET) / 2
+        inner_bands = error_power[1:-1]
+        one_sided = np.quantile(inner_bands, QUIET) / 2
     else:
         one_sided = samples * np.interp(bands, ANGLES, noise)
     noise_power = sides * one_sided
@@ -328,14 +332,17 @@ def _significant_linear_part(
     """Linear part of the model error in the bands where it explains more than a given power, zero
     in the others."""
     linear = _linear_part(error, model)
-    explained = band_means(total_power(model)) * np.abs(linear) ** 2
-    return np.where(explained > least, linear, 0.0)
+    model_power = band_means(total_power(model))
+    explained = model_power * np.abs(linear) ** 2
+    is_significant = explained > least
+    return np.where(is_significant, linear, 0.0)
 
 
 def _linear_part(error: OutputSpectrum, model: OutputSpectrum) -> ComplexBandGains:
     """Linear part of the model error in each band, `S_(e, y_model) / S_(y_model)`. The error e is
     the mean of both periods, which halves the noise's variance."""
-    cross_spectrum = (error * model.conj()).sum(axis=1)
+    cross_lines = error * model.conj()
+    cross_spectrum = cross_lines.sum(axis=1)
     real_part = band_means(cross_spectrum.real)
     imaginary_part = band_means(cross_spectrum.imag)
     model_power = band_means(total_power(model))

@@ -96,7 +96,8 @@ def error_to_input_response(
     internal_row = [measured, no_coupling, modes]
     a = np.block([state_row, error_row, internal_row])
     no_effect = np.zeros((order, outputs))
-    b = np.vstack([no_effect, -pair.l, error_input])
+    injection = -pair.l
+    b = np.vstack([no_effect, injection, error_input])
     c = np.hstack([state_gain, state_gain, internal_gain])
     inputs = len(pair.k)
     d = np.zeros((inputs, outputs))
@@ -238,9 +239,11 @@ def peaks_on_grid(
         equal_slopes = np.ones(system.neurons)
         neuron_slopes = np.outer((0.0, 0.5, 1.0), equal_slopes)
     responses = Responses(angles=angles)
-    peaks = np.zeros((len(ks), len(ls)))
+    controllers = len(ks)
+    observer_count = len(ls)
+    peaks = np.zeros((controllers, observer_count))
     gain_shape = ks.shape[1:]
-    no_controllers = np.zeros((len(ls), *gain_shape))
+    no_controllers = np.zeros((observer_count, *gain_shape))
     observers = Gains(k=no_controllers, l=ls, l_z=l_zs, internal=internal)
     modes = observers.modes
     for linear, frozen, *slope in slope_combinations(system, observers, balls, neuron_slopes):

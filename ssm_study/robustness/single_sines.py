@@ -38,13 +38,15 @@ def repeats_one_line(errors: RecordErrors) -> bool:
     if errors.period is None:
         return False
     drive = _input_power_at_lines(errors)[1:]
-    return bool(drive.max() >= SINGLE * drive.sum())
+    total = drive.sum()
+    return bool(drive.max() >= SINGLE * total)
 
 
 def _input_power_at_lines(errors: RecordErrors) -> Float[np.ndarray, "L"]:
     """Power of a record's input at each spectral line of its second period."""
     _, second_period = errors.periods(errors.u)
-    return np.asarray((np.abs(second_period) ** 2).sum(axis=1))
+    power = np.abs(second_period) ** 2
+    return np.asarray(power.sum(axis=1))
 
 
 def steady_sines(records: Sequence[RecordErrors]) -> list[RecordErrors]:
@@ -58,19 +60,22 @@ def steady_sines(records: Sequence[RecordErrors]) -> list[RecordErrors]:
         drive = _input_power_at_lines(errors)[1:]
         cycles = 1 + int(drive.argmax())
         cycle = errors.period // cycles
-        is_moving = (errors.u != errors.u[-1]).any(axis=1)
+        is_elsewhere = errors.u != errors.u[-1]
+        is_moving = is_elsewhere.any(axis=1)
         moving_samples = np.flatnonzero(is_moving)
         first = int(moving_samples[0])
         end = int(moving_samples[-1]) + 1
         wave = errors.u[first:end]
         differences = np.abs(wave[cycle:] - wave[:-cycle])
         largest_difference = differences.max()
-        period = cycle * ((len(wave) + 1) // cycle // 3)
+        cycles_of_wave = (len(wave) + 1) // cycle
+        period = cycle * (cycles_of_wave // 3)
         if not period or largest_difference > SAME * np.ptp(wave):
             continue  # a piece of a log that also moves otherwise
         cut = {name: getattr(errors, name)[:end] for name in ("moving", "u", "model", "e")}
         start = end - 2 * period
-        sines.append(replace(errors, **cut, start=start, period=period))
+        last_two_periods = replace(errors, **cut, start=start, period=period)
+        sines.append(last_two_periods)
     return sines
 
 
@@ -82,7 +87,8 @@ def measure_sine_error(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> S
     line = 1 + int(drive[1:].argmax())
     angle = 2 * np.pi * line / errors.period
     first, second = errors.periods(errors.e)[:, line]
-    repeating_power = (first * second.conj()).real.sum()
+    product = (first * second.conj()).real
+    repeating_power = product.sum()
     repeats = max(float(repeating_power), 0.0)
     noise_of_sample = float(np.interp(angle, ANGLES, noise))
     noise_power = errors.period * noise_of_sample

@@ -145,14 +145,12 @@ class Auto:
         The mismatch is that of the validation records unless given.
         """
         if self.invert_input:
-            return design_with_inverted_input(
-                replace(self, invert_input=False), model, validation, mismatch
-            )
+            without_inversion = replace(self, invert_input=False)
+            return design_with_inverted_input(without_inversion, model, validation, mismatch)
         candidates = self.candidates(model, balls)
         if candidates is None:
-            return self._with_search_outcome(
-                self._slowest_design(model, balls), "nothing on the grid is feasible"
-            )
+            slowest = self._slowest_design(model, balls)
+            return self._with_search_outcome(slowest, "nothing on the grid is feasible")
         mismatch = mismatch or measure_mismatch(model, validation)
         peaks = coarse_peaks(model, balls, candidates, mismatch)
         response = ExpectedResponse(
@@ -174,7 +172,8 @@ class Auto:
             pairs, make.certified_stable_design, model, balls, self.premise, self.cover, search
         )
         if chosen is not None:
-            return self._with_search_outcome(chosen, status + describe_unsolved_points(candidates))
+            status += describe_unsolved_points(candidates)
+            return self._with_search_outcome(chosen, status)
         return self._largest_margin_design(model, balls, candidates, peaks)
 
     def _search_covered_gains(

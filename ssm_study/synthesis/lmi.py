@@ -85,9 +85,11 @@ class CompiledLmi:
             parts[name].value = value
         status = solve_program(self.problem, solver)
         p = symmetric_part(parts["p"].value)
-        y = p if parts["y"] is parts["p"] else parts["y"].value
+        is_one_matrix = parts["y"] is parts["p"]
+        y = p if is_one_matrix else parts["y"].value
+        x = parts["x"].value
         try:
-            k = np.linalg.solve(y.T, parts["x"].value.T).T
+            k = np.linalg.solve(y.T, x.T).T
         except np.linalg.LinAlgError as error:
             raise NoSolution(f"{status}, singular Y") from error
         sigma = float(parts["sigma"].value)
@@ -100,8 +102,12 @@ def _minimum_gain_objective(
     """Objective and constraints that minimise the norm of the gain."""
     matrix = cp.bmat(symmetric_from_upper(upper))
     g = cp.Variable(nonneg=True)
-    bound = cp.bmat([[y + y.T - p, x.T], [x, g * np.eye(x.shape[0])]])
-    is_strict = matrix >> STRICTNESS * np.eye(matrix.shape[0])
+    inputs = x.shape[0]
+    metric_row = [y + y.T - p, x.T]
+    gain_row = [x, g * np.eye(inputs)]
+    bound = cp.bmat([metric_row, gain_row])
+    margin = STRICTNESS * np.eye(matrix.shape[0])
+    is_strict = matrix >> margin
     is_scaled = p >> np.eye(p.shape[0])
     return g, [is_strict, is_scaled, bound >> 0]
 
