@@ -45,8 +45,11 @@ def summarise_model(model: "Model") -> pd.Series:
         lines[f"fit on the {name} records"] = f"{facts[f'fit_{part}_percent']:.1f} %"
     if "members" in facts:
         fit = facts["fit_test_members_percent"]
-        words = f"{facts['members']} models, fit on the test records {fit:.1f} %"
-        lines["mean that predicts"] = words
+        fit_words = f"fit on the test records {fit:.1f} %"
+        if facts["members"] == 1:
+            lines["model that predicts"] = f"products of input and state, {fit_words}"
+        else:
+            lines["mean that predicts"] = f"{facts['members']} models, {fit_words}"
     if model.identification.chosen:
         lines["chosen by the records"] = choice_text(model.identification.chosen)
     if isinstance(model.simulator, SSM | StructuredSSM):

@@ -59,9 +59,12 @@ class RestCertificates:
             require(name in content, f"certificate.{name}", None, "is missing", AGAIN)
             gains[name] = convert_field(f"certificate.{name}", kind, content[name])
         reasons = content.get("reasons")
+        texts = reasons.values() if isinstance(reasons, dict) else [reasons]
+        is_text = all(isinstance(text, str) for text in texts)
         is_object = isinstance(reasons, dict)
-        is_text = is_object and all(isinstance(text, str) for text in reasons.values())
-        require(is_text, "certificate.reasons", reasons, "is no object of texts", AGAIN)
+        require(
+            is_object and is_text, "certificate.reasons", reasons, "is no object of texts", AGAIN
+        )
         names = content.keys() - {*DIMENSIONS, "reasons"}
         for name in sorted(names):
             problem = f"is not one of {', '.join(PARTS)}"

@@ -48,8 +48,9 @@ def mean_of_runs(runs: Sequence[Simulation]) -> Simulation:
 
 def member_columns(members: Sequence[Any], data: DataSet) -> dict[str, Any]:
     """Columns on the mean output of several models: their number and the fits of the mean; empty
-    for a single model."""
-    if len(members) < 2:
+    where the controlled model predicts. A single member is another model that predicts in its
+    place."""
+    if not members:
         return {}
     validation, test = simulate_with_mean(members, data)
     fits = (validation.fit_percent, test.fit_percent)

@@ -121,6 +121,13 @@ def format_column(record: Mapping[str, Any], name: str, form: str = ".3g", unit:
     return f"{value:{form}}{unit}" if isinstance(value, int | float) else str(value)
 
 
+def predictor_row(record: Mapping[str, Any], fit: str) -> tuple[str, str]:
+    """Name and text of the row on what predicts where it is not the controlled model."""
+    if record["members"] == 1:
+        return "Model that predicts", f"{fit}, with products of input and state"
+    return "Mean that predicts", f"{fit}, of {record['members']} models"
+
+
 def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Rows on the identified model: fit, benchmark scores, slopes, and how fast it decays without
     control."""
@@ -132,8 +139,7 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     yield "fit_test_percent", "Fit on the test record", fit + started
     if record.get("members"):
         mean = format_column(record, "fit_test_members_percent", ".1f", " %")
-        count = format_column(record, "members")
-        yield "fit_test_members_percent", "Mean that predicts", f"{mean}, of {count} models"
+        yield "fit_test_members_percent", *predictor_row(record, mean)
     yield "fit_baseline_percent", "Best baseline", baseline_text(record)
     yield "model_choice", "Chosen by the log", format_column(record, "model_choice")
     for name in sorted(key for key in record if key.startswith("score_test_")):

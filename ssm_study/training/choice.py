@@ -8,10 +8,12 @@ stays fixed. Why so, and what was tried: docs/models.md, "What the log decides".
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet
 from ssm_study.training.choice_of_paths import choose_delay, choose_input_path, choose_integrator
+from ssm_study.training.choice_of_products import choose_products
 from ssm_study.training.choice_of_size import (
     drop_needless_integrator,
     other_structures,
@@ -52,9 +54,12 @@ def iterate_choices(
     candidates = try_model_sizes(search)
     if not candidates:
         yield search.make_choice(None)
+        return
+    predictor = choose_products(search, data)
     while candidates:
         chosen = simplest_certifiable_candidate(search, candidates)
-        yield search.make_choice(chosen, other_structures(candidates, chosen))
+        choice = search.make_choice(chosen, other_structures(candidates, chosen))
+        yield replace(choice, predictor=predictor)
         if not search.is_certifiable(chosen):  # then none of them can
             return
         search.certified[id(chosen)] = False  # trained on all records it was not

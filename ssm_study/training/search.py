@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ssm_study.models.bilinear_spec import BilinearSpec
 from ssm_study.models.structured_spec import AUTO, AUTOMATIC, StructuredSpec
 from ssm_study.signals import DataSet
 from ssm_study.training.candidates import (
@@ -23,6 +24,7 @@ from ssm_study.training.folds import FOLDS
 
 LINEAR = "linear output error"
 STRUCTURED = "structured"
+PRODUCTS = "products of input and state"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +33,8 @@ class Choice:
     nothing was tried.
 
     `is_linear`: the output-error model itself is to be taken, of this order and delay. `others` are
-    settings of other structures that the folds cannot tell from the chosen one.
+    settings of other structures that the folds cannot tell from the chosen one. `predictor` are
+    those of a model with products of input and state that predicts far better.
     """
 
     spec: StructuredSpec
@@ -39,6 +42,7 @@ class Choice:
     error: float | None = None
     is_linear: bool = False
     others: tuple[StructuredSpec, ...] = ()
+    predictor: BilinearSpec | None = None
 
     def describe(self, automatic: Sequence[str]) -> str:
         """Text on the settings that were chosen from the records, and from how many candidates."""
@@ -47,7 +51,9 @@ class Choice:
         settings = ", ".join(
             f"{setting_text(name)} {setting_text(getattr(self.spec, name))}" for name in automatic
         )
-        return f"{settings}: of {len(self.rows)} models compared on {FOLDS} folds"
+        compared = f"of {len(self.rows)} models compared on {FOLDS} folds"
+        predicts = f"; {PRODUCTS} predict" if self.predictor is not None else ""
+        return f"{settings}: {compared}{predicts}"
 
 
 def setting_text(value: object) -> str:

@@ -115,6 +115,7 @@ class Training:
         from itertools import islice
 
         from ssm_study.training.choice import MOST_TRAINED, iterate_choices, make_progress_printer
+        from ssm_study.training.folds import join_training_and_validation
 
         began = time.perf_counter()
         choices = iterate_choices(spec, data, session.seed, make_progress_printer(session.progress))
@@ -128,6 +129,10 @@ class Training:
                 best = replace(identified, choice=choice.rows, chosen=chosen)
                 break
         assert best is not None
+        if choice.predictor is not None:
+            records = join_training_and_validation(data) if spec.refit else data
+            predictor = choice.predictor.solve(records)
+            best = replace(best, members=(predictor,))
         return replace(best, seconds=time.perf_counter() - began)
 
     def _identify_choice(

@@ -15,6 +15,7 @@ from test_training_choice import training
 from ssm_study.api.model import Model
 from ssm_study.models.members import member_columns
 from ssm_study.models.structured_spec import StructuredSpec
+from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet
 from ssm_study.study.stages.model import MEMBERS, compute_model, measure_model, read_trained_model
@@ -78,11 +79,16 @@ def test_a_changed_member_changes_what_verify_derives(
     assert member_columns(members, data) != stated
 
 
-def test_one_model_has_no_mean(folder: Path, data: DataSet) -> None:
+def test_one_model_has_no_mean_and_may_predict_in_place_of_another(
+    folder: Path, data: DataSet
+) -> None:
     trained = read_trained_model(folder)
     assert member_columns((), data) == {}
     members = trained.members[:1]
-    assert member_columns(members, data) == {}
+    columns = member_columns(members, data)
+    assert columns["members"] == 1
+    _, test = simulate_validation_and_test(members[0], data)
+    assert columns["fit_test_members_percent"] == test.fit_percent
 
 
 def test_python_predicts_with_the_mean_and_says_so(folder: Path, data: DataSet) -> None:

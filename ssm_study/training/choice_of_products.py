@@ -1,0 +1,79 @@
+"""Choice whether products of input and state predict: only where the folds clearly prefer them.
+
+A model of that class is fitted in a second (`models.bilinear_spec`), so it is tried on every log
+that it can be fitted to. It predicts in place of the chosen model where its error on held-out
+pieces is far below that of every other candidate. Control stays with the chosen model, since what
+is proved of products of input and state is less (docs/models.md).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ssm_study.models.bilinear_spec import BilinearSpec
+from ssm_study.models.metrics import Simulation
+from ssm_study.models.warm_start import PAST, SAMPLES
+from ssm_study.signals import DataSet
+from ssm_study.training.candidates import LARGEST_ERROR, Candidate, Trial, relative_rms_error
+from ssm_study.training.metrics import records_fit_percent
+from ssm_study.training.search import PRODUCTS, Search
+
+PRODUCTS_GAIN = 0.25  # of the error of every other candidate that products must remove
+SIZES = ((2, 3), (3, 5))  # states and nodes
+STARTS = 4  # of the fit that predicts
+FOLD_STEPS = 30  # of the fits that are compared on the folds
+UNTRIED = {"dead_time": 0, "feedthrough": False, "integrating_output": False}
+
+
+def choose_products(search: Search, data: DataSet) -> BilinearSpec | None:
+    """Settings of a model with products of input and state that is to predict; None where it is not
+    clearly better than every candidate, or cannot be fitted."""
+    others = [*search.tried]
+    if not (others and can_be_tried(search, data)):
+        return None
+    candidates = [try_products(search, order, nodes) for order, nodes in SIZES]
+    best = min(candidates, key=lambda candidate: candidate.mean_error_percent)
+    if not all(other.is_clearly_worse(best, PRODUCTS_GAIN) for other in others):
+        return None
+    simplest = next(each for each in candidates if not each.is_clearly_worse(best))
+    search.chosen.append(simplest)
+    order = int(simplest.settings["order"])
+    nodes = int(simplest.settings["nodes"])
+    return BilinearSpec(order=order, nodes=nodes, starts=STARTS)
+
+
+def can_be_tried(search: Search, data: DataSet) -> bool:
+    """Whether the class can be fitted: one input, no measured disturbance, no path that it lacks,
+    and sizes and members that the user left open."""
+    is_simple = data.scale.inputs == 1 and not data.disturbances
+    is_undecided = all(search.is_undecided(name) for name in ("order", "neurons"))
+    is_alone = search.spec.members == 1
+    lacks_nothing = all(search.setting_value(name) == value for name, value in UNTRIED.items())
+    return is_simple and is_undecided and is_alone and lacks_nothing
+
+
+def try_products(search: Search, order: int, nodes: int) -> Candidate:
+    """Fit a model with products of input and state on every fold, and score it on the held-out
+    part."""
+    spec = BilinearSpec(order=order, nodes=nodes, starts=1, steps=FOLD_STEPS)
+    settings = {"order": order, "nodes": nodes}
+    trial = score_on_folds(spec, search.folds)
+    return search.add_candidate("prediction", PRODUCTS, settings, trial)
+
+
+def score_on_folds(spec: BilinearSpec, folds: Sequence[DataSet]) -> Trial:
+    """Errors on the folds; the first samples of a held-out piece estimate its state. With one start
+    the held-out part chooses nothing."""
+    trial = Trial()
+    for fold in folds:
+        with np.errstate(all="ignore"):
+            model = spec.solve(fold)
+            run = Simulation.simulate_records(model, fold.test, fold.start_up_samples)
+            error = relative_rms_error(run, fold)
+            fit_training = records_fit_percent(model, fold.training, fold)
+        finite = np.isfinite(fit_training)
+        trial.example = model
+        trial.training_errors.append(100.0 - fit_training if finite else LARGEST_ERROR)
+        for name in (SAMPLES, PAST):
+            trial.by_start[name].append(error)
+    return trial

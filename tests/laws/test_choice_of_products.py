@@ -1,0 +1,96 @@
+"""Products of input and state predict where the folds clearly prefer them, and nowhere else."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "oracles"))
+from test_models_bilinear import CHANNELS, known_model, levels
+
+from ssm_study.data.assembly import assemble_dataset
+from ssm_study.models.bilinear import Bilinear
+from ssm_study.models.structured_spec import AUTO, AUTOMATIC, StructuredSpec
+from ssm_study.signals import DataSet, Trajectory
+from ssm_study.training.choice_of_products import choose_products
+from ssm_study.training.folds import make_folds
+from ssm_study.training.search import Search
+
+DECIDED = {"dead_time": 0, "feedthrough": False, "integrating_output": False}
+OPEN = dict.fromkeys(AUTOMATIC, AUTO)
+
+
+def records(model: Bilinear) -> DataSet:
+    u = levels(420, 3)
+    rng = np.random.default_rng(0)
+    y = model.simulate(u)
+    noise = rng.standard_normal(y.shape)
+    whole = Trajectory(u=u, y=y + 0.005 * noise, step_s=0.1)
+    parts = (whole[:260],), (whole[260:340],), (whole[340:],)
+    zero = np.zeros(1)
+    rest = (zero, zero)
+    return assemble_dataset(parts, rest, CHANNELS, 20)
+
+
+def search_on(data: DataSet, **settings: object) -> Search:
+    """Search that has tried a linear model and decided the paths."""
+    spec = StructuredSpec(**(OPEN | settings))  # type: ignore[arg-type]
+    folds = make_folds(data)
+    search = Search(spec=spec, folds=folds, seed=0, announce=lambda _: None)
+    search.decided |= DECIDED
+    search.score_linear_model("size", 2, 1)
+    return search
+
+
+@pytest.fixture(scope="module")
+def data() -> DataSet:
+    return records(known_model())
+
+
+def test_the_folds_prefer_products_on_a_plant_that_has_them(data: DataSet) -> None:
+    search = search_on(data)
+    chosen = choose_products(search, data)
+    assert chosen is not None
+    assert (chosen.order, chosen.nodes) == (2, 3)
+    (linear, *products) = search.tried
+    assert len(products) == 2
+    assert products[0].mean_error_percent < 0.5 * linear.mean_error_percent
+    row = search.candidate_rows(search.chosen)[1]
+    assert row["model"] == "products of input and state"
+    assert row["chosen"]
+    choice = search.make_choice(linear)
+    words = replace(choice, predictor=chosen).describe(["order"])
+    assert words.endswith("products of input and state predict")
+
+
+def test_a_linear_plant_keeps_its_model() -> None:
+    model = known_model()
+    same = np.stack([model.a[1]] * 3)
+    slope = model.b[2] - model.b[1]
+    linear = replace(model, a=same, b=model.nodes[:, None] * slope)
+    data = records(linear)
+    search = search_on(data)
+    assert choose_products(search, data) is None
+    assert search.chosen == []
+
+
+@pytest.mark.parametrize(
+    ("settings", "decided"),
+    [
+        ({"order": 3}, {}),
+        ({"neurons": 2}, {}),
+        ({"members": 2}, {}),
+        ({}, {"dead_time": 3}),
+        ({}, {"feedthrough": True}),
+        ({}, {"integrating_output": True}),
+    ],
+)
+def test_what_the_class_lacks_or_the_user_set_is_not_overruled(
+    data: DataSet, settings: dict, decided: dict
+) -> None:
+    search = search_on(data, **settings)
+    search.decided |= decided
+    assert choose_products(search, data) is None
+    assert len(search.tried) == 1
