@@ -16,7 +16,7 @@ from jaxtyping import Float
 from ssm_study.api.arguments import Slopes
 from ssm_study.api.controlling import slope_ball
 from ssm_study.api.design import Design
-from ssm_study.api.summaries import html_table, round_rate_down
+from ssm_study.api.summaries import html_table, render_text_table, round_rate_down
 from ssm_study.api.systems import read_linear_system, read_matrix
 from ssm_study.certificates.certificate import Side
 from ssm_study.certificates.decay_time import decay_time_words
@@ -39,7 +39,7 @@ LARGEST_RATE = 1 - 1e-9  # of a gain that brings every state to rest in a few sa
 SMALLEST_RATE = 1e-9  # what is asked of the problem while its gain is analysed
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class GainCertificate:
     """Result of certifying one gain: the proved rate with its certificate, or the reason why no
     rate is proved.
@@ -69,6 +69,11 @@ class GainCertificate:
     rate_without: float
     reason: str
     slopes: tuple[float, float]
+
+    def __repr__(self) -> str:
+        name = "observer" if self.observes else "gain"
+        lines = pd.Series(gain_lines(name, self), dtype=object)
+        return render_text_table("GainCertificate", lines)
 
     @property
     def certified(self) -> bool:
@@ -116,32 +121,34 @@ class Certification:
         """Table with rate, limit and reason of each gain."""
         lines: dict[str, str] = {}
         for name, gain in (("controller", self.controller), ("observer", self.observer)):
-            if gain is None:
-                continue
-            if gain.rate is None:
-                lines[name] = f"nothing is proved: {gain.reason}"
-            else:
-                rate = f"rate {round_rate_down(gain.rate, 6)} per sample"
-                decay = decay_time_words(gain.rate)
-                lines[name] = f"contracts at {rate} ({decay}), decided exactly"
-            lines[f"{name}, slopes"] = _describe_slopes(name, gain.slopes)
-            if gain.overshoot is not None:
-                growth = math.ceil(gain.overshoot * 1000) / 1000
-                lines[f"{name}, overshoot"] = f"Euclidean distances grow at most {growth:g} times"
-            lines[f"{name}, without it"] = _describe_limit(gain.rate_without)
-            lines[f"{name}, this gain"] = _describe_limit(gain.rate_of_gain)
-            lines[f"{name}, any gain"] = _describe_limit(gain.rate_limit)
+            if gain is not None:
+                lines |= gain_lines(name, gain)
         return pd.Series(lines, name="certification", dtype=object)
 
     def __repr__(self) -> str:
-        summary = self.summary()
-        width = max(map(len, summary.index))
-        rows = [f"  {name:<{width}}  {value}" for name, value in summary.items()]
-        return "\n".join(["Certification", *rows])
+        return render_text_table("Certification", self.summary())
 
     def _repr_html_(self) -> str:
         """HTML table of the certificates for notebooks."""
         return html_table("Certification", self.summary())
+
+
+def gain_lines(name: str, gain: GainCertificate) -> dict[str, str]:
+    """Rows of a table on one gain: its rate, slopes, overshoot and limits. `name` is controller or
+    observer."""
+    lines = {name: f"nothing is proved: {gain.reason}"}
+    if gain.rate is not None:
+        rate = f"rate {round_rate_down(gain.rate, 6)} per sample"
+        decay = decay_time_words(gain.rate)
+        lines[name] = f"contracts at {rate} ({decay}), decided exactly"
+    lines[f"{name}, slopes"] = _describe_slopes(name, gain.slopes)
+    if gain.overshoot is not None:
+        growth = math.ceil(gain.overshoot * 1000) / 1000
+        lines[f"{name}, overshoot"] = f"Euclidean distances grow at most {growth:g} times"
+    lines[f"{name}, without it"] = _describe_limit(gain.rate_without)
+    lines[f"{name}, this gain"] = _describe_limit(gain.rate_of_gain)
+    lines[f"{name}, any gain"] = _describe_limit(gain.rate_limit)
+    return lines
 
 
 def _describe_limit(rate: float) -> str:

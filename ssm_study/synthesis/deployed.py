@@ -5,6 +5,7 @@ All are about the very gains that are deployed: `theorems/deployed_rate.py`, `me
 `limited_input.py`, `unlimited_start.py`; docs/theory.md, "The gains that are deployed".
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -176,7 +177,7 @@ def nearest_equilibrium_starts(
     return padded
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class WithinLimits:
     """Proof that no input limit is reached from equilibria whose outputs lie in a range.
     `everywhere` is the proof with inputs cut at the limits, or None."""
@@ -184,6 +185,19 @@ class WithinLimits:
     lower: Outputs
     upper: Outputs
     everywhere: LimitedFeedback | None
+
+    def __repr__(self) -> str:
+        lower = np.array2string(self.lower, precision=4)
+        upper = np.array2string(self.upper, precision=4)
+        rate = "at no rate"
+        if self.everywhere is not None:
+            rate = f"at rate {math.floor(1e4 * self.everywhere.rate) / 1e4:g} per sample"
+        lines = (
+            "WithinLimits",
+            f"  at the full rate  from equilibria with outputs from {lower} to {upper}",
+            f"  globally          {rate}, inputs cut at the limits",
+        )
+        return "\n".join(lines)
 
     @classmethod
     def from_certificate(cls, model: Model, parts: Mapping[str, Any]) -> "WithinLimits | None":

@@ -94,6 +94,21 @@ def test_a_gain_is_compared_with_none(proof: st.Certification) -> None:
     assert proof.controller.rate_without == pytest.approx(1 - 0.9**2)
 
 
+def test_certificates_print_what_they_prove_and_no_matrices(proof: st.Certification) -> None:
+    assert proof.controller is not None
+    printed = repr(proof.controller)
+    assert printed.startswith("GainCertificate\n  gain ")
+    assert "decided exactly" in printed
+    assert "array" not in printed
+    design = st.control((A, B, C, NO_DIRECT_PATH, 0.1), rate=0.1)
+    limits = design.within_limits([-1.0], [1.0])
+    printed = repr(limits)
+    assert "at the full rate  from equilibria with outputs from [-" in printed
+    everywhere = limits.everywhere
+    assert everywhere is None or f"at rate {everywhere.rate:.2g}"[:9] in printed
+    assert "array" not in printed
+
+
 def test_a_rate_that_the_open_loop_has_too_is_called_no_gain() -> None:
     """The lag contracts at 0.19 by itself; 0.05 was asked of its controller."""
     lag = ([[0.9]], [[1.0]], [[0.1]], [[0.0]], 0.1)
