@@ -122,7 +122,7 @@ UNCERTIFIED = Verdict(
     "bold yellow",
 )
 IDENTIFIED = Verdict(
-    "identified", "a baseline, identified and scored; no controller is designed for it",
+    "identified", "identified and scored; the command designs no controller for this class",
     style.PURPLE, "v", "triangle-down", "bold cyan",
 )  # fmt: skip
 INFEASIBLE = Verdict(
