@@ -95,15 +95,15 @@ def roc(table: pd.DataFrame) -> Figure:
     axes.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
     if axes.get_legend_handles_labels()[0]:
         title = (
-            "designs by stability margin (dot: margin 1), those last\nwhose controller or noise "
-            "refuses; dotted: by the gain alone"
+            "Solid: accepted by the whole prediction\n(dot: margin above 1). Dotted: by the "
+            "margin\nin total alone. Grey: by chance."
         )
         axes.legend(loc="lower right", title=title, title_fontsize=6)
     return fig
 
 
 def settling(table: pd.DataFrame) -> Figure:
-    """Settling time relative to the plant left alone against the resolved margin, one panel per
+    """Settling time relative to the uncontrolled plant against the resolved margin, one panel per
     plant."""
     plants = list(dict.fromkeys(table["plant"]))
     fig = style.new_figure(style.PAGE_IN, 2.7)
@@ -124,10 +124,30 @@ def _panel(axes: Axes, own: pd.DataFrame) -> None:
     settled = own["kind"].eq("settled")
     passed = (own[["controller_radius", "noise_peak"]] < 1).all(axis=1)
     for mask, colour, marker, label in (
-        (settled & passed, style.BLUE, "o", "controller and noise pass, all starts settle"),
-        (settled & ~passed, style.ORANGE, "o", "one of them refuses, all starts settle"),
-        (~settled & passed, style.BLUE, "x", "both pass, not all settle (at the top: none)"),
-        (~settled & ~passed, style.VERMILLION, "x", "one of them refuses, not all settle"),
+        (
+            settled & passed,
+            style.BLUE,
+            "o",
+            "stable controller, noise within bound: all starts settle",
+        ),
+        (
+            settled & ~passed,
+            style.ORANGE,
+            "o",
+            "unstable controller or too much noise: all starts settle",
+        ),
+        (
+            ~settled & passed,
+            style.BLUE,
+            "x",
+            "stable controller, noise within bound: not all (at 10: none)",
+        ),
+        (
+            ~settled & ~passed,
+            style.VERMILLION,
+            "x",
+            "unstable controller or too much noise: not all",
+        ),
     ):
         size, width = (
             (14, 1.0)

@@ -262,10 +262,10 @@ def fresh_data_text(record: Mapping[str, Any]) -> str:
         times += ", more than is covered"
     sets = record.get("fresh_sets")
     if not sets:
-        return f"; the test record needs {times}"
+        return f"; the test record shows {times}"
     if sets == 1:
-        return f"; a fresh data set needs {times}"
-    return f"; {sets} fresh data sets need at most {times}"
+        return f"; a fresh data set shows {times}"
+    return f"; {sets} fresh data sets show at most {times}"
 
 
 def fresh_data_exceed_coverage(record: Mapping[str, Any]) -> bool:

@@ -20,6 +20,7 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.stored import read_model_json
 from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.refusal import BadRequest, require
+from ssm_study.report.words import Units
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.signals import Trajectories
 from ssm_study.stored_yaml import read_stored_yaml
@@ -211,6 +212,15 @@ class StudyFolder:
             (self.run(name) for name in names if (self.folder / name / "model.json").is_file()),
             None,
         )
+
+    @cached_property
+    def units(self) -> Units:
+        """Units of input and output, where all runs are of one plant and the best left records."""
+        record = None if self.best_run is None else self.best_run.validation
+        is_one_plant = text_column(self.table, "plant").nunique() < 2
+        if record is None or not is_one_plant or self.others:
+            return Units()
+        return Units(input=record.unit("input"), output=record.unit("measured"))
 
     def read_from_best(self, *parts: str, otherwise: str) -> list[Any]:
         """Read the named files of the study's best run, such as `model` or `closed_loop`. Raises

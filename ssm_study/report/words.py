@@ -41,6 +41,23 @@ def printed_column_name(name: object) -> str:
     return DERIVED.get(str(name)) or column_label(str(name))
 
 
+@dataclass(frozen=True, kw_only=True)
+class Units:
+    """Units of input and output of the plant that a study is about; empty where unknown."""
+
+    input: str = ""
+    output: str = ""
+
+    def physical_words(self, words: str) -> str:
+        """Printed name of a column with the units of the plant instead of general words."""
+        if self.input:
+            words = words.replace("unit of the input", self.input)
+        if self.output:
+            words = words.replace("squared output, s", f"({self.output})² s")
+            words = words.replace("output unit", self.output)
+        return words
+
+
 def prediction_text(margin: float | None, radius: float | None, noise: float | None = None) -> str:
     """Text with the numbers that decide a prediction, each next to its bound.
 

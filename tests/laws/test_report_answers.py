@@ -6,8 +6,9 @@ import report_tables
 import scipy
 
 from ssm_study.report.answers import parameters_line, question_answers
-from ssm_study.report.page.charts import plottable_panels
+from ssm_study.report.page.charts import plottable_panels, unplotted_answers
 from ssm_study.report.page.data import listed_columns, page_title
+from ssm_study.report.page.failures import merge_number_ranges
 from ssm_study.table.columns import swept_settings
 
 QUESTIONS = ("Where does feasibility end", "better fit", "prediction hold")
@@ -76,17 +77,26 @@ def test_what_a_study_can_show_of_the_prediction_is_counted_by_model() -> None:
     assert two.endswith("2 models are too few to say how often a prediction fails.")
 
 
-def test_a_question_that_is_answered_in_words_names_no_plot() -> None:
+def test_an_answer_stands_once_with_its_plot_or_in_words_where_it_has_none() -> None:
     table = report_tables.table(40)
-    questions = [answer.question for answer in question_answers(table)]
-    titles = [panel["question"] for panel in plottable_panels(table, questions)]
-    assert "Initial states settled against stability margin" in titles
+    answered = question_answers(table)
+    plots = plottable_panels(table, answered)
+    titles = [panel["question"] for panel in plots]
     assert "What does a faster rate buy?" in titles
-    stems = {" ".join(question.split()[:3]) for question in questions}
-    assert not [title for title in titles if title.startswith(tuple(stems))]
-    assert "Does the prediction hold on the plant?" in [
-        panel["question"] for panel in plottable_panels(table)
+    with_plot = [sentence for panel in plots for sentence in panel["sentences"]]
+    alone = [
+        sentence for answer in unplotted_answers(table, answered) for sentence in answer.sentences
     ]
+    everything = [sentence for answer in answered for sentence in answer.sentences]
+    assert sorted(with_plot + alone) == sorted(everything)
+    assert with_plot
+    alike = table.assign(fit_test_percent=90.0)
+    left = [answer.question for answer in unplotted_answers(alike, question_answers(alike))]
+    assert "Does a better fit mean a better loop?" in left
+    one = table.head(1)
+    assert unplotted_answers(one, question_answers(one)) == question_answers(one), (
+        "a single run has no plots"
+    )
 
 
 def test_numbers_in_total_leave_the_page_where_one_by_frequency_decides() -> None:
@@ -174,3 +184,12 @@ def test_a_rate_is_swept_where_it_was_requested_and_auto_is_one_of_its_values() 
     table = pd.DataFrame(rows)
     assert parameters_line(table) == "Swept: controller rate, ρ (0.1, 0.3, auto); seed (0, 1)."
     assert page_title(table) == "What changes with the controller rate?"
+
+
+def test_reasons_have_short_numbers_that_are_never_above_the_limit() -> None:
+    reason = "the slopes allow only rates below {}; request 12345 of 2.5e-07"
+    sentences = [reason.format(value) for value in ("0.219102", "0.359482")]
+    merged = merge_number_ranges(sentences)
+    assert merged == "the slopes allow only rates below 0.2191 to 0.3594; request 12345 of 2.5e-07"
+    assert merge_number_ranges(["a gain of 123.456789"]) == "a gain of 123.4"
+    assert merge_number_ranges(["a gain of -0.00012349"]) == "a gain of -0.0001234"

@@ -49,7 +49,7 @@ def test_the_first_screen_says_what_is_proved_predicted_seen_and_how_sound_the_r
     cards = browser.execute_script(text_of, ".card")
     assert (
         "Predicted for the plant\n2.04\nstability margin (above 1 is needed): it stays stable, "
-        "with doubts; spectral radius of the controller 0.9 (below 1 is needed)"
+        "with doubts; the controller is stable by itself: spectral radius 0.9 (below 1 is needed)"
     ) in cards
     assert cards[-1].startswith("Seen on the simulated plant\n10 of 10\nstarts settle, in 0.")
     (evidence,) = browser.execute_script(text_of, ".evidence li")
@@ -340,6 +340,6 @@ def test_fresh_data_beyond_the_proof_are_a_warning() -> None:
     """The proof covers the run's own records; data that nobody has used show more."""
     (remark,) = outcome_remarks(FRESH)
     assert remark.is_warning
-    assert remark.text.endswith("3 fresh data sets need at most 12.05 times, more than is covered.")
+    assert remark.text.endswith("3 fresh data sets show at most 12.05 times, more than is covered.")
     for harmless in ({"coverage_needed": 1.0}, {"coverage_needed": None}, {"coverage": None}):
         assert list(outcome_remarks(FRESH | harmless)) == []

@@ -241,9 +241,9 @@ def test_fresh_data_stand_beside_what_is_proved() -> None:
     record = a_run("ok") | {"coverage": 1.256, "coverage_needed": 1.031, "fresh_sets": 3}
     expected = {
         "1.25 times as large as the records show, at every frequency above zero; 3 fresh data sets "
-        "need at most 1.04 times": {},
-        "; a fresh data set needs 1.04 times": {"fresh_sets": 1},
-        "; the test record needs 1.04 times": {"fresh_sets": None},
+        "show at most 1.04 times": {},
+        "; a fresh data set shows 1.04 times": {"fresh_sets": 1},
+        "; the test record shows 1.04 times": {"fresh_sets": None},
         "; fresh data lie outside every such disc": {"coverage_needed": "inf"},
     }
     for words, change in expected.items():

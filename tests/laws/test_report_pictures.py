@@ -2,17 +2,26 @@
 peaks."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
-from report_runs import random_model
+from report_runs import random_model, random_run, write_recordings
 
 from ssm_study import style
 from ssm_study.api.pictures.bode import bode_picture, record_gain_ratio
 from ssm_study.api.pictures.coverage import requirement_text
 from ssm_study.api.pictures.margin import amplitude_text
 from ssm_study.api.pictures.picture import DASH_CYCLE, DASHED, Band, GuideLine, PicturePanel, Series
-from ssm_study.report.page.pictures import MOST_POINTS, legend_entries, panel_spec, thin_line
+from ssm_study.api.pictures.poles import digits_below_one
+from ssm_study.report.page.pictures import (
+    MOST_POINTS,
+    legend_entries,
+    panel_spec,
+    pictures_of_run,
+    thin_line,
+)
+from ssm_study.report.study_folder import RunFolder
 from ssm_study.signals import Trajectory
 
 ENDS = np.array([0.0, 1.0])
@@ -120,3 +129,22 @@ def test_the_line_at_the_records_gain_meets_what_the_record_shows(kind: str) -> 
     assert ratio * slope == pytest.approx(slope_of_best_line)
     names = [series.name for series in bode_picture(model, record).panels[0].series]
     assert "model at the record's mean gain" in names
+
+
+def test_a_proved_factor_is_never_printed_smaller_nor_as_one() -> None:
+    assert digits_below_one(0.89341) == "0.894"
+    assert digits_below_one(0.999817) == "0.9999"
+    assert digits_below_one(0.5) == "0.500"
+
+
+def test_a_picture_that_a_run_does_not_have_is_named_with_its_reason(tmp_path: Path) -> None:
+    run = random_run(tmp_path / "run", kind="monotone", channels=1, seed=1)
+    write_recordings(run)
+    *drawn, last = pictures_of_run(RunFolder(path=run))
+    assert last["name"] == "missing"
+    assert last["charts"] == []
+    assert "Coverage by band: No proof" in last["caption"]
+    names = [entry["name"] for entry in drawn]
+    assert names
+    assert "missing" not in names
+    assert pictures_of_run(RunFolder(path=tmp_path / "empty")) == []

@@ -31,6 +31,7 @@ BEFORE = 0.1  # share of the horizon before the step
 SEEN_SETTLING_TIMES = 6  # how much is drawn after the step, in settling times
 FEWEST_SEEN = 40  # samples
 MOTION = 0.01  # share of its largest deviation from which on an input counts as moving
+OUTPUT_MOTION = 0.05  # share of its way from which on an output counts as moving
 Inputs = Sequence[Float[np.ndarray, "_ m"]]
 Times = Float[np.ndarray, "T"]
 
@@ -130,8 +131,8 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
     if time_s is not None:
         ending = f"settles in {time_s:.3g} s"
         if ahead:
-            since_motion_s = time_s + at_s - _first_motion_s(run)
-            ending += f", {since_motion_s:.2g} s after the input first moves"
+            since_motion_s = time_s + at_s - _first_output_motion_s(run)
+            ending += f", {since_motion_s:.2g} s after the output first moves"
     unit = f" {plant.outputs[0].unit}" if plant.outputs[0].unit else ""
     known = ", known in advance," if ahead else ""
     title = f"Step of the set point by {size:.3g}{unit}{known} on {place}: {ending}"
@@ -170,6 +171,13 @@ def _first_motion_s(run: Rollouts) -> float:
     away = np.abs(run.u[0] - run.u[0, :1]).max(axis=1)
     moved = away > MOTION * away.max()
     return float(run.time_s[int(moved.argmax()) if moved.any() else -1])
+
+
+def _first_output_motion_s(run: Rollouts) -> float:
+    """Time at which the output first leaves its place by a share of the way that it goes."""
+    away = np.abs(run.y[0] - run.y[0, :1]).max(axis=1)
+    moved = away > OUTPUT_MOTION * away[-1]
+    return float(run.time_s[int(moved.argmax())])
 
 
 def _case_curves(runs: Rollouts, signal: str, j: int, name: str, colour: str) -> tuple[Series, ...]:

@@ -1,5 +1,6 @@
 """Picture of eigenvalues in the unit circle, with the circle of the certified rate."""
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -24,9 +25,10 @@ def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Pic
     if rate is not None:
         factor = float(np.sqrt(1 - rate))
         x, y = circle_points(factor)
-        name = f"proved under control: {factor:.3f}"
+        factor_words = digits_below_one(factor)
+        name = f"proved under control: {factor_words}"
         series.append(Series(x=x, y=y, colour=style.GREY, dashes=DASHED, name=name))
-        title = f"Poles at rest; proved: distances shrink to {factor:.3f} or less each sample"
+        title = f"Poles at rest; proved: distances shrink to {factor_words} or less each sample"
     for i, (name, poles) in enumerate(groups.items()):
         values = np.asarray(poles, dtype=complex)
         printed_name = PRINTED.get(name, name)
@@ -43,3 +45,12 @@ def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Pic
         height=2.2,
     )
     return Picture(title=title, panels=(panel,))
+
+
+def digits_below_one(factor: float) -> str:
+    """Factor as text, rounded up, with enough digits that one below one is not printed as one."""
+    for digits in range(3, 16):
+        text = f"{math.ceil(factor * 10**digits) / 10**digits:.{digits}f}"
+        if float(text) < 1:
+            return text
+    return str(factor)

@@ -3,7 +3,7 @@ is one dot for each run, and a bar at the median of several. The share of starts
 drawn where controllers differ in it. The axis of settling time is logarithmic. The numbers come
 from the runs' own comparisons where they made one."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pandas as pd
@@ -13,9 +13,10 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from ssm_study import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
-from ssm_study.report.words import choice_label, printed_column_name, verdict_counts
+from ssm_study.report.words import Units, choice_label, printed_column_name, verdict_counts
 from ssm_study.table.columns import numeric_column, text_column
 
+NO_UNITS = Units()
 DOT: dict[str, Any] = {"s": 16, "color": style.BLUE, "lw": 0, "zorder": 3, "clip_on": False}
 BAR: dict[str, Any] = {"color": style.VERMILLION, "lw": 1.6, "zorder": 4}
 
@@ -40,7 +41,7 @@ def draw(study: StudyFolder) -> Figure:
     else:
         table = study.table
         method = text_column(table, "synthesis_method")
-    panels = create_panels(table)
+    panels = create_panels(table, study.units)
     numbers = pd.concat([panel.values for panel in panels], axis=1)
     is_measured = numbers.notna().any(axis=1)
     has_value = method.ne("") & is_measured
@@ -68,7 +69,7 @@ def draw(study: StudyFolder) -> Figure:
     return fig
 
 
-def create_panels(table: pd.DataFrame) -> list[PeerPanel]:
+def create_panels(table: pd.DataFrame, units: Units = NO_UNITS) -> list[PeerPanel]:
     """Panels of the figure: share settled, relative settling time and peak input of each
     controller."""
     share = create_panel(table, "stable_fraction", (-0.05, 1.05))
@@ -80,6 +81,7 @@ def create_panels(table: pd.DataFrame) -> list[PeerPanel]:
     logarithmic = {"xscale": "log"} if ratio.notna().any() else {}
     label = "Settling time / uncontrolled (–)"
     relative_time = PeerPanel(values=ratio, label=label, scale=logarithmic)
+    peak = replace(peak, label=units.physical_words(peak.label))
     return [share, relative_time, peak]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from ssm_study import style
+from ssm_study.report.answers import Answer
 from ssm_study.report.words import VERDICTS, printed_column_name
 from ssm_study.table.columns import numeric_column
 
@@ -98,39 +99,39 @@ RING_LOOK |= {"opacity": 1, "aria": False}
 RULE_LOOK: dict[str, Any] = {"strokeDash": [4, 3], "color": style.GREY, "aria": False}
 
 
-def plottable_panels(table: pd.DataFrame, answered: Collection[str] = ()) -> list[dict[str, Any]]:
-    """Plots of the report page for which a study's table has numbers.
-
-    Fits that all but agree say nothing. `answered` are the questions that the page answers in
-    words; their plots are named after their columns.
-    """
-    fits = numeric_column(table, "fit_test_percent")
-    alike = fits.max() - fits.min() < SAME_FIT
+def plottable_panels(
+    table: pd.DataFrame, answered: Collection[Answer] = ()
+) -> list[dict[str, Any]]:
+    """Plots for which a study's table has numbers, as question, columns, and specification without
+    data. The sentences of an answer stand with the plot of its question."""
     drawn = []
-    for candidate in PANELS:
-        if alike and candidate.x == fits.name:
-            continue
-        panel = _replace_constant_share(table, candidate)
-        if _has_numbers(table, panel):
-            spec = panel_specification(panel, table)
-            drawn.append(vars(panel) | {"spec": spec, "question": panel_title(panel, answered)})
+    for panel in drawn_panels(table):
+        spec = panel_specification(panel, table)
+        stem = question_stem(panel.question)
+        answer = next((a for a in answered if question_stem(a.question) == stem), None)
+        content = vars(panel) | {"spec": spec, "sentences": []}
+        if answer is not None:
+            content["question"] = answer.question
+            content["sentences"] = list(answer.sentences)
+        drawn.append(content)
     return drawn
 
 
-def panel_title(panel: Panel, answered: Collection[str]) -> str:
-    """Title of a plot: its question, or its columns where the page already answers the question in
-    words."""
-    if question_stem(panel.question) not in map(question_stem, answered):
-        return panel.question
-    up = short_column_name(panel.y)
-    across = short_column_name(panel.x)
-    return f"{up} against {across[:1].lower()}{across[1:]}"
+def drawn_panels(table: pd.DataFrame) -> list[Panel]:
+    """Plots for which a study's table has numbers. Fits that all but agree say nothing."""
+    fits = numeric_column(table, "fit_test_percent")
+    alike = fits.max() - fits.min() < SAME_FIT
+    candidates = [panel for panel in PANELS if not (alike and panel.x == fits.name)]
+    telling = [_replace_constant_share(table, panel) for panel in candidates]
+    return [panel for panel in telling if _has_numbers(table, panel)]
 
 
-def short_column_name(name: str) -> str:
-    """Printed name of a column without symbol and unit."""
-    without_unit = printed_column_name(name).partition(" (")[0]
-    return without_unit.partition(",")[0]
+def unplotted_answers(table: pd.DataFrame, answered: Collection[Answer]) -> list[Answer]:
+    """Answers whose question has no plot on the page. A single run has no plots at all."""
+    plotted = set()
+    if len(table) > 1:
+        plotted = {question_stem(panel.question) for panel in drawn_panels(table)}
+    return [answer for answer in answered if question_stem(answer.question) not in plotted]
 
 
 def question_stem(question: str) -> str:
@@ -223,7 +224,8 @@ def group_chart_specification() -> dict[str, Any]:
     """
     scale = alt.Scale(zero=False, padding=12)
     axis = alt.Axis(labelLimit=220, grid=True)
-    x = alt.X("value:Q", title="", scale=scale)
+    few_ticks = alt.Axis(tickCount=8)
+    x = alt.X("value:Q", title="", scale=scale, axis=few_ticks)
     y = alt.Y("label:N", title=None, sort=None, axis=axis)
     visible = alt.Chart().transform_filter(SHOWN)
     grouped = visible.transform_aggregate(value="mean(value)", groupby=["label"])

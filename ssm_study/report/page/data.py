@@ -3,13 +3,14 @@ runs, provenance."""
 
 import base64
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from ssm_study.report.answers import parameters_line, question_answers
+from ssm_study.report.answers import Answer, parameters_line
 from ssm_study.report.page.chart_looks import LOOK
 from ssm_study.report.page.compared import comparison_json
 from ssm_study.report.page.failures import MOST_REASONS, MOST_RUNS, failure_groups
@@ -50,13 +51,18 @@ MOST_TRAJECTORIES = 200  # best runs whose trajectories are embedded: about 10 k
 MOST_PICTURED = 3  # best runs whose pictures are embedded
 LARGEST_STEP = 32767  # of 16-bit steps
 LONGEST = 400  # samples of a validation record shown: more than a phone has pixels
+# Columns that say no more than another: numbers in total, where the number by frequency decides,
+# and the reason of one side where the run's is there.
 WEAKER = {
     "certified_tolerance": "coverage",  # one gain for all frequencies
     "mismatch_margin": "resolved_margin",
     "mismatch_gain": "resolved_margin",
     "mismatch_seen": "resolved_margin",
     "mismatch_spread": "resolved_margin",
-}  # numbers in total, and the number by frequency that decides in their place
+    "controller_reason": "infeasible_reason",
+    "observer_reason": "infeasible_reason",
+}
+BOOKKEEPING = ("pid", "record_version", "input_slope_lower_spectral")
 MACHINE = ("machine", "machine_processor", "machine_cores")
 PACKAGES = ("ssm_study", "torch", "cvxpy", "clarabel")
 VERSIONS = tuple(f"version_{name}" for name in ("python", *PACKAGES))
@@ -80,8 +86,8 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     data: dict[str, Any] = {"study": study.name, "folder": study.folder.resolve().name}
     data["verdicts"] = [vars(verdict) for verdict in VERDICTS]
     data["columns"] = {name: encode_repeats(table[name]) for name in names}
-    data["words"] = {name: printed_column_name(name) for name in names}
-    data["menus"] = group_by_part(names)
+    data["words"] = {name: study.units.physical_words(printed_column_name(name)) for name in names}
+    data["menus"] = group_by_part([name for name in names if is_plotted(name)])
     data["known_columns"] = listed_columns(table)
     data["first"] = first_columns(table)
     data["parameters"] = swept_settings(table)
@@ -93,10 +99,15 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     return data
 
 
+def is_plotted(name: str) -> bool:
+    """Whether the page's menus offer a column, which no reader plots if it is bookkeeping."""
+    return name not in BOOKKEEPING and not name.startswith("stage_")
+
+
 def listed_columns(table: pd.DataFrame) -> list[str]:
-    """Columns that the page lists for each run. All columns stay in the record and in the CSV."""
+    """Columns by which the page compares runs. All columns stay in the record and in the CSV."""
     replaced = {
-        name for name, better in WEAKER.items() if numeric_column(table, better).notna().any()
+        name for name, better in WEAKER.items() if better in table and table[better].notna().any()
     }
     return [column.name for column in DECLARED if column.word and column.name not in replaced]
 
@@ -166,14 +177,22 @@ def swept_numbers(table: pd.DataFrame, name: str) -> pd.Series:
     return numbers[~is_repeated].sort_values()
 
 
-def page_texts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
-    """Text blocks of the page's HTML."""
+def is_test_noise_free(study: StudyFolder) -> bool:
+    """Whether the best run's test record was simulated without sensor noise."""
+    data = {} if study.best_run is None else study.best_run.config.get("data") or {}
+    return data.get("test_noise") is False
+
+
+def page_texts(
+    study: StudyFolder, table: pd.DataFrame, unplotted: Sequence[Answer]
+) -> dict[str, Any]:
+    """Text blocks of the page's HTML. `unplotted` are the answers that stand beside no plot."""
     parts: dict[str, Any] = {"title": study.name}
     parts["question"] = page_title(table)
     counts = verdict_counts(table)
     parts["swept"] = f"{plants_and_data_text(table)}{counts}. {parameters_line(table)}"
     parts["several"] = len(table) > 1
-    parts["answers"] = question_answers(table)
+    parts["answers"] = unplotted
     parts["provenance"] = provenance_lines(study, table)
     parts["configuration"] = configuration_text(study)
     parts["failures"] = failure_groups(table)
@@ -185,7 +204,9 @@ def page_texts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
         parts["introduction"] = best_run_rule(table)
         parts["settings"] = settings_line(table)
         parts["runner_up"] = choose_runner_up(table)
-        parts["cards"] = outcome_cards(first, loop_facts(study, first))
+        parts["cards"] = outcome_cards(
+            first, loop_facts(study, first), noise_free_test=is_test_noise_free(study)
+        )
         parts["remarks"] = list(outcome_remarks(first))
     return parts
 

@@ -16,6 +16,7 @@ from ssm_study.report.page.first_screen import (
 from ssm_study.report.words import IDENTIFIED, LOST, NO_FASTER, SETTLED, UNTRIED
 
 MOST_REASONS = 40
+MOST_DIGITS = 4  # of a number in a reason
 MOST_RUNS = 12  # of a reason that are named
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
 SEVERITY = ("failed", "certified", "not certified", "infeasible")
@@ -71,17 +72,26 @@ def failure_reason(record: dict[str, Any]) -> str:
     return " ".join(failure_reasons(record)) or "no reason was recorded"
 
 
+def shorten_number(text: str) -> str:
+    """Number with at most four digits, cut towards zero: a limit is never printed above itself."""
+    digits = re.sub(r"e.*|\D", "", text).lstrip("0")
+    if len(digits) <= MOST_DIGITS or "." not in text or "e" in text:
+        return text
+    surplus = min(len(digits) - MOST_DIGITS, len(text.partition(".")[2]))
+    return text[:-surplus].removesuffix(".")
+
+
 def merge_number_ranges(sentences: Sequence[str]) -> str:
     """Merge sentences that differ only in numbers into one sentence. Each number that varies is
     replaced by its range."""
-    texts = [NUMBER.findall(sentence) for sentence in sentences]
+    texts = [list(map(shorten_number, NUMBER.findall(sentence))) for sentence in sentences]
     columns = iter(zip(*texts, strict=True))
 
-    def range_of_numbers(match: re.Match[str]) -> str:
+    def range_of_numbers(_: re.Match[str]) -> str:
         """Text of the range that replaces one number in the merged sentence."""
         column = next(columns)
         low = min(column, key=float)
         high = max(column, key=float)
-        return match[0] if float(low) == float(high) else f"{low} to {high}"
+        return low if float(low) == float(high) else f"{low} to {high}"
 
     return NUMBER.sub(range_of_numbers, sentences[0])

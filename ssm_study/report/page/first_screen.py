@@ -86,11 +86,13 @@ def setting_text(record: Record, name: str) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def outcome_cards(record: Record, loop: ShownLoop | None = None) -> list[Card]:
+def outcome_cards(
+    record: Record, loop: ShownLoop | None = None, *, noise_free_test: bool = False
+) -> list[Card]:
     """Cards of a run on its model, its proof, its prediction and its closed loop, as far as it has
     them."""
     built = [
-        model_card(record),
+        model_card(record, noise_free_test=noise_free_test),
         certified_rates_card(record, loop),
         predicted_card(record),
         closed_loop_card(record, loop),
@@ -98,7 +100,7 @@ def outcome_cards(record: Record, loop: ShownLoop | None = None) -> list[Card]:
     return [card for card in built if card is not None]
 
 
-def model_card(record: Record) -> Card | None:
+def model_card(record: Record, *, noise_free_test: bool = False) -> Card | None:
     """Card that says how well the model predicts."""
     fit = record.get("fit_test_percent")
     if fit is None:
@@ -107,6 +109,7 @@ def model_card(record: Record) -> Card | None:
         title="Model",
         number=f"{fit:.1f} %",
         text="fit on the test record, which training has not seen (100 %: a perfect free run)",
+        lines=("the simulated test record has no sensor noise",) if noise_free_test else (),
     )
 
 
@@ -128,7 +131,8 @@ def predicted_card(record: Record) -> Card | None:
     radius = record.get("controller_radius")
     if radius is not None:
         spectral = format_beside_bound(radius)
-        text += f"; spectral radius of the controller {spectral} (below 1 is needed)"
+        alone = "is stable by itself" if radius < 1 else "is unstable by itself"
+        text += f"; the controller {alone}: spectral radius {spectral} (below 1 is needed)"
     text += refit_text(record)
     return Card(title=title, number=format_beside_bound(margin), text=text)
 

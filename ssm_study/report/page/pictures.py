@@ -41,14 +41,21 @@ MOST_POINTS = 150  # of a line: more than a chart has pixels for
 
 
 def pictures_of_run(run: RunFolder) -> list[Spec]:
-    """Pictures that can be made from a run's files, in the order of `PICTURES`."""
+    """Pictures that can be made from a run's files, in the order of `PICTURES`, and why others
+    cannot."""
     drawn = []
+    reasons = []
     for name in PICTURES:
         try:
             picture = picture_of_run(name, run)
-        except NothingToDraw:
+        except NothingToDraw as reason:
+            reasons.append(f"{name.replace('_', ' ').capitalize()}: {reason}")
             continue
         drawn.append(picture_json(name, picture))
+    if drawn and reasons:
+        title = "Pictures that this run does not have"
+        entry = {"name": "missing", "title": title, "charts": [], "caption": " ".join(reasons)}
+        drawn.append(entry)
     return drawn
 
 

@@ -1,6 +1,7 @@
 """Chart specifications of the report page whose data are filled in by the page's script."""
 
 import json
+import textwrap
 
 import pandas as pd
 
@@ -22,6 +23,8 @@ PALE_FROM = 200  # runs: from here on lines are nearly transparent
 PALE_OPACITY = 0.15
 OPACITY = 0.6
 PARALLEL = ("fit_test_percent", "resolved_margin", "settling_time_mean_s", "stable_fraction")
+LABEL_ROOM = 9  # pixels
+LABEL_LETTERS = 10  # in a line of an axis' name: five axes stand beside each other on a phone
 ENDS = ("min", "max")
 ROWS = {"name": "rows"}
 BAND_MARK = {"type": "rect", "color": PALE}
@@ -170,11 +173,12 @@ def aggregate_value(operation: str) -> Spec:
 
 def parallel_axis(names: list[str]) -> Spec:
     """Axis of a parallel-coordinates chart, with one place for each column."""
-    titles = {name: printed_column_name(name).partition(" (")[0] for name in names}
+    titles = {name: textwrap.wrap(printed_column_name(name), LABEL_LETTERS) for name in names}
     written_titles = json.dumps(titles)
     axis: Spec = {"labelExpr": f"({written_titles})[datum.value]"}
-    axis["labelAngle"] = -20
-    axis["labelLimit"] = 150
+    axis["labelAngle"] = 0
+    axis["labelFontSize"] = 9.5
+    axis["labelPadding"] = LABEL_ROOM
     axis["grid"] = True
     axis["domain"] = False
     x: Spec = {"field": "key", "type": "nominal", "sort": names}
@@ -186,8 +190,9 @@ def parallel_axis(names: list[str]) -> Spec:
 def axis_end_label(end: str, fold: list[Spec], x: Spec) -> Spec:
     """Vega-Lite layer with the number at one end of each axis of a parallel-coordinates chart."""
     aggregate = {"aggregate": [aggregate_value(end)], "groupby": ["key"]}
-    mark = {"type": "text", "dx": 6, "align": "left", "fontSize": 10, "color": INK}
     height = 1 if end == "max" else 0
+    away = -LABEL_ROOM if height else LABEL_ROOM  # above or below the lines, which would cross it
+    mark = {"type": "text", "dy": away, "fontSize": 10, "color": INK}
     y = {"datum": height, "type": "quantitative"}
     text = {"field": end, "format": ".3~g"}
     encoding = {"x": x, "y": y, "text": text}

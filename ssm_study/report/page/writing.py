@@ -34,14 +34,16 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
             group_chart_specification,
             panel_specification,
             plottable_panels,
+            unplotted_answers,
         )
     except ImportError as error:
         remedy = "pip install 'ssm-study[report]'"
         raise BadRequest("report", "page", f"{error.name} is not installed", remedy) from error
     study = StudyFolder(folder=study_folder, others=others)
     table = sort_for_page(study.table)
+    answered = question_answers(table)
     data = page_data(study) | {
-        "panels": plottable_panels(table, [answer.question for answer in question_answers(table)]),
+        "panels": plottable_panels(table, answered),
         "explorer": panel_specification(EXPLORER, table),
         "groups": group_chart_specification(),
         "templates": chart_templates(table),
@@ -52,7 +54,7 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
     files = {name: read_asset(name) for name in ("page.css", *SCRIPTS)}
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     html = environment.from_string(read_asset("page.html")).render(
-        **page_texts(study, table),
+        **page_texts(study, table, unplotted_answers(table, answered)),
         style=files["page.css"],
         data=text,
         library=_charting_library(),

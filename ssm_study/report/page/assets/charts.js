@@ -75,7 +75,7 @@ function placePictures(content, pictures) {
       element("div", { class: "legend" }, ...part.legend.map(legendEntry)),
       chartOf(part.spec),
     ]);
-    parts.push(element("details", {}, element("summary", {}, "What it shows"), caption));
+    parts.push(element("details", {}, element("summary", {}, charts.length ? "What it shows" : "Why"), caption));
     content.append(figureOf(title, parts, "", { "data-picture": name }));
   }
 }

@@ -39,9 +39,11 @@ function grouped(mask) {
   return Map.groupBy(runs, groupOf);
 }
 
-/** `0.1883 ± 0.0014`: the spread to two digits, the mean as far as the spread reaches; rounding alone is no spread. */
+/** Up to three values as they are; of more `0.1883 ± 0.0014`: the spread to two digits, the mean as far as the spread reaches; rounding alone is no spread. */
 function meanAndSpread(values) {
   if (!values.length) return "–";
+  const different = [...new Set(values)].sort((a, b) => a - b);
+  if (values.length < 4) return different.map((value) => printed(Number(value.toPrecision(3)))).join(", ");
   const middle = mean(values);
   const short = printed(Number(middle.toPrecision(3)));
   const wide = spread(values);
@@ -92,11 +94,14 @@ function drawGroups(shown, news) {
   const rowOf = ([label, runs]) => [
     label,
     String(runs.length),
-    ...metrics.map((name) => meanAndSpread(known(runs.map((i) => COLUMNS[name][i])))),
+    ...metrics.map((name) => {
+      const values = known(runs.map((i) => COLUMNS[name][i]));
+      return meanAndSpread(name === "fit_test_percent" ? [...new Set(values)] : values);
+    }),
   ];
   const more =
     groups.length > MOST_GROUPS ? `; ${groups.length - MOST_GROUPS} more groups are not shown` : "";
-  const caption = `Mean ± standard deviation over the runs of each group, below them over all${more}`;
+  const caption = `Mean ± standard deviation over the runs of each group, or up to three values as they are; fits count each model once${more}`;
   const all = groups.length > 1 ? [rowOf(["All", groups.flatMap(([, runs]) => runs)])] : [];
   const heads = [
     by.map((name) => DATA.words[name]).join(" · "),
@@ -254,7 +259,8 @@ function overlayFigures(runs) {
     const errors = records.flatMap((record) =>
       runOf(record, (values) => values.map((value, k) => measured[k] - value)),
     );
-    const title = "Free runs on the validation record (beginning)";
+    const same = records.every(({ model }) => model.steps === records[0].model.steps);
+    const title = `Free runs on the validation record (beginning)${same ? ": one model, the curves coincide" : ""}`;
     figures.push(
       figureOf(
         title,
@@ -273,19 +279,27 @@ function overlayFigures(runs) {
     figures.push(element("p", { class: "quiet" }, words));
   }
   const loops = runs.filter(loopOf);
+  const without = runs.filter((i) => !loops.includes(i)).map((i) => shortName(COLUMNS.run[i]));
+  if (without.length)
+    figures.push(element("p", { class: "quiet" }, `No closed loop to show: ${without.join(", ")}.`));
   if (loops.length > 1) {
     const signals = loops.map((i) => unpack(loopOf(i).y));
     const far = signals[0].map((values) => Math.abs(values[0] - loopOf(loops[0]).goal));
     const worst = far.indexOf(Math.max(...far));
-    const rows = loops.flatMap((i, k) =>
-      overTime([signals[k][worst] || signals[k][0]], loopOf(i).step_s, shortName(COLUMNS.run[i])),
-    );
-    const title = "Closed loops from the farthest start";
-    const { output } = loopOf(loops[0]);
+    const rowsOf = (key) =>
+      loops.flatMap((i) => {
+        const cases = unpack(loopOf(i)[key]);
+        return overTime([cases[worst] || cases[0]], loopOf(i).step_s, shortName(COLUMNS.run[i]));
+      });
+    const title = "Closed loops from the farthest start, and their inputs";
+    const { output, input } = loopOf(loops[0]);
     figures.push(
       figureOf(
         title,
-        [linesOf("signals", title, output, { rows, band: bandOf(loopOf(loops[0])) })],
+        [
+          linesOf("signals", title, output, { rows: rowsOf("y"), band: bandOf(loopOf(loops[0])) }),
+          linesOf("signals", "Inputs from the farthest start", input, { rows: rowsOf("u") }),
+        ],
         "",
         { "data-overlay": "loops" },
       ),

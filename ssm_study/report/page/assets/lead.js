@@ -52,7 +52,7 @@ function sliderOf({ title, runs, values, notes }, charts, applied) {
     const i = runs[slide.value];
     const loop = loopOf(i); // an infeasible run has none
     const rows = loop ? overTime(unpack(loop.y), loop.step_s) : [];
-    said.textContent = `${title} ${printed(values[slide.value])}: ${notes[slide.value]} (run ${printed(COLUMNS.run[i])})`;
+    said.textContent = `${title} ${printed(values[slide.value])}: ${notes[slide.value]} (run ${shortName(COLUMNS.run[i])}${i ? "; cards and pictures stay those of the best run" : ""})`;
     slide.setAttribute("aria-valuetext", said.textContent);
     for (const { dataset } of [...charts, applied]) dataset.empty = loop ? "" : `No response: ${notes[slide.value]}`;
     for (const { view } of charts) if (view) view.data("rows", rows).runAsync();
@@ -62,7 +62,7 @@ function sliderOf({ title, runs, values, notes }, charts, applied) {
   slide.addEventListener("input", show);
   for (const chart of [...charts, applied]) chart.addEventListener("drawn", show);
   show();
-  return element("label", { class: "slider" }, slide, said);
+  return element("label", { class: "slider" }, title, slide, said);
 }
 
 function playerOf(loop, range) {

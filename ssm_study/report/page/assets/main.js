@@ -97,6 +97,10 @@ function listen() {
   document.querySelector("main").addEventListener("click", ({ target }) => {
     if (target.matches("button[data-run]")) choose(Number(target.dataset.run));
   });
+  for (const button of document.querySelectorAll("main button[data-run]")) {
+    button.title = COLUMNS.run[button.dataset.run];
+    button.textContent = shortName(button.title);
+  }
   document.getElementById("all-columns").addEventListener("change", (event) => {
     state.allColumns = event.target.checked;
     changed(true);

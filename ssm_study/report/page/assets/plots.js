@@ -59,7 +59,7 @@ const DRAWS = []; // what draws each plot again
 
 /** The points in the colours of a setting instead of the outcome, whose shapes stay. Numbers go from dark to light, which
  * every eye and a grey print tell apart; few names have a colour each. */
-function coloured(spec) {
+function coloured(spec, rows = []) {
   const name = state.colour,
     copy = structuredClone(spec);
   if (!name) return copy;
@@ -70,6 +70,7 @@ function coloured(spec) {
     ? { domain: values, range: CYCLE.slice(0, values.length) }
     : { domain: values, scheme: { name: "viridis", extent: [0, 0.9] } };
   const legend = { orient: "top", title: shortWord(name), columns: 6, symbolType: "circle" };
+  if (rows.length) legend.values = values.filter((value) => rows.some((row) => row.colour === value));
   copy.layer.at(-1).encoding.color = {
     field: "colour",
     type: few ? "nominal" : "ordinal",
@@ -105,7 +106,8 @@ function placeColourMenu() {
 
 /** One plot; `columnOf` maps a field of the rows to the column it holds (the explorer's are just across and up). */
 async function embed(chart, spec, { rows, ticks = [] }, number, columnOf = (field) => field) {
-  const own = COARSE ? withoutBrush(coloured(spec)) : coloured(spec);
+  const painted = coloured(spec, rows);
+  const own = COARSE ? withoutBrush(painted) : painted;
   if (VIEWS[number]) VIEWS[number].finalize();
   own.datasets = { ...own.datasets, runs: rows, ticks }; // beside the one-row set of a dashed line
   const { view } = await vegaEmbed(chart, shaded(own), {
@@ -135,10 +137,11 @@ async function embed(chart, spec, { rows, ticks = [] }, number, columnOf = (fiel
 /** Puts the figure in its place and returns what draws it: the places must be there before a plot fits into one. */
 function placePanel(panel, number) {
   const chart = element("div", { class: "chart" }),
-    note = element("span", { class: "note" }, panel.note);
+    note = element("span", { class: "note" }, panel.note),
+    sentences = panel.sentences.map((text) => element("span", { class: "answer" }, text));
   document
     .getElementById("plots")
-    .append(element("figure", {}, element("figcaption", {}, panel.question, note), chart));
+    .append(element("figure", {}, element("figcaption", {}, panel.question, ...sentences, note), chart));
   const known = (fields) =>
     rowsFor(fields).filter((row) => fields.every((name) => typeof row[name] === "number"));
   const ticks = panel.tick
@@ -218,13 +221,26 @@ function placeExplorer() {
 
 /** All settings and results at once, at the end of the plots. */
 function placeParallel() {
-  const spec = DATA.templates.parallel;
-  if (!spec) return;
-  spec.datasets = { rows: rowsFor(spec.usermeta.fields) };
-  const note = "Each axis from its smallest to its largest value; colours by outcome.";
+  const template = DATA.templates.parallel;
+  if (!template) return;
+  const chart = chartOf(template);
+  const rows = () => rowsFor(template.usermeta.fields).filter(({ i }) => !state.shown || state.shown[i]);
+  const paint = () => {
+    const spec = structuredClone(chart.spec);
+    if (state.colour) spec.layer[0].encoding.color = coloured(DATA.explorer).layer.at(-1).encoding.color;
+    chart.spec = { ...spec, datasets: { rows: rows() } };
+  };
+  paint();
+  DRAWS.push(() => {
+    paint();
+    WAITING.add(chart);
+    return drawChart(chart);
+  });
+  listeners.push((_, news) => news && chart.view && chart.view.data("rows", rows()).runAsync());
+  const note = "One line per run that is shown; each axis from its smallest to its largest value.";
   document
     .getElementById("plots")
-    .append(figureOf("All settings and results at once", [chartOf(spec)], note, { class: "wide" }));
+    .append(figureOf("All settings and results at once", [chart], note, { class: "wide" }));
 }
 
 async function drawPlots() {

@@ -1,5 +1,6 @@
 // One run: what it is, why it ended as it did, and its trajectories.
 let openedFrom = null;
+const REASONS = ["infeasible_reason", "uncertified_reason", "error_message"]; // said at the top, not once more below
 
 function choose(i) {
   if (document.getElementById("run").hidden) openedFrom = document.activeElement;
@@ -44,9 +45,7 @@ function drawRun(i) {
   const { word, sentence } = DATA.verdicts.find((v) => v.word === COLUMNS.verdict[i]);
   document.getElementById("run-title").textContent = printed(name);
   const content = document.getElementById("run-content");
-  const said = ["infeasible_reason", "uncertified_reason", "error_message"].map(
-    (key) => COLUMNS[key] && COLUMNS[key][i],
-  );
+  const said = REASONS.map((key) => COLUMNS[key] && COLUMNS[key][i]);
   content.replaceChildren(
     element("p", {}, `${word}: ${sentence}.`),
     ...said.filter(Boolean).map((text) => element("p", { class: "reason" }, text)),
@@ -110,7 +109,7 @@ function varies(name) {
 /** What is known of the run: first what is not the same in all runs, settings marked; the rest behind a fold. */
 function factsOf(i) {
   const recorded = Object.keys(COLUMNS).filter((name) => COLUMNS[name][i] !== null);
-  const named = recorded.filter((name) => DATA.known_columns.includes(name));
+  const named = recorded.filter((name) => DATA.known_columns.includes(name) && !REASONS.includes(name));
   const differ = named.filter((name) => RUNS === 1 || varies(name));
   const folded = (title, names) =>
     names.length

@@ -2,8 +2,8 @@
 const PAGE = 25;
 
 function visibleColumns() {
-  const known = Object.keys(COLUMNS);
-  const first = DATA.first.filter((name) => known.includes(name));
+  const known = DATA.known_columns.filter((name) => COLUMNS[name] && (RUNS === 1 || varies(name)));
+  const first = DATA.first.filter((name) => COLUMNS[name]);
   return [...new Set(state.allColumns ? [...first, ...known] : first)];
 }
 
