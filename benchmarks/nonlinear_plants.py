@@ -55,7 +55,7 @@ def row(name: str, plant: Plant, model: str, seed: int) -> str:
     balls = certified_balls(made)
     design = parts.synthesis.design(made, balls, data.validation, shown)
     if not design.feasible:
-        head = f"{name},{asked[0][6:]},{seed},{np.mean(fit):.2f},{shown.seen:.3f}"
+        head = f"{name},{asked[0][6:]},{seed},{np.mean(fit):.2f},{shown.largest_recorded_gain:.3f}"
         return f"{head},,,,,,{design.certified}"
     predicted = predict_margins(made, design.pair, balls, shown)
     facts = behaviour_columns(
@@ -66,7 +66,7 @@ def row(name: str, plant: Plant, model: str, seed: int) -> str:
     judged = (
         f"{predicted.resolved_margin:.2f},{predicted.predicts_stability()},{facts['stable_count']}"
     )
-    head = f"{name},{asked[0][6:]},{seed},{np.mean(fit):.2f},{shown.seen:.3f}"
+    head = f"{name},{asked[0][6:]},{seed},{np.mean(fit):.2f},{shown.largest_recorded_gain:.3f}"
     return f"{head},{judged},{told},{design.certified}"
 
 

@@ -50,7 +50,7 @@ def iterations(folder: Path, settings: list[str]) -> list[Path]:
     config = compose_configuration([*HIDDEN, f"results_dir={folder}", *settings])
     with open_dict(config):
         config.plant = PLANT
-    runs = [STUDY.job(config).folder]
+    runs = [STUDY.run_job(config).folder]
     for step in refine(runs[0]):
         print(step.said)
         runs += [runs[0].parent / step.config.run] if step.config is not None else []

@@ -131,7 +131,7 @@ class StructuredSystem(_Recurrence):
         """Number of neurons."""
         return self.e.shape[1]
 
-    def corners(self, most: int = 10) -> Float[np.ndarray, "k q"]:
+    def slope_corners(self, most: int = 10) -> Float[np.ndarray, "k q"]:
         """Corners of the cube of neuron slopes: all combinations of zero and one, or a few if there
         are many neurons. With up to `most` neurons all, one per row."""
         q = self.neurons

@@ -104,7 +104,7 @@ def differences_of_loops(
     memory = law.initial_memory(2)
     output_equilibrium = model.scale.output_equilibrium
     reference = np.tile(output_equilibrium, (1, 1))
-    plan = law.targets(reference)
+    plan = law.reference_targets(reference)
     target = plan[0]
     rows = []
     for sample in range(samples):

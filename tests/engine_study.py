@@ -48,7 +48,7 @@ MODEL = Stage(
 
 
 class Badly(Task[Settings]):
-    def check(self, config: Settings) -> Settings:
+    def build_request(self, config: Settings) -> Settings:
         condition = config.seed >= 0
         require(condition, "seed", config.seed, "negative", "give 0 or more")
         return config

@@ -59,7 +59,7 @@ def slopes_of_all(system: StructuredSystem, seed: int, random: int) -> np.ndarra
     """Every corner of the neurons' slopes, and random ones between."""
     rng = np.random.default_rng(seed)
     inside = rng.uniform(size=(random, system.neurons))
-    return np.concatenate([system.corners(), inside])
+    return np.concatenate([system.slope_corners(), inside])
 
 
 def slowest(metric: np.ndarray, steps: list[np.ndarray]) -> float:

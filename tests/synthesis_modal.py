@@ -124,7 +124,9 @@ class ModalLmiSynthesis(Synthesis):
     def solve(self, problem: Problem) -> Solution:
         return solve_on_fast_modes(problem, problem.contraction, self.objective, self.solver)
 
-    def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
+    def solution_attempts(
+        self, problem: Problem, frontier: Frontier
+    ) -> list[Callable[[], Solution]]:
         r = problem.contraction
         solve = partial(solve_on_fast_modes, objective=self.objective, solver=self.solver)
         floor = max(frontier.contraction_limit, FASTEST * r)

@@ -52,8 +52,8 @@ class Rehearsal(RecordedSource):
             "name them",
         )
 
-    def files(self) -> tuple[Path, ...]:
-        return self._closed().files()
+    def data_files(self) -> tuple[Path, ...]:
+        return self._closed().data_files()
 
     def build(self, seed: int) -> DataSet:
         data = self._closed().build(seed)

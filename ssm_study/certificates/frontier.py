@@ -64,7 +64,7 @@ def controller_frontier(system: System, ball: JacobianBall) -> Frontier:
     if isinstance(system, StateSpace):
         return contraction_frontier(system.a, system.b, ball)
     frontiers = []
-    for slopes in system.corners():  # each neuron at slope zero or one
+    for slopes in system.slope_corners():  # each neuron at slope zero or one
         frozen = system.linearise_at_slopes(slopes)
         frontiers.append(contraction_frontier(frozen.a, frozen.b, ball))
     return max(frontiers, key=lambda limit: limit.contraction_limit)

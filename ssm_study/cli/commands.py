@@ -172,7 +172,7 @@ def reproduce_run(options: argparse.Namespace) -> int:
     from ssm_study.study import line as study
     from ssm_study.study.reproduce import reproduce
 
-    lines, agrees = reproduce(options.run, study.STUDY.job)
+    lines, agrees = reproduce(options.run, study.STUDY.run_job)
     print("\n".join(lines))
     return DONE if agrees else SOME_FAILED
 

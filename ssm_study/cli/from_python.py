@@ -74,7 +74,7 @@ def save_run(design: "Design", folder: Path) -> Path:
     with TemporaryDirectory(prefix="ssm-study-") as results:
         place = (f"results_dir='{results}'", "study=saved", "progress=false")
         words = tuple(copy_temporary_logs(word, folder / "logs") for word in design.overrides)
-        outcome = line.STUDY.job(compose_configuration((*words, *place)))
+        outcome = line.STUDY.run_job(compose_configuration((*words, *place)))
         if outcome.status == FAILED:
             raise RuntimeError(f"{outcome.message} (its traceback is in {outcome.folder})")
         gather(outcome.folder.parent)

@@ -164,4 +164,4 @@ def _task_function() -> Callable[[DictConfig], Any]:
 
     gc.enable()
     gc.freeze()  # the modules stay until the end: later collections pass over them
-    return study.STUDY.job
+    return study.STUDY.run_job

@@ -51,7 +51,7 @@ class RecordedExperiments(AroundRest):
             remedy = "name at least one"
             require(len(getattr(self, part)) > 0, f"data.{part}", "none", problem, remedy)
 
-    def files(self) -> tuple[Path, ...]:
+    def data_files(self) -> tuple[Path, ...]:
         apart = (*self.validation, *self.test) if self.fold is None else ()
         names = dict.fromkeys(recording.path for recording in (*self.training, *apart))
         return tuple(find_record_file(self.records_folder(), name) for name in names)

@@ -157,7 +157,7 @@ def look(
 
 def look_with_settings(path: Path, stated: LogSettings) -> LogLook:
     """Examine a log file with stated settings."""
-    table = choose_reader(path, stated.text).contents(path)
+    table = choose_reader(path, stated.text).read_all_columns(path)
     require_numeric_column(path, table)
     facts = [column_facts(name, table) for name in table.columns]
     clock = stated.time if stated.time is not None else clock_column_name(table)

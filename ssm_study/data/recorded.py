@@ -36,7 +36,7 @@ class RecordedSource(ABC):
     """Base class of data sources that read files, which names the files and builds the data set."""
 
     @abstractmethod
-    def files(self) -> tuple[Path, ...]:
+    def data_files(self) -> tuple[Path, ...]:
         """Paths of all files from which the data set is built. Raises `BadRequest` if one does not
         exist."""
 
@@ -236,7 +236,7 @@ class RecordedData(Columns, AroundRest):
         pairs = zip(names, others, strict=True) if others else zip(names)
         return [tuple(map(Path, pair)) for pair in pairs]
 
-    def files(self) -> tuple[Path, ...]:
+    def data_files(self) -> tuple[Path, ...]:
         pairs = self.pair_files("path", "output_path")
         pairs += self.pair_files("test_path", "test_output_path")
         paths = tuple(path for pair in pairs for path in pair)

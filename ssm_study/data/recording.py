@@ -303,7 +303,7 @@ class Columns:
     ) -> tuple[ClockTimes | None, list[str]]:
         """Find the clock of a file by its title or place, and say which column it is."""
         try:
-            contents = reader.contents(file)
+            contents = reader.read_all_columns(file)
         except BadRequest:
             return None, []  # a format that lists no columns
         length = len(table.columns[signals[0]])

@@ -157,7 +157,7 @@ class ComposedChoices:
     sections: dict[tuple[Any, ...], Any] = field(default_factory=dict)
 
     @cached_property
-    def tree(self) -> Settings:
+    def settings_tree(self) -> Settings:
         """Configuration as plain containers, without Hydra's section and with unresolved
         interpolations."""
         tree = OmegaConf.to_container(self.config, resolve=False)
@@ -170,8 +170,8 @@ class ComposedChoices:
     def settings_in_run_name(self) -> tuple[str, ...] | None:
         """Settings that appear in the run's name; None if the name depends on more than plain
         settings. OmegaConf has to resolve such a name, which is slow."""
-        interpolation = NAME.fullmatch(str(self.tree.get("run", "")))
-        others = [value for key, value in self.tree.items() if key != "run"]
+        interpolation = NAME.fullmatch(str(self.settings_tree.get("run", "")))
+        others = [value for key, value in self.settings_tree.items() if key != "run"]
         if interpolation is None or any("${" in str(value) for value in others):
             return None
         return tuple(word.strip() for word in interpolation[1].split(","))
@@ -191,24 +191,24 @@ class ComposedChoices:
         """Settings of one job, made by putting values at dotted paths of the shared composition.
         Unchanged sections are shared between jobs."""
         assert self.settings_in_run_name is not None
-        settings = Settings(self.tree)
+        settings = Settings(self.settings_tree)
         by_section: dict[str, dict[str, Any]] = {}
         for path, value in values.items():
             section, _, inner_path = path.partition(".")
             by_section.setdefault(section, {})[inner_path] = value
         for section, inner_values in by_section.items():
-            settings[section] = self.section(section, inner_values)
+            settings[section] = self.job_section(section, inner_values)
         if "run" in values:
             return settings
         return Settings(settings | {"run": run_name(settings, *self.settings_in_run_name)})
 
-    def section(self, name: str, values: dict[str, Any]) -> Any:
+    def job_section(self, name: str, values: dict[str, Any]) -> Any:
         """One section of a job's settings, with the job's own values put in; equal sections are the
         same object."""
         typed = [(path, type(value), value) for path, value in values.items()]
         key = (name, *typed)
         if key not in self.sections:
-            section = self.tree[name]
+            section = self.settings_tree[name]
             for path, value in values.items():
                 section = replace_at_path(section, path.split(".") if path else [], value)
             self.sections[key] = as_settings(section)

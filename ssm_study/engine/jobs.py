@@ -102,11 +102,11 @@ def run_job(job: Job, composer: Composer, task: Task[Any], hydra_context: HydraC
         os.chdir(job.folder)
     configure_log(config.hydra.job_logging, config.hydra.verbose)
     os.environ.update(config.hydra.job.env_set)
-    hydra_context.callbacks.on_job_start(config=config, task_function=task.job)
+    hydra_context.callbacks.on_job_start(config=config, task_function=task.run_job)
     # A copy without Hydra's section takes 10 ms.
     ended = JobReturn(overrides=config.hydra.overrides.task, cfg=config)
     try:
-        ended.return_value = task.job(job.settings)
+        ended.return_value = task.run_job(job.settings)
         ended.status = JobStatus.COMPLETED
     except Exception as error:  # whatever the task raises
         ended.return_value = error

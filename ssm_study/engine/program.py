@@ -34,4 +34,4 @@ def main(task: Task[Any], settings: Mapping[str, Any]) -> None:
     defaults = {"defaults": ["_self_", *choices]}
     node = defaults | COMMON | {"dry_run": False} | dict(settings) | {"hydra": FOLDERS}
     ConfigStore.instance().store(name="task", node=node)
-    hydra.main(version_base="1.3", config_path=None, config_name="task")(task.job)()
+    hydra.main(version_base="1.3", config_path=None, config_name="task")(task.run_job)()

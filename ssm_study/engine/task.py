@@ -42,7 +42,7 @@ class Task(ABC, Generic[R]):
     libraries: tuple[str, ...] = ()
 
     @abstractmethod
-    def check(self, settings: Settings) -> R:
+    def build_request(self, settings: Settings) -> R:
         """Build the request that the settings describe. Raises `BadRequest` for every mistake that
         can be seen before long work."""
 
@@ -102,11 +102,11 @@ class Task(ABC, Generic[R]):
         settings = self.settings(config)
         folder = run_folder(settings).absolute()
         if folder not in _CHECKED:
-            _CHECKED[folder] = self.check(settings)
+            _CHECKED[folder] = self.build_request(settings)
         checked_request: R = _CHECKED[folder]
         return checked_request
 
-    def job(self, config: DictConfig | Settings) -> Outcome:
+    def run_job(self, config: DictConfig | Settings) -> Outcome:
         """Execute the run that a configuration describes, unless it is finished, and leave its
         record."""
         settings = self.settings(config)

@@ -155,7 +155,7 @@ def _render_set_point_maps(device: Device, name: str) -> str:
     assert points is not None
     maps = _render_inverse_map(f"{name}_s_in_inverse", points.inward, name, device.real)
     maps += _render_inverse_map(f"{name}_s_out_inverse", points.outward, name, device.real)
-    for label, part in points.maps.items():
+    for label, part in points.equilibrium_maps.items():
         maps += _render_equilibrium_map(f"{name}_{label}", part, name, device.real)
     return maps
 

@@ -51,7 +51,7 @@ class SetPoints:
     missed: float = 0.0
 
     @property
-    def maps(self) -> dict[str, Any]:
+    def equilibrium_maps(self) -> dict[str, Any]:
         """The three maps between set points and equilibria, keyed by name."""
         names = ("to_lifted", "at_rest", "seen")
         return {name: getattr(self, name) for name in names}
@@ -222,7 +222,7 @@ class Device:
         if points is None:  # the input is computed twice, and compared
             return products + controller.k.size + 3 * inputs
         inverses = _count_inverse_products(points.inward) + _count_inverse_products(points.outward)
-        parts = points.maps.values()
+        parts = points.equilibrium_maps.values()
         reaching = sum(_count_equilibrium_products(part) for part in parts)
         return products + reaching + inverses + maps + 2 * inputs
 

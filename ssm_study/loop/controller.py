@@ -40,9 +40,9 @@ class Controller(ABC):
     updated at every sample.
 
     `u[k] = input(memory[k], y[k], target[k])`, `memory[k+1] = advance(memory[k], u[k], y[k],
-    target[k])`. `u` and `y` are in physical units. `targets` turns a reference into whatever the
-    law follows at each sample, once, before the loop runs. Law: the same memory and measurement
-    give the same input, row by row, whatever the batch.
+    target[k])`. `u` and `y` are in physical units. `reference_targets` turns a reference into
+    whatever the law follows at each sample, once, before the loop runs. Law: the same memory and
+    measurement give the same input, row by row, whatever the batch.
     """
 
     step_s: float  # the sampling time the law was designed for
@@ -52,7 +52,7 @@ class Controller(ABC):
         """Memory of the controller before the first sample; empty unless a control law has one."""
         return np.zeros((cases, 0))
 
-    def targets(self, reference: Reference) -> Plan:
+    def reference_targets(self, reference: Reference) -> Plan:
         """Signal that the control law follows at each sample, computed from the reference. Unless
         overridden it is the reference itself."""
         return reference
@@ -132,7 +132,7 @@ class EstimateFeedback(Controller):
         gains_k = self.gains.k
         return np.zeros((cases, gains_k.shape[-1]))
 
-    def targets(self, reference: Reference) -> Plan:
+    def reference_targets(self, reference: Reference) -> Plan:
         return set_point_equilibria(self.model, reference)
 
     def advance(
@@ -204,7 +204,7 @@ class ObserverFeedback(EstimateFeedback):
             return u + feedback
         return self.inverse(self.model.scaffold_in(u) + feedback)
 
-    def targets(self, reference: Reference) -> Plan:
+    def reference_targets(self, reference: Reference) -> Plan:
         model = self.model
         n = model.order
         if isinstance(model, StructuredSSM):

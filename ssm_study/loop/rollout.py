@@ -100,7 +100,7 @@ def simulate_closed_loop(
     _check_request(plant, controller, reference, limits)
     cases, samples, _ = noise.shape
     memory = controller.initial_memory(cases)
-    targets = controller.targets(reference)
+    targets = controller.reference_targets(reference)
     estimates = controller.estimate(memory).shape[1]
     log = allocate_log(plant, estimates, noise.shape, x0.shape[1])
     left_at_sample = np.full(cases, STAYED)
@@ -370,7 +370,7 @@ def replay_error(controller: Controller, run: Rollouts, limits: Limits = UNLIMIT
     hold at a limit. The memory advances by the recorded input, so that errors do not add up.
     """
     stayed = run.stayed_within_bound
-    targets = controller.targets(run.reference)
+    targets = controller.reference_targets(run.reference)
     memory = controller.initial_memory(int(stayed.sum()))
     worst = 0.0
     for k in range(run.u.shape[1]):

@@ -94,7 +94,7 @@ class TrainablePieces:
         by_free = width * share * (1.0 - share)
         return slopes, by_free, points
 
-    def derivatives(
+    def values_and_derivatives(
         self, theta: Free, v: Signals
     ) -> tuple[Signals, Signals, Float[np.ndarray, "*batch P"]]:
         """Values of the map, its slopes, and its derivatives with respect to the parameters. A

@@ -75,7 +75,7 @@ def picture_of_coverage(run: RunFolder) -> Picture:
     """Picture of the coverage by frequency band."""
     model, design, mismatch = read_run_files(run, "any_model", "design", "mismatch")
     premise = measure_premise(
-        model, run.validation_records, mismatch, run.start_up_samples, run.trials
+        model, run.validation_records, mismatch, run.start_up_samples, run.mismatch_records
     )
     return coverage_picture(design, premise, model.step_s, run_input_scale(run, model))
 

@@ -103,7 +103,7 @@ class RunFolder:
         return int(self.record.get("start_up_samples") or 0)
 
     @cached_property
-    def trials(self) -> Trajectories:
+    def mismatch_records(self) -> Trajectories:
         """Records that only serve to measure the model error."""
         return read_mismatch_records(self.path)
 
@@ -120,7 +120,7 @@ class RunFolder:
         if self.any_model is None or not self.validation_records:
             return None
         return measure_mismatch(
-            self.any_model, self.validation_records, self.start_up_samples, self.trials
+            self.any_model, self.validation_records, self.start_up_samples, self.mismatch_records
         )
 
     @property

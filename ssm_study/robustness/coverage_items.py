@@ -75,7 +75,7 @@ class RepeatingPower:
         """Power of model error and noise in each spectral line of a record with two periods. The
         mean belongs to no band: friction leaves an offset that no disc bounds, since it stays where
         model and input have come to rest. Source: docs/trust.md, "Covered"."""
-        first, second = record.deviation(centre)
+        first, second = record.deviation_from_centre(centre)
         sides = record.sides
         product = (first * second.conj()).real
         repeating_power = product.sum(axis=1)

@@ -38,7 +38,7 @@ class MismatchSpectrum:
     input_power: Powers
     noise: Powers
 
-    def deviation(self, centre: float) -> Complex[np.ndarray, "2 L p"]:
+    def deviation_from_centre(self, centre: float) -> Complex[np.ndarray, "2 L p"]:
         """Spectrum of the model error minus the centre of the disc, in both periods."""
         return self.error - centre * self.model
 
@@ -91,9 +91,9 @@ def line_spectrum(run: RecordErrors, noise: Float[np.ndarray, "F"]) -> MismatchS
     is_mean = np.isclose(angles, 0.0)
     has_no_conjugate = is_mean | np.isclose(angles, np.pi)
     sides = np.where(has_no_conjugate, 1.0, 2.0)
-    model = run.periods(run.model)
-    error = run.periods(run.e)
-    _, second_input = run.periods(run.u)
+    model = run.period_spectra(run.model)
+    error = run.period_spectra(run.e)
+    _, second_input = run.period_spectra(run.u)
     noise_at_lines = np.interp(angles, ANGLES, noise)
     return MismatchSpectrum(
         name=run.name,

@@ -89,10 +89,10 @@ class Mismatch:
         if self.stuck:
             confidence_factor = MISSED ** (-1 / len(self.stuck))
             worst = max(self.stuck) * confidence_factor
-        return worst / self.band
+        return worst / self.scaled_settling_band
 
     @property
-    def band(self) -> float:
+    def scaled_settling_band(self) -> float:
         """Width of the settling band in scaled outputs."""
         return BAND * self.farthest
 
@@ -107,7 +107,7 @@ class Mismatch:
         return self.left_at_rest is None or self.left_at_rest < AT_REST
 
     @property
-    def seen(self) -> float:
+    def largest_recorded_gain(self) -> float:
         """Largest gain from input to model error in any record. It is a lower bound on the
         incremental gain of the model error."""
         if not self.plant_comes_to_rest:
@@ -156,7 +156,7 @@ def measure_mismatch(
     repeating = [errors for errors in moving if errors.period is not None]
     periodic = [errors for errors in repeating if not repeats_one_line(errors)]
     noise = estimate_noise(periodic) if periodic else None
-    largest = max(periodic or moving, key=RecordErrors.strength)
+    largest = max(periodic or moving, key=RecordErrors.mean_square_input)
     views = [error_from_averages(moving)]
     if noise is not None:
         views = _errors_from_periods(periodic, repeating, noise)
@@ -189,10 +189,10 @@ def measure_mismatch(
 
 def _errors_from_periods(periodic: Records, repeating: Records, noise: BandPowers) -> list[View]:
     """Model error at the amplitude of each record with two periods, single sines included."""
-    strength = max(errors.strength() for errors in periodic)
+    strength = max(errors.mean_square_input() for errors in periodic)
     views = []
     for errors in periodic:
-        is_largest = errors.strength() == strength
+        is_largest = errors.mean_square_input() == strength
         views.append(error_from_periods(errors, is_largest, noise))
     views = sorted(views, key=lambda view: view.amplitude)
     sines = [measure_sine_error(errors, noise) for errors in steady_sines(repeating)]

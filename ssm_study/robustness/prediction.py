@@ -363,7 +363,7 @@ def output_peak_from_noise(model: Model, pair: Gains, balls: Balls, mismatch: Mi
     response = np.interp(noise_amplitude, amplitudes, responses)
     if response < HOLDS:
         return 0.0
-    return PEAK * float(at_output) / mismatch.band
+    return PEAK * float(at_output) / mismatch.scaled_settling_band
 
 
 def _linearise_at_equilibrium(model: Model, pair: Gains, balls: Balls) -> tuple[StateSpace, Gains]:

@@ -111,7 +111,7 @@ class RecordErrors:
         mean_square = (self.u**2).mean()
         return float(np.sqrt(mean_square))
 
-    def strength(self) -> float:
+    def mean_square_input(self) -> float:
         """Mean square of the input."""
         mean_square = (self.u**2).mean()
         return float(mean_square)
@@ -133,7 +133,7 @@ class RecordErrors:
         standard_error = deviation / np.sqrt(len(ratios))
         return 0.5 * float(standard_error)  # half: of g, not of g^2
 
-    def periods(self, signal: Float[np.ndarray, "T c"]) -> Complex[np.ndarray, "2 L c"]:
+    def period_spectra(self, signal: Float[np.ndarray, "T c"]) -> Complex[np.ndarray, "2 L c"]:
         """Fourier transforms of both periods of a signal."""
         assert self.period is not None
         end = self.start + 2 * self.period
@@ -142,12 +142,12 @@ class RecordErrors:
         transforms = np.fft.rfft(both_periods, axis=1)
         return np.asarray(transforms)
 
-    def spectra(self) -> Spectra:
+    def error_spectra(self) -> Spectra:
         """Fourier transforms of both periods of the error, and of input and model output in the
         second period."""
-        of_error = self.periods(self.e)
-        _, of_input = self.periods(self.u)
-        _, of_model = self.periods(self.model)
+        of_error = self.period_spectra(self.e)
+        _, of_input = self.period_spectra(self.u)
+        _, of_model = self.period_spectra(self.model)
         return of_error, of_input, of_model
 
 
@@ -263,7 +263,7 @@ def estimate_noise(records: list[RecordErrors]) -> BandGains:
     at all amplitudes, so that the median over the records is used."""
     powers = []
     for record in records:
-        both_periods, *_ = record.spectra()
+        both_periods, *_ = record.error_spectra()
         first, second = both_periods
         noise_lines = total_power(first - second) / 2
         powers.append(band_means(noise_lines) / record.period)
@@ -278,7 +278,7 @@ def error_from_periods(record: RecordErrors, sure: bool, noise: BandGains) -> Vi
     noise included. Averaged over the M lines of a band its variance is `(S_n^2 / 2 + S_n S_e) / M`.
     Below the largest amplitude only what exceeds `SURE` of its standard deviations counts.
     """
-    both_periods, drive, model = record.spectra()
+    both_periods, drive, model = record.error_spectra()
     first, second = both_periods
     noise_power = noise * record.period
     _, lines = sort_lines_into_bands(len(drive))

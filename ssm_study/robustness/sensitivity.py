@@ -65,7 +65,7 @@ def _freeze_neurons(
         yield system, pair
         return
     if at is None:
-        at = system.corners(MOST_CORNERS)
+        at = system.slope_corners(MOST_CORNERS)
     for slopes in at:
         own_gains = pair
         if pair.l_z is not None:

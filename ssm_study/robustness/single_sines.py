@@ -44,7 +44,7 @@ def repeats_one_line(errors: RecordErrors) -> bool:
 
 def _input_power_at_lines(errors: RecordErrors) -> Float[np.ndarray, "L"]:
     """Power of a record's input at each spectral line of its second period."""
-    _, second_period = errors.periods(errors.u)
+    _, second_period = errors.period_spectra(errors.u)
     power = np.abs(second_period) ** 2
     return np.asarray(power.sum(axis=1))
 
@@ -86,7 +86,7 @@ def measure_sine_error(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> S
     drive = _input_power_at_lines(errors)
     line = 1 + int(drive[1:].argmax())
     angle = 2 * np.pi * line / errors.period
-    first, second = errors.periods(errors.e)[:, line]
+    first, second = errors.period_spectra(errors.e)[:, line]
     product = (first * second.conj()).real
     repeating_power = product.sum()
     repeats = max(float(repeating_power), 0.0)

@@ -207,8 +207,8 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
         yield from check_start_states(run, records, split)
     yield Derived(initial_state_columns(run.model, records, run.simulated.test))
     yield Derived(member_columns(read_averaged_models(run.path), records))
-    if records.mismatch_records or run.trials:
-        pairs = record_signal_pairs(run.trials, records.mismatch_records)
+    if records.mismatch_records or run.mismatch_records:
+        pairs = record_signal_pairs(run.mismatch_records, records.mismatch_records)
         yield check_agreement(f"{TRIALS} records", pairs, ITERATED, "made again alike")
     if run.claims_certificate:
         judged = evidence_columns(run.judgement)

@@ -79,7 +79,7 @@ def check_certificate(run: RunFiles) -> Claims:
     facts = design_columns(design, run.model, balls, mismatch)
     facts |= recompute_coverage_columns(run)
     if "predicted_faster" in run.record:
-        records = run.simulated.validation.records, run.trials
+        records = run.simulated.validation.records, run.mismatch_records
         facts |= faster_response_column(design, run.model, mismatch, *records)
     facts |= recompute_sine_columns(run, balls, mismatch)
     yield Derived(withhold_predictions(facts, run.record.get("evidence")))
@@ -155,7 +155,7 @@ def remeasure_mismatch(run: RunFiles) -> Any:
     """Measure the model error again from the run's own recordings."""
     validation = run.simulated.validation
     measure = mismatch_behind_map if run.design.inverts_input_map else measure_mismatch
-    return measure(run.model, validation.records, validation.start_up_samples, run.trials)
+    return measure(run.model, validation.records, validation.start_up_samples, run.mismatch_records)
 
 
 def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
@@ -167,8 +167,10 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
         return {}  # a run of before these columns claims nothing of them
     validation = run.simulated.validation
     start_up = validation.start_up_samples
-    mismatch = measure_mismatch(run.model, validation.records, start_up, run.trials)
-    premise = measure_premise(run.model, validation.records, mismatch, start_up, run.trials)
+    mismatch = measure_mismatch(run.model, validation.records, start_up, run.mismatch_records)
+    premise = measure_premise(
+        run.model, validation.records, mismatch, start_up, run.mismatch_records
+    )
     fresh = None
     if run.specification.plant is None:
         test = run.simulated.test

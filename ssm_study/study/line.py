@@ -64,7 +64,7 @@ class Study(Task["Specification"]):
 
         return input_files(settings)
 
-    def check(self, settings: Settings) -> "Specification":
+    def build_request(self, settings: Settings) -> "Specification":
         """Build the specification of a run from its settings. Raises `BadRequest` for every mistake
         that can be seen before work begins.
 

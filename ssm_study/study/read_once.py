@@ -23,7 +23,7 @@ _DATA_SETS: "OrderedDict[Key, DataSet]" = OrderedDict()
 
 def read_data_set(source: "RecordedSource", seed: int) -> "DataSet":
     """Data set of a recorded source, read again only if a file has changed."""
-    key = (repr(source), seed, *_file_checksums(source.files()))
+    key = (repr(source), seed, *_file_checksums(source.data_files()))
     if key not in _DATA_SETS:
         _DATA_SETS[key] = source.build(seed)
     _DATA_SETS.move_to_end(key)

@@ -53,7 +53,7 @@ def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[S
             yield Step(said=trial.end_sentence)
             return
         config = _next_configuration(files, log)
-        outcome: Outcome = STUDY.job(config)
+        outcome: Outcome = STUDY.run_job(config)
         child = RunFiles(path=outcome.folder, record=read_record(outcome.folder) or {})
         sentence = _outcome_sentence(child, trial, outcome)
         yield Step(said=sentence, config=config)
@@ -150,7 +150,7 @@ def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
         data: Any = files.specification.data
         trial = read_logs([str(log)], data, files.model.step_s)
     validation = files.simulated.validation
-    open_loop = tuple(record for record in files.trials if not record.closed_loop)
+    open_loop = tuple(record for record in files.mismatch_records if not record.closed_loop)
     measured = (validation.records, validation.start_up_samples, open_loop + trial)
     mismatch = measure_mismatch(files.model, *measured)
     if mismatch.loop is None:

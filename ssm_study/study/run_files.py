@@ -113,7 +113,7 @@ class RunFiles:
         return self.simulated.model
 
     @cached_property
-    def trials(self) -> Trajectories:
+    def mismatch_records(self) -> Trajectories:
         """Records that only serve to measure the model error."""
         return read_mismatch_records(self.path)
 

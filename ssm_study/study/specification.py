@@ -217,7 +217,7 @@ def input_files(settings: Mapping[str, Any]) -> list[Path]:
     """
     data = settings.get("data", {})
     is_recorded = data and not str(data.get("_target_", "")).endswith(".SimulatedData")
-    files = set(construct_part("data", data).files() if is_recorded else ())
+    files = set(construct_part("data", data).data_files() if is_recorded else ())
     for _, key, value in walk_nodes(settings):
         is_list = isinstance(value, list)
         if key != "path" and not (key == "refine" and is_list):

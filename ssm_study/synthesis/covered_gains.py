@@ -192,7 +192,11 @@ class GainSearch:
         """Settling time with each of the proposed gains, relative to that of the recorded
         decays."""
         ratios = largest_settling_time_ratios(
-            self.model, stack_gains(proposals), self.decays, self.mismatch.band, self.limits
+            self.model,
+            stack_gains(proposals),
+            self.decays,
+            self.mismatch.scaled_settling_band,
+            self.limits,
         )
         return [float(ratio) for ratio in ratios]
 

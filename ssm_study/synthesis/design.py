@@ -357,7 +357,7 @@ class Synthesis(ABC):
         if refused := request.infeasible_beyond_limit():
             return refused
         problem = self.problem(system, ball, theorem.observes)
-        return request.first_certified_solution(problem, self.attempts(problem, limit))
+        return request.first_certified_solution(problem, self.solution_attempts(problem, limit))
 
     def problem(self, system: System, ball: JacobianBall, observes: bool = False) -> Problem:
         """Synthesis problem of the controller or, on the dual system, of the observer."""
@@ -374,7 +374,9 @@ class Synthesis(ABC):
             data["neurons"] = Neurons(e=system.e, f=system.f, g=system.g, observes=observes)
         return Problem(**data, ball=ball, rate=rate)
 
-    def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
+    def solution_attempts(
+        self, problem: Problem, frontier: Frontier
+    ) -> list[Callable[[], Solution]]:
         """Functions that solve the problem at the requested rate and at larger rates, which leave
         more margin."""
         r = problem.contraction

@@ -116,7 +116,7 @@ class ExpectedResponse:
             return
         gains = self.candidates.gains(pairs)
         areas = relative_response_areas(self.model, gains, validation, limits)
-        band = self.mismatch.band
+        band = self.mismatch.scaled_settling_band
         ratios = largest_settling_time_ratios(self.model, gains, self.decays, band, limits)
         slow = np.maximum(areas, ratios) >= FASTER
         angles = FINE_ANGLES[::2]
@@ -164,7 +164,9 @@ def predicts_faster_response(
     single_pair = replace(pair, k=k, l=pair.l[None], l_z=l_z)
     area = relative_response_areas(model, single_pair, validation)[0]
     decays = simulate_decays(model, trials, validation)
-    ratio = largest_settling_time_ratios(model, single_pair, decays, mismatch.band)[0]
+    ratio = largest_settling_time_ratios(model, single_pair, decays, mismatch.scaled_settling_band)[
+        0
+    ]
     return bool(max(area, ratio) < FASTER)
 
 

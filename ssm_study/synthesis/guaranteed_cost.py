@@ -179,10 +179,12 @@ class RiccatiSynthesis(Synthesis):
         near = self.near.get(observes)
         return least_cost(problem, near)
 
-    def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
+    def solution_attempts(
+        self, problem: Problem, frontier: Frontier
+    ) -> list[Callable[[], Solution]]:
         """Functions that solve the problem for the given weights, and near the largest rate by the
         minimum-energy gain."""
-        weighted = super().attempts(problem, frontier)[:WEIGHTED_ATTEMPTS]
+        weighted = super().solution_attempts(problem, frontier)[:WEIGHTED_ATTEMPTS]
         if problem.neurons is not None:
             from ssm_study.synthesis.structured_lmi import StructuredLmi
 

@@ -191,7 +191,7 @@ def mismatch_columns(mismatch: Mismatch) -> dict[str, Any]:
     """Columns of the model error that the records show."""
     facts: dict[str, Any] = {
         "mismatch_gain": mismatch.gain,
-        "mismatch_seen": mismatch.seen,
+        "mismatch_seen": mismatch.largest_recorded_gain,
         "mismatch_spread": mismatch.spread,
     }
     if mismatch.loop is not None:

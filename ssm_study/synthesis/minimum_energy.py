@@ -159,5 +159,9 @@ class ClosedFormSynthesis(Synthesis):
     def solve(self, problem: Problem) -> Solution:
         return minimum_energy_solution(problem)
 
-    def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:  # noqa: ARG002
+    def solution_attempts(
+        self,
+        problem: Problem,
+        frontier: Frontier,  # noqa: ARG002
+    ) -> list[Callable[[], Solution]]:
         return minimum_energy_attempts(problem)

@@ -215,7 +215,7 @@ class SimulationProblem:
     ) -> tuple[Float[np.ndarray, "N T p"], dict[str, Float[np.ndarray, "N T p _"]]]:
         """Simulated output, and its derivatives with respect to the parameters of each block."""
         u, target, _ = self.records
-        v, _, by_input_map = self.lift.derivatives(theta["scaffold_in"], u)
+        v, _, by_input_map = self.lift.values_and_derivatives(theta["scaffold_in"], u)
         x0, begun = self.initial_conditions(theta)
         y, columns = simulate_with_sensitivities(
             self.matrices(theta), v, x0, by_input_map, self.lift.parameter_channels
@@ -227,7 +227,7 @@ class SimulationProblem:
             return y, {name: running_sum(part) for name, part in columns.items()}
         if not self.read.knots:
             return y, columns
-        y, slope, by_output_map = self.read.derivatives(theta["scaffold_out"], y)
+        y, slope, by_output_map = self.read.values_and_derivatives(theta["scaffold_out"], y)
         columns = {name: slope[..., None] * part for name, part in columns.items()}
         outputs = np.arange(target.shape[-1])[:, None]
         is_own = self.read.parameter_channels == outputs

@@ -90,11 +90,11 @@ def test_an_amplitude_of_the_excitation_moves_the_training_records_alone_and_say
     with pytest.warns(
         TrainingAlone, match="validation, test and trials are at the plant's own amplitude"
     ):
-        STUDY.check(STUDY.settings(asked))
+        STUDY.build_request(STUDY.settings(asked))
     with warnings.catch_warnings():
         warnings.simplefilter("error", TrainingAlone)
         dict_config = compose_configuration(["experiment=smoke"])
-        STUDY.check(STUDY.settings(dict_config))
+        STUDY.build_request(STUDY.settings(dict_config))
 
 
 @pytest.mark.parametrize("plant", choices("plant"))

@@ -73,7 +73,7 @@ def test_the_asked_rate_comes_first_and_repairs_lie_inside_the_room(ball: Jacobi
 
     asked = problem(ball)
     noting = Noting(rate_controller=0.1, rate_observer=0.1)
-    attempts: list[Callable[[], Solution]] = super(RiccatiSynthesis, noting).attempts(
+    attempts: list[Callable[[], Solution]] = super(RiccatiSynthesis, noting).solution_attempts(
         asked, limits(asked)
     )
     for attempt in attempts:
@@ -118,7 +118,7 @@ def test_the_weights_are_tried_at_the_asked_rate_and_two_faster_ones_before_the_
 ):
     asked = problem(BALLS[1])
     method = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
-    attempts = method.attempts(asked, limits(asked))[:5]
+    attempts = method.solution_attempts(asked, limits(asked))[:5]
     said = [attempt().status.split()[0] for attempt in attempts]
     expected = ["tau", "tau", "tau", "minimum", "minimum"]
     assert said == expected

@@ -109,7 +109,7 @@ def test_an_object_that_cannot_be_read_is_skipped_by_name(tmp_path: Path) -> Non
     np.testing.assert_array_equal(actual, u)
     with pytest.raises(BadRequest, match=r"\(variable\) = tt: is an object"):
         MatReader().read(tmp_path / "a.mat", ["tt"])
-    contents = MatReader().contents(tmp_path / "a.mat")
+    contents = MatReader().read_all_columns(tmp_path / "a.mat")
     columns = list(contents.columns)
     expected = ["z.InputData", "u", "m:1", "m:2"]
     assert columns == expected

@@ -57,7 +57,7 @@ def test_a_file_of_version_7_3_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(actual, Y)
     columns = MatReader().read(path, ["data:1", "data:2"]).columns
     np.testing.assert_array_equal(columns["data:2"], Y)
-    skipped = MatReader().contents(path).skipped
+    skipped = MatReader().read_all_columns(path).skipped
     expected = {
         "note": "is text, not real numbers",
         "stamp": "is an object, not real numbers",

@@ -103,7 +103,7 @@ def test_the_servo_of_the_record_is_the_published_one(rehearsed) -> None:  # typ
 def test_a_rehearsal_opens_no_test_file_and_asks_more_than_the_training_record(rehearsed) -> None:  # type: ignore[no-untyped-def]
     source = rehearsed("experiments.test.0.path=nowhere.mat", "rehearsals=2")
     data = source.build(0)
-    paths = source.files()
+    paths = source.data_files()
     names = [path.name for path in paths]
     assert names == ["DATA_EMPS.mat"]
     expected = [len(data.training[0])] * 2

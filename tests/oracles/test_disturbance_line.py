@@ -163,7 +163,7 @@ def test_c_with_neurons_and_two_loads(tmp_path: Path) -> None:
     observer_feedback_gains = Gains(**gains)
     law = ObserverFeedback(model=model, gains=observer_feedback_gains)
     reference = model.scale.output_equilibrium[None]
-    plan = law.targets(reference)
+    plan = law.reference_targets(reference)
     target = plan[0]
     memory = law.initial_memory(1)
     x = np.zeros(3)

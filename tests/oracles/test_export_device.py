@@ -117,7 +117,7 @@ def test_the_law_is_the_python_loop(
     design = Design.load(certificate_path)
     law = ObserverFeedback.from_design(model, design)
     y, r = signals(model, channels)
-    targets = law.targets(r)
+    targets = law.reference_targets(r)
     points = set_point_equilibria(model, r)
     targets[:, : points.shape[1]] = points
     targets[:, points.shape[1] :] = r

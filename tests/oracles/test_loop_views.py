@@ -244,7 +244,7 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
         pair = motor_design().pair
         margin = predict_margins(model, pair, BALLS, shown).resolved_margin
         assert (margin > 0) == rests
-        assert np.isfinite(shown.seen) == rests
+        assert np.isfinite(shown.largest_recorded_gain) == rests
 
 
 def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and_slow_returns():

@@ -82,7 +82,7 @@ def test_the_observer_is_told_the_load() -> None:
     told = np.ones((1, 3))
     untold = np.ones((1, 3))
     reference = model.scale.output_equilibrium[None]
-    plan = law.targets(reference)
+    plan = law.reference_targets(reference)
     target = plan[0]
     for d in far_disturbance(model, 30):
         y = model.output_at(x, np.zeros((1, 1)))

@@ -64,7 +64,7 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
     limit_upper = design.record["limit_upper"]
     limits = (limit_lower, limit_upper)
     reference = np.zeros((1, 1))
-    plan = law.targets(reference)
+    plan = law.reference_targets(reference)
     rest = plan[0]
     for start in (0.2, -2.0):  # from positions far beyond one step
         x = np.array([0.0, start])

@@ -77,7 +77,7 @@ def hidden(tmp_path_factory) -> DictConfig:
 
 @pytest.fixture(scope="module")
 def first(hidden: DictConfig) -> Path:
-    return STUDY.job(hidden).folder
+    return STUDY.run_job(hidden).folder
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +134,7 @@ def test_a_sweep_over_iterations_finds_the_same_run(hidden, second):
     config = hidden.copy()
     config.refine = 1
     assert config.run == second.name
-    outcome = STUDY.job(config)
+    outcome = STUDY.run_job(config)
     assert outcome.did == "found"
     assert outcome.folder == second
 
@@ -218,7 +218,7 @@ def test_the_log_of_a_trial_that_oscillates_changes_the_choice(logged, tmp_path,
     text = log.read_text()
     log.write_text(text + "0,0\n")
     with pytest.raises(BadRequest, match=r"trial\.csv changed since this run was done"):
-        STUDY.job(next(step.config for step in refine(logged, log)))
+        STUDY.run_job(next(step.config for step in refine(logged, log)))
 
 
 def test_the_log_of_a_trial_that_rests_changes_nothing(logged, tmp_path):
@@ -274,7 +274,7 @@ def test_iterations_that_are_no_count_are_refused(asked, hidden):
     with open_dict(config):
         config.refine = asked
     with pytest.raises(BadRequest, match="refine"):
-        STUDY.job(config)
+        STUDY.run_job(config)
 
 
 def test_the_parent_keeps_what_stands_before_the_hash(hidden):

@@ -232,6 +232,6 @@ def test_integrators_are_states_like_others() -> None:
     found = least_cost(problem)
     assert is_confirmed_exactly(problem, found)
     assert sampled(system, "state_feedback", WIDE, found) <= problem.contraction
-    linears = map(system.linearise_at_slopes, system.corners())
+    linears = map(system.linearise_at_slopes, system.slope_corners())
     alone = [linear.a for linear in linears]
     assert all(np.abs(np.linalg.eigvals(a)).max() > 1 - 1e-12 for a in alone)

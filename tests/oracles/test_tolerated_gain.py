@@ -120,7 +120,7 @@ def test_frozen_slopes_lose_the_loop_above_and_never_below(seed: int, h: float) 
     names = ("k", "l", "l_z")
     k, l, l_z = (known.gains[name] for name in names)  # noqa: E741
     peaks = []
-    for slopes in system.corners():
+    for slopes in system.slope_corners():
         injected = l + (system.e * slopes) @ l_z
         for slope in (0.6, 0.8, 1.0):
             linear = system.linearise_at_slopes(slopes)

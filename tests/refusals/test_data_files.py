@@ -209,10 +209,10 @@ def test_input_and_output_in_two_files(tmp_path: Path) -> None:
     assert name == "input_value"
     name = built.outputs[0].name
     assert name == "output_value"
-    paths = source.files()
+    paths = source.data_files()
     names = [path.name for path in paths]
     assert names == ["in.csv", "out.csv"]
-    paths = source.files()
+    paths = source.data_files()
     files = [str(path) for path in paths]
     columns = {"value": "speed"}
     y.rename(columns=columns).to_csv(files[1], index=False)

@@ -156,7 +156,7 @@ def test_a_cluster_may_have_what_this_machine_lacks(
     config = compose_configuration(["experiment=smoke", "training.accelerator=none"])
     hydra_config = HydraConfig.instance()
     monkeypatch.setattr(hydra_config, "cfg", there)
-    study = STUDY.check(STUDY.settings(config))
+    study = STUDY.build_request(STUDY.settings(config))
     training = study.training
     accelerator = training.accelerator
     assert accelerator == "none"

@@ -44,9 +44,11 @@ class Reserved(Synthesis):
     def solve(self, problem: Problem) -> Solution:
         return guaranteed_cost(problem)
 
-    def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
+    def solution_attempts(
+        self, problem: Problem, frontier: Frontier
+    ) -> list[Callable[[], Solution]]:
         faster = problem.rate + self.reserve * (min(frontier.rate_limit, 1.0) - problem.rate)
         return [
             partial(self.solve, replace(problem, rate=faster)),
-            *super().attempts(problem, frontier),
+            *super().solution_attempts(problem, frontier),
         ]

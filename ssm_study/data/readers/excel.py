@@ -18,8 +18,8 @@ class ExcelReader(Reader, names=(".xlsx", ".xls", ".ods", ".xlsm")):
     def read(self, path: Path, names: list[str]) -> Table:
         return self._text_reader(path).read(path, names)
 
-    def contents(self, path: Path) -> Table:
-        return self._text_reader(path).contents(path)
+    def read_all_columns(self, path: Path) -> Table:
+        return self._text_reader(path).read_all_columns(path)
 
     def _text_reader(self, path: Path) -> TextReader:
         """Convert the first sheet to CSV text, and return a reader of that text."""

@@ -101,7 +101,7 @@ class MatReader(Reader, names=(".mat",)):
         remark = f"its Ts is {step_s:g} s" if step_s is not None else ""
         return Table(columns=chosen, step_s=step_s, remark=remark)
 
-    def contents(self, path: Path) -> Table:
+    def read_all_columns(self, path: Path) -> Table:
         columns, skipped, _ = read_numeric_variables(path)
         length = max(map(len, columns.values()), default=0)
         others = [name for name, values in columns.items() if len(values) != length]

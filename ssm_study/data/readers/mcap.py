@@ -49,7 +49,7 @@ class McapReader(Reader, names=(".mcap",)):
             require(together, f"{path.name} (topic of)", name, problem, remedy)
         return Table(columns=columns, units=units, time_s=time_s, row_word="message")
 
-    def contents(self, path: Path) -> Table:
+    def read_all_columns(self, path: Path) -> Table:
         """Read every number field of all topics that share the times of the first topic."""
         groups, _ = read_mcap(path)
         first = groups[0].time_s

@@ -48,7 +48,7 @@ class ParquetReader(Reader, names=(".parquet",)):
         dated = {name for name, kind in kinds.items() if pa.types.is_timestamp(kind)}
         return Table(columns=columns, units=units, row_word="row", dated=frozenset(dated))
 
-    def contents(self, path: Path) -> Table:
+    def read_all_columns(self, path: Path) -> Table:
         """Read every column of numbers or times, and list the other columns as skipped."""
         try:
             schema = parquet.read_schema(path)

@@ -72,7 +72,7 @@ class Reader(Family):
         """Read the named columns of a log file. Raises `BadRequest` for a file that is not whole, a
         missing or ambiguous column."""
 
-    def contents(self, path: Path) -> Table:
+    def read_all_columns(self, path: Path) -> Table:
         """Read every readable column of a log file, in the order of the file. Refuses a file that
         is not whole."""
         problem = f"the reader of {path.suffix} files lists no columns"

@@ -70,7 +70,7 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
             dated=date_column_names(table, places),
         )
 
-    def contents(self, path: Path) -> Table:
+    def read_all_columns(self, path: Path) -> Table:
         layout, table = self._parse_file(path)
         titles = column_titles(layout)
         units = column_units(layout)

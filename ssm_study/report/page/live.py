@@ -64,7 +64,7 @@ class LivePage:
         marks = sorted((name, *mark) for name, mark in record_marks(self.study).items())
         return str(hash(tuple(marks)))
 
-    def state(self) -> dict[str, str]:
+    def page_state(self) -> dict[str, str]:
         """State of the study for the page's script: its progress, and a text that changes with the
         records."""
         records = (read_record(path.parent) for path in self.study.glob(f"*/{RECORD}"))
@@ -100,7 +100,7 @@ def _create_handler(live: LivePage) -> type[BaseHTTPRequestHandler]:
     """Class that answers the HTTP requests for one live page."""
     answers: dict[str, tuple[str, Callable[[], str]]] = {
         "/": ("text/html; charset=utf-8", live.page),
-        "/state": ("application/json", lambda: json.dumps(live.state())),
+        "/state": ("application/json", lambda: json.dumps(live.page_state())),
     }
 
     class Handler(BaseHTTPRequestHandler):
