@@ -32,7 +32,9 @@ def run_command_on_folder(action: Command, subject: str, options: argparse.Names
         "run": folders.find_run_folder,
         "study_or_run": folders.find_study_or_run,
     }[subject]
-    setattr(options, subject, find_folder(getattr(options, subject)))
+    path = getattr(options, subject)
+    if not (action in OF_A_DESIGN and (path / DESIGN_CHANNELS).is_file()):
+        setattr(options, subject, find_folder(path))
     return action(options)
 
 
@@ -187,11 +189,29 @@ def export_controller(options: argparse.Namespace) -> None:
     if not options.yes and not may_overwrite(options.to):
         print("nothing written")
         return
-    paths = write_controller(options.run, options.to, real=options.real, prefix=options.prefix)
+    if (options.run / DESIGN_CHANNELS).is_file():
+        paths = export_rest_design(options)
+    else:
+        paths = write_controller(options.run, options.to, real=options.real, prefix=options.prefix)
     for path in paths:
         print(path)
     for warning in export_warnings(options.run, options.to / f"{options.prefix}.h"):
         print(warning)
+
+
+def export_rest_design(options: argparse.Namespace) -> list[Path]:
+    """Write the controller of a saved design for a model with products of input and state."""
+    from ssm_study.api.rest_design import RestDesign
+
+    design = RestDesign.load(options.run)
+    options.to.mkdir(parents=True, exist_ok=True)
+    header = design.to_c(options.to / f"{options.prefix}.h", real=options.real)
+    return [header, header.with_name(f"{options.prefix}_replay.c")]
+
+
+# Commands that take a saved design without a run, which this file in its folder tells.
+OF_A_DESIGN = (verify_run, export_controller)
+DESIGN_CHANNELS = "channels.json"
 
 
 def export_warnings(run: Path, header_path: Path) -> list[str]:

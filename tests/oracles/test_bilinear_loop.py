@@ -16,6 +16,7 @@ from ssm_study.certificates.bilinear_certificates import RestCertificates, faile
 from ssm_study.certificates.theorems.bilinear_contraction import BilinearContraction
 from ssm_study.certificates.theorems.bilinear_everywhere import BilinearEverywhere
 from ssm_study.certificates.theorems.bilinear_loop import BilinearLoop
+from ssm_study.cli.main import main
 from ssm_study.loop.bilinear_feedback import BilinearFeedback, advance_states
 from ssm_study.models.bilinear import Bilinear
 from ssm_study.refusal import BadRequest
@@ -205,6 +206,23 @@ def test_a_stored_design_is_verified_and_a_lie_is_named(
     assert any("in exact arithmetic the inequality fails" in words for words in failing)
     with pytest.raises(BadRequest, match="in exact arithmetic the inequality fails"):
         RestDesign.load(folder)
+
+
+def test_the_commands_take_a_saved_design(
+    certificates: RestCertificates, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
+    folder = design.save(tmp_path / "design")
+    assert main(["verify", str(folder)]) == 0
+    assert "3 of 3 claims hold" in capsys.readouterr().out
+    to = tmp_path / "c"
+    assert main(["export", str(folder), "--to", str(to)]) == 0
+    assert "No set points" in capsys.readouterr().out
+    header = to / "controller.h"
+    expected = design.to_c(tmp_path / "controller.h").read_text()
+    assert header.read_text() == expected
+    assert main(["refine", str(folder)]) == 2
+    assert "there is no record.json" in capsys.readouterr().err
 
 
 def test_a_certificate_of_another_model_or_gain_is_refused(certificates: RestCertificates) -> None:

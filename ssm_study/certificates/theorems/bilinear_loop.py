@@ -5,7 +5,8 @@ Problem. `x+ = sum_i theta_i(v) (A_i x + b_i)`, `w = C x`, one input v, hat func
 nodes `v_1 < ... < v_q`, `b_i = 0` at the node zero. `v = K xh`, `xh+ = sum_i theta_i(v) (A_i xh +
 b_i + L_i (C xh - w))`: does the loop come to rest, and from where?
 
-Hypotheses. The input acts as computed, and the plant is the model. Zero lies between two nodes.
+Hypotheses. The input acts as computed, and the plant is the model. Zero lies between two nodes;
+that b is zero there is checked where the model is read.
 
 Statement. With `D_k = v_{k+1} - v_k` and `B_k = (b_{k+1} - b_k) / D_k`, let for all i and k
 
