@@ -8,7 +8,7 @@ Every log is read and fitted as the plain command does (`data=recorded`, all els
 `aside` are the kinds of `log_kinds_aside.py`. One row a log and seed goes into
 `log_choice_kinds.csv`, `log_choice_aside.csv` or `log_choice_real.csv` of
 `results/reference/training`: the fit to the test part of the model and of the best of ARX, output
-error and polynomial NARX (`models.baselines.regression.fit_best_baseline`), the largest rate of a
+error and polynomial NARX (`models.best_baseline.fit_best_baseline`), the largest rate of a
 certified state feedback, the processor seconds, and what was chosen. With `--plain` also those of
 `model=structured` with its own defaults, which chooses nothing. Rows that are there are not made
 again. One to three minutes a log on a busy core.
@@ -36,7 +36,7 @@ from log_kinds import KINDS, LogKind
 from log_kinds_aside import KINDS as KINDS_ASIDE
 
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.models.baselines.regression import fit_best_baseline
+from ssm_study.models.best_baseline import fit_best_baseline
 from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.signals import DataSet
 from ssm_study.synthesis.model_selection import largest_certifiable_rate

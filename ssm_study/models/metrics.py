@@ -86,6 +86,20 @@ COLUMNS = (
         "%",
         unchecked=A_COMPARISON,
     ),
+    Column(
+        "fit_baseline_lowest_percent",
+        "Float64",
+        word="Lowest test fit of baselines that validate as well",
+        unit="%",
+        unchecked=A_COMPARISON,
+    ),
+    Column(
+        "fit_baseline_highest_percent",
+        "Float64",
+        word="Highest test fit of baselines that validate as well",
+        unit="%",
+        unchecked=A_COMPARISON,
+    ),
     Column("baseline", "string", word="Best baseline", unchecked=A_COMPARISON),
     Column("score_test_*", "Float64", "low", word="Benchmark score"),
 )

@@ -22,6 +22,7 @@ WIDTH = 80
 MISSING = "–"
 TRAINED_ON_VALIDATION = "trained on the training and validation records"
 AHEAD = 0.1  # percent points of fit, which are printed, from which on a baseline is better
+WIDE_SPREAD = 5.0  # points between the test fits of baselines that validate as well
 # A simulated plant's loop knows given limits alone; the exported code, for want of others, the
 # range of the records.
 LIMITS_OF = {False: "Within input limits", True: "Exported, within limits"}
@@ -158,12 +159,25 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def baseline_text(record: Mapping[str, Any]) -> str:
-    """Text with the test fit of the best of a few simple models, and whether it predicts better."""
+    """Text with the test fit of the best of a few simple models, those of others that validate as
+    well, and whether the best predicts better than the model."""
     fit = record.get("fit_baseline_percent")
     own = record.get("fit_test_percent")
     text = f"{format_column(record, 'fit_baseline_percent', '.1f', ' %')}, {record.get('baseline')}"
+    spread = baseline_spread_text(record)
     is_ahead = fit is not None and own is not None and fit - own >= AHEAD
-    return f"{text}: it predicts better than this model" if is_ahead else text
+    return f"{text}{spread}: it predicts better than this model" if is_ahead else text + spread
+
+
+def baseline_spread_text(record: Mapping[str, Any]) -> str:
+    """Text with the range of test fits of baselines that validate within a point of the best; empty
+    if that range is narrow."""
+    highest = record.get("fit_baseline_highest_percent")
+    lowest = record.get("fit_baseline_lowest_percent")
+    if highest is None or (lowest is not None and highest - lowest < WIDE_SPREAD):
+        return ""
+    least = "divergence" if lowest is None else f"{lowest:.1f}"
+    return f" ({least} to {highest:.1f} % with those that validate as well)"
 
 
 def log_reading_text(record: Mapping[str, Any]) -> str:

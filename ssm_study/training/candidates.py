@@ -65,9 +65,18 @@ class Candidate:
         is_large = bool(excess.mean() > by * other.mean_error_percent)
         return is_large and (is_consistent or bool(excess.mean() > standard_error))
 
+    def folds_contradict(self, other: "Candidate", by: float = NEARLY) -> bool:
+        """Whether the folds contradict each other on which of two candidates is better.
+
+        One standard error of the difference is then larger than that share of the other's error.
+        """
+        difference = self.errors[: len(other.errors)] - other.errors
+        standard_error = difference.std(ddof=1) / np.sqrt(len(difference))
+        return bool(standard_error > by * other.mean_error_percent)
+
     def fits_far_worse_than(self, other: "Candidate") -> bool:
-        """Whether another candidate fits its training records nearly perfectly and far better than
-        this one.
+        """Whether another candidate fits the records on which it was trained far better than this
+        one, and nearly wholly.
 
         What it leaves unexplained may come from a load that is not in the log; then what it
         explains of that is chance.
@@ -77,9 +86,14 @@ class Candidate:
         return self.training_error > EXPLAINS_LESS * other.training_error
 
     def fails_where_other_predicts(self, other: "Candidate") -> bool:
-        """Whether a candidate predicts some fold no better than the mean, while another predicts
-        all folds better."""
-        return bool(self.errors.max() >= LARGEST_ERROR > other.errors.max())
+        """Whether a candidate predicts some fold no better than the mean, and another predicts all
+        of them better.
+
+        It does not count where the other one explains less of the records: then that fold holds
+        motions that no other has, and the last training has them all.
+        """
+        fails = bool(self.errors.max() >= LARGEST_ERROR > other.errors.max())
+        return fails and not other.fits_far_worse_than(self)
 
     def table_row(self, *, chosen: bool, certified: bool | None) -> Row:
         """Row of the table of candidates. `certified` is None if that was not examined."""
@@ -87,6 +101,8 @@ class Candidate:
         row: Row = {"question": self.question, "model": self.model, **self.settings}
         row["fit_held_out_percent"] = float(fits.mean())
         row["fit_worst_fold_percent"] = float(fits.min())
+        row["fits_of_folds_percent"] = " ".join(f"{fit:.1f}" for fit in fits)
+        row["fit_training_percent"] = 100.0 - self.training_error
         row["folds"] = len(fits)
         row["piece_start"] = self.start
         row["certified"] = certified
@@ -116,15 +132,18 @@ def good_candidates(candidates: Sequence[Candidate], by: float = NEARLY) -> list
     """Candidates, in the given order, that are not clearly worse than the best.
 
     This holds for held-out pieces and for the records on which they were trained; and none fails on
-    a fold while the best does not.
+    a fold while the best does not. Where the folds cannot tell another candidate from the best,
+    that one counts, too, on the training records.
     """
     best = best_candidate(candidates)
-    good = []
-    for candidate in candidates:
-        is_behind = candidate.is_clearly_worse(best, by) or candidate.fits_far_worse_than(best)
-        if candidate is best or not (is_behind or candidate.fails_where_other_predicts(best)):
-            good.append(candidate)
-    return good
+    near = [
+        candidate
+        for candidate in candidates
+        if not (candidate.is_clearly_worse(best, by) or candidate.fails_where_other_predicts(best))
+    ]
+    rivals = [candidate for candidate in near if candidate.folds_contradict(best, by)]
+    explains_most = min([best, *rivals], key=lambda candidate: candidate.training_error)
+    return [candidate for candidate in near if not candidate.fits_far_worse_than(explains_most)]
 
 
 @dataclass

@@ -15,7 +15,7 @@ from ssm_study.signals import DataSet
 from ssm_study.training.choice_of_paths import choose_delay, choose_input_path, choose_integrator
 from ssm_study.training.choice_of_products import choose_products
 from ssm_study.training.choice_of_size import (
-    drop_needless_integrator,
+    judge_integrator,
     other_structures,
     simplest_certifiable_candidate,
     try_model_sizes,
@@ -49,9 +49,9 @@ def iterate_choices(
     search = Search(spec=spec, folds=folds, seed=seed, announce=announce)
     choose_delay(search, data)
     choose_integrator(search, data)
-    drop_needless_integrator(search)
+    also_integrating = judge_integrator(search)
     choose_input_path(search)
-    candidates = try_model_sizes(search)
+    candidates = try_model_sizes(search, also_integrating=also_integrating)
     if not candidates:
         yield search.make_choice(None)
         return

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from ssm_study.models.structured_spec import AUTO
 from ssm_study.training.candidates import (
+    NEARLY,
     Candidate,
     Settings,
     best_candidate,
@@ -12,7 +13,7 @@ from ssm_study.training.candidates import (
     simplest_good_candidate,
 )
 from ssm_study.training.choice_of_paths import DELAY_GAIN, TRIED_SIZE
-from ssm_study.training.search import Search
+from ssm_study.training.search import LINEAR, Search
 
 LINEAR_ORDERS = (1, 2, 3, 4, 6, 8, 10)
 HIGH_LINEAR_ORDERS = (14, 20)  # one by one, while all that are smaller are behind
@@ -31,11 +32,10 @@ INTEGRATING_SIZES: tuple[Settings, ...] = (
     {"order": 3, "neurons": 1, "knots": 0},
     TRIED_SIZE,
 )
-FREE_SIZES: tuple[Settings, ...] = (  # not contracting by construction
-    {"order": 2, "neurons": 2, "knots": 0, "rate": None},
-    {"order": 3, "neurons": 3, "knots": 0, "rate": None},
-    {"order": 2, "neurons": 5, "knots": 0, "rate": None},
-    {"order": 3, "neurons": 5, "knots": 0, "rate": None},
+FREE_ORDERS_AND_NEURONS = ((2, 2), (3, 3), (2, 5), (3, 5))
+FREE_SIZES: tuple[Settings, ...] = tuple(  # not contracting by construction
+    {"order": order, "neurons": neurons, "knots": 0, "rate": None}
+    for order, neurons in FREE_ORDERS_AND_NEURONS
 )
 FREE_GAIN = 0.25  # of the error that a model must remove that need not contract in open loop
 FINALIST = 1.5  # times the best error: candidates nearer than this are trained further
@@ -47,44 +47,75 @@ LARGER: tuple[Settings, ...] = (  # one by one, while all that are smaller are b
 )
 
 
-def drop_needless_integrator(search: Search) -> None:
-    """Decide against an integrator if a model without neurons predicts about as well without one.
+def judge_integrator(search: Search) -> bool:
+    """Compare a model with an integrator to models without neurons, and return whether models with
+    and without an integrator are both to be tried.
 
     The two models that were compared have neurons. Where something acts that is not in the log,
-    both follow it in the records that they are trained on, and are wrong elsewhere.
+    both follow it in the records that they are trained on, and are wrong elsewhere. So the
+    integrator is decided on only if it is clearly better than models without neurons, too. If it is
+    better, but not clearly, models of several sizes with an integrator are trained as well.
     """
     if not (search.has_integrator and search.spec.integrating_output == AUTO):
-        return
+        return False
     with_integrator = search.chosen[-1]
     search.decided["integrating_output"] = False
     simple = try_sizes_without_neurons(search)
     if all(each.is_clearly_worse(with_integrator, DELAY_GAIN) for each in simple):
         search.decided["integrating_output"] = True
-    else:
-        search.chosen.pop()
+        return False
+    search.chosen.pop()
+    return all(with_integrator.mean_error_percent < each.mean_error_percent for each in simple)
 
 
-def try_model_sizes(search: Search) -> list[Candidate]:
-    """Candidates of increasing order, number of neurons and number of break points; empty if all
-    three are set.
+def try_model_sizes(search: Search, *, also_integrating: bool = False) -> list[Candidate]:
+    """Candidates of increasing order, number of neurons and number of break points; empty if all of
+    these are given.
 
-    Linear models of growing order are tried by output error first.
+    Linear models of growing order are tried by output error first. With `also_integrating`,
+    candidates with an integrator come next: one neuron on one state is smaller than one layer.
     """
     if not any(search.is_undecided(name) for name in ("order", "neurons", "knots")):
         return []
     candidates = [] if search.has_integrator else try_sizes_without_neurons(search)
     sizes = INTEGRATING_SIZES if search.has_integrator else SIZES
     candidates += score_sizes(search, "size", sizes)
-    first_order = candidates[0].settings.get("order")  # None where the order is given
+    candidates += try_larger_models(search, candidates)
+    free = try_noncontracting_models(search)
+    contracting = train_finalists(search, candidates)
+    integrating = try_integrating_sizes(search, contracting) if also_integrating else []
+    linear = [candidate for candidate in contracting if candidate.model == LINEAR]
+    larger = [candidate for candidate in contracting if candidate.model != LINEAR]
+    return [*linear, *integrating, *larger, *candidates_far_ahead(free, contracting)]
+
+
+def try_larger_models(search: Search, smaller: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates of high order, one by one, while all that are smaller are behind. The first is
+    tried, too, if a linear model needs more states than the others have."""
+    first_order = smaller[0].settings.get("order")  # None where the order is given
     needs_order = first_order is not None and int(first_order) > int(TRIED_SIZE["order"])
+    candidates = [*smaller]
     for larger in LARGER:
-        if simplest_good_candidate(candidates) is not candidates[-1] and not needs_order:
+        is_last_good = simplest_good_candidate(candidates) is candidates[-1]
+        if not (is_last_good or needs_order):
             break
         needs_order = False
         candidates.append(search.score_structured_model("size", larger))
-    free = try_noncontracting_models(search)
-    contracting = train_finalists(search, candidates)
-    return [*contracting, *candidates_far_ahead(free, contracting)]
+    return candidates[len(smaller) :]
+
+
+def try_integrating_sizes(search: Search, contracting: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates with an integrator that can be certified, if the best of them leads those without
+    one; otherwise none. The best of several sizes are trained further before they are compared.
+
+    They are tried where the folds did not decide between the two.
+    """
+    with_integrator = {"integrating_output": True, "input_path": "none"}
+    sizes = [size | with_integrator for size in INTEGRATING_SIZES]
+    finalists = train_finalists(search, score_sizes(search, "integrator", sizes))
+    most = (1.0 - NEARLY) * best_candidate(contracting).mean_error_percent
+    leading = [candidate for candidate in finalists if candidate.mean_error_percent < most]
+    return [candidate for candidate in leading if search.is_certifiable(candidate)]
 
 
 def try_noncontracting_models(search: Search) -> list[Candidate]:
@@ -138,16 +169,17 @@ def try_sizes_without_neurons(search: Search) -> list[Candidate]:
     order = int(TRIED_SIZE["order"])
     candidates = []
     if search.folds[0].scale.outputs == 1 and search.is_undecided("order"):
-        linear = choose_linear_order(search)
-        order = int(linear.settings["order"])
-        candidates.append(
-            linear
-            if search.allows_linear_model
-            else search.score_structured_model("size", {"order": order, "neurons": 0, "knots": 0})
-        )
+        simplest = choose_linear_order(search)
+        order = int(simplest.settings["order"])
+        if not search.allows_linear_model:
+            without_neurons = {"order": order, "neurons": 0, "knots": 0}
+            simplest = search.score_structured_model("size", without_neurons)
+        candidates.append(simplest)
     least, most = ONE_LAYER_ORDERS
-    one_layer = {"order": min(max(order, least), most), "neurons": 0, "knots": 16}
-    return [*candidates, search.score_structured_model("size", one_layer)]
+    one_layer_order = min(max(order, least), most)
+    one_layer = {"order": one_layer_order, "neurons": 0, "knots": 16}
+    candidates.append(search.score_structured_model("size", one_layer))
+    return candidates
 
 
 def choose_linear_order(search: Search) -> Candidate:
@@ -183,7 +215,11 @@ def other_structures(candidates: Sequence[Candidate], chosen: Candidate) -> list
     Their mean with the chosen one contracts."""
     good = [candidate for candidate in good_candidates(candidates) if candidate is not chosen]
     structured = [candidate for candidate in good if candidate.fits]
-    contracting = [
-        candidate for candidate in structured if candidate.settings.get("rate", 0.0) is not None
-    ]
+    contracting = [candidate for candidate in structured if is_contracting(candidate)]
     return sorted(contracting, key=lambda candidate: candidate.mean_error_percent)
+
+
+def is_contracting(candidate: Candidate) -> bool:
+    """Whether a candidate's models contract by construction: with a rate, without an integrator."""
+    has_rate = candidate.settings.get("rate", 0.0) is not None
+    return has_rate and candidate.settings.get("integrating_output") is not True

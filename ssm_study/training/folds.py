@@ -14,11 +14,10 @@ MOST_SAMPLES = 12_000  # of training and validation together: of longer records,
 
 
 def join_training_and_validation(data: DataSet) -> DataSet:
-    """Data set whose training and validation records are joined. Pieces that follow each other in
-    the same log are joined."""
-    records = sorted(
-        (*data.training, *data.validation), key=lambda record: (record.log, record.first)
-    )
+    """Data set in which training and validation records are one part. Pieces that follow each other
+    in the same log are joined."""
+    both = (*data.training, *data.validation)
+    records = sorted(both, key=lambda record: (record.log, record.first))
     joined = tuple(join_consecutive_records(records))
     return replace(data, training=joined, validation=joined)
 

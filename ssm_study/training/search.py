@@ -156,6 +156,7 @@ class Search:
         self, question: str, model: str, settings: Settings, trial: Trial
     ) -> Candidate:
         """Add a candidate to the list and print its error."""
+        training_error = float(np.median(trial.training_errors))
         candidate = Candidate(
             question=question,
             model=model,
@@ -163,7 +164,7 @@ class Search:
             errors=trial.errors,
             start=trial.best_start_kind,
             example=trial.example,
-            training_error=float(np.median(trial.training_errors)),
+            training_error=training_error,
             fits=tuple(trial.fits),
         )
         self.tried.append(candidate)
@@ -183,13 +184,20 @@ class Search:
     def make_choice(self, candidate: Candidate | None, others: Sequence[Candidate] = ()) -> Choice:
         """Make the choice of all decided settings, with the sizes of a candidate. The mean that
         predicts may have models of the others."""
-        chosen = [*self.chosen] if candidate is None else [*self.chosen, candidate]
+        chosen = [*self.chosen]
+        error = None
+        is_linear = False
+        if candidate is not None:
+            chosen.append(candidate)
+            error = candidate.mean_error_percent
+            is_linear = candidate.model == LINEAR
+        other_specs = tuple(self._decided_spec(other) for other in others)
         return Choice(
             spec=self._decided_spec(candidate),
             rows=self.candidate_rows(chosen),
-            error=None if candidate is None else candidate.mean_error_percent,
-            is_linear=candidate is not None and candidate.model == LINEAR,
-            others=tuple(self._decided_spec(other) for other in others),
+            error=error,
+            is_linear=is_linear,
+            others=other_specs,
         )
 
     def _decided_spec(self, candidate: Candidate | None) -> StructuredSpec:
@@ -205,13 +213,12 @@ class Search:
 
     def candidate_rows(self, chosen: Sequence[Candidate]) -> tuple[Row, ...]:
         """Rows of the table of the candidates that were tried."""
-        return tuple(
-            candidate.table_row(
-                chosen=any(candidate is other for other in chosen),
-                certified=self.certified.get(id(candidate)),
-            )
-            for candidate in self.tried
-        )
+        rows = []
+        for candidate in self.tried:
+            is_chosen = any(candidate is other for other in chosen)
+            is_certified = self.certified.get(id(candidate))
+            rows.append(candidate.table_row(chosen=is_chosen, certified=is_certified))
+        return tuple(rows)
 
 
 def fill_in_defaults(spec: StructuredSpec) -> StructuredSpec:

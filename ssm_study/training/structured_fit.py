@@ -39,6 +39,7 @@ START_SAMPLES = 2000  # of which a start is made: the training goes on with all
 UNPENALISED = 25  # steps before the penalty on the gain's sign
 RACE = 5  # steps of each draw inside the contracting set
 TRUSTED = 0.5  # of its loss: a least-squares start is replaced where random poles come below
+Matrices = dict[str, Float[np.ndarray, "..."]]  # of a model, by their names
 
 
 class StructuredFit(pl.LightningModule):
@@ -279,9 +280,7 @@ class StructuredFit(pl.LightningModule):
         return model if model.neurons else SSM.from_json(model.to_json()), note
 
 
-def append_integrator(
-    parts: dict[str, Float[np.ndarray, "..."]],
-) -> dict[str, Float[np.ndarray, "..."]]:
+def append_integrator(parts: Matrices) -> Matrices:
     """Append an integrator to the output of a recurrence. The running sums are states, and the
     output."""
     a = parts["a"]
@@ -301,9 +300,7 @@ def append_integrator(
     return integrating
 
 
-def split_disturbance_columns(
-    parts: dict[str, Float[np.ndarray, "..."]], inputs: int
-) -> dict[str, Float[np.ndarray, "..."]]:
+def split_disturbance_columns(parts: Matrices, inputs: int) -> Matrices:
     """Split the input matrices into columns of inputs and columns of measured disturbances."""
     split = {name: parts[name][:, :inputs] for name in ("b", "d", "g")}
     return split | {"b_d": parts["b"][:, inputs:]}

@@ -147,12 +147,9 @@ class Training:
         if not (choice.rows and choice.spec.refit):
             return self._train_choice(choice, data, session)
         best = self._train_choice(choice, join_training_and_validation(data), session)
-        return replace(
-            best,
-            ended=best.ended + REFIT_WORDS,
-            refitted=True,
-            fit_validation_percent=records_fit_percent(best.model, data.validation, data),
-        )
+        ended = best.ended + REFIT_WORDS
+        fit = records_fit_percent(best.model, data.validation, data)
+        return replace(best, ended=ended, refitted=True, fit_validation_percent=fit)
 
     def _train_choice(
         self, choice: "Choice", data: DataSet, session: "TrainingSession"
@@ -205,8 +202,9 @@ class Training:
         brief = short_spec(spec)
         announce = make_progress_printer(session.progress, "short starts")
         seeds = best_seeds(brief, data, session.seed, *count_starts(spec), announce)
+        starts = [brief] * len(seeds)
         return self._train_best_of_several(
-            [brief] * len(seeds), data, session, spec.members, only_certified=True, seeds=seeds
+            starts, data, session, spec.members, only_certified=True, seeds=seeds
         )
 
     def _train_best_of_several(

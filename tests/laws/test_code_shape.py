@@ -27,7 +27,7 @@ DENSITY = {
     "ssm_study/study": (10.6, 1.6),
     "ssm_study/synthesis": (10.95, 2.7),
     "ssm_study/table": (11.5, 1.4),
-    "ssm_study/training": (12.0, 3.1),
+    "ssm_study/training": (11.9, 3.1),
     "tests": (12.1, 3.5),
 }
 LONGEST_FILE = 400  # lines

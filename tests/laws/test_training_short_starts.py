@@ -2,21 +2,26 @@
 
 Size alone is no reason where a candidate explains less."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from models_cases import data_set
 
 from ssm_study.models.structured_spec import AUTO, StructuredSpec
 from ssm_study.signals import DataSet
+from ssm_study.training import choice_of_size
 from ssm_study.training.candidates import Candidate, simplest_good_candidate
 from ssm_study.training.choice_of_size import (
     candidates_far_ahead,
-    drop_needless_integrator,
+    judge_integrator,
     other_structures,
     train_finalists,
+    try_integrating_sizes,
     try_noncontracting_models,
+    try_sizes_without_neurons,
 )
 from ssm_study.training.folds import make_folds
 from ssm_study.training.metrics import Identification
@@ -71,6 +76,21 @@ def test_what_explains_more_of_an_unmeasured_load_is_not_taken_for_that() -> Non
     assert simplest_good_candidate([small, replace(large, training_error=10.0)]) is not small
 
 
+def test_the_training_records_decide_where_the_folds_contradict_each_other() -> None:
+    """Without one quarter the large model fails there, on others it is twice as good."""
+    small = replace(candidate("small", 17.7, 40.2, 14.4, 22.0), training_error=18.6)
+    large = replace(candidate("large", 7.0, 73.0, 25.3, 11.8), training_error=8.3)
+    failing = replace(large, errors=np.array([6.9, 100.0, 25.6, 11.8]))
+    assert large.folds_contradict(small)
+    assert simplest_good_candidate([small, large]) is large
+    assert simplest_good_candidate([small, failing]) is failing
+    assert simplest_good_candidate([small, replace(failing, training_error=16.0)]) is small
+    assert simplest_good_candidate([small, replace(large, training_error=16.0)]) is small
+    agreed = replace(large, errors=small.errors + 0.5)
+    assert not agreed.folds_contradict(small)
+    assert simplest_good_candidate([small, agreed]) is small
+
+
 def test_members_are_of_the_structures_that_folds_cannot_tell_apart(tmp_path: Path) -> None:
     """One training of the chosen structure, and one of each other that is about as good."""
     spec = StructuredSpec(**FIXED | BRIEF | {"order": AUTO, "members": 3})  # type: ignore[arg-type]
@@ -94,8 +114,10 @@ def test_other_structures_contract_and_are_about_as_good() -> None:
     near = replace(chosen, errors=np.array([9.9, 10.0, 10.0, 9.9]), settings={"rate": 0.999})
     behind = replace(chosen, errors=np.array([12.0, 12.0, 12.0, 12.0]))
     free = replace(near, settings={"rate": None})
+    integrating = replace(near, settings={"rate": 0.999, "integrating_output": True})
     linear = replace(near, fits=())
-    assert other_structures([chosen, near, behind, free, linear], chosen) == [near]
+    candidates = [chosen, near, behind, free, integrating, linear]
+    assert other_structures(candidates, chosen) == [near]
 
 
 def test_what_fails_on_a_fold_is_not_taken_for_its_size() -> None:
@@ -185,8 +207,38 @@ def test_an_integrator_has_to_beat_models_without_neurons() -> None:
     spec = StructuredSpec(order=AUTO, neurons=AUTO, knots=0, integrating_output=AUTO)
     folds = make_folds(data_set(noise=0.02, samples=250, records=4))
     for error, is_needed in ((50.0, False), (0.1, True)):
-        search = Search(spec=spec, folds=folds, seed=0, announce=quiet)
-        search.adopt_settings(candidate("with", *[error] * 4), {"integrating_output": True})
-        drop_needless_integrator(search)
+        search = search_with_integrator(spec, folds, error)
+        assert not judge_integrator(search)
         assert search.has_integrator is is_needed
         assert len(search.chosen) == int(is_needed)
+
+
+def test_an_integrator_that_leads_but_not_clearly_is_trained_further(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It is taken if sizes with it then lead those without."""
+    monkeypatch.setattr(choice_of_size, "FURTHER_STEPS", 2)
+    spec = replace(StructuredSpec(**FIXED | BRIEF), knots=AUTO, integrating_output=AUTO)
+    folds = make_folds(data_set(noise=0.02, samples=250, records=4))
+    one_layer = try_sizes_without_neurons(search_of(spec, folds))[0]
+    search = search_with_integrator(spec, folds, 0.99 * one_layer.mean_error_percent)
+    assert judge_integrator(search)
+    assert not search.has_integrator
+    assert search.chosen == []
+    assert try_integrating_sizes(search, [one_layer]) == []
+    far = replace(one_layer, errors=100.0 * one_layer.errors)
+    leading = try_integrating_sizes(search, [far])
+    assert {one.settings["integrating_output"] for one in leading} == {True}
+    assert leading[0].question == "longer training"
+
+
+def search_of(spec: StructuredSpec, folds: Sequence[DataSet]) -> Search:
+    """Search on two folds in which nothing is tried yet."""
+    return Search(spec=spec, folds=folds[:2], seed=0, announce=quiet)
+
+
+def search_with_integrator(spec: StructuredSpec, folds: Sequence[DataSet], error: float) -> Search:
+    """Search that has adopted an integrator, with the same error on both folds."""
+    search = search_of(spec, folds)
+    search.adopt_settings(candidate("with", error, error), {"integrating_output": True})
+    return search

@@ -5,13 +5,14 @@ import pytest
 
 from ssm_study.data.assembly import assemble_dataset
 from ssm_study.models.baselines.regression import (
-    fit_best_baseline,
     fit_output_error,
     regression_arrays,
     select_regressors,
 )
 from ssm_study.models.baselines.solved import NARX, OutputError
+from ssm_study.models.best_baseline import baseline_columns, fit_baselines, fit_best_baseline
 from ssm_study.refusal import BadRequest
+from ssm_study.report.outcome import baseline_text
 from ssm_study.signals import Channel, DataSet, Trajectory
 from ssm_study.training.metrics import records_fit_percent
 
@@ -98,6 +99,27 @@ def test_the_best_baseline_of_a_product_is_a_polynomial() -> None:
     linear = records_fit_percent(model, data.test, data)
     upper_limit = records_fit_percent(best.model, data.test, data) - 5.0
     assert linear < upper_limit
+    columns = baseline_columns(data)
+    assert columns is not None
+    near = [
+        records_fit_percent(each.model, data.test, data)
+        for each in fit_baselines(data)
+        if each.fit_validation_percent >= best.fit_validation_percent - 1.0
+    ]
+    assert columns["fit_baseline_lowest_percent"] == pytest.approx(min(near))
+    assert columns["fit_baseline_highest_percent"] == pytest.approx(max(near))
+
+
+def test_a_wide_spread_of_baselines_is_said() -> None:
+    record = {"fit_baseline_percent": 71.0, "baseline": "ARX", "fit_test_percent": 60.0}
+    narrow = {"fit_baseline_lowest_percent": 70.0, "fit_baseline_highest_percent": 72.0}
+    wide = {"fit_baseline_lowest_percent": 0.4, "fit_baseline_highest_percent": 74.5}
+    diverges = {"fit_baseline_lowest_percent": None, "fit_baseline_highest_percent": 74.5}
+    words = "71.0 %, ARX{}: it predicts better than this model"
+    assert baseline_text(record | narrow) == words.format("")
+    spread = " (0.4 to 74.5 % with those that validate as well)"
+    assert baseline_text(record | wide) == words.format(spread)
+    assert "divergence to 74.5 %" in baseline_text(record | diverges)
 
 
 def test_measured_start_up_samples_are_the_past_of_a_regression() -> None:

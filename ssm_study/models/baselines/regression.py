@@ -1,7 +1,7 @@
 """Baseline models fitted by least squares: ARX, output error and polynomial NARX.
 
 All three are the same stored model, a recursion whose terms are products of past inputs and
-outputs. `fit_best_baseline` takes the one that simulates the validation records best.
+outputs. `models.best_baseline` takes the one that simulates the validation records best.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ssm_study.models.identified import Inputs, Measured, Outputs, Simulator
-from ssm_study.models.metrics import Simulation
 from ssm_study.models.spec import (
     Pairs,
     arx_impulse_response,
@@ -29,15 +28,8 @@ INPUT = 2000  # 2000 + l is u[k-l]; a thousand more for each further input
 DEPENDENT = 1e-10  # of a column's power: what is left of it depends on the columns chosen before
 ROWS = 20_000  # of a regression that chooses terms; longer records are thinned
 
-SHORTEST = 60  # samples: of fewer, a regression says nothing
-ARX_ORDERS = (1, 2, 3, 4, 6, 8, 10, 15, 20)
-DELAYS = (0, 1, 2, 3, 5, 8)
-OUTPUT_ERROR_ORDERS = (1, 2, 3, 4, 6)
 OUTPUT_ERROR_STEPS = 30
 LONG_LAGS = 40  # of an ARX model that is cut down to start an output-error model
-NARX_LAGS = (2, 3)
-NARX_DEGREES = (2, 3)
-NARX_TERMS = (4, 6, 9, 12, 16, 20)
 
 Codes = Int[np.ndarray, "terms degree"]
 
@@ -65,7 +57,8 @@ class Polynomial(Simulator, names=("narx",)):
         by_input = _input_factor_product(self.codes, v)
         is_output = (self.codes >= OUTPUT) & (self.codes < INPUT)
         lags = np.where(is_output, self.codes - OUTPUT, 0)
-        past = np.zeros((*v.shape[:-2], 1 + max(1, int(lags.max()))))
+        longest = max(1, int(lags.max()))
+        past = np.zeros((*v.shape[:-2], 1 + longest))
         past[..., 0] = 1.0  # what a factor that is no output multiplies with
         y = np.empty(v.shape[:-1])
         for k in range(v.shape[-2]):
@@ -144,7 +137,8 @@ def fit_narx_models(
     thinned = slice(None, None, 1 + len(target) // ROWS)
     values = values[thinned]
     target = target[thinned]
-    products = np.array(list(combinations_with_replacement(range(len(codes)), degree)))
+    factors = combinations_with_replacement(range(len(codes)), degree)
+    products = np.array(list(factors))
     candidates = values[:, products].prod(axis=-1)
     order = select_regressors(candidates, target, max(counts))
     for count in counts:
@@ -167,7 +161,9 @@ def select_regressors(
         usable[chosen] = False
         if not usable.any():
             break
-        explained = np.where(usable, (left.T @ residual) ** 2 / np.where(usable, power, 1.0), -1.0)
+        divisor = np.where(usable, power, 1.0)
+        reduction = (left.T @ residual) ** 2 / divisor
+        explained = np.where(usable, reduction, -1.0)
         best = int(np.argmax(explained))
         direction = left[:, best] / np.sqrt(power[best])
         residual = residual - direction * (direction @ residual)
@@ -185,13 +181,16 @@ def fit_output_error(data: DataSet, order: int, delay: int) -> Polynomial:
     System Identification, section 4.2.
     """
     problem = _OutputErrorProblem(scale_records(data), order, delay)
-    starts = [problem.initial_parameters(f) for f in _initial_denominators(data, order, delay)]
-    parameters = min((problem.minimise(start) for start in starts), key=problem.squared_error)
+    denominators = _initial_denominators(data, order, delay)
+    starts = [problem.initial_parameters(f) for f in denominators]
+    fitted = [problem.minimise(start) for start in starts]
+    parameters = min(fitted, key=problem.squared_error)
     f = parameters[:order]
     offset = parameters[-problem.extra_parameter_count] * (1.0 + f.sum())
     b = parameters[order : -problem.extra_parameter_count]
-    codes = np.array([CONSTANT, *regressor_codes(order, delay, data.scale.inputs)])[:, None]
-    return Polynomial(codes=codes, theta=np.concatenate([[offset], -f, b]), scale=data.scale)
+    codes = [CONSTANT, *regressor_codes(order, delay, data.scale.inputs)]
+    theta = np.concatenate([[offset], -f, b])
+    return Polynomial(codes=np.array(codes)[:, None], theta=theta, scale=data.scale)
 
 
 def _initial_denominators(data: DataSet, order: int, delay: int) -> list[Float[np.ndarray, "n"]]:
@@ -200,11 +199,15 @@ def _initial_denominators(data: DataSet, order: int, delay: int) -> list[Float[n
     short = fit_arx(data, order, delay)
     starts = [_stabilise_polynomial(-short.theta[1 : order + 1])]
     records = scale_records(data)
-    lags = min(LONG_LAGS, min(len(u) for u, _ in records) // 4)
+    shortest = min(len(u) for u, _ in records)
+    lags = min(LONG_LAGS, shortest // 4)
     if lags > order:
-        response = arx_impulse_response(*fit_arx_matrices(records, lags, delay == 0))
+        matrices = fit_arx_matrices(records, lags, delay == 0)
+        response = arx_impulse_response(*matrices)
         system = realise_impulse_response(response, order, np.random.default_rng(0))
-        starts.append(_stabilise_polynomial(np.poly(np.linalg.eigvals(system.a)).real[1:]))
+        poles = np.linalg.eigvals(system.a)
+        denominator = np.poly(poles).real[1:]
+        starts.append(_stabilise_polynomial(denominator))
     return starts
 
 
@@ -212,7 +215,8 @@ def _stabilise_polynomial(f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
     """Move the roots of a polynomial inside the circle of radius 0.998."""
     roots = np.roots([1.0, *f])
     radius = np.maximum(np.abs(roots), 1e-12)
-    inside = np.where(radius > 0.998, roots / radius * np.minimum(1.0 / radius, 0.998), roots)
+    moved = roots / radius * np.minimum(1.0 / radius, 0.998)
+    inside = np.where(radius > 0.998, moved, roots)
     return np.poly(inside).real[1:]
 
 
@@ -276,7 +280,8 @@ class _OutputErrorProblem:
         impulse = np.zeros(len(u))
         impulse[0] = 1.0
         column = len(parameters) - self.extra_parameter_count + 1 + n * index
-        jacobian[:, column : column + n] = _delayed_copies(_filter_recursively(f, impulse), 0, n)
+        decay = _filter_recursively(f, impulse)
+        jacobian[:, column : column + n] = _delayed_copies(decay, 0, n)
         return jacobian
 
     def minimise(self, parameters: np.ndarray) -> np.ndarray:
@@ -287,9 +292,11 @@ class _OutputErrorProblem:
         for _ in range(OUTPUT_ERROR_STEPS):
             normal = jacobian.T @ jacobian
             scale = np.diag(normal) + 1e-9 * np.trace(normal) / len(normal)
-            step = np.linalg.solve(normal + np.diag(damping * scale), -jacobian.T @ residual)
+            damped = normal + np.diag(damping * scale)
+            step = np.linalg.solve(damped, -jacobian.T @ residual)
             trial = parameters + step
-            stable = np.abs(np.roots([1.0, *trial[: self.order]])).max() < 0.9999
+            roots = np.roots([1.0, *trial[: self.order]])
+            stable = np.abs(roots).max() < 0.9999
             if stable:
                 new_residual, new_jacobian = self.residual_and_jacobian(trial)
             if stable and new_residual @ new_residual < residual @ residual:
@@ -321,79 +328,3 @@ def _delayed_copies(signal: np.ndarray, first: int, count: int) -> np.ndarray:
         lag = first + column
         columns[lag:, column] = signal[: len(signal) - lag]
     return columns
-
-
-@dataclass(frozen=True, kw_only=True)
-class Baseline:
-    """Simple fitted model, with a description and its validation fit."""
-
-    words: str
-    model: Polynomial
-    fit_validation_percent: float
-
-
-def fit_best_baseline(data: DataSet) -> Baseline | None:
-    """Fit several simple models and return the one with the best validation fit.
-
-    None for several outputs. ARX with up to 20 lags, output error with up to 6, NARX of degree 2
-    and 3 with up to 20 terms; delays up to 8 samples, 0 where the input acts at once.
-    """
-    longest = max(len(record) for record in data.training)
-    if data.scale.outputs != 1 or longest < SHORTEST:
-        return None
-    orders = [order for order in ARX_ORDERS if 4 * order < longest]
-    tried = [
-        _score_baseline(f"ARX with {order} lags, delay {delay}", fit_arx(data, order, delay), data)
-        for order in orders
-        for delay in DELAYS
-    ]
-    delay = int(_shortest_input_lag(max(tried, key=_validation_fit_percent).model))
-    delays = sorted({0, 1, delay})
-    for order in OUTPUT_ERROR_ORDERS:
-        words = f"an output-error model with {order} lags, delay {delay}"
-        tried.append(_score_baseline(words, fit_output_error(data, order, delay), data))
-    for lags in NARX_LAGS:
-        for degree in NARX_DEGREES:
-            for late in delays:
-                path = fit_narx_models(data, lags, degree, late, NARX_TERMS)
-                for model in path:
-                    tried.append(_score_baseline(_describe_narx(degree, model), model, data))
-    return max(tried, key=_validation_fit_percent)
-
-
-def baseline_columns(data: DataSet) -> dict[str, object] | None:
-    """Columns on the best simple model and its fit to the test records.
-
-    None for several outputs, and where the records are too short for any of them.
-    """
-    data = data.with_disturbances_as_inputs()  # a baseline knows no other path
-    best = fit_best_baseline(data)
-    if best is None:
-        return None
-    with np.errstate(all="ignore"):
-        fit = Simulation.simulate_records(best.model, data.test, data.start_up_samples).fit_percent
-    return {"baseline": best.words, "fit_baseline_percent": fit if np.isfinite(fit) else None}
-
-
-def _score_baseline(words: str, model: Polynomial, data: DataSet) -> Baseline:
-    """Score a simple model by its fit to the validation records."""
-    with np.errstate(all="ignore"):
-        fit = Simulation.simulate_records(model, data.validation, data.start_up_samples).fit_percent
-    fit = fit if np.isfinite(fit) else -np.inf
-    return Baseline(words=words, model=model, fit_validation_percent=fit)
-
-
-def _describe_narx(degree: int, model: Polynomial) -> str:
-    """Description of a polynomial NARX model in words."""
-    return f"a polynomial NARX of degree {degree} with {len(model.theta)} terms"
-
-
-def _validation_fit_percent(baseline: Baseline) -> float:
-    """Fit of a simple model to the validation records, in percent."""
-    return baseline.fit_validation_percent
-
-
-def _shortest_input_lag(model: Polynomial) -> int:
-    """Shortest lag of the input among the terms of a polynomial model."""
-    inputs = model.codes[model.codes >= INPUT]
-    return int((inputs % 1000).min())

@@ -1,0 +1,134 @@
+"""The best of several simple models, which stands beside the model of a log.
+
+ARX, output error and polynomial NARX of several sizes are fitted to the training records. The one
+that simulates the validation records best is scored on the test records.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssm_study.models.baselines.regression import (
+    INPUT,
+    Polynomial,
+    fit_arx,
+    fit_narx_models,
+    fit_output_error,
+)
+from ssm_study.models.metrics import Simulation
+from ssm_study.signals import DataSet
+
+SHORTEST = 60  # samples: of fewer, a regression says nothing
+ARX_ORDERS = (1, 2, 3, 4, 6, 8, 10, 15, 20)
+DELAYS = (0, 1, 2, 3, 5, 8)
+OUTPUT_ERROR_ORDERS = (1, 2, 3, 4, 6)
+NARX_LAGS = (2, 3)
+NARX_DEGREES = (2, 3)
+NARX_TERMS = (4, 6, 9, 12, 16, 20)
+VALIDATES_AS_WELL = 1.0  # point of validation fit that a baseline may be behind the best
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baseline:
+    """Simple fitted model, with a description and its validation fit."""
+
+    words: str
+    model: Polynomial
+    fit_validation_percent: float
+
+
+def fit_best_baseline(data: DataSet) -> Baseline | None:
+    """Fit several simple models and return the one with the best validation fit.
+
+    None for several outputs, and where the records are too short.
+    """
+    return max(fit_baselines(data), key=_validation_fit, default=None)
+
+
+def fit_baselines(data: DataSet) -> list[Baseline]:
+    """Fit several simple models and score them by the validation records.
+
+    Empty for several outputs, and where the records are too short. ARX with up to 20 lags, output
+    error with up to 6, NARX of degree 2 and 3 with up to 20 terms; delays up to 8 samples, 0 where
+    the input acts at once.
+    """
+    longest = max(len(record) for record in data.training)
+    if data.scale.outputs != 1 or longest < SHORTEST:
+        return []
+    orders = [order for order in ARX_ORDERS if 4 * order < longest]
+    tried = [
+        _score_baseline(f"ARX with {order} lags, delay {delay}", fit_arx(data, order, delay), data)
+        for order in orders
+        for delay in DELAYS
+    ]
+    best_arx = max(tried, key=_validation_fit)
+    delay = int(_shortest_input_lag(best_arx.model))
+    for order in OUTPUT_ERROR_ORDERS:
+        words = f"an output-error model with {order} lags, delay {delay}"
+        model = fit_output_error(data, order, delay)
+        tried.append(_score_baseline(words, model, data))
+    for lags in NARX_LAGS:
+        for degree in NARX_DEGREES:
+            for late in sorted({0, 1, delay}):
+                for model in fit_narx_models(data, lags, degree, late, NARX_TERMS):
+                    tried.append(_score_baseline(_describe_narx(degree, model), model, data))
+    return tried
+
+
+def baseline_columns(data: DataSet) -> dict[str, object] | None:
+    """Columns on the best simple model: its fit to the test records, and the least and largest of
+    those that validate about as well.
+
+    None for several outputs, and where the records are too short for any of them. A fit is None if
+    the simulation diverges.
+    """
+    data = data.with_disturbances_as_inputs()  # a baseline knows no other path
+    tried = fit_baselines(data)
+    if not tried:
+        return None
+    best = max(tried, key=_validation_fit)
+    least_validation_fit = best.fit_validation_percent - VALIDATES_AS_WELL
+    near = [each for each in tried if each.fit_validation_percent >= least_validation_fit]
+    fits = [_fit_to_test_records(each.model, data) for each in near]
+    return {
+        "baseline": best.words,
+        "fit_baseline_percent": _none_if_infinite(_fit_to_test_records(best.model, data)),
+        "fit_baseline_lowest_percent": _none_if_infinite(min(fits)),
+        "fit_baseline_highest_percent": _none_if_infinite(max(fits)),
+    }
+
+
+def _fit_to_test_records(model: Polynomial, data: DataSet) -> float:
+    """Fit of a simple model to the test records, in percent; minus infinity if it diverges."""
+    with np.errstate(all="ignore"):
+        fit = Simulation.simulate_records(model, data.test, data.start_up_samples).fit_percent
+    return fit if np.isfinite(fit) else -np.inf
+
+
+def _none_if_infinite(fit: float) -> float | None:
+    """A fit, or None if it is infinite."""
+    return fit if np.isfinite(fit) else None
+
+
+def _score_baseline(words: str, model: Polynomial, data: DataSet) -> Baseline:
+    """Score a simple model by its fit to the validation records."""
+    with np.errstate(all="ignore"):
+        fit = Simulation.simulate_records(model, data.validation, data.start_up_samples).fit_percent
+    fit = fit if np.isfinite(fit) else -np.inf
+    return Baseline(words=words, model=model, fit_validation_percent=fit)
+
+
+def _describe_narx(degree: int, model: Polynomial) -> str:
+    """Description of a polynomial NARX model in words."""
+    return f"a polynomial NARX of degree {degree} with {len(model.theta)} terms"
+
+
+def _validation_fit(baseline: Baseline) -> float:
+    """Fit of a simple model to the validation records, in percent."""
+    return baseline.fit_validation_percent
+
+
+def _shortest_input_lag(model: Polynomial) -> int:
+    """Shortest lag of the input among the terms of a polynomial model."""
+    inputs = model.codes[model.codes >= INPUT]
+    return int((inputs % 1000).min())
