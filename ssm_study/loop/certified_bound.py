@@ -167,7 +167,8 @@ def relative_bound_excess(
     state_columns = transform_to_inverse_metric(feedback.p, into_state)
     error_to_state = transform_to_inverse_metric(observer.q, state_columns.T)
     kappa = float(np.linalg.norm(error_to_state, 2))
-    decay = observer.contraction ** np.arange(samples)
+    exponents = np.arange(samples)
+    decay = observer.contraction**exponents
     fading_error = kappa * e * decay
     state_bound = distance_bound(d[:, 0], e[:, 0], samples, feedback, observer)
     bound = state_bound + fading_error

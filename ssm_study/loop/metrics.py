@@ -146,7 +146,8 @@ def measured_noise_gain(run: Rollouts) -> float | None:
         return None
     y = run.y[stayed, half:]
     measured = run.measured[stayed, half:]
-    deviation = (measured - y).std(axis=(0, 1))
+    noise_signal = measured - y
+    deviation = noise_signal.std(axis=(0, 1))
     noise = np.maximum(deviation, np.finfo(float).tiny)
     mean_variance = y.var(axis=1).mean(axis=0)
     gains = np.sqrt(mean_variance) / noise

@@ -145,7 +145,8 @@ def _is_inside_bound(
     """For each case, whether output, input and estimate are within the bound of the simulation."""
     rest = plant.equilibrium()
     amplitudes = (u - rest.u) / np.array(plant.input_amplitude)
-    sizes = np.abs(np.hstack([amplitudes, estimate]))
+    inputs_and_estimates = np.hstack([amplitudes, estimate])
+    sizes = np.abs(inputs_and_estimates)
     distances = np.abs(y - rest.y)
     is_near = (distances <= bound).all(axis=1)
     is_small = (sizes < LARGEST_SIGNAL).all(axis=1)
@@ -270,7 +271,8 @@ def classify_motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
 def trend_and_oscillation(signals: Float[np.ndarray, "N K"]) -> tuple[PerCase, PerCase]:
     """Trend of each row, as the rise of its least-squares line, and its peak-to-peak oscillation
     about that line."""
-    time = np.linspace(-0.5, 0.5, signals.shape[1])
+    samples = signals.shape[1]
+    time = np.linspace(-0.5, 0.5, samples)
     time_power = time @ time
     rise = signals @ time / time_power
     means = signals.mean(axis=1, keepdims=True)
@@ -382,4 +384,5 @@ def replay_error(controller: Controller, run: Rollouts, limits: Limits = UNLIMIT
         worst = float(differences.max(initial=worst))
         memory = controller.advance(memory, applied, measured, targets[k])
     largest = float(np.abs(run.u).max())
-    return worst / max(largest, np.finfo(float).tiny)
+    divisor = max(largest, np.finfo(float).tiny)
+    return worst / divisor

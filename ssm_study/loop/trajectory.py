@@ -224,7 +224,8 @@ def _invert_scalar_map(scaffold: Scaffold, w: Vector) -> Vector:
     from scipy.optimize import elementwise  # slow to load
 
     def map_residual(v: Vector, w: Vector) -> Vector:
-        return scaffold(v[:, None])[:, 0] - w
+        values = scaffold(v[:, None])[:, 0]
+        return values - w
 
     # SciPy takes a square root of rounding where it does not need it.
     with np.errstate(invalid="ignore"):

@@ -202,10 +202,12 @@ def running_constraint_sum(
 ) -> Float[np.ndarray, "T"]:
     """Running sum of the disc's quadratic constraint along a record. `sum to T of |e - c m|^2 -
     kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`, filters at zero before the record."""
-    deviation = ((e - centre * m) ** 2).sum(axis=1)
+    deviation_signal = e - centre * m
+    deviation = (deviation_signal**2).sum(axis=1)
     weighted_output = apply_channel_filter(weights.output, m)
     weighted_input = apply_channel_filter(weights.input, u)
-    reference = weights.floor**2 * (m**2).sum(axis=1)
+    output_power = (m**2).sum(axis=1)
+    reference = weights.floor**2 * output_power
     reference += (weighted_output**2).sum(axis=1)
     reference += (weighted_input**2).sum(axis=1)
     excess = deviation - kappa**2 * reference

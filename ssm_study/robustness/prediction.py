@@ -155,7 +155,8 @@ def _group_by_amplitude(
     unit_swing = np.linspace(-1, 1, SECANTS)[:, None]
     swing = np.sqrt(2) * second_largest.amplitude * unit_swing
     input_map_values = model.scaffold_in(swing)[:, 0]
-    secants = np.diff(input_map_values) / np.diff(swing[:, 0])
+    steps = np.diff(swing[:, 0])
+    secants = np.diff(input_map_values) / steps
     extreme_secants = (secants.min(), secants.max())
     ball = balls.input
     slopes = np.clip(extreme_secants, ball.lower, ball.upper)
@@ -254,7 +255,8 @@ class LoopResponse:
         winds = abs(turn) > np.pi / 2
         if winds or returned[0].real <= 0:
             return float("inf")
-        plain_gain = np.interp(self.angles, ANGLES, remainder) * self.size
+        remainder_gain = np.interp(self.angles, ANGLES, remainder)
+        plain_gain = remainder_gain * self.size
         gain = plain_gain / np.abs(returned)
         return float(gain.max())
 

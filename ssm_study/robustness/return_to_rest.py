@@ -100,7 +100,8 @@ def _starts_far_from_rest(outputs: list[OutputSignal]) -> bool:
     """Whether an output begins far from its final value."""
     for output in outputs:
         tail, _ = _last_quarter(output)
-        distance = np.abs(output[0] - tail.mean(axis=0))
+        final_value = tail.mean(axis=0)
+        distance = np.abs(output[0] - final_value)
         if distance.max() >= FAR:
             return True
     return False
@@ -154,7 +155,8 @@ def oscillation_amplitude(y: OutputSignal) -> float:
     tail, noise = _last_quarter(y)
     relative_error = np.sqrt(8 / len(tail))
     most_noise = (1 + SURE * relative_error) * noise
-    variance = np.maximum(tail.var(axis=0) - most_noise, 0.0)
+    total_variance = tail.var(axis=0)
+    variance = np.maximum(total_variance - most_noise, 0.0)
     amplitude = np.sqrt(2 * variance)
     return float(amplitude.max())
 

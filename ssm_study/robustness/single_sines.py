@@ -123,7 +123,9 @@ def raise_gain_at_sine(view: View, sine: SineMismatch) -> View:
     """Raise the gain of a model error near the frequency of a single sine where the sine shows a
     larger one."""
     above = int(np.searchsorted(ANGLES, sine.angle))
-    bands = [max(above - 1, 0), min(above, len(ANGLES) - 1)]
+    band_below = max(above - 1, 0)
+    band_above = min(above, len(ANGLES) - 1)
+    bands = [band_below, band_above]
     recorded_gain = float(np.interp(sine.angle, ANGLES, view.by_frequency))
     if sine.gain <= recorded_gain:
         return view

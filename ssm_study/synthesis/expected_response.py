@@ -50,9 +50,12 @@ def expected_area(area: float, loop_gain: float, spread: float) -> float:
     `loop_gain` is 1 / margin."""
     from scipy.special import ndtr  # here: what only reads a study does without
 
-    logarithm = np.log(max(loop_gain, np.finfo(float).tiny))
-    probability = float(ndtr(-logarithm / max(spread, LEAST_SPREAD)))
-    return probability * area + (1 - probability) * LOSS
+    positive_gain = max(loop_gain, np.finfo(float).tiny)
+    logarithm = np.log(positive_gain)
+    deviations = -logarithm / max(spread, LEAST_SPREAD)
+    probability = float(ndtr(deviations))
+    expected_loss = (1 - probability) * LOSS
+    return probability * area + expected_loss
 
 
 class RankedPair(NamedTuple):
@@ -140,8 +143,11 @@ class ExpectedResponse:
             # between two frequencies of the coarser grid a loop may come nearer to its limit
             best = [index for _, index in passing[:ATTEMPTS]]
             scores = [self.expected_pair_area(pairs[index], areas[index], fine) for index in best]
-            ranks = [(bool(slow[index]), score) for index, score in zip(best, scores, strict=True)]
-            for _, index in sorted(zip(ranks, best, strict=True)):
+            ranked = []
+            for index, score in zip(best, scores, strict=True):
+                rank = (bool(slow[index]), score)
+                ranked.append((rank, index))
+            for _, index in sorted(ranked):
                 yield RankedPair(pairs[index], not slow[index])
             del passing[:ATTEMPTS]
 
@@ -151,7 +157,9 @@ def indices_to_compare(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"
     over the others."""
     order = np.lexsort((areas, slow))
     step = max(len(order) // COMPARED, 1)
-    return [*order[:COMPARED].tolist(), *order[COMPARED::step].tolist()]
+    smallest = order[:COMPARED].tolist()
+    spread_over_others = order[COMPARED::step].tolist()
+    return [*smallest, *spread_over_others]
 
 
 def predicts_faster_response(
@@ -159,14 +167,14 @@ def predicts_faster_response(
 ) -> bool:
     """Whether a design is clearly faster than the open loop on the model and in the recorded
     decays. Input limits are not considered."""
-    l_z = None if pair.l_z is None else pair.l_z[None]
     k = pair.k[None]
-    single_pair = replace(pair, k=k, l=pair.l[None], l_z=l_z)
-    area = relative_response_areas(model, single_pair, validation)[0]
+    l_ = pair.l[None]
+    l_z = None if pair.l_z is None else pair.l_z[None]
+    single_pair = replace(pair, k=k, l=l_, l_z=l_z)
+    area, *_ = relative_response_areas(model, single_pair, validation)
     decays = simulate_decays(model, trials, validation)
-    ratio = largest_settling_time_ratios(model, single_pair, decays, mismatch.scaled_settling_band)[
-        0
-    ]
+    band = mismatch.scaled_settling_band
+    ratio, *_ = largest_settling_time_ratios(model, single_pair, decays, band)
     return bool(max(area, ratio) < FASTER)
 
 

@@ -77,14 +77,16 @@ def _constant_loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.
     without effect are left out."""
     if linear.integrates:  # a unit of each channel holds no state: the one that it reaches
         unit_inputs = np.eye(linear.b.shape[1])[:, None]
-        _, held_states = linear.simulate(unit_inputs.repeat(horizon, axis=1))
+        constant_inputs = unit_inputs.repeat(horizon, axis=1)
+        _, held_states = linear.simulate(constant_inputs)
     else:
         states_by_channel, *_ = linear.equilibrium_basis()
         held_states = states_by_channel.T
     no_input = np.zeros((len(held_states), linear.b.shape[1]))
     scaled = model.scaled_output_at(held_states, no_input)
     reach = np.linalg.norm(scaled, axis=1)
-    has_effect = reach > 1e-6 * reach.max()
+    least_reach = 1e-6 * reach.max()
+    has_effect = reach > least_reach
     channels = np.eye(len(held_states))[has_effect]
     effects = reach[has_effect, None]
     loads = [level * channels / effects for level in LEVELS]

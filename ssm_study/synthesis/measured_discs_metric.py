@@ -70,7 +70,8 @@ def metric_candidates(
     gramian = symmetric_part(matrix)
     share = FLOOR * np.trace(gramian) / order
     state_identity = np.eye(order)
-    right = np.linalg.cholesky(gramian + share * state_identity)
+    regular_gramian = gramian + share * state_identity
+    right = np.linalg.cholesky(regular_gramian)
     left = np.linalg.inv(right)
     unit_signals = np.diag(1 / root)
     scaling = scipy.linalg.block_diag(right, unit_signals)

@@ -213,7 +213,8 @@ class WeightProgram:
         program = AngleProgram(constant=constant, linear=with_nu, rows=rows, bounds=bounds)
         goal = np.zeros(1 + count)
         goal[0] = 1.0
-        distances = np.abs(self.grid.angles - angles[:, None])
+        differences = self.grid.angles - angles[:, None]
+        distances = np.abs(differences)
         nearest = distances.argmin(axis=1)
         first = np.unique(nearest).tolist()
         x, chosen = program.maximise(goal, self.tolerance, first, least)

@@ -92,16 +92,21 @@ def minimum_energy_gain(
     b_balanced = scipy.linalg.solve_triangular(root, bh, lower=True)
     energy = b_balanced.T @ b_balanced
     a_balanced = scipy.linalg.solve_triangular(root, ah, lower=True)
-    k0_root = -np.linalg.solve(np.eye(m) + energy, b_balanced.T @ a_balanced)
+    coupling = b_balanced.T @ a_balanced
+    k0_root = -np.linalg.solve(np.eye(m) + energy, coupling)
     delta = ball.relative_radius
     eigenvalues = np.linalg.eigvalsh(energy)
-    widest = 1 / np.sqrt(1 + eigenvalues[-1])
+    largest_energy = eigenvalues[-1]
+    widest = 1 / np.sqrt(1 + largest_energy)
     if widen:
         delta = max(np.sqrt(delta * widest), widest / 2)
-    k = k0_root @ modes.left[: modes.fast] / ((1 - delta**2) * ball.alpha)
+    fast_coordinates = modes.left[: modes.fast]
+    divisor = (1 - delta**2) * ball.alpha
+    k = k0_root @ fast_coordinates / divisor
     if not delta > 0:
         return FastGain(k=k, p=root @ root.T)
-    return FastGain(k=k, p=(1 / delta**2 - 1) * root @ root.T)
+    scale = 1 / delta**2 - 1
+    return FastGain(k=k, p=scale * root @ root.T)
 
 
 def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:

@@ -28,7 +28,8 @@ def goal_and_constraints(
         if objective == "feasibility":
             constant = cp.Constant(0)
             return constant, [matrix >> one]
-        is_deep_inside = matrix >> t * one
+        margin = t * one
+        is_deep_inside = matrix >> margin
         has_fixed_trace = cp.trace(matrix) == len(one)
         return -t, [is_deep_inside, has_fixed_trace]
     blocks = _append_performance_rows(upper, at, performance)

@@ -80,21 +80,23 @@ class StructuredLmi:
         t = cp.diag(of.t)
         a = self.problem.a
         b = self.problem.b
-        data = {"a": a, "b": b, "e": neurons.e, "f": neurons.f, "g": neurons.g}
+        neuron_matrices = {"e": neurons.e, "f": neurons.f, "g": neurons.g}
+        data = {"a": a, "b": b, **neuron_matrices}
         if not neurons.observes:
             named = SimpleNamespace(**vars(of), **data, y=of.p)
-            blocks = structured_state_feedback.structured_feedback_inequality(
-                named, (np.eye(q), t, t)
-            )
+            row = (np.eye(q), t, t)
+            blocks = structured_state_feedback.structured_feedback_inequality(named, row)
             return blocks, [1, 4]
         of.n = cp.Variable((q, m)) if neurons.allows_injection else np.zeros((q, m))
         if self.fixed is not None and self.fixed.k_w is not None:
             k_w = self.fixed.k_w
             injected = k_w / self.problem.required_neurons.neuron_scales
             of.n = t @ injected.T
-        turned = {LETTERS[letter]: matrix.T for letter, matrix in data.items()}
-        named = SimpleNamespace(**vars(of), **turned, q=of.p, u=of.p, v=of.x.T, eta=of.sigma)
-        return structured_observer.structured_observer_inequality(named, t, of.n), [1]
+        transposed = {LETTERS[letter]: matrix.T for letter, matrix in data.items()}
+        unknowns = {"q": of.p, "u": of.p, "v": of.x.T, "eta": of.sigma}
+        named = SimpleNamespace(**vars(of), **transposed, **unknowns)
+        blocks = structured_observer.structured_observer_inequality(named, t, of.n)
+        return blocks, [1]
 
     def solve(self, rate: float, solver: str = "CLARABEL") -> Solution:
         """Matrices that satisfy the inequality at a given rate. Raises `NoSolution` with the
@@ -111,7 +113,8 @@ class StructuredLmi:
         weights = of.t.value if neurons.observes else 1 / of.t.value
         k_w = np.zeros((len(k), len(of.t.value)))
         if fixed is None and neurons.allows_injection:
-            k_w = (of.n.value / weights[:, None]).T
+            injection = of.n.value / weights[:, None]
+            k_w = injection.T
         has_ball = self.problem.ball.beta > 0
         sigma = float(of.sigma.value) if has_ball else multiplier_without_ball(self.problem, p, k)
         scaled = Solution(p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status=status)
@@ -188,7 +191,8 @@ def _confirmed_solution(program: StructuredLmi, problem: Problem, rate: float) -
     """Matrices that prove a rate in exact arithmetic; None if the solver finds none."""
     try:
         solution = program.solve(rate)
-        return solution if is_confirmed_exactly(problem.at_rate(rate), solution) else None
+        slower_problem = problem.at_rate(rate)
+        return solution if is_confirmed_exactly(slower_problem, solution) else None
     except NoSolution:
         return None
 

@@ -182,12 +182,13 @@ def continue_to_rate(
     # step
     of = game.problem
     e = game.neurons.e
-    logs = np.log(2 * np.einsum("nq,nj,jq->q", e, of.state_weight, e) + 1e-9)
+    neuron_weights = np.einsum("nq,nj,jq->q", e, of.state_weight, e)
+    logs = np.log(2 * neuron_weights + 1e-9)
     if of.ball.beta > 0:
         beta = of.ball.beta
-        logs = np.append(
-            logs, np.log(1 + 4 * beta**2 * np.linalg.norm(of.b.T @ of.state_weight @ of.b, 2))
-        )
+        input_weight = np.linalg.norm(of.b.T @ of.state_weight @ of.b, 2)
+        ball_weight = 1 + 4 * beta**2 * input_weight
+        logs = np.append(logs, np.log(ball_weight))
     slow = game
     share = 1.0
     while np.isinf(evaluate_saddle(slow, logs, 0.0).goal):
@@ -227,7 +228,10 @@ def log_multipliers(problem: Problem, found: Solution) -> Vector:
 
 def _interpolate_games(game: Game, slow: Game, share: float) -> Game:
     """Game whose contraction factor lies between those of two other games."""
-    return game if share == 1.0 else replace(game, r=slow.r * (game.r / slow.r) ** share)
+    if share == 1.0:
+        return game
+    ratio = game.r / slow.r
+    return replace(game, r=slow.r * ratio**share)
 
 
 def theorem_matrices(game: Game, logs: Vector) -> Solution:
@@ -245,11 +249,14 @@ def theorem_matrices(game: Game, logs: Vector) -> Solution:
     q = neurons.e.shape[1]
     if neurons.allows_injection:
         inputs = len(h) - q
-        player_gains = np.linalg.solve(
-            h[:inputs, :inputs], np.hstack([toward[:inputs], h[:inputs, inputs:]])
-        )[:m]
-        k = player_gains[:, len(x) :] @ neurons.f - player_gains[:, : len(x)]
-        k_w = -2 * player_gains[:, len(x) :]
+        order = len(x)
+        own_block = h[:inputs, :inputs]
+        right_side = np.hstack([toward[:inputs], h[:inputs, inputs:]])
+        player_gains = np.linalg.solve(own_block, right_side)[:m]
+        state_gain = player_gains[:, :order]
+        neuron_gain = player_gains[:, order:]
+        k = neuron_gain @ neurons.f - state_gain
+        k_w = -2 * neuron_gain
     else:
         k = -np.linalg.solve(h, toward)[:m]
         k_w = np.zeros((m, q))
@@ -282,4 +289,5 @@ def multiplier_without_ball(
     if problem.required_neurons.observes:
         eigenvalues = np.linalg.eigvalsh(p)
         return float(BALL_SLACK * eigenvalues[0] / (np.linalg.norm(problem.b, 2) ** 2 + 1e-300))
-    return float(np.linalg.norm(k @ p @ k.T, 2) / BALL_SLACK + 1.0)
+    largest_effort = np.linalg.norm(k @ p @ k.T, 2)
+    return float(largest_effort / BALL_SLACK + 1.0)

@@ -92,12 +92,14 @@ def ultimate_gain(model: SSM) -> UltimateGain:
 
     def closed_loop_poles(gain: float) -> Complex[np.ndarray, "n"]:
         """Poles of the loop with a given proportional gain."""
-        eigenvalues = np.linalg.eigvals(a - sign * gain * b @ c)
+        closed_loop_matrix = a - sign * gain * b @ c
+        eigenvalues = np.linalg.eigvals(closed_loop_matrix)
         return eigenvalues.astype(complex)
 
     def instability_margin(gain: float) -> float:
         """Spectral radius of the loop with a given proportional gain, minus one."""
-        return float(np.abs(closed_loop_poles(gain)).max() - 1)
+        moduli = np.abs(closed_loop_poles(gain))
+        return float(moduli.max() - 1)
 
     grid = np.geomspace(1e-3, 1e6, 2000)  # the first crossing, then bisection
     first_unstable = next((i for i, gain in enumerate(grid) if instability_margin(gain) >= 0), 0)
