@@ -11,8 +11,17 @@ from report_runs import random_model, random_run, write_recordings
 from ssm_study import style
 from ssm_study.api.pictures.bode import bode_picture, record_gain_ratio
 from ssm_study.api.pictures.coverage import requirement_text
+from ssm_study.api.pictures.drawing import draw_picture
 from ssm_study.api.pictures.margin import amplitude_text
-from ssm_study.api.pictures.picture import DASH_CYCLE, DASHED, Band, GuideLine, PicturePanel, Series
+from ssm_study.api.pictures.picture import (
+    DASH_CYCLE,
+    DASHED,
+    Band,
+    GuideLine,
+    Picture,
+    PicturePanel,
+    Series,
+)
 from ssm_study.api.pictures.poles import digits_below_one
 from ssm_study.report.page.pictures import (
     MOST_POINTS,
@@ -148,3 +157,18 @@ def test_a_picture_that_a_run_does_not_have_is_named_with_its_reason(tmp_path: P
     assert names
     assert "missing" not in names
     assert pictures_of_run(RunFolder(path=tmp_path / "empty")) == []
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_a_long_title_is_not_cut_off(wide: bool) -> None:
+    """That of the frequency response ended in `times t`."""
+    title = (
+        "Frequency response at rest; over the record the input map's gain is 1.9 times that at rest"
+    )
+    panels = (panel(),)
+    figure = draw_picture(Picture(title=title, panels=panels, wide=wide))
+    figure.draw_without_rendering()
+    words = figure.get_suptitle()
+    assert " ".join(words.split()) == title
+    box = figure._suptitle.get_window_extent()
+    assert box.x1 <= figure.bbox.x1

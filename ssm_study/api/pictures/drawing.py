@@ -1,5 +1,6 @@
 """Drawing of pictures with Matplotlib."""
 
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ROW_IN = 1.55  # height of a panel of height one
+TITLE_LINE_IN = 0.14  # height of a further line of a title
+LETTERS_PER_INCH = 16  # of a title: more would be cut off at the edge
 SHAPES: dict[Mark, str] = {
     "dots": ".",
     "crosses": "x",
@@ -39,7 +42,8 @@ def draw_unstyled(picture: Picture) -> "Figure":
     ]
     heights = [row[0].height for row in rows]
     width = style.PAGE_IN if picture.wide or picture.columns > 1 else style.COLUMN_IN
-    height_in = 0.35 + ROW_IN * sum(heights)
+    title = textwrap.fill(picture.title, int(LETTERS_PER_INCH * width))
+    height_in = 0.35 + ROW_IN * sum(heights) + TITLE_LINE_IN * title.count("\n")
     figure = style.new_figure(width, height_in)
     grid = figure.subplots(len(rows), picture.columns, squeeze=False, height_ratios=heights)
     for axes_of_row, panels in zip(grid, rows, strict=True):
@@ -49,7 +53,7 @@ def draw_unstyled(picture: Picture) -> "Figure":
             axes.set_axis_off()
     _hide_repeated_labels(grid, rows)
     if picture.title:
-        figure.suptitle(picture.title, size=8, x=0.01, ha="left")
+        figure.suptitle(title, size=8, x=0.01, ha="left")
     figure.align_ylabels()
     return figure
 
