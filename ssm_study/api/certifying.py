@@ -152,7 +152,7 @@ def gain_lines(name: str, gain: GainCertificate) -> dict[str, str]:
 
 
 def _describe_limit(rate: float) -> str:
-    """Text that says which contraction rates a constant quadratic metric can prove."""
+    """Text on the limit of the contraction rates that a constant quadratic metric can prove."""
     return f"provable below {round_rate_down(rate, 6)}" if rate > 0 else "no rate is provable"
 
 

@@ -17,7 +17,7 @@ def write_records(data: DataSet, folder: Path) -> None:
 
 
 def group_training_inputs(data: DataSet) -> Iterator[SignalGroup]:
-    """Inputs of the training records, each under its own topic."""
+    """Inputs of the training records as MCAP signal groups, with one topic for each record."""
     channels = tuple(data.inputs)
     for i, record in enumerate(data.training):
         topic = f"/record_{i}/input"
@@ -25,7 +25,8 @@ def group_training_inputs(data: DataSet) -> Iterator[SignalGroup]:
 
 
 def group_training_disturbances(data: DataSet) -> Iterator[SignalGroup]:
-    """Measured disturbances of the training records, each under its own topic."""
+    """Measured disturbances of the training records as MCAP signal groups, with one topic for each
+    record."""
     channels = tuple(data.disturbances)
     for i, record in enumerate(data.training):
         if record.d is not None:
@@ -34,7 +35,8 @@ def group_training_disturbances(data: DataSet) -> Iterator[SignalGroup]:
 
 
 def group_validation_outputs(data: DataSet) -> Iterator[SignalGroup]:
-    """Measured outputs of the validation records, each under its own topic."""
+    """Measured outputs of the validation records as MCAP signal groups, with one topic for each
+    record."""
     channels = tuple(data.outputs)
     for i, record in enumerate(data.validation):
         topic = f"/record_{i}/measured"

@@ -39,7 +39,8 @@ def record_table(record: Mapping[str, Any]) -> Table:
 
 
 def format_value(value: Any) -> str:
-    """Text of a recorded value, rounded so that it stays on its side of one."""
+    """Text of a recorded value; a number below one is never rounded up to one, nor one above it
+    down."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     return format_beside_bound(value) if isinstance(value, float) else str(value)

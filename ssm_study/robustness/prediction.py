@@ -141,8 +141,8 @@ def loops_to_test(
 def _group_by_amplitude(
     model: Model, balls: Balls, mismatch: Mismatch
 ) -> list[tuple[Balls, Mismatch]]:
-    """Group the records by amplitude, each group with the balls of slopes that its loops reach. The
-    two largest amplitudes and closed-loop records are combined with all slopes.
+    """Group the records by amplitude, each group with the slopes of the static maps that occur at
+    it. The two largest amplitudes and closed-loop records are combined with all slopes.
 
     The smaller amplitudes, up to the second largest, speak of loops that swing no wider than its
     sinusoid, whose peak is `sqrt(2)` times its root mean square: of one S_u they meet the slopes

@@ -46,14 +46,14 @@ def model_behind_map(model: Model) -> Model:
 
 
 def records_behind_map(model: Model, records: Trajectories) -> Trajectories:
-    """Records in which the input is replaced by `v = S_u(u)`."""
+    """Records with `v = S_u(u)`, the input after the input map, in place of the input."""
     return tuple(replace(record, u=model.map_input(record.u)) for record in records)
 
 
 def mismatch_behind_map(
     model: Model, records: Trajectories, start_up_samples: int, mismatch_records: Trajectories
 ) -> Mismatch:
-    """Model error of the records with `v = S_u(u)` as the input."""
+    """Model error of the records with `v = S_u(u)`, the input after the input map, as the input."""
     return measure_mismatch(
         model_behind_map(model),
         records_behind_map(model, records),

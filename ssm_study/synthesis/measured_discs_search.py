@@ -123,7 +123,8 @@ def _deciding_optimum(
     centre: float,
     accuracy: float,
 ) -> tuple[float, Multipliers, list[int]]:
-    """Optimum for given weights, with the frequencies of the first grid that decide it."""
+    """Optimal disc radius and multipliers for given weights, with the frequencies of the grid that
+    decide them."""
     forms = LoopForms.from_context(theorem, context, (centre,))
     grid = forms.at_angles(forms.frequency_grid)
     coarse = len(grid.angles)
