@@ -66,8 +66,10 @@ def test_two_halves_equal_the_whole(plant: Plant) -> None:
     """Simulating in two halves gives the same as simulating in one piece."""
     u = random_inputs(plant, 2)
     x, _ = plant.simulate(u)
-    again, _ = plant.simulate(u[:, HALF:], x0=x[:, HALF])
-    np.testing.assert_allclose(again, x[:, HALF:], rtol=1e-12, atol=1e-14)
+    second_input = u[:, HALF:]
+    second_half = x[:, HALF:]
+    again, _ = plant.simulate(second_input, x0=x[:, HALF])
+    np.testing.assert_allclose(again, second_half, rtol=1e-12, atol=1e-14)
 
 
 def test_states_at_reads_back(plant: Plant) -> None:
@@ -84,12 +86,15 @@ def test_outputs_do_not_depend_on_later_inputs(plant: Plant) -> None:
     """An output sample does not depend on the input that is applied after it."""
     u = random_inputs(plant, 1)
     changed = u.copy()
-    changed[:, HALF] = plant.equilibrium().u + np.array(plant.input_amplitude)
+    largest_step = np.array(plant.input_amplitude)
+    changed[:, HALF] = plant.equilibrium().u + largest_step
     _, y = plant.simulate(u)
     _, y_changed = plant.simulate(changed)
     after = HALF + 1
-    np.testing.assert_array_equal(y[:, :after], y_changed[:, :after])
-    assert not np.array_equal(y[:, after:], y_changed[:, after:])
+    before_change = y[:, :after]
+    after_change = y[:, after:]
+    np.testing.assert_array_equal(before_change, y_changed[:, :after])
+    assert not np.array_equal(after_change, y_changed[:, after:])
 
 
 def test_disturbances_act(plant: Plant) -> None:
