@@ -19,7 +19,6 @@ from ssm_study.models.bilinear import Bilinear
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.refusal import require, require_one_of
-from ssm_study.synthesis.bilinear_design import BilinearSynthesis
 from ssm_study.synthesis.design import require_contraction_rate
 from ssm_study.systems import JacobianBall
 
@@ -117,7 +116,11 @@ def design_to_rest(
 ) -> RestDesign:
     """Design a controller for a model with products of input and state. Raises `BadRequest` for
     arguments that it has no use for."""
-    given = given | {"input_limits": None if limits == (None, None) else limits}
+    from ssm_study.synthesis.bilinear_design import BilinearSynthesis  # loads CVXPY
+
+    check_input_limits(limits)
+    is_unlimited = all(limit is None for limit in limits)
+    given = given | {"input_limits": None if is_unlimited else limits}
     problem = (
         "is for other models; of products of input and state it is proved that they come to rest"
     )
