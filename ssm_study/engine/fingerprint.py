@@ -43,8 +43,7 @@ FORM = f"1 {sys.version}"  # syntax trees differ from one Python to the next
 
 
 class Part(NamedTuple):
-    """Statements that define one name of a module, with their digest and the names that they
-    use."""
+    """Statements that define one name, with their digest and the names that they use."""
 
     digest: str
     names: list[str]
