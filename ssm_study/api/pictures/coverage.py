@@ -19,6 +19,7 @@ from ssm_study.api.pictures.picture import (
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.robustness.coverage import Premise
+from ssm_study.robustness.coverage_spectra import AveragedSpectrum, MismatchSpectrum
 from ssm_study.robustness.coverage_table import CoverageBand, coverage_table
 from ssm_study.synthesis.measured_discs_run import certificate_weights
 
@@ -79,7 +80,8 @@ def coverage_picture(
 
 def record_names(premise: Premise, input_scale: InputScale | None) -> dict[str, str]:
     """Printed name of each record, with the amplitude of its input in physical units."""
-    spectra = (*premise.repeating, *premise.averaged, *premise.sines)
+    spectra: list[MismatchSpectrum | AveragedSpectrum] = [*premise.repeating, *premise.averaged]
+    spectra += premise.sines
     return {
         spectrum.name: amplitude_text(spectrum.amplitude, input_scale)
         for spectrum in spectra

@@ -68,10 +68,7 @@ def recorded_error_spectra(model: Any, data: DataSet, mismatch: Mismatch) -> "Pr
 
 
 def fresh_error_spectra(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise | None":
-    """Model error by frequency in the unused test record of a log; None for a simulated plant.
-
-    None for a simulated plant.
-    """
+    """Model error by frequency in the unused test record of a log; None for a simulated plant."""
     from ssm_study.robustness.coverage import measure_premise
 
     if data.metadata.get("source") == "simulated":
