@@ -3,7 +3,7 @@ else designed: the largest provable rate, decided exactly."""
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
 from typing import Any
@@ -16,6 +16,8 @@ from jaxtyping import Float
 from ssm_study.api.arguments import Slopes
 from ssm_study.api.controlling import slope_ball
 from ssm_study.api.design import Design
+from ssm_study.api.known_maps import describe_range
+from ssm_study.api.loop_of_both import describe_loop_of_both, unstable_example
 from ssm_study.api.summaries import html_table, render_text_table, round_rate_down
 from ssm_study.api.systems import read_linear_system, read_matrix
 from ssm_study.certificates.certificate import Side
@@ -106,23 +108,48 @@ class GainCertificate:
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Certification:
     """Certificates of a state feedback, an observer, or both. None stands for a gain that was not
-    given."""
+    given.
+
+    `unknown_maps` are the static maps of which only a range of slopes was given, and
+    `unstable_example` is a loop within these slopes that is not stable, if one was found: of an
+    observer with the mean slopes.
+    """
 
     controller: GainCertificate | None
     observer: GainCertificate | None
+    unknown_maps: dict[str, str] = field(default_factory=dict)
+    unstable_example: str | None = None
 
     @property
     def certified(self) -> bool:
-        """Whether a contraction rate is proved for every given gain."""
-        gains = [gain for gain in (self.controller, self.observer) if gain is not None]
-        return bool(gains) and all(gain.certified for gain in gains)
+        """Whether all `verdicts` hold: as of a `Design`, those of controller, observer and the loop
+        of both."""
+        return bool(self.verdicts) and all(self.verdicts.values())
+
+    @property
+    def verdicts(self) -> dict[str, bool]:
+        """Verdicts of exact arithmetic on the given gains, by name, and, of both, on the loop `u =
+        K xh`.
+
+        The loop is certified where both gains are and the observer computes the plant's own maps;
+        it cannot where `unknown_maps` has an entry.
+        """
+        gains = {"controller": self.controller, "observer": self.observer}
+        verdicts = {name: gain.certified for name, gain in gains.items() if gain is not None}
+        if len(verdicts) == len(gains):
+            verdicts["loop"] = all(verdicts.values()) and not self.unknown_maps
+        return verdicts
 
     def summary(self) -> pd.Series:
-        """Table with rate, limit and reason of each gain."""
+        """Table with rate, limit and reason of each gain, and the verdict on the loop of both."""
         lines: dict[str, str] = {}
         for name, gain in (("controller", self.controller), ("observer", self.observer)):
             if gain is not None:
                 lines |= gain_lines(name, gain)
+        if "loop" in self.verdicts:
+            lines["loop of both"] = describe_loop_of_both(
+                self.verdicts, self.unknown_maps, self.unstable_example
+            )
         return pd.Series(lines, name="certification", dtype=object)
 
     def __repr__(self) -> str:
@@ -141,6 +168,8 @@ def gain_lines(name: str, gain: GainCertificate) -> dict[str, str]:
         rate = f"rate {round_rate_down(gain.rate, 6)} per sample"
         decay = decay_time_words(gain.rate)
         lines[name] = f"contracts at {rate} ({decay}), decided exactly"
+        if gain.observes:
+            lines[name] += ", if it computes the plant's own input and output maps"
     lines[f"{name}, slopes"] = _describe_slopes(name, gain.slopes)
     if gain.overshoot is not None:
         growth = math.ceil(gain.overshoot * 1000) / 1000
@@ -184,7 +213,13 @@ def certify(
     sample, however the slopes vary; whether it holds is decided in exact arithmetic. With several
     inputs (outputs) `slopes` stand for all maps whose Jacobians lie within the ball around the mean
     slope. `rate` is 0.1 % inside what the gain allows. `controller.certificate.k` and
-    `observer.certificate.l` are the gains of the result. Source: [Z26] Theorems 1 and 2 at given
+    `observer.certificate.l` are the gains of the result.
+
+    The loop of both, `u = K xh`, comes to rest where both gains are certified and the observer
+    computes the plant's own S_u and S_y. It does where each range is one known gain `(g, g)`; where
+    a range is wider the third entry of `verdicts`, and with it `certified`, is False: the proof
+    does not speak of an observer that computes another map. As of a `Design`, `certified` says
+    whether all of `verdicts` hold. Source: [Z26] Theorems 1 and 2 at given
     gains.
 
     Raises `BadRequest` for matrices that do not fit, and where no gain is given.
@@ -219,7 +254,15 @@ def certify(
         observer = certify_gain(a.T, c.T, gain.T, ball, ObserverOfBall)
         output_range = (float(output_slopes[0]), float(output_slopes[1]))
         observer = replace(observer, slopes=output_range)
-    return Certification(controller=controller, observer=observer)
+    result = Certification(controller=controller, observer=observer)
+    if controller is None or observer is None:
+        return result
+    ranges = {"slopes": controller.slopes, "output_slopes": observer.slopes}
+    unknown = {
+        name: describe_range(name, *ends) for name, ends in ranges.items() if ends[0] < ends[1]
+    }
+    example = unstable_example(a, b @ k, gain @ c, controller.slopes, observer.slopes)
+    return replace(result, unknown_maps=unknown, unstable_example=example if unknown else None)
 
 
 def read_system_to_certify(system: Any) -> tuple[Any, Any, Any]:

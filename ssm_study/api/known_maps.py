@@ -16,7 +16,8 @@ from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.refusal import require
 
 SAME_SLOPE = 1e-9  # two slopes that differ by no larger share are one
-MAPS = {"state_feedback": ("input map", "slopes"), "observer": ("output map", "output_slopes")}
+ARGUMENTS = {"state_feedback": "slopes", "observer": "output_slopes"}
+MAPS = {"slopes": "input map", "output_slopes": "output map"}
 
 
 class UnknownMap(UserWarning):
@@ -35,11 +36,17 @@ def name_unknown_maps(model: Any, certificate: Certificates) -> dict[str, str]:
         ball = computed[side]
         difference = abs(part.alpha - ball.alpha) + abs(part.beta - ball.beta)
         if difference > SAME_SLOPE * abs(part.alpha):
-            name, argument = MAPS[side]
+            argument = ARGUMENTS[side]
             lower = part.alpha - part.beta
             upper = part.alpha + part.beta
-            unknown[argument] = f"{name} with slopes {lower:.4g} to {upper:.4g}"
+            unknown[argument] = describe_range(argument, lower, upper)
     return unknown
+
+
+def describe_range(argument: str, lower: float, upper: float) -> str:
+    """Text on a static map of which only the range of slopes is given, by the argument that gives
+    it."""
+    return f"{MAPS[argument]} with slopes {lower:.4g} to {upper:.4g}"
 
 
 def refuse_unknown_maps(unknown: dict[str, str]) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from ssm_study.api.loop_of_both import describe_loop_of_both, name_maps
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.certificates.certificate import Infeasible
 from ssm_study.certificates.decay_time import decay_time_words
@@ -106,9 +107,9 @@ def summarise_design(design: "Design") -> pd.Series:
             lines[name] = f"no certificate: {part.reason}"
             continue
         lines |= summarise_side(name, part, certificate.certified_rate(side), design.model.step_s)
-    if design.unknown_maps:
-        maps = " and the ".join(design.unknown_maps.values())
-        lines["loop of both"] = f"not certified: the observer would have to know the {maps}"
+        if name == "observer" and part.certified and design.unknown_maps:
+            lines[name] += f", if it computes the plant's own {name_maps(design.unknown_maps)}"
+    lines["loop of both"] = describe_loop_of_both(design.verdicts, design.unknown_maps)
     if not certificate.feasible:
         return pd.Series(lines, name="design", dtype=object)
     if design.unknown_maps:

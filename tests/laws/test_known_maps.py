@@ -60,8 +60,8 @@ def test_a_controller_with_an_unknown_map_is_not_exported(
     files = list(tmp_path.iterdir())
     assert files == []
     summary = uncertain.summary()
-    line = "not certified: the observer would have to know the input map with slopes 0.8 to 1.2"
-    assert summary["loop of both"] == line
+    line = "not certified: this proof needs an observer that computes the plant's own input map"
+    assert summary["loop of both"] == f"{line} with slopes 0.8 to 1.2"
 
 
 def test_an_output_map_that_is_not_known_counts_too() -> None:
@@ -80,7 +80,7 @@ def test_a_known_gain_is_exported_with_the_design_s_own_verdict(
     assert design.certified
     assert all(design.verdicts.values())
     assert not design.unknown_maps
-    assert "loop of both" not in design.summary()
+    assert design.summary()["loop of both"].startswith("comes to rest, certified")
     radius = loop_radius(design, gain, gain)
     assert radius < 1
     path = design.to_c(tmp_path / "pump.h")
@@ -144,3 +144,34 @@ def test_a_loop_with_an_unknown_map_says_which_gain_it_takes(uncertain: Design) 
         warnings.simplefilter("error", UnknownMap)
         st.simulate(known, [0.1], "loop.horizon_s=0.2")
     assert "drawn and simulated" not in known.summary()
+
+
+def test_certify_and_control_mean_the_same_by_certified(uncertain: Design) -> None:
+    """Both gains are proved, and an observer with the mean slope loses plants within the slopes."""
+    scalar = [[3.0]], [[1.0]], [[1.0]]
+    gains = {"K": [[-3.0]], "L": [[-2.9]]}
+    proof = st.certify(*scalar, **gains, slopes=SLOPES)
+    assert proof.verdicts == uncertain.verdicts
+    assert not proof.certified
+    printed = repr(proof)
+    assert "loop of both            not certified: this proof needs an observer" in printed
+    words = "input gain 0.8 of the plant, 1 of the observer (spectral radius 1.37)"
+    assert words in printed
+    loop = np.array([[3.0, -2.4], [2.9, 3.0 - 3.0 - 2.9]])
+    assert np.abs(np.linalg.eigvals(loop)).max() == pytest.approx(1.37, abs=1e-3)
+    known = st.certify(*scalar, **gains)
+    assert known.certified
+    assert known.summary()["loop of both"].startswith("comes to rest, certified")
+    alone = st.certify([[3.0]], [[1.0]], K=[[-3.0]], slopes=SLOPES)
+    assert alone.certified
+    assert alone.verdicts == {"controller": True}
+    wrong = st.certify(*scalar, K=[[-3.0]], L=[[2.9]])
+    assert wrong.summary()["loop of both"] == "not certified: the observer is not"
+
+
+def test_the_observer_s_line_names_what_it_supposes(uncertain: Design) -> None:
+    line = uncertain.summary()["observer"]
+    words = "if it computes the plant's own input map with slopes 0.8 to 1.2"
+    assert line.endswith(words)
+    known = st.control(SYSTEM, slopes=(2.0, 2.0), rate=0.3)
+    assert "if it computes" not in known.summary()["observer"]

@@ -1,0 +1,68 @@
+"""The loop of controller and observer, `u = K xh`: what its verdict supposes, in words.
+
+Both certificates give it where the observer computes the plant's own maps S_u and S_y: then its
+error shrinks by itself and the model comes to rest. Where only a range of slopes is given, the
+observer computes another map than the plant has, and neither certificate speaks of that loop.
+"""
+
+from collections.abc import Mapping
+from itertools import product
+
+import numpy as np
+from jaxtyping import Float
+
+HOLDS = "comes to rest, certified (no rate of its own)"
+Pair = tuple[float, float]
+
+
+def describe_loop_of_both(
+    verdicts: Mapping[str, bool], unknown_maps: Mapping[str, str], example: str | None = None
+) -> str:
+    """Text of the verdict on the loop of controller and observer, with the reason where it is not
+    certified. `example` is a loop within the slopes that is not stable."""
+    if verdicts["loop"]:
+        return HOLDS
+    failed = [name for name in ("controller", "observer") if not verdicts[name]]
+    if failed:
+        return f"not certified: the {' and the '.join(failed)} is not"
+    maps = name_maps(unknown_maps)
+    words = f"not certified: this proof needs an observer that computes the plant's own {maps}"
+    return words if example is None else f"{words}; {example}"
+
+
+def name_maps(unknown_maps: Mapping[str, str]) -> str:
+    """Static maps that an observer would have to compute, each with its range, as one text."""
+    return " and ".join(unknown_maps.values())
+
+
+def unstable_example(
+    a: Float[np.ndarray, "n n"],
+    driven: Float[np.ndarray, "n n"],
+    corrected: Float[np.ndarray, "n n"],
+    slopes: Pair,
+    output_slopes: Pair,
+) -> str | None:
+    """Text on the plant within the slopes that an observer with the mean slopes loses most clearly;
+    None if it loses none of those at the ends.
+
+    `driven` is B K, `corrected` is L C.
+    """
+    mean = (sum(slopes) / 2, sum(output_slopes) / 2)
+    radii = {}
+    for inner, outer in product(slopes, output_slopes):
+        plant = np.hstack([a, inner * driven])
+        own = a + mean[0] * driven + mean[1] * corrected
+        observer = np.hstack([-outer * corrected, own])
+        poles = np.linalg.eigvals(np.vstack([plant, observer]))
+        radii[inner, outer] = float(np.abs(poles).max())
+    worst = max(radii, key=lambda ends: radii[ends])
+    if radii[worst] < 1:
+        return None
+    gains = []
+    for name, end, middle, ends in (
+        ("input", worst[0], mean[0], slopes),
+        ("output", worst[1], mean[1], output_slopes),
+    ):
+        if ends[0] < ends[1]:
+            gains.append(f"{name} gain {end:.4g} of the plant, {middle:.4g} of the observer")
+    return f"not stable with {' and '.join(gains)} (spectral radius {radii[worst]:.4g})"
