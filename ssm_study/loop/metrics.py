@@ -25,7 +25,8 @@ from ssm_study.loop.rollout import (
 )
 
 Columns = dict[str, float | int | str | None]
-BEYOND = "Beyond the certified bound on the plant"
+# The bound is that of the model without noise; the plant and its sensor may leave it.
+BEYOND = "Plant's estimate with its noise beyond the model's bound without noise"
 
 SETTLING_COLUMNS = (
     Column("loop_on", "string", word="Closed loop on"),
@@ -103,7 +104,12 @@ BOUND_COLUMNS = (
     Column(
         "empirical_rate", "Float64", "high", word="Measured contraction rate, ρ", unit="1/sample"
     ),
-    Column("certified_bound_violations", "Int64", "low", word="Violations of the certified bound"),
+    Column(
+        "certified_bound_violations",
+        "Int64",
+        "low",
+        word="Violations of the certified bound on the model",
+    ),
     Column(
         "estimate_decay_rate",
         "Float64",

@@ -15,6 +15,7 @@ from rich.text import Text
 from ssm_study.certificates.decay_time import decay_time_words
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, evidence_words
 from ssm_study.report.run_facts import RunFacts
+from ssm_study.report.speed_up import unproved_speed_up_text
 from ssm_study.report.words import NO_FASTER, SETTLED, prediction_text, verdict_per_run
 from ssm_study.robustness.coverage_columns import WITHHELD
 
@@ -205,6 +206,9 @@ def proved_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
             decay = decay_time_words(float(record[name]), facts.step_s)
             timed = f"{proved}, {decay}" if decay else proved
             yield name, label, f"{timed}; {requested_words}"
+    unproved = unproved_speed_up_text(record, facts.step_s)
+    if unproved:
+        yield "controller_certified_rate", "Speed-up", unproved
     yield from limit_rows(record, facts)
     if facts.no_set_points_reason:
         words = f"none: {facts.no_set_points_reason}"

@@ -4,8 +4,15 @@ from typing import Any
 
 import numpy as np
 
+from ssm_study.report.outcome import proved_rows
 from ssm_study.report.page.first_screen import closed_loop_card
-from ssm_study.report.page.proof_card import ShownLoop, certified_rates_card, proved_starts_text
+from ssm_study.report.page.proof_card import (
+    ShownLoop,
+    certified_rates_card,
+    exceeded_limits_text,
+    limit_text,
+)
+from ssm_study.report.run_facts import RunFacts
 
 LOOP = ShownLoop(
     initial_outputs=np.array([[0.1], [-0.13], [0.14], [3.0]]),
@@ -27,13 +34,18 @@ def test_the_card_of_the_proof_says_within_which_limits_it_holds() -> None:
     card = certified_rates_card(certified(), LOOP)
     assert card is not None
     assert card.number == "0.361"
+    assert card.text.startswith("certified rate per sample (Theorem 1), to 37 % in 0.045 s; with")
+    assert "between -4.9 and 4.97 V only from rest at outputs between -0.131 and 0.131" in card.text
+    assert "where 2 of the 4 starts shown lie; from everywhere no rate is proved" in card.text
     text = " ".join(card.lines)
-    assert "between -4.9 and 4.97 V: this rate from rest at outputs between -0.131 and" in text
-    assert "0.131 rad/s, from everywhere no rate is proved" in text
     assert "20 % or more a sample (10 ms)" in text, "a rate is of squared distances"
     limited = certified_rates_card(certified(limited_rate=0.02))
     assert limited is not None
-    assert "from everywhere the rate 0.02" in " ".join(limited.lines)
+    assert limited.text.endswith("from everywhere the rate 0.02, to 37 % in 99 samples")
+    no_gain = limit_text(certified(limited_rate=0.02, spectral_radius=0.98), LOOP)
+    assert no_gain.endswith(
+        "from everywhere the rate 0.02, to 37 % in 0.99 s (no more than without control)"
+    )
 
 
 def test_what_the_proof_does_not_cover_is_a_list() -> None:
@@ -53,12 +65,51 @@ def test_what_the_proof_does_not_cover_is_a_list() -> None:
     assert infeasible.not_covered == (), "nothing is proved, so no list of exceptions"
 
 
-def test_the_card_of_the_loop_says_how_many_starts_the_proof_reaches() -> None:
-    card = closed_loop_card(certified(stable_count=4.0, initial_conditions=4.0), LOOP)
+def test_the_card_says_where_the_proved_rate_shows_no_gain() -> None:
+    slow = {"controller_certified_rate": 0.009755, "spectral_radius": 0.98484, "neurons": 5}
+    log = certified(**slow, faster_than_open_loop=True)
+    card = certified_rates_card(log, LOOP)
     assert card is not None
-    (line,) = card.lines
-    assert line.startswith("2 of the 4 starts lie where the proof holds with a limited input")
-    assert line.endswith("the input stayed within the limits (-3 to 4 V)")
-    assert "went beyond" in proved_starts_text(certified(limit_upper=3.9), LOOP)
-    assert proved_starts_text(certified(unlimited_from=None), LOOP) == ""
-    assert proved_starts_text(certified(), None) == "", "no recording, no count"
+    words = card.lines[0]
+    assert words.startswith("Without control the model's linear part contracts at rates below 0.03")
+    assert words.endswith("shows no gain, and the speed-up seen is not proved")
+    rows = {label: words for _, label, words in proved_rows(log, RunFacts(step_s=0.01))}
+    assert rows["Speed-up"] == words, "the terminal says it, too"
+    fast = certified_rates_card(certified(spectral_radius=0.98), LOOP)
+    assert fast is not None
+    assert "Without control" not in " ".join(fast.lines)
+
+
+def test_how_far_the_plant_left_the_bound_of_the_model_is_said() -> None:
+    record = certified(
+        certified_bound_excess_plant=0.0697, noise_gain_measured=0.0, loop_on="plant"
+    )
+    card = certified_rates_card(record, LOOP)
+    assert card is not None
+    (line,) = [line for line in card.not_covered if "bound" in line]
+    assert "of the model without noise: the estimate on the plant, with sensor noise" in line
+    assert line.endswith("exceeded it by up to 7 % of its value at the start")
+    for other in ({"certified_bound_excess_plant": 0.0}, {"loop_on": "identified model"}):
+        quiet = certified_rates_card(record | other, LOOP)
+        assert quiet is not None
+        assert "bound" not in " ".join(quiet.not_covered)
+
+
+def test_on_a_log_the_limited_input_is_not_covered() -> None:
+    log = {"limit_lower": None, "unlimited_from": None, "loop_on": "identified model", "neurons": 5}
+    card = certified_rates_card(certified(**log), LOOP)
+    assert card is not None
+    assert any("here to the range of the records" in line for line in card.not_covered)
+
+
+def test_the_card_of_the_loop_says_where_the_input_left_its_limits() -> None:
+    record = certified(stable_count=4.0, initial_conditions=4.0)
+    card = closed_loop_card(record, LOOP)
+    assert card is not None
+    assert card.lines == ("The input stayed within the limits of the proof (-3 to 4 V)",)
+    beyond = closed_loop_card(record | {"limit_upper": 3.9}, LOOP)
+    assert beyond is not None
+    assert beyond.text == "starts settle without input limits"
+    assert "loop.input_lower and loop.input_upper apply them" in beyond.lines[0]
+    assert exceeded_limits_text(certified(limit_lower=None), LOOP) == ""
+    assert exceeded_limits_text(certified(), None) == "", "no recording, no range"

@@ -16,7 +16,12 @@ from ssm_study.report.outcome import (
     refit_text,
 )
 from ssm_study.report.page.card import Card, Record
-from ssm_study.report.page.proof_card import ShownLoop, certified_rates_card, proved_starts_text
+from ssm_study.report.page.proof_card import (
+    ShownLoop,
+    certified_rates_card,
+    exceeded_limits_text,
+    goes_beyond_limits,
+)
 from ssm_study.report.words import (
     SETTLED,
     VERDICTS,
@@ -143,6 +148,8 @@ def closed_loop_card(record: Record, loop: ShownLoop | None = None) -> Card | No
     if count is None:
         return None
     text = "starts settle"
+    if goes_beyond_limits(record, loop):
+        text += " without input limits"
     mean_s = record.get("settling_time_mean_s")
     if mean_s is not None:
         text += f", in {mean_s:.3g} s on average"
@@ -152,7 +159,7 @@ def closed_loop_card(record: Record, loop: ShownLoop | None = None) -> Card | No
     if record.get("stable_count_pi") is not None:
         text += f"; a PI tuned from the same model: {pi_comparison_text(record)}"
     number = f"{count:.0f} of {record.get('initial_conditions'):.0f}"
-    lines = tuple(filter(None, [proved_starts_text(record, loop)]))
+    lines = tuple(filter(None, [exceeded_limits_text(record, loop)]))
     title = f"Seen on the {short_loop_place_text(record)}"
     return Card(title=title, number=number, text=text, lines=lines)
 

@@ -7,9 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.api.summaries import round_rate_down
+from ssm_study.certificates.decay_time import decay_time_words
 from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.report.outcome import fresh_data_exceed_coverage, fresh_data_text, refit_text
 from ssm_study.report.page.card import Card, Record
+from ssm_study.report.speed_up import open_loop_rate, unproved_speed_up_text
 from ssm_study.study.recordings import RecordedCases
 
 TITLE = "Proved of the model"
@@ -55,11 +57,14 @@ def certified_rates_card(record: Record, loop: ShownLoop | None = None) -> Card 
     if rate is None:
         return None
     if record.get("controller_certified") and record.get("observer_certified"):
-        lines = (rate_line(record, rate, loop), coverage_sentence(record), limit_line(record, loop))
+        step_s = None if loop is None else loop.step_s
+        slower = unproved_speed_up_text(record, step_s)
+        lines = (slower, rate_line(record, rate, loop), coverage_sentence(record))
+        headline = f"certified rate per sample (Theorem 1){timed_words(rate, loop)}"
         return Card(
             title=TITLE,
             number=round_rate_down(rate),
-            text="certified rate per sample (Theorem 1)",
+            text=f"{headline}{limit_text(record, loop)}",
             lines=tuple(filter(None, lines)),
             not_covered=tuple(unproved_statements(record, loop)),
         )
@@ -73,11 +78,24 @@ def certified_rates_card(record: Record, loop: ShownLoop | None = None) -> Card 
 def rate_line(record: Record, rate: float, loop: ShownLoop | None) -> str:
     """Line that says how much the distance of two trajectories shrinks at a certified rate."""
     shrinks = 100 - 100 * math.sqrt(1 - rate)
-    step = "" if loop is None else f" ({1000 * loop.step_s:.3g} ms)"
+    step = "" if loop is None else f" ({step_words(loop.step_s)})"
     observer = record.get("observer_certified_rate")
-    also = "" if observer is None else f"; observer: rate {observer:.3g}"
+    also = ""
+    if observer is not None:
+        also = f"; observer: rate {round_rate_down(observer)}{timed_words(observer, loop)}"
     shrinking = f"distances shrink by {shrinks:.2g} % or more a sample{step}"
     return f"Under control, {shrinking}, their squares by the rate{also}"
+
+
+def timed_words(rate: float, loop: ShownLoop | None) -> str:
+    """Time constant of a rate after a comma, in seconds or, without a recording, in samples."""
+    decay = decay_time_words(rate, None if loop is None else loop.step_s)
+    return f", {decay}" if decay else ""
+
+
+def step_words(step_s: float) -> str:
+    """Sampling time with its unit: milliseconds below a second."""
+    return f"{1000 * step_s:.3g} ms" if step_s < 1 else f"{step_s:.3g} s"
 
 
 def coverage_sentence(record: Record) -> str:
@@ -107,23 +125,37 @@ def limited_start_range(record: Record) -> tuple[float, float] | None:
     return float(record["unlimited_from"]), float(record["unlimited_to"])
 
 
-def limit_line(record: Record, loop: ShownLoop | None) -> str:
-    """Line on the input limits, under which the certified rate holds only from some initial
-    outputs."""
+def limit_text(record: Record, loop: ShownLoop | None) -> str:
+    """Text on the input limits, under which the certified rate holds only from some initial
+    outputs, with the share of the shown starts among them."""
     start_range = limited_start_range(record)
     if start_range is None:
         return ""
     first, last = start_range
-    input_unit = "" if loop is None else f" {loop.input_unit}"
-    output_unit = "" if loop is None else f" {loop.output_unit}"
-    rate = record.get("limited_rate")
-    everywhere = "no rate is proved" if rate is None else f"the rate {rate:.3g}"
+    input_unit = "" if loop is None else f" {loop.input_unit}".rstrip()
+    output_unit = "" if loop is None else f" {loop.output_unit}".rstrip()
     limits = f"{record['limit_lower']:.3g} and {record['limit_upper']:.3g}{input_unit}"
     outputs = f"{first:.3g} and {last:.3g}{output_unit}"
+    share = ""
+    if loop is not None:
+        inside = loop.count_starts_inside(*start_range)
+        verb = "lies" if inside == 1 else "lie"
+        share = f", where {inside} of the {len(loop.initial_outputs)} starts shown {verb}"
+    everywhere = limited_rate_text(record, loop)
     return (
-        f"With the input between {limits}: this rate from rest at outputs between {outputs}, "
+        f"; with the input between {limits} only from rest at outputs between {outputs}{share}; "
         f"from everywhere {everywhere}"
     )
+
+
+def limited_rate_text(record: Record, loop: ShownLoop | None) -> str:
+    """Text on the rate that is proved from everywhere with a limited input."""
+    rate = record.get("limited_rate")
+    if rate is None:
+        return "no rate is proved"
+    words = f"the rate {round_rate_down(rate)}{timed_words(rate, loop)}"
+    is_no_gain = rate <= (open_loop_rate(record) or 0.0)
+    return f"{words} (no more than without control)" if is_no_gain else words
 
 
 def unproved_statements(record: Record, loop: ShownLoop | None) -> list[str]:
@@ -141,10 +173,39 @@ def unproved_statements(record: Record, loop: ShownLoop | None) -> list[str]:
     start_range = limited_start_range(record)
     if start_range is not None:
         excluded.append(f"with the input limited, {unproved_starts_text(start_range, loop)}")
+    elif record.get("limit_lower") is None:
+        excluded.append(unproved_limits_text(record))
+    excluded += exceeded_bound_statements(record)
     excluded.append("how far noise and disturbances move the output")
     if is_covered:
         excluded.append("other set points of the plant: what is proved is that it comes to rest")
     return excluded
+
+
+def unproved_limits_text(record: Record) -> str:
+    """Text on input limits under which nothing is proved."""
+    words = "an input that is limited"
+    if is_limited_to_records(record):
+        words += ", as it is here to the range of the records"
+    return f"{words}: the theorems on limits know no neurons" if record.get("neurons") else words
+
+
+def is_limited_to_records(record: Record) -> bool:
+    """Whether the simulated input was limited to the recorded range, as it is on a log's model."""
+    return record.get("loop_on") == "identified model"
+
+
+def exceeded_bound_statements(record: Record) -> list[str]:
+    """Statement on how far the plant's estimate exceeded the certified bound of the model; empty
+    where it did not, or where there was no plant."""
+    excess = record.get("certified_bound_excess_plant")
+    if not excess or is_limited_to_records(record):
+        return []
+    share = f"{100 * excess:.2g} % of its value at the start"
+    has_noise = record.get("noise_gain_measured") is not None
+    estimate = "the estimate on the plant, with sensor noise," if has_noise else "that on the plant"
+    bound = "the certified bound on the estimate is that of the model without noise"
+    return [f"{bound}: {estimate} exceeded it by up to {share}"]
 
 
 def unproved_starts_text(start_range: tuple[float, float], loop: ShownLoop | None) -> str:
@@ -158,17 +219,23 @@ def unproved_starts_text(start_range: tuple[float, float], loop: ShownLoop | Non
     return f"{words} {loop.output_unit}: {outside} of the {total} shown"
 
 
-def proved_starts_text(record: Record, loop: ShownLoop | None) -> str:
-    """Line on how many of the shown initial states lie in the range that is proved with a limited
-    input."""
-    start_range = limited_start_range(record)
-    if start_range is None or loop is None or not record.get("controller_certified"):
+def exceeded_limits_text(record: Record, loop: ShownLoop | None) -> str:
+    """Line on whether the shown input stayed within the limits of the proof."""
+    if record.get("limit_lower") is None or loop is None or not record.get("controller_certified"):
         return ""
-    inside = loop.count_starts_inside(*start_range)
-    total = len(loop.initial_outputs)
-    verb = "lies" if inside == 1 else "lie"
-    words = f"{inside} of the {total} starts {verb} where the proof holds with a limited input"
     low, high = loop.input_range
-    is_free = record["limit_lower"] <= low and high <= record["limit_upper"]
-    met = "stayed within the limits" if is_free else "went beyond the limits"
-    return f"{words}; the input {met} ({low:.3g} to {high:.3g} {loop.input_unit})"
+    reach = f"{low:.3g} to {high:.3g}{f' {loop.input_unit}'.rstrip()}"
+    if not goes_beyond_limits(record, loop):
+        return f"The input stayed within the limits of the proof ({reach})"
+    return (
+        f"The input went beyond the limits of the proof ({reach}): the times shown are without "
+        "limits; loop.input_lower and loop.input_upper apply them"
+    )
+
+
+def goes_beyond_limits(record: Record, loop: ShownLoop | None) -> bool:
+    """Whether the shown input left the range for which the limited proof was made."""
+    if loop is None or record.get("limit_lower") is None:
+        return False
+    low, high = loop.input_range
+    return bool(low < record["limit_lower"] or record["limit_upper"] < high)
