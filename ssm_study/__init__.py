@@ -33,7 +33,9 @@ the plant's own S_u and S_y, and that no limit clamps the input. Gains come from
 or a solver of matrix inequalities, verdicts from rational arithmetic on the stored numbers.
 
 Of the loop of both, `u = K xh`, it follows that the model comes to rest: the error of the observer
-shrinks by itself and enters the state feedback with a bounded gain.
+shrinks by itself and enters the state feedback with a bounded gain. `certified`, of `st.control`
+and `st.certify` alike, says whether controller, observer and this loop are proved; `verdicts` has
+them by name. The loop is not proved where the observer cannot compute the plant's own S_u and S_y.
 
 Two entries are about the plant: `design.record["predicted_stable"]`, a prediction near the recorded
 amplitudes (None where the records allow none), and `design.record["coverage"]`, the model error
@@ -41,8 +43,9 @@ that the proof covers over the error that the records show (below one nothing is
 error, plant minus model, is compared by frequency with the output and the input of the model, at
 each recorded amplitude; from one on the loop comes to rest on every plant whose error stays within.
 Amplitudes, frequencies and starts that no record visits stay unproved.
-`coverage_needed` is the same ratio that data need which neither fit nor design has used. A fit of
-100 % is a perfect free run. A wrong request raises `st.BadRequest` in one sentence, before any long
+`coverage_needed` is the error that the test record shows over the error that the other records
+show; the test record is covered too where `coverage` is at least as large. A fit of 100 % is a
+perfect free run. A wrong request raises `st.BadRequest` in one sentence, before any long
 work.
 """
 

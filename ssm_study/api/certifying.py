@@ -18,8 +18,13 @@ from ssm_study.api.controlling import slope_ball
 from ssm_study.api.design import Design
 from ssm_study.api.known_maps import describe_range
 from ssm_study.api.loop_of_both import describe_loop_of_both, unstable_example
+from ssm_study.api.missing_rate import (
+    describe_missing_rate,
+    describe_mode_out_of_reach,
+    spectral_radius,
+)
 from ssm_study.api.summaries import html_table, render_text_table, round_rate_down
-from ssm_study.api.systems import read_linear_system, read_matrix
+from ssm_study.api.systems import read_columns, read_linear_system, read_matrix
 from ssm_study.certificates.certificate import Side
 from ssm_study.certificates.decay_time import decay_time_words
 from ssm_study.certificates.frontier import contraction_frontier
@@ -241,7 +246,7 @@ def certify(
     controller = observer = None
     if K is not None:
         require(B is not None, "B", None, "a state feedback needs it", "give the input matrix")
-        b = read_matrix("B", B, (n, None))
+        b = read_columns("B", B, (n, None))
         k = read_matrix("K", K, (b.shape[1], n))
         jacobian_ball = slope_ball("slopes", slopes)
         controller = certify_gain(a, b, k, jacobian_ball, StateFeedbackOfBall)
@@ -249,7 +254,7 @@ def certify(
     if L is not None:
         require(C is not None, "C", None, "an observer needs it", "give the output matrix")
         c = read_matrix("C", C, (None, n))
-        gain = read_matrix("L", L, (n, len(c)))
+        gain = read_columns("L", L, (n, len(c)))
         ball = slope_ball("output_slopes", output_slopes)
         observer = certify_gain(a.T, c.T, gain.T, ball, ObserverOfBall)
         output_range = (float(output_slopes[0]), float(output_slopes[1]))
@@ -299,7 +304,8 @@ def certify_gain(
     """
     matrices = (a, b, k)
     a, b, k = (np.ascontiguousarray(matrix) for matrix in matrices)
-    limit = contraction_frontier(a, b, ball).rate_limit
+    frontier = contraction_frontier(a, b, ball)
+    limit = frontier.rate_limit
     supremum = min(largest_rate(a, b, k, ball), LARGEST_RATE)
     result = partial(
         GainCertificate,
@@ -309,7 +315,8 @@ def certify_gain(
         slopes=(ball.lower, ball.upper),
     )
     if supremum <= 0:
-        reason = _describe_missing_rate(a, b @ k, ball)
+        reason = describe_mode_out_of_reach(frontier, theorem.observes)
+        reason = reason or describe_missing_rate(a, b @ k, ball)
         return result(rate=None, certificate=None, reason=reason)
     problem_rate = max(SMALLEST_RATE, 0.5 * supremum)
     state_weight = np.eye(len(a))
@@ -324,36 +331,6 @@ def certify_gain(
             return result(rate=rate, certificate=part, reason=reason)
     reason = "floats hold no metric close to the supremum; scale the states"
     return result(rate=None, certificate=None, reason=reason)
-
-
-def spectral_radius(matrix: Float[np.ndarray, "n n"]) -> float:
-    """Largest modulus of the eigenvalues of a matrix."""
-    return float(np.abs(np.linalg.eigvals(matrix)).max())
-
-
-def _describe_missing_rate(
-    a: Float[np.ndarray, "n n"], fed_back: Float[np.ndarray, "n n"], ball: JacobianBall
-) -> str:
-    """Text that explains why no rate can be certified for a gain, from the eigenvalues of `A + s B
-    K` at the mean slope s and at the two extreme ones.
-
-    `fed_back` is `B K`, or `(L C)^T` of an observer.
-    """
-    opposite = spectral_radius(a - ball.alpha * fed_back)
-    mean = spectral_radius(a + ball.alpha * fed_back)
-    if mean >= 1:
-        words = f"not stable at the mean slope (spectral radius {mean:.4g})"
-        if opposite < 1:
-            words += "; stable with the opposite sign: gains enter as u = K x and L (yh - y)"
-        return words
-    for slope in (ball.lower, ball.upper):
-        radius = spectral_radius(a + slope * fed_back)
-        if radius >= 1:
-            return f"not stable at slope {slope:.4g} (spectral radius {radius:.4g})"
-    return (
-        f"stable at the mean slope (spectral radius {mean:.4g}), yet no single constant metric "
-        f"proves a rate for every slope from {ball.lower:.4g} to {ball.upper:.4g}"
-    )
 
 
 def _prove_rate(

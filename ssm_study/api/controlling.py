@@ -11,7 +11,12 @@ from ssm_study.api.model import Model
 from ssm_study.api.parts import Parts, part_name
 from ssm_study.api.rest_design import RestDesign
 from ssm_study.api.steps import design_controller
-from ssm_study.api.systems import read_linear_system, read_number, read_numbers, read_slopes
+from ssm_study.api.systems import (
+    read_linear_system,
+    read_number,
+    read_numbers,
+    read_positive_slopes,
+)
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import SIDES, Infeasible
 from ssm_study.certificates.certificate import Design as Certificates
@@ -247,13 +252,5 @@ def replace_study_remedies(certificate: Certificates) -> Certificates:
 
 def slope_ball(name: str, slopes: Slopes) -> JacobianBall:
     """Ball of Jacobians of a static map with a given smallest and largest slope."""
-    lower, upper = read_slopes(name, slopes)
-    remedy = "give (lowest, highest), as in (0.8, 1.2)"
-    require(
-        0 < lower <= upper,
-        name,
-        slopes,
-        "are not positive and ascending, so an input might have no effect",
-        remedy,
-    )
+    lower, upper = read_positive_slopes(name, slopes)
     return JacobianBall.from_slopes(lower, upper)

@@ -16,6 +16,7 @@ from ssm_study.api.arguments import Values
 from ssm_study.api.design_files import write_records
 from ssm_study.api.known_maps import name_unknown_maps, refuse_unknown_maps, warn_of_unknown_maps
 from ssm_study.api.model import Model, draw_or_refuse
+from ssm_study.api.scope_of_proof import refuse_without_records
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.summaries import html_table, render_text_table, summarise_design
 from ssm_study.api.systems import read_channel_values, read_folder, read_number
@@ -47,9 +48,12 @@ STARTS = (-1.0, 1.0)  # from where a loop is drawn unless it is told, in output 
 class Design:
     """Certified controller with its observer, for use from Python. `u = K xh`.
 
-    `certificate` holds `state_feedback` and `observer` with their gains and matrices; `model` is
-    what is certified. `origin` is the identified model it was designed for, None for a bare system
-    or a design that was loaded. `run_folder` is where a loaded design lies.
+    `certificate` holds `state_feedback` and `observer` with their gains and matrices, at the rates
+    that were requested or chosen. The printed rates are the largest proved of these gains:
+    `certificate.certified_rate("state_feedback")`, with their matrices in
+    `certificate.certificates_by_name["state_feedback_deployed"]` and `["observer_deployed"]` where
+    they are larger. `model` is what is certified. `origin` is the identified model it was designed
+    for, None for a bare system or a design that was loaded, which lies in `run_folder`.
     """
 
     certificate: Certificates
@@ -391,9 +395,6 @@ class Design:
 
     def _model_with_records(self) -> Model:
         """Identified model of the design; raises `BadRequest` if it has no records."""
-        origin = self.origin
-        require(
-            origin is not None, "design", "loaded or bare", "has no records", "use st.fit first"
-        )
-        assert origin is not None
-        return origin
+        refuse_without_records(self.origin, self.run_folder)
+        assert self.origin is not None
+        return self.origin

@@ -10,6 +10,12 @@ import numpy as np
 import pandas as pd
 
 from ssm_study.api.loop_of_both import describe_loop_of_both, name_maps
+from ssm_study.api.scope_of_proof import (
+    describe_deciding_band,
+    describe_simulated_loop,
+    describe_unproved,
+    requested_rate,
+)
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.certificates.certificate import Infeasible
 from ssm_study.certificates.decay_time import decay_time_words
@@ -27,6 +33,13 @@ if TYPE_CHECKING:
     from ssm_study.api.model import Model
 
 PROVED = {True: "certified in exact arithmetic", False: "not certified"}
+# Settings of a study, in the sentences of a certificate, and what a Python user gives instead.
+PYTHON_ARGUMENTS = {
+    "raise the slope floor (model.slope_lower)": "raise the lowest slope (slopes= of st.fit)",
+    "drop states (reduction.truncate_to)": "take fewer states (order= of st.fit)",
+    "try synthesis=riccati": "try method='riccati'",
+    " or use a scaffolding with slopes bounded by construction": "",
+}
 STABILITY = {True: "stays stable", False: "may not stay stable", None: "no prediction"}
 
 
@@ -104,12 +117,15 @@ def summarise_design(design: "Design") -> pd.Series:
     for name, side in (("controller", "state_feedback"), ("observer", "observer")):
         part = certificate.certificates_by_name[side]
         if isinstance(part, Infeasible):
-            lines[name] = f"no certificate: {part.reason}"
+            lines[name] = f"no certificate: {name_python_arguments(part.reason)}"
             continue
-        lines |= summarise_side(name, part, certificate.certified_rate(side), design.model.step_s)
+        rate = certificate.certified_rate(side)
+        requested = requested_rate(design, side)
+        lines |= summarise_side(name, part, rate, design.model.step_s, requested)
         if name == "observer" and part.certified and design.unknown_maps:
             lines[name] += f", if it computes the plant's own {name_maps(design.unknown_maps)}"
     lines["loop of both"] = describe_loop_of_both(design.verdicts, design.unknown_maps)
+    lines["not proved"] = describe_unproved(design)
     if not certificate.feasible:
         return pd.Series(lines, name="design", dtype=object)
     if design.unknown_maps:
@@ -129,10 +145,21 @@ def summarise_design(design: "Design") -> pd.Series:
     lines["slowest pole, observer"] = f"{slowest['estimate']:.4f} per sample"
     if "evidence" in design.facts:
         lines |= summarise_input_limits(design.facts, open_loop_rate)
-        lines |= summarise_prediction(design.facts, acts)
+        where = describe_deciding_band(design)
+        lines |= summarise_prediction(design.facts, acts, where)
+    if design.origin is not None or design.stored_record:
+        lines["simulated"] = describe_simulated_loop(design)
     elif design.origin is None and not design.stored_record:
         lines |= summarise_assumptions(certificate)
     return pd.Series(lines, name="design", dtype=object)
+
+
+def name_python_arguments(sentence: str) -> str:
+    """Sentence of a certificate with the arguments of Python functions in place of a study's
+    settings."""
+    for setting, argument in PYTHON_ARGUMENTS.items():
+        sentence = sentence.replace(setting, argument)
+    return sentence
 
 
 def describe_open_loop(open_loop_rate: float, proved_rate: float | None) -> str:
@@ -180,22 +207,31 @@ def round_rate_down(rate: float, digits: int = 3) -> str:
     return text if float(text) <= rate else f"{float(text) - step:.{digits}g}"
 
 
-def summarise_side(name: str, part: Any, rate: float | None, step_s: float) -> dict[str, str]:
+def summarise_side(
+    name: str, part: Any, rate: float | None, step_s: float, requested: float | None = None
+) -> dict[str, str]:
     """Summary lines on the certificate of a controller or observer, with the reason where exact
-    arithmetic does not confirm it."""
+    arithmetic does not confirm it. `requested` is the rate that was asked for."""
     value = "no rate"
     if rate is not None:
-        value = f"rate {round_rate_down(rate)} per sample ({decay_time_words(rate, step_s)})"
-    lines = {name: f"{value}, {PROVED[part.certified]} (limit {round_rate_down(part.rate_limit)})"}
+        value = f"rate {round_rate_down(rate)}"
+        if requested is not None and round_rate_down(rate) != round_rate_down(requested):
+            value += f" (asked {requested:g})"
+        value += f" per sample ({decay_time_words(rate, step_s)})"
+    limit = f"any gain: below {round_rate_down(part.rate_limit)}"
+    lines = {name: f"{value}, {PROVED[part.certified]} ({limit})"}
     if not part.certified:
-        lines[f"{name}, reason"] = part.solver_status
+        lines[f"{name}, reason"] = name_python_arguments(part.solver_status)
     lines[f"{name} gain"] = f"norm {part.gain_norm:.3g}"
     return lines
 
 
-def summarise_prediction(facts: dict[str, Any], acts: bool = True) -> dict[str, str]:
+def summarise_prediction(
+    facts: dict[str, Any], acts: bool = True, decided: str = ""
+) -> dict[str, str]:
     """Lines of the summary that predict how the plant behaves in closed loop. Of a controller that
-    hardly acts neither a margin nor a coverage is praised."""
+    hardly acts neither a margin nor a coverage is praised. `decided` says at which frequency the
+    coverage is decided."""
     margin = facts.get("resolved_margin")
     judged = facts["evidence"] != CANNOT_JUDGE
     suffix = ""
@@ -205,7 +241,7 @@ def summarise_prediction(facts: dict[str, Any], acts: bool = True) -> dict[str, 
     reason = str(facts.get("coverage_reason"))
     covered = reason if reason.startswith(WITHHELD) else "not covered"
     if coverage is not None and coverage >= 1:
-        covered = f"a model error {coverage:.3g} times as large as the records show"
+        covered = f"a model error {coverage:.3g} times as large as the records show{decided}"
         if not acts:
             covered = IDLE
     if not judged and (coverage is not None or reason == NO_JUDGEMENT):

@@ -63,6 +63,15 @@ def read_matrix(
     return matrix
 
 
+def read_columns(name: str, values: Any, shape: tuple[int, int | None]) -> Float[np.ndarray, "r c"]:
+    """Read a finite matrix of a given number of rows, as `read_matrix` does; a vector of that many
+    numbers is one column."""
+    numbers = read_numbers(name, values, "is no matrix of numbers")
+    if numbers.shape == shape[:1]:
+        numbers = numbers[:, None]
+    return read_matrix(name, numbers, shape)
+
+
 def read_numbers(
     name: str, values: Any, problem: str = "holds no numbers"
 ) -> Float[np.ndarray, "..."]:
@@ -90,9 +99,26 @@ def read_slopes(name: str, slopes: Any) -> tuple[float, float]:
     pair = read_numbers(name, slopes)
     usable = pair.shape == (2,) and bool(np.isfinite(pair).all())
     remedy = "give (lowest, highest), as in (0.8, 1.2)"
-    require(usable, name, slopes, "are no two numbers", remedy)
+    problem = "are no two numbers" if pair.shape != (2,) else "are not finite"
+    require(usable, name, slopes, problem, remedy)
     lower = float(pair[0])
     upper = float(pair[1])
+    return lower, upper
+
+
+def read_positive_slopes(name: str, slopes: Any) -> tuple[float, float]:
+    """Read a range of positive slopes. Raises `BadRequest` with the reason for any other: a
+    descending pair, and one that holds zero or negative slopes."""
+    lower, upper = read_slopes(name, slopes)
+    swapped = f"give ({upper:g}, {lower:g})"
+    require(lower <= upper, name, slopes, "are descending: the lowest comes first", swapped)
+    problem = "are negative"
+    require(upper >= 0, name, slopes, problem, "change the sign of B or C and of the slopes")
+    problem = (
+        "hold zero, so an input might have no effect, and no gain can then prove more than the "
+        "system does without it"
+    )
+    require(lower > 0, name, slopes, problem, "give a positive lowest slope, as in (0.8, 1.2)")
     return lower, upper
 
 
@@ -134,7 +160,7 @@ def _build_state_space(matrices: list[Any]) -> StateSpace:
     n = len(a)
     require(a.size > 0, "A (shape)", a.shape, "there are no states to control", FORMS)
     a = read_matrix("A", a, (n, n))
-    b = read_matrix("B", matrices[1], (n, None))
+    b = read_columns("B", matrices[1], (n, None))
     c = read_matrix("C", matrices[2], (None, n))
     d = read_matrix("D", matrices[3], (len(c), b.shape[1]))
     return StateSpace(a=a, b=b, c=c, d=d)

@@ -175,3 +175,12 @@ def test_the_observer_s_line_names_what_it_supposes(uncertain: Design) -> None:
     assert line.endswith(words)
     known = st.control(SYSTEM, slopes=(2.0, 2.0), rate=0.3)
     assert "if it computes" not in known.summary()["observer"]
+
+
+def test_the_print_says_where_the_proof_ends(uncertain: Design) -> None:
+    """Of a bare system nothing is simulated, and the lines on the loop stand whatever they say."""
+    summary = uncertain.summary()
+    assert summary["not proved"].startswith("a rate of the loop of both")
+    assert "simulated" not in summary
+    infeasible = st.control(SYSTEM, slopes=(0.3, 5.0), rate=0.9).summary()
+    assert infeasible["loop of both"].startswith("not certified: the controller")

@@ -1,6 +1,7 @@
 """`st.certify` and `st.control` for matrices that the user brings: refusals, reasons, words."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import control
@@ -11,7 +12,9 @@ import pytest
 import ssm_study as st
 from ssm_study.api.design import Design
 from ssm_study.api.summaries import round_rate_down
+from ssm_study.certificates.frontier import contraction_frontier
 from ssm_study.refusal import BadRequest
+from ssm_study.systems import JacobianBall
 
 A = np.array([[0.9, 0.1], [0.0, 0.8]])
 B = np.array([[0.0], [1.0]])
@@ -62,11 +65,59 @@ def test_complex_numbers_are_refused_wherever_they_enter(
 
 
 def test_a_shape_that_does_not_fit_says_what_is_needed() -> None:
-    """A vector is read as one row: the sentence names the rows that are missing."""
-    with pytest.raises(BadRequest, match=r"B \(shape\) = \(1, 2\): must have 2 rows; check"):
-        st.certify(A, np.ones(2), K=K)
-    with pytest.raises(BadRequest, match="so an input might have no effect"):
-        st.certify(A, B, K=K, slopes=(0.0, 1.0))
+    with pytest.raises(BadRequest, match=r"B \(shape\) = \(1, 3\): must have 2 rows; check"):
+        st.certify(A, np.ones(3), K=K)
+
+
+@pytest.mark.parametrize(
+    ("slopes", "words"),
+    [
+        ((0.0, 1.0), "hold zero, so an input might have no effect.*give a positive lowest slope"),
+        ((-0.8, 1.2), "hold zero"),
+        ((-1.2, -0.8), "are negative; change the sign"),
+        ((1.2, 0.8), r"are descending: the lowest comes first; give \(0\.8, 1\.2\)"),
+        ((0.8, np.inf), "are not finite"),
+    ],
+)
+def test_refused_slopes_say_why(slopes: tuple[float, float], words: str) -> None:
+    with pytest.raises(BadRequest, match=words):
+        st.certify(A, B, K=K, slopes=slopes)
+
+
+def test_no_gain_proves_more_than_none_where_the_slopes_hold_zero() -> None:
+    """The reason of the refusal, by the frontier of such a ball."""
+    holds_zero = JacobianBall.from_slopes(0.0, 1.0)
+    frontier = contraction_frontier(A, B, holds_zero)
+    assert frontier.contraction_limit == pytest.approx(0.9)
+
+
+def test_a_vector_is_a_column_of_b_and_of_l() -> None:
+    proof = st.certify(A, B[:, 0], C[0], K=K[0], L=L[:, 0], slopes=SLOPES)
+    assert repr(proof) == repr(st.certify(A, B, C, K=K, L=L, slopes=SLOPES))
+    design = st.control((A, B[:, 0], C[0], D, 0.1), rate=0.5)
+    assert design.certified
+
+
+def test_a_mode_out_of_reach_is_named() -> None:
+    unstable = np.diag([1.2, 0.5])
+    proof = st.certify(unstable, B, np.array([[0.0, 1.0]]), K=K, L=L)
+    words = "a mode of modulus 1.2 is not stable and the"
+    assert f"{words} input does not reach it, so no gain stabilises it; use another act" in repr(
+        proof
+    )
+    assert f"{words} output does not show it, so no gain stabilises it; use another sens" in repr(
+        proof
+    )
+
+
+def test_a_picture_without_records_says_what_to_do(design: Design, tmp_path: Path) -> None:
+    words = r"design = matrices: has no records.*identify a model with st\.fit"
+    with pytest.raises(BadRequest, match=words):
+        design.margin_plot()
+    saved = st.control(SYSTEM, rate=0.5).save(tmp_path / "saved")
+    words = r"loaded design = .*comes without its model's records.*st\.load the saved model"
+    with pytest.raises(BadRequest, match=words):
+        st.load(saved).coverage_plot()
 
 
 def test_masked_entries_are_refused() -> None:

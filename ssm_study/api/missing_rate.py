@@ -1,0 +1,49 @@
+"""Reasons why a given gain contracts at no rate that can be proved, in words."""
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.certificates.frontier import Frontier
+from ssm_study.systems import JacobianBall
+
+OUT_OF_REACH = "a mode out of reach"  # as `Frontier.decided_by` says it
+OF_CONTROLLER = "the input does not reach it, so no gain stabilises it; use another actuator"
+OF_OBSERVER = "the output does not show it, so no gain stabilises it; use another sensor"
+
+
+def describe_mode_out_of_reach(frontier: Frontier, observes: bool) -> str:
+    """Text on an unstable mode that no gain reaches; empty where there is none."""
+    if frontier.rate_limit > 0 or frontier.decided_by != OUT_OF_REACH:
+        return ""
+    cause = OF_OBSERVER if observes else OF_CONTROLLER
+    return f"a mode of modulus {frontier.contraction_limit:.4g} is not stable and {cause}"
+
+
+def describe_missing_rate(
+    a: Float[np.ndarray, "n n"], fed_back: Float[np.ndarray, "n n"], ball: JacobianBall
+) -> str:
+    """Text that explains why no rate can be certified for a gain, from the eigenvalues of `A + s B
+    K` at the mean slope s and at the two extreme ones.
+
+    `fed_back` is `B K`, or `(L C)^T` of an observer.
+    """
+    opposite = spectral_radius(a - ball.alpha * fed_back)
+    mean = spectral_radius(a + ball.alpha * fed_back)
+    if mean >= 1:
+        words = f"not stable at the mean slope (spectral radius {mean:.4g})"
+        if opposite < 1:
+            words += "; stable with the opposite sign: gains enter as u = K x and L (yh - y)"
+        return words
+    for slope in (ball.lower, ball.upper):
+        radius = spectral_radius(a + slope * fed_back)
+        if radius >= 1:
+            return f"not stable at slope {slope:.4g} (spectral radius {radius:.4g})"
+    return (
+        f"stable at the mean slope (spectral radius {mean:.4g}), yet no single constant metric "
+        f"proves a rate for every slope from {ball.lower:.4g} to {ball.upper:.4g}"
+    )
+
+
+def spectral_radius(matrix: Float[np.ndarray, "n n"]) -> float:
+    """Largest modulus of the eigenvalues of a matrix."""
+    return float(np.abs(np.linalg.eigvals(matrix)).max())

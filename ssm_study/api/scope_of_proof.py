@@ -1,0 +1,139 @@
+"""Lines of a design's table on where its proof ends: the frequency that decides what is covered,
+the simulated loop, and what is not proved."""
+
+import re
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import yaml
+
+from ssm_study.refusal import BadRequest, require
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ssm_study.api.design import Design
+    from ssm_study.api.model import Model
+
+ANGLE = re.compile(r"(\d+\.\d+)(?: to (\d+\.\d+))? rad/sample")
+AMPLITUDE = re.compile(r"^input of rms \S+")
+ONE_AMPLITUDE = "All records have one amplitude"
+UNEXCITED = re.compile(r"no power in (\d+ of \d+ bands, from (\S+) Hz)")
+SETTINGS = {"state_feedback": "rate_controller", "observer": "rate_observer"}
+
+
+def requested_rate(design: "Design", side: str) -> float | None:
+    """Contraction rate that was asked of one side of a design; None where it was chosen from the
+    records."""
+    settings = _read_synthesis_settings(design)
+    if settings is None:
+        return float(design.certificate.certificates_by_name[side].rate)
+    for name in (SETTINGS[side], "rate"):
+        try:
+            return float(settings[name])
+        except (KeyError, TypeError, ValueError):  # left at auto
+            continue
+    return None
+
+
+def _read_synthesis_settings(design: "Design") -> dict[str, Any] | None:
+    """Settings of the synthesis, of which some may be auto; None where all rates were asked for."""
+    if design.run_folder is not None:
+        configuration = design.run_folder / ".hydra" / "config.yaml"
+        if not configuration.is_file():
+            return None
+        return dict(yaml.safe_load(configuration.read_text(encoding="utf-8"))["synthesis"])
+    pairs = [word.lstrip("+").partition("=") for word in design.overrides]
+    methods = [value for key, _, value in pairs if key == "synthesis"]
+    if not methods or not methods[-1].startswith("auto"):
+        return None
+    prefix = "synthesis."
+    return {key.removeprefix(prefix): value for key, _, value in pairs if key.startswith(prefix)}
+
+
+def describe_deciding_band(design: "Design") -> str:
+    """Text on the frequency that decides the coverage, and on the input power of the records there.
+    Empty where no band decides."""
+    facts = design.facts
+    reference = str(facts.get("coverage_reference") or "")
+    words = describe_frequency(reference, design.model.step_s)
+    if not words:
+        return ""
+    amplitude = AMPLITUDE.match(reference)
+    if amplitude is not None and ONE_AMPLITUDE not in str(facts.get("evidence_reasons")):
+        words += f" with an {amplitude[0].rstrip(',')} input scales"
+    return f", decided {words}{describe_input_power(design, reference)}"
+
+
+def describe_frequency(reference: str, step_s: float) -> str:
+    """Text in Hz on the frequency range in the name of a coverage requirement; empty where it names
+    none."""
+    angles = ANGLE.search(reference)
+    if angles is None:
+        return ""
+    hertz = [float(angle) / (2 * np.pi * step_s) for angle in angles.groups() if angle]
+    if hertz[-1] == 0:
+        return "at the lowest frequencies"
+    place = " to ".join(f"{frequency:.3g}" for frequency in hertz)
+    return f"{'from' if len(hertz) > 1 else 'at'} {place} Hz"
+
+
+def describe_input_power(design: "Design", reference: str) -> str:
+    """Text on the missing input power of the record that decides the coverage, in its band. Of a
+    loaded design its evidence is quoted, if the band lies above the first that is not excited."""
+    from ssm_study.api.steps import measure_coverage_premise
+    from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
+
+    part = design.certificate.extra_certificates.get(MeasuredDiscs.part)
+    if design.origin is None or not isinstance(part, MeasuredDiscs):
+        note = UNEXCITED.search(str(design.facts.get("evidence_reasons")))
+        angle = ANGLE.search(reference)
+        if note is None or angle is None:
+            return ""
+        hertz = float(angle[1]) / (2 * np.pi * design.model.step_s)
+        return f" (the input has no power in {note[1]})" if hertz >= float(note[2]) else ""
+    premise = measure_coverage_premise(design.model, design.origin.data, design.origin.mismatch)
+    items = premise.requirements(part.centre)
+    is_dark = any(item.dark for item in items if item.where == reference)
+    return ", where the records have no input power and noise counts as error" if is_dark else ""
+
+
+def describe_simulated_loop(design: "Design") -> str:
+    """Text on the simulated loop of a design with records: how many starts settle, how soon, and
+    how soon without control."""
+    try:
+        record = design.record
+    except BadRequest as error:
+        return f"no loop: {error.problem}"
+    starts = record.get("initial_conditions")
+    if starts is None:
+        return "no loop"
+    place = record.get("loop_on") or "plant"
+    words = f"on the {place} {record.get('stable_count')} of {starts} starts settle"
+    mean_s = record.get("settling_time_mean_s")
+    if mean_s is None:
+        return words
+    words += f", in {mean_s:.3g} s on average"
+    open_loop_s = record.get("settling_time_open_loop_s")
+    return words if open_loop_s is None else f"{words} ({open_loop_s:.3g} s without control)"
+
+
+def describe_unproved(design: "Design") -> str:
+    """Text on what neither certificate of a design proves."""
+    if design.origin is None and not design.stored_record:
+        return "a rate of the loop of both; a loop whose input is limited; any other plant"
+    words = "a rate of the loop of both; a loop in which a limit cuts the input"
+    if (design.facts.get("coverage") or 0.0) < 1:
+        words += "; that the plant itself comes to rest"
+    return f"{words}; amplitudes, frequencies and starts that no record visits"
+
+
+def refuse_without_records(origin: "Model | None", folder: "Path | None") -> None:
+    """Refuse a picture that compares the proof with records, for a design that has none: one that
+    was loaded, or one of given matrices."""
+    problem = "comes without its model's records, with which the picture compares the proof"
+    remedy = "st.load the saved model, or st.fit it again, and give it to st.control"
+    require(origin is not None or folder is None, "loaded design", folder, problem, remedy)
+    problem = "has no records, with which the picture compares the proof"
+    remedy = "identify a model with st.fit and give it to st.control"
+    require(origin is not None, "design", "matrices", problem, remedy)
