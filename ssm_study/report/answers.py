@@ -45,7 +45,7 @@ def question_answers(table: pd.DataFrame) -> list[Answer]:
     all_answers = [
         Answer("Where does feasibility end, and why?", feasibility_sentences(table)),
         Answer("Does a better fit mean a better loop?", fit_sentences(table)),
-        Answer(prediction_question(table), prediction_sentences(table)),
+        Answer("Does the prediction hold on the plant?", prediction_sentences(table)),
     ]
     return [answer for answer in all_answers if answer.sentences]
 
@@ -172,17 +172,11 @@ def fit_sentence(table: pd.DataFrame) -> str:
     )
 
 
-def prediction_question(table: pd.DataFrame) -> str:
-    """Question about the prediction of stability, in words that suit the runs of the table. A log
-    has no plant to ask about."""
-    on_model = text_column(table, "loop_on") == "identified model"
-    where = "model" if len(table) and on_model.all() else "plant"
-    return f"Does the prediction hold on the {where}?"
-
-
 def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
     """Sentences on how many loops settle with and without a prediction of stability, and on how
-    often the prediction may fail."""
+    often the prediction may fail; none where every loop was closed on the model that predicts."""
+    if (text_column(table, "loop_on") == "identified model").all():
+        return ()
     share = numeric_column(table, "stable_fraction")
     stable = predicted_stable(table)
     has_both = numeric_column(table, "predicted_stable").notna() & share.notna()

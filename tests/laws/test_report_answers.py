@@ -41,8 +41,10 @@ def test_every_question_that_the_table_has_numbers_for_is_answered() -> None:
 def test_a_log_has_no_question_about_a_plant() -> None:
     on_model = row(loop_on="identified model", predicted_stable=True)
     table = pd.DataFrame([on_model])
-    (answer,) = (a for a in question_answers(table) if "prediction" in a.question)
-    assert answer.question == "Does the prediction hold on the model?"
+    questions = [answer.question for answer in question_answers(table)]
+    assert not any("prediction" in question for question in questions), "it has no plant to ask"
+    on_plant = question_answers(pd.DataFrame([row(loop_on="plant", predicted_stable=True)]))
+    assert "Does the prediction hold on the plant?" in [answer.question for answer in on_plant]
 
 
 def test_what_a_study_can_show_of_the_prediction_is_counted_by_model() -> None:

@@ -9,10 +9,12 @@ import report_tables
 from report_browser import complaints, count_shown_runs, groups_shown, wait_for
 from report_runs import random_run, write_recordings
 
-from ssm_study.report.page.data import provenance_lines, slider_settings
+from ssm_study.report.page.amplitudes import physical_reference
+from ssm_study.report.page.data import slider_settings, without_empty_facts
 from ssm_study.report.page.first_screen import outcome_remarks
+from ssm_study.report.page.provenance import configuration_text, log_text, provenance_lines
 from ssm_study.report.page.writing import write_page
-from ssm_study.report.study_folder import StudyFolder
+from ssm_study.report.study_folder import RunFolder, StudyFolder
 from ssm_study.report.words import SETTLED
 from ssm_study.table.rank import sort_best_first
 
@@ -63,6 +65,9 @@ def test_the_first_screen_says_what_is_proved_predicted_seen_and_how_sound_the_r
     absent = "return ['compare', 'filters', 'beside'].map((id) => document.getElementById(id))"
     expected = [None] * 3
     assert browser.execute_script(absent) == expected, "a single run has nothing to compare"
+    boxes = browser.execute_script("return document.querySelectorAll('.picker').length")
+    assert boxes == 0, "nor to tick"
+    assert "No run failed." in browser.execute_script("return document.body.innerText")
 
 
 @pytest.mark.parametrize(
@@ -234,6 +239,54 @@ def test_the_provenance_says_in_words_whether_the_code_was_as_committed(tmp_path
         assert dict(provenance_lines(study, study.table))["working tree"].startswith(told)
 
 
+def test_a_log_names_its_file_and_signals_and_no_plant(tmp_path: Path) -> None:
+    table = report_tables.table(60)
+    table = table[table["status"] == "ok"].head(1).assign(loop_on="identified model")
+    folder = report_tables.write_study(tmp_path / "study", table)
+    run = folder / table["run"].iloc[0]
+    (run / ".hydra").mkdir(parents=True)
+    (run / "model.json").write_text("{}")
+    data = "data:\n  path: log.csv\n  input: power\n  output: temperature\n  step_s: 1\n"
+    plant = "plant:\n  _target_: Motor\n  list:\n  - 1\nexcitation:\n  clock_s: null\n"
+    (run / ".hydra" / "config.yaml").write_text(f"seed: 0\n{plant}{data}loop: null\n")
+    study = StudyFolder(folder=folder)
+    assert log_text(study) == "Log: log.csv, power to temperature, 1 s. "
+    assert configuration_text(study) == f"seed: 0\n{data}loop: null\n"
+    command = dict(provenance_lines(study, study.table))["to check the best run"]
+    assert command == f"ssm-study verify results/study/{run.name}", "the folder's whole name"
+    remarks = list(outcome_remarks({"verdict": SETTLED.word, "evidence": "sound"}))
+    assert "No plant was tried" not in remarks[-1].text
+    log = {"verdict": SETTLED.word, "evidence": "sound", "loop_on": "identified model"}
+    (remark,) = outcome_remarks(log | {"evidence_reasons": "note: One. note: Two."})
+    assert remark.title == "Evidence: sound, 2 notes (below)"
+    assert remark.text.endswith("No plant was tried: the loop was closed on the model alone.")
+
+
+def test_a_run_that_ended_early_has_no_evidence_and_a_log_no_distance_of_a_plant() -> None:
+    values = {"verdict": ["infeasible", SETTLED.word], "evidence": ["sound", "sound"]}
+    values |= {"loop_on": [None, "identified model"], "certified_bound_excess_plant": [None, 0.0]}
+    table = without_empty_facts(pd.DataFrame(values))
+    assert table["evidence"].isna()[0]
+    assert table["evidence"][1] == "sound"
+    assert table["certified_bound_excess_plant"].isna().all()
+
+
+def test_the_record_that_decides_a_coverage_is_named_in_the_unit_of_the_input(
+    tmp_path: Path,
+) -> None:
+    content = '{"input_scale": [2.86], "step_s": 0.01}'
+    (tmp_path / "model.json").write_text(content)
+    run = RunFolder(path=tmp_path)
+    assert physical_reference("input of rms 0.1, in total", run, "V") == (
+        "input of rms 0.29 V, in total"
+    )
+    angle = physical_reference("input of rms 0.1, 0.00 to 0.63 rad/sample", run, "V")
+    assert angle == "input of rms 0.29 V, 0 to 10 Hz"
+    unread = physical_reference("input of rms 0.1, in total", None, "V")
+    assert unread == "input of rms 0.1 input scales, in total"
+    assert physical_reference("trials in closed loop", run, "V") == "trials in closed loop"
+
+
 def write_sweep_page(folder: Path) -> Path:
     """A page of three runs that differ in their rate; the third left no recording."""
     table = report_tables.table(60)
@@ -290,6 +343,8 @@ def test_a_slider_moves_the_responses_through_a_sweep_and_one_start_plays(
     player = "document.querySelectorAll('#responses .chart')[3]"
     wait_for(browser, f"{player}.view")
     assert browser.execute_script(f"return {player}.view.signal('moment') === {player}.end")
+    shown = f"return {player}.view.signal('start')"
+    assert browser.execute_script(shown) >= 1, "starts are counted from one"
     browser.execute_script("document.querySelector('[aria-pressed]').click()")
     wait_for(browser, f"{player}.view.signal('moment') < {player}.end")
     browser.execute_script("document.querySelector('[aria-pressed]').click()")

@@ -202,12 +202,10 @@ def test_groups_by_any_settings_show_the_mean_over_their_runs(opened: Any) -> No
     head = cell_texts(opened, "#groups thead th")
     by, metric = opened.execute_script("return [state.group.by, state.group.metric]")
     table = opened.execute_script("return COLUMNS")
-    place = head.index(opened.execute_script("return DATA.words[arguments[0]]", metric))
+    words = opened.execute_script("return DATA.words")
+    place = head.index(words[metric])
     groups = groups_shown(opened)
-    expected = " · ".join(
-        opened.execute_script("return arguments[0].map((n) => DATA.words[n])", by)
-    )
-    assert head[0] == expected
+    assert head[0] == " · ".join(words[name] for name in by)
     rows = groups.values()
     assert sum(int(row[0]) for row in rows) == RUNS
     assert len(groups) >= 9, "three orders by three methods"
@@ -225,8 +223,13 @@ def test_groups_by_any_settings_show_the_mean_over_their_runs(opened: Any) -> No
         elif own:
             expected = sum(own) / len(own)
             assert float(row[place - 1].split(" ")[0]) == pytest.approx(expected, rel=6e-3)
-    every = [v for v in table[metric] if v is not None]
-    last = cell_texts(opened, "#groups tfoot tr > *")
+    assert_total_row(opened, table[metric], place)
+
+
+def assert_total_row(driver: Any, values: list[float | None], place: int) -> None:
+    """Assert that the last row of the groups is the mean over all runs."""
+    every = [v for v in values if v is not None]
+    last = cell_texts(driver, "#groups tfoot tr > *")
     assert last[0] == "All"
     assert int(last[1]) == RUNS
     expected = sum(every) / len(every)
@@ -352,6 +355,8 @@ def test_pictures_and_overlays_are_drawn_and_points_take_the_colours_of_a_settin
     same += "return figures.map(({ dataset }) => dataset.overlay)"
     expected = ["free-runs", "loops"]
     assert opened.execute_script(same) == expected
+    legend = opened.execute_script("return [titleOf(0), printed(setting(DATA.parameters[0], 0))]")
+    assert legend[1] in legend[0], "a legend names what was swept"
     far = "return [printed(0.99998), printed(1.00001), printed(0.5)]"
     expected = ["0.99998", "1.00001", "0.5"]
     assert opened.execute_script(far) == expected

@@ -94,7 +94,9 @@ def record_gain_ratio(model: Model, record: Trajectory) -> float | None:
 
 
 def _gain_unit(units: tuple[str, str]) -> str:
-    """Unit of a gain, output unit per input unit, in parentheses."""
+    """Unit of a gain, output unit per input unit, in parentheses; empty where neither is known."""
+    if not any(units):
+        return ""
     return f" ({units[0] or '1'} per {units[1] or '1'})"
 
 

@@ -9,7 +9,6 @@ from ssm_study.api.pictures.picture import Band, Picture, PicturePanel, Series
 
 SURE = 1.96  # standard deviations of a normal distribution that hold 95 %
 MAX_LAG = 25  # samples
-RARE = 0.5  # share of the lags within the bounds, below which the title says that this is usual
 Signals = Sequence[Float[np.ndarray, "_ c"]]
 
 
@@ -29,12 +28,7 @@ def residual_correlation_picture(
         cross = correlate_signals(errors, inputs, 0, j, lags, one_sided=False)
         picture_panel = _correlation_panel(cross, bound, f"Error with {with_spaces(name)}")
         panels.append(picture_panel)
-    inside = float(np.mean(np.abs(own[1][1:]) <= bound))
-    title = (
-        f"Correlation of the free run's error: {100 * inside:.0f} % of the lags within 95 % bounds"
-    )
-    if inside < RARE:
-        title += ", as in most free runs"
+    title = "Correlation of the free run's error on the test record"
     return Picture(title=title, panels=tuple(panels), columns=len(panels))
 
 
@@ -46,8 +40,12 @@ def with_spaces(name: str) -> str:
 def _correlation_panel(
     correlation: tuple[Int[np.ndarray, "L"], Float[np.ndarray, "L"]], bound: float, title: str
 ) -> PicturePanel:
-    """Panel with one correlation as stems, and its confidence bounds."""
+    """Panel with one correlation as stems, and its confidence bounds. The title counts the lags
+    outside them, without lag zero of a signal with itself."""
     lags, values = correlation
+    is_free = lags > 0 if lags[0] == 0 else np.full(len(lags), True)
+    outside = int(np.sum(np.abs(values[is_free]) > bound))
+    count = f"{outside} of {int(is_free.sum())} lags outside 95 % bounds"
     ends = np.array([lags[0], lags[-1]], dtype=float)
     low = np.full(2, -bound)
     high = np.full(2, bound)
@@ -58,7 +56,7 @@ def _correlation_panel(
         y_label="Correlation (–)",
         series=(stems,),
         bands=(band,),
-        title=title,
+        title=f"{title}: {count}",
         height=1.1,
     )
 

@@ -2,7 +2,6 @@
 runs, provenance."""
 
 import base64
-import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +10,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.report.answers import Answer, parameters_line
+from ssm_study.report.page.amplitudes import with_physical_amplitudes
 from ssm_study.report.page.chart_looks import LOOK
 from ssm_study.report.page.compared import comparison_json
 from ssm_study.report.page.failures import MOST_REASONS, MOST_RUNS, failure_groups
@@ -25,9 +25,11 @@ from ssm_study.report.page.first_screen import (
 )
 from ssm_study.report.page.pictures import pictures_of_run
 from ssm_study.report.page.proof_card import ShownLoop
+from ssm_study.report.page.provenance import configuration_text, log_text, provenance_lines
 from ssm_study.report.page.runner_up import choose_runner_up
 from ssm_study.report.study_folder import RecordedCases, RunFolder, StudyFolder
 from ssm_study.report.words import (
+    FAILED,
     INFEASIBLE,
     VERDICTS,
     choice_label,
@@ -63,14 +65,6 @@ WEAKER = {
     "observer_reason": "infeasible_reason",
 }
 BOOKKEEPING = ("pid", "record_version", "input_slope_lower_spectral")
-MACHINE = ("machine", "machine_processor", "machine_cores")
-PACKAGES = ("ssm_study", "torch", "cvxpy", "clarabel")
-VERSIONS = tuple(f"version_{name}" for name in ("python", *PACKAGES))
-PROVENANCE = ("git_commit", "git_dirty", *MACHINE, *VERSIONS)
-TREE = {
-    "False": "clean",
-    "True": "with uncommitted changes",
-}  # git_dirty; what git does not track is left out
 ALSO_FIRST = (
     "controller_certified_rate",
     "controller_gain_norm",
@@ -81,7 +75,7 @@ ALSO_FIRST = (
 
 def page_data(study: StudyFolder) -> dict[str, Any]:
     """Collect everything that the page's script needs, as plain JSON values."""
-    table = sort_for_page(study.table)
+    table = with_physical_amplitudes(study, sort_for_page(study.table))
     names = [str(name) for name in table]
     data: dict[str, Any] = {"study": study.name, "folder": study.folder.resolve().name}
     data["verdicts"] = [vars(verdict) for verdict in VERDICTS]
@@ -190,7 +184,8 @@ def page_texts(
     parts: dict[str, Any] = {"title": study.name}
     parts["question"] = page_title(table)
     counts = verdict_counts(table)
-    parts["swept"] = f"{plants_and_data_text(table)}{counts}. {parameters_line(table)}"
+    subject = f"{plants_and_data_text(table)}{log_text(study)}"
+    parts["swept"] = f"{subject}{counts}. {parameters_line(table)}"
     parts["several"] = len(table) > 1
     parts["answers"] = unplotted
     parts["provenance"] = provenance_lines(study, table)
@@ -230,42 +225,6 @@ def plants_and_data_text(table: pd.DataFrame) -> str:
     return words
 
 
-def configuration_text(study: StudyFolder) -> str:
-    """Configuration of the best run as text, empty if it left none."""
-    if study.best_run is None:
-        return ""
-    config = study.best_run.path / ".hydra" / "config.yaml"
-    return config.read_text() if config.is_file() else ""
-
-
-def provenance_lines(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str, str]]:
-    """Lines on where the runs were computed, with several values where the runs disagree."""
-    facts = []
-    for name in PROVENANCE:
-        if name not in table:
-            continue
-        words = {TREE.get(value, value) for value in text_column(table, name)}
-        values = sorted(words - {""})
-        if values:
-            title = name.replace("git_dirty", "working tree").replace("_", " ")
-            facts.append((title, " or ".join(values)))
-    if len(table):
-        best = text_column(table, "run").iloc[0]
-        folder, run = run_address(study, best)
-        command = f"ssm-study verify results/{folder}/{run}"
-        facts.append(("to check the best run", command))
-    return facts
-
-
-def run_address(study: StudyFolder, name: str) -> tuple[str, str]:
-    """Study folder and short name of a run, which may belong to another study."""
-    other = re.match(r"\.\./([^/]+)/", name)
-    folder = other[1] if other else study.folder.resolve().name
-    run = name.rpartition("/")[2]
-    digits = run.rpartition("-")[2]
-    return folder, digits
-
-
 def page_title(table: pd.DataFrame) -> str:
     """Title of the page as a question, such as `What changes with the model order?`."""
     varied = [setting_text_in_sentence(name) for name in swept_settings(table)]
@@ -288,10 +247,25 @@ def sort_for_page(table: pd.DataFrame) -> pd.DataFrame:
     """Table with the best run first and with all columns that the plots need."""
     table = sort_best_first(table).reset_index(drop=True)
     table = table.assign(verdict=verdict_words(table))
+    table = without_empty_facts(table)
     lower = numeric_column(table, "input_slope_lower")
     upper = numeric_column(table, "input_slope_upper")
     ratio = lower / upper
     return table.assign(slope_ratio=ratio) if ratio.notna().any() else table
+
+
+def without_empty_facts(table: pd.DataFrame) -> pd.DataFrame:
+    """Table without what its runs cannot tell: evidence for a prediction that was not made, and the
+    plant's distance from a bound where no plant was tried."""
+    changed = {}
+    if "evidence" in table:
+        ended_early = table["verdict"].isin([INFEASIBLE.word, FAILED.word])
+        changed["evidence"] = table["evidence"].mask(ended_early)
+    excess = "certified_bound_excess_plant"
+    if excess in table:
+        on_model = text_column(table, "loop_on") == "identified model"
+        changed[excess] = table[excess].mask(on_model)
+    return table.assign(**changed)
 
 
 def encode_repeats(values: pd.Series) -> list[Any] | dict[str, list[Any]]:

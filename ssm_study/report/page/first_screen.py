@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
+from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, evidence_words
 from ssm_study.report.outcome import (
     fresh_data_exceed_coverage,
     fresh_data_text,
@@ -36,6 +36,7 @@ SUPPORT = {
     DOUBT: "The records leave a doubt.",
     CANNOT_JUDGE: "The records allow no judgement.",
 }
+NO_PLANT = "No plant was tried: the loop was closed on the model alone."
 FINDING = re.compile(r" (?=(?:note|doubt|cannot judge): )")
 REASONS = ("infeasible_reason", "uncertified_reason", "error_message")
 
@@ -205,10 +206,11 @@ def outcome_remarks(record: Record) -> Iterator[Remark]:
         serious = [text for text in findings if text and text not in notes]
         plain = [re.sub(r"^[a-z ]+: ", "", text) for text in serious]
         support = SUPPORT.get(str(evidence))  # None of a word that another version wrote
-        support_and_doubts = " ".join(filter(None, [support, *plain]))
+        untried = NO_PLANT if is_loop_closed_on_model(record) else None
+        support_and_doubts = " ".join(filter(None, [support, untried, *plain]))
         is_warning = evidence in (DOUBT, CANNOT_JUDGE)
         yield Remark(
-            title=f"Evidence: {evidence}",
+            title=f"Evidence: {evidence_words(str(evidence), ' '.join(notes), 'below')}",
             text=support_and_doubts,
             notes=tuple(map(capitalise, notes)),
             is_warning=is_warning,

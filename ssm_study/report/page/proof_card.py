@@ -101,8 +101,11 @@ def step_words(step_s: float) -> str:
 def coverage_sentence(record: Record) -> str:
     """Sentence on the model error that the proof covers. Below one it covers nothing."""
     coverage = record.get("coverage")
-    if coverage is None or record.get("evidence") == CANNOT_JUDGE:
+    if record.get("evidence") == CANNOT_JUDGE:
         return ""
+    if coverage is None:
+        reason = record.get("coverage_reason")
+        return f"No model error is covered ({reason})" if reason else ""
     if coverage < 1:
         return "The model error that the records show is not covered"
     covered = f"A model error {coverage_text(coverage)} times as large as the records show is "
@@ -162,7 +165,7 @@ def unproved_statements(record: Record, loop: ShownLoop | None) -> list[str]:
     """Short list of statements that the proof does not make."""
     coverage = record.get("coverage")
     excluded = ["the plant: how far it differs from the model is not in the proof"]
-    is_judged = bool(coverage_sentence(record))
+    is_judged = record.get("evidence") != CANNOT_JUDGE
     is_covered = coverage is not None and coverage >= 1 and is_judged
     if coverage is not None and is_covered:
         times = coverage_text(coverage)

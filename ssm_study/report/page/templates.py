@@ -101,7 +101,7 @@ def slider_parameter(name: str, words: str) -> Spec:
 
 def animated_response_layers() -> list[Spec]:
     """Parts of the animated response: the whole line, the line so far, and the present point."""
-    of_start = {"filter": "datum.case === start"}
+    of_start = {"filter": "datum.case === start - 1"}  # the reader counts from one
     until_moment = {"filter": "datum.t <= moment"}
     latest_time = {"op": "max", "field": "t", "as": "last"}
     add_latest = {"joinaggregate": [latest_time]}

@@ -16,7 +16,7 @@ const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.
 function spread(values) {
   const middle = mean(values);
   const squares = values.reduce((sum, value) => sum + (value - middle) ** 2, 0);
-  return values.length < 2 ? null : Math.sqrt(squares / (values.length - 1));
+  return Math.sqrt(squares / (values.length - 1));
 }
 
 /** A setting as it was requested: for a rate that `auto` chose, `auto`. */
@@ -47,7 +47,6 @@ function meanAndSpread(values) {
   const middle = mean(values);
   const short = printed(Number(middle.toPrecision(3)));
   const wide = spread(values);
-  if (wide === null) return short;
   if (wide <= 1e-9 * Math.abs(middle)) return `${short} ± 0`;
   const places = 1 - Math.floor(Math.log10(wide));
   if (places < 0 || places > 6) return `${short} ± ${printed(Number(wide.toPrecision(2)))}`;
@@ -203,6 +202,12 @@ function drawGroupForm() {
   listeners.push(drawGroups);
 }
 
+/** A run by the settings in which the runs differ, or by its name if they do not. */
+function titleOf(i) {
+  const set = DATA.parameters.map((name) => `${shortWord(name)} ${printed(setting(name, i))}`);
+  return set.join(", ") || shortName(COLUMNS.run[i]);
+}
+
 /** Chosen runs side by side: in one axis, each alone, then the settings and numbers in which they differ. */
 function drawSideBySide() {
   const box = document.getElementById("side");
@@ -218,11 +223,11 @@ function drawSideBySide() {
     );
     return;
   }
-  const names = runs.map((i) => shortName(COLUMNS.run[i]));
+  const names = runs.map(titleOf);
   const loops = runs.filter(loopOf);
   const range = loops.length ? rangeOf(loops) : null;
   const pictures = loops.map((i) =>
-    figureOf(shortName(COLUMNS.run[i]), [
+    figureOf(titleOf(i), [
       responsesOf(loopOf(i), loopOf(i).y, "Under control", range),
     ]),
   );
@@ -254,7 +259,7 @@ function overlayFigures(runs) {
     const [measured] = unpack(records[0].y);
     const { step_s, output } = records[0];
     const runOf = ({ i, model }, signal) =>
-      overTime([signal(unpack(model)[0])], step_s, shortName(COLUMNS.run[i]));
+      overTime([signal(unpack(model)[0])], step_s, titleOf(i));
     const models = records.flatMap((record) => runOf(record, (values) => values));
     const errors = records.flatMap((record) =>
       runOf(record, (values) => values.map((value, k) => measured[k] - value)),
@@ -268,7 +273,7 @@ function overlayFigures(runs) {
           linesOf("signals", title, output, {
             rows: [...overTime([measured], step_s, "measured"), ...models],
           }),
-          linesOf("signals", "Error of the free runs", "Error", { rows: errors }),
+          linesOf("signals", "Error of the free runs", `Error, ${output}`, { rows: errors }),
         ],
         "",
         { "data-overlay": "free-runs" },
@@ -279,7 +284,7 @@ function overlayFigures(runs) {
     figures.push(element("p", { class: "quiet" }, words));
   }
   const loops = runs.filter(loopOf);
-  const without = runs.filter((i) => !loops.includes(i)).map((i) => shortName(COLUMNS.run[i]));
+  const without = runs.filter((i) => !loops.includes(i)).map(titleOf);
   if (without.length)
     figures.push(element("p", { class: "quiet" }, `No closed loop to show: ${without.join(", ")}.`));
   if (loops.length > 1) {
@@ -289,7 +294,7 @@ function overlayFigures(runs) {
     const rowsOf = (key) =>
       loops.flatMap((i) => {
         const cases = unpack(loopOf(i)[key]);
-        return overTime([cases[worst] || cases[0]], loopOf(i).step_s, shortName(COLUMNS.run[i]));
+        return overTime([cases[worst] || cases[0]], loopOf(i).step_s, titleOf(i));
       });
     const title = "Closed loops from the farthest start, and their inputs";
     const { output, input } = loopOf(loops[0]);

@@ -80,8 +80,8 @@ function playerOf(loop, range) {
   );
   const far = signals.map((values) => Math.abs(values[0] - loop.goal));
   const [start, moment] = player.spec.params;
-  start.value = far.indexOf(Math.max(...far));
-  start.bind = { ...start.bind, max: signals.length - 1, step: 1 };
+  start.value = far.indexOf(Math.max(...far)) + 1;
+  start.bind = { ...start.bind, min: 1, max: signals.length, step: 1 };
   moment.value = end;
   moment.bind = { ...moment.bind, max: end, step: loop.step_s };
   player.end = end;

@@ -68,7 +68,7 @@ function drawRow(i, names) {
         ? element(
             "th",
             { scope: "row" },
-            picker(i),
+            ...(RUNS > 1 ? [picker(i)] : []),
             element(
               "button",
               { type: "button", title: COLUMNS.run[i], onclick: () => choose(i) },

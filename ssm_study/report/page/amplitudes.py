@@ -1,0 +1,55 @@
+"""Input amplitudes of a study's table in the unit of the plant's input."""
+
+import json
+import re
+from contextlib import suppress
+
+import pandas as pd
+
+from ssm_study.api.pictures.coverage import AMPLITUDE, requirement_text
+from ssm_study.api.pictures.margin import InputScale, amplitude_text
+from ssm_study.report.study_folder import RunFolder, StudyFolder
+
+COLUMN = "coverage_reference"
+NUMBER = re.compile(r"[\d.e+-]+$")
+MOST_READ = 200  # best runs whose models are read for their scale
+
+
+def with_physical_amplitudes(study: StudyFolder, table: pd.DataFrame) -> pd.DataFrame:
+    """Table whose records are named by their input in its unit, as the pictures name them; of runs
+    without a readable model in input scales, with that word."""
+    if COLUMN not in table:
+        return table
+    texts: list[str | None] = []
+    for place, (name, text) in enumerate(zip(table["run"], table[COLUMN], strict=True)):
+        if pd.isna(text):
+            texts.append(None)
+            continue
+        is_read = place < MOST_READ and bool(name)
+        run = study.run(name) if is_read else None
+        texts.append(physical_reference(str(text), run, study.units.input))
+    return table.assign(**{COLUMN: texts})
+
+
+def physical_reference(text: str, run: RunFolder | None, unit: str) -> str:
+    """Name of the record and band that decide a coverage, with its amplitude in physical units."""
+    record, _, _ = text.partition(", ")
+    number = NUMBER.search(record)
+    if number is None or not AMPLITUDE.fullmatch(record):
+        return text
+    scale, step_s = (None, None) if run is None else stored_scale(run)
+    known_scale: InputScale | None = None if scale is None else (scale, unit)
+    labels = {record: amplitude_text(float(number[0]), known_scale)}
+    if step_s is None:
+        return text.replace(record, labels[record], 1)
+    return requirement_text(text, labels, step_s)
+
+
+def stored_scale(run: RunFolder) -> tuple[float | None, float | None]:
+    """Scale of a single input, and sampling time, from the file of a run's model; None where they
+    are not there."""
+    with suppress(OSError, ValueError, KeyError):
+        content = json.loads((run.path / "model.json").read_text(encoding="utf-8"))
+        scales = content["input_scale"]
+        return (float(scales[0]) if len(scales) == 1 else None), float(content["step_s"])
+    return None, None
