@@ -11,6 +11,9 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.certificates.certificate import Design as Certificates
+from ssm_study.certificates.certificate import Observer, StateFeedback
+
 HOLDS = "comes to rest, certified (no rate of its own)"
 Pair = tuple[float, float]
 
@@ -33,6 +36,21 @@ def describe_loop_of_both(
 def name_maps(unknown_maps: Mapping[str, str]) -> str:
     """Static maps that an observer would have to compute, each with its range, as one text."""
     return " and ".join(unknown_maps.values())
+
+
+def find_unstable_example(certificates: Certificates) -> str | None:
+    """Text on a plant that the two certificates of a design, whose slopes leave a map open, would
+    lose together; None if none is found or a certificate is missing."""
+    feedback = certificates.state_feedback
+    observer = certificates.observer
+    if not isinstance(feedback, StateFeedback) or not isinstance(observer, Observer):
+        return None
+    if feedback.a.shape != observer.a.shape:  # an internal model stands beside the states
+        return None
+    ends = [(part.alpha - part.beta, part.alpha + part.beta) for part in (feedback, observer)]
+    driven = feedback.b @ feedback.k
+    corrected = observer.l @ observer.c
+    return unstable_example(feedback.a, driven, corrected, *ends)
 
 
 def unstable_example(

@@ -27,6 +27,17 @@ GROUPS = ("data", "model", "training", "reduction", "synthesis", "loop")
 NUMBERS = ("seed", "loop_seed")
 # Where a run lies and how it is watched: of no meaning without a run folder.
 OF_THE_PLACE = ("study", "results_dir", "run", "progress")
+# Settings whose function argument has another name.
+ARGUMENTS = {
+    "rate_controller": "rate",
+    "rate_observer": "observer_rate",
+    "slope_lower": "slopes",
+    "slope_upper": "slopes",
+    "input_lower": "input_limits",
+    "input_upper": "input_limits",
+}
+NO_FIELD = "has no such field"
+REMEDIES = {"neurons": "neurons belong to model='structured'"}
 REMEDY = "write key=value, as in model.order=4; sweeps and experiments are for st.study"
 
 
@@ -174,6 +185,7 @@ class Parts:
         self.trees = {name: load_choice(name, choice) for name, choice in self.choices.items()}
         self.details: list[str] = []
         self.added: set[str] = set()
+        self.arguments: dict[str, str] = {}
         nested = [(key, value) for key, value in pairs if "@" in key or "/" in key]
         settings = [(key, value) for key, value in pairs if "@" not in key and "/" not in key]
         for key, value in nested:
@@ -228,6 +240,7 @@ class Parts:
             if value is not None:
                 sign = self._override_sign(f"{part}.{name}")
                 assign_value(self.trees, f"{part}.{name}", value)
+                self.arguments[f"{part}.{name}"] = ARGUMENTS.get(name, name)
                 self.details.append(f"{sign}{part}.{name}={format_value(value)}")
 
     def build(self, part: str) -> Any:
@@ -237,7 +250,19 @@ class Parts:
         texts = {key: value for key, value in tree.items() if isinstance(value, str)}
         missing = next((key for key, value in texts.items() if value == MISSING), None)
         require(missing is None, f"{part}.{missing}", MISSING, "is missing", "give it a value")
-        return construct_part(part, tree)
+        try:
+            return construct_part(part, tree)
+        except BadRequest as error:
+            raise self._name_argument(error) from error.__cause__
+
+    def _name_argument(self, error: BadRequest) -> BadRequest:
+        """The same error under the name of the function argument that gave the value, in place of
+        the setting's."""
+        argument = self.arguments.get(error.field.partition(",")[0])
+        if argument is None:
+            return error
+        remedy = REMEDIES.get(argument, error.remedy) if NO_FIELD in error.problem else error.remedy
+        return BadRequest(argument, error.value, error.problem, remedy)
 
     def overrides_for_parts(self, *names: str) -> tuple[str, ...]:
         """Command-line overrides that set the named parts of a study or the seeds."""

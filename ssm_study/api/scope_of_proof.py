@@ -42,7 +42,8 @@ def _read_synthesis_settings(design: "Design") -> dict[str, Any] | None:
         configuration = design.run_folder / ".hydra" / "config.yaml"
         if not configuration.is_file():
             return None
-        return dict(yaml.safe_load(configuration.read_text(encoding="utf-8"))["synthesis"])
+        settings = yaml.safe_load(configuration.read_text(encoding="utf-8"))
+        return dict(settings.get("synthesis") or {})
     pairs = [word.lstrip("+").partition("=") for word in design.overrides]
     methods = [value for key, _, value in pairs if key == "synthesis"]
     if not methods or not methods[-1].startswith("auto"):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from ssm_study.api.loop_of_both import describe_loop_of_both, name_maps
+from ssm_study.api.loop_of_both import describe_loop_of_both, find_unstable_example, name_maps
 from ssm_study.api.scope_of_proof import (
     describe_deciding_band,
     describe_simulated_loop,
@@ -124,7 +124,8 @@ def summarise_design(design: "Design") -> pd.Series:
         lines |= summarise_side(name, part, rate, design.model.step_s, requested)
         if name == "observer" and part.certified and design.unknown_maps:
             lines[name] += f", if it computes the plant's own {name_maps(design.unknown_maps)}"
-    lines["loop of both"] = describe_loop_of_both(design.verdicts, design.unknown_maps)
+    example = find_unstable_example(certificate) if design.unknown_maps else None
+    lines["loop of both"] = describe_loop_of_both(design.verdicts, design.unknown_maps, example)
     lines["not proved"] = describe_unproved(design)
     if not certificate.feasible:
         return pd.Series(lines, name="design", dtype=object)
@@ -143,12 +144,12 @@ def summarise_design(design: "Design") -> pd.Series:
     lines["slowest pole, open loop"] = f"{slowest['model']:.4f} per sample"
     lines["slowest pole, controlled"] = f"{slowest['controlled']:.4f} per sample"
     lines["slowest pole, observer"] = f"{slowest['estimate']:.4f} per sample"
+    if design.origin is not None or design.stored_record:
+        lines["simulated"] = describe_simulated_loop(design)
     if "evidence" in design.facts:
         lines |= summarise_input_limits(design.facts, open_loop_rate)
         where = describe_deciding_band(design)
         lines |= summarise_prediction(design.facts, acts, where)
-    if design.origin is not None or design.stored_record:
-        lines["simulated"] = describe_simulated_loop(design)
     elif design.origin is None and not design.stored_record:
         lines |= summarise_assumptions(certificate)
     return pd.Series(lines, name="design", dtype=object)

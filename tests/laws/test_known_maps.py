@@ -61,7 +61,9 @@ def test_a_controller_with_an_unknown_map_is_not_exported(
     assert files == []
     summary = uncertain.summary()
     line = "not certified: this proof needs an observer that computes the plant's own input map"
-    assert summary["loop of both"] == f"{line} with slopes 0.8 to 1.2"
+    example = "not stable with input gain 1.2 of the plant, 1 of the observer"
+    words = f"{line} with slopes 0.8 to 1.2; {example} (spectral radius 1.065)"
+    assert summary["loop of both"] == words
 
 
 def test_an_output_map_that_is_not_known_counts_too() -> None:
@@ -178,7 +180,7 @@ def test_the_observer_s_line_names_what_it_supposes(uncertain: Design) -> None:
 
 
 def test_the_print_says_where_the_proof_ends(uncertain: Design) -> None:
-    """Of a bare system nothing is simulated, and the lines on the loop stand whatever they say."""
+    """Nothing is simulated of a bare system; the lines on the loop stand whatever they say."""
     summary = uncertain.summary()
     assert summary["not proved"].startswith("a rate of the loop of both")
     assert "simulated" not in summary

@@ -115,6 +115,20 @@ def test_slopes_of_a_fit_are_two_numbers() -> None:
         st.fit(FITTED["u"], FITTED["y"], 0.1, model="ssm", slopes=0.5)
 
 
+def test_a_keyword_is_refused_by_its_own_name() -> None:
+    """A setting given as a text keeps the name that the user wrote."""
+    u = FITTED["u"]
+    y = FITTED["y"]
+    with pytest.raises(st.BadRequest, match=r"^foo = 3: .* has no such field; its fields are rate"):
+        st.control(SYSTEM, rate=0.5, foo=3)
+    with pytest.raises(st.BadRequest, match=r"^synthesis\.foo = 3"):
+        st.control(SYSTEM, "synthesis.foo=3", rate=0.5)
+    with pytest.raises(st.BadRequest, match=r"^neurons = 4: .*belong to model='structured'"):
+        st.fit(u, y, 0.1, model="ssm", neurons=4)
+    with pytest.raises(st.BadRequest, match=r"^slopes = \(1\.2, 0\.8\): the lower slope must"):
+        st.fit(u, y, 0.1, model="ssm", slopes=(1.2, 0.8))
+
+
 @pytest.mark.parametrize("models", [3, "text", [], [SYSTEM], {"a": 1}])
 def test_only_models_are_compared(models: object) -> None:
     with pytest.raises(st.BadRequest, match=r"give a list of models, as st\.fit returns them"):
