@@ -5,9 +5,10 @@ import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
+import yaml  # type: ignore[import-untyped]
 
 from ssm_study.refusal import BadRequest, require
+from ssm_study.stored_yaml import read_stored_yaml
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,7 +28,8 @@ def requested_rate(design: "Design", side: str) -> float | None:
     records."""
     settings = _read_synthesis_settings(design)
     if settings is None:
-        return float(design.certificate.certificates_by_name[side].rate)
+        part: Any = design.certificate.certificates_by_name[side]
+        return float(part.rate)
     for name in (SETTINGS[side], "rate"):
         try:
             return float(settings[name])
@@ -40,16 +42,23 @@ def _read_synthesis_settings(design: "Design") -> dict[str, Any] | None:
     """Settings of the synthesis, of which some may be auto; None where all rates were asked for."""
     if design.run_folder is not None:
         configuration = design.run_folder / ".hydra" / "config.yaml"
-        if not configuration.is_file():
-            return None
-        settings = yaml.safe_load(configuration.read_text(encoding="utf-8"))
-        return dict(settings.get("synthesis") or {})
+        return _read_stored_settings(configuration) if configuration.is_file() else None
     pairs = [word.lstrip("+").partition("=") for word in design.overrides]
     methods = [value for key, _, value in pairs if key == "synthesis"]
     if not methods or not methods[-1].startswith("auto"):
         return None
     prefix = "synthesis."
     return {key.removeprefix(prefix): value for key, _, value in pairs if key.startswith(prefix)}
+
+
+def _read_stored_settings(configuration: "Path") -> dict[str, Any]:
+    """Settings of the synthesis in a stored configuration; none from one that cannot be read, as it
+    only adds to what is printed."""
+    try:
+        settings = yaml.safe_load(read_stored_yaml(configuration))
+        return dict(settings["synthesis"])
+    except (BadRequest, KeyError, TypeError, ValueError):
+        return {}
 
 
 def describe_deciding_band(design: "Design") -> str:

@@ -1,0 +1,85 @@
+"""Lines of a design's print that say where its proof ends."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ssm_study as st
+from ssm_study.api.design import Design
+from ssm_study.api.scope_of_proof import (
+    describe_deciding_band,
+    describe_frequency,
+    describe_simulated_loop,
+    describe_unproved,
+    requested_rate,
+)
+from ssm_study.api.summaries import summarise_side
+
+LAG = (np.array([[0.9]]), np.array([[1.0]]), np.array([[0.1]]), np.array([[0.0]]), 1.0)
+UNEXCITED = "note: The input has no power in 3 of 33 bands, from 0.25 Hz: the mismatch is unknown."
+
+
+@pytest.fixture(scope="module")
+def design() -> Design:
+    return st.control(LAG, rate=0.3)
+
+
+@pytest.mark.parametrize(
+    ("reference", "words"),
+    [
+        ("input of rms 0.98, around 2.36 rad/sample", "at 0.376 Hz"),
+        ("input of rms 0.98, 0.31 to 0.63 rad/sample", "from 0.0493 to 0.1 Hz"),
+        ("input of rms 0.98, around 0.00 rad/sample", "at the lowest frequencies"),
+        ("input of rms 0.98, in total", ""),
+    ],
+)
+def test_a_frequency_is_given_in_hertz(reference: str, words: str) -> None:
+    assert describe_frequency(reference, 1.0) == words
+
+
+def test_the_coverage_names_its_frequency_and_the_missing_power_there(design: Design) -> None:
+    """The note of the evidence stands beside the coverage only from its first frequency on."""
+    facts = {"coverage_reference": "input of rms 0.98, around 2.36 rad/sample"}
+    loaded = replace(design, stored_record=facts | {"evidence_reasons": UNEXCITED})
+    words = describe_deciding_band(loaded)
+    assert words.startswith(", decided at 0.376 Hz with an input of rms 0.98 input scales")
+    assert words.endswith("(the input has no power in 3 of 33 bands, from 0.25 Hz)")
+    facts["coverage_reference"] = "input of rms 0.98, around 1.00 rad/sample"
+    loaded = replace(design, stored_record=facts | {"evidence_reasons": UNEXCITED})
+    assert "no power" not in describe_deciding_band(loaded)
+    reasons = "note: All records have one amplitude (0.97 input scales, rms)"
+    loaded = replace(design, stored_record=facts | {"evidence_reasons": reasons})
+    assert describe_deciding_band(loaded) == ", decided at 0.159 Hz"
+
+
+def test_what_was_simulated_is_said_with_its_means(design: Design) -> None:
+    facts = {"initial_conditions": 10, "stable_count": 9, "loop_on": "identified model"}
+    loaded = replace(design, stored_record=facts)
+    assert describe_simulated_loop(loaded) == "on the identified model 9 of 10 starts settle"
+    times = {"settling_time_mean_s": 3.6, "settling_time_open_loop_s": 30.9}
+    loaded = replace(design, stored_record=facts | times)
+    words = "settle, in 3.6 s on average (30.9 s without control)"
+    assert describe_simulated_loop(loaded).endswith(words)
+
+
+def test_a_plant_that_is_not_covered_is_not_proved_to_rest(design: Design) -> None:
+    words = "that the plant itself comes to rest"
+    assert words in describe_unproved(replace(design, stored_record={"coverage": 0.8}))
+    assert words not in describe_unproved(replace(design, stored_record={"coverage": 2.2}))
+
+
+def test_a_rate_other_than_the_requested_one_names_both(design: Design) -> None:
+    """A rate that `auto` chose from records was asked for by nobody."""
+    assert requested_rate(design, "state_feedback") == 0.3
+    chosen = replace(design, overrides=("synthesis=auto",))
+    assert requested_rate(chosen, "state_feedback") is None
+    words = ("synthesis=auto", "synthesis.rate_controller=0.4")
+    asked = replace(design, overrides=words)
+    assert requested_rate(asked, "state_feedback") == 0.4
+    assert requested_rate(asked, "observer") is None
+    part = design.certificate.state_feedback
+    line = summarise_side("controller", part, 0.48, 1.0, 0.4)["controller"]
+    assert line.startswith("rate 0.48 (asked 0.4) per sample (to 37 % in")
+    assert "asked" not in summarise_side("controller", part, 0.4, 1.0, 0.4)["controller"]
+    assert "any gain: below" in line
