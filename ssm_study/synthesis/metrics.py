@@ -81,8 +81,8 @@ LIMIT_COLUMNS = (
     iterated_column(
         "limited_rate", "high", "Rate proved from everywhere, input limited", "1/sample"
     ),
-    iterated_column("unlimited_from", "low", "Full rates from outputs above", "output unit"),
-    iterated_column("unlimited_to", "high", "Full rates from outputs below", "output unit"),
+    iterated_column("unlimited_from", "low", "Outputs with the full rates, lowest", "output unit"),
+    iterated_column("unlimited_to", "high", "Outputs with the full rates, highest", "output unit"),
 )
 
 MISMATCH_COLUMNS = (

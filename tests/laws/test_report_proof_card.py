@@ -1,5 +1,6 @@
 """The card of the proof says what is covered and what is not, and how the shown starts lie."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,17 @@ def test_what_the_proof_does_not_cover_is_a_list() -> None:
     infeasible = certified_rates_card({"rate_controller": 0.4, "controller_rate_limit": 0.2}, LOOP)
     assert infeasible is not None
     assert infeasible.not_covered == (), "nothing is proved, so no list of exceptions"
+
+
+def test_outputs_that_count_as_settled_are_no_starts_that_a_proof_reaches() -> None:
+    wide = replace(LOOP, settling_band=0.2)
+    assert "all within the settling band of ±0.2 rad/s, where 2 of the 4 starts" in limit_text(
+        certified(), wide
+    )
+    assert "settling band" not in limit_text(certified(), replace(LOOP, settling_band=0.1))
+    elsewhere = replace(LOOP, settling_band=0.2, output_at_rest=1.0)
+    assert "settling band" not in limit_text(certified(), elsewhere)
+    assert "settling band" not in limit_text(certified(), LOOP), "an old recording has none"
 
 
 def test_the_card_says_where_the_proved_rate_shows_no_gain() -> None:

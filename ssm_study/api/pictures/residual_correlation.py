@@ -56,7 +56,7 @@ def _correlation_panel(
         y_label="Correlation (–)",
         series=(stems,),
         bands=(band,),
-        title=f"{title}: {count}",
+        title=f"{title}:\n{count}",
         height=1.1,
     )
 

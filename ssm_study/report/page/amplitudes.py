@@ -28,7 +28,8 @@ def with_physical_amplitudes(study: StudyFolder, table: pd.DataFrame) -> pd.Data
         is_read = place < MOST_READ and bool(name)
         run = study.run(name) if is_read else None
         texts.append(physical_reference(str(text), run, study.units.input))
-    return table.assign(**{COLUMN: texts})
+    named = pd.Series(texts, index=table.index, dtype="string")
+    return table.assign(**{COLUMN: named})
 
 
 def physical_reference(text: str, run: RunFolder | None, unit: str) -> str:

@@ -20,25 +20,35 @@ TITLE = "Proved of the model"
 @dataclass(frozen=True, kw_only=True)
 class ShownLoop:
     """Facts on the recorded closed loop that the cards compare with the proof, in physical
-    units."""
+    units. The settling band lies around the output at rest; None if it was not recorded."""
 
     initial_outputs: Float[np.ndarray, "N p"]
     input_range: tuple[float, float]
     output_unit: str
     input_unit: str
     step_s: float
+    output_at_rest: float = 0.0
+    settling_band: float | None = None
 
     @classmethod
     def from_recording(cls, recording: RecordedCases) -> "ShownLoop":
         """Facts on a recorded closed loop."""
         inputs = recording["input"]
+        band = recording.about.get("settling_band")
         return cls(
             initial_outputs=recording["output"][:, 0],
             input_range=(float(inputs.min()), float(inputs.max())),
             output_unit=recording.unit("output"),
             input_unit=recording.unit("input"),
             step_s=recording.step_s("output"),
+            output_at_rest=float(recording["reference"][0, -1, 0]),
+            settling_band=None if band is None else float(band),
         )
+
+    def is_within_settling_band(self, lower: float, upper: float) -> bool:
+        """Whether all outputs of a range count as settled."""
+        farthest = max(abs(lower - self.output_at_rest), abs(upper - self.output_at_rest))
+        return self.settling_band is not None and farthest <= self.settling_band
 
     def count_starts_inside(self, lower: float, upper: float) -> int:
         """Number of starts all of whose outputs lie in a range."""
@@ -143,7 +153,9 @@ def limit_text(record: Record, loop: ShownLoop | None) -> str:
     if loop is not None:
         inside = loop.count_starts_inside(*start_range)
         verb = "lies" if inside == 1 else "lie"
-        share = f", where {inside} of the {len(loop.initial_outputs)} starts shown {verb}"
+        if loop.is_within_settling_band(*start_range):
+            share = f", all within the settling band of ±{loop.settling_band:.3g}{output_unit}"
+        share += f", where {inside} of the {len(loop.initial_outputs)} starts shown {verb}"
     everywhere = limited_rate_text(record, loop)
     return (
         f"; with the input between {limits} only from rest at outputs between {outputs}{share}; "

@@ -204,8 +204,10 @@ function drawGroupForm() {
 
 /** A run by the settings in which the runs differ, or by its name if they do not. */
 function titleOf(i) {
-  const set = DATA.parameters.map((name) => `${shortWord(name)} ${printed(setting(name, i))}`);
-  return set.join(", ") || shortName(COLUMNS.run[i]);
+  return (
+    DATA.parameters.map((name) => `${shortWord(name)} ${printed(setting(name, i))}`).join(", ") ||
+    shortName(COLUMNS.run[i])
+  );
 }
 
 /** Chosen runs side by side: in one axis, each alone, then the settings and numbers in which they differ. */
