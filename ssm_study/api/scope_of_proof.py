@@ -105,7 +105,11 @@ def describe_input_power(design: "Design", reference: str) -> str:
     premise = measure_coverage_premise(design.model, design.origin.data, design.origin.mismatch)
     items = premise.requirements(part.centre)
     is_dark = any(item.dark for item in items if item.where == reference)
-    return ", where the records have no input power and noise counts as error" if is_dark else ""
+    return (
+        ", where the deciding record has next to no input power and noise counts as error"
+        if is_dark
+        else ""
+    )
 
 
 def describe_simulated_loop(design: "Design") -> str:
