@@ -141,9 +141,7 @@ def summarise_design(design: "Design") -> pd.Series:
     acts = moves_poles(poles["model"], poles["controlled"])
     if not acts:
         lines["effect of the controller"] = "hardly any: the poles are those without control"
-    lines["slowest pole, open loop"] = f"{slowest['model']:.4f} per sample"
-    lines["slowest pole, controlled"] = f"{slowest['controlled']:.4f} per sample"
-    lines["slowest pole, observer"] = f"{slowest['estimate']:.4f} per sample"
+    lines |= summarise_slowest_poles(slowest)
     if design.origin is not None or design.stored_record:
         lines["simulated"] = describe_simulated_loop(design)
     if "evidence" in design.facts:
@@ -153,6 +151,14 @@ def summarise_design(design: "Design") -> pd.Series:
     elif design.origin is None and not design.stored_record:
         lines |= summarise_assumptions(certificate)
     return pd.Series(lines, name="design", dtype=object)
+
+
+def summarise_slowest_poles(slowest: dict[str, float]) -> dict[str, str]:
+    """Lines of the summary on the moduli of the slowest poles."""
+    sides = {"open loop": "model", "controlled": "controlled", "observer": "estimate"}
+    return {
+        f"slowest pole, {name}": f"{slowest[key]:.4f} per sample" for name, key in sides.items()
+    }
 
 
 def name_python_arguments(sentence: str) -> str:
