@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ssm_study.api.scratch import copy_temporary_logs
 from ssm_study.models.stored import read_model_json
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
@@ -15,6 +16,8 @@ from ssm_study.training.metrics import Identification
 MODEL_FILE = "model.json"
 HISTORY_FILE = "identification.json"
 RECORDS_FILE = "records.npz"
+LOGS = "logs"  # folder of the log files that a saved model takes along
+SAVED_FOLDER = "{folder of the model}"  # stands for it in stored overrides: it may be moved
 PARTS = ("training", "validation", "test", "mismatch_records")
 SIGNALS = ("u", "y", "d")
 CHANNELS = ("inputs", "outputs", "disturbances")
@@ -40,12 +43,14 @@ def write_model_files(model: Any, folder: Path) -> None:
     identification: Identification = model.identification
     facts = {name: getattr(identification, name) for name in NUMBERS}
     members = [member.to_json() for member in identification.members]
+    overrides = [copy_temporary_logs(override, folder / LOGS) for override in model.overrides]
+    place = str(folder.resolve())
     content = {
         "identification": facts,
         "members": members,
         "data": describe_data(model.data),
         "seed": model.seed,
-        "overrides": model.overrides,
+        "overrides": [override.replace(place, SAVED_FOLDER) for override in overrides],
         "later_words": model.later_words,
     }
     write_json(folder / MODEL_FILE, model.simulator.to_json())
@@ -66,13 +71,15 @@ def read_model_fields(folder: Path) -> dict[str, Any]:
         facts = content["identification"]
         facts["choice"] = tuple(facts["choice"])
         members = tuple(read_model_json(member) for member in content["members"])
+        place = str(folder.resolve())
+        overrides = [override.replace(SAVED_FOLDER, place) for override in content["overrides"]]
         identification = Identification(model=simulator, members=members, **facts)
         return {
             "simulator": simulator,
             "data": data,
             "identification": identification,
             "seed": int(content["seed"]),
-            "overrides": tuple(content["overrides"]),
+            "overrides": tuple(overrides),
             "later_words": tuple(content["later_words"]),
         }
     except BadRequest:

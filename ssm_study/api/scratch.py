@@ -1,6 +1,7 @@
 """A temporary folder that is deleted when the program ends."""
 
 import atexit
+import re
 import shutil
 import tempfile
 from functools import cache
@@ -18,3 +19,14 @@ def scratch_folder() -> Path:
 def make_scratch_folder() -> Path:
     """Make a new folder in the program's temporary folder."""
     return Path(tempfile.mkdtemp(dir=scratch_folder()))
+
+
+def copy_temporary_logs(override: str, folder: Path) -> str:
+    """Copy those log files of an override that are deleted when the program ends into a folder, and
+    name the copies instead."""
+    scratch = re.escape(str(scratch_folder()))
+    for temporary in re.findall(rf"{scratch}/[^',\]]+\.parquet", override):
+        folder.mkdir(parents=True, exist_ok=True)
+        copied = Path(shutil.copy(temporary, folder))
+        override = override.replace(temporary, str(copied.resolve()))
+    return override

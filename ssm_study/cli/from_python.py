@@ -1,7 +1,6 @@
 """The command line called from Python: compose a configuration, run a study, save a design as a
 run."""
 
-import re
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 from omegaconf import DictConfig
 
-from ssm_study.api.scratch import scratch_folder
+from ssm_study.api.scratch import copy_temporary_logs
 from ssm_study.cli import run as command
 from ssm_study.cli.hydra_errors import explain_hydra_error
 from ssm_study.cli.request import quote_sines
@@ -83,17 +82,6 @@ def save_run(design: "Design", folder: Path) -> Path:
         problem = "the command designs other gains from the same settings"
         require(same, "design", folder, problem, "report this, please")
         return Path(shutil.copytree(outcome.folder, folder, dirs_exist_ok=True))
-
-
-def copy_temporary_logs(word: str, folder: Path) -> str:
-    """Copy those log files of an override that are deleted when the program ends into a folder, and
-    name the copies instead."""
-    scratch = re.escape(str(scratch_folder()))
-    for match in re.findall(rf"{scratch}/[^',\]]+\.parquet", word):
-        folder.mkdir(parents=True, exist_ok=True)
-        copied = shutil.copy(match, folder)
-        word = word.replace(match, str(Path(copied).resolve()))
-    return word
 
 
 def _read_gains(folder: Path) -> dict[str, Any]:

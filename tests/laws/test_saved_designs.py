@@ -27,6 +27,20 @@ def test_a_saved_design_takes_the_log_of_its_arrays_along(tmp_path: Path) -> Non
     assert repr(st.load(saved)) == repr(design), "evidence and prediction are not lost"
 
 
+def test_a_saved_model_takes_the_log_of_its_arrays_along_and_may_be_moved(tmp_path: Path) -> None:
+    """A design of the loaded model was not saved: its log had been deleted with the program."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.uniform(-3, 3, 60), 8)
+    y = lfilter([0, 0.2], [1, -0.9], np.tanh(u))
+    model = st.fit(u, y, 0.1, *QUICK, model="ssm", order=2, slopes=(0.5, 1.0), progress=False)
+    saved = model.save(tmp_path / "saved")
+    moved = saved.rename(tmp_path / "moved")
+    loaded = st.load(moved)
+    (log,) = (moved / "logs").iterdir()
+    assert any(str(log) in override for override in loaded.overrides)
+    assert not any(str(scratch_folder()) in override for override in loaded.overrides)
+
+
 def test_coverage_of_an_error_that_the_records_do_not_show_is_withheld() -> None:
     facts = {"predicted_stable": None, "evidence": "cannot judge", "coverage": 2740.0}
     line = summarise_prediction(facts)["covered by the proof"]

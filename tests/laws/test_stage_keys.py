@@ -168,7 +168,7 @@ def test_what_no_result_depends_on(row: str, scratch: Path, simulated: Specifica
 MEASURES = {
     "dataset": ("data/metrics.py", r"^def input_coverage\((.*)\) -> float:$",
                 r"def input_coverage(\1):\n    del EDITED"),
-    "loop": ("loop/metrics.py", r'"stable_count": len', '"stable_count": 1 + len'),
+    "loop": ("loop/metrics.py", r"stable_count = len", "stable_count = 1 + len"),
     "synthesis": ("synthesis/metrics.py", r"^def second_opinion_columns\(",
                   "@edited\ndef second_opinion_columns("),
 }  # fmt: skip
