@@ -67,8 +67,9 @@ def control(
     same as the command takes them (`"synthesis.input_weight=0.1"`). `input_limits` are the lowest
     and the highest input, physical; None is what the records visited. The rates hold without limits
     on the input, for slopes that hold everywhere; `record["limited_rate"]` holds within them. Of a
-    bare system `rate` is 0.05 unless it is given, a larger one may hold (`st.certify`); limits are
-    refused; with D nonzero it is certified and exported, but `st.simulate` and pictures refuse it.
+    bare system `rate` is 0.05 unless it is given, and the largest rate that the gains prove is
+    printed; limits are refused; with D nonzero it is certified and exported, but `st.simulate` and
+    pictures refuse it.
 
     Of a model with products of input and state (`model="bilinear"`) the result is a `RestDesign`:
     it is proved that the loop comes to rest, from a stated set of starts or from every start;
@@ -213,6 +214,8 @@ def _design_for_system(
     overrides: tuple[str, ...],
 ) -> Design:
     """Design a controller for a linear system behind static maps with known slopes."""
+    from ssm_study.synthesis.deployed import add_largest_rates
+
     linear, step_s = read_linear_system(system)
     model = SSM.from_linear(linear, step_s)
     inner = slope_ball("slopes", IDENTITY if slopes is None else slopes)
@@ -226,7 +229,7 @@ def _design_for_system(
     if outer.beta:
         balls = replace(balls, output=outer)
     certificate = parts.build("synthesis").design(model, balls)
-    certificate = replace_study_remedies(certificate)
+    certificate = add_largest_rates(replace_study_remedies(certificate))
     return Design(certificate=certificate, model=model, overrides=overrides)
 
 

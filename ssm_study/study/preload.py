@@ -24,8 +24,8 @@ from ssm_study.study.allow_list import ROOMS
 HEAVY = {
     "model": re.compile(r"ssm_study\.(training\.|models\.(baselines|torch_|structured_spec))"),
     "synthesis": re.compile(
-        r"ssm_study\.(bounds\.lipsdp|certificates\.semidefinite|synthesis\.(objectives|\w*lmi)"
-        r"|loop\.(comparison|peers))"
+        r"ssm_study\.(bounds\.lipsdp|certificates\.semidefinite|loop\.(comparison|peers)"
+        r"|synthesis\.(objectives|bilinear_design|\w*lmi))"
     ),
 }
 

@@ -55,19 +55,31 @@ def add_gain_certificates(
     it commands.
     """
     model, balls = commanded_model_and_balls(design, model, balls)
-    certificates: dict[str, Theorem | None] = {}
-    sides = {"state_feedback": design.state_feedback, "observer": design.observer}
-    for side, part in sides.items():
-        if not isinstance(part, Infeasible) and part.certified:
-            find = partial(certificate_at_largest_rate, part)
-            certificates[f"{side}_deployed"] = none_if_unsolved(find)
-    certificates[TOLERANCE] = tolerance_certificate(design, model, balls)
-    extra = {name: part for name, part in certificates.items() if part is not None}
+    design = add_largest_rates(replace(design, extra_certificates={}))
+    tolerance = tolerance_certificate(design, model, balls)
+    extra = dict(design.extra_certificates)
+    if tolerance is not None:
+        extra[TOLERANCE] = tolerance
     design = replace(design, extra_certificates=extra)
     if limits is None or design.inverts_input_map:
         return design
     limited = certify_input_limits(model, design, *limits)
     return replace(design, extra_certificates=extra | limited)
+
+
+def add_largest_rates(design: Design) -> Design:
+    """Add to a design the certificates of its gains at the largest rates that can be proved for
+    them, each verified exactly."""
+    certificates = dict(design.extra_certificates)
+    sides = {"state_feedback": design.state_feedback, "observer": design.observer}
+    for side, part in sides.items():
+        if isinstance(part, Infeasible) or not part.certified:
+            continue
+        find = partial(certificate_at_largest_rate, part)
+        fastest = none_if_unsolved(find)
+        if fastest is not None:
+            certificates[f"{side}_deployed"] = fastest
+    return replace(design, extra_certificates=certificates)
 
 
 def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem | None:

@@ -71,7 +71,7 @@ PROOF_COLUMNS = (
         unit="s",
         unchecked="depends on when it ran",
     ),
-    iterated_column("certified_tolerance", "high", "Mismatch gain tolerated, proved"),
+    iterated_column("certified_tolerance", "high", "Mismatch gain tolerated in total"),
     *COVERAGE_COLUMNS,
 )
 
@@ -89,7 +89,7 @@ MISMATCH_COLUMNS = (
     iterated_column(
         "noise_gain_model", "low", "Sensor noise on the model's output", "share of the noise"
     ),
-    iterated_column("mismatch_gain", "low", "Model mismatch gain"),
+    iterated_column("mismatch_gain", "low", "Model mismatch gain in total"),
     iterated_column("mismatch_seen", "low", "Largest mismatch gain of any record"),
     iterated_column("mismatch_in_loop", "low", "Mismatch gain of trials in closed loop"),
     iterated_column("mismatch_spread", "low", "Uncertainty of the mismatch"),

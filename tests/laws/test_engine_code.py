@@ -99,9 +99,8 @@ def test_a_comment_a_docstring_and_layout_change_nothing(scratch: Path) -> None:
 
 
 def test_a_metric_is_measured_again_and_nothing_else(scratch: Path) -> None:
-    assert stale(scratch, "loop/metrics.py", r'"stable_count": len', '"stable_count": 1 + len') == {
-        "loop measured"
-    }
+    edit = (r"stable_count = len", "stable_count = 1 + len")
+    assert stale(scratch, "loop/metrics.py", *edit) == {"loop measured"}
     edited = stale(
         scratch,
         "data/metrics.py",

@@ -22,7 +22,7 @@ COMMITTED = sorted(path.parent for path in (ROOT / "results" / "reference").glob
 # One file each: a number that the recordings give again, and one that they do not.
 ADDED = {
     "ssm_study/loop/metrics.py": {
-        "COLUMNS = (": (
+        "EFFORT_AND_ERROR_COLUMNS = (": (
             'Column("input_mean_square", "Float64", "low", '
             'word="Mean square of the input", unit="V²"),'
         ),
@@ -33,7 +33,7 @@ ADDED = {
             'Column("curve_rows", "Int64", word="Rows of the curve", '
             'unchecked="the curve is not kept"),'
         ),
-        "return {": '"curve_rows": len(ended),',
+        '"training_seconds": seconds,': '"curve_rows": len(ended),',
     },
 }
 # One program for all: to load the libraries takes longer than what it does with them.
@@ -87,9 +87,9 @@ def test_a_new_column_is_one_file(tmp_path: Path, smoke_study: Path) -> None:
         > columns.index("fit_test_percent")
     )
     assert (
-        columns.index("settling_time_mean_s")
+        columns.index("input_peak_v")
         > columns.index("input_mean_square")
-        > columns.index("resolved_margin")
+        > columns.index("settling_time_mean_s")
     )
     assert "Mean square of the input (V²)" in done.stdout
     assert "not checked: the curve is not kept" in done.stdout

@@ -119,7 +119,8 @@ def coverage_sentence(record: Record) -> str:
     if coverage < 1:
         return "The model error that the records show is not covered"
     covered = f"A model error {coverage_text(coverage)} times as large as the records show is "
-    covered += f"covered, at every frequency above zero{refit_text(record)}"
+    covered += "covered, at every frequency above zero: on such a plant the loop comes to rest, "
+    covered += f"while the rates are those of the model{refit_text(record)}"
     if fresh_data_exceed_coverage(record):  # a remark of its own says so
         return covered
     return covered + fresh_data_text(record)
