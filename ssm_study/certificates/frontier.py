@@ -49,7 +49,7 @@ class Frontier:
 
     @property
     def rate_limit(self) -> float:
-        """Largest contraction rate, `1 - contraction_limit^2`."""
+        """Largest contraction rate that can be certified, `1 - contraction_limit^2`."""
         return 1 - self.contraction_limit**2
 
 

@@ -210,7 +210,7 @@ ACTIONS = {
     "verify": Action(
         commands.verify_run,
         "run",
-        "recompute every claim of a run from its files alone",
+        "recompute every claim of a run from its files (and the log that it was made of)",
         add_verify_options,
     ),
     "refine": Action(

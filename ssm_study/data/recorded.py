@@ -242,7 +242,7 @@ class RecordedData(Columns, AroundRest):
         paths = tuple(path for pair in pairs for path in pair)
         for path in paths:
             problem = "no such file"
-            remedy = "check the spelling"
+            remedy = "check the spelling, and go to the folder from which it is named"
             require(path.is_file(), "data.path", path, problem, remedy)
         return paths
 

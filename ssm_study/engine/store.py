@@ -48,7 +48,7 @@ class Store(Stages):
     root: Path
 
     def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
-        """Columns of a stage, read from a stored file or else measured and stored.
+        """Table columns of a stage, read from a stored file, or else computed and stored.
 
         A damaged file is measured again.
         """

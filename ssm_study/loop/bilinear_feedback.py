@@ -119,7 +119,7 @@ class BilinearPlant(Plant):
         return Equilibrium(u=scale.input_equilibrium, x=x, y=scale.output_equilibrium)
 
     def equilibrium_states(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
-        """Smallest states at which the bilinear model has given outputs."""
+        """States of least norm at which the bilinear model has the given outputs."""
         scaled = self.model.scale.scaled_output(y0)
         return scaled @ np.linalg.pinv(self.model.c).T
 

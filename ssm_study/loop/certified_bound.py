@@ -152,8 +152,8 @@ def estimation_decay_rate(
 def relative_bound_excess(
     x_hat: Estimates, x0: Float[np.ndarray, "N n"], feedback: StateFeedback, observer: Observer
 ) -> float | None:
-    """Largest amount by which an estimated state exceeds the certified bound, relative to the bound
-    at the first sample.
+    """Largest amount by which the distance of an estimated state from the equilibrium exceeds its
+    certified bound, relative to the bound at the first sample.
 
     `max(0, ||xh[k]||_M - b[k]) / b[0]` over cases and samples. `b[k]` is the bound above plus
     `kappa r_o^k e[0]` (docs/closed_loop.md); on the model from `x0` the value is 0. `M` belongs to

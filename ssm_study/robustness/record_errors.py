@@ -166,7 +166,8 @@ def open_loop_errors(
 def moving_loop_errors(
     model: Model, trials: Trajectories, start_up_samples: int
 ) -> list[RecordErrors]:
-    """Errors of the model in closed-loop records that keep moving, without start-up samples."""
+    """Errors of the model in closed-loop records whose signals never settle, without start-up
+    samples."""
     loops = []
     for trial in trials:
         if not trial.closed_loop:

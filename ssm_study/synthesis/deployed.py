@@ -243,8 +243,8 @@ def limits_proof(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> Wi
 
 
 def output_range(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs, Outputs]:
-    """Smallest and largest output among given initial states and their mirror images, in physical
-    units."""
+    """Smallest and largest initial output over given initial states and their reflections about
+    the equilibrium, in physical units."""
     linear_c = model.linear.c
     read = (linear_c @ starts[: model.order]).T
     ends = model.scale.physical_output(model.scaffold_out(np.concatenate([read, -read])))

@@ -43,8 +43,8 @@ def choose_products(search: Search, data: DataSet) -> BilinearSpec | None:
 
 
 def can_be_tried(search: Search, data: DataSet) -> bool:
-    """Whether the class can be fitted: one input, no measured disturbance, no path that it lacks,
-    and sizes and members that the user left open."""
+    """Whether a model with products of input and state can be fitted to the data. It takes one
+    input and no measured disturbance, and the user must have fixed neither size nor members."""
     is_simple = data.scale.inputs == 1 and not data.disturbances
     is_undecided = all(search.is_undecided(name) for name in ("order", "neurons"))
     is_alone = search.spec.members == 1

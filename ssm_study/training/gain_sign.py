@@ -37,8 +37,8 @@ def corner_gains(matrices: KernelMatrices) -> Float[np.ndarray, "corners"]:
 
 
 def gain_shortfall(matrices: KernelMatrices, least_share: float) -> Float[np.ndarray, "corners"]:
-    """Weighted amount by which the gain at each combination of extreme slopes is below a share of
-    the largest."""
+    """Weighted amount by which the gain, at each combination of extreme slopes, falls short of a
+    fraction of the largest gain."""
     with np.errstate(all="ignore"):
         gains = corner_gains(matrices)
     largest = gains[np.argmax(np.abs(gains))]

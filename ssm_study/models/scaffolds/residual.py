@@ -56,7 +56,7 @@ class ResidualScaffold(Scaffold, names=("residual",)):
         return bound_from_ball(JacobianBall(alpha=self.alpha, beta=self.beta), "construction")
 
     def jacobian_centre(self) -> None:
-        """Return None, since the Jacobians already lie around a multiple of the identity."""
+        """No centre matrix is needed: the Jacobians lie around a multiple of the identity."""
         return
 
     def as_portable(self) -> PortableMap:

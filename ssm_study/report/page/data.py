@@ -94,7 +94,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
 
 
 def is_plotted(name: str) -> bool:
-    """Whether the page's menus offer a column, which no reader plots if it is bookkeeping."""
+    """Whether the page's menus offer a column; columns of bookkeeping are left out."""
     return name not in BOOKKEEPING and not name.startswith("stage_")
 
 
