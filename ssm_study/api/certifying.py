@@ -17,7 +17,7 @@ from ssm_study.api.arguments import Slopes
 from ssm_study.api.controlling import slope_ball
 from ssm_study.api.design import Design
 from ssm_study.api.known_maps import describe_range
-from ssm_study.api.loop_of_both import describe_loop_of_both, unstable_example
+from ssm_study.api.loop_of_both import add_loop_verdict, describe_loop_of_both, unstable_example
 from ssm_study.api.missing_rate import (
     describe_missing_rate,
     describe_mode_out_of_reach,
@@ -34,7 +34,7 @@ from ssm_study.certificates.problem import (
     Solution,
     linear_algebra_failures_as_no_solution,
 )
-from ssm_study.certificates.theorems.deployed_rate import INSIDE, SLACKS, largest_rate
+from ssm_study.certificates.theorems.deployed_rate import INSIDE, LARGEST_RATE, SLACKS, largest_rate
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.refusal import require
@@ -42,7 +42,6 @@ from ssm_study.synthesis.modes import least_metric
 from ssm_study.systems import JacobianBall
 
 MATRICES = "give A, B, C (for example P.A, P.B, P.C)"
-LARGEST_RATE = 1 - 1e-9  # of a gain that brings every state to rest in a few samples
 SMALLEST_RATE = 1e-9  # what is asked of the problem while its gain is analysed
 
 
@@ -141,9 +140,9 @@ class Certification:
         """
         gains = {"controller": self.controller, "observer": self.observer}
         verdicts = {name: gain.certified for name, gain in gains.items() if gain is not None}
-        if len(verdicts) == len(gains):
-            verdicts["loop"] = all(verdicts.values()) and not self.unknown_maps
-        return verdicts
+        if len(verdicts) < len(gains):
+            return verdicts
+        return add_loop_verdict(verdicts, self.unknown_maps)
 
     def summary(self) -> pd.Series:
         """Table with rate, limit and reason of each gain, and the verdict on the loop of both."""

@@ -15,6 +15,7 @@ from ssm_study import save_as_run
 from ssm_study.api.arguments import Values
 from ssm_study.api.design_files import write_records
 from ssm_study.api.known_maps import name_unknown_maps, refuse_unknown_maps, warn_of_unknown_maps
+from ssm_study.api.loop_of_both import add_loop_verdict
 from ssm_study.api.model import Model, draw_or_refuse
 from ssm_study.api.scope_of_proof import refuse_without_records
 from ssm_study.api.scratch import make_scratch_folder
@@ -112,8 +113,7 @@ class Design:
         sides = self.certificate.certificates_by_name
         verdicts = {"controller": sides["state_feedback"].certified}
         verdicts["observer"] = sides["observer"].certified
-        verdicts["loop"] = all(verdicts.values()) and not self.unknown_maps
-        return verdicts
+        return add_loop_verdict(verdicts, self.unknown_maps)
 
     @cached_property
     def unknown_maps(self) -> dict[str, str]:

@@ -33,6 +33,15 @@ def describe_loop_of_both(
     return words if example is None else f"{words}; {example}"
 
 
+def add_loop_verdict(
+    gain_verdicts: Mapping[str, bool], unknown_maps: Mapping[str, str]
+) -> dict[str, bool]:
+    """Verdicts on controller and observer, and the one that follows for the loop of both. It is
+    certified where both are and the observer computes the plant's own maps."""
+    is_certified = all(gain_verdicts.values()) and not unknown_maps
+    return {**gain_verdicts, "loop": is_certified}
+
+
 def name_maps(unknown_maps: Mapping[str, str]) -> str:
     """Static maps that an observer would have to compute, each with its range, as one text."""
     return " and ".join(unknown_maps.values())

@@ -118,7 +118,7 @@ def test_the_card_of_the_loop_says_where_the_input_left_its_limits() -> None:
     record = certified(stable_count=4.0, initial_conditions=4.0)
     card = closed_loop_card(record, LOOP)
     assert card is not None
-    assert card.lines == ("The input stayed within the limits of the proof (-3 to 4 V)",)
+    assert card.lines == ("The input, -3 to 4 V, stayed within the limits of the proof",)
     beyond = closed_loop_card(record | {"limit_upper": 3.9}, LOOP)
     assert beyond is not None
     assert beyond.text == "starts settle without input limits"

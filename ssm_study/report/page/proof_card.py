@@ -242,9 +242,9 @@ def exceeded_limits_text(record: Record, loop: ShownLoop | None) -> str:
     low, high = loop.input_range
     reach = f"{low:.3g} to {high:.3g}{f' {loop.input_unit}'.rstrip()}"
     if not goes_beyond_limits(record, loop):
-        return f"The input stayed within the limits of the proof ({reach})"
+        return f"The input, {reach}, stayed within the limits of the proof"
     return (
-        f"The input went beyond the limits of the proof ({reach}): the times shown are without "
+        f"The input, {reach}, went beyond the limits of the proof: the times shown are without "
         "limits; loop.input_lower and loop.input_upper apply them"
     )
 
