@@ -211,8 +211,10 @@ def test_rounding_is_certified_for_what_is_deployed(certified: Path) -> None:
     controller = load_controller(certified)
     none = np.array([np.inf])
     exact = prove_deployed_rates(Device.from_controller(controller, "double", -none, none), design)
-    expected = {"state_feedback": 0.3, "observer": 0.4}
-    assert exact == expected
+    proved = {side: design.certified_rate(side) for side in ("state_feedback", "observer")}
+    assert exact == proved  # the largest of these gains
+    assert proved["state_feedback"] > 0.3  # what was asked
+    assert proved["observer"] > 0.4
     single = Device.from_controller(controller, "float", -none, none)
     rounded = prove_deployed_rates(single, design)
     controller_a = single.controller.a
@@ -220,7 +222,7 @@ def test_rounding_is_certified_for_what_is_deployed(certified: Path) -> None:
     controller_k = single.controller.k
     a, b, k = (np.asarray(x, dtype=float) for x in (controller_a, controller_b, controller_k))
     assert not np.array_equal(a, controller.a)
-    assert 0 < rounded["state_feedback"] <= 0.3
+    assert 0 < rounded["state_feedback"] <= proved["state_feedback"]
     eigenvalues = np.linalg.eigvals(a + b @ k)
     radius = np.abs(eigenvalues).max()
     assert radius < np.sqrt(1 - rounded["state_feedback"])
