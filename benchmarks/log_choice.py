@@ -7,11 +7,12 @@
 Every log is read and fitted as the plain command does (`data=recorded`, all else at its default).
 `aside` are the kinds of `log_kinds_aside.py`. One row a log and seed goes into
 `log_choice_kinds.csv`, `log_choice_aside.csv` or `log_choice_real.csv` of
-`results/reference/training`: the fit to the test part of the model and of the best of ARX, output
-error and polynomial NARX (`models.best_baseline.fit_best_baseline`), the largest rate of a
-certified state feedback, the processor seconds, and what was chosen. With `--plain` also those of
-`model=structured` with its own defaults, which chooses nothing. Rows that are there are not made
-again. One to three minutes a log on a busy core.
+`results/reference/training`: the fit to the test part of the model, of what predicts where that is
+another model, and of the best of ARX, output error and polynomial NARX
+(`models.best_baseline.fit_best_baseline`), the points by which what predicts is ahead, the largest
+rate of a certified state feedback, the processor seconds, and what was chosen. With `--plain` also
+those of `model=structured` with its own defaults, which chooses nothing. Rows that are there are
+not made again. One to three minutes a log on a busy core.
 
     python benchmarks/log_choice.py kinds --seeds 0 1 2 3 4 --jobs 16 --table kinds.csv
 
@@ -37,6 +38,7 @@ from log_kinds_aside import KINDS as KINDS_ASIDE
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.models.best_baseline import fit_best_baseline
+from ssm_study.models.members import member_columns
 from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.signals import DataSet
 from ssm_study.synthesis.model_selection import largest_certifiable_rate
@@ -145,12 +147,14 @@ def compare(log: Log, plain: bool = False, candidates: Path | None = None) -> di
     fit_baseline = (
         records_fit_percent(baseline.model, data.test, data) if baseline else float("nan")
     )
+    predicted = member_columns(found.members, data).get("fit_test_members_percent", fit)
     return {
         "log": log.name,
         "seed": log.seed,
         "fit_test_percent": round(fit, 2),
+        "fit_predicted_percent": round(predicted, 2),
         "fit_baseline_percent": round(fit_baseline, 2),
-        "ahead_points": round(fit - fit_baseline, 2),
+        "ahead_points": round(predicted - fit_baseline, 2),
         "fit_validation_percent": round(found.fit_validation_percent, 2),
         "controller_rate_limit": round(largest_rate(found.model), 4),
         "processor_seconds": round(seconds, 1),
