@@ -42,7 +42,7 @@ from ssm_study.models.members import member_columns
 from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.signals import DataSet
 from ssm_study.synthesis.model_selection import largest_certifiable_rate
-from ssm_study.training.metrics import Identification, records_fit_percent
+from ssm_study.training.metrics import Identification
 
 TARGET = REFERENCE / "training"
 REAL_LOGS = ROOT.parent / "shared" / "data" / "logs_real"
@@ -144,9 +144,7 @@ def compare(log: Log, plain: bool = False, candidates: Path | None = None) -> di
         found.model, data
     )  # from the log's past where that predicts better
     fit = test.fit_percent
-    fit_baseline = (
-        records_fit_percent(baseline.model, data.test, data) if baseline else float("nan")
-    )
+    fit_baseline = baseline.test_fit_percent(data) if baseline else float("nan")
     predicted = member_columns(found.members, data).get("fit_test_members_percent", fit)
     return {
         "log": log.name,

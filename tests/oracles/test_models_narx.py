@@ -5,12 +5,21 @@ import pytest
 
 from ssm_study.data.assembly import assemble_dataset
 from ssm_study.models.baselines.regression import (
+    fit_arx,
+    fit_narx_models,
     fit_output_error,
     regression_arrays,
     select_regressors,
 )
 from ssm_study.models.baselines.solved import NARX, OutputError
+from ssm_study.models.baselines.starts import (
+    OUTPUTS,
+    RUN_IN,
+    as_state_space,
+    simulate_from_each_start,
+)
 from ssm_study.models.best_baseline import baseline_columns, fit_baselines, fit_best_baseline
+from ssm_study.models.warm_start import PAST, SAMPLES
 from ssm_study.refusal import BadRequest
 from ssm_study.report.outcome import baseline_text
 from ssm_study.signals import Channel, DataSet, Trajectory
@@ -102,7 +111,7 @@ def test_the_best_baseline_of_a_product_is_a_polynomial() -> None:
     columns = baseline_columns(data)
     assert columns is not None
     near = [
-        records_fit_percent(each.model, data.test, data)
+        each.test_fit_percent(data)
         for each in fit_baselines(data)
         if each.fit_validation_percent >= best.fit_validation_percent - 1.0
     ]
@@ -138,3 +147,51 @@ def test_lags_longer_than_every_record_are_refused() -> None:
     narx = NARX(lags=600, degree=1)
     with pytest.raises(BadRequest, match="longest training record has 600 samples"):
         narx.solve(records())
+
+
+def slow_records() -> DataSet:
+    """Records of a slow lag with a coarse sensor, cut from one log."""
+    rng = np.random.default_rng(5)
+    u = np.repeat(rng.normal(size=40), 50)
+    y = np.zeros(2000)
+    for k in range(1, 2000):
+        y[k] = 0.98 * y[k - 1] + 0.02 * u[k - 1]
+    noisy = y + 0.2 * y.std() * rng.normal(size=2000)
+    log = Trajectory(u=u[:, None], y=noisy[:, None], step_s=0.1, log=1)
+    parts = (log[:1400],), (log[1400:1700],), (log[1700:],)
+    zero = np.zeros(1)
+    return assemble_dataset(parts, (zero, zero), CHANNELS, 20)
+
+
+def test_a_baseline_does_not_start_from_one_noisy_output() -> None:
+    """A slow mode carries the noise of the first outputs on; a state from the past has none."""
+    data = slow_records()
+    model = fit_output_error(data, 1, 1)
+    runs = simulate_from_each_start(model, data, data.test)
+    fits = {start: run.fit_percent for start, run in runs.items()}
+    assert fits[PAST] > fits[OUTPUTS] + 1.0
+    assert fits[SAMPLES] > fits[OUTPUTS]
+    best = fit_best_baseline(data)
+    assert best is not None
+    assert best.start != OUTPUTS
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_a_linear_recursion_is_the_same_as_its_state_space(delay: int) -> None:
+    data = records(start_up=20)
+    arx = fit_arx(data, 3, delay)
+    system = as_state_space(arx, data.step_s)
+    u = data.test[0].u
+    assert system.simulate(u) - system.simulate(0 * u) == pytest.approx(
+        arx.simulate(u) - arx.simulate(0 * u), abs=1e-9
+    )
+
+
+def test_a_polynomial_runs_through_the_log_before_a_record() -> None:
+    data = slow_records()
+    model = next(fit_narx_models(data, 1, 2, 1, [3]))
+    run = simulate_from_each_start(model, data, data.test)[PAST]
+    past = data.validation[0][-RUN_IN:]
+    whole = np.concatenate([past.u, data.test[0].u])
+    expected = model.simulate_from_outputs(whole, past.y[:20])[len(past) :]
+    np.testing.assert_array_equal(run.simulated[0], expected)
