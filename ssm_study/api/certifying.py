@@ -78,7 +78,8 @@ class GainCertificate:
 
     def __repr__(self) -> str:
         name = "observer" if self.observes else "gain"
-        lines = pd.Series(gain_lines(name, self), dtype=object)
+        rows = gain_lines(name, self)
+        lines = pd.Series(rows, dtype=object)
         return render_text_table("GainCertificate", lines)
 
     @property
@@ -92,7 +93,8 @@ class GainCertificate:
         None without a certificate."""
         if self.certificate is None:
             return None
-        matrix = getattr(self.certificate, self.certificate.metric_matrix)
+        metric_name = self.certificate.metric_matrix
+        matrix = getattr(self.certificate, metric_name)
         metric: Float[np.ndarray, "n n"] = matrix if self.observes else np.linalg.inv(matrix)
         return metric
 
@@ -176,7 +178,8 @@ def gain_lines(name: str, gain: GainCertificate) -> dict[str, str]:
             lines[name] += ", if it computes the plant's own input and output maps"
     lines[f"{name}, slopes"] = _describe_slopes(name, gain.slopes)
     if gain.overshoot is not None:
-        growth = math.ceil(gain.overshoot * 1000) / 1000
+        thousandths = gain.overshoot * 1000
+        growth = math.ceil(thousandths) / 1000
         lines[f"{name}, overshoot"] = f"Euclidean distances grow at most {growth:g} times"
     lines[f"{name}, without it"] = _describe_limit(gain.rate_without)
     lines[f"{name}, this gain"] = _describe_limit(gain.rate_of_gain)
@@ -192,7 +195,8 @@ def _describe_limit(rate: float) -> str:
 def _describe_slopes(name: str, slopes: tuple[float, float]) -> str:
     """Text that names a static map and the range of slopes for which a certificate holds."""
     lowest, highest = (f"{slope:.6g}" for slope in slopes)
-    between = lowest if slopes[0] == slopes[1] else f"{lowest} to {highest}"
+    is_one_slope = slopes[0] == slopes[1]
+    between = lowest if is_one_slope else f"{lowest} to {highest}"
     return f"{between} of the {'output' if name == 'observer' else 'input'} map"
 
 
@@ -238,22 +242,27 @@ def certify(
     """
     if B is None and C is None:
         A, B, C = read_system_to_certify(A)
-    require(K is not None or L is not None, "K, L", None, "no gain is given", "give one or both")
+    has_a_gain = K is not None or L is not None
+    require(has_a_gain, "K, L", None, "no gain is given", "give one or both")
     a = read_matrix("A", A, (None, None))
     n = len(a)
     a = read_matrix("A", a, (n, n))
     controller = observer = None
     if K is not None:
-        require(B is not None, "B", None, "a state feedback needs it", "give the input matrix")
+        has_input_matrix = B is not None
+        require(has_input_matrix, "B", None, "a state feedback needs it", "give the input matrix")
         b = read_columns("B", B, (n, None))
-        k = read_matrix("K", K, (b.shape[1], n))
+        inputs = b.shape[1]
+        k = read_matrix("K", K, (inputs, n))
         jacobian_ball = slope_ball("slopes", slopes)
         controller = certify_gain(a, b, k, jacobian_ball, StateFeedbackOfBall)
         controller = replace(controller, slopes=(float(slopes[0]), float(slopes[1])))
     if L is not None:
-        require(C is not None, "C", None, "an observer needs it", "give the output matrix")
+        has_output_matrix = C is not None
+        require(has_output_matrix, "C", None, "an observer needs it", "give the output matrix")
         c = read_matrix("C", C, (None, n))
-        gain = read_columns("L", L, (n, len(c)))
+        outputs = len(c)
+        gain = read_columns("L", L, (n, outputs))
         ball = slope_ball("output_slopes", output_slopes)
         observer = certify_gain(a.T, c.T, gain.T, ball, ObserverOfBall)
         output_range = (float(output_slopes[0]), float(output_slopes[1]))
@@ -266,7 +275,8 @@ def certify(
         name: describe_range(name, *ends) for name, ends in ranges.items() if ends[0] < ends[1]
     }
     example = unstable_example(a, b @ k, gain @ c, controller.slopes, observer.slopes)
-    return replace(result, unknown_maps=unknown, unstable_example=example if unknown else None)
+    shown_example = example if unknown else None
+    return replace(result, unknown_maps=unknown, unstable_example=shown_example)
 
 
 def read_system_to_certify(system: Any) -> tuple[Any, Any, Any]:
@@ -277,15 +287,17 @@ def read_system_to_certify(system: Any) -> tuple[Any, Any, Any]:
     any other object.
     """
     kind = type(system).__name__
-    is_tuple = isinstance(system, tuple) and len(system) == 5 and np.ndim(system[-1]) == 0
-    if is_tuple or all(hasattr(system, name) for name in ("A", "B", "C", "D", "dt")):
+    is_tuple = isinstance(system, tuple)
+    is_linear_system = is_tuple and len(system) == 5 and np.ndim(system[-1]) == 0
+    if is_linear_system or all(hasattr(system, name) for name in ("A", "B", "C", "D", "dt")):
         linear, _ = read_linear_system(system)
         return linear.a, linear.b, linear.c
     problem = "is no state space, and the gains act on its states"
     require(not hasattr(system, "num"), "A", kind, problem, f"convert it: control.ss; {MATRICES}")
     is_design = isinstance(system, Design)
     require(not is_design, "A", kind, "prints its own certificates", f"for others {MATRICES}")
-    foreign = hasattr(system, "__dict__") and not hasattr(system, "__array__")
+    is_object = hasattr(system, "__dict__")
+    foreign = is_object and not hasattr(system, "__array__")
     require(not foreign, "A", kind, "is no matrix of numbers", MATRICES)
     return system, None, None
 
@@ -305,12 +317,15 @@ def certify_gain(
     a, b, k = (np.ascontiguousarray(matrix) for matrix in matrices)
     frontier = contraction_frontier(a, b, ball)
     limit = frontier.rate_limit
-    supremum = min(largest_rate(a, b, k, ball), LARGEST_RATE)
+    rate_of_gain = largest_rate(a, b, k, ball)
+    supremum = min(rate_of_gain, LARGEST_RATE)
+    open_loop_radius = spectral_radius(a)
+    rate_without = 1 - open_loop_radius**2
     result = partial(
         GainCertificate,
         rate_of_gain=supremum,
         rate_limit=limit,
-        rate_without=1 - spectral_radius(a) ** 2,
+        rate_without=rate_without,
         slopes=(ball.lower, ball.upper),
     )
     if supremum <= 0:
@@ -324,7 +339,8 @@ def certify_gain(
     )
     for inside, slack in product(INSIDE, SLACKS):
         rate = supremum * (1 - inside)
-        part = _prove_rate(problem.at_rate(rate), k, slack, supremum, limit, theorem)
+        problem_at_rate = problem.at_rate(rate)
+        part = _prove_rate(problem_at_rate, k, slack, supremum, limit, theorem)
         if part is not None and part.certified:
             reason = f"{inside:.1%} inside the supremum {supremum:.6g}"
             return result(rate=rate, certificate=part, reason=reason)
@@ -343,7 +359,8 @@ def _prove_rate(
     """Certificate that a gain contracts at the problem's rate; None where no metric is found in
     floats."""
     started = time.perf_counter()
-    factor = float(((1 - supremum) * (1 - problem.rate)) ** 0.25)  # between the two, in log r
+    remaining_rate = 1 - problem.rate
+    factor = float(((1 - supremum) * remaining_rate) ** 0.25)  # between the two, in log r
     try:
         with linear_algebra_failures_as_no_solution():
             coordinates = _conditioned_coordinates(problem, k, factor)
@@ -365,9 +382,16 @@ def _conditioned_coordinates(
     """State coordinates in which the certification of a gain is numerically well conditioned. They
     are a Cholesky factor of the loop's own Gramian at the mean slope."""
     alpha = problem.ball.alpha
-    closed = (problem.a + alpha * problem.b @ k) / factor
-    drive = problem.b @ problem.b.T / factor**2
-    size = max(float(np.trace(drive)) / len(drive), np.finfo(float).tiny)
-    gramian = scipy.linalg.solve_discrete_lyapunov(closed, drive + 1e-6 * size * np.eye(len(drive)))
-    lower: Float[np.ndarray, "n n"] = np.linalg.cholesky((gramian + gramian.T) / 2)
+    closed_loop = problem.a + alpha * problem.b @ k
+    closed = closed_loop / factor
+    input_gramian = problem.b @ problem.b.T
+    drive = input_gramian / factor**2
+    mean_eigenvalue = float(np.trace(drive)) / len(drive)
+    smallest_float = np.finfo(float).tiny
+    size = max(mean_eigenvalue, smallest_float)
+    regularisation = 1e-6 * size * np.eye(len(drive))
+    right_side = drive + regularisation
+    gramian = scipy.linalg.solve_discrete_lyapunov(closed, right_side)
+    symmetric_gramian = (gramian + gramian.T) / 2
+    lower: Float[np.ndarray, "n n"] = np.linalg.cholesky(symmetric_gramian)
     return lower

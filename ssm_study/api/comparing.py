@@ -90,7 +90,8 @@ def compare(
     named = read_models(models)
     first = next(iter(named.values()))
     if start_up_samples is None:
-        start_up_samples = max(model.data.start_up_samples for model in named.values())
+        start_ups = (model.data.start_up_samples for model in named.values())
+        start_up_samples = max(start_ups)
     simulations = {}
     for name, model in named.items():
         own_disturbance = disturbance if model.disturbance_names else None
@@ -98,7 +99,9 @@ def compare(
         require_motion(run)
         simulations[name] = run
     states = {name: getattr(model.simulator, "order", None) for name, model in named.items()}
-    measured = next(iter(simulations.values())).records[0].y
+    first_simulation = next(iter(simulations.values()))
+    first_record = first_simulation.records[0]
+    measured = first_record.y
     simulated = {name: run.simulated for name, run in simulations.items()}
     return compare_simulations(
         [measured],
@@ -118,12 +121,15 @@ def read_models(models: Any) -> dict[str, Model]:
         models = [models]
     remedy = "give a list of models, as st.fit returns them"
     several = isinstance(models, Mapping | list | tuple)
-    require(several, "models", type(models).__name__, "is no list of models", remedy)
-    require(len(models) > 0, "models", "none", "there is nothing to compare", remedy)
+    kind = type(models)
+    require(several, "models", kind.__name__, "is no list of models", remedy)
+    has_models = len(models) > 0
+    require(has_models, "models", "none", "there is nothing to compare", remedy)
     each = models.values() if isinstance(models, Mapping) else models
     for model in each:
         is_model = isinstance(model, Model)
-        require(is_model, "models", type(model).__name__, "is no model", remedy)
+        kind = type(model)
+        require(is_model, "models", kind.__name__, "is no model", remedy)
     if isinstance(models, Mapping):
         return {str(name): model for name, model in models.items()}
     return _name_models(models)
@@ -145,19 +151,27 @@ def compare_simulations(
     The first `start_up_samples` of each record are not scored: they tell the initial state.
     """
     scored = slice(start_up_samples, None)
-    whole = np.concatenate([record[scored] for record in measured])
+    scored_records = [record[scored] for record in measured]
+    whole = np.concatenate(scored_records)
     rows = {}
     for name, outputs in simulated.items():
-        output = np.concatenate([values[scored] for values in outputs])
-        rows[name] = _score_row(whole, output, output_names) | {"states": states[name]}
-    table = pd.DataFrame.from_dict(rows, orient="index").sort_values("fit_percent", ascending=False)
+        scored_outputs = [values[scored] for values in outputs]
+        output = np.concatenate(scored_outputs)
+        scores = _score_row(whole, output, output_names)
+        size = {"states": states[name]}
+        rows[name] = scores | size
+    unsorted = pd.DataFrame.from_dict(rows, orient="index")
+    table = unsorted.sort_values("fit_percent", ascending=False)
     table.index.name = "model"
-    longest = int(np.argmax([len(record) for record in measured]))
-    time_s = np.arange(len(measured[longest])) * step_s
+    lengths = [len(record) for record in measured]
+    longest = int(np.argmax(lengths))
+    samples = len(measured[longest])
+    time_s = np.arange(samples) * step_s
+    longest_simulations = {str(name): simulated[str(name)][longest] for name in table.index}
     return ModelComparison(
         table=table,
         measured=measured[longest],
-        simulated={str(name): simulated[str(name)][longest] for name in table.index},
+        simulated=longest_simulations,
         time_s=time_s,
         output_names=output_names,
         start_up_samples=start_up_samples,
@@ -172,20 +186,25 @@ def _name_models(models: Sequence[Model]) -> dict[str, Model]:
     for i, kind in enumerate(kinds):
         is_unique = kinds.count(kind) == 1
         names.append(kind if is_unique else f"{kind} {kinds[: i + 1].count(kind)}")
-    return dict(zip(names, models, strict=True))
+    models_by_name = zip(names, models, strict=True)
+    return dict(models_by_name)
 
 
 def _score_row(
     measured: Outputs, simulated: Outputs, output_names: Sequence[str]
 ) -> dict[str, Any]:
     """Scores of one model on a record."""
-    row: dict[str, Any] = {"fit_percent": fit_percent(measured, simulated)}
+    fit_of_all = fit_percent(measured, simulated)
+    row: dict[str, Any] = {"fit_percent": fit_of_all}
     if measured.shape[1] > 1:
         for j, name in enumerate(output_names):
             column = slice(j, j + 1)
-            row[f"fit_percent of {name}"] = fit_percent(measured[:, column], simulated[:, column])
+            measured_channel = measured[:, column]
+            simulated_channel = simulated[:, column]
+            row[f"fit_percent of {name}"] = fit_percent(measured_channel, simulated_channel)
     row["rmse"] = rmse(measured, simulated)
-    row["largest_error"] = float(np.abs(measured - simulated).max())
+    absolute_errors = np.abs(measured - simulated)
+    row["largest_error"] = float(absolute_errors.max())
     return row
 
 

@@ -90,7 +90,9 @@ def control(
         given |= {"overrides": overrides or None}
         return design_to_rest(model, given, input_limits, settings)
     check_input_limits(input_limits)
-    for name, requested_rate in (("rate", rate), ("observer_rate", observer_rate)):
+    rate_setting = ("rate", rate)
+    observer_rate_setting = ("observer_rate", observer_rate)
+    for name, requested_rate in (rate_setting, observer_rate_setting):
         if requested_rate is not None:
             require_contraction_rate(name, requested_rate, "try 0.1")
     identified = isinstance(model, Model)
@@ -98,7 +100,8 @@ def control(
     chosen = default if method is None else method
     refuse_model_settings(overrides)
     earlier = model.later_words if isinstance(model, Model) else ()
-    words = (*earlier, *(() if method is None else (f"synthesis={method}",)), *overrides)
+    choice_of_method = () if method is None else (f"synthesis={method}",)
+    words = (*earlier, *choice_of_method, *overrides)
     choices = LOOP | {"synthesis": chosen}
     parts = Parts(choices, words)
     if not identified:
@@ -126,13 +129,15 @@ def design_to_rest(
 
     check_input_limits(limits)
     is_unlimited = all(limit is None for limit in limits)
-    given = given | {"input_limits": None if is_unlimited else limits}
+    input_limits = None if is_unlimited else limits
+    given = given | {"input_limits": input_limits}
     problem = (
         "is for other models; of products of input and state it is proved that they come to rest"
     )
     for name, value in given.items():
         require(value is None, name, value, problem, "leave it out")
-    known = [part.name for part in fields(BilinearSynthesis)]
+    settings_of_synthesis = fields(BilinearSynthesis)
+    known = [part.name for part in settings_of_synthesis]
     for name, value in settings.items():
         require_one_of(known, name, name)
         read_number(name, value)
@@ -146,7 +151,8 @@ def design_to_rest(
 def check_input_limits(limits: Any) -> None:
     """Raise `BadRequest` unless a value is a pair of lowest and highest input, each None or
     numbers."""
-    is_pair = isinstance(limits, tuple | list) and len(limits) == 2
+    is_sequence = isinstance(limits, tuple | list)
+    is_pair = is_sequence and len(limits) == 2
     remedy = "give (lowest, highest), or None for the range that the records visited"
     require(is_pair, "input_limits", limits, "is no pair", remedy)
     for name, limit in zip(("lower", "upper"), limits, strict=True):
@@ -159,13 +165,8 @@ def refuse_model_settings(overrides: tuple[str, ...]) -> None:
     for word in overrides:
         part = part_name(word)
         remedy = "give it to st.fit"
-        require(
-            part not in OF_THE_MODEL,
-            "overrides",
-            word,
-            f"changes {part}, and with it the model",
-            remedy,
-        )
+        may_change = part not in OF_THE_MODEL
+        require(may_change, "overrides", word, f"changes {part}, and with it the model", remedy)
 
 
 def _rates_without_records(
@@ -176,7 +177,8 @@ def _rates_without_records(
     choice = parts.choices["synthesis"]
     problem = "needs a validation record to choose by, and there is none"
     remedy = "use method='riccati' with rate and observer_rate"
-    require(not choice.startswith("auto"), "synthesis", choice, problem, remedy)
+    takes_rates_from_records = choice.startswith("auto")
+    require(not takes_rates_from_records, "synthesis", choice, problem, remedy)
     return rate, rate if observer_rate is None else observer_rate
 
 
@@ -186,15 +188,12 @@ def _design_for_model(model: Model, parts: Parts, limits: tuple[Any, Any]) -> De
     parts.set_fields("loop", input_lower=lower, input_upper=upper)
     loop = parts.build("loop")
     synthesis = parts.build("synthesis")
+    input_limits = (loop.input_lower, loop.input_upper)
     certificate = design_controller(
-        synthesis,
-        model.ssm,
-        model.data,
-        model.mismatch,
-        model.evidence,
-        (loop.input_lower, loop.input_upper),
+        synthesis, model.ssm, model.data, model.mismatch, model.evidence, input_limits
     )
-    words = (*model.overrides, *parts.command_overrides())
+    design_overrides = parts.command_overrides()
+    words = (*model.overrides, *design_overrides)
     loop_seed = parts.numbers["loop_seed"]
     return Design(
         certificate=certificate,
@@ -218,8 +217,10 @@ def _design_for_system(
 
     linear, step_s = read_linear_system(system)
     model = SSM.from_linear(linear, step_s)
-    inner = slope_ball("slopes", IDENTITY if slopes is None else slopes)
-    outer = slope_ball("output_slopes", IDENTITY if output_slopes is None else output_slopes)
+    input_slopes = IDENTITY if slopes is None else slopes
+    inner = slope_ball("slopes", input_slopes)
+    slopes_of_output = IDENTITY if output_slopes is None else output_slopes
+    outer = slope_ball("output_slopes", slopes_of_output)
     inward = _linear_map(inner, model.scale.inputs)
     outward = _linear_map(outer, model.scale.outputs)
     model = replace(model, scaffold_in=inward, scaffold_out=outward)
@@ -228,7 +229,8 @@ def _design_for_system(
         balls = replace(balls, input=inner)
     if outer.beta:
         balls = replace(balls, output=outer)
-    certificate = parts.build("synthesis").design(model, balls)
+    synthesis = parts.build("synthesis")
+    certificate = synthesis.design(model, balls)
     certificate = add_largest_rates(replace_study_remedies(certificate))
     return Design(certificate=certificate, model=model, overrides=overrides)
 
@@ -236,7 +238,8 @@ def _design_for_system(
 def _linear_map(ball: JacobianBall, channels: int) -> LinearScaffold:
     """Linear static map whose gain is the middle of a range of slopes. Pictures are drawn with
     it."""
-    return LinearScaffold(gain=ball.alpha * np.eye(channels))
+    gain = ball.alpha * np.eye(channels)
+    return LinearScaffold(gain=gain)
 
 
 def replace_study_remedies(certificate: Certificates) -> Certificates:
@@ -249,7 +252,8 @@ def replace_study_remedies(certificate: Certificates) -> Certificates:
         text = getattr(part, words)
         for setting, remedy in REMEDIES.items():
             text = text.replace(setting, remedy)
-        sides[side] = replace(cast("Any", part), **{words: text})
+        side_part = cast("Any", part)
+        sides[side] = replace(side_part, **{words: text})
     return replace(certificate, **sides)
 
 

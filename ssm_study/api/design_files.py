@@ -13,7 +13,8 @@ def write_records(data: DataSet, folder: Path) -> None:
     metadata = {"step_s": repr(data.step_s)}
     inputs = (*group_training_inputs(data), *group_training_disturbances(data))
     write_mcap(folder / "excitation.mcap", inputs, metadata)
-    write_mcap(folder / "validation.mcap", tuple(group_validation_outputs(data)), metadata)
+    outputs = tuple(group_validation_outputs(data))
+    write_mcap(folder / "validation.mcap", outputs, metadata)
 
 
 def group_training_inputs(data: DataSet) -> Iterator[SignalGroup]:

@@ -15,6 +15,7 @@ from ssm_study.api.steps import identify_model
 from ssm_study.api.systems import read_folder, read_slopes
 from ssm_study.data.arrays import index_period_s, write_log_files
 from ssm_study.refusal import NO_NUMBERS, BadRequest, require, require_positive
+from ssm_study.signals import DataSet
 
 CHOICES = {
     "data": "recorded",
@@ -93,7 +94,8 @@ def fit(
     True
     """
     step_s = stated_or_index_period_s(step_s, u)
-    parts = Parts(CHOICES | {"model": model}, overrides)
+    choices = CHOICES | {"model": model}
+    parts = Parts(choices, overrides)
     parts.set_fields("model", order=order, neurons=neurons, feedthrough=feedthrough, **settings)
     if slopes is not None:
         slope_lower, slope_upper = read_slopes("slopes", slopes)
@@ -107,10 +109,7 @@ def fit(
     folder = (
         make_scratch_folder() if results_dir is None else read_folder("results_dir", results_dir)
     )
-    log = write_log_files(u, y, folder, float(step_s), disturbance)
-    parts.set_fields("data", path=log.paths, input=log.inputs, output=log.outputs, step_s=step_s)
-    parts.set_fields("data", disturbance=log.disturbances or None)
-    data = parts.build("data").build(parts.numbers["seed"])
+    data = build_data_set(parts, u, y, step_s, disturbance, folder)
 
     seed = parts.numbers["seed"]
     trained, identification = identify_model(
@@ -123,14 +122,30 @@ def fit(
         keep_on_interrupt=keep_on_interrupt,
     )
     simulator = reduction.reduce(trained) if spec.gives_ssm else trained
+    used_overrides = parts.command_overrides()
+    later_words = parts.overrides_for_parts("synthesis", "loop", "loop_seed")
     return Model(
         simulator=simulator,
         data=data,
         identification=identification,
         seed=seed,
-        overrides=parts.command_overrides(),
-        later_words=parts.overrides_for_parts("synthesis", "loop", "loop_seed"),
+        overrides=used_overrides,
+        later_words=later_words,
     )
+
+
+def build_data_set(
+    parts: Parts, u: Signals, y: Signals, step_s: float, disturbance: Signals | None, folder: Path
+) -> DataSet:
+    """Write signals as log files into a folder, and read them as `ssm-study run` reads a log."""
+    seconds = float(step_s)
+    log = write_log_files(u, y, folder, seconds, disturbance)
+    parts.set_fields("data", path=log.paths, input=log.inputs, output=log.outputs, step_s=step_s)
+    parts.set_fields("data", disturbance=log.disturbances or None)
+    data_settings = parts.build("data")
+    seed = parts.numbers["seed"]
+    data: DataSet = data_settings.build(seed)
+    return data
 
 
 def stated_or_index_period_s(step_s: Any, u: Any) -> float:
@@ -140,7 +155,8 @@ def stated_or_index_period_s(step_s: Any, u: Any) -> float:
         step_s = index_period_s(u)
     remedy = "give it in seconds, as in st.fit(u, y, 0.1)"
     problem = "is not given, and u has no index of times"
-    require(step_s is not None, "step_s", step_s, problem, remedy)
+    has_period = step_s is not None
+    require(has_period, "step_s", step_s, problem, remedy)
     return sampling_time_s(step_s)
 
 
@@ -148,11 +164,13 @@ def sampling_time_s(step_s: Any) -> float:
     """Convert a sampling time, given as a number or a time difference, to seconds. Raises
     `BadRequest` for anything else."""
     remedy = "give it in seconds"
-    require(not isinstance(step_s, bool), "step_s", step_s, "is no sampling time", remedy)
+    is_truth_value = isinstance(step_s, bool)
+    require(not is_truth_value, "step_s", step_s, "is no sampling time", remedy)
     if isinstance(step_s, timedelta | np.timedelta64):
         step_s = pd.Timedelta(step_s).total_seconds()
     try:
-        require(not np.iscomplexobj(step_s), "step_s", step_s, "is no sampling time", remedy)
+        is_complex = np.iscomplexobj(step_s)
+        require(not is_complex, "step_s", step_s, "is no sampling time", remedy)
         seconds = float(step_s)
     except BadRequest:
         raise

@@ -34,7 +34,9 @@ def name_unknown_maps(model: Any, certificate: Certificates) -> dict[str, str]:
     for side in SIDES:
         part: Any = certificate.certificates_by_name[side]
         ball = computed[side]
-        difference = abs(part.alpha - ball.alpha) + abs(part.beta - ball.beta)
+        centre_difference = part.alpha - ball.alpha
+        radius_difference = part.beta - ball.beta
+        difference = abs(centre_difference) + abs(radius_difference)
         if difference > SAME_SLOPE * abs(part.alpha):
             argument = ARGUMENTS[side]
             lower = part.alpha - part.beta

@@ -32,8 +32,10 @@ def linearise_model(model: SSM | StructuredSSM) -> "python_control.StateSpace":
     """
     python_control = import_python_control("to_control")
     linear = linearise_at_equilibrium(model)
-    input_slope = model.scaffold_in.jacobian(np.zeros(model.scaffold_in.inputs))
-    output_slope = model.scaffold_out.jacobian(np.zeros(model.scaffold_out.inputs))
+    zero_input = np.zeros(model.scaffold_in.inputs)
+    input_slope = model.scaffold_in.jacobian(zero_input)
+    zero_output = np.zeros(model.scaffold_out.inputs)
+    output_slope = model.scaffold_out.jacobian(zero_output)
     inward = input_slope / model.scale.input_scale
     output_scale = model.scale.output_scale
     outward = output_scale[:, None] * output_slope
@@ -53,13 +55,19 @@ def convert_to_continuous(discrete: "python_control.StateSpace") -> "python_cont
 
     python_control = import_python_control("to_continuous")
     poles = np.linalg.eigvals(discrete.A)
-    on_axis = (poles.real <= 0) & (np.abs(poles.imag) < 1e-12)
+    is_not_positive = poles.real <= 0
+    is_real = np.abs(poles.imag) < 1e-12
+    on_axis = is_not_positive & is_real
     problem = f"a pole at {poles[on_axis][0].real:.3g}" if on_axis.any() else ""
     remedy = "use the discrete system, to_control()"
-    require(not on_axis.any(), "model", "linearised", problem, remedy)
+    has_pole_on_axis = on_axis.any()
+    require(not has_pole_on_axis, "model", "linearised", problem, remedy)
     n, m = discrete.B.shape
-    exponential = np.block([[discrete.A, discrete.B], [np.zeros((m, n)), np.eye(m)]])
-    logarithm = np.real(scipy.linalg.logm(exponential)) / discrete.dt
+    state_rows = [discrete.A, discrete.B]
+    input_rows = [np.zeros((m, n)), np.eye(m)]
+    exponential = np.block([state_rows, input_rows])
+    complex_logarithm = scipy.linalg.logm(exponential)
+    logarithm = np.real(complex_logarithm) / discrete.dt
     a = logarithm[:n, :n]
     b = logarithm[:n, n:]
     return python_control.StateSpace(a, b, discrete.C, discrete.D)
@@ -70,20 +78,28 @@ def tabulate_frequency_response(
 ) -> pd.DataFrame:
     """Table of the frequency response from each input to each output, up to half the sampling
     rate."""
-    is_count = isinstance(points, Integral) and not isinstance(points, bool) and points >= 1
+    is_integer = isinstance(points, Integral)
+    is_count = is_integer and not isinstance(points, bool) and points >= 1
     require(is_count, "points", points, "is no number of frequencies", "use 200")
     nyquist = np.pi / system.dt
     omega = np.geomspace(nyquist * 1e-4, nyquist, points)
-    z = np.exp(1j * omega * system.dt)
-    identity = np.eye(len(system.A))
-    resolvent = np.linalg.inv(z[:, None, None] * identity - system.A)
-    response = system.C @ resolvent @ system.B + system.D
+    exponent = 1j * omega * system.dt
+    z = np.exp(exponent)
+    states = len(system.A)
+    identity = np.eye(states)
+    points_on_circle = z[:, None, None]
+    scaled_identity = points_on_circle * identity
+    resolvent = np.linalg.inv(scaled_identity - system.A)
+    state_to_output = system.C @ resolvent
+    response = state_to_output @ system.B + system.D
     tables = []
     for i, output in enumerate(outputs):
         for j, name in enumerate(inputs):
             channel = response[:, i, j]
-            table = pd.DataFrame({"input": name, "output": output, "frequency_rad_s": omega})
+            columns = {"input": name, "output": output, "frequency_rad_s": omega}
+            table = pd.DataFrame(columns)
             table["magnitude"] = np.abs(channel)
-            table["phase_deg"] = np.rad2deg(np.unwrap(np.angle(channel)))
+            phase_rad = np.unwrap(np.angle(channel))
+            table["phase_deg"] = np.rad2deg(phase_rad)
             tables.append(table)
     return pd.concat(tables, ignore_index=True)

@@ -38,7 +38,8 @@ def add_loop_verdict(
 ) -> dict[str, bool]:
     """Verdicts on controller and observer, and the one that follows for the loop of both. It is
     certified where both are and the observer computes the plant's own maps."""
-    is_certified = all(gain_verdicts.values()) and not unknown_maps
+    holds_for_gains = all(gain_verdicts.values())
+    is_certified = holds_for_gains and not unknown_maps
     return {**gain_verdicts, "loop": is_certified}
 
 
@@ -74,14 +75,22 @@ def unstable_example(
 
     `driven` is B K, `corrected` is L C.
     """
-    mean = (sum(slopes) / 2, sum(output_slopes) / 2)
+    mean_input_slope = sum(slopes) / 2
+    mean_output_slope = sum(output_slopes) / 2
+    mean = (mean_input_slope, mean_output_slope)
     radii = {}
     for inner, outer in product(slopes, output_slopes):
-        plant = np.hstack([a, inner * driven])
-        own = a + mean[0] * driven + mean[1] * corrected
-        observer = np.hstack([-outer * corrected, own])
-        poles = np.linalg.eigvals(np.vstack([plant, observer]))
-        radii[inner, outer] = float(np.abs(poles).max())
+        plant_rows = [a, inner * driven]
+        plant = np.hstack(plant_rows)
+        error_motion = a + mean[0] * driven
+        own = error_motion + mean[1] * corrected
+        correction = -outer * corrected
+        observer_rows = [correction, own]
+        observer = np.hstack(observer_rows)
+        loop_of_both = np.vstack([plant, observer])
+        poles = np.linalg.eigvals(loop_of_both)
+        moduli = np.abs(poles)
+        radii[inner, outer] = float(moduli.max())
     worst = max(radii, key=lambda ends: radii[ends])
     if radii[worst] < 1:
         return None

@@ -36,7 +36,8 @@ def choose_plant(design: "Design", plant: Any) -> Plant | IdentifiedPlant:
         return make_identified_plant(design)
     remedy = "give one of ssm_study.plants, or your own (docs/howto_plant.md)"
     is_plant = isinstance(plant, Plant | IdentifiedPlant)
-    require(is_plant, "plant", type(plant).__name__, "is no plant", remedy)
+    kind = type(plant)
+    require(is_plant, "plant", kind.__name__, "is no plant", remedy)
     chosen: Plant | IdentifiedPlant = plant
     return chosen
 
@@ -54,15 +55,21 @@ def simulate_loop(
     With a measured disturbance it lasts as long as that.
     """
     names = [channel.name for channel in plant.outputs]
-    starts = signal_columns(y0, "y0", len(names), names)[1]
+    output_count = len(names)
+    checked_starts = signal_columns(y0, "y0", output_count, names)
+    starts = checked_starts[1]
     parts = Parts(LOOP, overrides)
-    loop: Loop = parts.build("loop").with_default_horizon(design.model)
+    configured_loop = parts.build("loop")
+    loop: Loop = configured_loop.with_default_horizon(design.model)
     controller = controller or ObserverFeedback.from_design(design.model, design.certificate)
     measured = disturbance_values(disturbance, _disturbance_names(design))
     if measured is not None:
         horizon_s = len(measured) * plant.step_s
         loop = replace(loop, horizon_s=horizon_s)
-    noise = np.zeros((len(starts), loop.horizon_samples(plant.step_s), starts.shape[1]))
+    start_count = len(starts)
+    samples = loop.horizon_samples(plant.step_s)
+    noise_shape = (start_count, samples, starts.shape[1])
+    noise = np.zeros(noise_shape)
     return loop.simulate(plant, controller, starts, noise, measured)
 
 
@@ -81,8 +88,10 @@ def tabulate_rollouts(rollouts: Rollouts, plant: Plant | IdentifiedPlant) -> pd.
     channels = (*plant.inputs, *plant.outputs)
     names = [channel.name for channel in channels]
     tables = []
-    for i, (u, y) in enumerate(zip(rollouts.u, rollouts.y, strict=True)):
-        table = pd.DataFrame(np.hstack([u, y]), columns=names)
+    cases = zip(rollouts.u, rollouts.y, strict=True)
+    for i, (u, y) in enumerate(cases):
+        signals = np.hstack([u, y])
+        table = pd.DataFrame(signals, columns=names)
         table.insert(0, "case", i)
         table.insert(1, "time_s", rollouts.time_s)
         tables.append(table)

@@ -46,4 +46,6 @@ def describe_missing_rate(
 
 def spectral_radius(matrix: Float[np.ndarray, "n n"]) -> float:
     """Largest modulus of the eigenvalues of a matrix."""
-    return float(np.abs(np.linalg.eigvals(matrix)).max())
+    eigenvalues = np.linalg.eigvals(matrix)
+    moduli = np.abs(eigenvalues)
+    return float(moduli.max())

@@ -97,7 +97,8 @@ class Model:
         kind = type(self.simulator).__name__
         problem = "has products of input and state, so that it is no linear or structured system"
         remedy = "use predict, score and st.control, or fit model=structured"
-        require(not isinstance(self.simulator, Bilinear), "model", kind, problem, remedy)
+        is_bilinear = isinstance(self.simulator, Bilinear)
+        require(not is_bilinear, "model", kind, problem, remedy)
         problem = "is a baseline: it can be scored, but no controller can be certified for it"
         raise BadRequest("model", kind, problem, "fit model=structured or ssm")
 
@@ -130,11 +131,14 @@ class Model:
         step_s = self.data.step_s
         check_time_index(u, None, step_s)
         channels = len(self.data.inputs)
-        inputs = signal_columns(u, "u", channels, self.input_names)[1]
-        measured = disturbance_values(disturbance, self.disturbance_names, len(inputs))
+        checked_inputs = signal_columns(u, "u", channels, self.input_names)
+        inputs = checked_inputs[1]
+        samples = len(inputs)
+        measured = disturbance_values(disturbance, self.disturbance_names, samples)
         members = self.identification.members or (self.simulator,)
         y = mean_output(members, inputs, measured)
-        if not isinstance(u, pd.DataFrame | pd.Series):
+        table_types = pd.DataFrame | pd.Series
+        if not isinstance(u, table_types):
             return y
         return pd.DataFrame(y, index=u.index, columns=self.output_names)
 
@@ -168,13 +172,16 @@ class Model:
     ) -> pd.DataFrame:
         """Measured minus simulated outputs of a free run, one column for each output."""
         simulation = simulate_given_record(self, u, y, disturbance, start_up_samples)
-        errors = simulation.records[0].y - simulation.simulated[0]
+        record = simulation.records[0]
+        simulated = simulation.simulated[0]
+        errors = record.y - simulated
         return pd.DataFrame(errors, columns=self.output_names)
 
     def eigenvalues(self) -> Complex[np.ndarray, "n"]:
         """Eigenvalues of the model, linearised at its equilibrium."""
         state_space = linearise_at_equilibrium(self.ssm)
-        return np.asarray(np.linalg.eigvals(state_space.a), dtype=complex)
+        eigenvalues = np.linalg.eigvals(state_space.a)
+        return np.asarray(eigenvalues, dtype=complex)
 
     def to_control(self) -> "python_control.StateSpace":
         """Linearise the model at its equilibrium, as a discrete-time state space of python-control.
@@ -223,7 +230,8 @@ class Model:
 
         data = self.data
         _, simulation = simulate_validation_and_test(self.simulator, data)
-        longest = int(np.argmax([len(record) for record in data.test]))
+        lengths = [len(record) for record in data.test]
+        longest = int(np.argmax(lengths))
         record = data.test[longest]
         simulated = {"model": simulation.simulated[longest]}
         labels = [channel_label(channel) for channel in data.outputs]
@@ -299,7 +307,8 @@ class Model:
         for a folder that exists.
         """
         folder = read_folder("folder", folder)
-        require(not folder.exists(), "folder", folder, "exists", "name a new folder")
+        exists = folder.exists()
+        require(not exists, "folder", folder, "exists", "name a new folder")
         folder.mkdir(parents=True)
         write_model_files(self, folder)
         return folder
@@ -313,7 +322,8 @@ class Model:
         folder = read_folder("folder", folder)
         problem = "holds no saved model"
         remedy = "name the folder that model.save wrote"
-        require(holds_saved_model(folder), "folder", folder, problem, remedy)
+        is_saved_model = holds_saved_model(folder)
+        require(is_saved_model, "folder", folder, problem, remedy)
         return cls(**read_model_fields(folder))
 
 
@@ -326,5 +336,6 @@ def draw_or_refuse(name: str, make: Callable[[], "Picture"]) -> Any:
         picture = make()
     except NothingToShow as reason:
         remedy = "look at the other pictures"
-        raise BadRequest(name, "there is no picture", str(reason).rstrip("."), remedy) from reason
+        problem = str(reason).rstrip(".")
+        raise BadRequest(name, "there is no picture", problem, remedy) from reason
     return draw_picture(picture)

@@ -45,17 +45,21 @@ def write_model_files(model: Any, folder: Path) -> None:
     members = [member.to_json() for member in identification.members]
     overrides = [copy_temporary_logs(override, folder / LOGS) for override in model.overrides]
     place = str(folder.resolve())
+    data_content = describe_data(model.data)
+    portable_overrides = [override.replace(place, SAVED_FOLDER) for override in overrides]
     content = {
         "identification": facts,
         "members": members,
-        "data": describe_data(model.data),
+        "data": data_content,
         "seed": model.seed,
-        "overrides": [override.replace(place, SAVED_FOLDER) for override in overrides],
+        "overrides": portable_overrides,
         "later_words": model.later_words,
     }
-    write_json(folder / MODEL_FILE, model.simulator.to_json())
+    model_content = model.simulator.to_json()
+    write_json(folder / MODEL_FILE, model_content)
     write_json(folder / HISTORY_FILE, content)
-    np.savez_compressed(folder / RECORDS_FILE, **signal_arrays(model.data))
+    samples = signal_arrays(model.data)
+    np.savez_compressed(folder / RECORDS_FILE, **samples)
 
 
 def read_model_fields(folder: Path) -> dict[str, Any]:
@@ -64,23 +68,28 @@ def read_model_fields(folder: Path) -> dict[str, Any]:
     Raises `BadRequest` for a damaged file.
     """
     try:
-        simulator = read_model_json(json.loads((folder / MODEL_FILE).read_text(encoding="utf-8")))
-        content = json.loads((folder / HISTORY_FILE).read_text(encoding="utf-8"))
+        model_text = (folder / MODEL_FILE).read_text(encoding="utf-8")
+        simulator = read_model_json(json.loads(model_text))
+        history_text = (folder / HISTORY_FILE).read_text(encoding="utf-8")
+        content = json.loads(history_text)
         with np.load(folder / RECORDS_FILE, allow_pickle=False) as arrays:
-            data = read_data(content["data"], dict(arrays))
+            signals = dict(arrays)
+            data = read_data(content["data"], signals)
         facts = content["identification"]
         facts["choice"] = tuple(facts["choice"])
-        members = tuple(read_model_json(member) for member in content["members"])
+        member_models = (read_model_json(member) for member in content["members"])
+        members = tuple(member_models)
         place = str(folder.resolve())
         overrides = [override.replace(SAVED_FOLDER, place) for override in content["overrides"]]
         identification = Identification(model=simulator, members=members, **facts)
+        later_words = tuple(content["later_words"])
         return {
             "simulator": simulator,
             "data": data,
             "identification": identification,
             "seed": int(content["seed"]),
             "overrides": tuple(overrides),
-            "later_words": tuple(content["later_words"]),
+            "later_words": later_words,
         }
     except BadRequest:
         raise
@@ -91,7 +100,8 @@ def read_model_fields(folder: Path) -> dict[str, Any]:
 
 def describe_data(data: DataSet) -> dict[str, Any]:
     """Channels, scale and names of a data set's records, without their samples."""
-    scale = {name: list(values) for name, values in asdict(data.scale).items()}
+    scale_fields = asdict(data.scale)
+    scale = {name: list(values) for name, values in scale_fields.items()}
     records = {part: list(map(describe_record, getattr(data, part))) for part in PARTS}
     channels = {side: list(map(asdict, getattr(data, side))) for side in CHANNELS}
     return {
@@ -105,10 +115,11 @@ def describe_data(data: DataSet) -> dict[str, Any]:
 
 def describe_record(record: Trajectory) -> dict[str, Any]:
     """Fields of a record without its samples."""
+    closed_loop = bool(record.closed_loop)
     return {
         "step_s": record.step_s,
         "name": record.name,
-        "closed_loop": bool(record.closed_loop),
+        "closed_loop": closed_loop,
         "log": int(record.log),
         "first": int(record.first),
     }
@@ -118,7 +129,8 @@ def signal_arrays(data: DataSet) -> dict[str, Any]:
     """Samples of all records by name, `<part of the data set>/<record number>/<signal>`."""
     arrays = {}
     for part in PARTS:
-        for number, record in enumerate(getattr(data, part)):
+        records = getattr(data, part)
+        for number, record in enumerate(records):
             for signal in SIGNALS:
                 values = getattr(record, signal)
                 if values is not None:
@@ -128,17 +140,19 @@ def signal_arrays(data: DataSet) -> dict[str, Any]:
 
 def read_data(content: dict[str, Any], arrays: dict[str, Any]) -> DataSet:
     """Rebuild a data set from its description and its samples."""
-    scale = {name: np.asarray(values, dtype=float) for name, values in content["scale"].items()}
+    scale_fields = content["scale"]
+    scale = {name: np.asarray(values, dtype=float) for name, values in scale_fields.items()}
     fields: dict[str, Any] = {}
     for part in PARTS:
-        fields[part] = read_records(part, content["records"][part], arrays)
+        descriptions = content["records"][part]
+        fields[part] = read_records(part, descriptions, arrays)
     for side in CHANNELS:
-        fields[side] = tuple(Channel(**description) for description in content["channels"][side])
+        channels = content["channels"][side]
+        fields[side] = tuple(Channel(**description) for description in channels)
+    start_up_samples = int(content["start_up_samples"])
+    metadata = dict(content["metadata"])
     return DataSet(
-        **fields,
-        scale=Scale(**scale),
-        start_up_samples=int(content["start_up_samples"]),
-        metadata=dict(content["metadata"]),
+        **fields, scale=Scale(**scale), start_up_samples=start_up_samples, metadata=metadata
     )
 
 
@@ -151,5 +165,6 @@ def read_records(
         values: dict[str, Any] = {
             signal: arrays.get(f"{part}/{number}/{signal}") for signal in SIGNALS
         }
-        records.append(Trajectory(**description, **values))
+        record = Trajectory(**description, **values)
+        records.append(record)
     return tuple(records)

@@ -43,7 +43,8 @@ REMEDY = "write key=value, as in model.order=4; sweeps and experiments are for s
 
 def configuration_folders() -> list[Path]:
     """Folders of configuration files, the project's own first, then those of trusted packages."""
-    package = Path(ssm_study.__file__).resolve().parent
+    module_file = Path(ssm_study.__file__).resolve()
+    package = module_file.parent
     installed = package / "conf"
     ours = installed if installed.is_dir() else package.parent / "conf"
     return [ours, *extension_configuration_folders()]
@@ -56,14 +57,18 @@ def load_choice(group: str, choice: str) -> Tree:
     Raises `BadRequest` for a choice that no yaml file describes.
     """
     folders = [folder / group for folder in configuration_folders()]
-    is_name = isinstance(choice, str) and NAME.fullmatch(choice) is not None
+    is_text = isinstance(choice, str)
+    is_name = is_text and NAME.fullmatch(choice) is not None
     candidates = [folder / f"{choice}.yaml" for folder in folders] if is_name else []
-    path = next((candidate for candidate in candidates if candidate.is_file()), None)
+    choice_files = (candidate for candidate in candidates if candidate.is_file())
+    path = next(choice_files, None)
     if path is None:
         files = [file for folder in folders if folder.is_dir() for file in folder.glob("*.yaml")]
-        names = ", ".join(sorted(file.stem for file in files))
+        choices = sorted(file.stem for file in files)
+        names = ", ".join(choices)
         raise BadRequest(group, choice, "is no choice", f"choose one of {names or 'none'}")
-    content = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
+    configuration = OmegaConf.load(path)
+    content = OmegaConf.to_container(configuration, resolve=True)
     assert isinstance(content, dict)
     own = {str(key): value for key, value in content.items() if key != "defaults"}
     entries = content.get("defaults") or [SELF]
@@ -81,7 +86,8 @@ def _load_default(group: str, entry: Any) -> Tree:
     if isinstance(entry, str):
         return load_choice(group, entry)
     ((name, choice),) = entry.items()
-    name = str(name).removeprefix("override ").removeprefix("optional ")
+    without_override = str(name).removeprefix("override ")
+    name = without_override.removeprefix("optional ")
     if PACKAGE in name:  # a choice of another group, made by the command's `data=recorded`
         return {}
     path, _, place = name.partition("@")
@@ -89,7 +95,8 @@ def _load_default(group: str, entry: Any) -> Tree:
     nested = path.removeprefix("/") if is_absolute else f"{group}/{path}"
     place = place or path.rpartition("/")[2]
     tree: Tree = {}
-    replacement = Replacement(deepcopy(load_choice(nested, str(choice))))
+    nested_settings = load_choice(nested, str(choice))
+    replacement = Replacement(deepcopy(nested_settings))
     assign_nested(tree, place, replacement)
     return tree
 
@@ -101,7 +108,8 @@ class Replacement(dict[str, Any]):
 def merge_trees(tree: Tree, other: Mapping[str, Any]) -> None:
     """Merge one tree of settings into another, in place. A `Replacement` replaces instead."""
     for key, value in other.items():
-        is_merged = isinstance(value, dict) and isinstance(tree.get(key), dict)
+        is_tree = isinstance(value, dict)
+        is_merged = is_tree and isinstance(tree.get(key), dict)
         if is_merged and not isinstance(value, Replacement):
             merge_trees(tree[key], value)
         elif isinstance(value, dict):
@@ -117,7 +125,8 @@ def assign_value(tree: Tree, path: str, value: Any) -> None:
     place: Any = tree
     for name in parents:
         inner = place.get(name)
-        require(isinstance(inner, dict), path, value, f"there is no part {name}", "check its name")
+        is_part = isinstance(inner, dict)
+        require(is_part, path, value, f"there is no part {name}", "check its name")
         place = inner
     place[last] = value
 
@@ -156,16 +165,21 @@ def split_settings(words: Iterable[str]) -> list[tuple[str, str]]:
     pairs = []
     for word in words:
         key, equals, value = str(word).partition("=")
-        usable = bool(equals) and bool(key) and not key.startswith(("-", "~", "hydra"))
+        has_sign = bool(equals)
+        usable = has_sign and bool(key) and not key.startswith(("-", "~", "hydra"))
         require(usable, "overrides", word, "is no setting", REMEDY)
-        pairs.append((key.lstrip("+"), value))
+        plain_key = key.lstrip("+")
+        pairs.append((plain_key, value))
     return pairs
 
 
 def part_name(word: str) -> str:
     """Name of the part of a study that a setting such as `model.order=4` belongs to."""
-    key = str(word).partition("=")[0].lstrip("+").rpartition("@")[2]
-    return key.replace("/", ".").partition(".")[0]
+    before_value = str(word).partition("=")[0]
+    setting_path = before_value.lstrip("+")
+    key = setting_path.rpartition("@")[2]
+    dotted_key = key.replace("/", ".")
+    return dotted_key.partition(".")[0]
 
 
 class Parts:
@@ -199,7 +213,8 @@ class Parts:
         group, _, place = key.partition("@")
         place = place or group.replace("/", ".")
         part = place.partition(".")[0]
-        require(part in self.trees, key, choice, "is no part of a model or design", REMEDY)
+        is_known_part = part in self.trees
+        require(is_known_part, key, choice, "is no part of a model or design", REMEDY)
         self.details.append(f"{key}={choice}")
         tree = load_choice(group, choice)
         assign_value(self.trees, place, tree)
@@ -208,7 +223,8 @@ class Parts:
         """Set one number or field of a part."""
         value = parse_value(text)
         if key in NUMBERS:
-            whole = type(value) is int and 0 <= value < 2**32
+            kind = type(value)
+            whole = kind is int and 0 <= value < 2**32
             require(whole, key, value, "not a whole number from 0 to 2^32 - 1", "use 0")
             self.numbers[key] = value
             return
@@ -229,7 +245,8 @@ class Parts:
         """Whether the configuration files have a value at a dotted path."""
         place: Any = self.trees
         for name in path.split("."):
-            if not isinstance(place, dict) or name not in place:
+            is_part = isinstance(place, dict)
+            if not is_part or name not in place:
                 return False
             place = place[name]
         return True
@@ -258,15 +275,18 @@ class Parts:
     def _name_argument(self, error: BadRequest) -> BadRequest:
         """The same error under the name of the function argument that gave the value, in place of
         the setting's."""
-        argument = self.arguments.get(error.field.partition(",")[0])
+        field = error.field.partition(",")[0]
+        argument = self.arguments.get(field)
         if argument is None:
             return error
-        remedy = REMEDIES.get(argument, error.remedy) if NO_FIELD in error.problem else error.remedy
+        has_no_field = NO_FIELD in error.problem
+        remedy = REMEDIES.get(argument, error.remedy) if has_no_field else error.remedy
         return BadRequest(argument, error.value, error.problem, remedy)
 
     def overrides_for_parts(self, *names: str) -> tuple[str, ...]:
         """Command-line overrides that set the named parts of a study or the seeds."""
-        return tuple(word for word in self.given if part_name(word) in names)
+        chosen_words = (word for word in self.given if part_name(word) in names)
+        return tuple(chosen_words)
 
     def command_overrides(self) -> tuple[str, ...]:
         """Choices and settings as overrides for the command line `ssm-study run`."""
@@ -285,6 +305,7 @@ def format_value(value: Any) -> str:
         return str(value).lower()
     if isinstance(value, int | float):
         return repr(value)
-    before_quotes = re.sub(r"(\\*)'", r"\1\1\\'", str(value))
+    text = str(value)
+    before_quotes = re.sub(r"(\\*)'", r"\1\1\\'", text)
     escaped = re.sub(r"(\\+)$", r"\1\1", before_quotes)  # elsewhere a backslash stands for itself
     return f"'{escaped}'"

@@ -66,7 +66,8 @@ class RestDesign:
     def controller(self) -> BilinearFeedback:
         """Controller that is simulated and exported: state feedback with observer and limited
         input. Raises `BadRequest` with the reason where no gains were found."""
-        reason = self.certificates.reasons.get("gains", "")
+        reasons = self.certificates.reasons
+        reason = reasons.get("gains", "")
         require(not reason, "design", "no gains", reason, "fit another model")
         certificates = self.certificates
         return BilinearFeedback(model=self.model, k=certificates.k, l_nodes=certificates.l_nodes)
@@ -91,22 +92,34 @@ class RestDesign:
         for other channels.
         """
         on = plant or BilinearPlant.from_model(self.model, self.channels[:1], self.channels[1:])
-        require(isinstance(on, Plant), "plant", type(on).__name__, "is no plant", "leave it out")
+        is_plant = isinstance(on, Plant)
+        kind = type(on)
+        require(is_plant, "plant", kind.__name__, "is no plant", "leave it out")
         names = [channel.name for channel in on.outputs]
-        starts = signal_columns(y0, "y0", len(names), names)[1]
+        output_count = len(names)
+        checked_starts = signal_columns(y0, "y0", output_count, names)
+        starts = checked_starts[1]
         samples = self._default_samples
         if horizon_s is not None:
             seconds = read_number("horizon_s", horizon_s)
             require_positive("horizon_s", seconds, "give it in seconds")
-            samples = max(int(np.ceil(seconds / on.step_s)), 1)
+            periods = seconds / on.step_s
+            whole_periods = int(np.ceil(periods))
+            samples = max(whole_periods, 1)
         scale = self.model.scale
+        initial_states = on.equilibrium_states(starts)
+        reference = np.tile(scale.output_equilibrium, (samples, 1))
+        noise_shape = (len(starts), samples, len(names))
+        noise = np.zeros(noise_shape)
+        disturbance_shape = (len(starts), samples, len(on.disturbances))
+        disturbance = np.zeros(disturbance_shape)
         rollouts = simulate_closed_loop(
             on,
             self.controller,
-            x0=on.equilibrium_states(starts),
-            reference=np.tile(scale.output_equilibrium, (samples, 1)),
-            noise=np.zeros((len(starts), samples, len(names))),
-            disturbance=np.zeros((len(starts), samples, len(on.disturbances))),
+            x0=initial_states,
+            reference=reference,
+            noise=noise,
+            disturbance=disturbance,
             bound=LARGEST_OUTPUT * scale.output_scale,
         )
         return tabulate_rollouts(rollouts, on)
@@ -117,8 +130,11 @@ class RestDesign:
         the start."""
         factors = [value for name, value in self.facts.items() if name.endswith("_factor")]
         slowest = max(factors, default=DECAYED)
-        samples = int(np.ceil(np.log(DECAYED) / np.log(slowest)))
-        return int(np.clip(samples, SHORTEST, LONGEST))
+        decay_a_sample = np.log(slowest)
+        samples_to_decay = np.log(DECAYED) / decay_a_sample
+        samples = int(np.ceil(samples_to_decay))
+        limited_samples = np.clip(samples, SHORTEST, LONGEST)
+        return int(limited_samples)
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
         """Write the controller as C99: header `path` and beside it a program that replays it.
@@ -127,7 +143,8 @@ class RestDesign:
         """
         path = read_folder("path", path)
         digest = certificate_digest(self.certificates.to_json())
-        lines = [f"{name}: {value}" for name, value in self.summary().items()]
+        rows = self.summary()
+        lines = [f"{name}: {value}" for name, value in rows.items()]
         sources = render_bilinear_c(self.controller, path.stem, real, lines, digest)
         for name, text in sources.items():
             (path.parent / name).write_text(text, encoding="utf-8")
@@ -137,10 +154,12 @@ class RestDesign:
         """Save model, gains and certificates in a new folder, which `ssm-study verify` and
         `st.load` read. Raises `BadRequest` for a folder that exists."""
         folder = read_folder("folder", folder)
-        require(not folder.exists(), "to", folder, "exists", "name a new folder")
+        exists = folder.exists()
+        require(not exists, "to", folder, "exists", "name a new folder")
         folder.mkdir(parents=True)
         channels = [[channel.name, channel.unit] for channel in self.channels]
-        contents = {MODEL: self.model.to_json(), CHANNELS: channels}
+        model_content = self.model.to_json()
+        contents = {MODEL: model_content, CHANNELS: channels}
         for name, content in contents.items():
             text = json.dumps(content, indent=1, allow_nan=False)
             (folder / name).write_text(text + "\n", encoding="utf-8")
@@ -154,17 +173,21 @@ class RestDesign:
         content = read_json(folder / CERTIFICATE)
         broken = failed_rest_checks(content, model)
         remedy = "`ssm-study verify` names every claim"
-        require(not broken, "design", folder, "; ".join(broken), remedy)
+        failures = "; ".join(broken)
+        require(not broken, "design", folder, failures, remedy)
         channels = [Channel(name=name, unit=unit) for name, unit in read_json(folder / CHANNELS)]
         certificates = RestCertificates.from_json(content)
         assert isinstance(model, Bilinear)  # the checks refuse others
-        return cls(model=model, certificates=certificates, channels=tuple(channels))
+        channel_tuple = tuple(channels)
+        return cls(model=model, certificates=certificates, channels=channel_tuple)
 
     def summary(self) -> pd.Series:
         """Table of what is proved for the design, as text."""
         model = self.model
         lines: dict[str, Any] = {"model": f"{model.order} states, {len(model.nodes)} nodes"}
-        ends = model.scale.physical_input(model.nodes[[0, -1], None])[:, 0]
+        end_nodes = model.nodes[[0, -1], None]
+        end_inputs = model.scale.physical_input(end_nodes)
+        ends = end_inputs[:, 0]
         lines["input stays within"] = f"{ends[0]:.4g} to {ends[1]:.4g}"
         lines["comes to rest"] = PROVED[self.certified]
         for label, reason in self.certificates.reasons.items():
@@ -176,12 +199,15 @@ class RestDesign:
     def _describe_part(self, part: Any) -> str:
         """Text on the contraction factor that a certificate proves and the set of states in which
         it holds."""
-        factor = np.ceil(part.factor * 1e4) / 1e4
+        ten_thousandths = np.ceil(part.factor * 1e4)
+        factor = ten_thousandths / 1e4
         words = f"to {factor:.4f} of its distance or less in each sample"
         if not hasattr(part, "radius"):
             return words
         lowest, highest = equilibrium_input_range(self.model, part)
-        ends = self.model.scale.physical_input(np.array([[lowest], [highest]]))[:, 0]
+        end_nodes = np.array([[lowest], [highest]])
+        end_inputs = self.model.scale.physical_input(end_nodes)
+        ends = end_inputs[:, 0]
         return f"{words}, from rest at inputs of {ends[0]:.4g} to {ends[1]:.4g}"
 
     def __repr__(self) -> str:
@@ -198,7 +224,8 @@ def equilibrium_input_range(model: Bilinear, part: Any) -> tuple[float, float]:
     ends = []
     for end in model.nodes[[0, -1]]:
         reached = 0.0
-        for v in np.linspace(0.0, end, LEVELS)[1:]:
+        levels = np.linspace(0.0, end, LEVELS)
+        for v in levels[1:]:
             x = equilibrium_state(model, float(v))
             if x is None or certified_norm(part, x) > part.radius:
                 break
@@ -210,27 +237,39 @@ def equilibrium_input_range(model: Bilinear, part: Any) -> tuple[float, float]:
 def equilibrium_state(model: Bilinear, v: float) -> Float[np.ndarray, "n"] | None:
     """Equilibrium state of a bilinear model under a constant scaled input; None if there is none to
     which it returns."""
-    hats = hat_functions(model.nodes, np.array([v]))[0]
+    level = np.array([v])
+    weights = hat_functions(model.nodes, level)
+    hats = weights[0]
     a = np.einsum("q,qij->ij", hats, model.a)
-    if np.abs(np.linalg.eigvals(a)).max() >= 1.0:
+    eigenvalues = np.linalg.eigvals(a)
+    moduli = np.abs(eigenvalues)
+    if moduli.max() >= 1.0:
         return None
-    return np.asarray(np.linalg.solve(np.eye(model.order) - a, hats @ model.b))
+    identity = np.eye(model.order)
+    input_vector = hats @ model.b
+    equilibrium = np.linalg.solve(identity - a, input_vector)
+    return np.asarray(equilibrium)
 
 
 def certified_norm(part: Any, x: Float[np.ndarray, "n"]) -> float:
     """Norm of a state by which a certificate describes its set of initial states, with the estimate
     at zero."""
-    norm = float(np.sqrt(x @ part.p @ x))
+    squared_state_norm = x @ part.p @ x
+    norm = float(np.sqrt(squared_state_norm))
     if not hasattr(part, "m"):
         return norm
-    return norm + part.weight * float(np.sqrt(x @ part.m @ x))
+    squared_error_norm = x @ part.m @ x
+    error_norm = float(np.sqrt(squared_error_norm))
+    return norm + part.weight * error_norm
 
 
 def holds_rest_design(folder: Path) -> bool:
     """Whether a folder holds a saved design for a bilinear model."""
-    return all((folder / name).is_file() for name in (MODEL, CERTIFICATE, CHANNELS))
+    files = (MODEL, CERTIFICATE, CHANNELS)
+    return all((folder / name).is_file() for name in files)
 
 
 def read_json(path: Path) -> Any:
     """Content of a JSON file."""
-    return json.loads(path.read_text(encoding="utf-8"))
+    text = path.read_text(encoding="utf-8")
+    return json.loads(text)

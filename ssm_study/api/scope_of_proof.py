@@ -42,7 +42,8 @@ def _read_synthesis_settings(design: "Design") -> dict[str, Any] | None:
     """Settings of the synthesis, of which some may be auto; None where all rates were asked for."""
     if design.run_folder is not None:
         configuration = design.run_folder / ".hydra" / "config.yaml"
-        return _read_stored_settings(configuration) if configuration.is_file() else None
+        is_study_run = configuration.is_file()
+        return _read_stored_settings(configuration) if is_study_run else None
     pairs = [word.lstrip("+").partition("=") for word in design.overrides]
     methods = [value for key, _, value in pairs if key == "synthesis"]
     if not methods or not methods[-1].startswith("auto"):
@@ -65,7 +66,8 @@ def describe_deciding_band(design: "Design") -> str:
     """Text on the frequency that decides the coverage, and on the input power of the records there.
     Empty where no band decides."""
     facts = design.facts
-    reference = str(facts.get("coverage_reference") or "")
+    stored_reference = facts.get("coverage_reference") or ""
+    reference = str(stored_reference)
     words = describe_frequency(reference, design.model.step_s)
     if not words:
         return ""
@@ -94,15 +96,22 @@ def describe_input_power(design: "Design", reference: str) -> str:
     from ssm_study.api.steps import measure_coverage_premise
     from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 
-    part = design.certificate.extra_certificates.get(MeasuredDiscs.part)
+    extra_certificates = design.certificate.extra_certificates
+    part = extra_certificates.get(MeasuredDiscs.part)
     if design.origin is None or not isinstance(part, MeasuredDiscs):
-        note = UNEXCITED.search(str(design.facts.get("evidence_reasons")))
+        evidence_reasons = str(design.facts.get("evidence_reasons"))
+        note = UNEXCITED.search(evidence_reasons)
         angle = ANGLE.search(reference)
         if note is None or angle is None:
             return ""
-        hertz = float(angle[1]) / (2 * np.pi * design.model.step_s)
-        return f" (the input has no power in {note[1]})" if hertz >= float(note[2]) else ""
-    premise = measure_coverage_premise(design.model, design.origin.data, design.origin.mismatch)
+        lowest_angle = float(angle[1])
+        turns_to_hz = 2 * np.pi * design.model.step_s
+        hertz = lowest_angle / turns_to_hz
+        from_hz = float(note[2])
+        return f" (the input has no power in {note[1]})" if hertz >= from_hz else ""
+    data = design.origin.data
+    mismatch = design.origin.mismatch
+    premise = measure_coverage_premise(design.model, data, mismatch)
     items = premise.requirements(part.centre)
     is_dark = any(item.dark for item in items if item.where == reference)
     return (
@@ -137,7 +146,8 @@ def describe_unproved(design: "Design") -> str:
     if design.origin is None and not design.stored_record:
         return "a rate of the loop of both; a loop whose input is limited; any other plant"
     words = "a rate of the loop of both; a loop in which a limit cuts the input"
-    if (design.facts.get("coverage") or 0.0) < 1:
+    coverage = design.facts.get("coverage") or 0.0
+    if coverage < 1:
         words += "; that the plant itself comes to rest"
     return f"{words}; amplitudes, frequencies and starts that no record visits"
 
@@ -147,7 +157,8 @@ def refuse_without_records(origin: "Model | None", folder: "Path | None") -> Non
     was loaded, or one of given matrices."""
     problem = "comes without its model's records, with which the picture compares the proof"
     remedy = "st.load the saved model, or st.fit it again, and give it to st.control"
-    require(origin is not None or folder is None, "loaded design", folder, problem, remedy)
+    has_model = origin is not None
+    require(has_model or folder is None, "loaded design", folder, problem, remedy)
     problem = "has no records, with which the picture compares the proof"
     remedy = "identify a model with st.fit and give it to st.control"
     require(origin is not None, "design", "matrices", problem, remedy)

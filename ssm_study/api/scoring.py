@@ -38,18 +38,26 @@ def simulate_given_record(
     """
     data = model.data
     check_time_index(u, y, data.step_s)
-    inputs = signal_columns(u, "u", len(data.inputs), model.input_names)[1]
-    outputs = signal_columns(y, "y", columns=model.output_names)[1]
-    expected_shape = (len(inputs), len(data.outputs))
+    input_count = len(data.inputs)
+    checked_inputs = signal_columns(u, "u", input_count, model.input_names)
+    inputs = checked_inputs[1]
+    checked_outputs = signal_columns(y, "y", columns=model.output_names)
+    outputs = checked_outputs[1]
+    samples = len(inputs)
+    output_count = len(data.outputs)
+    expected_shape = (samples, output_count)
     problem = f"{name} answers with {expected_shape}"
     remedy = "give the outputs of this input"
-    require(outputs.shape == expected_shape, "y", outputs.shape, problem, remedy)
+    has_expected_shape = outputs.shape == expected_shape
+    require(has_expected_shape, "y", outputs.shape, problem, remedy)
     measured = disturbance_values(disturbance, model.disturbance_names, len(inputs))
-    start_up = read_start_up(start_up_samples, data.start_up_samples, len(outputs))
+    output_samples = len(outputs)
+    start_up = read_start_up(start_up_samples, data.start_up_samples, output_samples)
     record = Trajectory(u=inputs, y=outputs, d=measured, step_s=data.step_s)
     members = model.identification.members or (model.simulator,)
     runs = [Simulation.simulate_records(member, (record,), start_up) for member in members]
-    return runs[0] if len(runs) == 1 else mean_of_runs(runs)
+    member_count = len(runs)
+    return runs[0] if member_count == 1 else mean_of_runs(runs)
 
 
 def read_start_up(start_up_samples: Any, default: int, samples: int) -> int:
@@ -59,7 +67,8 @@ def read_start_up(start_up_samples: Any, default: int, samples: int) -> int:
     if start_up_samples is None:
         start_up_samples = default
     remedy = "use 20, or 0 to start from equilibrium"
-    is_count = isinstance(start_up_samples, Integral) and not isinstance(start_up_samples, bool)
+    is_integer = isinstance(start_up_samples, Integral)
+    is_count = is_integer and not isinstance(start_up_samples, bool)
     require(is_count, "start_up_samples", start_up_samples, "is no whole number", remedy)
     require_at_least(0, "start_up_samples", start_up_samples, remedy)
     scored = samples - int(start_up_samples)

@@ -11,22 +11,27 @@ from pathlib import Path
 @cache
 def scratch_folder() -> Path:
     """Temporary folder of the program, deleted when the program ends."""
-    folder = Path(tempfile.mkdtemp(prefix="ssm-study-"))
+    folder_name = tempfile.mkdtemp(prefix="ssm-study-")
+    folder = Path(folder_name)
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
 
 
 def make_scratch_folder() -> Path:
     """Make a new folder in the program's temporary folder."""
-    return Path(tempfile.mkdtemp(dir=scratch_folder()))
+    folder_name = tempfile.mkdtemp(dir=scratch_folder())
+    return Path(folder_name)
 
 
 def copy_temporary_logs(override: str, folder: Path) -> str:
     """Copy those log files of an override that are deleted when the program ends into a folder, and
     name the copies instead."""
-    scratch = re.escape(str(scratch_folder()))
+    scratch_name = str(scratch_folder())
+    scratch = re.escape(scratch_name)
     for temporary in re.findall(rf"{scratch}/[^',\]]+\.parquet", override):
         folder.mkdir(parents=True, exist_ok=True)
-        copied = Path(shutil.copy(temporary, folder))
-        override = override.replace(temporary, str(copied.resolve()))
+        copied_name = shutil.copy(temporary, folder)
+        copied = Path(copied_name)
+        whole_path = copied.resolve()
+        override = override.replace(temporary, str(whole_path))
     return override

@@ -36,10 +36,13 @@ def simulate(
     if isinstance(subject, Model):
         step_s = subject.data.step_s
         check_time_index(values, None, step_s)
-        inputs = signal_columns(values, "u", columns=subject.input_names)[1]
+        checked_inputs = signal_columns(values, "u", columns=subject.input_names)
+        inputs = checked_inputs[1]
         table = pd.DataFrame(inputs)
-        predicted = pd.DataFrame(subject.predict(table, disturbance))
-        time_s = np.arange(len(predicted)) * subject.data.step_s
+        outputs = subject.predict(table, disturbance)
+        predicted = pd.DataFrame(outputs)
+        samples = len(predicted)
+        time_s = np.arange(samples) * subject.data.step_s
         return predicted.assign(time_s=time_s)
     if isinstance(subject, RestDesign):
         problem = "are for other designs; its loop is set by horizon_s of design.simulate"
@@ -48,7 +51,8 @@ def simulate(
         return subject.simulate(values, plant=plant)
     is_design = isinstance(subject, Design)
     remedy = "give what st.fit or st.control returned"
-    require(is_design, "subject", type(subject).__name__, "is no model and no design", remedy)
+    kind = type(subject)
+    require(is_design, "subject", kind.__name__, "is no model and no design", remedy)
     warn_of_unknown_maps(subject.unknown_maps)
     on = choose_plant(subject, plant)
     rollouts = simulate_loop(subject, values, on, overrides, disturbance=disturbance)

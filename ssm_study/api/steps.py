@@ -97,13 +97,15 @@ def design_controller(
         if judgement.level == CANNOT_JUDGE:
             synthesis = synthesis.with_largest_margin()
         decays = simulate_decays(model, data.mismatch_records, data.validation)
-        synthesis = synthesis.prefer_covered_designs(premise).prefer_faster_than_decays(decays)
-        synthesis = synthesis.with_input_limits(
-            scale_deviation(model, lower), scale_deviation(model, upper)
-        )
+        covering = synthesis.prefer_covered_designs(premise)
+        synthesis = covering.prefer_faster_than_decays(decays)
+        lowest_input = scale_deviation(model, lower)
+        highest_input = scale_deviation(model, upper)
+        synthesis = synthesis.with_input_limits(lowest_input, highest_input)
     design = synthesis.design(model, balls, data.validation, relevant_mismatch)
     design = add_gain_certificates(design, model, balls, (lower, upper))
-    if seeks_coverage(model, getattr(synthesis, "cover", None), premise):
+    cover = getattr(synthesis, "cover", None)
+    if seeks_coverage(model, cover, premise):
         design = add_coverage_certificate(design, model, balls, premise)
     return design
 

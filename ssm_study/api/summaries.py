@@ -47,11 +47,15 @@ def summarise_model(model: "Model") -> pd.Series:
     """Table of a model's properties: class, size, fits, poles, slopes, evidence."""
     facts = model.facts
     data = model.data
-    lines: dict[str, Any] = {"class": type(model.simulator).__name__}
-    lines["inputs"] = ", ".join(map(name_with_unit, data.inputs))
-    lines["outputs"] = ", ".join(map(name_with_unit, data.outputs))
+    model_class = type(model.simulator)
+    lines: dict[str, Any] = {"class": model_class.__name__}
+    input_names = map(name_with_unit, data.inputs)
+    lines["inputs"] = ", ".join(input_names)
+    output_names = map(name_with_unit, data.outputs)
+    lines["outputs"] = ", ".join(output_names)
     if data.disturbances:
-        lines["measured disturbances"] = ", ".join(map(name_with_unit, data.disturbances))
+        disturbance_names = map(name_with_unit, data.disturbances)
+        lines["measured disturbances"] = ", ".join(disturbance_names)
     lines["sampling time"] = f"{data.step_s:g} s"
     lines["samples"] = sample_counts_text(data)
     for part in ("train", "validation", "test"):
@@ -65,7 +69,8 @@ def summarise_model(model: "Model") -> pd.Series:
         else:
             lines["mean that predicts"] = f"{facts['members']} models, {fit_words}"
     if model.identification.chosen:
-        lines["chosen by the records"] = choice_text(model.identification.chosen)
+        chosen_settings = model.identification.chosen
+        lines["chosen by the records"] = choice_text(chosen_settings)
     if isinstance(model.simulator, SSM | StructuredSSM):
         lines |= summarise_state_space(model, model.simulator)
     return pd.Series(lines, name="model", dtype=object)
@@ -75,10 +80,14 @@ def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dic
     """Lines of the summary that only a state-space model has: states, neurons, pole, slopes and
     evidence."""
     facts = model.facts
-    slowest = np.abs(model.eigenvalues()).max()
+    moduli = np.abs(model.eigenvalues())
+    slowest = moduli.max()
     sizes = chosen_sizes(model.identification.chosen)
-    lines: dict[str, Any] = {"states": size_text(simulator.order, sizes.get("order"))}
-    lines["neurons"] = size_text(facts.get("neurons", 0), sizes.get("neurons"))
+    order_reason = sizes.get("order")
+    lines: dict[str, Any] = {"states": size_text(simulator.order, order_reason)}
+    neurons = facts.get("neurons", 0)
+    neurons_reason = sizes.get("neurons")
+    lines["neurons"] = size_text(neurons, neurons_reason)
     lines["slowest pole"] = f"{slowest:.4f} per sample"
     lower = facts.get("input_slope_lower")
     upper = facts.get("input_slope_upper")
@@ -121,7 +130,8 @@ def summarise_design(design: "Design") -> pd.Series:
             continue
         rate = certificate.certified_rate(side)
         requested = requested_rate(design, side)
-        lines |= summarise_side(name, part, rate, design.model.step_s, requested)
+        step_s = design.model.step_s
+        lines |= summarise_side(name, part, rate, step_s, requested)
         if name == "observer" and part.certified and design.unknown_maps:
             lines[name] += f", if it computes the plant's own {name_maps(design.unknown_maps)}"
     example = find_unstable_example(certificate) if design.unknown_maps else None
@@ -209,7 +219,8 @@ def round_rate_down(rate: float, digits: int = 3) -> str:
     more than what is proved."""
     if rate <= 0:
         return f"{rate:.{digits}g}"
-    step = 10.0 ** (math.floor(math.log10(rate)) - digits + 1)
+    exponent = math.floor(math.log10(rate))
+    step = 10.0 ** (exponent - digits + 1)
     text = f"{rate:.{digits}g}"
     return text if float(text) <= rate else f"{float(text) - step:.{digits}g}"
 
@@ -261,7 +272,8 @@ def summarise_prediction(
     if facts["evidence"] == DOUBT:
         prediction += ", with doubts"
     where = 'record["evidence_reasons"]'
-    evidence = evidence_words(str(facts["evidence"]), facts.get("evidence_reasons"), where)
+    evidence_reasons = facts.get("evidence_reasons")
+    evidence = evidence_words(str(facts["evidence"]), evidence_reasons, where)
     return {
         "covered by the proof": covered,
         "predicted for the plant": prediction + suffix,
@@ -278,14 +290,16 @@ def sample_counts_text(data: DataSet) -> str:
     """Text with the numbers of samples for training, validation and test."""
     counts = []
     for part in ("training", "validation", "test"):
-        samples = sum(len(record) for record in getattr(data, part))
+        records = getattr(data, part)
+        samples = sum(len(record) for record in records)
         counts.append(f"{samples} {part}")
     return ", ".join(counts)
 
 
 def render_text_table(title: str, summary: pd.Series) -> str:
     """Render a summary as lines of text, with names and values in two columns."""
-    width = max(map(len, summary.index))
+    name_lengths = map(len, summary.index)
+    width = max(name_lengths)
     rows = [f"  {name:<{width}}  {value}" for name, value in summary.items()]
     return "\n".join([title, *rows])
 

@@ -20,19 +20,23 @@ def read_linear_system(system: Any) -> tuple[StateSpace, float]:
     """
     if isinstance(system, tuple):
         return _read_matrices(system)
-    if hasattr(system, "num") and hasattr(system, "den"):  # a transfer function
+    has_numerator = hasattr(system, "num")
+    if has_numerator and hasattr(system, "den"):  # a transfer function
         system = _realise_transfer_function(system)
     matrices = [getattr(system, name, None) for name in "ABCD"]
     kind = type(system).__name__
     complete = all(matrix is not None for matrix in matrices)
     require(complete, "model", kind, "is no model and no linear system", FORMS)
-    return _build_state_space(matrices), read_sampling_time(getattr(system, "dt", None))
+    state_space = _build_state_space(matrices)
+    period = getattr(system, "dt", None)
+    return state_space, read_sampling_time(period)
 
 
 def read_sampling_time(step_s: Any) -> float:
     """Check the sampling time of a discrete-time system and convert it to a number. Raises
     `BadRequest` for any other value."""
-    is_number = isinstance(step_s, float | int) and not isinstance(step_s, bool)
+    is_real_number = isinstance(step_s, float | int)
+    is_number = is_real_number and not isinstance(step_s, bool)
     discrete = is_number and 0 < step_s <= LARGEST_FLOAT
     remedy = "give the sampling period in seconds, as in control.StateSpace(A, B, C, D, 0.1)"
     if is_number and step_s == 0:  # python-control's word for continuous time
@@ -48,8 +52,10 @@ def read_matrix(
 
     Raises `BadRequest` that names the matrix, its shape and the one that fits.
     """
-    matrix = np.atleast_2d(read_numbers(name, values, "is no matrix of numbers"))
-    sides = zip(matrix.shape, shape, strict=True) if matrix.ndim == 2 else ()
+    entries = read_numbers(name, values, "is no matrix of numbers")
+    matrix = np.atleast_2d(entries)
+    is_table = matrix.ndim == 2
+    sides = zip(matrix.shape, shape, strict=True) if is_table else ()
     fits = matrix.ndim == 2 and all(wanted_side in (None, side) for side, wanted_side in sides)
     needed = []
     for side, word in zip(shape, ("row", "column"), strict=True):
@@ -58,7 +64,8 @@ def read_matrix(
             needed.append(f"{side} {word}{plural}")
     problem = f"must have {' and '.join(needed) or 'rows and columns'}"
     require(fits, f"{name} (shape)", matrix.shape, problem, "check the matrices")
-    finite = bool(np.isfinite(matrix).all())
+    finite_entries = np.isfinite(matrix)
+    finite = bool(finite_entries.all())
     require(finite, name, "NaN or infinity", "is not finite", "correct its entries")
     return matrix
 
@@ -84,8 +91,10 @@ def read_numbers(
     remedy = "give a NumPy array"
     try:
         raw = np.array(values)
-        require(raw.dtype.kind != "c", name, kind, "is complex", "give real numbers")
-        require(not np.ma.is_masked(values), name, kind, "has masked entries", "fill them in")
+        kind_of_number = raw.dtype.kind
+        require(kind_of_number != "c", name, kind, "is complex", "give real numbers")
+        is_masked = np.ma.is_masked(values)
+        require(not is_masked, name, kind, "has masked entries", "fill them in")
         return np.asarray(raw, dtype=np.float64)
     except BadRequest:
         raise
@@ -125,15 +134,19 @@ def read_positive_slopes(name: str, slopes: Any) -> tuple[float, float]:
 def read_number(name: str, value: Any) -> float:
     """Read one finite number. Raises `BadRequest` for anything else."""
     numbers = read_numbers(name, value)
-    is_one = numbers.size == 1 and bool(np.isfinite(numbers).all())
+    is_single = numbers.size == 1
+    is_one = is_single and bool(np.isfinite(numbers).all())
     require(is_one, name, value, "is no finite number", "give one number")
-    return float(numbers.reshape(-1)[0])
+    flat = numbers.reshape(-1)
+    return float(flat[0])
 
 
 def read_channel_values(name: str, values: Any, channels: int) -> Float[np.ndarray, "m"]:
     """Read one finite number for each channel. Raises `BadRequest` for anything else."""
-    numbers = read_numbers(name, values).reshape(-1)
-    fits = len(numbers) == channels and bool(np.isfinite(numbers).all())
+    checked_numbers = read_numbers(name, values)
+    numbers = checked_numbers.reshape(-1)
+    count = len(numbers)
+    fits = count == channels and bool(np.isfinite(numbers).all())
     problem = f"is not {channels} finite numbers, one for each input"
     require(fits, name, values, problem, "give the limits in the input's unit")
     return numbers
@@ -141,15 +154,18 @@ def read_channel_values(name: str, values: Any, channels: int) -> Float[np.ndarr
 
 def read_folder(name: str, folder: Any) -> Path:
     """Read the path of a folder. Raises `BadRequest` for a value that is no path."""
-    is_path = isinstance(folder, str | Path) and "\0" not in str(folder)
-    kind = folder if isinstance(folder, str) else type(folder).__name__
+    is_path_or_text = isinstance(folder, str | Path)
+    is_path = is_path_or_text and "\0" not in str(folder)
+    is_text = isinstance(folder, str)
+    kind = folder if is_text else type(folder).__name__
     require(is_path, name, kind, "is no path", "give the name of a folder")
     return Path(folder)
 
 
 def _read_matrices(system: tuple[Any, ...]) -> tuple[StateSpace, float]:
     """Read a linear system that is given as (A, B, C, D, step_s)."""
-    require(len(system) == 5, "model", f"a tuple of {len(system)}", "is no linear system", FORMS)
+    length = len(system)
+    require(length == 5, "model", f"a tuple of {len(system)}", "is no linear system", FORMS)
     *matrices, step_s = system
     return _build_state_space(matrices), read_sampling_time(step_s)
 

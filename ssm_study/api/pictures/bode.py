@@ -32,34 +32,35 @@ def bode_picture(
     output and input.
     """
     nyquist = 0.5 / model.step_s
-    hertz = np.geomspace(10.0**-DECADES * nyquist, nyquist, POINTS)
+    lowest_hz = 10.0**-DECADES * nyquist
+    hertz = np.geomspace(lowest_hz, nyquist, POINTS)
     angles = 2 * np.pi * hertz * model.step_s
     response = equilibrium_response(model, angles)
-    angle = np.unwrap(np.angle(response))
+    wrapped_angle = np.angle(response)
+    angle = np.unwrap(wrapped_angle)
     magnitude = np.abs(response)
-    series = Series(x=hertz, y=magnitude, name="model at rest")
-    gains = [series]
+    gains = [Series(x=hertz, y=magnitude, name="model at rest")]
     ratio = record_gain_ratio(model, record)
     if ratio is not None:
         at_record = {"name": "model at the record's mean gain", "dashes": DASHED}
-        gains.append(Series(x=hertz, y=ratio * magnitude, **at_record))  # type: ignore[arg-type]
+        gain_at_record = Series(x=hertz, y=ratio * magnitude, **at_record)  # type: ignore[arg-type]
+        gains.append(gain_at_record)
     y = np.rad2deg(angle)
     phases = [Series(x=hertz, y=y)]
     u = record.u[:, 0]
-    at_hertz, estimate = estimate_response(u, record.y[:, 0], record.step_s)
+    output = record.y[:, 0]
+    at_hertz, estimate = estimate_response(u, output, record.step_s)
     if len(at_hertz):
-        dots = np.abs(estimate)
-        name = "record"
-        gains.append(Series(x=at_hertz, y=dots, mark="dots", colour=style.GREY, name=name))
-        near = np.interp(at_hertz, hertz, angle)  # of all equal angles the one next to the model's
-        apart = np.angle(estimate * np.exp(-1j * near))
-        degrees = np.rad2deg(near + apart)
-        phases.append(Series(x=at_hertz, y=degrees, mark="dots", colour=style.GREY))
+        near = np.interp(at_hertz, hertz, angle)
+        estimated_gain, estimated_phase = _estimated_dots(at_hertz, estimate, near)
+        gains.append(estimated_gain)
+        phases.append(estimated_phase)
     shared = {"x_label": "Frequency (Hz)", "log_x": True}
+    gain_band = _gain_band(model, slopes, hertz, magnitude)
     upper = PicturePanel(
         y_label=f"Gain{_gain_unit(units)}",
         series=tuple(gains),
-        bands=_gain_band(model, slopes, hertz, magnitude),
+        bands=gain_band,
         log_y=True,
         height=1.2,
         **shared,  # type: ignore[arg-type]
@@ -72,6 +73,20 @@ def bode_picture(
     return Picture(title=title, panels=panels)
 
 
+def _estimated_dots(
+    hertz: Angles, estimate: Complex[np.ndarray, "F"], near: Angles
+) -> tuple[Series, Series]:
+    """Gain and phase of an estimated response as dots; of all equal phases the one next to the
+    model's, `near`, is drawn."""
+    magnitude = np.abs(estimate)
+    gain = Series(x=hertz, y=magnitude, mark="dots", colour=style.GREY, name="record")
+    model_turn = np.exp(-1j * near)
+    apart = np.angle(estimate * model_turn)
+    degrees = np.rad2deg(near + apart)
+    phase = Series(x=hertz, y=degrees, mark="dots", colour=style.GREY)
+    return gain, phase
+
+
 def record_gain_ratio(model: Model, record: Trajectory) -> float | None:
     """Ratio of the input map's gain over a record to its slope at the equilibrium; None where they
     nearly agree or there are several inputs.
@@ -81,14 +96,17 @@ def record_gain_ratio(model: Model, record: Trajectory) -> float | None:
     """
     if model.scaffold_in.inputs != 1:
         return None
-    slope_at_rest = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])
-    deviation = (record.u - model.scale.input_equilibrium) / model.scale.input_scale
+    jacobian = model.scaffold_in.jacobian(np.zeros(1))
+    slope_at_rest = float(jacobian[0, 0])
+    deviation_in_units = record.u - model.scale.input_equilibrium
+    deviation = deviation_in_units / model.scale.input_scale
     varying = deviation - deviation.mean(axis=0)
     power = float((varying**2).sum())
     if slope_at_rest == 0 or power == 0:
         return None
     mapped = model.scaffold_in(deviation)
-    gain = float((mapped * varying).sum()) / power
+    correlation = (mapped * varying).sum()
+    gain = float(correlation) / power
     ratio = gain / slope_at_rest
     return ratio if abs(ratio - 1) > ALIKE else None
 
@@ -106,7 +124,8 @@ def _gain_band(
     """Shaded range of the gain between the smallest and the largest slope of the input map."""
     if slopes is None or model.scaffold_in.inputs != 1:
         return ()
-    slope_at_rest = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])
+    jacobian = model.scaffold_in.jacobian(np.zeros(1))
+    slope_at_rest = float(jacobian[0, 0])
     if slope_at_rest <= 0 or slopes.lower <= 0 or slopes.upper <= slopes.lower:
         return ()
     low = magnitude * slopes.lower / slope_at_rest
@@ -120,16 +139,24 @@ def equilibrium_response(model: Model, angles: Angles) -> Complex[np.ndarray, "F
     `s_y J_y (C (zI - A)^-1 B + D) J_u / s_u`, `z = exp(j angle)`."""
     linear = linearise_at_equilibrium(model)
     inputs = model.scaffold_in.inputs
-    slope_in = model.scaffold_in.jacobian(np.zeros(inputs))
-    slope_out = model.scaffold_out.jacobian(np.zeros(model.scaffold_out.inputs))
+    zero_input = np.zeros(inputs)
+    slope_in = model.scaffold_in.jacobian(zero_input)
+    zero_output = np.zeros(model.scaffold_out.inputs)
+    slope_out = model.scaffold_out.jacobian(zero_output)
     input_scale = model.scale.input_scale
     inward = (slope_in / input_scale)[:, 0]
     output_scale = model.scale.output_scale
-    outward = (output_scale[:, None] * slope_out)[0]
-    z = np.exp(1j * angles)[:, None, None]
-    shifted = z * np.eye(len(linear.a)) - linear.a
-    states = np.linalg.solve(shifted, (linear.b @ inward)[:, None])
-    return np.asarray((outward @ linear.c) @ states[:, :, 0].T + outward @ linear.d @ inward)
+    output_rows = output_scale[:, None] * slope_out
+    outward = output_rows[0]
+    points_on_circle = np.exp(1j * angles)
+    z = points_on_circle[:, None, None]
+    state_count = len(linear.a)
+    shifted = z * np.eye(state_count) - linear.a
+    input_column = (linear.b @ inward)[:, None]
+    states = np.linalg.solve(shifted, input_column)
+    through_states = (outward @ linear.c) @ states[:, :, 0].T
+    direct_gain = outward @ linear.d @ inward
+    return np.asarray(through_states + direct_gain)
 
 
 def estimate_response(
@@ -141,15 +168,22 @@ def estimate_response(
     """
     from scipy import signal
 
-    segment = min(SEGMENT, len(u) // 4)
+    quarter = len(u) // 4
+    segment = min(SEGMENT, quarter)
     if segment < FEWEST:
         return np.empty(0), np.empty(0, dtype=complex)
     input_deviation = u - u.mean()
     output_deviation = y - y.mean()
     rate = 1 / step_s
     frequency, cross = signal.csd(input_deviation, output_deviation, fs=rate, nperseg=segment)
-    power = signal.welch(input_deviation, fs=rate, nperseg=segment)[1]
-    output_power = signal.welch(output_deviation, fs=rate, nperseg=segment)[1]
-    coherent = np.abs(cross) ** 2 > COHERENT * power * output_power
-    excited = (power > EXCITED * power.mean()) & (frequency > 0) & coherent
-    return frequency[excited], cross[excited] / power[excited]
+    input_spectrum = signal.welch(input_deviation, fs=rate, nperseg=segment)
+    power = input_spectrum[1]
+    output_spectrum = signal.welch(output_deviation, fs=rate, nperseg=segment)
+    output_power = output_spectrum[1]
+    cross_power = np.abs(cross) ** 2
+    coherent_power = COHERENT * power * output_power
+    coherent = cross_power > coherent_power
+    least_power = EXCITED * power.mean()
+    excited = (power > least_power) & (frequency > 0) & coherent
+    estimated_response = cross[excited] / power[excited]
+    return frequency[excited], estimated_response

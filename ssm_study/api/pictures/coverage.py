@@ -45,31 +45,29 @@ def coverage_picture(
     if missing is not None:
         raise NothingToShow(f"Nothing is covered: {missing}.")
     weights = certificate_weights(part)
-    rows = [row for row in coverage_table(premise, weights, part.centre, part.kappa) if row.need]
+    table = coverage_table(premise, weights, part.centre, part.kappa)
+    rows = [row for row in table if row.need]
     if not rows:
         raise NothingToShow("The records show no model error in any band.")
-    records = list(dict.fromkeys(row.record for row in rows))
     labels = record_names(premise, input_scale)
-    series = []
-    for i, record in enumerate(records):
-        own = [row for row in rows if row.record == record]
-        look: dict[str, Any] = {"colour": style.CYCLE[i % len(style.CYCLE)]}
-        look["dashes"] = DASH_CYCLE[i % len(DASH_CYCLE)]
-        series += _coverage_curve(own, part.kappa, step_s, labels.get(record, record), look)
-    need, where = weights.largest_required_radius(premise.requirements(part.centre))
+    series = _coverage_curves(rows, part.kappa, step_s, labels)
+    requirements = premise.requirements(part.centre)
+    need, where = weights.largest_required_radius(requirements)
     coverage = part.kappa / need
     band = next((row for row in rows if row.decides), None)
     if band is not None and np.isclose(band.need, need, rtol=1e-6):
-        series.append(_smallest_coverage_dot(band, part.kappa, step_s))
+        dot = _smallest_coverage_dot(band, part.kappa, step_s)
+        series.append(dot)
     verdict = "covered" if coverage >= 1 else "not covered"
     deciding = requirement_text(where, labels, step_s)
     title = f"Coverage {_format_coverage(coverage)}, {verdict}; decided by: {deciding}"
     guide_line = GuideLine(y=1.0, dashed=False, name="1: below, not covered")
     rules = (guide_line,)
+    all_series = tuple(series)
     panel = PicturePanel(
         x_label="Frequency (Hz)",
         y_label="Proved over measured error (–)",
-        series=tuple(series),
+        series=all_series,
         rules=rules,
         log_x=True,
         log_y=True,
@@ -92,11 +90,29 @@ def record_names(premise: Premise, input_scale: InputScale | None) -> dict[str, 
 def requirement_text(where: str, labels: dict[str, str], step_s: float) -> str:
     """Text on the deciding requirement, with amplitudes in physical units and frequencies in Hz."""
     record, _, place = where.partition(", ")
-    hertz_per_angle = 1 / (2 * np.pi * step_s)
+    turn_s = 2 * np.pi * step_s
+    hertz_per_angle = 1 / turn_s
     in_hertz = ANGLE.sub(lambda angle: f"{float(angle[0]) * hertz_per_angle:.3g}", place)
     words = in_hertz.replace("rad/sample", "Hz")
     words = words.replace("around 0 Hz", "the lowest frequencies")
     return f"{labels.get(record, record)}, {words}" if words else labels.get(record, record)
+
+
+def _coverage_curves(
+    rows: list[CoverageBand], kappa: float, step_s: float, labels: dict[str, str]
+) -> list[Series]:
+    """Curves of the coverage over the frequency bands, one for each record, named by `labels`."""
+    records = list(dict.fromkeys(row.record for row in rows))
+    series = []
+    for i, record in enumerate(records):
+        own = [row for row in rows if row.record == record]
+        colour = style.CYCLE[i % len(style.CYCLE)]
+        look: dict[str, Any] = {"colour": colour}
+        dash_number = i % len(DASH_CYCLE)
+        look["dashes"] = DASH_CYCLE[dash_number]
+        label = labels.get(record, record)
+        series += _coverage_curve(own, kappa, step_s, label, look)
+    return series
 
 
 def _coverage_curve(
@@ -104,9 +120,13 @@ def _coverage_curve(
 ) -> list[Series]:
     """Curve of the coverage over the frequency bands of one record."""
     frequencies = [row.frequency for row in rows]
-    hertz = np.array(frequencies) / (2 * np.pi * step_s)
-    times = np.minimum([kappa / row.need for row in rows], HIGHEST)
-    is_dark = np.array([row.is_dark for row in rows])
+    angles = np.array(frequencies)
+    turn_s = 2 * np.pi * step_s
+    hertz = angles / turn_s
+    shares = [kappa / row.need for row in rows]
+    times = np.minimum(shares, HIGHEST)
+    darkness = [row.is_dark for row in rows]
+    is_dark = np.array(darkness)
     is_drawn = hertz > 0
     lit = Series(x=hertz[is_drawn], y=times[is_drawn], name=name, **look)
     dark = is_dark & is_drawn
@@ -124,11 +144,12 @@ def _coverage_curve(
 
 def _smallest_coverage_dot(band: CoverageBand, kappa: float, step_s: float) -> Series:
     """Dot at the frequency band with the smallest coverage."""
-    hertz = band.frequency / (2 * np.pi * step_s)
-    y = np.array([kappa / band.need])
-    return Series(
-        x=np.array([hertz]), y=y, mark="point", colour=style.INK, name=f"decides, {hertz:.3g} Hz"
-    )
+    turn_s = 2 * np.pi * step_s
+    hertz = band.frequency / turn_s
+    coverage = [kappa / band.need]
+    y = np.array(coverage)
+    at_hertz = np.array([hertz])
+    return Series(x=at_hertz, y=y, mark="point", colour=style.INK, name=f"decides, {hertz:.3g} Hz")
 
 
 def _format_coverage(coverage: float) -> str:

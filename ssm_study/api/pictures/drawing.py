@@ -36,16 +36,18 @@ def draw_picture(picture: Picture) -> "Figure":
 
 def draw_unstyled(picture: Picture) -> "Figure":
     """Draw a picture with the Matplotlib settings that are in force."""
-    rows = [
-        picture.panels[i : i + picture.columns]
-        for i in range(0, len(picture.panels), picture.columns)
-    ]
+    row_starts = range(0, len(picture.panels), picture.columns)
+    rows = [picture.panels[i : i + picture.columns] for i in row_starts]
     heights = [row[0].height for row in rows]
     width = style.PAGE_IN if picture.wide or picture.columns > 1 else style.COLUMN_IN
-    title = textwrap.fill(picture.title, int(LETTERS_PER_INCH * width))
-    height_in = 0.35 + ROW_IN * sum(heights) + TITLE_LINE_IN * title.count("\n")
+    letters = int(LETTERS_PER_INCH * width)
+    title = textwrap.fill(picture.title, letters)
+    panel_heights = sum(heights)
+    line_breaks = title.count("\n")
+    height_in = 0.35 + ROW_IN * panel_heights + TITLE_LINE_IN * line_breaks
     figure = style.new_figure(width, height_in)
-    grid = figure.subplots(len(rows), picture.columns, squeeze=False, height_ratios=heights)
+    row_count = len(rows)
+    grid = figure.subplots(row_count, picture.columns, squeeze=False, height_ratios=heights)
     for axes_of_row, panels in zip(grid, rows, strict=True):
         for axes, panel in zip(axes_of_row, panels, strict=False):
             draw_panel(axes, panel)
@@ -109,7 +111,9 @@ def _is_wide(axes: "Axes") -> bool:
     columns = axes.get_subplotspec()
     assert columns is not None
     across = columns.get_gridspec().ncols
-    return bool(figure.get_figwidth() / across > style.COLUMN_IN + 0.5)  # type: ignore[union-attr]
+    panel_in = figure.get_figwidth() / across  # type: ignore[union-attr]
+    page_from_in = style.COLUMN_IN + 0.5
+    return bool(panel_in > page_from_in)
 
 
 def _draw_series(axes: "Axes", series: Series) -> None:
@@ -117,7 +121,8 @@ def _draw_series(axes: "Axes", series: Series) -> None:
     label = series.name or None
     look: dict[str, Any] = {"color": series.colour, "label": label}
     linewidth = 0.7 if series.thin else 1.1
-    line: dict[str, Any] = {"linewidth": linewidth, "dashes": series.dashes or (None, None)}
+    dashes = series.dashes or (None, None)
+    line: dict[str, Any] = {"linewidth": linewidth, "dashes": dashes}
     if series.mark == "line":
         axes.plot(series.x, series.y, **look, **line)
     elif series.mark == "steps":
@@ -157,8 +162,11 @@ def _hide_repeated_labels(grid: Any, rows: list[tuple[PicturePanel, ...]]) -> No
             continue
         for i in range(len(labels) - 1):
             x_range = rows[i][j].x_range
-            if x_range == rows[i + 1][j].x_range:
-                grid[i][j].sharex(grid[i + 1][j])
+            panel_below = rows[i + 1][j]
+            if x_range == panel_below.x_range:
+                axes = grid[i][j]
+                axes_below = grid[i + 1]
+                axes.sharex(axes_below[j])
                 grid[i][j].set_xlabel("")
                 grid[i][j].tick_params(labelbottom=False)
 
@@ -168,4 +176,6 @@ def circle_points(
 ) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
     """Coordinates of points on a circle around the origin."""
     angles = np.linspace(0, 2 * np.pi, points)
-    return radius * np.cos(angles), radius * np.sin(angles)
+    x = radius * np.cos(angles)
+    y = radius * np.sin(angles)
+    return x, y

@@ -39,14 +39,15 @@ def free_run_picture(
         runs = [dots]
         errors = []
         for i, (name, output) in enumerate(simulated.items()):
-            colour = style.CYCLE[i % len(style.CYCLE)]
+            colour_number = i % len(style.CYCLE)
+            colour = style.CYCLE[colour_number]
             legend = f"{name}, fit {fits[name]:.1f} %"
-            run = Series(
-                x=time_s[drawn_series], y=output[drawn_series, j], colour=colour, name=legend
-            )
+            drawn_output = output[drawn_series, j]
+            run = Series(x=time_s[drawn_series], y=drawn_output, colour=colour, name=legend)
             runs.append(run)
             error = y - output[drawn_series, j]
-            series = Series(x=time_s[drawn_series], y=error, colour=_error_colour(i), thin=True)
+            error_colour = _error_colour(i)
+            series = Series(x=time_s[drawn_series], y=error, colour=error_colour, thin=True)
             errors.append(series)
         picture_panel = PicturePanel(
             x_label="Time (s)", y_label=label, series=tuple(runs), bands=start, height=1.3
@@ -58,16 +59,19 @@ def free_run_picture(
     if len(measured) > LONGEST:
         title += f" (drawn: the first {LONGEST} of {len(measured)} samples)"
     panels = (*upper, *lower)
-    return Picture(title=title, panels=panels, columns=len(labels), wide=True)
+    column_count = len(labels)
+    return Picture(title=title, panels=panels, columns=column_count, wide=True)
 
 
 def _error_panel(errors: list[Series], label: str) -> PicturePanel:
     """Errors of the models on one output, with a line at zero."""
     zero = GuideLine(y=0.0, dashed=False)
+    are_several = len(errors) > 1
+    drawn_errors = tuple(errors) if are_several else _recolour_single_error(errors)
     return PicturePanel(
         x_label="Time (s)",
         y_label=f"Error{_label_unit(label)}",
-        series=tuple(errors) if len(errors) > 1 else _recolour_single_error(errors),
+        series=drawn_errors,
         rules=(zero,),
         height=0.7,
     )
@@ -76,14 +80,16 @@ def _error_panel(errors: list[Series], label: str) -> PicturePanel:
 def _error_colour(i: int) -> str:
     """Colour of one of several models' error curves, the same as the colour of that model's free
     run."""
-    return style.CYCLE[i % len(style.CYCLE)]
+    colour_number = i % len(style.CYCLE)
+    return style.CYCLE[colour_number]
 
 
 def _recolour_single_error(errors: list[Series]) -> tuple[Series, ...]:
     """Give the error of a single model a colour of its own."""
-    return tuple(
+    recoloured = (
         Series(x=series.x, y=series.y, colour=style.VERMILLION, thin=True) for series in errors
     )
+    return tuple(recoloured)
 
 
 def _label_unit(label: str) -> str:
@@ -98,8 +104,11 @@ def _start_up_band(
     are not scored."""
     if not samples:
         return ()
-    ends = time_s[[0, min(samples, len(time_s) - 1)]]
-    low = np.full(2, values.min())
-    high = np.full(2, values.max())
+    last = min(samples, len(time_s) - 1)
+    ends = time_s[[0, last]]
+    lowest = values.min()
+    low = np.full(2, lowest)
+    highest = values.max()
+    high = np.full(2, highest)
     band = Band(x=ends, low=low, high=high, name="initial state, not scored")
     return (band,)

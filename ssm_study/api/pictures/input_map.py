@@ -24,35 +24,54 @@ def input_map_picture(model: Model, slopes: JacobianBall, input_label: str) -> P
     scaled = np.linspace(-REACH_IN_SCALES, REACH_IN_SCALES, POINTS)
     input_equilibrium = model.scale.input_equilibrium
     input_scale = model.scale.input_scale
-    physical = input_equilibrium[0] + scaled * input_scale[0]
-    values = model.scaffold_in(scaled[:, None])[:, 0]
-    local = np.array([model.scaffold_in.jacobian(np.array([v]))[0, 0] for v in scaled])
+    deviation = scaled * input_scale[0]
+    physical = input_equilibrium[0] + deviation
+    input_column = scaled[:, None]
+    values = model.scaffold_in(input_column)[:, 0]
+    slopes_at_inputs = [model.scaffold_in.jacobian(np.array([v]))[0, 0] for v in scaled]
+    local = np.array(slopes_at_inputs)
     ends = physical[[0, -1]]
     name = f"certified [{slopes.lower:.3g}, {slopes.upper:.3g}]"
     low = np.full(2, slopes.lower)
     high = np.full(2, slopes.upper)
     band = Band(x=ends, low=low, high=high, name=name, colour=style.SKY)
-    series = (Series(x=physical, y=values),)
-    room = ROOM * float(slopes.upper - slopes.lower) or 1.0
-    lowest = min(slopes.lower, local.min())
-    highest = max(slopes.upper, local.max())
+    map_curve = Series(x=physical, y=values)
+    series = (map_curve,)
     left = PicturePanel(
         x_label=input_label, y_label="S_u (scaled units, –)", series=series, height=1.3
     )
+    slope_curve = Series(x=physical, y=local, mark="steps", name="learned")
     right = PicturePanel(
         x_label=input_label,
         y_label="Local slope of S_u (–)",
-        series=(Series(x=physical, y=local, mark="steps", name="learned"),),
+        series=(slope_curve,),
         bands=(band,),
-        y_range=(float(lowest) - room, float(highest) + room),
+        y_range=_slope_axis(slopes, local),
     )
-    is_linear = np.ptp(local) <= LINEAR * np.abs(local).max()
+    variation = np.ptp(local)
+    steepest = np.abs(local).max()
+    is_linear = variation <= LINEAR * steepest
     title = "Input map: linear" if is_linear else _slope_title(local)
     panels = (left, right)
     return Picture(title=title, panels=panels, columns=2)
 
 
+def _slope_axis(slopes: JacobianBall, local: np.ndarray) -> tuple[float, float]:
+    """Range of an axis that shows the certified interval of slopes and all learned slopes."""
+    interval = slopes.upper - slopes.lower
+    room = ROOM * float(interval) or 1.0
+    smallest_slope = local.min()
+    lowest = min(slopes.lower, smallest_slope)
+    largest_slope = local.max()
+    highest = max(slopes.upper, largest_slope)
+    lower_end = float(lowest) - room
+    upper_end = float(highest) + room
+    return lower_end, upper_end
+
+
 def _slope_title(local: np.ndarray) -> str:
     """Title that says how much the slope of the input map varies."""
-    ratio = np.abs(local).min() / np.abs(local).max()
+    flattest = np.abs(local).min()
+    steepest = np.abs(local).max()
+    ratio = flattest / steepest
     return f"Learned input map: its smallest slope is {100 * ratio:.0f} % of its largest"

@@ -19,9 +19,10 @@ from ssm_study.api.pictures.picture import (
 )
 from ssm_study.certificates.certificate import Design
 from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.motion import settling_times_s
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
-from ssm_study.loop.rollout import Rollouts, settling_times_s
+from ssm_study.loop.rollout import Rollouts
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel
@@ -41,16 +42,21 @@ def initial_response_picture(
 ) -> Picture:
     """Picture of the closed loop's outputs and inputs from given initial outputs, beside the
     response without control."""
-    columns = max(len(plant.outputs), len(plant.inputs))
+    output_count = len(plant.outputs)
+    input_count = len(plant.inputs)
+    columns = max(output_count, input_count)
     upper = []
     for j, channel in enumerate(plant.outputs):
         open_loop = _case_curves(uncontrolled, "y", j, "open loop", style.GREY)
         closed = _case_curves(controlled, "y", j, "under control", style.BLUE)
         series = (*open_loop, *closed)
-        panel = PicturePanel(x_label="Time (s)", y_label=channel_label(channel), series=series)
+        axis_label = channel_label(channel)
+        panel = PicturePanel(x_label="Time (s)", y_label=axis_label, series=series)
         upper.append(panel)
     lower = _input_panels(controlled, plant.inputs, recorded)
-    panels = (*_pad_panels(upper, columns), *_pad_panels(lower, columns))
+    upper_row = _pad_panels(upper, columns)
+    lower_row = _pad_panels(lower, columns)
+    panels = (*upper_row, *lower_row)
     title = f"Closed loop on {place}"
     return Picture(title=title, panels=panels, columns=columns, wide=True)
 
@@ -92,18 +98,23 @@ def _simulate_step_response(
     at_s = BEFORE * samples * plant.step_s
     reference = StepReference(before=0.0, after=size, at_s=at_s)
     rest = plant.equilibrium().y[None]
-    noise = np.zeros((1, samples, len(plant.outputs)))
-    return replace(loop, reference=reference).simulate(plant, controller, rest, noise)
+    noise_shape = (1, samples, len(plant.outputs))
+    noise = np.zeros(noise_shape)
+    stepped_loop = replace(loop, reference=reference)
+    return stepped_loop.simulate(plant, controller, rest, noise)
 
 
 def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size: float) -> Picture:
     """Picture of a step response: the output beside its reference, and the input."""
     (time_s,) = settling_times_s(run, plant.settling_band)
     time_range = _drawn_time_range(run, time_s)
-    at_s = BEFORE * len(run.time_s) * run.step_s
+    samples_before = BEFORE * len(run.time_s)
+    at_s = samples_before * run.step_s
     ahead = _first_motion_s(run) < at_s - run.step_s
     set_point_name = "set point, known in advance" if ahead else "set point"
-    columns = max(len(plant.outputs), len(plant.inputs))
+    output_count = len(plant.outputs)
+    input_count = len(plant.inputs)
+    columns = max(output_count, input_count)
     upper = []
     for j, channel in enumerate(plant.outputs):
         ndim = run.reference.ndim
@@ -115,18 +126,16 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
         y = run.y[0, :, j]
         output = Series(x=run.time_s, y=y, name="output")
         series = (set_point, output)
+        axis_label = channel_label(channel)
         panel = PicturePanel(
-            x_label="Time (s)",
-            y_label=channel_label(channel),
-            series=series,
-            bands=(band,),
-            x_range=time_range,
+            x_label="Time (s)", y_label=axis_label, series=series, bands=(band,), x_range=time_range
         )
         upper.append(panel)
-    lower = [
-        replace(panel, x_range=time_range) for panel in _input_panels(run, plant.inputs, recorded)
-    ]
-    panels = (*_pad_panels(upper, columns), *_pad_panels(lower, columns))
+    input_panels = _input_panels(run, plant.inputs, recorded)
+    lower = [replace(panel, x_range=time_range) for panel in input_panels]
+    upper_row = _pad_panels(upper, columns)
+    lower_row = _pad_panels(lower, columns)
+    panels = (*upper_row, *lower_row)
     ending = "does not settle"
     if time_s is not None:
         ending = f"settles in {time_s:.3g} s"
@@ -141,9 +150,12 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
 
 def _settling_band(time_s: Times, goal: Times, half_width: float, unit: str) -> Band:
     """Band in which a response counts as settled, around a set point that steps."""
-    twice_s = np.repeat(time_s, 2)[1:]
-    held_goal = np.repeat(goal, 2)[:-1]
-    is_corner = np.ones(len(twice_s), dtype=bool)
+    doubled_times = np.repeat(time_s, 2)
+    twice_s = doubled_times[1:]
+    doubled_goal = np.repeat(goal, 2)
+    held_goal = doubled_goal[:-1]
+    point_count = len(twice_s)
+    is_corner = np.ones(point_count, dtype=bool)
     same_before = held_goal[1:-1] == held_goal[:-2]
     same_after = held_goal[1:-1] == held_goal[2:]
     is_corner[1:-1] = ~(same_before & same_after)
@@ -157,34 +169,42 @@ def _settling_band(time_s: Times, goal: Times, half_width: float, unit: str) -> 
 def _drawn_time_range(run: Rollouts, settling_time_s: float | None) -> tuple[float, float]:
     """Time range of a step response that a picture shows, from shortly before the first motion."""
     end_s = float(run.time_s[-1])
-    at_s = BEFORE * len(run.time_s) * run.step_s
+    samples_before = BEFORE * len(run.time_s)
+    at_s = samples_before * run.step_s
     if settling_time_s is None:
         return 0.0, end_s
-    span_s = max(SEEN_SETTLING_TIMES * settling_time_s, FEWEST_SEEN * run.step_s)
-    start_s = min(at_s - span_s / 4, _first_motion_s(run) - run.step_s)
+    shortest_s = FEWEST_SEEN * run.step_s
+    span_s = max(SEEN_SETTLING_TIMES * settling_time_s, shortest_s)
+    early_s = at_s - span_s / 4
+    first_motion_s = _first_motion_s(run)
+    start_s = min(early_s, first_motion_s - run.step_s)
     return max(0.0, start_s), min(end_s, at_s + span_s)
 
 
 def _first_motion_s(run: Rollouts) -> float:
     """Time at which the input first moves. It is before the step where a trajectory is planned,
     since the step is then known in advance (`loop.trajectory.feasible_trajectory`)."""
-    away = np.abs(run.u[0] - run.u[0, :1]).max(axis=1)
+    motion = run.u[0] - run.u[0, :1]
+    away = np.abs(motion).max(axis=1)
     moved = away > MOTION * away.max()
-    return float(run.time_s[int(moved.argmax()) if moved.any() else -1])
+    first_moved = int(moved.argmax()) if moved.any() else -1
+    return float(run.time_s[first_moved])
 
 
 def _first_output_motion_s(run: Rollouts) -> float:
     """Time at which the output first leaves its place by a share of the way that it goes."""
-    away = np.abs(run.y[0] - run.y[0, :1]).max(axis=1)
+    motion = run.y[0] - run.y[0, :1]
+    away = np.abs(motion).max(axis=1)
     moved = away > OUTPUT_MOTION * away[-1]
-    return float(run.time_s[int(moved.argmax())])
+    first_moved = int(moved.argmax())
+    return float(run.time_s[first_moved])
 
 
 def _case_curves(runs: Rollouts, signal: str, j: int, name: str, colour: str) -> tuple[Series, ...]:
     """Curves of one signal for all simulated cases; the legend names the first one only."""
     values = getattr(runs, signal)
     mark: Any = "steps" if signal == "u" else "line"
-    return tuple(
+    curves = (
         Series(
             x=runs.time_s,
             y=values[i, :, j],
@@ -195,6 +215,7 @@ def _case_curves(runs: Rollouts, signal: str, j: int, name: str, colour: str) ->
         )
         for i in range(len(values))
     )
+    return tuple(curves)
 
 
 def _input_panels(
@@ -205,14 +226,15 @@ def _input_panels(
     for j, channel in enumerate(inputs):
         rules: tuple[GuideLine, ...] = ()
         if len(recorded):
-            values = np.concatenate([record[:, j] for record in recorded])
-            guide_line = GuideLine(y=float(values.min()), name="recorded range")
+            recorded_values = [record[:, j] for record in recorded]
+            values = np.concatenate(recorded_values)
+            lowest = values.min()
+            guide_line = GuideLine(y=float(lowest), name="recorded range")
             y = float(values.max())
             rules = (guide_line, GuideLine(y=y))
         series = _case_curves(runs, "u", j, "input", style.VERMILLION)
-        panel = PicturePanel(
-            x_label="Time (s)", y_label=channel_label(channel), series=series, rules=rules
-        )
+        axis_label = channel_label(channel)
+        panel = PicturePanel(x_label="Time (s)", y_label=axis_label, series=series, rules=rules)
         panels.append(panel)
     return panels
 
@@ -220,10 +242,12 @@ def _input_panels(
 def _pad_panels(panels: list[PicturePanel], columns: int) -> list[PicturePanel]:
     """Fill a row of panels with empty ones up to a number of columns."""
     empty = PicturePanel(x_label="", y_label="", series=())
-    return panels + [empty] * (columns - len(panels))
+    missing = columns - len(panels)
+    return panels + [empty] * missing
 
 
 def channel_label(channel: Any) -> str:
     """Axis label of a channel: its name, with its unit in parentheses."""
-    name = str(channel.name).replace("_", " ")
+    channel_name = str(channel.name)
+    name = channel_name.replace("_", " ")
     return f"{name[:1].upper()}{name[1:]} ({channel.unit})" if channel.unit else name

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from ssm_study import style
 from ssm_study.api.pictures.picture import (
@@ -39,35 +40,32 @@ def margin_picture(
         raise NothingToShow("A loop of constant slopes is unstable: the margin is zero.")
     if not drawn:
         raise NothingToShow("The records show no model error beyond their noise.")
-    hertz = FINE_ANGLES / (2 * np.pi * step_s)
+    turn_s = 2 * np.pi * step_s
+    hertz = FINE_ANGLES / turn_s
     least = min(drawn, key=lambda curve: curve.smallest)
-    first = min(hertz[-1] / 10**DECADES, least.angle / (2 * np.pi * step_s))
+    lowest_hz = hertz[-1] / 10**DECADES
+    at_hertz = least.angle / turn_s
+    first = min(lowest_hz, at_hertz)
     visible = hertz >= first
-    series = [
-        Series(
-            x=hertz[visible],
-            y=np.where(curve.margin < HIGHEST, curve.margin, np.nan)[visible],
-            name=_curve_label(curve, input_scale),
-            colour=style.CYCLE[i % len(style.CYCLE)],
-            dashes=DASH_CYCLE[i % len(DASH_CYCLE)],
-        )
-        for i, curve in enumerate(drawn)
-    ]
-    at_hertz = least.angle / (2 * np.pi * step_s)
+    series = [_margin_curve(curve, hertz, visible, i, input_scale) for i, curve in enumerate(drawn)]
     guide_line = GuideLine(y=1.0, dashed=False, name="1: below, no prediction")
     rules = [guide_line]
     decided_by_curve = margin is None or least.smallest <= 1.001 * margin
     if decided_by_curve:
-        series.append(_smallest_margin_dot(at_hertz, least.smallest))
+        dot = _smallest_margin_dot(at_hertz, least.smallest)
+        series.append(dot)
         title = f"Stability margin {least.smallest:.3g}, decided at {at_hertz:.3g} Hz"
     else:
-        rules.append(GuideLine(y=margin, name="the design's margin, between two amplitudes"))
+        margin_line = GuideLine(y=margin, name="the design's margin, between two amplitudes")
+        rules.append(margin_line)
         title = f"Stability margin {margin:.3g}, decided between two amplitudes or by an offset"
+    all_series = tuple(series)
+    all_rules = tuple(rules)
     panel = PicturePanel(
         x_label="Frequency (Hz)",
         y_label="Stability margin (–)",
-        series=tuple(series),
-        rules=tuple(rules),
+        series=all_series,
+        rules=all_rules,
         log_x=True,
         log_y=True,
         height=1.5,
@@ -75,11 +73,31 @@ def margin_picture(
     return Picture(title=title, panels=(panel,))
 
 
+def _margin_curve(
+    curve: MarginCurve,
+    hertz: Float[np.ndarray, "F"],
+    visible: Bool[np.ndarray, "F"],
+    number: int,
+    input_scale: InputScale | None,
+) -> Series:
+    """Curve of the margin at one recorded amplitude, at the visible frequencies."""
+    drawn_margin = np.where(curve.margin < HIGHEST, curve.margin, np.nan)
+    return Series(
+        x=hertz[visible],
+        y=drawn_margin[visible],
+        name=_curve_label(curve, input_scale),
+        colour=style.CYCLE[number % len(style.CYCLE)],
+        dashes=DASH_CYCLE[number % len(DASH_CYCLE)],
+    )
+
+
 def _smallest_margin_dot(hertz: float, margin: float) -> Series:
     """Dot at the frequency that decides the stability margin."""
+    at_hertz = np.array([hertz])
+    at_margin = np.array([margin])
     return Series(
-        x=np.array([hertz]),
-        y=np.array([margin]),
+        x=at_hertz,
+        y=at_margin,
         mark="point",
         colour=style.INK,
         name=f"decides: {margin:.3g} at {hertz:.3g} Hz",
@@ -97,7 +115,8 @@ def physical_input_scale(model: Model, unit: str) -> InputScale | None:
     """Scale of a model's input in physical units, with the name of the unit; None for several
     inputs."""
     scales = model.scale.input_scale
-    return (float(scales[0]), unit) if len(scales) == 1 else None
+    has_one_input = len(scales) == 1
+    return (float(scales[0]), unit) if has_one_input else None
 
 
 def amplitude_text(amplitude: float, input_scale: InputScale | None) -> str:

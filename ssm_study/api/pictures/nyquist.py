@@ -34,7 +34,8 @@ def nyquist_picture(model: Model, pair: Gains, mismatch: Mismatch | None) -> Pic
         raise NothingToShow("A Nyquist curve is drawn for one input and one output.")
     plant, controller = loop_responses(model, pair, FINE_ANGLES)
     loop = -plant * controller
-    series = [_visible_curve(loop, "model", style.BLUE)]
+    model_curve = _visible_curve(loop, "model", style.BLUE)
+    series = [model_curve]
     title = "Nyquist curve of the loop at the equilibrium"
     if mismatch is not None:
         discs, distance = _nearest_discs(model, pair, mismatch.views)
@@ -51,10 +52,11 @@ def nyquist_picture(model: Model, pair: Gains, mismatch: Mismatch | None) -> Pic
     )
     x_range = (-REACH, REACH)
     y_range = (-REACH, REACH)
+    all_series = (circle_series, *series)
     panel = PicturePanel(
         x_label="Real part (–)",
         y_label="Imaginary part (–)",
-        series=(circle_series, *series),
+        series=all_series,
         equal=True,
         x_range=x_range,
         y_range=y_range,
@@ -68,11 +70,15 @@ def loop_responses(
 ) -> tuple[Complex[np.ndarray, "F"], Complex[np.ndarray, "F"]]:
     """Frequency responses of plant and controller in the loop. `C = T_ue / (1 + P T_ue)`."""
     linear = linearise_at_equilibrium(model)
-    slope_in = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])
-    slope_out = float(model.scaffold_out.jacobian(np.zeros(1))[0, 0])
+    jacobian_in = model.scaffold_in.jacobian(np.zeros(1))
+    slope_in = float(jacobian_in[0, 0])
+    jacobian_out = model.scaffold_out.jacobian(np.zeros(1))
+    slope_out = float(jacobian_out[0, 0])
     state_space = error_to_input_response(linear, pair, slope_in, slope_out)
-    closed = frequency_response(state_space, angles)[:, 0, 0]
-    plant = slope_in * slope_out * frequency_response(linear, angles)[:, 0, 0]
+    closed_loop = frequency_response(state_space, angles)
+    closed = closed_loop[:, 0, 0]
+    linear_response = frequency_response(linear, angles)[:, 0, 0]
+    plant = slope_in * slope_out * linear_response
     return plant, closed / (1 + plant * closed)
 
 
@@ -108,14 +114,16 @@ def _nyquist_discs(
     centres = -plant * controller * (1 + linear_part)
     radii = np.abs(controller) * remainder
     series = _disc_outlines(centres, radii)
-    return series, float((np.abs(centres + 1) - radii).min())
+    distance = (np.abs(centres + 1) - radii).min()
+    return series, float(distance)
 
 
 def _visible_curve(values: Complex[np.ndarray, "F"], name: str, colour: str) -> Series:
     """Part of a complex curve that lies within the picture."""
     near = np.abs(values) < 2 * REACH
     y = np.where(near, values.imag, np.nan)
-    return Series(x=np.where(near, values.real, np.nan), y=y, name=name, colour=colour)
+    visible_real = np.where(near, values.real, np.nan)
+    return Series(x=visible_real, y=y, name=name, colour=colour)
 
 
 def _disc_outlines(centres: Complex[np.ndarray, "F"], radii: Float[np.ndarray, "F"]) -> Series:
@@ -124,8 +132,11 @@ def _disc_outlines(centres: Complex[np.ndarray, "F"], radii: Float[np.ndarray, "
     x, y = circle_points(points=25)
     for centre, radius in zip(centres, radii, strict=True):
         if radius > SMALLEST_DISC and np.abs(centre) < 2 * REACH:
-            rim = centre + radius * (x + 1j * y)
-            rims.append(np.append(rim, complex(np.nan, np.nan)))
+            offset = radius * (x + 1j * y)
+            rim = centre + offset
+            gap = complex(np.nan, np.nan)
+            outline = np.append(rim, gap)
+            rims.append(outline)
     points = np.concatenate(rims) if rims else np.empty(0, dtype=complex)
     return Series(
         x=points.real,
@@ -139,4 +150,5 @@ def _disc_outlines(centres: Complex[np.ndarray, "F"], radii: Float[np.ndarray, "
 def _critical_point() -> Series:
     """Critical point -1, which the Nyquist curve must not enclose."""
     y = np.array([0.0])
-    return Series(x=np.array([-1.0]), y=y, mark="crosses", colour=style.INK, name="-1")
+    real_part = np.array([-1.0])
+    return Series(x=real_part, y=y, mark="crosses", colour=style.INK, name="-1")

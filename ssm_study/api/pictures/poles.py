@@ -20,27 +20,29 @@ def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Pic
     """Picture of eigenvalues in the unit circle, with the circle `sqrt(1 - rate)` of the certified
     rate."""
     unit = circle_points()
-    series = [Series(x=unit[0], y=unit[1], colour=style.INK, thin=True, name="unit circle")]
+    unit_circle = Series(x=unit[0], y=unit[1], colour=style.INK, thin=True, name="unit circle")
+    series = [unit_circle]
     title = "Poles at rest, per sample"
     if rate is not None:
         factor = float(np.sqrt(1 - rate))
         x, y = circle_points(factor)
         factor_words = digits_below_one(factor)
         name = f"proved under control: {factor_words}"
-        series.append(Series(x=x, y=y, colour=style.GREY, dashes=DASHED, name=name))
+        circle = Series(x=x, y=y, colour=style.GREY, dashes=DASHED, name=name)
+        series.append(circle)
         title = f"Poles at rest; proved: distances shrink to {factor_words} or less each sample"
     for i, (name, poles) in enumerate(groups.items()):
         values = np.asarray(poles, dtype=complex)
         printed_name = PRINTED.get(name, name)
         mark = MARKS[i % len(MARKS)]
         colour = COLOURS[i % len(COLOURS)]
-        series.append(
-            Series(x=values.real, y=values.imag, mark=mark, colour=colour, name=printed_name)
-        )
+        dots = Series(x=values.real, y=values.imag, mark=mark, colour=colour, name=printed_name)
+        series.append(dots)
+    all_series = tuple(series)
     panel = PicturePanel(
         x_label="Real part (per sample)",
         y_label="Imaginary part (per sample)",
-        series=tuple(series),
+        series=all_series,
         equal=True,
         height=2.2,
     )

@@ -20,7 +20,8 @@ def residual_correlation_picture(
     Of the first output; one panel for it alone and one for each input.
     """
     samples = sum(map(len, errors))
-    lags = min(MAX_LAG, min(map(len, errors)) // 4)
+    shortest = min(map(len, errors))
+    lags = min(MAX_LAG, shortest // 4)
     bound = SURE / np.sqrt(samples)
     own = correlate_signals(errors, errors, 0, 0, lags, one_sided=True)
     panels = [_correlation_panel(own, bound, f"Error of {with_spaces(output_name)} with itself")]
@@ -29,7 +30,9 @@ def residual_correlation_picture(
         picture_panel = _correlation_panel(cross, bound, f"Error with {with_spaces(name)}")
         panels.append(picture_panel)
     title = "Correlation of the free run's error on the test record"
-    return Picture(title=title, panels=tuple(panels), columns=len(panels))
+    all_panels = tuple(panels)
+    column_count = len(panels)
+    return Picture(title=title, panels=all_panels, columns=column_count)
 
 
 def with_spaces(name: str) -> str:
@@ -43,18 +46,23 @@ def _correlation_panel(
     """Panel with one correlation as stems, and its confidence bounds. The title counts the lags
     outside them, without lag zero of a signal with itself."""
     lags, values = correlation
-    is_free = lags > 0 if lags[0] == 0 else np.full(len(lags), True)
-    outside = int(np.sum(np.abs(values[is_free]) > bound))
+    starts_at_zero = lags[0] == 0
+    is_free = lags > 0 if starts_at_zero else np.full(len(lags), True)
+    is_outside = np.abs(values[is_free]) > bound
+    outside = int(np.sum(is_outside))
     count = f"{outside} of {int(is_free.sum())} lags outside 95 % bounds"
-    ends = np.array([lags[0], lags[-1]], dtype=float)
+    end_lags = [lags[0], lags[-1]]
+    ends = np.array(end_lags, dtype=float)
     low = np.full(2, -bound)
     high = np.full(2, bound)
     band = Band(x=ends, low=low, high=high)
-    stems = Series(x=lags.astype(float), y=values, mark="stems")
+    lag_values = lags.astype(float)
+    stems = Series(x=lag_values, y=values, mark="stems")
+    all_series = (stems,)
     return PicturePanel(
         x_label="Lag (samples)",
         y_label="Correlation (–)",
-        series=(stems,),
+        series=all_series,
         bands=(band,),
         title=f"{title}:\n{count}",
         height=1.1,
@@ -68,16 +76,25 @@ def correlate_signals(
 
     Returns lags and coefficients; divided so that a signal with itself has one at lag zero.
     """
-    range_of_lags = np.arange(0 if one_sided else -lags, lags + 1)
+    first_lag = 0 if one_sided else -lags
+    range_of_lags = np.arange(first_lag, lags + 1)
     sums = np.zeros(len(range_of_lags))
     powers = np.zeros(2)
     for a, b in zip(first, second, strict=True):
-        x = a[:, i] - a[:, i].mean()
-        z = b[:, j] - b[:, j].mean()
-        powers += [float(x @ x), float(z @ z)]
+        signal = a[:, i]
+        other_signal = b[:, j]
+        x = signal - signal.mean()
+        z = other_signal - other_signal.mean()
+        power = float(x @ x)
+        other_power = float(z @ z)
+        powers += [power, other_power]
         for k, lag in enumerate(map(int, range_of_lags)):
-            later = x[max(lag, 0) : len(x) + min(lag, 0)]
-            earlier = z[max(-lag, 0) : len(z) + min(-lag, 0)]
+            later_from = max(lag, 0)
+            later_to = len(x) + min(lag, 0)
+            later = x[later_from:later_to]
+            earlier_from = max(-lag, 0)
+            earlier_to = len(z) + min(-lag, 0)
+            earlier = z[earlier_from:earlier_to]
             sums[k] += float(later @ earlier)
     size = np.sqrt(powers.prod())
     return range_of_lags, sums / size if size > 0 else sums
