@@ -45,7 +45,8 @@ def find_declaration(name: str) -> Column | None:
     """Declaration of the column with a given name; None for an undeclared column."""
     if name in BY_NAME:
         return BY_NAME[name]
-    return next((column for column in PATTERNS if column.matches_name(name)), None)
+    matching = (column for column in PATTERNS if column.matches_name(name))
+    return next(matching, None)
 
 
 def column_label(name: str) -> str:
@@ -69,7 +70,8 @@ def setting_path(name: str) -> str:
 def setting_columns(table: pd.DataFrame) -> list[str]:
     """Names of the columns that hold settings of the configuration."""
     declared_names = [column.name for column in SETTINGS]
-    further = sorted(name for name in map(str, table) if FURTHER.matches_name(name))
+    further_names = (name for name in map(str, table) if FURTHER.matches_name(name))
+    further = sorted(further_names)
     names = [*declared_names, *further]
     return [name for name in names if name in table and name != "rates_chosen"]
 
@@ -83,9 +85,11 @@ def group_by_part(names: Iterable[str]) -> dict[str, list[str]]:
     for title, room in PARTS.items():
         for column in room.COLUMNS:
             titles[column.name] = "Settings" if column.setting else title
-    parts: dict[str, list[str]] = {title: [] for title in ("Settings", *PARTS, "Circumstances")}
+    titles_of_parts = ("Settings", *PARTS, "Circumstances")
+    parts: dict[str, list[str]] = {title: [] for title in titles_of_parts}
     for name in names:
-        declared_name = getattr(find_declaration(name), "name", name)
+        declaration = find_declaration(name)
+        declared_name = getattr(declaration, "name", name)
         parts[titles.get(declared_name, "Circumstances")].append(name)
     return parts
 
@@ -93,7 +97,8 @@ def group_by_part(names: Iterable[str]) -> dict[str, list[str]]:
 def suggest_column(name: str, names: Iterable[str]) -> str:
     """Suggestion for a misspelt column name: the nearest names, or how to list all of them."""
     half_of_the_letters = 0.5
-    near = get_close_matches(name, list(names), n=3, cutoff=half_of_the_letters)
+    candidates = list(names)
+    near = get_close_matches(name, candidates, n=3, cutoff=half_of_the_letters)
     if near:
         return f"did you mean {' or '.join(near)}?"
     return "`ssm-study show STUDY --columns` lists them"
@@ -123,13 +128,16 @@ def requested_values(table: pd.DataFrame, name: str) -> pd.Series:
     if not name.startswith("rate_"):
         return table[name]
     side = name.removeprefix("rate_")
-    is_chosen = text_column(table, "rates_chosen").str.contains(side)
-    return table[name].astype(object).mask(is_chosen, "auto")
+    chosen_rates = text_column(table, "rates_chosen")
+    is_chosen = chosen_rates.str.contains(side)
+    values = table[name].astype(object)
+    return values.mask(is_chosen, "auto")
 
 
 def swept_settings(table: pd.DataFrame) -> list[str]:
     """Settings in which the runs differ, sorted by their number of values, with the seed last."""
-    names = [name for name in ("study", *setting_columns(table)) if name in table]
+    settings = setting_columns(table)
+    names = [name for name in ("study", *settings) if name in table]
     counts = {name: requested_values(table, name).nunique() for name in names}
     varied = [name for name, count in counts.items() if count > 1]
     return sorted(varied, key=lambda name: (name == "seed", -counts[name]))
@@ -142,16 +150,19 @@ def numeric_column(table: pd.DataFrame, name: str) -> pd.Series:
     """
     if name not in table:
         return pd.Series(float("nan"), index=table.index, name=name, dtype=float)
-    return pd.to_numeric(table[name], errors="coerce").astype(float)
+    numbers = pd.to_numeric(table[name], errors="coerce")
+    return numbers.astype(float)
 
 
 def boolean_column(table: pd.DataFrame, name: str) -> pd.Series:
     """Column of a table as truth values, false where values are missing."""
-    return numeric_column(table, name).fillna(0.0) > 0
+    numbers = numeric_column(table, name)
+    return numbers.fillna(0.0) > 0
 
 
 def text_column(table: pd.DataFrame, name: str) -> pd.Series:
     """Column of a table as texts, empty where values are missing."""
     if name not in table:
         return pd.Series("", index=table.index, name=name, dtype=str)
-    return table[name].astype("string").fillna("").astype(str)
+    texts = table[name].astype("string")
+    return texts.fillna("").astype(str)

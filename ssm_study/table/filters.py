@@ -31,15 +31,19 @@ def filter_rows(table: pd.DataFrame, expression: str) -> pd.DataFrame:
     `BadRequest` for what is no comparison of columns and for unknown columns.
     """
     try:
-        tree = ast.parse(expression.strip(), mode="eval").body
+        trimmed = expression.strip()
+        tree = ast.parse(trimmed, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise BadRequest("where", expression, "not an expression", REMEDY) from None
-    prepared = ast.unparse(_Prepared(table).visit(tree))
+    preparation = _Prepared(table)
+    prepared = ast.unparse(preparation.visit(tree))
     missing = {f"{name}{IS_MISSING}": values.isna() for name, values in table.items()}
     try:
-        selected = _as_comparable(table).eval(prepared, engine="python", resolvers=[missing])
+        comparable = _as_comparable(table)
+        selected = comparable.eval(prepared, engine="python", resolvers=[missing])
     except Exception as error:  # whatever pandas meets in an expression that it does not take
-        raise BadRequest("where", expression, str(error), REMEDY) from None
+        problem = str(error)
+        raise BadRequest("where", expression, problem, REMEDY) from None
     if not isinstance(selected, pd.Series) or selected.dtype != bool:
         raise BadRequest("where", expression, "not a comparison", REMEDY)
     return table[selected]
@@ -51,9 +55,11 @@ def _as_comparable(table: pd.DataFrame) -> pd.DataFrame:
     columns: dict[Any, Any] = {}
     for name, values in table.items():
         if values.dtype == "boolean":
-            columns[name] = values.fillna(False).astype(bool)
+            known_values = values.fillna(False)
+            columns[name] = known_values.astype(bool)
         elif pd.api.types.is_numeric_dtype(values.dtype):
-            columns[name] = values.astype("Float64").to_numpy(float, na_value=np.nan)
+            numbers = values.astype("Float64")
+            columns[name] = numbers.to_numpy(float, na_value=np.nan)
         else:
             columns[name] = values.astype(TEXT)
     return pd.DataFrame(columns, index=table.index)
@@ -68,13 +74,15 @@ class _Prepared(ast.NodeTransformer):
     def generic_visit(self, node: ast.AST) -> ast.AST:
         """Raise `BadRequest` for every kind of syntax that is not allowed in a filter."""
         if isinstance(node, REFUSED):
-            raise BadRequest("where", ast.unparse(node), "not a comparison", REMEDY)
+            syntax = ast.unparse(node)
+            raise BadRequest("where", syntax, "not a comparison", REMEDY)
         return super().generic_visit(node)
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
         """Replace the words for constants, and raise `BadRequest` for names that are no columns."""
         if node.id.lower() in WORDS:
-            return ast.Constant(WORDS[node.id.lower()])
+            word = node.id.lower()
+            return ast.Constant(WORDS[word])
         if node.id not in self.table.columns:
             names = self.table.columns
             remedy = suggest_column(node.id, names)
@@ -87,9 +95,11 @@ class _Prepared(ast.NodeTransformer):
         comparisons: list[ast.expr] = []
         left = node.left
         for operator, right in zip(node.ops, node.comparators, strict=True):
-            comparisons.append(self._comparison_expression(left, operator, right))
+            comparison = self._comparison_expression(left, operator, right)
+            comparisons.append(comparison)
             left = right
-        return comparisons[0] if len(comparisons) == 1 else ast.BoolOp(ast.And(), comparisons)
+        count = len(comparisons)
+        return comparisons[0] if count == 1 else ast.BoolOp(ast.And(), comparisons)
 
     def _comparison_expression(
         self, left: ast.expr, operator: ast.cmpop, right: ast.expr
@@ -102,7 +112,8 @@ class _Prepared(ast.NodeTransformer):
             return self._null_comparison(left, operator)
         if isinstance(operator, ast.In | ast.NotIn) and not isinstance(right, LISTS):
             remedy = "write e.g. order in [4, 8]"
-            raise BadRequest("where", ast.unparse(right), "'in' needs a list", remedy)
+            operand = ast.unparse(right)
+            raise BadRequest("where", operand, "'in' needs a list", remedy)
         self._refuse_mixed_types(left, right)
         left = self.visit(left)
         right = self.visit(right)
@@ -113,11 +124,14 @@ class _Prepared(ast.NodeTransformer):
         sides = (left, right)
         names = [side for side in sides if isinstance(side, ast.Name)]
         present: list[ast.expr] = [ast.Compare(name, [ast.Eq()], [name]) for name in names]
-        return ast.BoolOp(ast.And(), [comparison, *present])
+        conjunction = ast.And()
+        operands = [comparison, *present]
+        return ast.BoolOp(conjunction, operands)
 
     def _null_comparison(self, side: ast.expr, operator: ast.cmpop) -> ast.expr:
         """Filter expression that takes the place of `x == null` or `x != null`."""
-        is_equality = isinstance(operator, ast.Eq | ast.Is)
+        equalities = ast.Eq | ast.Is
+        is_equality = isinstance(operator, equalities)
         is_comparison = is_equality or isinstance(operator, ast.NotEq | ast.IsNot)
         if not isinstance(side, ast.Name) or not is_comparison:
             raise BadRequest(
@@ -134,14 +148,16 @@ class _Prepared(ast.NodeTransformer):
         right_kind = self._operand_type(right)
         if left_kind and right_kind and left_kind != right_kind:
             problem = f"{ast.unparse(left)} is a {left_kind}"
-            raise BadRequest("where", ast.unparse(right), problem, REMEDY)
+            operand = ast.unparse(right)
+            raise BadRequest("where", operand, problem, REMEDY)
 
     def _operand_type(self, side: ast.expr) -> str:
         """Type of an operand of a comparison: text, number, or empty if it is compound."""
         if isinstance(side, ast.Constant):
             return "text" if isinstance(side.value, str) else "number"
         if isinstance(side, ast.Name) and side.id in self.table.columns:
-            numeric = pd.api.types.is_numeric_dtype(self.table[side.id].dtype)
+            dtype = self.table[side.id].dtype
+            numeric = pd.api.types.is_numeric_dtype(dtype)
             return "number" if numeric else "text"
         return ""
 

@@ -15,11 +15,13 @@ def check_study_folder(path: Path) -> Path:
     Raises `BadRequest` that names the study nearby that may have been meant.
     """
     if not path.is_dir():
-        raise BadRequest("study", path, "no such study folder", _suggest_existing_study(path))
+        remedy = _suggest_existing_study(path)
+        raise BadRequest("study", path, "no such study folder", remedy)
     tables = path.glob("*/runs.parquet")
     names = {table.parent.name for table in tables}
     studies = sorted(names)
-    is_study = (path / "runs.parquet").exists() or bool(_run_names(path))
+    is_gathered = (path / "runs.parquet").exists()
+    is_study = is_gathered or bool(_run_names(path))
     if studies and not is_study:
         problem = "there is no run in it, but there are studies"
         raise BadRequest("study", path, problem, f"name one: {_list_names(studies)}")
@@ -58,7 +60,8 @@ def find_run_folder(path: Path) -> Path:
     """
     if (path / RECORD).is_file():
         return path
-    study = path if path.is_dir() else path.parent
+    is_folder = path.is_dir()
+    study = path if is_folder else path.parent
     part = "" if path.is_dir() else path.name
     names = _run_names(study)
     matches = _matching_names(names, part)
@@ -83,7 +86,8 @@ def _matching_names(names: list[str], part: str) -> list[str]:
 def _run_names(study: Path) -> list[str]:
     """Names of the runs of a study that left a record."""
     records = study.glob(f"*/{RECORD}")
-    return sorted(record.parent.name for record in records)
+    names = (record.parent.name for record in records)
+    return sorted(names)
 
 
 def _list_names(names: list[str]) -> str:

@@ -51,24 +51,29 @@ def gather(study: Path, anew: bool = False) -> pd.DataFrame:
     table says. Raises `BadRequest` for a folder without runs.
     """
     remedy = "give the folder that holds the run folders"
-    require(study.is_dir(), "study", study, "no such study folder", remedy)
+    is_folder = study.is_dir()
+    require(is_folder, "study", study, "no such study folder", remedy)
     marks = record_marks(study)
-    require(bool(marks), "study", study, "there is no run in it", remedy)
+    has_runs = bool(marks)
+    require(has_runs, "study", study, "there is no run in it", remedy)
     last_table, last_marks = (NO_RUNS, {}) if anew else _read_last_table(study)
-    has_ended = ~last_table["status"].isin([RUNNING, LOST])
+    unfinished = [RUNNING, LOST]
+    has_ended = ~last_table["status"].isin(unfinished)
     names = last_table["run"][has_ended]
     ended = [name for name in names if name in marks]
     unchanged = {name for name in ended if marks[name] == last_marks.get(name)}
     if len(unchanged) == len(last_table) == len(marks):  # no run is new, gone or changed
         return last_table
-    rows = last_table[last_table["run"].isin(unchanged)]
+    is_unchanged = last_table["run"].isin(unchanged)
+    rows = last_table[is_unchanged]
     old_records = _records_by_run(rows)
     study_name = study.resolve().name
     records = []
     for name in sorted(marks):
         record = old_records.get(name) or read_record(study / name)
         if record is not None:
-            records.append(record | {"study": study_name, "run": name})
+            identity = {"study": study_name, "run": name}
+            records.append(record | identity)
     table = table_from_records(records)
     _write_table(study, table, marks)
     return table
@@ -78,7 +83,8 @@ def _write_table(study: Path, table: pd.DataFrame, marks: Marks) -> None:
     """Write the table's files, and the file times that show whether they are up to date."""
     parquet = io.BytesIO()
     table.to_parquet(parquet, index=False)
-    csv = _escape_formulas(table).to_csv(index=False)
+    safe_table = _escape_formulas(table)
+    csv = safe_table.to_csv(index=False)
     write_atomically(study / PARQUET, parquet.getvalue())
     write_atomically(study / CSV, csv.encode())
     names = (PARQUET, CSV)
@@ -96,7 +102,8 @@ def record_marks(study: Path) -> Marks:
     marks = {}
     for name in names:
         with suppress(OSError):  # a folder without a record, or one that another process deletes
-            facts = (study / name / RECORD).stat()
+            record_file = study / name / RECORD
+            facts = record_file.stat()
             # A record is replaced, so its inode changes.
             marks[name] = [facts.st_mtime_ns, facts.st_size, facts.st_ino]
     return marks
@@ -117,14 +124,17 @@ def _read_last_table(study: Path) -> tuple[pd.DataFrame, Marks]:
 
 def contradicts_records(study: Path, rows: pd.DataFrame) -> bool:
     """Whether any of the given rows differs from its run's record in a declared column."""
-    for run, row in _records_by_run(rows).items():
-        record = (read_record(study / run) or {}) | {"study": row["study"], "run": run}
+    records = _records_by_run(rows)
+    for run, row in records.items():
+        identity = {"study": row["study"], "run": run}
+        record = (read_record(study / run) or {}) | identity
         for name, shown_value in row.items():
             column = find_declaration(name)
             if column is None:
                 continue
             kind = column.kind or cast(Kind, rows[name].dtype.name)
-            if shown_value != _value_of_kind(record.get(name), kind):
+            stored_value = record.get(name)
+            if shown_value != _value_of_kind(stored_value, kind):
                 return True
     return False
 
@@ -135,14 +145,16 @@ def _records_by_run(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
     names = [str(name) for name in rows]
     records = {}
     for row in zip(*columns, strict=True):
-        record = dict(zip(names, row, strict=True))
+        cells = zip(names, row, strict=True)
+        record = dict(cells)
         records[record["run"]] = record
     return records
 
 
 def _escape_formulas(table: pd.DataFrame) -> pd.DataFrame:
     """Copy of a table with an apostrophe before texts that a spreadsheet would run as formulas."""
-    texts: pd.Index = table.select_dtypes("string").columns
+    text_table: pd.DataFrame = table.select_dtypes("string")
+    texts: pd.Index = text_table.columns
     quoted = {}
     for name in texts:
         values = table[name]
@@ -162,7 +174,8 @@ def table_from_records(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     columns = {}
     for name in (*BY_NAME, *undeclared):
         values = [record.get(name) for record in records]
-        columns[name] = _typed_column(values, find_declaration(name))
+        declaration = find_declaration(name)
+        columns[name] = _typed_column(values, declaration)
     return pd.DataFrame(columns)
 
 
@@ -172,11 +185,15 @@ def _typed_column(values: list[Any], column: Column | None) -> pd.Series:
     kind = column.kind if column else None
     if kind is None:
         present = [INFINITE.get(value, value) for value in values if value is not None]
-        kind = KINDS.get(infer_dtype(present), "string")
-    is_exact = set(map(type, values)) <= {EXACT[kind], type(None)}
+        inferred = infer_dtype(present)
+        kind = KINDS.get(inferred, "string")
+    types = set(map(type, values))
+    exact_types = {EXACT[kind], type(None)}
+    is_exact = types <= exact_types
     if is_exact and kind != "Int64":  # as records have them
         return pd.Series(values, dtype=kind)
-    return pd.Series([_value_of_kind(value, kind) for value in values], dtype=kind)
+    typed_values = [_value_of_kind(value, kind) for value in values]
+    return pd.Series(typed_values, dtype=kind)
 
 
 def _value_of_kind(value: Any, kind: Kind) -> Any:

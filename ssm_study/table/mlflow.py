@@ -43,7 +43,8 @@ def export_mlflow(study: Path, store: str | None = None) -> int:
         finished = [row for _, row in table.iterrows() if row["status"] in FINAL]
         missing = [row for row in finished if row["run"] not in written]
         for row in missing:
-            values = {str(name): value for name, value in row.dropna().items()}
+            filled = row.dropna()
+            values = {str(name): value for name, value in filled.items()}
             _write_run(client, experiment, study, values)
     return len(missing)
 
@@ -54,7 +55,8 @@ def _experiment_id(client: Any, study: Path) -> str:
     experiment = client.get_experiment_by_name(name)
     if experiment:
         return str(experiment.experiment_id)
-    artefacts = (study.absolute() / ".mlflow").as_uri()
+    artefact_folder = study.absolute() / ".mlflow"
+    artefacts = artefact_folder.as_uri()
     return str(client.create_experiment(name, artefacts))
 
 
@@ -71,7 +73,8 @@ def _write_run(client: Any, experiment: str, study: Path, row: dict[str, Any]) -
     client.log_batch(number, metrics=metrics)
     parameter_names = [name for name in row if name not in scored]
     parameters = [Param(name, str(row[name])[:500]) for name in parameter_names]
-    for first in range(0, len(parameters), AT_ONCE):
+    parameter_count = len(parameters)
+    for first in range(0, parameter_count, AT_ONCE):
         params = parameters[first : first + AT_ONCE]
         client.log_batch(number, params=params)
     for name in ARTEFACTS:
@@ -94,4 +97,6 @@ def _milliseconds(time: str | None) -> int | None:
     """Milliseconds since 1970 of a time in ISO format; None if there is no time."""
     if not time:
         return None
-    return int(datetime.fromisoformat(time).timestamp() * 1000)
+    moment = datetime.fromisoformat(time)
+    seconds = moment.timestamp()
+    return int(seconds * 1000)

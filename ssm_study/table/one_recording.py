@@ -35,7 +35,8 @@ def export_mcap(study: Path) -> Path:
     groups = []
     for name, path in by_name.items():
         for group in read_mcap(path)[0]:
-            groups.append(replace(group, topic=f"/{name}{group.topic}"))
+            renamed_group = replace(group, topic=f"/{name}{group.topic}")
+            groups.append(renamed_group)
     names = {name: path.parent.name for name, path in by_name.items()}
     file = study / "closed_loops.mcap"
     with TemporaryDirectory(dir=study, prefix=".export-") as folder:

@@ -18,32 +18,41 @@ def seed_statistics_lines(table: pd.DataFrame) -> list[str]:
     """
     if "seed" not in table or table["seed"].nunique() < FEWEST:
         return []
-    values = {
-        name: requested_values(table, name) for name in setting_columns(table) if name != "seed"
-    }
+    settings = setting_columns(table)
+    values = {name: requested_values(table, name) for name in settings if name != "seed"}
     varied = [name for name, own in values.items() if own.nunique(dropna=False) > 1]
     labels = pd.Series("all", table.index)
     if varied:
-        keys = pd.DataFrame({name: values[name].astype("string") for name in varied})
-        labels = keys.fillna("-").agg(", ".join, axis=1)
+        varied_values = {name: values[name].astype("string") for name in varied}
+        keys = pd.DataFrame(varied_values)
+        filled_keys = keys.fillna("-")
+        labels = filled_keys.agg(", ".join, axis=1)
     rows = []
     for label, runs in table.groupby(labels, sort=False):
         if runs["seed"].nunique() >= FEWEST:
-            rows.append(list(row_cells(str(label), runs)))
+            setting = str(label)
+            cells = row_cells(setting, runs)
+            rows.append(list(cells))
     if not rows:
         return []
     titles = [setting_heading(name) for name in varied]
-    head = [", ".join(titles) or "setting", "seeds", *HEADS]
-    return ["", "mean ± deviation over seeds", *align_columns([head, *rows])]
+    first_heading = ", ".join(titles) or "setting"
+    head = [first_heading, "seeds", *HEADS]
+    lines = [head, *rows]
+    aligned = align_columns(lines)
+    return ["", "mean ± deviation over seeds", *aligned]
 
 
 def align_columns(rows: list[list[str]]) -> list[str]:
     """Text lines with the cells in aligned columns."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    column_count = len(rows[0])
+    widths = [max(len(row[k]) for row in rows) for k in range(column_count)]
     lines = []
     for first, *rest in rows:
-        cells = [first.ljust(widths[0])]
-        for text, width in zip(rest, widths[1:], strict=True):
+        first_cell = first.ljust(widths[0])
+        cells = [first_cell]
+        other_widths = widths[1:]
+        for text, width in zip(rest, other_widths, strict=True):
             cells.append(text.rjust(width))
         lines.append("  ".join(cells))
     return lines

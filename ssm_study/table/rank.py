@@ -26,28 +26,37 @@ def outcome_class(table: pd.DataFrame) -> pd.Series:
     certified, 4 a baseline, which has no controller, 5 infeasible, 6 failed, which any other status
     than ok counts as.
     """
-    certified = boolean_column(table, "controller_certified") & boolean_column(
-        table, "observer_certified"
-    )
+    controller_certified = boolean_column(table, "controller_certified")
+    observer_certified = boolean_column(table, "observer_certified")
+    certified = controller_certified & observer_certified
     status = text_column(table, "status")
     no_verdict = numeric_column(table, "controller_certified").isna()
-    no_controller = numeric_column(table, "controller_feasible").isna() & no_verdict
-    settles = certified & (numeric_column(table, "stable_fraction") >= 1)
+    feasible = numeric_column(table, "controller_feasible")
+    no_controller = feasible.isna() & no_verdict
+    stable_fraction = numeric_column(table, "stable_fraction")
+    settles = certified & (stable_fraction >= 1)
+    expected_ends = ["ok", "infeasible"]
+    ratio = settling_ratio(table)
     cases = {
-        6: ~status.isin(["ok", "infeasible"]),
+        6: ~status.isin(expected_ends),
         5: status == "infeasible",
         4: no_controller,
-        1: settles & (settling_ratio(table) >= NO_FASTER),
+        1: settles & (ratio >= NO_FASTER),
         0: settles,
         2: certified,
     }  # the first that holds
-    return pd.Series(np.select(list(cases.values()), list(cases), 3), index=table.index)
+    conditions = list(cases.values())
+    classes = list(cases)
+    best_class = np.select(conditions, classes, 3)
+    return pd.Series(best_class, index=table.index)
 
 
 def settling_ratio(table: pd.DataFrame) -> pd.Series:
     """Mean settling time relative to that without control; NaN if either is unknown."""
     open_loop_s = numeric_column(table, "settling_time_open_loop_s")
-    return numeric_column(table, "settling_time_mean_s") / open_loop_s.where(open_loop_s > 0)
+    settling_time_s = numeric_column(table, "settling_time_mean_s")
+    moving_open_loop_s = open_loop_s.where(open_loop_s > 0)
+    return settling_time_s / moving_open_loop_s
 
 
 def predicted_stable(table: pd.DataFrame) -> pd.Series:
@@ -67,16 +76,18 @@ def sort_best_first(table: pd.DataFrame) -> pd.DataFrame:
     """
     time = numeric_column(table, "settling_time_mean_s")
     open_loop = numeric_column(table, "settling_time_open_loop_s")
-    if open_loop[time.notna()].notna().all():
+    is_timed = time.notna()
+    if open_loop[is_timed].notna().all():
         time = time / open_loop
-    fit = numeric_column(table, "fit_test_percent").fillna(-np.inf)
-    keys = {
-        "class": outcome_class(table),
-        "unforeseen": ~predicted_stable(table),
-        "time": time.fillna(np.inf),
-        "fit": -fit,
-    }
-    order = pd.DataFrame(keys).sort_values(list(keys), kind="stable")
+    fit_percent_of_test = numeric_column(table, "fit_test_percent")
+    fit = fit_percent_of_test.fillna(-np.inf)
+    outcome = outcome_class(table)
+    is_foreseen = predicted_stable(table)
+    time_or_last = time.fillna(np.inf)
+    keys = {"class": outcome, "unforeseen": ~is_foreseen, "time": time_or_last, "fit": -fit}
+    key_table = pd.DataFrame(keys)
+    key_names = list(keys)
+    order = key_table.sort_values(key_names, kind="stable")
     return table.loc[order.index]
 
 
@@ -89,7 +100,9 @@ def rank_runs(table: pd.DataFrame, by: str | None = None) -> pd.DataFrame:
     if by is None:
         return sort_best_first(table).reset_index(drop=True)
     if by not in table:
-        raise BadRequest("by", by, "no such column", suggest_column(by, map(str, table)))
+        names = map(str, table)
+        remedy = suggest_column(by, names)
+        raise BadRequest("by", by, "no such column", remedy)
     high_is_better = by in BY_NAME and BY_NAME[by].better == "high"
     return table.sort_values(
         by, ascending=not high_is_better, na_position="last", kind="stable", ignore_index=True

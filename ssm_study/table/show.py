@@ -73,7 +73,8 @@ def show_table(
     print_rows(rows, by)
     for line in seed_statistics_lines(rows):
         print(line)
-    for line in summary_lines(table, shown=len(rows)):
+    shown_count = len(rows)
+    for line in summary_lines(table, shown=shown_count):
         print(SUMMARY_LINES.fill(line))
     return table
 
@@ -82,8 +83,10 @@ def print_rows(rows: pd.DataFrame, by: str | None) -> None:
     """Print the rows as a table, coloured by status in a terminal."""
     console = Console(force_jupyter=False)
     width = max(WIDTH, console.width) if console.is_terminal else WIDTH
-    lines = render_table(rows, by, width).splitlines()
-    statuses = ["", *map(str, rows["status"])]
+    text = render_table(rows, by, width)
+    lines = text.splitlines()
+    row_statuses = map(str, rows["status"])
+    statuses = ["", *row_statuses]
     for line, status in zip(lines, statuses, strict=True):
         style = COLOURS.get(status, "")
         text_line = Text(line, style=style)  # no colour in a pipe
@@ -114,7 +117,8 @@ def column_lines(table: pd.DataFrame) -> list[str]:
     lines = []
     for row in rows:
         padded = [f"{row[i]:<{widths[i]}}  " for i in range(3)]
-        lines.append("".join([*padded, row[3]]).rstrip())
+        line = "".join([*padded, row[3]])
+        lines.append(line.rstrip())
     return lines
 
 
@@ -130,11 +134,16 @@ def stage_costs(table: pd.DataFrame) -> pd.DataFrame:
         if match is None:
             continue
         seconds = f"stage_{match[1]}_seconds"
-        uses = table[[name, seconds]].dropna()
+        stage_columns = [name, seconds]
+        uses = table[stage_columns].dropna()
         distinct = uses.drop_duplicates(name)  # the store computes what has this key once
-        spent_s = float(distinct[seconds].sum())
-        saved_s = float(uses[seconds].sum()) - spent_s
-        rows[match[1]] = (len(uses), len(distinct), spent_s, saved_s)
+        spent = distinct[seconds].sum()
+        spent_s = float(spent)
+        all_seconds = uses[seconds].sum()
+        saved_s = float(all_seconds) - spent_s
+        use_count = len(uses)
+        distinct_count = len(distinct)
+        rows[match[1]] = (use_count, distinct_count, spent_s, saved_s)
     names = ["runs", "distinct", "spent_s", "saved_s"]
     costs = pd.DataFrame.from_dict(rows, orient="index", columns=names)
     return costs.sort_values("spent_s", ascending=False, kind="stable")
@@ -164,7 +173,8 @@ def short_run_names(names: pd.Series) -> pd.Series:
 
     Every command takes them for the run.
     """
-    digits = names.str.rsplit("-", n=1).str[-1]
+    name_parts = names.str.rsplit("-", n=1)
+    digits = name_parts.str[-1]
     return digits if digits.is_unique else names
 
 
@@ -177,31 +187,36 @@ def render_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH)
     settled of how many.
     """
     settled_text = table["stable_count"].astype("string")
-    settled_text = settled_text + "/" + table["initial_conditions"].astype("string")
+    case_count = table["initial_conditions"].astype("string")
+    settled_text = settled_text + "/" + case_count
     varied, telling = _varied_settings(table)
     run = short_run_names(table["run"])
+    certified_words = certificate_words(table)
+    prediction = prediction_words(table)
     table = table.assign(
-        run=run,
-        certified=certificate_words(table),
-        settled=settled_text,
-        predicted_stable=prediction_words(table),
+        run=run, certified=certified_words, settled=settled_text, predicted_stable=prediction
     )
     first = ["run", "status"] if by is None else ["run", by, "status"]
     outcomes = [name for name in OUTCOMES if table[name].notna().any()]
     columns: dict[str, list[str]] = {}
     used_width = 0
-    by_importance = dict.fromkeys([*first, *telling, *outcomes, *varied])  # each name once
+    names_by_importance = [*first, *telling, *outcomes, *varied]
+    by_importance = dict.fromkeys(names_by_importance)  # each name once
     for name in by_importance:
-        cells = [column_head(name), *map(format_cell, table[name])]
+        head = column_head(name)
+        values_as_text = map(format_cell, table[name])
+        cells = [head, *values_as_text]
         room = max(map(len, cells))
         if used_width + room + 2 > width and columns:  # a narrower one may still fit
             continue
         is_left = name in ("run", "status")
         columns[name] = [text.ljust(room) if is_left else text.rjust(room) for text in cells]
         used_width += room + 2
-    order = dict.fromkeys([*first, *varied, *outcomes])
+    names_in_order = [*first, *varied, *outcomes]
+    order = dict.fromkeys(names_in_order)
     fitting_columns = [columns[name] for name in order if name in columns]
-    lines = ["  ".join(line).rstrip() for line in zip(*fitting_columns, strict=True)]
+    table_lines = zip(*fitting_columns, strict=True)
+    lines = ["  ".join(line).rstrip() for line in table_lines]
     return "\n".join(lines)
 
 
@@ -209,10 +224,14 @@ def certificate_words(table: pd.DataFrame) -> pd.Series:
     """Verdict on the certificates of each run, in one word; missing if the run has none."""
     controller = table["controller_certified"]
     observer = table["observer_certified"]
-    pairs = zip(controller.fillna(False), observer.fillna(False), strict=True)
+    controller_holds = controller.fillna(False)
+    observer_holds = observer.fillna(False)
+    pairs = zip(controller_holds, observer_holds, strict=True)
     words = [CERTIFIED[bool(ours), bool(theirs)] for ours, theirs in pairs]
     certified = pd.Series(words, table.index, dtype="string")
-    return certified.where(controller.notna() | observer.notna())
+    has_controller_verdict = controller.notna()
+    has_observer_verdict = observer.notna()
+    return certified.where(has_controller_verdict | has_observer_verdict)
 
 
 def column_head(name: str) -> str:
@@ -225,24 +244,29 @@ def column_head(name: str) -> str:
 
 def prediction_words(table: pd.DataFrame) -> pd.Series:
     """Prediction of each run as a word, marked where its evidence is doubtful."""
-    words = table["predicted_stable"].map({True: "yes", False: "no"}).astype("string")
+    words_of_verdicts = {True: "yes", False: "no"}
+    words = table["predicted_stable"].map(words_of_verdicts).astype("string")
     evidence = text_column(table, "evidence")
-    words = words.mask((evidence == "doubt") & (words == "yes"), "yes, doubt")
+    is_doubtful = (evidence == "doubt") & (words == "yes")
+    words = words.mask(is_doubtful, "yes, doubt")
     return words.mask(evidence == "cannot judge", "cannot judge")
 
 
 def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
     """Settings in which the runs differ, and those among them that are needed to tell the runs
     apart."""
-    values = {name: requested_values(table, name) for name in setting_columns(table)}
+    settings = setting_columns(table)
+    values = {name: requested_values(table, name) for name in settings}
     varied = [name for name in values if values[name].nunique(dropna=False) > 1]
     telling: list[str] = []
     # A number for each group of runs that are not told apart yet.
     alike = pd.Series(0, index=table.index)
     for name in varied:
         now = values[name].astype("string")
-        finer = pd.DataFrame({"before": alike, "now": now})
-        groups = finer.groupby(["before", "now"], dropna=False).ngroup()
+        groupings = {"before": alike, "now": now}
+        finer = pd.DataFrame(groupings)
+        both_groupings = ["before", "now"]
+        groups = finer.groupby(both_groupings, dropna=False).ngroup()
         if groups.nunique() > alike.nunique():
             telling = [*telling, name]
             alike = groups
@@ -254,7 +278,8 @@ def format_cell(value: object) -> str:
     missing value."""
     if value is None or value is pd.NA:
         return "-"
-    if isinstance(value, (bool, np.bool_)):
+    truth_types = (bool, np.bool_)
+    if isinstance(value, truth_types):
         return "yes" if value else "no"
     return f"{value:.4g}" if isinstance(value, float) else escape_control_characters(str(value))
 
@@ -271,12 +296,12 @@ def summary_lines(table: pd.DataFrame, shown: int) -> list[str]:
         total = f"{total} ({shown} shown)"
     uncertified = table[:0]
     if "uncertified_reason" in table:
-        uncertified = table[table["uncertified_reason"].notna()]
-    parts = {
-        status: table[table["status"] == status]
-        for status in ("failed", "infeasible", "lost", "corrupt")
-    }
-    lines = ["", f"{total}: {', '.join(words)}", *fold_statistics_lines(table)]
+        has_reason = table["uncertified_reason"].notna()
+        uncertified = table[has_reason]
+    printed_statuses = ("failed", "infeasible", "lost", "corrupt")
+    parts = {status: table[table["status"] == status] for status in printed_statuses}
+    fold_lines = fold_statistics_lines(table)
+    lines = ["", f"{total}: {', '.join(words)}", *fold_lines]
     lines += _reason_lines("failed", parts["failed"])
     lines += _reason_lines("infeasible", parts["infeasible"])
     lines += _reason_lines("not certified", uncertified)
@@ -291,7 +316,9 @@ def fold_statistics_lines(table: pd.DataFrame) -> list[str]:
         return []
     varied = []
     for name in setting_columns(table):
-        is_of_the_model = not setting_path(name).startswith(("synthesis", "data.fold"))
+        path = setting_path(name)
+        other_parts = ("synthesis", "data.fold")
+        is_of_the_model = not path.startswith(other_parts)
         if is_of_the_model and table[name].nunique(dropna=False) > 1:
             varied.append(name)
     groups = table.groupby(varied, dropna=False) if varied else [((), table)]
@@ -300,7 +327,8 @@ def fold_statistics_lines(table: pd.DataFrame) -> list[str]:
         fit_test_percent = runs.groupby("fold")["fit_test_percent"]
         fits = fit_test_percent.mean().dropna()
         pairs = zip(varied, values, strict=True)
-        which = "".join(f", {name} {format_cell(value)}" for name, value in pairs)
+        pair_texts = (f", {name} {format_cell(value)}" for name, value in pairs)
+        which = "".join(pair_texts)
         mean = f"mean test fit {format_cell(fits.mean())} %"
         lines.append(f"  {len(fits)} folds: {mean}, deviation {format_cell(fits.std())} %{which}")
     return lines
@@ -309,7 +337,8 @@ def fold_statistics_lines(table: pd.DataFrame) -> list[str]:
 def _reason_lines(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
     """Text lines with the reasons of failed or infeasible runs, merged where only numbers
     differ."""
-    columns = [name for name in ("run", *REASONS) if name in rows]
+    named_columns = ("run", *REASONS)
+    columns = [name for name in named_columns if name in rows]
     runs: dict[str, list[tuple[str, str]]] = {}
     for row in rows[columns].to_dict("records"):
         recorded = (str(row[name]) for name in REASONS if not pd.isna(row.get(name)))
@@ -317,10 +346,14 @@ def _reason_lines(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]
         reason = escape_control_characters(reason)
         without_numbers = NUMBER.sub("#", reason)
         run = str(row["run"])
-        runs.setdefault(without_numbers, []).append((run, reason))
+        alike_runs = runs.setdefault(without_numbers, [])
+        run_and_reason = (run, reason)
+        alike_runs.append(run_and_reason)
     lines = []
-    for alike in list(runs.values())[:limit]:
-        names = ", ".join(name for name, _ in alike[:5])
+    groups = runs.values()
+    for alike in list(groups)[:limit]:
+        first_five = alike[:5]
+        names = ", ".join(name for name, _ in first_five)
         if len(alike) > 5:
             names = f"{names} and {len(alike) - 5} more"
         sentences = [reason for _, reason in alike]
@@ -338,6 +371,7 @@ def merge_with_ranges(sentences: list[str]) -> str:
     ranges = []
     for column in zip(*numbers, strict=True):
         values = sorted(set(column), key=float)
-        ranges.append(values[0] if len(values) == 1 else f"{values[0]} to {values[-1]}")
+        number_range = values[0] if len(values) == 1 else f"{values[0]} to {values[-1]}"
+        ranges.append(number_range)
     remaining = iter(ranges)
     return NUMBER.sub(lambda _: next(remaining), sentences[0])
