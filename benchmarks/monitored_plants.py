@@ -29,7 +29,8 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.export.c_monitor import Monitor
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.rollout import Rollouts, settling_times_s
+from ssm_study.loop.motion import settling_times_s
+from ssm_study.loop.rollout import Rollouts
 from ssm_study.plants.plant import Plant
 from ssm_study.plants.wrapper import DelayedInput, Wrapper
 from ssm_study.robustness.coverage import running_constraint_sum

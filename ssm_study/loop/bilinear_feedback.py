@@ -41,7 +41,9 @@ class BilinearFeedback(Controller):
         n = self.model.order
         q = len(self.model.nodes)
         p = len(self.model.c)
-        shape = (self.k.shape, self.l_nodes.shape)
+        gain_shape = self.k.shape
+        observer_shape = self.l_nodes.shape
+        shape = (gain_shape, observer_shape)
         needed = ((1, n), (q, n, p))
         problem = f"the model needs gains of shape {needed}"
         require(shape == needed, "k, l_nodes", shape, problem, "use the design of this model")
@@ -57,12 +59,14 @@ class BilinearFeedback(Controller):
         return 1, len(self.model.c)
 
     def initial_memory(self, cases: int) -> Memory:
-        return np.zeros((cases, self.model.order))
+        order = self.model.order
+        return np.zeros((cases, order))
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
         nodes = self.model.nodes
         unlimited = memory @ self.k.T
-        scaled = np.clip(unlimited, nodes[0], nodes[-1])
+        largest_node = nodes[-1]
+        scaled = np.clip(unlimited, nodes[0], largest_node)
         return self.model.scale.physical_input(scaled)
 
     def advance(
@@ -105,13 +109,15 @@ class BilinearPlant(Plant):
     @classmethod
     def from_model(cls, model: Bilinear, inputs: Channels, outputs: Channels) -> "BilinearPlant":
         """Plant that simulates an identified bilinear model."""
-        unit = float(model.scale.output_scale.min())
+        output_scales = model.scale.output_scale
+        unit = float(output_scales.min())
         names = [f"x_{i + 1}" for i in range(model.order)]
         states = tuple(Channel(name=name, unit="") for name in names)
         band = SETTLED * unit
         plant = cls(model=model, step_s=model.step_s, settling_band=band)
         plant = replace(plant, inputs=inputs, outputs=outputs)
-        return replace(plant, states=states, disturbances=states, initial_range=(-unit, unit))
+        initial_range = (-unit, unit)
+        return replace(plant, states=states, disturbances=states, initial_range=initial_range)
 
     def equilibrium(self) -> Equilibrium:
         scale = self.model.scale
@@ -121,10 +127,13 @@ class BilinearPlant(Plant):
     def equilibrium_states(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
         """States of least norm at which the bilinear model has the given outputs."""
         scaled = self.model.scale.scaled_output(y0)
-        return scaled @ np.linalg.pinv(self.model.c).T
+        inverse_output_map = np.linalg.pinv(self.model.c)
+        return scaled @ inverse_output_map.T
 
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
-        return advance_states(self.model, x, u) + d
+        advanced = advance_states(self.model, x, u)
+        return advanced + d
 
     def output(self, x: States) -> Outputs:
-        return self.model.scale.physical_output(x @ self.model.c.T)
+        scaled_output = x @ self.model.c.T
+        return self.model.scale.physical_output(scaled_output)

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Observer, StateFeedback
 from ssm_study.certificates.theorems.structured_state_feedback import StructuredStateFeedback
-from ssm_study.loop.rollout import mean_squared_contraction
+from ssm_study.loop.motion import mean_squared_contraction
 
 ROUNDING = 1e-9  # relative: what float64 may add to a distance over a thousand steps
 RESOLUTION = 1e-12  # of the bound's own start: below it both sides are rounding
@@ -49,17 +49,21 @@ def metric_distances(
     belong to the first.
     """
     n = x.shape[2]
-    error = x_hat[:, :, :n] - x
+    estimated_states = x_hat[:, :, :n]
+    error = estimated_states - x
     root = np.linalg.cholesky(observer.q)
     e = np.linalg.norm(error @ root, axis=2)
-    with_integrators = np.concatenate([x, x_hat[:, :, n:]], axis=2)
+    integrator_states = x_hat[:, :, n:]
+    states_and_integrators = [x, integrator_states]
+    with_integrators = np.concatenate(states_and_integrators, axis=2)
     return _feedback_distances(with_integrators, feedback), e
 
 
 def _feedback_distances(rows: Estimates, feedback: StateFeedback) -> Distances:
     """Distances of states from the equilibrium in the metric of the state feedback, `P^{-1}`."""
     cases, samples, width = rows.shape
-    columns = rows.reshape(-1, width).T
+    flat_rows = rows.reshape(-1, width)
+    columns = flat_rows.T
     transformed = transform_to_inverse_metric(feedback.p, columns)
     norms = np.linalg.norm(transformed, axis=0)
     return norms.reshape(cases, samples)
@@ -74,11 +78,13 @@ def distance_bound(
     `r = sqrt(1 - rate)`.
     """
     c = estimation_error_gain(feedback, observer)
-    bound = np.empty((len(d0), samples))
+    cases = len(d0)
+    bound = np.empty((cases, samples))
     error = e0
     bound[:, 0] = d0
     for k in range(1, samples):
-        contracted = feedback.contraction * bound[:, k - 1]
+        previous_bound = bound[:, k - 1]
+        contracted = feedback.contraction * previous_bound
         bound[:, k] = contracted + c * error
         error = observer.contraction * error
     return bound
@@ -98,20 +104,27 @@ def estimation_error_gain(feedback: StateFeedback, observer: Observer) -> float:
         largest = np.linalg.norm(into, 2)
     elif len(feedback.g) > MOST_NEURONS:
         inner = transform_to_inverse_metric(feedback.p, feedback.e)
-        through_neurons = np.linalg.norm(inner, 2) * np.linalg.norm(feedback.g, 2)
-        largest = np.linalg.norm(into, 2) + through_neurons
+        into_neurons = np.linalg.norm(inner, 2)
+        out_of_neurons = np.linalg.norm(feedback.g, 2)
+        through_neurons = into_neurons * out_of_neurons
+        direct_gain = np.linalg.norm(into, 2)
+        largest = direct_gain + through_neurons
     else:
         inner = transform_to_inverse_metric(feedback.p, feedback.e)
         norms = []
-        for slopes in product((0.0, 1.0), repeat=len(feedback.g)):
-            at_corner = into + (inner * slopes) @ feedback.g
-            norms.append(np.linalg.norm(at_corner, 2))
+        neuron_count = len(feedback.g)
+        for slopes in product((0.0, 1.0), repeat=neuron_count):
+            neuron_path = (inner * slopes) @ feedback.g
+            at_corner = into + neuron_path
+            norm = np.linalg.norm(at_corner, 2)
+            norms.append(norm)
         largest = max(norms)
     order = len(observer.q)
     gain_on_estimate = feedback.k[:, :order]
     out = transform_to_inverse_metric(observer.q, gain_on_estimate.T)  # (K_x Q^{-1/2})^T
     slope = abs(feedback.alpha) + feedback.beta
-    gain = slope * float(largest) * np.linalg.norm(out, 2)
+    output_norm = np.linalg.norm(out, 2)
+    gain = slope * float(largest) * output_norm
     return float(gain)
 
 
@@ -122,8 +135,12 @@ def count_bound_violations(
     bound."""
     d, e = metric_distances(x, x_hat, feedback, observer)
     samples = x.shape[1]
-    bound = distance_bound(d[:, 0], e[:, 0], samples, feedback, observer)
-    floor = RESOLUTION * (d[:, :1] + e[:, :1])
+    first_distances = d[:, 0]
+    first_errors = e[:, 0]
+    bound = distance_bound(first_distances, first_errors, samples, feedback, observer)
+    first_distance_column = d[:, :1]
+    first_error_column = e[:, :1]
+    floor = RESOLUTION * (first_distance_column + first_error_column)
     rounded_up = bound * (1 + ROUNDING) + floor
     is_violated = d > rounded_up
     return int(is_violated.sum())
@@ -163,21 +180,28 @@ def relative_bound_excess(
     first_estimate = x_hat[:, :1]
     d, e = metric_distances(first_state, first_estimate, feedback, observer)
     samples = x_hat.shape[1]
-    into_state = np.eye(len(feedback.p), len(observer.q))
+    state_count = len(feedback.p)
+    estimate_count = len(observer.q)
+    into_state = np.eye(state_count, estimate_count)
     state_columns = transform_to_inverse_metric(feedback.p, into_state)
     error_to_state = transform_to_inverse_metric(observer.q, state_columns.T)
-    kappa = float(np.linalg.norm(error_to_state, 2))
+    largest_gain = np.linalg.norm(error_to_state, 2)
+    kappa = float(largest_gain)
     exponents = np.arange(samples)
     decay = observer.contraction**exponents
     fading_error = kappa * e * decay
-    state_bound = distance_bound(d[:, 0], e[:, 0], samples, feedback, observer)
+    first_distances = d[:, 0]
+    first_errors = e[:, 0]
+    state_bound = distance_bound(first_distances, first_errors, samples, feedback, observer)
     bound = state_bound + fading_error
     distance = _feedback_distances(x_hat, feedback)
     floor = RESOLUTION * (d + e)
-    beyond = distance - bound * (1 + ROUNDING) - floor
+    rounded_bound = bound * (1 + ROUNDING)
+    beyond = distance - rounded_bound - floor
     is_moving = bound[:, 0] > 0
     if not is_moving.any():
         return None
-    shares = beyond[is_moving] / bound[is_moving, :1]
+    first_bounds = bound[is_moving, :1]
+    shares = beyond[is_moving] / first_bounds
     positive_shares = np.maximum(shares, 0.0)
     return float(positive_shares.max())

@@ -52,9 +52,11 @@ class Comparison(ComparisonTable):
         self._check_names("situations", SITUATIONS)
         rate = self.rate
         share = self.spread_share
-        require(0 < rate < 1, "loop.comparison.rate", rate, "a rate lies in (0, 1)", "try 0.05")
+        is_rate = 0 < rate < 1
+        require(is_rate, "loop.comparison.rate", rate, "a rate lies in (0, 1)", "try 0.05")
         problem = "a share of 1 or more would change the sign of parameters"
-        require(0 <= share < 1, "loop.comparison.spread_share", share, problem, "use 0.2")
+        is_share = 0 <= share < 1
+        require(is_share, "loop.comparison.spread_share", share, problem, "use 0.2")
         require_at_least(1, "loop.comparison.spread_plants", self.spread_plants, "use 20")
         is_pi = self.own_pi is None or (len(self.own_pi) == 2 and self.own_pi[1] > 0)
         remedy = "give [gain, integral time in seconds]"
@@ -62,7 +64,8 @@ class Comparison(ComparisonTable):
 
     def _check_names(self, field_name: str, names: Sequence[str]) -> None:
         """Raise `BadRequest` for values of a setting that are not among the known names."""
-        unknown = [value for value in getattr(self, field_name) if value not in names]
+        requested_names = getattr(self, field_name)
+        unknown = [value for value in requested_names if value not in names]
         withdrawn = [WITHDRAWN[value] for value in unknown if value in WITHDRAWN]
         problem = withdrawn[0] if withdrawn else "not known"
         remedy = f"use some of {', '.join(names)}"
@@ -79,7 +82,8 @@ class Comparison(ComparisonTable):
         ]
         if self.own_pi is not None:
             own_pi = PI.for_plant(plant, *self.own_pi)
-            built.append((own_pi, UNSAID | {"controller": "own_pi"}))
+            facts = UNSAID | {"controller": "own_pi"}
+            built.append((own_pi, facts))
         rows: list[Row] = []
         for situation in self.situations:
             cases = self.situation_cases(plant, loop, situation, seed)
@@ -97,14 +101,16 @@ class Comparison(ComparisonTable):
     def situation_cases(self, plant: Plant, loop: Loop, situation: str, seed: int) -> list[Case]:
         """Plants and loop experiments of one test condition, such as a load step; empty if the
         plant cannot show it."""
-        horizon_s = loop.horizon_samples(plant.step_s) * plant.step_s
+        samples = loop.horizon_samples(plant.step_s)
+        horizon_s = samples * plant.step_s
         match situation:
             case "spread":
                 varieds = self.perturbed_plants(plant, seed)
                 return [(varied, loop) for varied in varieds]
             case "saturation":
                 rest = plant.equilibrium().u
-                reach = self.reach_share * np.array(plant.input_amplitude)
+                input_amplitudes = np.array(plant.input_amplitude)
+                reach = self.reach_share * input_amplitudes
                 lower = (rest - reach).tolist()
                 upper = (rest + reach).tolist()
                 saturated_input = SaturatedInput(plant=plant, lower=lower, upper=upper)
@@ -113,9 +119,11 @@ class Comparison(ComparisonTable):
                 delayed_input = DelayedInput(plant=plant, samples=1)
                 return [(delayed_input, loop)]
             case "nominal" | "noise_free" | "noise_4x":
-                times = {"noise_free": 0.0, "noise_4x": 4.0}.get(situation, 1.0)
+                noise_factors = {"noise_free": 0.0, "noise_4x": 4.0}
+                times = noise_factors.get(situation, 1.0)
                 noise_factor = times * loop.noise_factor
-                return [(plant, replace(loop, noise_factor=noise_factor))]
+                noisy_loop = replace(loop, noise_factor=noise_factor)
+                return [(plant, noisy_loop)]
             case "load_periodic":
                 sine = PeriodicDisturbance(amplitude=self.load, frequency_hz=self.load_frequency_hz)
                 return [(plant, replace(loop, disturbance=sine))] if plant.disturbances else []
@@ -129,17 +137,22 @@ class Comparison(ComparisonTable):
         range is `1 +- spread_share`."""
         if not self.spread_fields:
             return []
-        missing = sorted(name for name in self.spread_fields if not hasattr(plant, name))
+        missing_fields = (name for name in self.spread_fields if not hasattr(plant, name))
+        missing = sorted(missing_fields)
         problem = "not fields of this plant"
         require(not missing, "loop.comparison.spread_fields", missing, problem, "name its own")
         count = len(self.spread_fields)
-        rng = np.random.default_rng([seed, 2])
+        seeds = [seed, 2]
+        rng = np.random.default_rng(seeds)
         sampler = scipy.stats.qmc.LatinHypercube(d=count, rng=rng)
-        deviations = 2 * sampler.random(self.spread_plants) - 1
+        uniform_draws = sampler.random(self.spread_plants)
+        deviations = 2 * uniform_draws - 1
         factors = 1 + self.spread_share * deviations  # in [1 - share, 1 + share]
-        nominal = np.array([float(getattr(plant, name)) for name in self.spread_fields])
+        nominal_values = [float(getattr(plant, name)) for name in self.spread_fields]
+        nominal = np.array(nominal_values)
         plants: list[Plant] = []
         for row in (factors * nominal).tolist():
-            values = dict(zip(self.spread_fields, row, strict=True))
+            changed_fields = zip(self.spread_fields, row, strict=True)
+            values = dict(changed_fields)
             plants.append(replace(plant, **values))  # type: ignore[type-var]  # a dataclass
         return plants

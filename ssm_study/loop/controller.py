@@ -95,11 +95,14 @@ class Uncontrolled(Controller):
     def for_plant(cls, plant: Plant) -> "Uncontrolled":
         """Constant control law with the sampling time and the dimensions of a given plant."""
         rest = plant.equilibrium()
-        dimensions = (len(plant.inputs), len(plant.outputs))
+        input_count = len(plant.inputs)
+        output_count = len(plant.outputs)
+        dimensions = (input_count, output_count)
         return cls(u=rest.u, step_s=plant.step_s, dimensions=dimensions)
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
-        return np.tile(self.u, (len(y), 1))
+        case_count = len(y)
+        return np.tile(self.u, (case_count, 1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +133,8 @@ class EstimateFeedback(Controller):
 
     def initial_memory(self, cases: int) -> Memory:
         gains_k = self.gains.k
-        return np.zeros((cases, gains_k.shape[-1]))
+        gain_width = gains_k.shape[-1]
+        return np.zeros((cases, gain_width))
 
     def reference_targets(self, reference: Reference) -> Plan:
         return set_point_equilibria(self.model, reference)
@@ -151,7 +155,8 @@ class EstimateFeedback(Controller):
         if gains.l_z is None:
             return model.advance(x_hat, lifted) + correction
         neurons = cast(StructuredSSM, model)  # only its observer has a gain into the neurons
-        return neurons.advance(x_hat, lifted, multiply_rows(gains.l_z, innovation)) + correction
+        neuron_correction = multiply_rows(gains.l_z, innovation)
+        return neurons.advance(x_hat, lifted, neuron_correction) + correction
 
     def estimate(self, memory: Memory) -> Estimate:
         return memory  # the estimated state of the model, then the internal model's
@@ -180,11 +185,13 @@ class ObserverFeedback(EstimateFeedback):
         remedy = "use the design made for this model"
         internal = self.gains.internal
         widths = (n, n + p) if internal is None else (n + len(internal),)
-        needed = " or ".join(str((m, width)) for width in widths)
+        width_texts = (str((m, width)) for width in widths)
+        needed = " or ".join(width_texts)
         fits = k_shape[0] == m and k_shape[1] in widths
         require(fits, "k", k_shape, f"the model needs a gain of shape {needed}", remedy)
         problem = f"the model needs a gain of shape {(n, p)}"
-        require(l_shape == (n, p), "l", l_shape, problem, remedy)
+        needed_shape = (n, p)
+        require(l_shape == needed_shape, "l", l_shape, problem, remedy)
 
     @classmethod
     def from_design(cls, model: Model, design: Design) -> "ObserverFeedback":
@@ -202,7 +209,8 @@ class ObserverFeedback(EstimateFeedback):
         """
         if self.inverse is None:
             return u + feedback
-        return self.inverse(self.model.scaffold_in(u) + feedback)
+        mapped_input = self.model.scaffold_in(u) + feedback
+        return self.inverse(mapped_input)
 
     def reference_targets(self, reference: Reference) -> Plan:
         model = self.model
@@ -211,12 +219,16 @@ class ObserverFeedback(EstimateFeedback):
             # At rest all cases have the same targets, whatever their gains.
             ndim = self.gains.k.ndim
             k = self.gains.k if ndim == 2 else self.gains.k[0]
-            plan = feedback_trajectory(model, k[:, :n], reference, self.unlimited_input)
+            state_gains = k[:, :n]
+            plan = feedback_trajectory(model, state_gains, reference, self.unlimited_input)
         else:
             plan = feasible_trajectory(model, reference)
-        lifted = model.scaffold_in(plan[:, n:])
-        outputs = model.output_at(plan[:, :n], lifted)
-        return np.concatenate([plan, outputs], axis=1)
+        planned_inputs = plan[:, n:]
+        lifted = model.scaffold_in(planned_inputs)
+        planned_states = plan[:, :n]
+        outputs = model.output_at(planned_states, lifted)
+        plan_with_outputs = [plan, outputs]
+        return np.concatenate(plan_with_outputs, axis=1)
 
     def select_cases(self, stayed: Bool[np.ndarray, "N"]) -> "ObserverFeedback":
         if self.gains.k.ndim == 2:
@@ -226,18 +238,25 @@ class ObserverFeedback(EstimateFeedback):
         return replace(self, gains=gains)
 
     def required_inputs(self, reference: Reference) -> Float[np.ndarray, "K m"]:
-        ends = np.stack([reference.min(axis=0), reference.max(axis=0)])
+        lowest = reference.min(axis=0)
+        highest = reference.max(axis=0)
+        ends = np.stack([lowest, highest])
         plan = set_point_equilibria(self.model, ends)
-        inputs = plan[:, self.model.order :]
+        order = self.model.order
+        inputs = plan[:, order:]
         return self.model.scale.physical_input(inputs)
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
         n = self.model.order
         m = self.model.scale.inputs
-        estimation_error = memory[:, :n] - target[:n]
+        estimated_states = memory[:, :n]
+        target_states = target[:n]
+        estimation_error = estimated_states - target_states
         internal_states = memory[:, n:]  # the internal model aims at zero
         error = np.concatenate([estimation_error, internal_states], axis=1)
-        u = np.broadcast_to(target[n : n + m], (len(error), m))
+        target_input = target[n : n + m]
+        input_shape = (len(error), m)
+        u = np.broadcast_to(target_input, input_shape)
         feedback = multiply_rows(self.gains.k, error)
         unlimited_u = self.unlimited_input(u, feedback)
         return self.model.scale.physical_input(unlimited_u)
@@ -246,7 +265,8 @@ class ObserverFeedback(EstimateFeedback):
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Memory:
         x_hat = super().advance(memory, u, y, target, d)
-        z = memory[:, self.model.order :]
+        order = self.model.order
+        z = memory[:, order:]
         modes = self.gains.modes
         if not len(modes):
             return x_hat
@@ -255,11 +275,14 @@ class ObserverFeedback(EstimateFeedback):
         unlimited = as_asked.all(axis=1, keepdims=True)
         p = y.shape[1]
         output_scale = self.model.scale.output_scale
-        error = (y - target[-p:]) / output_scale
-        driven = z @ modes.T + error @ error_input_matrix(modes, p).T
+        output_error = y - target[-p:]
+        error = output_error / output_scale
+        error_matrix = error_input_matrix(modes, p).T
+        driven = z @ modes.T + error @ error_matrix
         frozen = z @ frozen_modes(modes).T
         z = np.where(unlimited, driven, frozen)
-        return np.concatenate([x_hat, z], axis=1)
+        whole_memory = [x_hat, z]
+        return np.concatenate(whole_memory, axis=1)
 
 
 def multiply_rows(

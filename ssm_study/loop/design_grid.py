@@ -10,9 +10,9 @@ from jaxtyping import Int
 
 from ssm_study.loop.controller import ObserverFeedback, Uncontrolled
 from ssm_study.loop.metrics import mean_without_none
+from ssm_study.loop.motion import classify_motions, settling_times_s
 from ssm_study.loop.peers.peer import Identified, Row
 from ssm_study.loop.regulation import ComparisonTable, Loop
-from ssm_study.loop.rollout import classify_motions, settling_times_s
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require_at_least
 from ssm_study.robustness.prediction import predict_margins
@@ -66,8 +66,10 @@ class DesignGrid(ComparisonTable):
         if chosen.feasible:
             number = 0
             gains = _prepend_gains(chosen.pair, gains)
-            feedback, observer = chosen.parts()[:2]
-            rates.insert(0, (feedback.rate, observer.rate))
+            both_parts = chosen.parts()
+            feedback, observer = both_parts[:2]
+            certified_rates = (feedback.rate, observer.rate)
+            rates.insert(0, certified_rates)
         predictions = _prediction_columns(identified, gains)
         behaviours = _behaviour_columns(plant, identified, gains, loop, seed)
         rows: list[Row] = []
@@ -82,12 +84,16 @@ class DesignGrid(ComparisonTable):
 
     def draw_gain_pairs(self, candidates: Candidates, seed: int) -> Int[np.ndarray, "D 2"]:
         """Draw random pairs of controller and observer gains, as indices of the candidates."""
-        counts = (len(candidates.ks), len(candidates.ls))
+        controller_count = len(candidates.ks)
+        observer_count = len(candidates.ls)
+        counts = (controller_count, observer_count)
         total = counts[0] * counts[1]
         size = min(self.designs, total)
-        rng = np.random.default_rng([seed, 3])
+        seeds = [seed, 3]
+        rng = np.random.default_rng(seeds)
         flat = rng.choice(total, size=size, replace=False)
-        pairs = np.unravel_index(np.sort(flat), counts)
+        sorted_numbers = np.sort(flat)
+        pairs = np.unravel_index(sorted_numbers, counts)
         return np.stack(pairs, axis=1)
 
 
@@ -97,7 +103,8 @@ def _prepend_gains(pair: Gains, gains: Gains) -> Gains:
     for name, gain in vars(pair).items():
         if gain is not None:
             others = getattr(gains, name)
-            stacked[name] = np.concatenate([gain[None], others])
+            all_gains = [gain[None], others]
+            stacked[name] = np.concatenate(all_gains)
     return Gains(**stacked)
 
 
@@ -110,14 +117,17 @@ def _prediction_columns(identified: Identified, gains: Gains) -> list[Row]:
     for i, area in enumerate(areas):
         pair = gains.select_pairs(i)
         predicted = predict_margins(identified.model, pair, identified.balls, mismatch)
-        gain_norm = float(np.linalg.norm(pair.k, 2))
-        observer_gain_norm = float(np.linalg.norm(pair.l, 2))
+        norm_of_gain = np.linalg.norm(pair.k, 2)
+        gain_norm = float(norm_of_gain)
+        norm_of_observer_gain = np.linalg.norm(pair.l, 2)
+        observer_gain_norm = float(norm_of_observer_gain)
+        is_predicted_stable = predicted.predicts_stability()
         row: Row = {
             "gain_norm": gain_norm,
             "observer_gain_norm": observer_gain_norm,
             "mismatch_gain": mismatch.gain,
             **vars(predicted),
-            "predicted_stable": predicted.predicts_stability(),
+            "predicted_stable": is_predicted_stable,
             "model_area": float(area),
         }
         rows.append(row)
@@ -132,11 +142,13 @@ def _behaviour_columns(
     band = plant.settling_band
     designs = len(gains.k)
     cases = len(y0)
-    each_case = np.repeat(np.arange(designs), cases)
+    design_numbers = np.arange(designs)
+    each_case = np.repeat(design_numbers, cases)
     observer_feedback_gains = gains.select_pairs(each_case)
     controller = ObserverFeedback(model=identified.model, gains=observer_feedback_gains)
     starts = np.tile(y0, (designs, 1))
-    noises = np.tile(noise, (designs, 1, 1))
+    repeated_noise = (designs, 1, 1)
+    noises = np.tile(noise, repeated_noise)
     run = loop.simulate(plant, controller, starts, noises)
     no_noise = np.zeros_like(noises)
     no_control = Uncontrolled.for_plant(plant)
@@ -148,21 +160,29 @@ def _behaviour_columns(
     rows = []
     for first in range(0, len(starts), cases):
         own = slice(first, first + cases)
-        unsettled_kinds = sorted(set(kinds[own]) - {"settled"})
         left_bound = ~run.stayed_within_bound[own]
-        stable_count = cases - times_s[own].count(None)
-        settling_time_mean_s = mean_without_none(times_s[own])
-        stable_count_noise_free = kinds[own].count("settled")
-        unsettled_as = ", ".join(unsettled_kinds) or None
-        left_bound_count = int(left_bound.sum())
-        row: Row = {
-            "initial_conditions": cases,
-            "stable_count": stable_count,
-            "settling_time_mean_s": settling_time_mean_s,
-            "settling_time_open_loop_s": open_loop_s,
-            "stable_count_noise_free": stable_count_noise_free,
-            "unsettled_as": unsettled_as,
-            "left_bound_count": left_bound_count,
-        }
+        row = _settling_row(times_s[own], kinds[own], open_loop_s, int(left_bound.sum()))
         rows.append(row)
     return rows
+
+
+def _settling_row(
+    times_s: tuple[float | None, ...],
+    kinds: tuple[str, ...],
+    open_loop_s: float | None,
+    left_bound_count: int,
+) -> Row:
+    """Columns on how many cases of one design settle, how fast, and how the others move."""
+    cases = len(times_s)
+    unsettled = set(kinds) - {"settled"}
+    unsettled_kinds = sorted(unsettled)
+    unsettled_count = times_s.count(None)
+    return {
+        "initial_conditions": cases,
+        "stable_count": cases - unsettled_count,
+        "settling_time_mean_s": mean_without_none(times_s),
+        "settling_time_open_loop_s": open_loop_s,
+        "stable_count_noise_free": kinds.count("settled"),
+        "unsettled_as": ", ".join(unsettled_kinds) or None,
+        "left_bound_count": left_bound_count,
+    }

@@ -13,16 +13,15 @@ from ssm_study.loop.certified_bound import (
     estimation_decay_rate,
     relative_bound_excess,
 )
-from ssm_study.loop.regulation import LoopRuns
-from ssm_study.loop.rollout import (
-    STAYED,
-    Rollouts,
+from ssm_study.loop.motion import (
     classify_motions,
     measured_contraction_rate,
     overshoots,
     residual_oscillations,
     settling_times_s,
 )
+from ssm_study.loop.regulation import LoopRuns
+from ssm_study.loop.rollout import STAYED, Rollouts
 
 Columns = dict[str, float | int | str | None]
 # The bound is that of the model without noise; the plant and its sensor may leave it.
@@ -153,9 +152,12 @@ def measured_noise_gain(run: Rollouts) -> float | None:
     y = run.y[stayed, half:]
     measured = run.measured[stayed, half:]
     noise_signal = measured - y
-    deviation = noise_signal.std(axis=(0, 1))
-    noise = np.maximum(deviation, np.finfo(float).tiny)
-    mean_variance = y.var(axis=1).mean(axis=0)
+    cases_and_samples = (0, 1)
+    deviation = noise_signal.std(axis=cases_and_samples)
+    smallest_float = np.finfo(float).tiny
+    noise = np.maximum(deviation, smallest_float)
+    variances = y.var(axis=1)
+    mean_variance = variances.mean(axis=0)
     gains = np.sqrt(mean_variance) / noise
     return float(gains.max())
 
@@ -165,16 +167,21 @@ def pool_columns(loops: list[LoopRuns]) -> Columns:
     together."""
     efforts = [loop.controlled.u - loop.input_equilibrium for loop in loops]
     errors = [loop.controlled.y - loop.controlled.reference for loop in loops]
-    cases = sum(len(error) for error in errors)
+    case_counts = (len(error) for error in errors)
+    cases = sum(case_counts)
     step_s = loops[0].controlled.step_s
     per_case = step_s / cases
     columns = settling_columns(loops, cases)
-    overshoot_worst = max(largest_overshoot(loop) for loop in loops)
+    largest_overshoots = (largest_overshoot(loop) for loop in loops)
+    overshoot_worst = max(largest_overshoots)
     input_peaks = [np.abs(effort).max() for effort in efforts]
-    input_peak_v = max(float(peak) for peak in input_peaks)
+    peaks = (float(peak) for peak in input_peaks)
+    input_peak_v = max(peaks)
     control_energy = sum_of_squares(efforts) * per_case
     integral_squared_error = sum_of_squares(errors) * per_case
-    final_error_worst = max(largest_final_error(error) for error in errors)
+    final_errors = (largest_final_error(error) for error in errors)
+    final_error_worst = max(final_errors)
+    divergence = divergence_columns(loops, step_s)
     return {
         **columns,
         "overshoot_worst": overshoot_worst,
@@ -182,7 +189,7 @@ def pool_columns(loops: list[LoopRuns]) -> Columns:
         "control_energy": control_energy,
         "integral_squared_error": integral_squared_error,
         "final_error_worst": final_error_worst,
-        **divergence_columns(loops, step_s),
+        **divergence,
     }
 
 
@@ -198,22 +205,28 @@ def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
         alone_s += settling_times_s(loop.uncontrolled, band)
         motion.update(classify_motions(run, band))
     settled_times_s = [time_s for time_s in times_s if time_s is not None]
-    unsettled = [f"{count} {kind}" for kind, count in sorted(motion.items()) if kind != "settled"]
+    kind_counts = sorted(motion.items())
+    unsettled = [f"{count} {kind}" for kind, count in kind_counts if kind != "settled"]
     stable_count = len(settled_times_s)
-    judged_noise_free = any(loop.noise_free is not None for loop in loops)
+    has_noise_free_run = (loop.noise_free is not None for loop in loops)
+    judged_noise_free = any(has_noise_free_run)
     all_settle = stable_count == cases
     settling_time_worst_s = max(settled_times_s) if all_settle else None
+    settling_time_mean_s = mean_without_none(settled_times_s)
+    settling_time_open_loop_s = mean_without_none(alone_s)
+    faster_than_open_loop = settles_faster(times_s, alone_s)
+    swings_at_rest = largest_residual_oscillation(loops)
     return {
         "initial_conditions": cases,
         "stable_count": stable_count,
         "stable_fraction": stable_count / cases,
         "unsettled_as": ", ".join(unsettled) or None,
         "judged_noise_free": judged_noise_free,
-        "settling_time_mean_s": mean_without_none(settled_times_s),
+        "settling_time_mean_s": settling_time_mean_s,
         "settling_time_worst_s": settling_time_worst_s,
-        "settling_time_open_loop_s": mean_without_none(alone_s),
-        "faster_than_open_loop": settles_faster(times_s, alone_s),
-        "swings_at_rest": largest_residual_oscillation(loops),
+        "settling_time_open_loop_s": settling_time_open_loop_s,
+        "faster_than_open_loop": faster_than_open_loop,
+        "swings_at_rest": swings_at_rest,
     }
 
 
@@ -259,9 +272,12 @@ def sum_of_squares(signals: list[Float[np.ndarray, "N T c"]]) -> float:
 
 def largest_final_error(error: Float[np.ndarray, "N T p"]) -> float:
     """Largest mean control error over the last tenth of the horizon."""
-    last = max(error.shape[1] // 10, 1)
-    mean_errors = error[:, -last:].mean(axis=1)
-    return float(np.abs(mean_errors).max())
+    samples = error.shape[1]
+    last = max(samples // 10, 1)
+    last_errors = error[:, -last:]
+    mean_errors = last_errors.mean(axis=1)
+    error_sizes = np.abs(mean_errors)
+    return float(error_sizes.max())
 
 
 def divergence_columns(loops: list[LoopRuns], step_s: float) -> Columns:
@@ -273,7 +289,8 @@ def divergence_columns(loops: list[LoopRuns], step_s: float) -> Columns:
         stopped_at = at_sample[at_sample != STAYED]
         left += stopped_at.tolist()
     left_bound_first_s = min(left) * step_s if left else None
-    return {"left_bound_count": len(left), "left_bound_first_s": left_bound_first_s}
+    stopped_count = len(left)
+    return {"left_bound_count": stopped_count, "left_bound_first_s": left_bound_first_s}
 
 
 CERTIFIED = ("certified_bound_violations", "estimate_decay_rate", "certified_bound_excess_plant")

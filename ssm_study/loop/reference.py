@@ -52,18 +52,22 @@ class FileReference(Reference):
         try:
             table = self._read_file()
         except (OSError, ValueError) as error:
-            problem = " ".join(str(error).split())[:120]
+            words = str(error).split()
+            problem = " ".join(words)[:120]
             raise BadRequest(FIELD, self.path, problem, REMEDY) from error
-        has_two_columns = table.shape[1:] == (2,) and len(table) > 0
+        row_shape = table.shape[1:]
+        has_two_columns = row_shape == (2,) and len(table) > 0
         is_sound = has_two_columns and bool(np.isfinite(table).all())
         require(is_sound, FIELD, self.path, "not two columns of finite numbers", REMEDY)
-        is_rising = bool((np.diff(table[:, 0]) > 0).all())
+        time_steps = np.diff(table[:, 0])
+        is_rising = bool((time_steps > 0).all())
         require(is_rising, FIELD, self.path, "times do not increase", "sort the rows by time")
         return np.interp(time_s, *table.T)
 
     def _read_file(self) -> Float[np.ndarray, "rows columns"]:
         """Read the times and offsets of the reference from the file."""
-        text = Path(self.path).read_text(encoding="utf-8")
+        reference_file = Path(self.path)
+        text = reference_file.read_text(encoding="utf-8")
         lines = [line for line in text.splitlines() if line.strip()]
         if not lines:
             return np.empty((0, 2))

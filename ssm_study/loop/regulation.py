@@ -9,15 +9,10 @@ from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Design
 from ssm_study.loop.controller import Controller, ObserverFeedback, Uncontrolled
+from ssm_study.loop.motion import settling_times_s
 from ssm_study.loop.peers.peer import Identified, Row
 from ssm_study.loop.reference import EquilibriumReference, Reference
-from ssm_study.loop.rollout import (
-    UNLIMITED,
-    Limits,
-    Rollouts,
-    settling_times_s,
-    simulate_closed_loop,
-)
+from ssm_study.loop.rollout import UNLIMITED, Limits, Rollouts, simulate_closed_loop
 from ssm_study.loop.trajectory import invert_map, scaled_equilibrium
 from ssm_study.models.structured import Model, StructuredSSM, linearise_at_equilibrium
 from ssm_study.plants.disturbance import Disturbance, NoDisturbance

@@ -15,7 +15,8 @@ def write_stopped_cases(log: Log, plant: Plant, stopped: SomeCases, k: int, last
     """Repeat the last values of cases that were stopped at the simulation's bound in all remaining
     samples of the log."""
     equilibrium = plant.equilibrium()
-    at_rest = np.tile(equilibrium.u, (len(stopped), 1))
+    stopped_count = len(stopped)
+    at_rest = np.tile(equilibrium.u, (stopped_count, 1))
     last_values = {"u": at_rest, **last}
     repeated = {name: value[:, None] for name, value in last_values.items()}
     remaining = slice(k, None)

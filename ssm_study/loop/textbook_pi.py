@@ -3,10 +3,10 @@ with a certified design. It runs on the same plant from the same initial states.
 
 import numpy as np
 
+from ssm_study.loop.motion import settling_times_s
 from ssm_study.loop.peers.peer import linearise_neurons
 from ssm_study.loop.peers.pi import tyreus_luyben_pi
 from ssm_study.loop.regulation import Loop
-from ssm_study.loop.rollout import settling_times_s
 from ssm_study.models.structured import Model
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest

@@ -45,42 +45,53 @@ def scaled_equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
     matrix = invert_map(model.scaffold_out, scaled_output[None])
     y_bar = matrix[0]
     n = model.order
-    size = max(1.0, float(np.abs(y_bar).max()))
-
-    def equilibrium_residual(point: Vector) -> Vector:
-        """Deviation of a state and input from equilibrium, and of the output from the requested
-        one."""
-        x, v = np.split(point, [n])
-        motion = model.advance(x, v) - x
-        through_neurons: Vector | float = 0.0
-        if isinstance(model, StructuredSSM):
-            through_neurons = model.h @ model.neuron_outputs(x, v)
-        linear = model.linear
-        output = linear.c @ x + linear.d @ v + through_neurons
-        return np.concatenate([motion, output - y_bar])
-
-    def residual_jacobian(point: Vector) -> Matrix:
-        """Jacobian of the deviation from equilibrium and from the requested output."""
-        x, v = np.split(point, [n])
-        linear = model.linearise_at(x, v) if isinstance(model, StructuredSSM) else model.linear
-        motion_row = [linear.a - np.eye(n), linear.b]
-        output_row = [linear.c, linear.d]
-        return np.block([motion_row, output_row])
-
+    output_sizes = np.abs(y_bar)
+    size = max(1.0, float(output_sizes.max()))
+    equilibrium_residual = partial(_equilibrium_residual, model, y_bar)
+    residual_jacobian = partial(_residual_jacobian, model)
     if isinstance(model, StructuredSSM):
-        start = np.zeros(n + model.b.shape[1])
+        input_count = model.b.shape[1]
+        start = np.zeros(n + input_count)
         tolerance = INVERSION_TOLERANCE * size
         point = _solve_newton(equilibrium_residual, residual_jacobian, start, tolerance)
     else:
         states, inputs, outputs = model.linear.equilibrium_basis()
         share, *_ = np.linalg.lstsq(outputs, y_bar, rcond=None)
-        point = np.concatenate([states @ share, inputs @ share])
+        state_and_input = [states @ share, inputs @ share]
+        point = np.concatenate(state_and_input)
     residuals = np.abs(equilibrium_residual(point))
     is_reached = residuals.max() <= EQUILIBRIUM_TOLERANCE * size
     problem = "no constant input of the model holds this scaled output"
     _require_solved(is_reached, y_bar, problem, "")
-    scaled_input = invert_map(model.scaffold_in, point[None, n:])[0]
+    equilibrium_input = point[None, n:]
+    scaled_input = invert_map(model.scaffold_in, equilibrium_input)[0]
     return point[:n], scaled_input
+
+
+def _equilibrium_residual(model: Model, y_bar: Vector, point: Vector) -> Vector:
+    """Deviation of a state and input, stacked in `point`, from equilibrium, and of the output from
+    the scaled output `y_bar`."""
+    x, v = np.split(point, [model.order])
+    motion = model.advance(x, v) - x
+    through_neurons: Vector | float = 0.0
+    if isinstance(model, StructuredSSM):
+        neuron_outputs = model.neuron_outputs(x, v)
+        through_neurons = model.h @ neuron_outputs
+    linear = model.linear
+    linear_output = linear.c @ x + linear.d @ v
+    output = linear_output + through_neurons
+    residual = [motion, output - y_bar]
+    return np.concatenate(residual)
+
+
+def _residual_jacobian(model: Model, point: Vector) -> Matrix:
+    """Jacobian of a model's deviation from equilibrium and of its output, in state and input."""
+    n = model.order
+    x, v = np.split(point, [n])
+    linear = model.linearise_at(x, v) if isinstance(model, StructuredSSM) else model.linear
+    motion_row = [linear.a - np.eye(n), linear.b]
+    output_row = [linear.c, linear.d]
+    return np.block([motion_row, output_row])
 
 
 def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
@@ -142,13 +153,17 @@ def _system_of_input_changes(system: StateSpace, idle: Matrix) -> StateSpace:
     n, m = system.b.shape
     input_identity = np.eye(m)
     state_row = [system.a, system.b]
-    held_input_row = [np.zeros((m, n)), input_identity]
+    no_states = (m, n)
+    held_input_row = [np.zeros(no_states), input_identity]
     output_row = [system.c, system.d]
-    idle_row = [np.zeros((len(idle), n)), idle]
+    idle_shape = (len(idle), n)
+    idle_row = [np.zeros(idle_shape), idle]
     a = np.block([state_row, held_input_row])
-    b = np.vstack([system.b, input_identity])
+    input_columns = [system.b, input_identity]
+    b = np.vstack(input_columns)
     c = np.block([output_row, idle_row])
-    d = np.vstack([system.d, idle])
+    feedthrough_rows = [system.d, idle]
+    d = np.vstack(feedthrough_rows)
     return StateSpace(a=a, b=b, c=c, d=d)
 
 
@@ -172,9 +187,12 @@ def feedback_trajectory(
     for i, point in enumerate(points):
         rest_state = point[:n]
         rest_input = point[n:]
-        u = law(rest_input, k @ (x - rest_state))
-        plan[i] = np.concatenate([x, u])
-        mapped_input = model.scaffold_in(u[None])[0]
+        correction = k @ (x - rest_state)
+        u = law(rest_input, correction)
+        state_and_input = [x, u]
+        plan[i] = np.concatenate(state_and_input)
+        mapped_row = model.scaffold_in(u[None])
+        mapped_input = mapped_row[0]
         x = model.advance(x, mapped_input)
     return plan
 
@@ -188,8 +206,11 @@ def set_point_equilibria(model: Model, reference: Reference) -> Plan:
     points = []
     for value in values:
         state, scaled_input = scaled_equilibrium(model, value)
-        points.append(np.concatenate([state, scaled_input]))
-    return np.stack(points)[index.reshape(-1)]
+        equilibrium = [state, scaled_input]
+        points.append(np.concatenate(equilibrium))
+    equilibria = np.stack(points)
+    value_numbers = index.reshape(-1)
+    return equilibria[value_numbers]
 
 
 def invert_map(scaffold: Scaffold, w: Matrix) -> Matrix:
@@ -199,14 +220,17 @@ def invert_map(scaffold: Scaffold, w: Matrix) -> Matrix:
     Raises `BadRequest` when the map does not reach `w`.
     """
     if w.shape[1] == 1:
-        roots = _invert_scalar_map(scaffold, w[:, 0])[:, None]
+        channel_values = w[:, 0]
+        roots = _invert_scalar_map(scaffold, channel_values)[:, None]
     else:
         roots = _invert_vector_map(scaffold, w)
     is_zero = (w == 0).all(axis=1, keepdims=True)
     v = np.where(is_zero, 0.0, roots)  # S(0) = 0 holds exactly
-    deviations = np.abs(scaffold(v) - w)
+    mapped = scaffold(v)
+    deviations = np.abs(mapped - w)
     residuals = deviations.max(axis=1)
-    size = max(1.0, float(np.abs(w).max()))
+    value_sizes = np.abs(w)
+    size = max(1.0, float(value_sizes.max()))
     tolerance = INVERSION_TOLERANCE * size
     is_reached = residuals.max() <= tolerance
     worst = w[residuals.argmax()]
@@ -224,7 +248,8 @@ def _invert_scalar_map(scaffold: Scaffold, w: Vector) -> Vector:
     from scipy.optimize import elementwise  # slow to load
 
     def map_residual(v: Vector, w: Vector) -> Vector:
-        values = scaffold(v[:, None])[:, 0]
+        argument_column = v[:, None]
+        values = scaffold(argument_column)[:, 0]
         return values - w
 
     # SciPy takes a square root of rounding where it does not need it.
@@ -242,19 +267,24 @@ def _invert_vector_map(scaffold: Scaffold, w: Matrix) -> Matrix:
     tolerance = 1e-2 * INVERSION_TOLERANCE
 
     def map_residual(v: Vector, w: Vector) -> Vector:
-        return scaffold(v[None])[0] - w
+        mapped_value = scaffold(v[None])[0]
+        return mapped_value - w
 
     rows = []
     for row in values:
         of_row = partial(map_residual, w=row)
-        rows.append(_solve_newton(of_row, scaffold.jacobian, start, tolerance))
-    return np.stack(rows)[index.reshape(-1)]
+        solved_row = _solve_newton(of_row, scaffold.jacobian, start, tolerance)
+        rows.append(solved_row)
+    solved_rows = np.stack(rows)
+    row_numbers = index.reshape(-1)
+    return solved_rows[row_numbers]
 
 
 def _require_solved(is_reached: np.bool_, value: Vector, problem: str, more: str) -> None:
     """Raise `BadRequest` for a reference that no equilibrium or input of the model reaches."""
     remedy = f"choose a reference within the reach of the inputs{more}"
-    rounded = np.round(value, 4).tolist()
+    rounded_value = np.round(value, 4)
+    rounded = rounded_value.tolist()
     require(bool(is_reached), "loop.reference", rounded, problem, remedy)
 
 
@@ -272,11 +302,14 @@ def _solve_newton(
     for _ in range(NEWTON_STEPS):
         if np.linalg.norm(value) <= tolerance:
             break
-        step, *_ = np.linalg.lstsq(jacobian(point), -value, rcond=None)
+        slopes = jacobian(point)
+        step, *_ = np.linalg.lstsq(slopes, -value, rcond=None)
         for share in 0.5 ** np.arange(40):
             trial = point + share * step
             trial_value = residual(trial)
-            if np.linalg.norm(trial_value) < np.linalg.norm(value):
+            trial_size = np.linalg.norm(trial_value)
+            current_size = np.linalg.norm(value)
+            if trial_size < current_size:
                 break
         else:
             return point

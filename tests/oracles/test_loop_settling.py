@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 from ssm_study.loop.metrics import COLUMNS, measured_noise_gain, pool_columns, settles_faster
-from ssm_study.loop.regulation import LoopRuns
-from ssm_study.loop.rollout import (
-    STAYED,
-    Rollouts,
+from ssm_study.loop.motion import (
     classify_motions,
     measured_contraction_rate,
     overshoots,
     residual_oscillations,
     settling_times_s,
 )
+from ssm_study.loop.regulation import LoopRuns
+from ssm_study.loop.rollout import STAYED, Rollouts
 
 
 def rollouts(

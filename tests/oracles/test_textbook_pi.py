@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from report_runs import random_model
 
+from ssm_study.loop.motion import settling_times_s
 from ssm_study.loop.peers.peer import linearise_neurons
 from ssm_study.loop.peers.pi import tyreus_luyben_pi
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
-from ssm_study.loop.rollout import settling_times_s
 from ssm_study.loop.textbook_pi import textbook_pi_columns
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold

@@ -31,7 +31,8 @@ def lqg_controller(model: SSM, weights: Synthesis) -> ObserverFeedback:
     linear = replace(model.linear, b=b)
     problem = weights.problem(linear, LINEAR, False)
     k = _riccati_gain(problem)
-    dual = _riccati_gain(weights.problem(linear, LINEAR, True))
+    dual_problem = weights.problem(linear, LINEAR, True)
+    dual = _riccati_gain(dual_problem)
     scaffold_in = LinearScaffold(gain=slope)
     plain = replace(model, scaffold_in=scaffold_in)
     gains = Gains(k=k, l=dual.T)
@@ -42,9 +43,12 @@ def _riccati_gain(problem: Problem) -> Float[np.ndarray, "m n"]:
     """State-feedback gain that minimises a quadratic cost, from the Riccati equation."""
     a = problem.a
     b = problem.b
-    r = problem.input_weight * np.eye(b.shape[1])
+    input_count = b.shape[1]
+    r = problem.input_weight * np.eye(input_count)
     s = scipy.linalg.solve_discrete_are(a, b, problem.state_weight, r)
-    return -np.linalg.solve(r + b.T @ s @ b, b.T @ s @ a)
+    curvature = r + b.T @ s @ b
+    coupling = b.T @ s @ a
+    return -np.linalg.solve(curvature, coupling)
 
 
 class LqgPeer(Peer, names=("lqg",)):
@@ -61,6 +65,8 @@ def lqg_weights(plant: Plant, identified: Identified, rate: float) -> Synthesis:
     One input scale drives the states; a linear design has no rate.
     """
     output_scale = identified.model.scale.output_scale
-    scaled_variance = np.array(plant.noise_variance) / output_scale**2
-    noise = max(float(np.mean(scaled_variance)), 1e-6)
+    noise_variance = np.array(plant.noise_variance)
+    scaled_variance = noise_variance / output_scale**2
+    mean_variance = np.mean(scaled_variance)
+    noise = max(float(mean_variance), 1e-6)
     return RiccatiSynthesis(rate_controller=rate, rate_observer=rate, output_noise=noise)

@@ -69,8 +69,9 @@ def linearise_neurons(model: Model) -> SSM:
     """Linear model in which the neurons are replaced by their slopes at the equilibrium."""
     if isinstance(model, SSM):
         return model
+    linear = linearise_at_equilibrium(model)
     return SSM(
-        linear=linearise_at_equilibrium(model),
+        linear=linear,
         scaffold_in=model.scaffold_in,
         scaffold_out=model.scaffold_out,
         scale=model.scale,
@@ -102,14 +103,16 @@ def build_compared_controller(
     columns = UNSAID | {"controller": name}
     is_certified = False
     try:
-        built = Peer.known[name]().build(plant, identified, rate)
+        peer = Peer.known[name]()
+        built = peer.build(plant, identified, rate)
         if isinstance(built, Design):
             controller: Controller = ObserverFeedback.from_design(identified.model, built)
             is_certified = built.certified
         else:
             controller = built
     except BadRequest as refusal:
-        return None, columns | {"reason": str(refusal)}
+        reason = {"reason": str(refusal)}
+        return None, columns | reason
     if isinstance(controller, ObserverFeedback):
         prediction = predict_margins(
             identified.model, controller.gains, identified.balls, identified.mismatch

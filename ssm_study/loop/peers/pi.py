@@ -1,6 +1,7 @@
 """PI controller that is tuned by a textbook rule from the identified model."""
 
 # ruff: noqa: ARG002 - every law gets all arguments; some need less
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -36,9 +37,12 @@ class PI(Controller):
 
         Raises `BadRequest` for more than one input or output.
         """
-        shape = (len(plant.inputs), len(plant.outputs))
+        input_count = len(plant.inputs)
+        output_count = len(plant.outputs)
+        shape = (input_count, output_count)
         problem = "inputs and outputs of the plant"
-        require(shape == (1, 1), "loop.comparison.own_pi", shape, problem, "leave it out")
+        single_channels = (1, 1)
+        require(shape == single_channels, "loop.comparison.own_pi", shape, problem, "leave it out")
         equilibrium = plant.equilibrium()
         u_eq = float(equilibrium.u[0])
         return cls(gain=gain, integral_s=integral_s, input_equilibrium=u_eq, step_s=plant.step_s)
@@ -47,16 +51,35 @@ class PI(Controller):
         return np.zeros((cases, 1))
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
-        return self.input_equilibrium + self.gain * (target - y + memory)
+        shifted_error = target - y + memory
+        return self.input_equilibrium + self.gain * shifted_error
 
     def advance(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Memory:
         unlimited_input = self.input(memory, y, target)
         is_unlimited = np.isclose(u, unlimited_input, rtol=1e-9, atol=1e-12)
-        increment = self.step_s / self.integral_s * (target - y)
+        share_of_integral = self.step_s / self.integral_s
+        increment = share_of_integral * (target - y)
         allowed_increment = np.where(is_unlimited, increment, 0.0)
         return memory + allowed_increment
+
+
+def _critical_gain(instability_margin: Callable[[float], float], sign: float) -> float:
+    """Smallest gain up to 10^6 at which a loop's instability margin is zero: the first crossing on
+    a grid, then bisection.
+
+    Raises `BadRequest` if there is none; `sign` is the sign of the static gain, for the message.
+    """
+    grid = np.geomspace(1e-3, 1e6, 2000)
+    unstable_numbers = (i for i, gain in enumerate(grid) if instability_margin(gain) >= 0)
+    first_unstable = next(unstable_numbers, 0)
+    problem = "no gain makes the loop oscillate, so the tuning rule does not apply"
+    require(first_unstable > 0, "model", sign, problem, "leave the PI peer out")
+    below = grid[first_unstable - 1]
+    above = grid[first_unstable]
+    critical_gain = scipy.optimize.bisect(instability_margin, below, above, xtol=1e-12)
+    return float(critical_gain)
 
 
 class UltimateGain(NamedTuple):
@@ -81,14 +104,18 @@ def ultimate_gain(model: SSM) -> UltimateGain:
     shape = (scale.inputs, scale.outputs)
     problem = "the PI's tuning rule needs one input and one output"
     remedy = "compare other controllers"
-    require(shape == (1, 1), "model inputs, outputs", shape, problem, remedy)
+    single_channels = (1, 1)
+    require(shape == single_channels, "model inputs, outputs", shape, problem, remedy)
     outward = model.scaffold_out
     a = model.linear.a
     b = model.linear.b @ mean_input_slope(model)
     linear_c = model.linear.c
-    c = outward.jacobian(np.zeros(outward.inputs)) @ linear_c
-    static_gain = c @ np.linalg.solve(np.eye(model.order) - a, b)
-    sign = float(np.sign(static_gain[0, 0]))
+    zero_output = np.zeros(outward.inputs)
+    c = outward.jacobian(zero_output) @ linear_c
+    state_gain = np.linalg.solve(np.eye(model.order) - a, b)
+    static_gain = c @ state_gain
+    scalar_gain = static_gain[0, 0]
+    sign = float(np.sign(scalar_gain))
 
     def closed_loop_poles(gain: float) -> Complex[np.ndarray, "n"]:
         """Poles of the loop with a given proportional gain."""
@@ -101,18 +128,15 @@ def ultimate_gain(model: SSM) -> UltimateGain:
         moduli = np.abs(closed_loop_poles(gain))
         return float(moduli.max() - 1)
 
-    grid = np.geomspace(1e-3, 1e6, 2000)  # the first crossing, then bisection
-    first_unstable = next((i for i, gain in enumerate(grid) if instability_margin(gain) >= 0), 0)
-    problem = "no gain makes the loop oscillate, so the tuning rule does not apply"
-    require(first_unstable > 0, "model", sign, problem, "leave the PI peer out")
-    below = grid[first_unstable - 1]
-    above = grid[first_unstable]
-    limit = float(scipy.optimize.bisect(instability_margin, below, above, xtol=1e-12))
+    limit = _critical_gain(instability_margin, sign)
     poles_at_limit = closed_loop_poles(limit)
     slowest = poles_at_limit[np.argmax(np.abs(poles_at_limit))]
-    angle = float(np.abs(np.angle(slowest)))
-    unit = float(scale.input_scale[0] / scale.output_scale[0])
-    period_samples = 2 * np.pi / max(angle, 1e-6)
+    signed_angle = np.angle(slowest)
+    angle = float(np.abs(signed_angle))
+    unit_ratio = scale.input_scale[0] / scale.output_scale[0]
+    unit = float(unit_ratio)
+    positive_angle = max(angle, 1e-6)
+    period_samples = 2 * np.pi / positive_angle
     ultimate_gain_gain = sign * limit * unit
     period_s = period_samples * model.step_s
     return UltimateGain(gain=ultimate_gain_gain, period_s=period_s)
@@ -129,7 +153,8 @@ def tyreus_luyben_pi(model: SSM) -> PI:
     limit = ultimate_gain(model)
     gain = limit.gain / 3.2
     integral_s = 2.2 * limit.period_s
-    input_equilibrium = float(model.scale.input_equilibrium[0])
+    input_equilibria = model.scale.input_equilibrium
+    input_equilibrium = float(input_equilibria[0])
     return PI(
         gain=gain, integral_s=integral_s, input_equilibrium=input_equilibrium, step_s=model.step_s
     )
@@ -141,7 +166,9 @@ def mean_input_slope(model: SSM) -> Float[np.ndarray, "k m"]:
     `(S_u(e_i) - S_u(-e_i)) / 2` for each scaled input i.
     """
     ends = np.eye(model.scale.inputs)
-    differences = model.scaffold_in(ends) - model.scaffold_in(-ends)
+    upper_values = model.scaffold_in(ends)
+    lower_values = model.scaffold_in(-ends)
+    differences = upper_values - lower_values
     return (differences / 2).T
 
 
