@@ -47,18 +47,23 @@ def write_log_files(
     experiments = signals
     if not several:
         experiments = {name: [values] for name, values in signals.items()}
-    counts = tuple(map(len, experiments.values()))
+    signal_lists = experiments.values()
+    counts = tuple(map(len, signal_lists))
     remedy = "give one y for each u"
     names = ", ".join(signals)
     problem = "not as many experiments"
-    require(len(set(counts)) == 1, names, counts, problem, remedy)
+    distinct_counts = set(counts)
+    require(len(distinct_counts) == 1, names, counts, problem, remedy)
     (folder / ARRAYS).mkdir(parents=True, exist_ok=True)
     paths = []
     for parts in zip(*experiments.values(), strict=True):
-        own = dict(zip(experiments, parts, strict=True))
+        named_parts = zip(experiments, parts, strict=True)
+        own = dict(named_parts)
         columns, table = combine_signal_columns(own, step_s)
-        titles = repr(list(table)).encode()
-        content = titles + table.to_numpy().tobytes()
+        column_titles = list(table)
+        titles = repr(column_titles).encode()
+        numbers = table.to_numpy()
+        content = titles + numbers.tobytes()
         digest = hashlib.sha256(content).hexdigest()
         path = folder / ARRAYS / f"{digest[:16]}.parquet"
         table.to_parquet(path)
@@ -82,26 +87,31 @@ def combine_signal_columns(
     names = ", ".join(signals)
     lengths = tuple(map(len, values))
     remedy = "cut both to the same samples"
-    require(len(set(lengths)) == 1, names, lengths, "differ in length", remedy)
+    distinct_lengths = set(lengths)
+    require(len(distinct_lengths) == 1, names, lengths, "differ in length", remedy)
     titles = [title for own in columns.values() for title in own]
     problem = "two signals have one name"
-    is_unique = len(set(titles)) == len(titles)
+    distinct_titles = set(titles)
+    is_unique = len(distinct_titles) == len(titles)
     require(is_unique, names, titles, problem, "rename the columns")
     refuse_clocks_and_copies(titles, np.hstack(values))
-    return columns, pd.DataFrame(np.hstack(values), columns=titles)
+    joined_values = np.hstack(values)
+    return columns, pd.DataFrame(joined_values, columns=titles)
 
 
 def refuse_clocks_and_copies(titles: Sequence[str], values: SignalTable) -> None:
     """Refuse a column that is a clock, and one that repeats the numbers of another."""
     pairs = zip(titles, values.T, strict=True)
     for k, (title, column) in enumerate(pairs):
-        increases = bool((np.diff(column) > 0).all())
+        steps = np.diff(column)
+        increases = bool((steps > 0).all())
         is_clock = is_clock_name(title) and increases
         problem = "is the clock: it increases from row to row"
         remedy = "name a signal"
         require(not is_clock, "u, y (column)", title, problem, remedy)
         for j in range(k):
-            is_equal = np.array_equal(column, values[:, j])
+            other_column = values[:, j]
+            is_equal = np.array_equal(column, other_column)
             is_copy = np.ptp(column) > 0 and is_equal
             problem = f"holds the numbers of {titles[j]}"
             remedy = "give another signal"
@@ -122,7 +132,8 @@ def signal_columns(
     table = as_real_matrix(values, name)
     problem = f"needs one column per channel: {channels}"
     remedy = "give the channels that the model was fitted to"
-    fits = channels in (None, table.shape[1])
+    channel_count = table.shape[1]
+    fits = channels in (None, channel_count)
     require(fits, name, table.shape, problem, remedy)
     refuse_nonfinite(table, values, name)
     if isinstance(values, pd.Series) and values.name is not None:
@@ -144,12 +155,15 @@ def disturbance_values(
         return None
     problem = "the model was fitted without measured disturbances"
     remedy = "give them to st.fit"
-    require(len(names) > 0, "disturbance", "given", problem, remedy)
-    table = signal_columns(values, "disturbance", len(names), names)[1]
+    name_count = len(names)
+    require(name_count > 0, "disturbance", "given", problem, remedy)
+    disturbance_count = len(names)
+    table = signal_columns(values, "disturbance", disturbance_count, names)[1]
     problem = f"the input has {samples} samples"
     fits = samples in (None, len(table))
     remedy = "cut both to the same samples"
-    require(fits, "disturbance", len(table), problem, remedy)
+    row_count = len(table)
+    require(fits, "disturbance", row_count, problem, remedy)
     return table
 
 
@@ -159,13 +173,15 @@ def select_columns(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> pd
     A frame whose columns have no names of their own (0, 1, ...) is taken by place.
     """
     own = [plain_name(str(title)) for title in frame]
-    nameless = list(frame) == list(range(len(own)))
+    channel_count = len(own)
+    nameless = list(frame) == list(range(channel_count))
     if nameless or len(own) != len(columns):
         return frame
     named = sorted(own) == sorted(columns)
     problem = f"the model's channels are {', '.join(columns)}"
     remedy = "rename them, or give an array"
-    require(named, f"{name} (columns)", ", ".join(own), problem, remedy)
+    own_names = ", ".join(own)
+    require(named, f"{name} (columns)", own_names, problem, remedy)
     places = [own.index(title) for title in columns]
     return frame.iloc[:, places]
 
@@ -181,18 +197,24 @@ def as_real_matrix(values: Any, name: str) -> SignalTable:
     try:
         raw = np.asarray(values)
     except NO_NUMBERS as error:
-        raise BadRequest(name, type(values).__name__, "not a table of numbers", remedy) from error
+        kind = type(values)
+        raise BadRequest(name, kind.__name__, "not a table of numbers", remedy) from error
     problem = "are complex; a signal is real"
-    require(raw.dtype.kind != "c", name, "numbers", problem, "give the real part")
+    kind_of_number = raw.dtype.kind
+    require(kind_of_number != "c", name, "numbers", problem, "give the real part")
     is_time = raw.dtype.kind in "mM"
-    require(not is_time, name, str(raw.dtype), "holds times, not a signal", "name another column")
+    number_type = str(raw.dtype)
+    require(not is_time, name, number_type, "holds times, not a signal", "name another column")
     try:
         table = np.asarray(raw, dtype=np.float64)
     except NO_NUMBERS as error:
-        raise BadRequest(name, type(values).__name__, "not a table of numbers", remedy) from error
-    is_table = table.ndim in (1, 2) and table.size > 0
+        kind = type(values)
+        raise BadRequest(name, kind.__name__, "not a table of numbers", remedy) from error
+    dimensions = (1, 2)
+    is_table = table.ndim in dimensions and table.size > 0
     require(is_table, name, f"shape {table.shape}", "not a signal", remedy)
-    table = table.reshape(len(table), -1)
+    samples = len(table)
+    table = table.reshape(samples, -1)
     channels = table.shape[1]
     on_its_side = channels > len(table) and channels >= FEWEST_SAMPLES
     problem = "has more channels than samples"
@@ -203,13 +225,15 @@ def as_real_matrix(values: Any, name: str) -> SignalTable:
 def refuse_nonfinite(table: SignalTable, values: Any, name: str) -> None:
     """Raise `BadRequest` for an array with a number that is not finite, and name its place, as in
     `y[1999] is NaN`."""
-    bad = np.argwhere(~np.isfinite(table))
+    is_finite = np.isfinite(table)
+    bad = np.argwhere(~is_finite)
     if not len(bad):
         return
     row, column = (int(k) for k in bad[0])
     is_vector = np.ndim(values) == 1
     where = f"{name}[{row}]" if is_vector else f"{name}[{row}, {column}]"
-    word = "NaN" if np.isnan(table[row, column]) else "infinite"
+    bad_value = table[row, column]
+    word = "NaN" if np.isnan(bad_value) else "infinite"
     count = f"{where} is {word}, and {len(bad) - 1} more" if len(bad) > 1 else f"{where} is {word}"
     raise BadRequest(where, word, count, INTERPOLATE_OR_CUT)
 
@@ -217,11 +241,14 @@ def refuse_nonfinite(table: SignalTable, values: Any, name: str) -> None:
 def check_time_index(u: Any, y: Any, step_s: float | None) -> None:
     """Raise `BadRequest` unless the time indexes of series or frames are evenly spaced and agree
     with each other and with the sampling time."""
-    sides = (("u", u), ("y", y))
+    input_side = ("u", u)
+    output_side = ("y", y)
+    sides = (input_side, output_side)
     tables = pd.Series | pd.DataFrame
     indexed = [(name, side.index) for name, side in sides if isinstance(side, tables)]
     lengths = {len(index) for _, index in indexed}
-    if len(indexed) == 2 and len(lengths) == 1:
+    indexed_count = len(indexed)
+    if indexed_count == 2 and len(lengths) == 1:
         (_, first), (_, second) = indexed
         problem = "their indexes differ: the samples are not of the same times"
         same = first.equals(second)
@@ -232,7 +259,8 @@ def check_time_index(u: Any, y: Any, step_s: float | None) -> None:
         if times_s is None:
             continue
         refuse_uneven_index(times_s, name)
-        span_s = float(times_s[-1] - times_s[0])
+        last_s = times_s[-1]
+        span_s = float(last_s - times_s[0])
         period_s = span_s / (len(times_s) - 1)
         agrees = step_s is None or abs(step_s - period_s) <= AGREEMENT * period_s
         problem = f"the index of {name} shows {period_s:.6g} s"
@@ -244,13 +272,16 @@ def index_period_s(signals: Any) -> float | None:
     """Sampling time from the time index of a series or frame; None for arrays and for an index
     without times."""
     first = signals[0] if isinstance(signals, list | tuple) and len(signals) else signals
-    if not isinstance(first, pd.Series | pd.DataFrame):
+    table_types = pd.Series | pd.DataFrame
+    if not isinstance(first, table_types):
         return None
     times_s = index_times_s(first.index)
     if times_s is None:
         return None
     refuse_uneven_index(times_s, "u")
-    period_s = float(times_s[-1] - times_s[0]) / (len(times_s) - 1)
+    last_s = times_s[-1]
+    samples = len(times_s)
+    period_s = float(last_s - times_s[0]) / (samples - 1)
     return float(f"{period_s:.9g}")
 
 
@@ -263,17 +294,21 @@ def refuse_uneven_index(times_s: Float[np.ndarray, "T"], name: str) -> None:
     backwards = np.flatnonzero(steps <= 0)
     row = int(backwards[0]) + 1 if len(backwards) else 0
     problem = "is not later than the row before"
-    require(not len(backwards), where, f"row {row}", problem, f"sort it: {name}.sort_index()")
+    backward_count = len(backwards)
+    require(not backward_count, where, f"row {row}", problem, f"sort it: {name}.sort_index()")
     holes = np.flatnonzero(steps > HOLE * median_s)
     row = int(holes[0]) if len(holes) else 0
     problem = f"the times have a hole behind it, of {steps[row]:.4g} s among {median_s:.4g} s"
-    require(not len(holes), where, f"row {row}", problem, INTERPOLATE_OR_CUT)
-    even_s = np.linspace(times_s[0], times_s[-1], len(times_s))
+    hole_count = len(holes)
+    require(not hole_count, where, f"row {row}", problem, INTERPOLATE_OR_CUT)
+    samples = len(times_s)
+    even_s = np.linspace(times_s[0], times_s[-1], samples)
     late = np.abs(times_s - even_s) / median_s
     row = int(late.argmax())
     problem = f"is {late[row]:.2g} periods off an even clock"
     remedy = f"resample it: {name}.resample(...).interpolate()"
-    require(late[row] <= LATEST, where, f"row {row}", problem, remedy)
+    is_even = late[row] <= LATEST
+    require(is_even, where, f"row {row}", problem, remedy)
 
 
 def index_times_s(index: Any) -> Float[np.ndarray, "T"] | None:
@@ -281,18 +316,22 @@ def index_times_s(index: Any) -> Float[np.ndarray, "T"] | None:
     or names."""
     if len(index) < 3:
         return None
-    if isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex):
+    time_indexes = pd.DatetimeIndex | pd.TimedeltaIndex
+    if isinstance(index, time_indexes):
         is_dated = isinstance(index, pd.DatetimeIndex)
         if isinstance(index, pd.DatetimeIndex) and index.tz is not None:
             index = index.tz_convert(None)
         kind = "datetime64[ns]" if is_dated else "timedelta64[ns]"
-        nanoseconds = index.to_numpy().astype(kind).astype(np.int64)
+        times = index.to_numpy()
+        nanoseconds = times.astype(kind).astype(np.int64)
         since = nanoseconds - nanoseconds[0]
         return np.asarray(1e-9 * since, dtype=np.float64)
     if index.dtype.kind != "f":
         return None
-    times_s = index.to_numpy().astype(np.float64)
-    is_known = bool(np.isfinite(times_s).all())
+    numbers = index.to_numpy()
+    times_s = numbers.astype(np.float64)
+    finite_times = np.isfinite(times_s)
+    is_known = bool(finite_times.all())
     increases = np.diff(times_s) > 0
     forwards = is_known and bool(increases.all())
     return times_s if forwards else None

@@ -45,13 +45,15 @@ def assemble_dataset(
     training = named_parts["training"]
     for records in named_parts.values():
         for record in records:
-            _check_record(record, training[0].step_s, start_up_samples)
+            step_s = training[0].step_s
+            _check_record(record, step_s, start_up_samples)
     scales: dict[str, Any] = {}
     for (name, side), at, own in zip(SIDES, rest, channels, strict=False):
         signals = [getattr(record, side) for record in training]
         values = np.concatenate(signals)
         _refuse_constant_channels(values, own)
-        mean_squares = np.mean((values - at) ** 2, axis=0)
+        squares = (values - at) ** 2
+        mean_squares = np.mean(squares, axis=0)
         scales[f"{name}_scale"] = np.sqrt(mean_squares)
         scales[f"{name}_equilibrium"] = at
     fields["inputs"] = channels[0]
@@ -59,7 +61,8 @@ def assemble_dataset(
     fields["start_up_samples"] = start_up_samples
     if len(channels) > 2:
         fields["disturbances"] = channels[2]
-    return DataSet(**named_parts, **fields, scale=Scale(**scales))
+    scale = Scale(**scales)
+    return DataSet(**named_parts, **fields, scale=scale)
 
 
 def _name_records(parts: Parts) -> dict[str, Any]:
@@ -70,9 +73,11 @@ def _name_records(parts: Parts) -> dict[str, Any]:
     for part, records in zip(names, parts, strict=True):
         problem = "a data set needs at least one record here"
         remedy = "add one"
-        require(len(records) > 0, f"data.{part}", "none", problem, remedy)
+        record_count = len(records)
+        require(record_count > 0, f"data.{part}", "none", problem, remedy)
         numbered = enumerate(records, start=1)
-        named[part] = tuple(replace(record, name=f"{part}_{k}") for k, record in numbered)
+        named_records = (replace(record, name=f"{part}_{k}") for k, record in numbered)
+        named[part] = tuple(named_records)
     return named
 
 
@@ -83,8 +88,10 @@ def _check_record(record: Trajectory, step_s: float, start_up_samples: int) -> N
     is_long = len(record) > start_up_samples + 1
     problem = f"no longer than the start-up window of {start_up_samples} samples"
     remedy = "use a longer record or a smaller data.start_up_samples"
-    require(is_long, field, len(record), problem, remedy)
-    is_same = abs(record.step_s - step_s) <= SAME_STEP * step_s
+    samples = len(record)
+    require(is_long, field, samples, problem, remedy)
+    difference_s = record.step_s - step_s
+    is_same = abs(difference_s) <= SAME_STEP * step_s
     problem = f"differs from the {step_s:g} s of the first training record"
     remedy = "resample the records to one sampling time"
     require(is_same, f"{record.name}.step_s", record.step_s, problem, remedy)
@@ -105,12 +112,14 @@ def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."
     """Convert a data set to tensors for storage: named arrays, and a dictionary with everything
     else. Arrays `part/i/u`, `part/i/y` (and `d`) and the vectors of the scale; names, units and
     periods in the dictionary."""
-    arrays = {name: values for name, values in vars(data.scale).items() if values.size}
+    scales = vars(data.scale)
+    arrays = {name: values for name, values in scales.items() if values.size}
     about: dict[str, Any] = {}
     about["start_up_samples"] = data.start_up_samples
     about["metadata"] = dict(data.metadata)
     for name in ("inputs", "outputs", "disturbances"):
-        channels = [asdict(channel) for channel in getattr(data, name)]
+        channels_of_side = getattr(data, name)
+        channels = [asdict(channel) for channel in channels_of_side]
         if channels:
             about[name] = channels
     for part, stored in PARTS.items():
@@ -143,10 +152,13 @@ def dataset_from_tensors(
             u = arrays[f"{stored}/{i}/u"]
             y = arrays[f"{stored}/{i}/y"]
             d = arrays.get(f"{stored}/{i}/d")
-            records.append(Trajectory(u=u, y=y, d=d, **facts))
+            trajectory = Trajectory(u=u, y=y, d=d, **facts)
+            records.append(trajectory)
         parts[part] = tuple(records)
     for name in ("inputs", "outputs", "disturbances"):
         stored_channels = about.get(name, ())
-        parts[name] = tuple(Channel(**channel) for channel in stored_channels)
+        channels = (Channel(**channel) for channel in stored_channels)
+        parts[name] = tuple(channels)
     scales = {name: values for name, values in arrays.items() if "/" not in name}
-    return DataSet(**parts, scale=Scale(**scales))
+    scale = Scale(**scales)
+    return DataSet(**parts, scale=scale)

@@ -37,32 +37,39 @@ def parse_calendar_numbers(title: str, times: Times) -> tuple[Times, str] | None
         return seconds, "digits of a date"
     words = describe_day_numbers(title, finite)
     if words:
-        return DAY_S * (times - finite[0]), words
-    largest = float(np.abs(finite).max())
+        days_since_first = times - finite[0]
+        return DAY_S * days_since_first, words
+    sizes = np.abs(finite)
+    largest = float(sizes.max())
     for digits, unit_s in EPOCHS:
         if largest >= digits and np.ptp(finite) < 0.1 * largest:
-            return unit_s * (times - finite[0]), f"units of {unit_s:g} s since 1970"
+            units_since_first = times - finite[0]
+            return unit_s * units_since_first, f"units of {unit_s:g} s since 1970"
     return None
 
 
 def are_unix_times(times: Times) -> bool:
     """Whether increasing numbers are times since 1970, in seconds or a smaller unit."""
     finite = times[np.isfinite(times)]
-    if len(finite) < 3 or finite.min() <= 0:
+    count = len(finite)
+    if count < 3 or finite.min() <= 0:
         return False
     largest = float(finite.max())
     units_s = [unit_s for digits, unit_s in EPOCHS if largest >= digits]
     unit_s = units_s[0] if units_s else 1.0
     earliest_s, latest_s = EPOCH_S
-    in_range = earliest_s <= unit_s * finite.min() and unit_s * largest <= latest_s
-    return bool(in_range and np.ptp(finite) < 0.1 * largest)
+    smallest = finite.min()
+    in_range = earliest_s <= unit_s * smallest and unit_s * largest <= latest_s
+    are_recent = in_range and np.ptp(finite) < 0.1 * largest
+    return bool(are_recent)
 
 
 def parse_digit_dates(times: Times) -> Times | None:
     """Convert dates written as whole numbers, such as `20260305100000`, to seconds since the first;
     None for other numbers."""
     finite = times[np.isfinite(times)]
-    is_whole = np.array_equal(finite, np.round(finite))
+    rounded = np.round(finite)
+    is_whole = np.array_equal(finite, rounded)
     smallest = 10 ** (min(DIGITS) - 1)
     if not is_whole or finite.min() < smallest:
         return None
@@ -75,10 +82,12 @@ def parse_digit_dates(times: Times) -> Times | None:
         count -= 3
     if count not in DIGITS:
         return None
-    digits = pd.Series(whole.astype(str))
+    texts = whole.astype(str)
+    digits = pd.Series(texts)
     dates = pd.to_datetime(digits, format=DIGITS[count], errors="coerce")
     years = dates.dt.year
-    if dates.isna().any() or not years.between(*YEARS).all():
+    missing_dates = dates.isna()
+    if missing_dates.any() or not years.between(*YEARS).all():
         return None
     elapsed = dates - dates.iloc[0]
     since = elapsed / pd.Timedelta(seconds=1)
@@ -95,9 +104,11 @@ def describe_day_numbers(title: str, finite: Times) -> str:
     """
     low = float(finite.min())
     high = float(finite.max())
-    if not any(first <= low and high <= last for first, last in DAY_COUNTS):
+calendars = (first <= low and high <= last for first, last in DAY_COUNTS)
+    if not any(calendars):
         return ""
-    words = title.lower().replace("_", " ").split()
+    lower_title = title.lower()
+    words = lower_title.replace("_", " ").split()
     if any(word in DAY_WORDS for word in words):
         return "days, as a spreadsheet counts them"
     steps = np.diff(finite)
@@ -105,9 +116,11 @@ def describe_day_numbers(title: str, finite: Times) -> str:
     if not len(rising):
         return ""
     step = float(np.median(rising))
-    return MAYBE_DAYS if has_two_digits(DAY_S * step) and not has_two_digits(step) else ""
+    are_days = has_two_digits(DAY_S * step)
+    return MAYBE_DAYS if are_days and not has_two_digits(step) else ""
 
 
 def has_two_digits(number: float) -> bool:
     """Whether a positive number has at most two significant digits, up to rounding."""
-    return abs(float(f"{number:.2g}") - number) <= ROUND * number
+    rounded = float(f"{number:.2g}")
+    return abs(rounded - number) <= ROUND * number

@@ -31,9 +31,12 @@ def name_channels(names: Names, units: Names, side: str, apart: bool) -> tuple[C
     plain = [plain_name(column) for column in columns]
     twice = [name for name in plain if plain.count(name) > 1]
     problem = f"two of them would be called {twice[0]}" if twice else ""
-    require(not twice, f"data.{side}", ", ".join(columns), problem, "rename a column of the log")
+    column_list = ", ".join(columns)
+    require(not twice, f"data.{side}", column_list, problem, "rename a column of the log")
     channels = []
     for name, unit in zip(plain, stated_units, strict=True):
         needs_side = apart or name[0].isdigit()
-        channels.append(Channel(name=f"{side}_{name}" if needs_side else name, unit=unit))
+        full_name = f"{side}_{name}" if needs_side else name
+        channel = Channel(name=full_name, unit=unit)
+        channels.append(channel)
     return tuple(channels)

@@ -46,16 +46,20 @@ class EvenRows:
 
 def count_log_samples(pieces: EvenRows) -> int:
     """Number of samples of a log up to the end of its last piece."""
-    return pieces.starts[-1] + len(pieces.values[-1])
+    last_piece = pieces.values[-1]
+    return pieces.starts[-1] + len(last_piece)
 
 
 def period_and_jitter(time_s: ClockTimes) -> tuple[float, ClockTimes]:
     """Mean sampling period of a clock, and how far each time is from an evenly spaced clock, in
     periods."""
     span_s = time_s[-1] - time_s[0]
-    mean_s = float(span_s / (len(time_s) - 1))
-    even = time_s[0] + mean_s * np.arange(len(time_s))
-    return mean_s, np.abs(time_s - even) / mean_s
+    samples = len(time_s)
+    periods = samples - 1
+    mean_s = float(span_s / periods)
+    even = time_s[0] + mean_s * np.arange(samples)
+    deviation_s = np.abs(time_s - even)
+    return mean_s, deviation_s / mean_s
 
 
 def largest_jitter(time_s: ClockTimes) -> float:
@@ -68,11 +72,13 @@ def refuse_decreasing_times(time_s: ClockTimes, where: str) -> None:
     """Raise `BadRequest` for times that decrease, or that repeat because they were rounded."""
     steps = np.diff(time_s)
     if (steps < 0).any():
-        k = int(np.argmax(steps < 0)) + 1
+        first_backward = np.argmax(steps < 0)
+        k = int(first_backward) + 1
         problem = f"sample {k} is not later than the one before"
         raise BadRequest(f"{where} (time)", time_s[k], problem, "sort the record")
     if (steps == 0).any():
-        k = int(np.argmax(steps == 0)) + 1
+        first_repeated = np.argmax(steps == 0)
+        k = int(first_repeated) + 1
         first_s = typical_period_s(time_s)
         problem = f"sample {k} has the time of the one before: the times were rounded"
         remedy = f"use data.step_s (the first rows show about {first_s:.4g} s)"
@@ -85,7 +91,8 @@ def refuse_repeated_row(time_s: ClockTimes, values: RowValues, where: str) -> No
     is_still = np.diff(time_s) == 0
     if not is_still.any() or is_still.mean() > FEW_REPEATS:
         return
-    row = int(np.argmax(is_still)) + 1
+    first_still = np.argmax(is_still)
+    row = int(first_still) + 1
     before = values[row - 1]
     if np.array_equal(values[row], before, equal_nan=True):
         problem = f"row {row} of the file repeats the one before, time and all"
@@ -96,7 +103,9 @@ def refuse_repeated_row(time_s: ClockTimes, values: RowValues, where: str) -> No
 def typical_period_s(time_s: ClockTimes) -> float:
     """Typical sampling period: median of the first hundred positive time differences."""
     steps = np.diff(time_s)
-    return float(np.median(steps[steps > 0][:100]))
+    positive_steps = steps[steps > 0]
+    median_s = np.median(positive_steps[:100])
+    return float(median_s)
 
 
 def resample_to_even_clock(
@@ -143,7 +152,8 @@ def recover_rounded_clock(
     """Recover an evenly spaced clock from times that were rounded when they were written. None if
     no such clock explains the times, or if the times are even already."""
     steps = np.diff(time_s)
-    forwards = bool((steps >= 0).all()) and time_s[-1] > time_s[0]
+    is_forwards = (steps >= 0).all()
+    forwards = bool(is_forwards) and time_s[-1] > time_s[0]
     if not forwards:
         return None
     is_even = steps.all() and largest_jitter(time_s) <= tolerance
@@ -166,9 +176,11 @@ def check_rounded_clock(
 ) -> EvenRows:
     """Check rounded times against a stated sampling time, and give the rows evenly spaced times.
     Raises `BadRequest` where the times contradict the stated one."""
-    moves = np.append(True, np.diff(time_s) != 0)
+    steps_s = np.diff(time_s)
+    moves = np.append(True, steps_s != 0)
     refuse_decreasing_times(time_s[moves], where)
-    span_s = float(time_s[-1] - time_s[0])
+    last_s = time_s[-1]
+    span_s = float(last_s - time_s[0])
     coarsest_s = float(np.diff(time_s).max())
     expected_s = step_s * (len(time_s) - 1)
     allowed_s = AGREEMENT * span_s + 2.0 * coarsest_s
@@ -210,8 +222,10 @@ def cut_at_gaps(
     remarks = gap_remarks(steps, holes, median_s)
     late = [largest_jitter(time_s[a:b]) for a, b in stretches]
     if stretches and not resample and max(late) <= tolerance:
-        elapsed_s = sum(time_s[b - 1] - time_s[a] for a, b in stretches)
-        periods = sum(b - a - 1 for a, b in stretches)
+        stretch_spans_s = (time_s[b - 1] - time_s[a] for a, b in stretches)
+        elapsed_s = sum(stretch_spans_s)
+        stretch_periods = (b - a - 1 for a, b in stretches)
+        periods = sum(stretch_periods)
         period_s = float(elapsed_s / periods)
         require_equal_period(step_s, period_s, where)
         period_s = period_s if step_s is None else step_s
@@ -251,7 +265,8 @@ def number_rows(
         "drift: rows numbered, nothing interpolated (data.jitter_tolerance)"
     )
     cut = [values[a:b] for a, b in stretches]
-    rows = EvenRows(values=cut, starts=starts, step_s=period_s, remarks=[*remarks, remark])
+    all_remarks = [*remarks, remark]
+    rows = EvenRows(values=cut, starts=starts, step_s=period_s, remarks=all_remarks)
     return cut_at_missing_values(rows)
 
 
@@ -259,7 +274,9 @@ def gap_remarks(steps: ClockTimes, holes: Int[np.ndarray, "H"], period_s: float)
     """Sentences on the gaps in the times of a log: how many there are, and how long they last."""
     if not len(holes):
         return []
-    missing_s = float(steps[holes].sum()) - len(holes) * period_s
+    hole_s = steps[holes].sum()
+    regular_s = len(holes) * period_s
+    missing_s = float(hole_s) - regular_s
     word = "hole" if len(holes) == 1 else "holes"
     length = f"{missing_s:.0f}" if missing_s >= 100 else f"{missing_s:.3g}"
     return [f"cut at {len(holes)} {word} of {length} s in all"]
@@ -268,14 +285,16 @@ def gap_remarks(steps: ClockTimes, holes: Int[np.ndarray, "H"], period_s: float)
 def refuse_uneven_times(steps: ClockTimes, median_s: float, where: str, resample: bool) -> None:
     """Raise `BadRequest` for a log whose times are unevenly spaced, unless resampling is
     requested."""
-    low, high = np.percentile(steps, [5, 95])
+    percentiles = [5, 95]
+    low, high = np.percentile(steps, percentiles)
     spread = float(high - low) / median_s
     problem = f"the periods differ by {spread:.0%} of their median, {median_s:.4g} s: no clock"
     remedy = (
         "log at even times; or set data.resample=true to interpolate onto a uniform clock, "
         "data.step_s if the median is not its period"
     )
-    require(resample or spread <= WANDERS, f"{where} (time)", median_s, problem, remedy)
+    is_even_enough = resample or spread <= WANDERS
+    require(is_even_enough, f"{where} (time)", median_s, problem, remedy)
 
 
 def interpolate_pieces(
@@ -297,19 +316,25 @@ def interpolate_pieces(
         # Half a rounding error more than the last period: a whole number gives all its samples.
         span_s = times[-1] - times[0]
         count = int(span_s / period_s + 1e-9) + 1
-        clock = times[0] + period_s * np.arange(count)
+        elapsed_s = period_s * np.arange(count)
+        clock = times[0] + elapsed_s
         columns = []
-        for j, column in enumerate(values[a:b].T):
-            columns.append(interpolate_column(clock, times, column, j < inputs))
+        columns_of_piece = values[a:b]
+        for j, column in enumerate(columns_of_piece.T):
+            resampled = interpolate_column(clock, times, column, j < inputs)
+            columns.append(resampled)
         nearest = times[nearest_row_indices(clock, times)]
-        is_between = np.abs(clock - nearest) > 1e-3 * period_s
+        distance_s = np.abs(clock - nearest)
+        is_between = distance_s > 1e-3 * period_s
         between += int(is_between.sum())
         samples += count
-        cut.append(np.stack(columns, axis=1))
+        resampled_piece = np.stack(columns, axis=1)
+        cut.append(resampled_piece)
         since_s = times[0] - time_s[0]
         starts.append(round(since_s / period_s))
     remark = f"uneven clock: {between / samples:.0%} {INTERPOLATED}"
-    late = max(largest_jitter(time_s[a:b]) for a, b in stretches)
+    jitters = (largest_jitter(time_s[a:b]) for a, b in stretches)
+    late = max(jitters)
     if late < SCATTERS:
         remark += f"; data.jitter_tolerance={late + 0.01:.2f} numbers the rows instead"
     remarks = [*remarks, remark]
@@ -322,7 +347,9 @@ def nearest_row_indices(clock: Instants, times: ClockTimes) -> Int[np.ndarray, "
     places = np.searchsorted(times, clock)
     after = np.clip(places, 1, len(times) - 1)
     before = after - 1
-    is_before = clock - times[before] < times[after] - clock
+    since_before_s = clock - times[before]
+    until_after_s = times[after] - clock
+    is_before = since_before_s < until_after_s
     return np.where(is_before, before, after)
 
 
@@ -334,8 +361,10 @@ def interpolate_column(
     is_unchanged = np.diff(column) == 0
     if is_input and is_unchanged.mean() > HELD:
         later = clock * (1 + 1e-12) + 1e-12
-        last = np.searchsorted(times, later, side="right") - 1
-        return column[np.clip(last, 0, len(column) - 1)]
+        next_row = np.searchsorted(times, later, side="right")
+        last = next_row - 1
+        row_count = len(column)
+        return column[np.clip(last, 0, row_count - 1)]
     return np.interp(clock, times, column)
 
 
@@ -346,7 +375,8 @@ def cut_at_missing_values(pieces: EvenRows) -> EvenRows:
     missing = 0
     gaps = 0
     for values, start in zip(pieces.values, pieces.starts, strict=True):
-        whole = np.isfinite(values).all(axis=1)
+        is_finite = np.isfinite(values)
+        whole = is_finite.all(axis=1)
         is_whole = whole.astype(int)
         changes = np.diff(is_whole, prepend=0, append=0)
         edges = np.flatnonzero(changes)
@@ -354,7 +384,8 @@ def cut_at_missing_values(pieces: EvenRows) -> EvenRows:
         stretches = [(a, b) for a, b in bounds]
         if stretches:
             inner = stretches[-1][1] - stretches[0][0]
-            missing += inner - sum(b - a for a, b in stretches)
+            stretch_lengths = (b - a for a, b in stretches)
+            missing += inner - sum(stretch_lengths)
         gaps += max(len(stretches) - 1, 0)
         for a, b in stretches:
             if b - a > 2 or len(stretches) == 1:

@@ -50,15 +50,19 @@ def clock_unit_s(title: str, stated: str) -> float | None:
     none of time.
     """
     if stated:
-        unit = stated.strip().replace("µ", "μ")
-        seconds = SECONDS.get(unit.lower().rstrip("."))
+        trimmed_unit = stated.strip()
+        unit = trimmed_unit.replace("µ", "μ")
+        unit_word = unit.lower().rstrip(".")
+        seconds = SECONDS.get(unit_word)
         problem = f"states the unit {unit}, which is not a unit of time"
         if seconds is None:
             remedy = "use s, ms, us, ns, min or h, or data.step_s"
             raise BadRequest("data.time", title, problem, remedy)
         return seconds
-    words = title_words(title.replace("µ", "μ"))
-    last = words[-1] if len(words) > 1 else ""
+    plain_title = title.replace("µ", "μ")
+    words = title_words(plain_title)
+    word_count = len(words)
+    last = words[-1] if word_count > 1 else ""
     whole = title.strip().lower()
     long_words = ("millis", "micros", "seconds", "milliseconds", "microseconds", "minutes", "hours")
     if last in SECONDS:
@@ -71,36 +75,45 @@ def is_clock_name(title: str) -> bool:
     `time_s` or `date`."""
     plain = title_without_unit(title)
     lower = plain.strip().lower()
-    if normalise_title(plain) in WORDS or lower in ("millis", "micros", "seconds"):
+    normalised = normalise_title(plain)
+    if normalised in WORDS or lower in ("millis", "micros", "seconds"):
         return True
     words = title_words(plain)
-    if len(words) < 2 or words[-1] not in SECONDS:
+    word_count = len(words)
+    if word_count < 2 or words[-1] not in SECONDS:
         return False
-    without_unit = "".join(words[:-1])
+    first_words = words[:-1]
+    without_unit = "".join(first_words)
     return normalise_title(without_unit) in WORDS
 
 
 def runs_like_clock(title: str, unit: str, times: ClockTimes) -> bool:
     """Whether a column has the title or the unit of a clock, and its values nearly always increase
     from row to row."""
-    has_unit = unit.strip().lower().rstrip(".") in SECONDS
+    plain_unit = unit.strip()
+    has_unit = plain_unit.lower().rstrip(".") in SECONDS
     if not has_unit and not is_clock_name(title):
         return False
-    steps = np.diff(times[np.isfinite(times)])
-    return len(steps) > 1 and bool((steps > 0).mean() > MOSTLY)
+    is_known_time = np.isfinite(times)
+    steps = np.diff(times[is_known_time])
+    step_count = len(steps)
+    return step_count > 1 and bool((steps > 0).mean() > MOSTLY)
 
 
 def has_clock_word(title: str) -> bool:
     """Whether a title begins or ends with a word for a clock, such as `t_now` and
     `sensor_timestamp`."""
     words = title_words(title_without_unit(title))
-    ends = (*words[:1], *words[-1:])
+    first_word = words[:1]
+    last_word = words[-1:]
+    ends = (*first_word, *last_word)
     return any(normalise_title(word) in WORDS for word in ends)
 
 
 def title_words(title: str) -> list[str]:
     """Words of a column's title in lower case, split at spaces, underscores, points and dashes."""
-    return [word for word in re.split(r"[\s_.\-/]+", title.lower()) if word]
+    lower_title = title.lower()
+    return [word for word in re.split(r"[\s_.\-/]+", lower_title) if word]
 
 
 def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
@@ -123,13 +136,15 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
             return title
     for title in free:
         times = table.columns[title]
-        if are_unix_times(times) and is_increasing(times, strictly=True):
+        are_unix = are_unix_times(times)
+        if are_unix and is_increasing(times, strictly=True):
             return title
     for title in free:
         times = table.columns[title]
         if title.endswith(":1") and is_evenly_spaced(times) and not are_row_numbers(times):
             return title
-    first = next(iter(table.columns), None)
+    titles = iter(table.columns)
+    first = next(titles, None)
     if first is None or first not in free or len(table.columns) < 2:
         return None
     if not is_nameless(table, first):
@@ -152,7 +167,9 @@ def is_nameless(table: Table, title: str) -> bool:
 def unwrap_column_times(table: Table, title: str) -> ClockTimes:
     """Times of a column, corrected so that they increase where a counter overflows or summer time
     ends."""
-    return unwrap_clock(table.columns[title], is_dated=title in table.dated)[0]
+    times = table.columns[title]
+    is_dated = title in table.dated
+    return unwrap_clock(times, is_dated=is_dated)[0]
 
 
 def is_strict_clock(table: Table, title: str) -> bool:
@@ -165,14 +182,17 @@ def is_clock_column(table: Table, title: str) -> bool:
     """Whether the numbers of a column are the times of one clock, or of several experiments one
     after another."""
     times = table.columns[title]
-    return is_increasing(unwrap_column_times(table, title)) or bool(find_clock_restarts(times))
+    unwrapped = unwrap_column_times(table, title)
+    return is_increasing(unwrapped) or bool(find_clock_restarts(times))
 
 
 def is_increasing(times: ClockTimes, *, strictly: bool = False) -> bool:
     """Whether a sequence of times increases, apart from missing times. Equal times count as
     increasing unless `strictly` is set."""
     finite = times[np.isfinite(times)]
-    enough = len(finite) >= max(3, 0.5 * len(times))
+    finite_count = len(finite)
+    half = 0.5 * len(times)
+    enough = finite_count >= max(3, half)
     if not enough or finite[-1] <= finite[0]:
         return False
     steps = np.diff(finite)
@@ -182,18 +202,21 @@ def is_increasing(times: ClockTimes, *, strictly: bool = False) -> bool:
 
 def is_evenly_spaced(times: ClockTimes) -> bool:
     """Whether successive times have the same distance up to a thousandth."""
-    if len(times) < 3 or not np.isfinite(times).all():
+    count = len(times)
+    if count < 3 or not np.isfinite(times).all():
         return False
     steps = np.diff(times)
     spread = np.ptp(steps)
-    return bool(steps.min() > 0 and spread <= 1e-3 * steps.mean())
+    shortest = steps.min()
+    return bool(shortest > 0 and spread <= 1e-3 * steps.mean())
 
 
 def are_row_numbers(times: ClockTimes) -> bool:
     """Whether a column's values are the row numbers 0, 1, 2, ... or 1, 2, 3, ..."""
     finite = times[np.isfinite(times)]
     is_one = np.diff(finite) == 1.0
-    return bool(finite[0] in (0.0, 1.0) and is_one.all())
+    starts_at_one_or_zero = finite[0] in (0.0, 1.0)
+    return bool(starts_at_one_or_zero and is_one.all())
 
 
 def clock_column_seconds(
@@ -204,12 +227,15 @@ def clock_column_seconds(
     Whole numbers without a unit, several apart, are taken for seconds with a doubt, unless the
     sampling time is stated: they may count milliseconds.
     """
-    times, undone = unwrap_clock(table.columns[title], is_dated=title in table.dated)
+    numbers = table.columns[title]
+    is_dated = title in table.dated
+    times, undone = unwrap_clock(numbers, is_dated=is_dated)
     words = f"clock {title or 'the nameless first column'}"
     after = f", {undone}" if undone else ""
     if title in table.dated:
         return times, f"{words} (dates){after}"
-    factor = clock_unit_s(title, table.units.get(title, ""))
+    stated_unit = table.units.get(title, "")
+    factor = clock_unit_s(title, stated_unit)
     if factor is not None:
         return factor * times, f"{words}{after}"
     read = parse_calendar_numbers(title, times)
@@ -225,7 +251,8 @@ def is_in_small_units(times: ClockTimes) -> bool:
     median step."""
     finite = times[np.isfinite(times)]
     steps = np.diff(finite)
-    is_whole = np.array_equal(finite, np.round(finite))
+    rounded = np.round(finite)
+    is_whole = np.array_equal(finite, rounded)
     if len(steps) < 2 or not is_whole:
         return False
     period = float(np.median(steps))
@@ -234,8 +261,10 @@ def is_in_small_units(times: ClockTimes) -> bool:
 
 def first_column_counts_rows(contents: Table) -> bool:
     """Whether the first column of a log has no title and counts the rows."""
-    title, times = next(iter(contents.columns.items()))
-    if len(contents.columns) < 2 or not is_nameless(contents, title):
+    columns = contents.columns.items()
+    title, times = next(iter(columns))
+    column_count = len(contents.columns)
+    if column_count < 2 or not is_nameless(contents, title):
         return False
     if not np.isfinite(times).all():
         return False
@@ -258,14 +287,17 @@ def refuse_backward_clock(
             continue
         if len(times) not in rows:
             continue
-        steps = np.diff(times[np.isfinite(times)])
+        is_known_time = np.isfinite(times)
+        steps = np.diff(times[is_known_time])
         if len(steps) < 2:
             continue
         is_back = steps < 0
         descends = bool(is_back.mean() > MOSTLY)
-        ascends = bool((steps > 0).mean() > MOSTLY)
+        forward_share = (steps > 0).mean()
+        ascends = bool(forward_share > MOSTLY)
         out_of_order = bool(is_back.any()) and ascends
-        row = int(np.argmax(is_back)) + 1
+        first_backward = np.argmax(is_back)
+        row = int(first_backward) + 1
         problem = f"is named like a clock, and runs backwards at row {row}, counted from 0"
         remedy = "sort the rows by time, or put each experiment into a file of its own"
         require(not (descends or out_of_order), f"{file.name} (column)", title, problem, remedy)
@@ -275,12 +307,15 @@ def refuse_clock_as_signal(contents: Table, taken: list[str], file: Path) -> Non
     """Raise `BadRequest` if the clock column of a log is used as a signal."""
     first = next(iter(contents.columns))
     for title in taken:
-        steps = np.diff(contents.columns[title])
-        forwards = bool((steps > 0).all()) and len(steps) > 2
+        times = contents.columns[title]
+        steps = np.diff(times)
+        is_forward = (steps > 0).all()
+        forwards = bool(is_forward) and len(steps) > 2
         nameless = title == first and (contents.nameless or title == "")
         spread = float(np.ptp(steps))
         even = forwards and spread <= 1e-6 * float(steps.mean())
-        is_clock = (forwards and is_clock_name(title)) or (nameless and even)
+        is_named_clock = forwards and is_clock_name(title)
+        is_clock = is_named_clock or (nameless and even)
         problem = "is the clock: it increases from row to row"
         remedy = "name a signal"
         require(not is_clock, f"{file.name} (column)", title, problem, remedy)

@@ -19,17 +19,24 @@ def find_clock_restarts(time_s: Float[np.ndarray, "T"]) -> list[int]:
     """Find the rows at which the clock starts again, in a file that holds several experiments.
     There are none where the clock also runs backwards elsewhere."""
     finite = time_s[np.isfinite(time_s)]
-    if len(finite) < len(time_s) or len(time_s) < 2 * SHORTEST_EXPERIMENT:
+    finite_count = len(finite)
+    row_count = len(time_s)
+    if finite_count < row_count or len(time_s) < 2 * SHORTEST_EXPERIMENT:
         return []
     steps = np.diff(time_s)
     backwards = np.flatnonzero(steps < 0) + 1
-    if not len(backwards) or not (steps > 0).any():
+    restart_count = len(backwards)
+    if not restart_count or not (steps > 0).any():
         return []
-    period_s = float(np.median(steps[steps > 0]))
-    begins_again = np.abs(time_s[backwards] - time_s[0]) <= HOLE * period_s
-    bounds = [0, *backwards.tolist(), len(time_s)]
+    forward_steps = steps[steps > 0]
+    period_s = float(np.median(forward_steps))
+    since_first_s = time_s[backwards] - time_s[0]
+    begins_again = np.abs(since_first_s) <= HOLE * period_s
+    restarts = backwards.tolist()
+    bounds = [0, *restarts, len(time_s)]
     lengths = np.diff(bounds)
-    whole = bool(begins_again.all()) and int(lengths.min()) >= SHORTEST_EXPERIMENT
+    all_begin_again = begins_again.all()
+    whole = bool(all_begin_again) and int(lengths.min()) >= SHORTEST_EXPERIMENT
     return [int(row) for row in backwards] if whole else []
 
 
@@ -48,11 +55,14 @@ def resample_experiments(
     Raises `BadRequest` as that does, and for experiments of different sampling times.
     """
     restarts = find_clock_restarts(time_s)
-    bounds = [0, *restarts, len(time_s)]
+    row_count = len(time_s)
+    bounds = [0, *restarts, row_count]
     settings: dict[str, Any] = {"step_s": step_s, "tolerance": tolerance, "resample": resample}
     experiments = []
     for a, b in pairwise(bounds):
-        rows = resample_to_even_clock(time_s[a:b], values[a:b], inputs, where, **settings)
+        own_times = time_s[a:b]
+        own_values = values[a:b]
+        rows = resample_to_even_clock(own_times, own_values, inputs, where, **settings)
         experiments.append(rows)
     if not restarts:
         return experiments[0]
@@ -64,7 +74,8 @@ def join_experiments(experiments: Sequence[EvenRows], where: str) -> EvenRows:
     pieces."""
     steps_s = [experiment.step_s for experiment in experiments]
     step_s = float(np.median(steps_s))
-    alike = max(abs(each - step_s) for each in steps_s) <= AGREEMENT * step_s
+    differences_s = (abs(each - step_s) for each in steps_s)
+    alike = max(differences_s) <= AGREEMENT * step_s
     listing = ", ".join(f"{each:.4g}" for each in steps_s)
     problem = "its clock starts again, and the experiments have different sampling times"
     remedy = "put each experiment into a file of its own"
@@ -75,8 +86,10 @@ def join_experiments(experiments: Sequence[EvenRows], where: str) -> EvenRows:
     for experiment in experiments:
         values += experiment.values
         starts += [end + start for start in experiment.starts]
-        end = starts[-1] + len(values[-1]) + APART
+        last_row = starts[-1] + len(values[-1])
+        end = last_row + APART
     words = [remark for experiment in experiments for remark in experiment.remarks]
     remark = f"the clock starts again: {len(experiments)} experiments"
-    remarks = [remark, *dict.fromkeys(words)]
+    distinct_words = dict.fromkeys(words)
+    remarks = [remark, *distinct_words]
     return EvenRows(values=values, starts=starts, step_s=step_s, remarks=remarks)

@@ -19,21 +19,25 @@ Steps = Float[np.ndarray, "_"]
 def unwrap_clock(times: Times, *, is_dated: bool) -> tuple[Times, str]:
     """Unwrap times past a counter overflow or the end of summer time, and describe what was
     changed."""
-    if len(times) < FEWEST or not np.isfinite(times).all():
+    count = len(times)
+    if count < FEWEST or not np.isfinite(times).all():
         return times, ""
     steps = np.diff(times)
     rising = steps[steps > 0]
-    if not (steps <= 0).any() or not len(rising):
+    falls_or_rests = (steps <= 0).any()
+    if not falls_or_rests or not len(rising):
         return times, ""
     period = float(np.median(rising))
     if is_dated:
         return _undo_summer_time(times, steps, period)
     is_back = steps < 0
     for size in COUNTERS:
-        fits = times.min() >= 0 and times.max() < size
+        lowest = times.min()
+        fits = lowest >= 0 and times.max() < size
         wrapped = steps[is_back] + size
         if fits and is_back.any() and _are_one_period(wrapped, period).all():
-            turns = np.concatenate([[0], np.cumsum(is_back)])
+            turn_counts = np.cumsum(is_back)
+            turns = np.concatenate([[0], turn_counts])
             bits = int(size).bit_length() - 1
             return times + size * turns, f"a counter of {bits} bits began again"
     return times, ""
@@ -43,13 +47,17 @@ def _undo_summer_time(times: Times, steps: Steps, period: float) -> tuple[Times,
     """Add an hour to all times after each backward step that the end of summer time explains."""
     is_back = (steps <= 0) & (period <= HOUR_S)
     later = steps[is_back] + HOUR_S
-    if not is_back.any() or not _are_one_period(later, period).all():
+    goes_back = is_back.any()
+    if not goes_back or not _are_one_period(later, period).all():
         return times, ""
-    hours = np.concatenate([[0], np.cumsum(is_back)])
-    row = int(np.argmax(is_back)) + 1
+    hour_counts = np.cumsum(is_back)
+    hours = np.concatenate([[0], hour_counts])
+    first_back = np.argmax(is_back)
+    row = int(first_back) + 1
     return times + HOUR_S * hours, f"an hour stands twice at row {row}: end of summer time"
 
 
 def _are_one_period(steps: Steps, period: float) -> np.ndarray:
     """For each time step, whether it is as long as one sampling period."""
-    return np.abs(steps - period) <= NEAR * period
+    deviation = np.abs(steps - period)
+    return deviation <= NEAR * period

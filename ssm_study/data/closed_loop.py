@@ -35,27 +35,35 @@ def project_inputs_on_set_points(
 
     Raises `BadRequest` for logs that are too short.
     """
+    record_lengths = map(len, logs)
     require_at_least(
-        FEWEST * LAGS, "data.reference (samples of the logs)", sum(map(len, logs)), "log longer"
+        FEWEST * LAGS, "data.reference (samples of the logs)", sum(record_lengths), "log longer"
     )
     past = []
     for reference in references:
-        at_rest = np.repeat(reference[:1], LAGS, axis=0)  # before each log
+        first_reference = reference[:1]
+        at_rest = np.repeat(first_reference, LAGS, axis=0)  # before each log
         extended = np.concatenate([at_rest, reference])
         past.append(lagged_inputs(extended, LAGS))
     x = np.concatenate(past)
-    u = np.concatenate([log.u for log in logs])
-    filtered = np.linalg.lstsq(x, u, rcond=1e-9)[0]
+    all_inputs = [log.u for log in logs]
+    u = np.concatenate(all_inputs)
+    solution = np.linalg.lstsq(x, u, rcond=1e-9)
+    filtered = solution[0]
     mean = u.mean(axis=0)
-    by_set_point = ((x @ filtered - mean) ** 2).sum()
-    applied = ((u - mean) ** 2).sum()
-    share = float(by_set_point / max(applied, 1e-300))
+    explained = x @ filtered - mean
+    by_set_point = (explained**2).sum()
+    squares = (u - mean) ** 2
+    applied = squares.sum()
+    positive_power = max(applied, 1e-300)
+    share = float(by_set_point / positive_power)
     lowest = u.min(axis=0)  # beyond what was applied nothing is known
     highest = u.max(axis=0)
     projected = []
     for log, rows in zip(logs, past, strict=True):
         u = np.clip(rows @ filtered, lowest, highest)
-        projected.append(replace(log, u=u))
+        projected_log = replace(log, u=u)
+        projected.append(projected_log)
     return projected, share
 
 
@@ -68,19 +76,29 @@ def reconstruct_pi_set_point(log: Trajectory, gain: float, integral_s: float) ->
     hides e.
     """
     field = "data.controller"
-    shape = (log.u.shape[1], log.y.shape[1])
+    input_shape = log.u.shape
+    output_shape = log.y.shape
+    shape = (input_shape[1], output_shape[1])
     u = log.u[:, 0]
     remedy = "name the set point"
-    require(shape == (1, 1), field, shape, "inputs and outputs, of which a PI has one each", remedy)
+    single_channels = (1, 1)
+    require(
+        shape == single_channels,
+        field,
+        shape,
+        "inputs and outputs, of which a PI has one each",
+        remedy,
+    )
     problem = "of the samples are at a limit of the input, where the applied input is not the PI's"
-    at_lowest = float((u == u.min()).mean())
-    at_highest = float((u == u.max()).mean())
+    lowest = u.min()
+    at_lowest = float((u == lowest).mean())
+    highest = u.max()
+    at_highest = float((u == highest).mean())
     share = max(at_lowest, at_highest)
     remedy = "log the set point, and name it data.reference"
     require(share < AT_LIMIT, field, f"{share:.0%}", problem, remedy)
     demanded = (u - u[0]) / gain
     c = log.step_s / integral_s
-    e = demanded - scipy.signal.lfilter(
-        [0.0, c], [1.0, c - 1.0], demanded
-    )  # i from asked: i+ = (1 - c) i + c asked
+    filtered = scipy.signal.lfilter([0.0, c], [1.0, c - 1.0], demanded)
+    e = demanded - filtered  # i from asked: i+ = (1 - c) i + c asked
     return log.y + e[:, None]

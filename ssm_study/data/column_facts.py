@@ -24,7 +24,8 @@ class ColumnFacts:
 
     def table_line(self) -> str:
         """Line of a table that states the column's range, levels and missing values."""
-        name = (self.name or "(no name)")[:28]
+        printed_name = self.name or "(no name)"
+        name = printed_name[:28]
         unit = f"[{self.unit}]" if self.unit else ""
         return f"  {name:<28} {unit:<8}{self.range_text()}".rstrip()
 
@@ -46,14 +47,21 @@ def column_facts(name: str, table: Table) -> ColumnFacts:
     values = table.columns[name]
     finite = values[np.isfinite(values)]
     is_held = np.diff(finite) == 0
-    held_share = float(is_held.mean()) if len(finite) > 1 else 0.0
+    count = len(finite)
+    held_share = float(is_held.mean()) if count > 1 else 0.0
+    is_dated = name in table.dated
+    smallest = finite.min(initial=np.inf)
+    largest = finite.max(initial=-np.inf)
+    distinct = np.unique(finite)
+    row_count = len(values)
+    finite_count = len(finite)
     return ColumnFacts(
         name=name,
-        unit="s" if name in table.dated else table.units.get(name, ""),
-        low=float(finite.min(initial=np.inf)) + 0.0,  # no minus before a zero
-        high=float(finite.max(initial=-np.inf)) + 0.0,
-        levels=len(np.unique(finite)),
-        missing=len(values) - len(finite),
+        unit="s" if is_dated else table.units.get(name, ""),
+        low=float(smallest) + 0.0,  # no minus before a zero
+        high=float(largest) + 0.0,
+        levels=len(distinct),
+        missing=row_count - finite_count,
         held=held_share,
         rows=len(values),
     )

@@ -38,5 +38,6 @@ def quote_for_command(text: str) -> str:
     digits need no quotes."""
     if re.fullmatch(r"[\w./:\-]+", text, re.ASCII):
         return text
-    escaped = text.replace("\\", "\\\\").replace("'", "\\'")
+    escaped_backslashes = text.replace("\\", "\\\\")
+    escaped = escaped_backslashes.replace("'", "\\'")
     return f"\"'{escaped}'\""

@@ -31,7 +31,8 @@ class AmbiguousDates(ValueError):
 def is_date(cell: str) -> bool:
     """Whether a cell of a table is a date (with or without a time) or a time of day."""
     forms = (DATE, TIME_OF_DAY, MINUTES)
-    if any(re.fullmatch(form, cell) for form in forms):
+    matches = (re.fullmatch(form, cell) for form in forms)
+    if any(matches):
         return True
     return guess_date_format(cell) is not None
 
@@ -39,8 +40,10 @@ def is_date(cell: str) -> bool:
 def guess_date_format(cell: str) -> str | None:
     """Format of a date with a named month or with digits around a letter T; None for any other
     text."""
-    has_letter = any(letter.isalpha() for letter in cell)
-    has_digit = any(letter.isdigit() for letter in cell)
+    letters = (letter.isalpha() for letter in cell)
+    has_letter = any(letters)
+    digits = (letter.isdigit() for letter in cell)
+    has_digit = any(digits)
     if not (has_letter and has_digit) or len(cell) > LONGEST:
         return None
     form = guess_datetime_format(cell)
@@ -63,27 +66,33 @@ def seconds_since_first(cells: list[str]) -> DateSeconds:
     series = pd.Series(cells, dtype=str)
     of_day = series.str.extract(f"^{TIME_OF_DAY}$")
     of_watch = series.str.extract(f"^{MINUTES}$")
-    first = next((cell for cell in cells if is_date(cell)), "")
+    dates = (cell for cell in cells if is_date(cell))
+    first = next(dates, "")
     form = None if re.fullmatch(DATE, first) else guess_date_format(first)
     most = len(cells) / 2
-    if of_day["hour"].notna().sum() > most:
+    has_hour = of_day["hour"].notna()
+    if has_hour.sum() > most:
         seconds = unwrap_midnight(seconds_since_midnight(of_day))
     elif of_watch["minute"].notna().sum() > most:
         seconds = seconds_since_midnight(of_watch)
     elif form is not None:
         seconds = parse_named_month_dates(series, form)
     else:
-        dotted = bool(series.str.match(r"\d{1,2}\.\d{1,2}\.").any())  # the day always stands first
-        seconds = date_seconds(series.str.extract(f"^{DATE}$"), dotted)
+        is_dotted = series.str.match(r"\d{1,2}\.\d{1,2}\.")
+        dotted = bool(is_dotted.any())  # the day always stands first
+        parts = series.str.extract(f"^{DATE}$")
+        seconds = date_seconds(parts, dotted)
     finite = seconds[np.isfinite(seconds)]
-    return seconds - finite[0] if len(finite) else seconds
+    finite_count = len(finite)
+    return seconds - finite[0] if finite_count else seconds
 
 
 def parse_named_month_dates(series: pd.Series, form: str) -> DateSeconds:
     """Convert dates that name the month to seconds since 1970."""
     dates = pd.to_datetime(series, format=form, errors="coerce", utc=True)
     begin = pd.Timestamp(0, tz="UTC")
-    since = (dates - begin) / pd.Timedelta(seconds=1)
+    one_second = pd.Timedelta(seconds=1)
+    since = (dates - begin) / one_second
     return since.to_numpy(dtype=float)
 
 
@@ -91,27 +100,34 @@ def seconds_since_midnight(parts: pd.DataFrame) -> DateSeconds:
     """Convert times of day to seconds since midnight."""
     hours = pd.Series(0.0, parts.index)
     if "hour" in parts:
-        hours = parts["hour"].fillna("0").astype(float)
-    minutes = parts["minute"].fillna("0").astype(float)
+        hour_texts = parts["hour"].fillna("0")
+        hours = hour_texts.astype(float)
+    minute_texts = parts["minute"].fillna("0")
+    minutes = minute_texts.astype(float)
     filled = parts["second"].fillna("0")
     with_point = filled.str.replace(r"[,:]", ".", regex=True)
     seconds = with_point.astype(float)
     if "half" in parts:
         lower = parts["half"].str.lower()
         half = lower.str.replace(r"[.\s]", "", regex=True)
-        in_half = hours.where(half.isna(), hours % 12)
+        has_no_half = half.isna()
+        in_half = hours.where(has_no_half, hours % 12)
         hours = in_half + 12.0 * (half == "pm")
     total = 3600.0 * hours + 60.0 * minutes + seconds
-    decisive = next(name for name in ("a", "hour", "minute") if name in parts)
+    parts_in_order = (name for name in ("a", "hour", "minute") if name in parts)
+    decisive = next(parts_in_order)
     missing = parts[decisive].isna()
-    return total.where(~missing).to_numpy(dtype=np.float64)
+    valid_total = total.where(~missing)
+    return valid_total.to_numpy(dtype=np.float64)
 
 
 def unwrap_midnight(seconds: DateSeconds) -> DateSeconds:
     """Make times of day increase past midnight, so that they never jump back by a day."""
     numbers = np.nan_to_num(seconds, nan=0.0)
-    steps = np.diff(numbers, prepend=seconds[:1])
-    days = np.cumsum(steps < -DAY_S / 2)
+    first_time = seconds[:1]
+    steps = np.diff(numbers, prepend=first_time)
+    back_by_half_a_day = -DAY_S / 2
+    days = np.cumsum(steps < back_by_half_a_day)
     return seconds + DAY_S * days
 
 
@@ -120,7 +136,8 @@ def date_seconds(parts: pd.DataFrame, dotted: bool) -> DateSeconds:
     that fits all of them."""
     time_of_day_s = seconds_since_midnight(parts)
     zones = parts["zone"].map(zone_seconds, na_action="ignore")
-    shift = zones.fillna(0.0).to_numpy(dtype=float)
+    filled_zones = zones.fillna(0.0)
+    shift = filled_zones.to_numpy(dtype=float)
     readings = []
     for order in ORDERS.values():
         if dotted and order == "cab":
@@ -136,17 +153,26 @@ def days_since_1970(parts: pd.DataFrame, order: str) -> DateSeconds | None:
     in that order."""
     year, month, day = (pd.to_numeric(parts[letter]) for letter in order)
     year = year.where(year > 99, year + 2000)
-    ranges = ((year, 1900, 2200), (month, 1, 12), (day, 1, 31))
+    year_range = (year, 1900, 2200)
+    month_range = (month, 1, 12)
+    day_range = (day, 1, 31)
+    ranges = (year_range, month_range, day_range)
     for number, low, high in ranges:
-        is_within = number.dropna().between(low, high)
+        present = number.dropna()
+        is_within = present.between(low, high)
         if not is_within.all():
             return None
-    table = pd.DataFrame({"year": year, "month": month, "day": day})
+    columns = {"year": year, "month": month, "day": day}
+    table = pd.DataFrame(columns)
     dates = pd.to_datetime(table, errors="coerce")
-    is_unread = dates.isna() & parts["a"].notna()
+    is_no_date = dates.isna()
+    has_number = parts["a"].notna()
+    is_unread = is_no_date & has_number
     if is_unread.any():
         return None
-    days = (dates - pd.Timestamp(0)) / pd.Timedelta(days=1)
+    since_1970 = dates - pd.Timestamp(0)
+    one_day = pd.Timedelta(days=1)
+    days = since_1970 / one_day
     return days.to_numpy(dtype=float)
 
 
@@ -154,7 +180,8 @@ def zone_seconds(zone: str) -> float:
     """Offset from UTC, in seconds, of a time zone written as `+02:00`, `Z` or `UTC`."""
     if zone in ("Z", "UTC", "GMT"):
         return 0.0
-    digits = zone[1:].replace(":", "").ljust(4, "0")
+    without_sign = zone[1:]
+    digits = without_sign.replace(":", "").ljust(4, "0")
     hours = int(digits[:2])
     minutes = int(digits[2:])
     offset = 3600.0 * hours + 60.0 * minutes
@@ -168,21 +195,25 @@ def choose_increasing_times(readings: list[np.ndarray], samples: int) -> DateSec
         return np.full(samples, np.nan)
     forwards = [one for one in readings if (date_differences_s(one) >= 0).all()]
     chosen = forwards or readings
-    if len(chosen) > 1 and any(has_even_steps(one) for one in chosen):
+    count = len(chosen)
+    if count > 1 and any(has_even_steps(one) for one in chosen):
         chosen = [one for one in chosen if has_even_steps(one)]
     first, *others = map(date_differences_s, chosen)
-    if any(not np.allclose(first, other) for other in others):
+differences = (not np.allclose(first, other) for other in others)
+    if any(differences):
         raise AmbiguousDates
     return chosen[0]
 
 
 def date_differences_s(seconds: DateSeconds) -> Float[np.ndarray, "T2"]:
     """Time differences between successive dates, with missing dates left out."""
-    return np.diff(seconds[np.isfinite(seconds)])
+    is_known_time = np.isfinite(seconds)
+    return np.diff(seconds[is_known_time])
 
 
 def has_even_steps(seconds: DateSeconds) -> bool:
     """Whether no time step is longer than 1.5 times the median step."""
     steps = date_differences_s(seconds)
-    longest = 1.5 * np.median(steps) if len(steps) else 0.0
+    step_count = len(steps)
+    longest = 1.5 * np.median(steps) if step_count else 0.0
     return bool(len(steps)) and bool(steps.max() <= longest)

@@ -49,35 +49,40 @@ class RecordedExperiments(AroundRest):
         for part in ("training", "validation", "test"):
             problem = "no recording is named"
             remedy = "name at least one"
-            require(len(getattr(self, part)) > 0, f"data.{part}", "none", problem, remedy)
+            records = getattr(self, part)
+            require(len(records) > 0, f"data.{part}", "none", problem, remedy)
 
     def data_files(self) -> tuple[Path, ...]:
         apart = (*self.validation, *self.test) if self.fold is None else ()
-        names = dict.fromkeys(recording.path for recording in (*self.training, *apart))
-        return tuple(find_record_file(self.records_folder(), name) for name in names)
+        all_recordings = (*self.training, *apart)
+        names = dict.fromkeys(recording.path for recording in all_recordings)
+        files = (find_record_file(self.records_folder(), name) for name in names)
+        return tuple(files)
 
     def build(self, seed: int) -> DataSet:
-        about = {"benchmark": self.benchmark, "score": self.score, "seed": str(seed)}
+        seed_text = str(seed)
+        about = {"benchmark": self.benchmark, "score": self.score, "seed": seed_text}
         if self.fold is not None:
             about["held_out"] = f"fold {self.fold} of {self.folds}, of the training records"
         first = self.training[0]
         channels = (first.inputs, first.outputs)
-        return self.assemble_about_equilibrium(self._read_parts(), channels, **about)
+        parts = self._read_parts()
+        return self.assemble_about_equilibrium(parts, channels, **about)
 
     def _read_parts(self) -> Parts:
         """Read the records for training, validation and test. With folds, the remaining part also
         validates, as it does without folds."""
         folder = self.records_folder()
         if self.fold is None:
-            return (
-                _read_recordings(folder, self.training),
-                _read_recordings(folder, self.validation),
-                _read_recordings(folder, self.test),
-            )
+            training = _read_recordings(folder, self.training)
+            validation = _read_recordings(folder, self.validation)
+            test = _read_recordings(folder, self.test)
+            return (training, validation, test)
         records = _read_recordings(folder, self.training)
         parts = [cut_out_fold(record, self.fold, self.folds) for record in records]
         pieces = [piece for pieces, _ in parts for piece in pieces]
-        return pieces, pieces, [piece for _, piece in parts]
+        test_pieces = [piece for _, piece in parts]
+        return pieces, pieces, test_pieces
 
     def records_folder(self) -> Path:
         """Folder that holds the recordings of the data set. Raises `BadRequest` if it does not
@@ -86,7 +91,8 @@ class RecordedExperiments(AroundRest):
             return benchmark_folder(self.benchmark)
         problem = "no such folder"
         remedy = "check the spelling"
-        require(Path(self.folder).is_dir(), "data.folder", self.folder, problem, remedy)
+        records_folder = Path(self.folder)
+        require(records_folder.is_dir(), "data.folder", self.folder, problem, remedy)
         return Path(self.folder)
 
 
@@ -105,7 +111,8 @@ def benchmark_folder(benchmark: str) -> Path:
     problem = f"the {benchmark} records are neither in ${RECORDS_VARIABLE} nor in {RECORDS_BESIDE}"
     remedy = "give data.folder=PATH, or pip install 'ssm-study[benchmarks]' to download them"
     try:
-        download = getattr(importlib.import_module("nonlinear_benchmarks"), DOWNLOADERS[benchmark])
+        benchmarks = importlib.import_module("nonlinear_benchmarks")
+        download = getattr(benchmarks, DOWNLOADERS[benchmark])
         downloaded = download(data_file_locations=True)
     except (ImportError, KeyError) as error:
         raise BadRequest("data.folder", None, problem, remedy) from error
@@ -113,16 +120,20 @@ def benchmark_folder(benchmark: str) -> Path:
         raise BadRequest(
             "data.folder", None, f"{problem}, and downloading failed ({error})", remedy
         ) from error
-    return Path(downloaded if isinstance(downloaded, str | os.PathLike) else downloaded[0]).parent
+    first_file = downloaded if isinstance(downloaded, str | os.PathLike) else downloaded[0]
+    return Path(first_file).parent
 
 
 def find_record_file(folder: Path, name: str) -> Path:
     """Find a record file by its name, or by its name with the suffix of CSV or MAT. Records are
     distributed in both formats. Raises `BadRequest` if there is none."""
     exact = folder / name
-    same_stem = [path for path in folder.iterdir() if path.stem == exact.stem]
-    twins = sorted(path for path in same_stem if path.suffix.lower() in (".mat", ".csv"))
-    candidates = [exact] if exact.is_file() else twins
+    files = folder.iterdir()
+    same_stem = [path for path in files if path.stem == exact.stem]
+    alike = (path for path in same_stem if path.suffix.lower() in (".mat", ".csv"))
+    twins = sorted(alike)
+    exists = exact.is_file()
+    candidates = [exact] if exists else twins
     problem = f"has no {name}"
     remedy = "point it at the benchmark's own folder"
     require(candidates, "data.folder", folder, problem, remedy)
@@ -134,6 +145,7 @@ def _read_recordings(folder: Path, recordings: list[Recording]) -> list[Trajecto
     records = []
     for recording in recordings:
         path = find_record_file(folder, recording.path)
-        recording_in_folder = replace(recording, path=str(path))
+        path_text = str(path)
+        recording_in_folder = replace(recording, path=path_text)
         records.append(recording_in_folder.read())
     return records
