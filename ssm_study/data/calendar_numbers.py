@@ -104,7 +104,7 @@ def describe_day_numbers(title: str, finite: Times) -> str:
     """
     low = float(finite.min())
     high = float(finite.max())
-calendars = (first <= low and high <= last for first, last in DAY_COUNTS)
+    calendars = (first <= low and high <= last for first, last in DAY_COUNTS)
     if not any(calendars):
         return ""
     lower_title = title.lower()

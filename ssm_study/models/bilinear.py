@@ -29,7 +29,8 @@ def hat_functions(nodes: Nodes, v: Float[np.ndarray, "T"]) -> Hats:
     They are linear between the nodes and constant beyond the ends, so that each row adds up to
     one."""
     units = np.eye(len(nodes))
-    return np.stack([np.interp(v, nodes, unit) for unit in units], axis=1)
+    unit_responses = [np.interp(v, nodes, unit) for unit in units]
+    return np.stack(unit_responses, axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,19 +52,30 @@ class Bilinear(Simulator, names=("bilinear",)):
     def __post_init__(self) -> None:
         q = len(self.nodes)
         n = self.c.shape[1]
-        shapes = (self.a.shape, self.b.shape)
+        shape_of_a = self.a.shape
+        shape_of_b = self.b.shape
+        shapes = (shape_of_a, shape_of_b)
         problem = f"the shapes of a and b must be {(q, n, n)} and {(q, n)}"
-        require(shapes == ((q, n, n), (q, n)), "a, b", shapes, problem, AGAIN)
-        channels = (self.scale.inputs, self.scale.outputs)
+        needed_a = (q, n, n)
+        needed_b = (q, n)
+        require(shapes == (needed_a, needed_b), "a, b", shapes, problem, AGAIN)
+        input_count = self.scale.inputs
+        output_count = self.scale.outputs
+        channels = (input_count, output_count)
         problem = f"the model has one input and {len(self.c)} outputs"
-        require(channels == (1, len(self.c)), "scale", channels, problem, AGAIN)
+        needed_channels = (1, len(self.c))
+        require(channels == needed_channels, "scale", channels, problem, AGAIN)
         ascending = q > 1 and bool((np.diff(self.nodes) > 0).all())
         problem = "the nodes must ascend, and one of them must be zero"
         has_zero = ascending and 0.0 in self.nodes
-        require(has_zero, "nodes", self.nodes.tolist(), problem, AGAIN)
-        drift = self.b[self.nodes == 0.0].ravel()
+        node_list = self.nodes.tolist()
+        require(has_zero, "nodes", node_list, problem, AGAIN)
+        is_zero_node = self.nodes == 0.0
+        drift = self.b[is_zero_node].ravel()
         problem = "b must be zero at the node zero, or the model does not rest there"
-        require(not drift.any(), "b", drift.tolist(), problem, AGAIN)
+        has_drift = drift.any()
+        drift_list = drift.tolist()
+        require(not has_drift, "b", drift_list, problem, AGAIN)
         require_positive("step_s", self.step_s, "give it in seconds")
 
     @property
@@ -73,7 +85,8 @@ class Bilinear(Simulator, names=("bilinear",)):
 
     def hats(self, u: Float[np.ndarray, "T 1"]) -> Hats:
         """Values of the model's hat functions along a physical input."""
-        return hat_functions(self.nodes, self.scale.scaled_input(u)[:, 0])
+        first_input = self.scale.scaled_input(u)[:, 0]
+        return hat_functions(self.nodes, first_input)
 
     def simulate(self, u: Inputs, x0: Float[np.ndarray, "*batch n"] | None = None) -> Outputs:
         """Simulate the model in free run from a given state or from the equilibrium. Inputs and
@@ -81,18 +94,22 @@ class Bilinear(Simulator, names=("bilinear",)):
         starts = np.zeros((*u.shape[:-2], self.order)) if x0 is None else x0
         if u.ndim > 2:
             pairs = zip(u, starts, strict=True)
-            return np.stack([self.simulate(*pair) for pair in pairs])
+            runs = [self.simulate(*pair) for pair in pairs]
+            return np.stack(runs)
         from ssm_study.models.bilinear_kernel import simulate_states  # loads numba
 
         x0 = np.asarray(starts, dtype=np.float64)
-        states = simulate_states(self.hats(u), self.a, self.b, x0)
-        return self.scale.physical_output(states @ self.c.T)
+        hats = self.hats(u)
+        states = simulate_states(hats, self.a, self.b, x0)
+        scaled_output = states @ self.c.T
+        return self.scale.physical_output(scaled_output)
 
     def simulate_from_outputs(self, u: Inputs, y_start: Measured) -> Outputs:
         """Simulate the model in free run after some measured outputs."""
         if u.ndim > 2:
             pairs = zip(u, y_start, strict=True)
-            return np.stack([self.simulate_from_outputs(*pair) for pair in pairs])
+            runs = [self.simulate_from_outputs(*pair) for pair in pairs]
+            return np.stack(runs)
         x0 = self.estimate_initial_state(u, y_start) if y_start.shape[-2] else None
         return self.simulate(u, x0)
 
@@ -109,10 +126,18 @@ class Bilinear(Simulator, names=("bilinear",)):
         rest = np.zeros(self.order)
         reached = simulate_states(hats, self.a, self.b, rest)
         prior = reached.T @ reached / len(reached)
-        states, by_start = simulate_state_derivatives(hats[:samples], self.a, self.b, rest, True)
-        regressors = (self.c @ by_start).reshape(-1, self.order)
-        missing = self.scale.scaled_output(y_start) - states @ self.c.T
-        covariance = regressors @ prior @ regressors.T + START_UP_NOISE * np.eye(len(regressors))
+        first_hats = hats[:samples]
+        states, by_start = simulate_state_derivatives(first_hats, self.a, self.b, rest, True)
+        output_slopes = self.c @ by_start
+        regressors = output_slopes.reshape(-1, self.order)
+        measured = self.scale.scaled_output(y_start)
+        simulated = states @ self.c.T
+        missing = measured - simulated
+        output_covariance = regressors @ prior @ regressors.T
+        noise_covariance = START_UP_NOISE * np.eye(len(regressors))
+        covariance = output_covariance + noise_covariance
         if not np.isfinite(covariance).all():  # the model is unstable, and its numbers overflow
             return rest
-        return np.asarray(prior @ regressors.T @ np.linalg.solve(covariance, missing.ravel()))
+        gain = prior @ regressors.T
+        weighted_errors = np.linalg.solve(covariance, missing.ravel())
+        return np.asarray(gain @ weighted_errors)

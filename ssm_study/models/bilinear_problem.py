@@ -49,13 +49,16 @@ class FitParameters(NamedTuple):
 
     def flatten(self) -> Vector:
         """All parameters of the fit as one vector."""
-        return np.concatenate([part.ravel() for part in self])
+        flat_parts = [part.ravel() for part in self]
+        return np.concatenate(flat_parts)
 
     def with_values(self, values: Vector) -> "FitParameters":
         """Parameters of the same shapes with the entries of a vector as values."""
-        ends = np.cumsum([part.size for part in self])[:-1]
+        sizes = [part.size for part in self]
+        ends = np.cumsum(sizes)[:-1]
         pieces = np.split(values, ends)
-        shaped = [piece.reshape(part.shape) for piece, part in zip(pieces, self, strict=True)]
+        pieces_and_parts = zip(pieces, self, strict=True)
+        shaped = [piece.reshape(part.shape) for piece, part in pieces_and_parts]
         return FitParameters(*shaped)
 
 
@@ -76,74 +79,103 @@ class BilinearProblem:
     ) -> "BilinearProblem":
         """Fitting problem of a bilinear model whose input levels (nodes) cover the range of the
         recorded inputs."""
-        inputs = np.concatenate([u[:, 0] for u, _ in records])
-        outputs = np.concatenate([y for _, y in records])
-        places = spread_nodes(float(inputs.min()), float(inputs.max()), nodes)
+        recorded_inputs = [u[:, 0] for u, _ in records]
+        inputs = np.concatenate(recorded_inputs)
+        recorded_outputs = [y for _, y in records]
+        outputs = np.concatenate(recorded_outputs)
+        lowest = inputs.min()
+        highest = inputs.max()
+        places = spread_nodes(float(lowest), float(highest), nodes)
+        hats_of_records = (hat_functions(places, u[:, 0]) for u, _ in records)
+        deviation = outputs - outputs.mean(axis=0)
         return cls(
             order=order,
             rate=rate,
             nodes=places,
             records=records,
-            hats=tuple(hat_functions(places, u[:, 0]) for u, _ in records),
-            deviation=float(np.linalg.norm(outputs - outputs.mean(axis=0))),
+            hats=tuple(hats_of_records),
+            deviation=float(np.linalg.norm(deviation)),
         )
 
     def initial_parameters(self, rng: np.random.Generator, spread: float) -> FitParameters:
         """Initial parameters of the fit: a linear ARX model at every node, plus a random part."""
         n = self.order
-        longest = max(len(u) for u, _ in self.records)
+        lengths = (len(u) for u, _ in self.records)
+        longest = max(lengths)
         lags = min(ARX_LAGS, longest // 4)
-        response = arx_impulse_response(*fit_arx_matrices(self.records, lags, False))
+        arx_matrices = fit_arx_matrices(self.records, lags, False)
+        response = arx_impulse_response(*arx_matrices)
         system = realise_impulse_response(response, n, rng)
         limit = START_RADIUS * (self.rate or 1.0)
-        radius = max(float(np.abs(np.linalg.eigvals(system.a)).max()), 1e-9)
-        a = system.a * min(1.0, START_RADIUS * limit / radius)
+        eigenvalues = np.linalg.eigvals(system.a)
+        moduli = np.abs(eigenvalues)
+        radius = max(float(moduli.max()), 1e-9)
+        shrinkage = START_RADIUS * limit / radius
+        a = system.a * min(1.0, shrinkage)
         turn = _contraction_coordinates(a / limit)
         back = np.linalg.inv(turn)
         a = turn @ a @ back
         free = []
         for _ in self.nodes:
-            drawn = a + spread * rng.standard_normal((n, n)) / np.sqrt(n)
-            size = np.linalg.norm(drawn, 2) / limit
-            free.append(self._free_matrix(drawn / max(1.0, size)))
-        b = self.nodes[:, None] * (turn @ system.b)[:, 0]
+            random_matrix = rng.standard_normal((n, n))
+            random_part = spread * random_matrix
+            drawn = a + random_part / np.sqrt(n)
+            norm = np.linalg.norm(drawn, 2)
+            size = norm / limit
+            excess = max(1.0, size)
+            free_matrix = self._free_matrix(drawn / excess)
+            free.append(free_matrix)
+        node_column = self.nodes[:, None]
+        input_column = (turn @ system.b)[:, 0]
+        b = node_column * input_column
         c = system.c @ back
-        x0 = np.zeros((len(self.records), n))
-        return FitParameters(x=np.stack(free), b=b, c=c, offset=np.zeros(len(c)), x0=x0)
+        start_shape = (len(self.records), n)
+        x0 = np.zeros(start_shape)
+        free_matrices = np.stack(free)
+        zero_offset = np.zeros(len(c))
+        return FitParameters(x=free_matrices, b=b, c=c, offset=zero_offset, x0=x0)
 
     def _free_matrix(self, a: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
         """Unconstrained matrix from which the contracting state matrix of a node is computed."""
         if self.rate is None:
             return a
         n = len(a)
-        core = RecurrenceMatrices(a=a, e=np.zeros((n, 0)), f=np.zeros((0, n)))
+        no_neurons = np.zeros((n, 0))
+        no_outputs = np.zeros((0, n))
+        core = RecurrenceMatrices(a=a, e=no_neurons, f=no_outputs)
         return parameters_from_matrices(core, self.rate).x_g
 
     def state_matrices(self, parts: FitParameters) -> Float[np.ndarray, "q n n"]:
         """State matrices `A_i` of all nodes."""
         if self.rate is None:
             return parts.x
-        return np.stack(
-            [matrices_from_parameters(_without_neurons(x), self.rate).a for x in parts.x]
-        )
+        matrices = [matrices_from_parameters(_without_neurons(x), self.rate).a for x in parts.x]
+        return np.stack(matrices)
 
     @property
     def equilibrium_projection(self) -> Float[np.ndarray, "q q"]:
         """Matrix that subtracts the vector `b` of the node zero from all others, so that the
         equilibrium is kept."""
-        at_zero = np.where(self.nodes == 0.0, 1.0, 0.0)
-        return np.eye(len(self.nodes)) - np.tile(at_zero, (len(self.nodes), 1))
+        is_zero_node = self.nodes == 0.0
+        at_zero = np.where(is_zero_node, 1.0, 0.0)
+        node_count = len(self.nodes)
+        zero_rows = np.tile(at_zero, (len(self.nodes), 1))
+        return np.eye(node_count) - zero_rows
 
     def model(self, parts: FitParameters, scale: Scale, step_s: float) -> Bilinear:
         """Bilinear model from the parameters of the fit. The offset of the output moves its
         equilibrium."""
-        moved = scale.output_equilibrium + scale.output_scale * parts.offset
+        moved_by = scale.output_scale * parts.offset
+        moved = scale.output_equilibrium + moved_by
+        state_matrices = self.state_matrices(parts)
+        projected_b = self.equilibrium_projection @ parts.b
+        moved_scale = replace(scale, output_equilibrium=moved)
         return Bilinear(
             nodes=self.nodes,
-            a=self.state_matrices(parts),
-            b=self.equilibrium_projection @ parts.b,
+            a=state_matrices,
+            b=projected_b,
             c=parts.c,
-            scale=replace(scale, output_equilibrium=moved),
+            scale=moved_scale,
             step_s=step_s,
         )
 
@@ -154,7 +186,8 @@ class BilinearProblem:
         errors = []
         for hats, (_, y), x0 in zip(self.hats, self.records, parts.x0, strict=True):
             states = simulate_states(hats, a, b, x0)
-            errors.append((states @ parts.c.T + parts.offset - y).ravel())
+            error = states @ parts.c.T + parts.offset - y
+            errors.append(error.ravel())
         return np.concatenate(errors) / self.deviation
 
     def loss(self, parts: FitParameters) -> float:
@@ -162,7 +195,8 @@ class BilinearProblem:
         with np.errstate(all="ignore"):
             residual = self.residual(parts)
             value = float(residual @ residual)
-        return value if np.isfinite(value) else np.inf
+        is_finite = np.isfinite(value)
+        return value if is_finite else np.inf
 
     def residual_and_jacobian(
         self, parts: FitParameters
@@ -173,12 +207,18 @@ class BilinearProblem:
         slopes = self._derivatives_by_free_matrices(parts)
         residuals = []
         jacobians = []
-        for index, (hats, (_, y)) in enumerate(zip(self.hats, self.records, strict=True)):
-            states, by_all = simulate_state_derivatives(hats, a, b, parts.x0[index], False)
-            residuals.append((states @ parts.c.T + parts.offset - y).ravel())
-            jacobians.append(self._jacobian_of_record(parts, states, by_all, slopes, index))
+        records = zip(self.hats, self.records, strict=True)
+        for index, (hats, (_, y)) in enumerate(records):
+            start = parts.x0[index]
+            states, by_all = simulate_state_derivatives(hats, a, b, start, False)
+            error = states @ parts.c.T + parts.offset - y
+            residuals.append(error.ravel())
+            record_jacobian = self._jacobian_of_record(parts, states, by_all, slopes, index)
+            jacobians.append(record_jacobian)
         deviation = self.deviation
-        return np.concatenate(residuals) / deviation, np.concatenate(jacobians) / deviation
+        all_residuals = np.concatenate(residuals)
+        all_jacobians = np.concatenate(jacobians)
+        return all_residuals / deviation, all_jacobians / deviation
 
     def _jacobian_of_record(
         self,
@@ -193,18 +233,18 @@ class BilinearProblem:
         p = len(parts.c)
         samples = len(states)
         by_states = np.einsum("pi,kij->kpj", parts.c, by_all)
-        by_a = by_states[..., : q * n * n].reshape(samples, p, q, n * n)
+        entries_of_a = q * n * n
+        by_a = by_states[..., :entries_of_a].reshape(samples, p, q, n * n)
         by_b = by_states[..., q * n * n : -n].reshape(samples, p, q, n)
-        by_x0 = np.zeros((samples, p, *parts.x0.shape))
+        start_shape = (samples, p, *parts.x0.shape)
+        by_x0 = np.zeros(start_shape)
         by_x0[:, :, index] = by_states[..., -n:]
         identity = np.eye(p)
-        blocks = [
-            np.einsum("kpqi,qij->kpqj", by_a, slopes),
-            np.einsum("kpqn,qs->kpsn", by_b, self.equilibrium_projection),
-            np.einsum("po,kn->kpon", identity, states),
-            np.broadcast_to(identity, (samples, p, p)),
-            by_x0,
-        ]
+        by_free_matrices = np.einsum("kpqi,qij->kpqj", by_a, slopes)
+        by_projected_b = np.einsum("kpqn,qs->kpsn", by_b, self.equilibrium_projection)
+        by_output_map = np.einsum("po,kn->kpon", identity, states)
+        by_offset = np.broadcast_to(identity, (samples, p, p))
+        blocks = [by_free_matrices, by_projected_b, by_output_map, by_offset, by_x0]
         rows = [block.reshape(samples * p, -1) for block in blocks]
         return np.concatenate(rows, axis=1)
 
@@ -213,13 +253,19 @@ class BilinearProblem:
         q, n, _ = parts.x.shape
         units = np.eye(n * n)
         if self.rate is None:
-            return np.broadcast_to(units, (q, n * n, n * n))
-        none = np.zeros((n * n, n, 0))
-        change = FreeParameters(x_e=none, x_g=units.reshape(-1, n, n), log_d=np.zeros((n * n, 0)))
+            identity_shape = (q, n * n, n * n)
+            return np.broadcast_to(units, identity_shape)
+        empty_shape = (n * n, n, 0)
+        none = np.zeros(empty_shape)
+        unit_matrices = units.reshape(-1, n, n)
+        no_scales = np.zeros((n * n, 0))
+        change = FreeParameters(x_e=none, x_g=unit_matrices, log_d=no_scales)
         derivatives = []
         for x in parts.x:
-            moved = differentiate_matrices(_without_neurons(x), change, self.rate)
-            derivatives.append(moved.a.reshape(n * n, -1).T)
+            free = _without_neurons(x)
+            moved = differentiate_matrices(free, change, self.rate)
+            flat_change = moved.a.reshape(n * n, -1)
+            derivatives.append(flat_change.T)
         return np.stack(derivatives)
 
     def minimise(self, parts: FitParameters, steps: int) -> FitParameters:
@@ -230,13 +276,16 @@ class BilinearProblem:
             loss = float(residual @ residual)
             normal = jacobian.T @ jacobian
             diagonal = np.diagonal(normal)
-            scale = np.maximum(diagonal, WEAKEST * diagonal.max())
+            largest = diagonal.max()
+            least = WEAKEST * largest
+            scale = np.maximum(diagonal, least)
             gradient = jacobian.T @ residual
             values = parts.flatten()
             trial = parts
             value = np.inf
             while not value < loss and damping < LARGEST_DAMPING:
-                step = np.linalg.solve(normal + np.diag(damping * scale), -gradient)
+                damped_diagonal = np.diag(damping * scale)
+                step = np.linalg.solve(normal + damped_diagonal, -gradient)
                 trial = parts.with_values(values + step)
                 value = self.loss(trial)
                 damping *= 0.3 if value < loss else 4.0
@@ -254,18 +303,25 @@ def spread_nodes(lowest: float, highest: float, count: int) -> Nodes:
     lowest = min(lowest, 0.0)
     highest = max(highest, 0.0)
     share = -lowest / (highest - lowest) if highest > lowest else 0.5
-    below = int(np.clip(round(share * (count - 1)), lowest < 0.0, count - 1 - (highest > 0.0)))
+    nodes_below = share * (count - 1)
+    most_below = count - 1 - (highest > 0.0)
+    below = int(np.clip(round(nodes_below), lowest < 0.0, most_below))
     down = np.linspace(lowest, 0.0, below + 1)
     up = np.linspace(0.0, highest, count - below)
-    return np.concatenate([down[:-1], up])
+    negative_nodes = down[:-1]
+    return np.concatenate([negative_nodes, up])
 
 
 def _contraction_coordinates(a: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Coordinates T in which a stable matrix has a norm below one, `|T a T^{-1}| < 1`."""
-    p = scipy.linalg.solve_discrete_lyapunov(a.T, np.eye(len(a)))
-    return np.asarray(np.linalg.cholesky(p).T)
+    identity = np.eye(len(a))
+    p = scipy.linalg.solve_discrete_lyapunov(a.T, identity)
+    factor = np.linalg.cholesky(p)
+    return np.asarray(factor.T)
 
 
 def _without_neurons(x: Float[np.ndarray, "n n"]) -> FreeParameters:
     """Free parameters of a contracting recurrence without neurons, from its free state matrix."""
-    return FreeParameters(x_e=np.zeros((len(x), 0)), x_g=x, log_d=np.zeros(0))
+    no_neurons = (len(x), 0)
+    no_scales = np.zeros(0)
+    return FreeParameters(x_e=np.zeros(no_neurons), x_g=x, log_d=no_scales)

@@ -61,7 +61,8 @@ class BilinearSpec(SolvedSpec):
         inputs = data.scale.inputs
         problem = f"takes one input, and there are {inputs}"
         require(inputs == 1, "model", "bilinear", problem, "choose another model")
-        longest = max(len(record) for record in data.training)
+        lengths = (len(record) for record in data.training)
+        longest = max(lengths)
         problem = f"the longest training record has {longest} samples, and {SHORTEST} are needed"
         require(longest >= SHORTEST, "model", "bilinear", problem, "log longer")
         records = scale_records(data)
@@ -72,7 +73,8 @@ class BilinearSpec(SolvedSpec):
             spread = SPREAD if start else 0.0
             try:
                 parts = problem_of_fit.initial_parameters(rng, spread)
-                candidates.append(self._fit_from(problem_of_fit, parts, data))
+                candidate = self._fit_from(problem_of_fit, parts, data)
+                candidates.append(candidate)
             except np.linalg.LinAlgError:  # the records do not excite as many states
                 continue
         problem = "no start leads to a model of these records"
@@ -93,4 +95,5 @@ def validation_fit_percent(model: Bilinear, data: DataSet) -> float:
     with np.errstate(all="ignore"):
         simulation = Simulation.simulate_records(model, data.validation, data.start_up_samples)
         fit = simulation.fit_percent
-    return fit if np.isfinite(fit) else -np.inf
+    is_finite = np.isfinite(fit)
+    return fit if is_finite else -np.inf

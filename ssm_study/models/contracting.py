@@ -60,13 +60,18 @@ def matrices_from_parameters(free: FreeParameters, rate: float) -> RecurrenceMat
     """Matrices of a contracting recurrence from its unconstrained parameters. It contracts with `r
     = rate` in the metric `M = I`."""
     n = free.x_g.shape[1]
-    e = np.sqrt(2.0) * _cayley_contraction(free.x_e)[0]
-    stacked = rate * _cayley_contraction(free.x_g)[0]
+    contraction_of_e = _cayley_contraction(free.x_e)
+    e = np.sqrt(2.0) * contraction_of_e[0]
+    contraction_of_g = _cayley_contraction(free.x_g)
+    stacked = rate * contraction_of_g[0]
     a = stacked[:n]
     root = _slack_root(e)  # R
-    f = root @ stacked[n:] - e.T @ a
+    scaled_g = stacked[n:]
+    through_neurons = e.T @ a
+    f = root @ scaled_g - through_neurons
     d = np.exp(free.log_d)  # positive, whatever the parameter
-    return RecurrenceMatrices(a=a, e=e / d, f=d[:, None] * f)
+    scale_column = d[:, None]
+    return RecurrenceMatrices(a=a, e=e / d, f=scale_column * f)
 
 
 def differentiate_matrices(
@@ -93,19 +98,28 @@ def differentiate_matrices(
     da = stacked[:, :n]
     dgh = stacked[:, n:]
     root = _slack_root(e)
-    droot = _differentiate_cholesky(root, -(de.mT @ e + e.T @ de))  # of R R' = 2 I - E'E
+    slack_change = de.mT @ e + e.T @ de
+    droot = _differentiate_cholesky(root, -slack_change)  # of R R' = 2 I - E'E
     f = root @ gh - e.T @ a
     d = np.exp(free.log_d)
     dlog = change.log_d
-    df = droot @ gh + root @ dgh - de.mT @ a - e.T @ da
-    de_scaled = (de - e * dlog[:, None, :]) / d
-    df_scaled = d[:, None] * (df + dlog[:, :, None] * f)
+    scaled_change = droot @ gh + root @ dgh
+    change_of_e = de.mT @ a
+    change_of_a = e.T @ da
+    df = scaled_change - change_of_e - change_of_a
+    change_of_scale = e * dlog[:, None, :]
+    de_scaled = (de - change_of_scale) / d
+    scale_column = d[:, None]
+    change_of_rows = dlog[:, :, None] * f
+    df_scaled = scale_column * (df + change_of_rows)
     return RecurrenceMatrices(a=da, e=de_scaled, f=df_scaled)
 
 
 def _slack_root(e: Float[np.ndarray, "n q"]) -> Float[np.ndarray, "q q"]:
     """Cholesky factor R of `R R' = 2 I - E'E`."""
-    return np.linalg.cholesky(2.0 * np.eye(e.shape[1]) - e.T @ e)
+    identity = np.eye(e.shape[1])
+    squared_e = e.T @ e
+    return np.linalg.cholesky(2.0 * identity - squared_e)
 
 
 def parameters_from_matrices(core: RecurrenceMatrices, rate: float) -> FreeParameters:
@@ -114,11 +128,14 @@ def parameters_from_matrices(core: RecurrenceMatrices, rate: float) -> FreeParam
     Lambda = I`."""
     e = core.e / np.sqrt(2.0)
     root = _slack_root(core.e)
-    gh = np.linalg.solve(root, core.f + core.e.T @ core.a)  # from F = R Gh - E'A
-    stacked = np.vstack([core.a, gh])
+    through_neurons = core.e.T @ core.a
+    gh = np.linalg.solve(root, core.f + through_neurons)  # from F = R Gh - E'A
+    rows = [core.a, gh]
+    stacked = np.vstack(rows)
     x_e = _invert_cayley_contraction(e)
     x_g = _invert_cayley_contraction(stacked / rate)
-    return FreeParameters(x_e=x_e, x_g=x_g, log_d=np.zeros(e.shape[1]))
+    zero_scales = np.zeros(e.shape[1])
+    return FreeParameters(x_e=x_e, x_g=x_g, log_d=zero_scales)
 
 
 def project_to_contracting(
@@ -131,16 +148,24 @@ def project_to_contracting(
     F`, which is itself pulled inside `rate` first: at the end of the path no neuron is left. Raises
     `BadRequest` where floats hold none.
     """
-    mean = (core.e * slope) @ core.f  # what the neurons add to A on average
-    radius = float(np.abs(np.linalg.eigvals(core.a + mean)).max(initial=0.0))
-    pulled = min(1.0, PULLED * rate / max(radius, 1e-12))
+    scaled_e = core.e * slope
+    mean = scaled_e @ core.f  # what the neurons add to A on average
+    mean_matrix = core.a + mean
+    eigenvalues = np.linalg.eigvals(mean_matrix)
+    moduli = np.abs(eigenvalues)
+    radius = float(moduli.max(initial=0.0))
+    positive_radius = max(radius, 1e-12)
+    shrinkage = PULLED * rate / positive_radius
+    pulled = min(1.0, shrinkage)
     average = pulled * (core.a + mean)
     low = 0.0
     high = 1.0
     share = 1.0
     contracting = None
     for _ in range(HALVINGS):
-        on_path = RecurrenceMatrices(a=average - share * mean, e=share * core.e, f=core.f)
+        shifted_a = average - share * mean
+        shrunk_e = share * core.e
+        on_path = RecurrenceMatrices(a=shifted_a, e=shrunk_e, f=core.f)
         trial = find_contraction_metric(on_path, rate)
         if trial is None:
             high = share
@@ -151,7 +176,8 @@ def project_to_contracting(
             break
         share = 0.5 * (low + high)
     if contracting is None:
-        without_neurons = RecurrenceMatrices(a=average, e=0.0 * core.e, f=core.f)
+        no_e = 0.0 * core.e
+        without_neurons = RecurrenceMatrices(a=average, e=no_e, f=core.f)
         contracting = find_contraction_metric(without_neurons, rate)
     if contracting is None:
         problem = "the linear part of the model does not contract at this rate"
@@ -167,25 +193,36 @@ def find_contraction_metric(core: RecurrenceMatrices, rate: float) -> Contractin
     F/2)/r`, `B = E Lambda^{-1/2}/2`, `C = Lambda^{1/2} F/r`; Lambda balances the rows and columns
     of its largest entries over the frequencies (Osborne 1960), `2 M` solves the Riccati equation.
     """
-    a = (core.a + core.e @ core.f / 2.0) / rate
+    mean_neurons = core.e @ core.f / 2.0
+    a = (core.a + mean_neurons) / rate
     b = core.e / 2.0
     c = core.f / rate
-    if np.abs(np.linalg.eigvals(a)).max(initial=0.0) >= 1.0:
+    eigenvalues = np.linalg.eigvals(a)
+    moduli = np.abs(eigenvalues)
+    if moduli.max(initial=0.0) >= 1.0:
         return None
-    shifted = FREQUENCIES[:, None, None] * np.eye(len(a)) - a
-    response = c @ np.linalg.solve(shifted, b + 0j)
-    d = _balancing_scales(np.abs(response).max(axis=0, initial=0.0))
+    points = FREQUENCIES[:, None, None]
+    identity = np.eye(len(a))
+    shifted = points * identity - a
+    state_response = np.linalg.solve(shifted, b + 0j)
+    response = c @ state_response
+    magnitudes = np.abs(response)
+    d = _balancing_scales(magnitudes.max(axis=0, initial=0.0))
     b = b * d / INSIDE  # asks for a gain below INSIDE, not only below one
     c = c / d[:, None]
     q = b.shape[1]
     weight = c.T @ c  # of the bounded-real lemma: |C x|^2
-    weight += STRICT * max(1.0, np.trace(weight)) * np.eye(len(a))
+    trace = np.trace(weight)
+    regularisation = STRICT * max(1.0, trace)
+    weight += regularisation * np.eye(len(a))
     try:
         if q:
-            p = scipy.linalg.solve_discrete_are(a, b, weight, -np.eye(q))
+            identity_of_neurons = np.eye(q)
+            p = scipy.linalg.solve_discrete_are(a, b, weight, -identity_of_neurons)
         else:
             p = scipy.linalg.solve_discrete_lyapunov(a.T, weight)
-        contracting = ContractingRecurrence(core, np.linalg.cholesky(p / 2.0).T, d)
+        half_metric_factor = np.linalg.cholesky(p / 2.0)
+        contracting = ContractingRecurrence(core, half_metric_factor.T, d)
         parameters_from_matrices(transform_to_metric(contracting), rate)
     except (np.linalg.LinAlgError, ValueError):  # the gain is one or more: there is no solution
         return None
@@ -199,18 +236,23 @@ def transform_to_metric(contracting: ContractingRecurrence) -> RecurrenceMatrice
     back = np.linalg.inv(t)
     a = t @ core.a @ back
     f = core.f @ back
-    return RecurrenceMatrices(a=a, e=t @ core.e * d, f=f / d[:, None])
+    transformed_e = t @ core.e
+    scale_column = d[:, None]
+    return RecurrenceMatrices(a=a, e=transformed_e * d, f=f / scale_column)
 
 
 def _balancing_scales(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]:
     """Diagonal scaling that balances the rows and columns of a matrix. Off the diagonal, the rows
     and columns of `diag(1/d) gains diag(d)` have equal norms."""
-    off = gains - np.diag(np.diagonal(gains))
+    diagonal = np.diagonal(gains)
+    off = gains - np.diag(diagonal)
     d = np.ones(len(gains))  # the diagonal does not move under scaling
     for _ in range(20):  # sweeps of Osborne's iteration
         for i in range(len(d)):
-            row = np.linalg.norm(off[i] * d) / d[i]
-            column = np.linalg.norm(off[:, i] / d) * d[i]
+            scaled_row = off[i] * d
+            row = np.linalg.norm(scaled_row) / d[i]
+            scaled_column = off[:, i] / d
+            column = np.linalg.norm(scaled_column) * d[i]
             if row > 0 and column > 0:
                 d[i] *= np.sqrt(row / column)
     return d
@@ -219,21 +261,30 @@ def _balancing_scales(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]
 def _cayley_contraction(x: Tall) -> tuple[Tall, Square]:
     """Matrix of norm below one that the Cayley transform gives for any matrix, and the Cholesky
     factor in it."""
-    low = np.linalg.cholesky(np.eye(x.shape[1]) + x.T @ x)
-    return np.linalg.solve(low, x.T).T, low
+    identity = np.eye(x.shape[1])
+    squared = x.T @ x
+    low = np.linalg.cholesky(identity + squared)
+    contraction = np.linalg.solve(low, x.T)
+    return contraction.T, low
 
 
 def _invert_cayley_contraction(y: Tall) -> Tall:
     """Matrix that the Cayley transform converts to a given matrix of norm below one. `con(X) = Y`.
     `I - Y'Y = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its Cholesky factor as L."""
-    inverse = np.linalg.cholesky(np.eye(y.shape[1]) - y.T @ y)
-    return y @ np.linalg.inv(inverse).T
+    identity = np.eye(y.shape[1])
+    squared = y.T @ y
+    inverse = np.linalg.cholesky(identity - squared)
+    inverse_factor = np.linalg.inv(inverse)
+    return y @ inverse_factor.T
 
 
 def _differentiate_cayley_contraction(x: Tall, dx: Moved, con: Tall, low: Square) -> Moved:
     """Directional derivatives of the matrix that the Cayley transform gives."""
-    dlow = _differentiate_cholesky(low, dx.mT @ x + x.T @ dx)
-    return (dx - con @ dlow.mT) @ np.linalg.inv(low).T
+    slack_change = dx.mT @ x + x.T @ dx
+    dlow = _differentiate_cholesky(low, slack_change)
+    through_factor = con @ dlow.mT
+    inverse_factor = np.linalg.inv(low)
+    return (dx - through_factor) @ inverse_factor.T
 
 
 def _differentiate_cholesky(low: Square, ds: Moved) -> Moved:
@@ -241,4 +292,6 @@ def _differentiate_cholesky(low: Square, ds: Moved) -> Moved:
     for `L L' = S`."""
     back = np.linalg.inv(low)
     inner = np.tril(back @ ds @ back.T)  # low() with its whole diagonal
-    return low @ (inner - 0.5 * inner * np.eye(len(low)))
+    identity = np.eye(len(low))
+    half_diagonal = 0.5 * inner * identity
+    return low @ (inner - half_diagonal)

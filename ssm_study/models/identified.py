@@ -59,11 +59,16 @@ class ScaffoldedModel(Simulator):
         together."""
         shape = (self.linear.order, self.scale.disturbances) if self.scale.disturbances else (0, 0)
         problem = f"the model needs a matrix of shape {shape}"
-        require(self.b_d.shape == shape, "b_d", self.b_d.shape, problem, "write model.json again")
-        wired = (*self.scaffold_in.shape[::-1], *self.scaffold_out.shape[::-1])
+        stored_shape = self.b_d.shape
+        require(stored_shape == shape, "b_d", self.b_d.shape, problem, "write model.json again")
+        input_shape = self.scaffold_in.shape
+        output_shape = self.scaffold_out.shape
+        wired = (*input_shape[::-1], *output_shape[::-1])
         mapped_inputs = self.linear.b.shape[1]
         unmapped_outputs = len(self.linear.c)
-        needed = (self.scale.inputs, mapped_inputs, unmapped_outputs, self.scale.outputs)
+        input_count = self.scale.inputs
+        output_count = self.scale.outputs
+        needed = (input_count, mapped_inputs, unmapped_outputs, output_count)
         name = "scaffold_in, scaffold_out"
         problem = f"the channels must be {needed}"
         require(wired == needed, name, wired, problem, "rewire them")
@@ -82,7 +87,8 @@ class ScaffoldedModel(Simulator):
     def map_input(self, u: Float[np.ndarray, "*batch m"]) -> Lifted:
         """Apply the static input map to a physical input. `ubar = S_u((u - u_eq) / input_scale)`
         drives the recurrence."""
-        return self.scaffold_in(self.scale.scaled_input(u))
+        scaled_input = self.scale.scaled_input(u)
+        return self.scaffold_in(scaled_input)
 
     def driving_signals(
         self, u: Float[np.ndarray, "*batch T m"], d: Float[np.ndarray, "*batch T k"] | None
@@ -95,7 +101,8 @@ class ScaffoldedModel(Simulator):
             return lifted
         at_equilibrium = np.zeros((*u.shape[:-1], self.scale.disturbances))
         scaled = at_equilibrium if d is None else self.scale.scaled_disturbance(d)
-        return np.concatenate([lifted, scaled], axis=-1)
+        all_signals = [lifted, scaled]
+        return np.concatenate(all_signals, axis=-1)
 
     def disturbance_contribution(
         self, d: Float[np.ndarray, "*batch k"]
@@ -105,7 +112,8 @@ class ScaffoldedModel(Simulator):
         No state and no input enters it, so it cancels where two motions under the same d are
         subtracted (docs/theory.md, "Measured disturbances").
         """
-        return self.scale.scaled_disturbance(d) @ self.b_d.T
+        scaled_disturbance = self.scale.scaled_disturbance(d)
+        return scaled_disturbance @ self.b_d.T
 
     @property
     def driven_system(self) -> StateSpace:
@@ -113,9 +121,12 @@ class ScaffoldedModel(Simulator):
         linear = self.linear
         if not self.scale.disturbances:
             return linear
-        through = np.zeros((len(linear.c), self.scale.disturbances))
-        b = np.hstack([linear.b, self.b_d])
-        d = np.hstack([linear.d, through])
+        no_feedthrough = (len(linear.c), self.scale.disturbances)
+        through = np.zeros(no_feedthrough)
+        input_columns = [linear.b, self.b_d]
+        b = np.hstack(input_columns)
+        feedthrough_columns = [linear.d, through]
+        d = np.hstack(feedthrough_columns)
         return StateSpace(a=linear.a, b=b, c=linear.c, d=d)
 
     @abstractmethod
@@ -125,7 +136,8 @@ class ScaffoldedModel(Simulator):
     def output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
         """Physical output of the model for a state and a mapped input. `y = y_eq + output_scale
         S_y(ybar)`."""
-        return self.scale.physical_output(self.scaled_output_at(x, ubar))
+        scaled_output = self.scaled_output_at(x, ubar)
+        return self.scale.physical_output(scaled_output)
 
     @abstractmethod
     def scaled_output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
@@ -148,8 +160,10 @@ class ScaffoldedModel(Simulator):
 
         Measured disturbances that are not given stay at their equilibrium.
         """
-        ybar = self.simulate_mapped(self.driving_signals(u, d), x0)[0]
-        return self.scale.physical_output(self.scaffold_out(ybar))
+        signals = self.driving_signals(u, d)
+        ybar = self.simulate_mapped(signals, x0)[0]
+        scaled_output = self.scaffold_out(ybar)
+        return self.scale.physical_output(scaled_output)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,15 +196,18 @@ class DelayLine:
 
     def input_matrix(self) -> Float[np.ndarray, "N m"]:
         """Input matrix of a model with a delay line. The input only enters the line."""
-        return np.eye(self.states + self.state_count, self.channels, -self.states)
+        all_states = self.states + self.state_count
+        return np.eye(all_states, self.channels, -self.states)
 
     def append_delay_columns(
         self, of_state: Float[np.ndarray, "k n"], of_input: Float[np.ndarray, "k m"]
     ) -> Float[np.ndarray, "k N"]:
         """Extend a matrix that acts on state and input, so that it acts on the state with the delay
         line."""
-        newer = np.zeros((len(of_state), self.state_count - self.channels))
-        return np.hstack([of_state, newer, of_input])
+        delayed_shape = (len(of_state), self.state_count - self.channels)
+        newer = np.zeros(delayed_shape)
+        columns = [of_state, newer, of_input]
+        return np.hstack(columns)
 
     def append_delay_rows(
         self, of_disturbance: Float[np.ndarray, "_ k"]
@@ -199,7 +216,8 @@ class DelayLine:
         line."""
         channels = of_disturbance.shape[1]
         waiting = self.state_count if channels else 0
-        return np.vstack([of_disturbance, np.zeros((waiting, channels))])
+        delay_rows = np.zeros((waiting, channels))
+        return np.vstack([of_disturbance, delay_rows])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,19 +255,24 @@ class SSM(ScaffoldedModel):
 
     def advance(self, x: State, ubar: Lifted) -> State:
         """Advance the state by one sample, `x+ = A x + B ubar`."""
-        return x @ self.linear.a.T + ubar @ self.linear.b.T
+        free_motion = x @ self.linear.a.T
+        driven_motion = ubar @ self.linear.b.T
+        return free_motion + driven_motion
 
     def scaled_output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
         """Scaled output `S_y(C x + D ubar)`: the output map `S_y`, applied to the linear
         recurrence's output."""
-        return self.scaffold_out(x @ self.linear.c.T + ubar @ self.linear.d.T)
+        from_state = x @ self.linear.c.T
+        from_input = ubar @ self.linear.d.T
+        return self.scaffold_out(from_state + from_input)
 
     def simulate_mapped(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, State]:
         """Simulate the linear recurrence `C x + D ubar` step by step. The last state is returned,
         too."""
-        lifted = ubar.shape[-1] == self.linear.b.shape[1]
+        shape_of_b = self.linear.b.shape
+        lifted = ubar.shape[-1] == shape_of_b[1]
         system = self.linear if lifted else self.driven_system
         return system.simulate(ubar, x0)
 
@@ -261,7 +284,9 @@ class SSM(ScaffoldedModel):
         """Copy of the model with its linear part, including the disturbance inputs, replaced by one
         of any order. The inverse of `driven_system`."""
         m = self.linear.b.shape[1]
-        linear = StateSpace(a=system.a, b=system.b[:, :m], c=system.c, d=system.d[:, :m])
+        mapped_columns = system.b[:, :m]
+        feedthrough_columns = system.d[:, :m]
+        linear = StateSpace(a=system.a, b=mapped_columns, c=system.c, d=feedthrough_columns)
         b_d = system.b[:, m:] if self.scale.disturbances else self.b_d
         return replace(self, linear=linear, b_d=b_d)
 
@@ -270,11 +295,15 @@ class SSM(ScaffoldedModel):
         delayed inputs are states of the recurrence. Measured disturbances act without the dead
         time."""
         linear = self.linear
-        line = DelayLine(states=linear.order, channels=linear.b.shape[1], samples=samples)
+        input_shape = linear.b.shape
+        line = DelayLine(states=linear.order, channels=input_shape[1], samples=samples)
         a = line.state_matrix(linear.a, linear.b)
         c = line.append_delay_columns(linear.c, linear.d)
-        late = StateSpace(a=a, b=line.input_matrix(), c=c, d=np.zeros_like(linear.d))
-        return replace(self, linear=late, b_d=line.append_delay_rows(self.b_d))
+        delayed_input = line.input_matrix()
+        no_feedthrough = np.zeros_like(linear.d)
+        late = StateSpace(a=a, b=delayed_input, c=c, d=no_feedthrough)
+        delayed_disturbance = line.append_delay_rows(self.b_d)
+        return replace(self, linear=late, b_d=delayed_disturbance)
 
     def absorb_map_centres(self) -> "SSM":
         """Move linear factors of the static maps into the linear part, if their balls of Jacobians
@@ -292,11 +321,15 @@ class SSM(ScaffoldedModel):
         inward = _factor_out_centre(scaffold_in, "compose_with_output_matrix")
         if inward is not None:
             scaffold_in, m = inward
-            linear = replace(linear, b=linear.b @ m, d=linear.d @ m)
+            b = linear.b @ m
+            d = linear.d @ m
+            linear = replace(linear, b=b, d=d)
         outward = _factor_out_centre(scaffold_out, "compose_with_input_matrix")
         if outward is not None:
             scaffold_out, m = outward
-            linear = replace(linear, c=m @ linear.c, d=m @ linear.d)
+            c = m @ linear.c
+            output_feedthrough = m @ linear.d
+            linear = replace(linear, c=c, d=output_feedthrough)
         return replace(self, linear=linear, scaffold_in=scaffold_in, scaffold_out=scaffold_out)
 
 
@@ -305,12 +338,15 @@ def _factor_out_centre(
 ) -> tuple[Scaffold, Float[np.ndarray, "m m"]] | None:
     """Static map without the centre matrix of its Jacobians, and that matrix; None if the ball of
     Jacobians becomes no smaller."""
-    if scaffold.inputs != scaffold.outputs or scaffold.inputs == 1:
+    has_other_channels = scaffold.inputs != scaffold.outputs
+    if has_other_channels or scaffold.inputs == 1:
         return None
     m = scaffold.jacobian_centre()
     if m is None or not np.linalg.cond(m) < LARGEST_CONDITION:
         return None
-    straight = getattr(scaffold, method)(np.linalg.inv(m))
+    factor_out = getattr(scaffold, method)
+    inverse_centre = np.linalg.inv(m)
+    straight = factor_out(inverse_centre)
     before = jacobian_ball(scaffold).ball.relative_radius
     after = jacobian_ball(straight).ball.relative_radius
     return (straight, m) if after < before else None

@@ -28,7 +28,8 @@ def mean_output(
     """Mean output of several models in free run from the equilibrium. Measured disturbances that
     are not given stay at their equilibrium."""
     loads = {} if d is None else {"d": d}
-    return np.mean([model.simulate(u, **loads) for model in members], axis=0)
+    outputs_of_members = [model.simulate(u, **loads) for model in members]
+    return np.mean(outputs_of_members, axis=0)
 
 
 def simulate_with_mean(members: Sequence[Any], data: DataSet) -> tuple[Simulation, Simulation]:
@@ -41,8 +42,10 @@ def simulate_with_mean(members: Sequence[Any], data: DataSet) -> tuple[Simulatio
 
 def mean_of_runs(runs: Sequence[Simulation]) -> Simulation:
     """Measured records, with the mean of several simulations of them."""
-    by_record = zip(*(run.simulated for run in runs), strict=True)
-    means = tuple(np.mean(outputs, axis=0) for outputs in by_record)
+    simulated_records = (run.simulated for run in runs)
+    by_record = zip(*simulated_records, strict=True)
+    mean_outputs = (np.mean(outputs, axis=0) for outputs in by_record)
+    means = tuple(mean_outputs)
     return replace(runs[0], simulated=means, starts=())
 
 
@@ -54,4 +57,6 @@ def member_columns(members: Sequence[Any], data: DataSet) -> dict[str, Any]:
         return {}
     validation, test = simulate_with_mean(members, data)
     fits = (validation.fit_percent, test.fit_percent)
-    return {"members": len(members)} | dict(zip(FITS, fits, strict=True))
+    member_count = {"members": len(members)}
+    named_fits = zip(FITS, fits, strict=True)
+    return member_count | dict(named_fits)

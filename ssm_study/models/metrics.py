@@ -126,10 +126,12 @@ class Simulation:
     ) -> "Simulation":
         """Simulate several records by a model."""
         states = starts or (None,) * len(records)
-        simulated = tuple(
+        records_and_starts = zip(records, states, strict=True)
+        simulated_records = (
             simulate_record(model, record, start_up_samples, state)
-            for record, state in zip(records, states, strict=True)
+            for record, state in records_and_starts
         )
+        simulated = tuple(simulated_records)
         return cls(
             records=records, simulated=simulated, start_up_samples=start_up_samples, starts=states
         )
@@ -151,7 +153,9 @@ class Simulation:
         first = self.start_up_samples
         measured = [record.y[first:] for record in self.records]
         simulated = [y[first:] for y in self.simulated]
-        return np.concatenate(measured), np.concatenate(simulated)
+        all_measured = np.concatenate(measured)
+        all_simulated = np.concatenate(simulated)
+        return all_measured, all_simulated
 
 
 def size_columns(model: Simulator) -> dict[str, Any]:
@@ -159,7 +163,8 @@ def size_columns(model: Simulator) -> dict[str, Any]:
     from the configuration, where folds chose the size."""
     if not isinstance(model, StructuredSSM):
         return {}
-    return {"states_identified": model.order, "neurons": len(model.neurons)}
+    neuron_count = len(model.neurons)
+    return {"states_identified": model.order, "neurons": neuron_count}
 
 
 def fit_columns(
@@ -170,7 +175,8 @@ def fit_columns(
     columns = {"fit_validation_percent": validation.fit_percent}
     columns["fit_test_percent"] = test.fit_percent
     columns["rmse_test"] = test.rmse
-    numbered = {f"score_test_{i}": score for i, score in enumerate(scores, start=1)}
+    numbered_scores = enumerate(scores, start=1)
+    numbered = {f"score_test_{i}": score for i, score in numbered_scores}
     return columns | numbered
 
 
@@ -195,10 +201,12 @@ def simulate_record(
             x0 = estimate_initial_state(model, record, start_up_samples)
         return model.simulate(record.u, x0, record.d)
     if start is not None:
-        return model.simulate(record.u, np.asarray(start, dtype=np.float64))
+        start_state = np.asarray(start, dtype=np.float64)
+        return model.simulate(record.u, start_state)
     if start_up_samples == 0:
         return model.simulate(record.u)
-    return model.simulate_from_outputs(record.u, record.y[:start_up_samples])
+    first_outputs = record.y[:start_up_samples]
+    return model.simulate_from_outputs(record.u, first_outputs)
 
 
 def estimate_initial_state(
@@ -215,24 +223,32 @@ def estimate_initial_state(
     model and solved by Gauss-Newton. Rest where an unstable model leaves no finite solution.
     """
     lifted = model.driving_signals(record.u, record.d)
-    target = model.scale.scaled_output(record.y[:samples])
+    first_outputs = record.y[:samples]
+    target = model.scale.scaled_output(first_outputs)
     reaching = lifted if reached_by is None else model.driving_signals(reached_by.u, reached_by.d)
     prior = _record_gramian(model, reaching)
     x0 = np.zeros(model.order)  # W, and the mean of the prior: rest
     for _ in range(GAUSS_NEWTON_STEPS):
-        ybar, by_state = _linearise_output(model, lifted[:samples], x0)
-        slopes = np.stack([model.scaffold_out.jacobian(y) for y in ybar])  # of S_y on the way
+        first_inputs = lifted[:samples]
+        ybar, by_state = _linearise_output(model, first_inputs, x0)
+        jacobians = [model.scaffold_out.jacobian(y) for y in ybar]
+        slopes = np.stack(jacobians)  # of S_y on the way
         # d y_hat / d x0, all samples below one another
         o = (slopes @ by_state).reshape(-1, model.order)
         error = target - model.scaffold_out(ybar)
         missing = error.ravel() + o @ x0
         with np.errstate(all="ignore"):
-            covariance = o @ prior @ o.T + START_UP_NOISE * np.eye(len(o))
+            output_covariance = o @ prior @ o.T
+            noise_covariance = START_UP_NOISE * np.eye(len(o))
+            covariance = output_covariance + noise_covariance
         try:
-            x0 = prior @ o.T @ np.linalg.solve(covariance, missing)
+            gain = prior @ o.T
+            weighted_errors = np.linalg.solve(covariance, missing)
+            x0 = gain @ weighted_errors
         except np.linalg.LinAlgError:  # the model is unstable, and its numbers overflow
             break
-    return x0 if np.isfinite(x0).all() else np.zeros(model.order)
+    is_finite = np.isfinite(x0)
+    return x0 if is_finite.all() else np.zeros(model.order)
 
 
 def _record_gramian(model: Any, lifted: Lifted) -> Gramian:
@@ -240,8 +256,10 @@ def _record_gramian(model: Any, lifted: Lifted) -> Gramian:
     moment of the states that the inputs reach from rest."""
     if isinstance(model, SSM):
         system = model.driven_system
-        b = system.b * lifted.std(axis=0)
-        return reachability_gramian(system.a, b, len(lifted))
+        input_deviation = lifted.std(axis=0)
+        b = system.b * input_deviation
+        samples = len(lifted)
+        return reachability_gramian(system.a, b, samples)
     _, states = model.simulate_mapped(lifted)
     return states.T @ states / len(states)
 
@@ -253,17 +271,20 @@ def _linearise_output(
     if isinstance(model, SSM):
         powers = [model.linear.c]  # C A^k, k = 0 ... T - 1
         for _ in range(len(lifted) - 1):
-            powers.append(powers[-1] @ model.linear.a)
+            next_power = powers[-1] @ model.linear.a
+            powers.append(next_power)
         ybar, _ = model.driven_system.simulate(lifted, x0)
         return ybar, np.stack(powers)
     # Here, for it loads numba.
     from ssm_study.models.structured_kernel import simulate_with_sensitivities
 
-    empty_columns = np.zeros((1, len(lifted), 0))
+    empty_shape = (1, len(lifted), 0)
+    empty_columns = np.zeros(empty_shape)
     none = np.zeros(0, dtype=np.int64)
     matrices = model.driven_matrices if model.scale.disturbances else model.matrices
     ybar, by = simulate_with_sensitivities(matrices, lifted[None], x0[None], empty_columns, none)
-    return ybar[0], by["x0"][0]
+    by_start = by["x0"][0]
+    return ybar[0], by_start
 
 
 def reachability_gramian(a: Gramian, b: Float[np.ndarray, "n m"], samples: int) -> Gramian:
@@ -271,7 +292,8 @@ def reachability_gramian(a: Gramian, b: Float[np.ndarray, "n m"], samples: int) 
     over k below the first power of two that is not less than `samples`, by doubling."""
     gramian = b @ b.T
     power = a
-    for _ in range((samples - 1).bit_length()):
+    doublings = (samples - 1).bit_length()
+    for _ in range(doublings):
         gramian = gramian + power @ gramian @ power.T
         power = power @ power
     return gramian
