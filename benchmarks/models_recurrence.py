@@ -18,7 +18,7 @@ from models_peers import BareFFT, DynoNetFilter, PublicLRU, Recurrent, StepLoop
 from torch import nn
 
 from ssm_study.models import torch_recurrence as recurrence
-from ssm_study.models.spec import draw_modes_on_ring
+from ssm_study.models.initial_system import draw_modes_on_ring
 from ssm_study.models.torch_ssm import LRU
 
 CASES = [

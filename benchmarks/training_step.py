@@ -23,10 +23,10 @@ from models_peers import PublicLRU
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
+from ssm_study.models.initial_system import draw_modes_on_ring
 from ssm_study.models.scaffolds.linear import Linear
 from ssm_study.models.scaffolds.mlp import Mlp
 from ssm_study.models.scaffolds.trainable import MapContext
-from ssm_study.models.spec import draw_modes_on_ring
 from ssm_study.models.torch_recurrence import simulate_by_convolution
 from ssm_study.models.torch_ssm import LRU, InputMapping, TorchSSM
 

@@ -17,7 +17,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ssm_study.data.log_dynamics import input_shares
 from ssm_study.evidence.finding import Case, Finding, make_doubt, make_note
-from ssm_study.models.spec import fit_arx_matrices, scale_records
+from ssm_study.models.initial_system import fit_arx_matrices
+from ssm_study.models.spec import scale_records
 from ssm_study.models.warm_start import join_log_stretches
 from ssm_study.signals import DataSet
 

@@ -22,7 +22,7 @@ from ssm_study.models.contracting import (
     matrices_from_parameters,
     parameters_from_matrices,
 )
-from ssm_study.models.spec import (
+from ssm_study.models.initial_system import (
     Pairs,
     arx_impulse_response,
     fit_arx_matrices,

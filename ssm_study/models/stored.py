@@ -19,4 +19,5 @@ def read_model_json(data: Mapping[str, Any]) -> Simulator:
         return Bilinear.from_json(data)  # without the import of torch
     kinds = Simulator.members(baselines)
     require_one_of(kinds, "kind", data["kind"])
-    return kinds[data["kind"]].from_json(data)
+    kind = kinds[data["kind"]]
+    return kind.from_json(data)

@@ -47,15 +47,18 @@ def softplus(z: Values) -> Values:
 
 def softplus_slope(z: Values) -> Values:
     """Slope of the softplus: the logistic function."""
-    return 0.5 * (1.0 + np.tanh(0.5 * z))
+    half_tanh = np.tanh(0.5 * z)
+    return 0.5 * (1.0 + half_tanh)
 
 
 def clipped_cubic(z: Values) -> Values:
     """Cubic function that continues as a straight line of slope one beyond -1 and 1. `z^3 / 3`
     inside."""
     inside = z**3 / 3.0
-    beyond = z - np.copysign(2.0 / 3.0, z)
-    return np.where(np.abs(z) < 1.0, inside, beyond)
+    edge = np.copysign(2.0 / 3.0, z)
+    beyond = z - edge
+    size = np.abs(z)
+    return np.where(size < 1.0, inside, beyond)
 
 
 def clipped_cubic_slope(z: Values) -> Values:
@@ -80,7 +83,8 @@ def saturation(z: Values) -> Values:
 
 def saturation_slope(z: Values) -> Values:
     """Slope of the saturation; at a kink, the slope to its right."""
-    inside = np.logical_and(z >= -1.0, z < 1.0)
+    is_above = z >= -1.0
+    inside = np.logical_and(is_above, z < 1.0)
     return np.asarray(inside, dtype=float)
 
 
@@ -103,7 +107,8 @@ def activation_codes(kinds: tuple[str, ...]) -> Int[np.ndarray, "q"]:
         require(
             kind in known_kinds, "neurons", kind, "unknown neuron", f"use {', '.join(known_kinds)}"
         )
-    return np.array([known_kinds.index(kind) for kind in kinds], dtype=np.int64)
+    codes = [known_kinds.index(kind) for kind in kinds]
+    return np.array(codes, dtype=np.int64)
 
 
 def evaluate_activations(
@@ -113,7 +118,9 @@ def evaluate_activations(
     or `phi_i'(z_i)` where `of` is "slope"."""
     out = np.empty_like(z)
     for i, kind in enumerate(kinds):
-        out[..., i] = getattr(NEURONS[kind], of)(z[..., i])
+        activation = getattr(NEURONS[kind], of)
+        channel_values = z[..., i]
+        out[..., i] = activation(channel_values)
     return out
 
 
@@ -159,7 +166,8 @@ class StructuredSSM(ScaffoldedModel):
         p = self.scaffold_out.inputs
         q = len(self.neurons)
         activation_codes(self.neurons)
-        for name, shape in matrix_shapes(n, m, p, q).items():
+        shapes = matrix_shapes(n, m, p, q)
+        for name, shape in shapes.items():
             value = getattr(self, name)
             fits = value.shape == shape and bool(np.isfinite(value).all())
             problem = f"must be finite and of shape {shape}: {n} states, {q} neurons"
@@ -201,16 +209,19 @@ class StructuredSSM(ScaffoldedModel):
         system = self.driven_system
         columns = (0, self.scale.disturbances)
         driven = {"b": system.b, "d": system.d}
-        driven["g"] = np.pad(self.g, ((0, 0), columns))
+        no_rows = (0, 0)
+        driven["g"] = np.pad(self.g, (no_rows, columns))
         codes = activation_codes(self.neurons)
-        return KernelMatrices.from_parts(vars(self) | driven, codes)
+        matrices = vars(self) | driven
+        return KernelMatrices.from_parts(matrices, codes)
 
     def linearise_at(
         self, x: Float[np.ndarray, "n"], ubar: Float[np.ndarray, "mbar"]
     ) -> StateSpace:
         """Linearise the recurrence at one state and mapped input. Neurons are replaced by their
         slopes there."""
-        z = self.f @ x + self.g @ ubar + self.bias
+        linear_input = self.f @ x + self.g @ ubar
+        z = linear_input + self.bias
         slopes = evaluate_activations(self.neurons, z, "slope")
         return self._structured_system.linearise_at_slopes(slopes)
 
@@ -219,7 +230,8 @@ class StructuredSSM(ScaffoldedModel):
     ) -> Float[np.ndarray, "*batch q"]:
         """Outputs of the neurons for a state and a mapped input. `w = phi(F x + G v + b + injected)
         - phi(b)`; an observer injects `L_z (yh - y)`."""
-        z = x @ self.f.T + ubar @ self.g.T + self.bias + injected  # what the neurons see
+        linear_input = x @ self.f.T + ubar @ self.g.T
+        z = linear_input + self.bias + injected  # what the neurons see
         at_rest = evaluate_activations(self.neurons, self.bias)
         return evaluate_activations(self.neurons, z) - at_rest
 
@@ -227,13 +239,17 @@ class StructuredSSM(ScaffoldedModel):
         """Advance the state by one sample, `x+ = A x + B v + E w`. `injected` is as in
         `neuron_outputs`."""
         w = self.neuron_outputs(x, ubar, injected)
-        return x @ self.a.T + ubar @ self.b.T + w @ self.e.T
+        linear_motion = x @ self.a.T + ubar @ self.b.T
+        neuron_motion = w @ self.e.T
+        return linear_motion + neuron_motion
 
     def scaled_output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
         """Scaled output `S_y(C x + D v + H w)`: the output map `S_y`, applied to the recurrence's
         output."""
         w = self.neuron_outputs(x, ubar)
-        ybar = x @ self.c.T + ubar @ self.d.T + w @ self.h.T
+        linear_output = x @ self.c.T + ubar @ self.d.T
+        neuron_output = w @ self.h.T
+        ybar = linear_output + neuron_output
         return self.scaffold_out(ybar)
 
     def simulate_mapped(
@@ -247,34 +263,36 @@ class StructuredSSM(ScaffoldedModel):
         samples = ubar.shape[-2]
         inputs = ubar.shape[-1]
         # No broadcast view: numba compiles anew for what is read-only.
-        start = np.zeros((*batch, self.order))
+        start_shape = (*batch, self.order)
+        start = np.zeros(start_shape)
         if x0 is not None:
             start[...] = x0
         records = ubar.reshape(-1, samples, inputs)
         v = np.ascontiguousarray(records, dtype=np.float64)
         has_disturbances = inputs != self.b.shape[1]
         matrices = self.driven_matrices if has_disturbances else self.matrices
-        ybar, states = simulate_compiled(matrices, v, start.reshape(-1, self.order))
+        flat_start = start.reshape(-1, self.order)
+        ybar, states = simulate_compiled(matrices, v, flat_start)
         outputs = ybar.reshape(*batch, samples, -1)
-        return outputs, states.reshape(*batch, samples + 1, -1)
+        states_of_batch = states.reshape(*batch, samples + 1, -1)
+        return outputs, states_of_batch
 
     def with_dead_time(self, samples: int) -> "StructuredSSM":
         """Copy of the model with a dead time at its input. The neurons see the input as many
         samples late, too."""
         n, m = self.b.shape
         line = DelayLine(states=n, channels=m, samples=samples)
-        idle = np.zeros((line.state_count, len(self.neurons)))
-        return replace(
-            self,
-            a=line.state_matrix(self.a, self.b),
-            b=line.input_matrix(),
-            c=line.append_delay_columns(self.c, self.d),
-            d=np.zeros_like(self.d),
-            e=np.vstack([self.e, idle]),
-            f=line.append_delay_columns(self.f, self.g),
-            g=np.zeros_like(self.g),
-            b_d=line.append_delay_rows(self.b_d),
-        )
+        neuron_count = len(self.neurons)
+        idle = np.zeros((line.state_count, neuron_count))
+        a = line.state_matrix(self.a, self.b)
+        b = line.input_matrix()
+        c = line.append_delay_columns(self.c, self.d)
+        d = np.zeros_like(self.d)
+        e = np.vstack([self.e, idle])
+        f = line.append_delay_columns(self.f, self.g)
+        g = np.zeros_like(self.g)
+        b_d = line.append_delay_rows(self.b_d)
+        return replace(self, a=a, b=b, c=c, d=d, e=e, f=f, g=g, b_d=b_d)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> "StructuredSSM":
@@ -298,4 +316,6 @@ def linearise_at_equilibrium(model: Model) -> StateSpace:
     """Linear recurrence in which the neurons are replaced by their slopes at the equilibrium."""
     if isinstance(model, SSM):
         return model.linear
-    return model.linearise_at(np.zeros(model.order), np.zeros(model.b.shape[1]))
+    zero_state = np.zeros(model.order)
+    input_shape = model.b.shape
+    return model.linearise_at(zero_state, np.zeros(input_shape[1]))

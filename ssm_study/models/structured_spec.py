@@ -65,7 +65,8 @@ class TrainablePieces:
         each = np.arange(self.channels)
         if not self.knots:
             return each[:0]
-        of_slopes = np.repeat(each, self.knots + 1)
+        slope_count = self.knots + 1
+        of_slopes = np.repeat(each, slope_count)
         of_points = np.repeat(each, self.knots)
         return np.concatenate([of_slopes, of_points])
 
@@ -78,17 +79,24 @@ class TrainablePieces:
         low = mapped.min(axis=0)
         high = mapped.max(axis=0)
         middles = np.arange(self.knots) + 0.5
-        points = low + (high - low) * middles[:, None] / self.knots
-        slopes = np.zeros(self.channels * (self.knots + 1))
-        return np.concatenate([slopes, points.T.ravel()])
+        places = (high - low) * middles[:, None]
+        points = low + places / self.knots
+        slope_count = self.knots + 1
+        slopes = np.zeros(self.channels * slope_count)
+        flat_points = points.T.ravel()
+        return np.concatenate([slopes, flat_points])
 
     def _slopes_and_points(self, theta: Free) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Slopes, their derivatives with respect to the free parameters, and the sorted break
         points. Each has one row per channel."""
-        split = self.channels * (self.knots + 1)
-        free = theta[:split].reshape(self.channels, -1)
-        points = theta[split:].reshape(self.channels, -1)
-        share = 1.0 / (1.0 + np.exp(-free))  # the logistic function
+        slope_count = self.knots + 1
+        split = self.channels * slope_count
+        free_slopes = theta[:split]
+        free = free_slopes.reshape(self.channels, -1)
+        free_points = theta[split:]
+        points = free_points.reshape(self.channels, -1)
+        odds = np.exp(-free)
+        share = 1.0 / (1.0 + odds)  # the logistic function
         width = self.upper - self.lower
         slopes = self.lower + width * share
         by_free = width * share * (1.0 - share)
@@ -104,44 +112,56 @@ class TrainablePieces:
         t_j lies between 0 and v, negative where v < 0.
         """
         if not self.knots:
-            return v, np.ones_like(v), np.zeros((*v.shape[:-1], 0))
+            unit_slopes = np.ones_like(v)
+            return v, unit_slopes, np.zeros((*v.shape[:-1], 0))
         values = v.copy()
         at = np.ones_like(v)
         frees = []
         moves = []
-        channels = zip(*self._slopes_and_points(theta), strict=True)
+        pieces_of_channels = self._slopes_and_points(theta)
+        channels = zip(*pieces_of_channels, strict=True)
         for c, (slopes, by_free, points) in enumerate(channels):
             order = np.argsort(points, kind="stable")
             inner = points[order]
-            lower = np.concatenate([[-np.inf], inner])
-            upper = np.concatenate([inner, [np.inf]])
+            minus_infinity = [-np.inf]
+            lower = np.concatenate([minus_infinity, inner])
+            infinity = [np.inf]
+            upper = np.concatenate([inner, infinity])
             x = v[..., c, None]
-            inside = np.clip(x, lower, upper) - np.clip(0.0, lower, upper)
+            clipped = np.clip(x, lower, upper)
+            clipped_zero = np.clip(0.0, lower, upper)
+            inside = clipped - clipped_zero
             values[..., c] = inside @ slopes
-            piece = np.searchsorted(inner, v[..., c], side="right")
+            channel_values = v[..., c]
+            piece = np.searchsorted(inner, channel_values, side="right")
             at[..., c] = slopes[piece]
             frees.append(inside * by_free)
             # Which break points lie between 0 and v.
-            passed = (x > inner).astype(float) - (inner < 0.0)
+            is_beyond = (x > inner).astype(float)
+            passed = is_beyond - (inner < 0.0)
             by_points = passed * -np.diff(slopes)
             in_order_of_parameters = np.argsort(order)
             moves.append(by_points[..., in_order_of_parameters])
-        return values, at, np.concatenate([*frees, *moves], axis=-1)
+        derivatives = [*frees, *moves]
+        return values, at, np.concatenate(derivatives, axis=-1)
 
     def values(self, theta: Free, v: Signals) -> Signals:
         """Values of the trainable map; channels without a trained map are returned unchanged."""
-        mapped = self.freeze(theta)(v[..., : self.channels])
+        trained_map = self.freeze(theta)
+        mapped = trained_map(v[..., : self.channels])
         if not self.passed:
             return mapped
         unchanged = v[..., self.channels :]
-        return np.concatenate([mapped, unchanged], axis=-1)
+        all_channels = [mapped, unchanged]
+        return np.concatenate(all_channels, axis=-1)
 
     def freeze(self, theta: Free) -> Scaffold:
         """Freeze the trained map to explicit numbers, for the channels that it changes."""
         if not self.knots:
             return LinearScaffold.identity(self.channels)
         slopes, _, points = self._slopes_and_points(theta)
-        return MonotoneScaffold(breakpoints=np.sort(points, axis=1), slopes=slopes)
+        breakpoints = np.sort(points, axis=1)
+        return MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,8 +221,10 @@ class StructuredSpec(ModelSpec):
         require_one_of(flags, "model.integrating_output", self.integrating_output)
         if self.neurons != AUTO:
             activation_codes(self.neuron_kinds)
-        require_one_of(("none", "staged", "free", AUTO), "model.input_path", self.input_path)
-        require_one_of(("none", "free"), "model.output_path", self.output_path)
+        allowed_input_paths = ("none", "staged", "free", AUTO)
+        require_one_of(allowed_input_paths, "model.input_path", self.input_path)
+        allowed_output_paths = ("none", "free")
+        require_one_of(allowed_output_paths, "model.output_path", self.output_path)
 
     def _check_numbers(self) -> None:
         """Raise `BadRequest` for numbers outside their ranges."""
@@ -213,9 +235,11 @@ class StructuredSpec(ModelSpec):
         require_at_least(0, "model.ridge", self.ridge, "use 1e-6")
         share = self.gain_share
         problem = "is a share of the largest gain"
-        require(0 <= share < 1, "model.gain_share", share, problem, "use 0.05, or 0 for none")
+        is_share = 0 <= share < 1
+        require(is_share, "model.gain_share", share, problem, "use 0.05, or 0 for none")
         steps = self.start_steps
-        fits = len(steps) == 3 and min(steps) >= 1
+        step_count = len(steps)
+        fits = step_count == 3 and min(steps) >= 1
         problem = "needs three numbers, at least 1"
         require(fits, "model.start_steps", steps, problem, "use [15, 20, 10]")
 
@@ -224,27 +248,34 @@ class StructuredSpec(ModelSpec):
         if self.integrating_output is not True:
             return
         problem = "without neurons no integrator is set apart: a mode comes near one by itself"
-        require(self.neurons != 0, "model.neurons", self.neurons, problem, "use 1 or more")
+        has_neurons = self.neurons != 0
+        require(has_neurons, "model.neurons", self.neurons, problem, "use 1 or more")
         problem = "an integrating output has a linear S_y"
-        require(not self.output_knots, "model.output_knots", self.output_knots, problem, "use 0")
+        is_linear = not self.output_knots
+        require(is_linear, "model.output_knots", self.output_knots, problem, "use 0")
 
     @property
     def neuron_kinds(self) -> tuple[str, ...]:
         """Kind of activation of each neuron."""
         kinds = [self.kinds] if isinstance(self.kinds, str) else list(self.kinds)
-        require(len(kinds) > 0, "model.kinds", kinds, "names no kind of neuron", "use tanh")
-        return tuple(kinds[i % len(kinds)] for i in range(int(self.neurons)))
+        kind_count = len(kinds)
+        require(kind_count > 0, "model.kinds", kinds, "names no kind of neuron", "use tanh")
+        neuron_count = int(self.neurons)
+        kinds_of_neurons = (kinds[i % len(kinds)] for i in range(neuron_count))
+        return tuple(kinds_of_neurons)
 
     @property
     def automatic_settings(self) -> tuple[str, ...]:
         """Names of the settings that are chosen from the records."""
-        return tuple(name for name in AUTOMATIC if getattr(self, name) == AUTO)
+        automatic = (name for name in AUTOMATIC if getattr(self, name) == AUTO)
+        return tuple(automatic)
 
     @property
     def training_count(self) -> int:
         """Number of training runs from different initial parameters. It is `starts`, one more with
         `among_starts`, and at least as many as `members` need."""
-        return max(self.starts + (self.among_starts is not None), self.members)
+        has_prior_start = self.among_starts is not None
+        return max(self.starts + has_prior_start, self.members)
 
     def for_training_run(self, start: int) -> "StructuredSpec":
         """Copy of the settings with the initial values for one of several training runs. With
@@ -254,7 +285,8 @@ class StructuredSpec(ModelSpec):
         """
         if self.among_starts is None:
             return self
-        half = replace(self, order=(int(self.order) + 1) // 2)
+        whole_order = int(self.order) + 1
+        half = replace(self, order=whole_order // 2)
         if start == self.training_count - 1:
             return replace(half, neurons=0, integrating_output=False)
         return half if start % 2 else self
@@ -266,7 +298,8 @@ class StructuredSpec(ModelSpec):
         through S_u unchanged."""
         lower = self.slope_lower
         upper = self.slope_upper
-        lift = TrainablePieces(channels[0], int(self.knots), lower, upper, passed=disturbances)
+        knots = int(self.knots)
+        lift = TrainablePieces(channels[0], knots, lower, upper, passed=disturbances)
         read = TrainablePieces(channels[1], self.output_knots, lower, upper)
         return lift, read
 
@@ -274,13 +307,15 @@ class StructuredSpec(ModelSpec):
         """Settings of the same model without neurons, which is trained as `model=ssm` is."""
         inward = Monotone() if self.knots else Linear()
         outward = Monotone() if self.output_knots else Linear()
-        width = max(int(self.knots), self.output_knots, 1)  # of both maps: one number in SSMSpec
+        knots = int(self.knots)
+        width = max(knots, self.output_knots, 1)  # of both maps: one number in SSMSpec
+        feedthrough = self.feedthrough is True
         return SSMSpec(
             order=self.order,  # type: ignore[arg-type] # decided before
             hidden_width=width,
             slope_lower=self.slope_lower,
             slope_upper=self.slope_upper,
-            feedthrough=self.feedthrough is True,
+            feedthrough=feedthrough,
             scaffold_in=inward,
             scaffold_out=outward,
         )

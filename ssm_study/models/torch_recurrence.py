@@ -47,24 +47,34 @@ class ChunkedRecurrence(torch.autograd.Function):
     ) -> Tensor:
         """Simulate the recurrence block by block, and store the values that the gradient needs."""
         rate = decay.to(torch.complex128)  # powers are taken in it: a phase grows with its sample
-        power = torch.exp(_AGES.to(u.device) * rate).to(decay.dtype)  # lambda^k, k = 0 ... 64
-        lift_by_sample = power[:-1].flip(0)[:, None] * b.mT
-        lift = _as_real(lift_by_sample.flatten(0, 1))
+        exponents = _AGES.to(u.device) * rate
+        power = torch.exp(exponents).to(decay.dtype)  # lambda^k, k = 0 ... 64
+        later_powers = power[:-1].flip(0)
+        lift_by_sample = later_powers[:, None] * b.mT
+        flat_lift = lift_by_sample.flatten(0, 1)
+        lift = _as_real(flat_lift)
         read_by_sample = power[:-1, None] * c
-        read = _as_real(read_by_sample.flatten(0, 1).conj_physical())
-        within_block = _toeplitz_table(d, read, _as_real(b.mT.contiguous()))
+        flat_read = read_by_sample.flatten(0, 1)
+        read = _as_real(flat_read.conj_physical())
+        b_rows = b.mT.contiguous()
+        within_block = _toeplitz_table(d, read, _as_real(b_rows))
         blocks = _split_into_blocks(u)
-        members = math.isqrt(len(blocks) - 1) + 1  # of a group of the scan, and powers of lambda^64
-        steps = torch.arange(1, members + 1, device=u.device)[:, None, None]
-        turns = torch.exp(steps * (rate * CHUNK)).to(decay.dtype)
+        later_blocks = len(blocks) - 1
+        members = math.isqrt(later_blocks) + 1  # of a group of the scan, and powers of lambda^64
+        multiples = torch.arange(1, members + 1, device=u.device)
+        steps = multiples[:, None, None]
+        exponents_of_groups = steps * (rate * CHUNK)
+        turns = torch.exp(exponents_of_groups).to(decay.dtype)
         rise = _as_complex(blocks @ lift)
         x = _scan_blocks(turns, rise, x0)  # the state at the start of each block
         y = (blocks @ within_block).view(-1, within_block.shape[1])
-        y = y.addmm_(_as_real(x).flatten(0, 1), read.mT)
+        state_rows = _as_real(x)
+        y = y.addmm_(state_rows.flatten(0, 1), read.mT)
         ctx.save_for_backward(turns, power, b, c, lift, read, within_block, blocks, x)
         ctx.samples = u.shape[1]
         ctx.starts_moving = x0 is not None
-        return _join_blocks(y.view(*blocks.shape[:2], -1), ctx.samples, len(d))
+        output_blocks = y.view(*blocks.shape[:2], -1)
+        return _join_blocks(output_blocks, ctx.samples, len(d))
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
@@ -85,20 +95,26 @@ class ChunkedRecurrence(torch.autograd.Function):
             d_u = _join_blocks(d_blocks.view(blocks.shape), ctx.samples, m)
 
         inputs = blocks.flatten(0, 1)
-        d_g = _diagonal_sums(inputs.mT @ errors, p, m)  # by the impulse response g
+        impulse_products = inputs.mT @ errors
+        d_g = _diagonal_sums(impulse_products, p, m)  # by the impulse response g
         tail = d_g[1:].reshape(-1, m)  # g[0] = D alone, g[k] = Re(C lambda^(k-1) B)
-        by_lift = (inputs.mT @ pushed).view(CHUNK, m, -1)
+        lift_products = inputs.mT @ pushed
+        by_lift = lift_products.view(CHUNK, m, -1)
         d_lift = _as_complex(by_lift).flip(0)
-        by_read = errors.mT @ _as_real(x).flatten(0, 1)
-        by_read[:-p].addmm_(tail, _as_real(b.mT.contiguous()))
-        d_read = _as_complex(by_read.view(CHUNK, p, -1)).conj_physical()
+        d_read = _gradient_by_read(errors, x, tail, b)
 
         power_conj = power.conj_physical()
-        through_tail = _as_complex(tail.mT @ read[:-p])
-        d_b = (power_conj[:-1, None] * d_lift).sum(0) + through_tail
-        d_c = (power_conj[:-1, None] * d_read).sum(0)
-        d_turn = (x.conj() * later).sum((0, 1))
-        d_inside = (d_lift * b.mT.conj()).sum(1) + (d_read * c.conj()).sum(1)
+        first_read = read[:-p]
+        through_tail = _as_complex(tail.mT @ first_read)
+        weighted_lift = power_conj[:-1, None] * d_lift
+        d_b = weighted_lift.sum(0) + through_tail
+        weighted_read = power_conj[:-1, None] * d_read
+        d_c = weighted_read.sum(0)
+        turn_products = x.conj() * later
+        d_turn = turn_products.sum((0, 1))
+        inside_lift = d_lift * b.mT.conj()
+        inside_read = d_read * c.conj()
+        d_inside = inside_lift.sum(1) + inside_read.sum(1)
         d_power = torch.cat([d_inside, d_turn[None]])
         weighted = _AGES.to(d_read.real) * (power_conj * d_power)
         d_decay = weighted.sum(0)  # d lambda^k = k lambda^k d decay
@@ -106,14 +122,36 @@ class ChunkedRecurrence(torch.autograd.Function):
         return d_decay, d_b.mT, d_c, d_g[0], d_u, d_x0
 
 
+def _gradient_by_read(
+    errors: Float[Tensor, "qe sp"],
+    x: Complex[Tensor, "q e n"],
+    tail: Float[Tensor, "kp m"],
+    b: Complex[Tensor, "n m"],
+) -> Complex[Tensor, "s p n"]:
+    """Gradient of the loss by the maps from the state at the start of a block to its outputs.
+
+    `tail` is the gradient by the impulse response after its first sample, through which the maps
+    act on the loss, too.
+    """
+    p = errors.shape[1] // CHUNK
+    state_rows = _as_real(x)
+    by_read = errors.mT @ state_rows.flatten(0, 1)
+    b_rows = b.mT.contiguous()
+    by_read[:-p].addmm_(tail, _as_real(b_rows))
+    read_blocks = by_read.view(CHUNK, p, -1)
+    return _as_complex(read_blocks).conj_physical()
+
+
 def _as_real(table: Complex2) -> Real2:
     """View complex numbers as real and imaginary parts side by side, without a copy."""
-    return torch.view_as_real(table).flatten(-2)
+    parts = torch.view_as_real(table)
+    return parts.flatten(-2)
 
 
 def _as_complex(table: Real2) -> Complex2:
     """View pairs of real and imaginary parts as complex numbers."""
-    return torch.view_as_complex(table.view(*table.shape[:-1], -1, 2))
+    pairs = table.view(*table.shape[:-1], -1, 2)
+    return torch.view_as_complex(pairs)
 
 
 def _toeplitz_table(
@@ -123,33 +161,44 @@ def _toeplitz_table(
     k - j]`."""
     p, m = d.shape
     before = d.new_zeros(CHUNK - 1, p, m)
-    after = (read[:-p] @ b.mT).view(-1, p, m)
-    g = torch.cat([before, d[None], after])
-    shifted = g.unfold(0, CHUNK, 1).flip(0)
-    return shifted.permute(0, 2, 3, 1).reshape(CHUNK * m, CHUNK * p)
+    response = read[:-p] @ b.mT
+    after = response.view(-1, p, m)
+    whole_response = [before, d[None], after]
+    g = torch.cat(whole_response)
+    windows = g.unfold(0, CHUNK, 1)
+    shifted = windows.flip(0)
+    by_sample = shifted.permute(0, 2, 3, 1)
+    return by_sample.reshape(CHUNK * m, CHUNK * p)
 
 
 def _diagonal_sums(table: Float[Tensor, "sm sp"], p: int, m: int) -> Float[Tensor, "s p m"]:
     """Sums along the diagonals of a block Toeplitz matrix. With rows of length 2 s - 1 instead of 2
     s, a diagonal becomes a column."""
-    flipped = table.view(CHUNK, m, CHUNK, p).permute(1, 3, 0, 2).flip(2)
-    widened = torch.nn.functional.pad(flipped, (0, CHUNK)).flatten(2)
-    skewed = widened[..., :-CHUNK].unflatten(2, (CHUNK, -1))
-    sums = skewed.sum(2)[..., CHUNK - 1 :]
+    by_blocks = table.view(CHUNK, m, CHUNK, p)
+    flipped = by_blocks.permute(1, 3, 0, 2).flip(2)
+    padded = torch.nn.functional.pad(flipped, (0, CHUNK))
+    widened = padded.flatten(2)
+    trimmed = widened[..., :-CHUNK]
+    skewed = trimmed.unflatten(2, (CHUNK, -1))
+    all_sums = skewed.sum(2)
+    sums = all_sums[..., CHUNK - 1 :]
     return sums.permute(2, 1, 0)
 
 
 def _split_into_blocks(signal: Float[Tensor, "e T m"]) -> Float[Tensor, "q e sm"]:
     """Split a signal into blocks of samples, padded with zeros. Blocks come first."""
-    filled = torch.nn.functional.pad(signal, (0, 0, 0, -signal.shape[1] % CHUNK))
-    return filled.unflatten(1, (-1, CHUNK)).transpose(0, 1).flatten(2).contiguous()
+    missing = -signal.shape[1] % CHUNK
+    filled = torch.nn.functional.pad(signal, (0, 0, 0, missing))
+    by_block = filled.unflatten(1, (-1, CHUNK)).transpose(0, 1)
+    return by_block.flatten(2).contiguous()
 
 
 def _join_blocks(
     blocks: Float[Tensor, "q e sp"], samples: int, channels: int
 ) -> Float[Tensor, "e T p"]:
     """Join blocks of samples into one signal."""
-    return blocks.unflatten(2, (CHUNK, channels)).transpose(0, 1).flatten(1, 2)[:, :samples]
+    joined = blocks.unflatten(2, (CHUNK, channels)).transpose(0, 1).flatten(1, 2)
+    return joined[:, :samples]
 
 
 def _scan_blocks(
@@ -159,14 +208,18 @@ def _scan_blocks(
     `x[k+1] = lambda x[k] + rise[k]`: s steps in all groups of s at once, then from group to
     group."""
     groups = -(-len(rise) // len(turns))
-    x = rise.new_zeros(groups * len(turns), *rise.shape[1:])
+    padded_length = groups * len(turns)
+    x = rise.new_zeros(padded_length, *rise.shape[1:])
     x[1 : len(rise)] = rise[:-1]
     if x0 is not None:
         x[0] = x0
-    table = x.view(groups, len(turns), *rise.shape[1:])
-    for before, now in pairwise(table.unbind(1)):
+    group_length = len(turns)
+    table = x.view(groups, group_length, *rise.shape[1:])
+    members_of_groups = table.unbind(1)
+    for before, now in pairwise(members_of_groups):
         now.addcmul_(before, turns[0])  # within all groups at once
-    for before, now in pairwise(table.unbind(0)):
+    groups_in_order = table.unbind(0)
+    for before, now in pairwise(groups_in_order):
         now.addcmul_(before[-1:], turns)  # what the group before ends with, turned k times
     return x[: len(rise)]
 
@@ -198,14 +251,18 @@ def final_state(modes: ModalForm, u: Input, x0: Modal | None = None) -> Modal:
     u[j]`."""
     samples = u.shape[1]
     rate = modes.decay.to(torch.complex128)
-    ages = mode_powers(rate, samples).flip(0).to(modes.b.dtype)
-    real = u.transpose(1, 2) @ ages.real
+    later_powers = mode_powers(rate, samples).flip(0)
+    ages = later_powers.to(modes.b.dtype)
+    inputs_by_channel = u.transpose(1, 2)
+    real = inputs_by_channel @ ages.real
     imaginary = u.transpose(1, 2) @ ages.imag
     moments = torch.complex(real, imaginary)
-    x = (moments * modes.b.T).sum(1)
+    weighted_moments = moments * modes.b.T
+    x = weighted_moments.sum(1)
     if x0 is None:
         return x
-    decay = torch.exp(rate * samples).to(x.dtype)
+    complex_decay = torch.exp(rate * samples)
+    decay = complex_decay.to(x.dtype)
     return x + decay * x0
 
 
@@ -215,19 +272,28 @@ def simulate_by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None)
     p, m = modes.d.shape
     samples = u.shape[1]
     both = power_tables(modes.decay, samples)
-    length = next_fast_len(2 * samples - 1, real=True)
-    by_pair = modes.c[:, None] * modes.b.mT
+    whole_length = 2 * samples - 1
+    length = next_fast_len(whole_length, real=True)
+    c_columns = modes.c[:, None]
+    b_rows = modes.b.mT
+    by_pair = c_columns * b_rows
     weights = by_pair.flatten(0, 1)  # C_i B_i, one row per pair of output and input
-    tail = modal_impulse_response(weights, both)[:, : samples - 1]
-    g = torch.cat([modes.d.flatten()[:, None], tail], 1).view(p, m, -1)
+    delayed_response = modal_impulse_response(weights, both)
+    tail = delayed_response[:, : samples - 1]
+    flat_response = torch.cat([modes.d.flatten()[:, None], tail], 1)
+    g = flat_response.view(p, m, -1)
     spectrum = torch.fft.rfft(g, n=length)
     lifted = torch.fft.rfft(u.mT, n=length)
     product = torch.einsum("pmf,emf->epf", spectrum, lifted)
-    y = torch.fft.irfft(product, n=length)[..., :samples]
+    whole_output = torch.fft.irfft(product, n=length)
+    y = whole_output[..., :samples]
     if x0 is not None:
-        free_weights = (x0[:, None] * modes.c).flatten(0, 1)
-        free = modal_impulse_response(free_weights, both)[:, :samples]
-        y = y + free.unflatten(0, (len(x0), -1))
+        weighted_starts = x0[:, None] * modes.c
+        free_weights = weighted_starts.flatten(0, 1)
+        free_response = modal_impulse_response(free_weights, both)
+        free = free_response[:, :samples]
+        free_output = free.unflatten(0, (len(x0), -1))
+        y = y + free_output
     return y.mT
 
 
@@ -247,7 +313,8 @@ def power_tables(decay: Complex[Tensor, "n"], samples: int) -> Tables:
     short = math.isqrt(samples - 1) + 1
     rate = decay.to(torch.complex128)
     fine = mode_powers(rate, short)
-    coarse = mode_powers(rate * short, -(-samples // short))
+    negative_blocks = -samples // short
+    coarse = mode_powers(rate * short, -negative_blocks)
     return fine.to(decay.dtype), coarse.to(decay.dtype)
 
 
@@ -256,11 +323,13 @@ def mode_powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "coun
     doubling, nine times cheaper than the exponentials."""
     if count * len(rate) <= FEW_POWERS:
         exponents = torch.arange(count, device=rate.device)
-        return torch.exp(exponents[:, None] * rate)
+        products = exponents[:, None] * rate
+        return torch.exp(products)
     step = torch.exp(rate)[None]
     table = torch.ones_like(step)
     while len(table) < count:
-        table = torch.cat([table, table * step])
+        doubled = [table, table * step]
+        table = torch.cat(doubled)
         step = step * step  # twice as many rows each time
     return table[:count]
 
@@ -269,9 +338,13 @@ def modal_impulse_response(weights: Complex[Tensor, "r n"], both: Tables) -> Flo
     """Impulse response of a modal form, as weighted sums of powers of its modes. `Re sum_i
     weights_i lambda_i^k`, as one real product of two tables, without a table of samples x n."""
     fine, coarse = both
-    left = torch.view_as_real(weights[:, None, :] * coarse).flatten(-2)
-    right = torch.view_as_real(fine.conj().resolve_conj()).flatten(-2)
-    return (left @ right.mT).flatten(-2)
+    weight_rows = weights[:, None, :]
+    weighted_powers = weight_rows * coarse
+    left = torch.view_as_real(weighted_powers).flatten(-2)
+    conjugate_fine = fine.conj().resolve_conj()
+    right = torch.view_as_real(conjugate_fine).flatten(-2)
+    response_table = left @ right.mT
+    return response_table.flatten(-2)
 
 
 _FORWARD = ContextVar("derivatives are taken forward", default=False)
@@ -290,6 +363,8 @@ def allow_forward_derivatives() -> Iterator[None]:
 def simulate_modal_form(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
     """Simulate a linear recurrence by the fastest available method. Convolution and blocks give the
     same result; their speed depends on length and order."""
-    few = len(modes.decay) <= CHUNKS_UP_TO_MODES and u.shape[1] >= CHUNKS_FROM_SAMPLES
-    simulate = simulate_in_chunks if few and not _FORWARD.get() else simulate_by_convolution
+    are_few_modes = len(modes.decay) <= CHUNKS_UP_TO_MODES
+    few = are_few_modes and u.shape[1] >= CHUNKS_FROM_SAMPLES
+    takes_chunks = few and not _FORWARD.get()
+    simulate = simulate_in_chunks if takes_chunks else simulate_by_convolution
     return simulate(modes, u, x0)

@@ -24,27 +24,33 @@ class TorchScaffold(nn.Module):
         self.spec = spec
         self.slopes = slopes
         for name, values in start.items():
-            at = torch.tensor(np.ascontiguousarray(values))
-            self.register_parameter(
-                name, nn.Parameter(at, requires_grad=not name.startswith(spec.fixed))
-            )
+            contiguous = np.ascontiguousarray(values)
+            at = torch.tensor(contiguous)
+            is_fixed = name.startswith(spec.fixed)
+            parameter = nn.Parameter(at, requires_grad=not is_fixed)
+            self.register_parameter(name, parameter)
 
     def explicit_parameters(self) -> Any:
         """Explicit parameters of the trainable map."""
-        return self.spec.explicit_parameters(dict(self.named_parameters()), self.slopes)
+        free_parameters = self.named_parameters()
+        return self.spec.explicit_parameters(dict(free_parameters), self.slopes)
 
     def forward(self, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch k"]:
         """Evaluate the trainable map at a batch of vectors."""
-        return self.spec.evaluate(self.explicit_parameters(), v)
+        explicit = self.explicit_parameters()
+        return self.spec.evaluate(explicit, v)
 
     def freeze(self) -> Any:
         """Freeze the trained static map to explicit numbers."""
-        return self.spec.freeze(self.explicit_parameters(), self.slopes)
+        explicit = self.explicit_parameters()
+        return self.spec.freeze(explicit, self.slopes)
 
     def pieces(self) -> Pieces | None:
         """Affine pieces of the map, if it is piecewise linear with one channel."""
-        return self.spec.pieces(self.explicit_parameters())
+        explicit = self.explicit_parameters()
+        return self.spec.pieces(explicit)
 
     def roughness(self) -> Float[Tensor, ""]:
         """Roughness of the map, the total variation of its slopes, for the training penalty."""
-        return self.spec.roughness(self.explicit_parameters())
+        explicit = self.explicit_parameters()
+        return self.spec.roughness(explicit)

@@ -16,7 +16,7 @@ from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
 
 if TYPE_CHECKING:
-    from ssm_study.models.spec import Initialisation
+    from ssm_study.models.initial_system import Initialisation
 
 FEW_LEVELS = 8  # mean hold from which evaluating once per level beats the sorted evaluation
 
@@ -38,15 +38,21 @@ class InputMapping(nn.Module):
 
     def __init__(self, u: Float[Tensor, "e T m"], sorts: bool = True) -> None:
         super().__init__()
-        values, where = torch.unique(u.flatten(0, 1), dim=0, return_inverse=True)
-        self.levels = FEW_LEVELS * len(values) <= where.numel()  # as with multilevel signals
+        flat_inputs = u.flatten(0, 1)
+        values, where = torch.unique(flat_inputs, dim=0, return_inverse=True)
+        level_count = len(values)
+        sample_count = where.numel()
+        self.levels = FEW_LEVELS * level_count <= sample_count  # as with multilevel signals
         self.sorts = sorts and not self.levels and u.shape[2] == 1
         buffers = {"u": u}
         if self.levels:
-            buffers |= {"values": values, "where": where.view(u.shape[:2])}
+            sample_shape = u.shape[:2]
+            buffers |= {"values": values, "where": where.view(sample_shape)}
         if self.sorts:
-            ranked, order = u.flatten().sort()
-            buffers |= {"values": ranked, "order": order, "back": order.argsort()}
+            flat_input = u.flatten()
+            ranked, order = flat_input.sort()
+            way_back = order.argsort()
+            buffers |= {"values": ranked, "order": order, "back": way_back}
         for name, tensor in buffers.items():
             self.register_buffer(name, tensor, persistent=False)
 
@@ -58,11 +64,14 @@ class InputMapping(nn.Module):
         if pieces is None:
             return scaffold(self.u)
         points, slopes, offsets = pieces
-        inner = torch.searchsorted(self.values, points.detach())  # where the runs of a slope begin
+        fixed_points = points.detach()
+        inner = torch.searchsorted(self.values, fixed_points)  # where the runs of a slope begin
         from_zero = torch.nn.functional.pad(inner, (1, 0))
-        cuts = torch.nn.functional.pad(from_zero, (0, 1), value=len(self.values))
+        value_count = len(self.values)
+        cuts = torch.nn.functional.pad(from_zero, (0, 1), value=value_count)
         sorting = (self.values, self.order, self.back)
-        mapped = _PiecewiseEvaluation.apply(slopes, offsets, cuts.diff(), *sorting)
+        counts = cuts.diff()
+        mapped = _PiecewiseEvaluation.apply(slopes, offsets, counts, *sorting)
         return mapped.view(self.u.shape)
 
 
@@ -87,9 +96,11 @@ class _PiecewiseEvaluation(torch.autograd.Function):
     ) -> Sample:
         """Evaluate the piecewise-linear map at sorted inputs."""
         ctx.save_for_backward(counts, ranked, order)
-        slope = torch.repeat_interleave(slopes, counts, output_size=len(ranked))
+        sample_count = len(ranked)
+        slope = torch.repeat_interleave(slopes, counts, output_size=sample_count)
         offset = torch.repeat_interleave(offsets, counts, output_size=len(ranked))
-        return torch.addcmul(offset, slope, ranked).index_select(0, back)
+        sorted_values = torch.addcmul(offset, slope, ranked)
+        return sorted_values.index_select(0, back)
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
@@ -124,53 +135,78 @@ class LRU(nn.Module):
     def __init__(self, start: "Initialisation", feedthrough: bool, disturbances: int = 0) -> None:
         super().__init__()
         modes = torch.from_numpy(start.modes)
-        radius = modes.abs().clamp(1e-3, 1 - 1e-6)
-        self.reals = int((modes.imag == 0).sum())
-        self.nu = nn.Parameter(torch.log(-torch.log(radius)))  # inverse of |lambda| = exp(-exp(nu))
-        self.theta = nn.Parameter(modes[self.reals :].angle())  # one of each pair
-        flip = torch.where(modes[: self.reals].real < 0, torch.pi, 0.0)
-        pairs = torch.where(modes.imag == 0, 1.0, 2.0)
-        self.register_buffer("flip", flip.to(torch.float64))
-        self.register_buffer("pairs", pairs.to(torch.float64), persistent=False)
+        moduli = modes.abs()
+        radius = moduli.clamp(1e-3, 1 - 1e-6)
+        is_real = modes.imag == 0
+        self.reals = int(is_real.sum())
+        log_radius = torch.log(radius)
+        nu = torch.log(-log_radius)
+        self.nu = nn.Parameter(nu)  # inverse of |lambda| = exp(-exp(nu))
+        angles = modes[self.reals :].angle()
+        self.theta = nn.Parameter(angles)  # one of each pair
+        real_modes = modes[: self.reals]
+        is_negative = real_modes.real < 0
+        flip = torch.where(is_negative, torch.pi, 0.0)
+        is_real_mode = modes.imag == 0
+        pairs = torch.where(is_real_mode, 1.0, 2.0)
+        exact_flip = flip.to(torch.float64)
+        self.register_buffer("flip", exact_flip)
+        exact_pairs = pairs.to(torch.float64)
+        self.register_buffer("pairs", exact_pairs, persistent=False)
         single = start.b.shape[1] == 1
         self.single = single
         b = torch.from_numpy(start.b)
         c = torch.from_numpy(start.c)
-        gain = torch.sqrt(1 - radius**2)[:, None]
+        remaining = 1 - radius**2
+        gain = torch.sqrt(remaining)[:, None]
         if single:  # y = C diag(b) x: the input column moves into C
-            c = c * (b / gain)[:, 0]
+            row_scales = (b / gain)[:, 0]
+            c = c * row_scales
             b = torch.ones_like(b)
         else:
             b = b / gain
         self.b_real, self.b_imag = _split_parameters(b, self.reals, trained=not single)
         self.c_real, self.c_imag = _split_parameters(c.mT, self.reals, trained=True)
         self.disturbances = disturbances
-        d = torch.from_numpy(start.d[:, : start.d.shape[1] - disturbances])
-        self.d = nn.Parameter(d if feedthrough else torch.zeros_like(d), requires_grad=feedthrough)
+        all_inputs = start.d.shape[1]
+        d = torch.from_numpy(start.d[:, : all_inputs - disturbances])
+        start_d = d if feedthrough else torch.zeros_like(d)
+        self.d = nn.Parameter(start_d, requires_grad=feedthrough)
 
     @property
     def order(self) -> int:
         """Order of the recurrence, the number of real states: one for each real mode, two for each
         complex pair."""
-        return 2 * len(self.nu) - self.reals
+        mode_count = len(self.nu)
+        return 2 * mode_count - self.reals
 
     def forward(self, u: Signals, x0: States | None = None) -> Signals:
         """Output of the linear recurrence for an input. The order of states is that of
         `to_state_space`."""
         modal = None if x0 is None else self.to_modal_state(x0)
-        return simulate_modal_form(self.modal_form(), u, modal)
+        modes = self.modal_form()
+        return simulate_modal_form(modes, u, modal)
 
     def modal_form(self) -> ModalForm:
         """Explicit modal form of the recurrence from its free parameters."""
-        damping = torch.exp(self.nu).clamp(min=LEAST_DAMPING)
-        angle = torch.cat([self.flip, self.theta])  # 0 or pi for real modes
+        free_damping = torch.exp(self.nu)
+        damping = free_damping.clamp(min=LEAST_DAMPING)
+        angles = [self.flip, self.theta]
+        angle = torch.cat(angles)  # 0 or pi for real modes
         # sqrt(1 - |lambda|^2), without cancellation near one
-        gain = torch.sqrt(-torch.expm1(-2 * damping))[:, None]
+        remaining_share = -torch.expm1(-2 * damping)
+        gain = torch.sqrt(remaining_share)[:, None]
         if self.single:
-            b = torch.complex(gain, torch.zeros_like(gain))
+            no_imaginary = torch.zeros_like(gain)
+            b = torch.complex(gain, no_imaginary)
         else:
-            b = _join_parameters(gain * self.b_real, gain[self.reals :] * self.b_imag)
-        c = _join_parameters(self.pairs[:, None] * self.c_real, 2.0 * self.c_imag)
+            b_real = gain * self.b_real
+            gain_of_pairs = gain[self.reals :]
+            b_imag = gain_of_pairs * self.b_imag
+            b = _join_parameters(b_real, b_imag)
+        c_real = self.pairs[:, None] * self.c_real
+        c_imag = 2.0 * self.c_imag
+        c = _join_parameters(c_real, c_imag)
         d = torch.nn.functional.pad(self.d, (0, self.disturbances)) if self.disturbances else self.d
         decay = torch.complex(-damping, angle)
         return ModalForm(decay=decay, b=b, c=c.mT, d=d)  # y = Re(c_r x_r) + 2 Re(c_c x_c)
@@ -183,44 +219,62 @@ class LRU(nn.Module):
         """
         with torch.no_grad():
             modes = self.modal_form()
-        parts = (modes.decay, modes.b, modes.c.mT)
+        c_rows_of_modes = modes.c.mT
+        parts = (modes.decay, modes.b, c_rows_of_modes)
         decay, b, c = (part.cpu().numpy().astype(np.complex128) for part in parts)
         reals = self.reals
         turn = np.exp(decay)
-        rotations = [np.array([[z.real, -z.imag], [z.imag, z.real]]) for z in turn[reals:]]
-        a = block_diag(np.diag(turn[:reals].real), *rotations)
+        turn_of_pairs = turn[reals:]
+        rotations = [np.array([[z.real, -z.imag], [z.imag, z.real]]) for z in turn_of_pairs]
+        real_turns = turn[:reals]
+        a = block_diag(np.diag(real_turns.real), *rotations)
         c_rows = _real_rows(c.conj(), reals)
-        d = modes.d.detach().cpu().numpy().astype(np.float64)
-        return StateSpace(a=a, b=_real_rows(b, reals), c=c_rows.T.copy(), d=d)
+        d_on_host = modes.d.detach().cpu()
+        d = d_on_host.numpy().astype(np.float64)
+        real_b = _real_rows(b, reals)
+        c_columns = c_rows.T.copy()
+        return StateSpace(a=a, b=real_b, c=c_columns, d=d)
 
     def to_modal_state(self, free: States) -> Modal:
         """Convert real states to modal states."""
         real = free[:, : self.reals]
-        pairs = free[:, self.reals :].unflatten(1, (-1, 2))
-        real_part = torch.cat([real, pairs[..., 0]], 1)
-        imaginary_part = torch.cat([torch.zeros_like(real), pairs[..., 1]], 1)
+        pair_states = free[:, self.reals :]
+        pairs = pair_states.unflatten(1, (-1, 2))
+        real_parts = [real, pairs[..., 0]]
+        real_part = torch.cat(real_parts, 1)
+        imaginary_parts = [torch.zeros_like(real), pairs[..., 1]]
+        imaginary_part = torch.cat(imaginary_parts, 1)
         return torch.complex(real_part, imaginary_part)
 
     def to_real_state(self, modal: Modal) -> States:
         """Convert modal states to real states."""
-        real = modal[:, : self.reals].real
-        pairs = torch.view_as_real(modal[:, self.reals :])
-        return torch.cat([real, pairs.flatten(1)], 1)
+        real_modes = modal[:, : self.reals]
+        real = real_modes.real
+        pair_modes = modal[:, self.reals :]
+        pairs = torch.view_as_real(pair_modes)
+        flat_pairs = pairs.flatten(1)
+        return torch.cat([real, flat_pairs], 1)
 
 
 def _real_rows(rows: Complex[np.ndarray, "modes k"], reals: int) -> Float[np.ndarray, "n k"]:
     """Real rows of a modal matrix: the real part for a real mode, both parts for a pair."""
     of_pairs = rows[reals:]
-    parts = np.stack([of_pairs.real, of_pairs.imag], 1)
-    return np.vstack([rows[:reals].real, parts.reshape(-1, rows.shape[1])])
+    both_parts = [of_pairs.real, of_pairs.imag]
+    parts = np.stack(both_parts, 1)
+    real_rows = rows[:reals].real
+    pair_rows = parts.reshape(-1, rows.shape[1])
+    return np.vstack([real_rows, pair_rows])
 
 
 def _split_parameters(
     values: Complex[Tensor, "n k"], reals: int, trained: bool
 ) -> tuple[nn.Parameter, nn.Parameter]:
     """Real and imaginary parts of complex modal values as separate trainable parameters."""
-    real = nn.Parameter(values.real.contiguous().clone(), requires_grad=trained)
-    return real, nn.Parameter(values.imag[reals:].contiguous().clone(), requires_grad=trained)
+    real_values = values.real.contiguous()
+    real = nn.Parameter(real_values.clone(), requires_grad=trained)
+    pair_values = values.imag[reals:]
+    imaginary = nn.Parameter(pair_values.contiguous().clone(), requires_grad=trained)
+    return real, imaginary
 
 
 def _join_parameters(
@@ -228,7 +282,8 @@ def _join_parameters(
 ) -> Complex[Tensor, "n k"]:
     """Complex modal values from their real and imaginary parts."""
     reals = len(real) - len(imag)
-    return torch.complex(real, torch.nn.functional.pad(imag, (0, 0, reals, 0)) if reals else imag)
+    padded_imag = torch.nn.functional.pad(imag, (0, 0, reals, 0)) if reals else imag
+    return torch.complex(real, padded_imag)
 
 
 class TorchModel(nn.Module, ABC):
@@ -244,7 +299,8 @@ class TorchModel(nn.Module, ABC):
     def forward(self, u: Signals, x0: States | None = None) -> Signals:
         """Simulate the model's output from an initial state. A subclass overrides it where it can
         be cheaper than `advance`."""
-        return self.advance(u, u.new_zeros(len(u), self.states) if x0 is None else x0)[0]
+        start = u.new_zeros(len(u), self.states) if x0 is None else x0
+        return self.advance(u, start)[0]
 
     @abstractmethod
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
@@ -275,14 +331,18 @@ class TorchSSM(TorchModel):
         self, u: Signals, x0: States | None = None, lifted: Signals | None = None
     ) -> Signals:
         lifted = self.driving_signals(u) if lifted is None else lifted
-        return self.scaffold_out(self.lru(lifted, x0))
+        linear_output = self.lru(lifted, x0)
+        return self.scaffold_out(linear_output)
 
     def driving_signals(self, u: Signals, lifted: Signals | None = None) -> Signals:
         """Signals that drive the recurrence: mapped inputs and measured disturbances."""
-        inputs = u.shape[2] - self.lru.disturbances
+        channel_count = u.shape[2]
+        inputs = channel_count - self.lru.disturbances
         if lifted is None:
-            lifted = self.scaffold_in(u[..., :inputs])
-        return torch.cat([lifted, u[..., inputs:]], -1) if self.lru.disturbances else lifted
+            plain_inputs = u[..., :inputs]
+            lifted = self.scaffold_in(plain_inputs)
+        disturbance_count = self.lru.disturbances
+        return torch.cat([lifted, u[..., inputs:]], -1) if disturbance_count else lifted
 
     def advance(
         self, u: Signals, x0: States, lifted: Signals | None = None
@@ -291,14 +351,20 @@ class TorchSSM(TorchModel):
         lifted = self.driving_signals(u) if lifted is None else lifted
         modes = self.lru.modal_form()
         modal = self.lru.to_modal_state(x0)
-        end = self.lru.to_real_state(final_state(modes, lifted, modal))
-        return self.scaffold_out(simulate_modal_form(modes, lifted, modal)), end
+        modal_end = final_state(modes, lifted, modal)
+        end = self.lru.to_real_state(modal_end)
+        linear_output = simulate_modal_form(modes, lifted, modal)
+        return self.scaffold_out(linear_output), end
 
     def freeze(self, data: DataSet) -> SSM:
         system = self.lru.to_state_space()
-        m = system.b.shape[1] - self.lru.disturbances
-        linear = StateSpace(a=system.a, b=system.b[:, :m], c=system.c, d=system.d[:, :m])
-        paths = {"b_d": system.b[:, m:]} if self.lru.disturbances else {}
+        b_shape = system.b.shape
+        m = b_shape[1] - self.lru.disturbances
+        mapped_columns = system.b[:, :m]
+        feedthrough_columns = system.d[:, :m]
+        linear = StateSpace(a=system.a, b=mapped_columns, c=system.c, d=feedthrough_columns)
+        disturbance_count = self.lru.disturbances
+        paths = {"b_d": system.b[:, m:]} if disturbance_count else {}
         inward = self.scaffold_in.freeze()
         outward = self.scaffold_out.freeze()
         return SSM(

@@ -13,7 +13,7 @@ from ssm_study.models.contracting import (
     differentiate_matrices,
     matrices_from_parameters,
 )
-from ssm_study.models.spec import Pairs
+from ssm_study.models.initial_system import Pairs
 from ssm_study.models.structured import activation_codes
 from ssm_study.models.structured_kernel import (
     KernelMatrices,

@@ -10,8 +10,12 @@ from ssm_study.models.contracting import (
     project_to_contracting,
     transform_to_metric,
 )
+from ssm_study.models.initial_system import (
+    arx_impulse_response,
+    fit_arx_matrices,
+    realise_impulse_response,
+)
 from ssm_study.models.matrix_shapes import matrix_shapes
-from ssm_study.models.spec import arx_impulse_response, fit_arx_matrices, realise_impulse_response
 from ssm_study.models.structured import evaluate_activations
 from ssm_study.training.structured_problem import CORE, SimulationProblem, Theta, regularised_loss
 

@@ -11,7 +11,7 @@ from ssm_study.refusal import require, require_at_least, require_positive
 from ssm_study.signals import Trajectories, Trajectory
 
 if TYPE_CHECKING:
-    from ssm_study.models.spec import Pairs
+    from ssm_study.models.initial_system import Pairs
 
 
 @dataclass(frozen=True, kw_only=True)

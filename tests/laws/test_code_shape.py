@@ -18,13 +18,8 @@ PACKAGE = ROOT / "ssm_study"
 TARGET = (10.6, 4.0)
 # Tokens a statement, and percent of long statements, of the rooms that are above the target.
 DENSITY = {
-    "ssm_study/api": (11.3, 3.1),
-    "ssm_study/data": (10.75, 1.8),
-    "ssm_study/loop": (11.05, 1.8),
-    "ssm_study/models": (12.6, 3.6),
     "ssm_study/study": (10.6, 1.6),
     "ssm_study/synthesis": (10.82, 2.6),
-    "ssm_study/table": (11.5, 1.4),
     "ssm_study/training": (11.9, 3.1),
     "tests": (12.1, 3.5),
 }

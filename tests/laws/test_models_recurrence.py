@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssm_study.models import torch_recurrence as recurrence
-from ssm_study.models.spec import (
+from ssm_study.models.initial_system import (
     draw_modes_on_ring,
     estimate_initial_system,
     output_regression_coefficient,

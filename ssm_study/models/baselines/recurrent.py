@@ -33,22 +33,34 @@ class Recurrent(Simulator, names=("gru", "lstm")):
     def simulate(self, u: Inputs) -> Outputs:
         scaled = self.scale.scaled_input(u)
         hidden = self.weight_hh.shape[1]
-        h = np.zeros((*u.shape[:-2], hidden))
+        batch_shape = u.shape[:-2]
+        h = np.zeros((*batch_shape, hidden))
         c = np.zeros((*u.shape[:-2], hidden))
-        y = np.empty((*u.shape[:-1], len(self.offset)))
-        for k in range(u.shape[-2]):
-            gates = scaled[..., k, :] @ self.weight_ih.T + self.bias_ih
-            fed_back = h @ self.weight_hh.T + self.bias_hh
+        run_shape = u.shape[:-1]
+        y = np.empty((*run_shape, len(self.offset)))
+        samples = u.shape[-2]
+        for k in range(samples):
+            driven = scaled[..., k, :] @ self.weight_ih.T
+            gates = driven + self.bias_ih
+            fed_in = h @ self.weight_hh.T
+            fed_back = fed_in + self.bias_hh
             if self.kind == "gru":
                 r, z, n = np.split(gates, 3, axis=-1)
                 hr, hz, hn = np.split(fed_back, 3, axis=-1)
                 update = expit(z + hz)  # share of the old state that stays
-                h = (1 - update) * np.tanh(n + expit(r + hr) * hn) + update * h
+                reset = expit(r + hr)
+                candidate = np.tanh(n + reset * hn)
+                h = (1 - update) * candidate + update * h
             else:
                 i, f, g, o = np.split(gates + fed_back, 4, axis=-1)
-                c = expit(f) * c + expit(i) * np.tanh(g)
-                h = expit(o) * np.tanh(c)
-            y[..., k, :] = h @ self.read.T + self.offset
+                kept_memory = expit(f) * c
+                new_memory = expit(i) * np.tanh(g)
+                c = kept_memory + new_memory
+                output_gate = expit(o)
+                bounded_memory = np.tanh(c)
+                h = output_gate * bounded_memory
+            read_out = h @ self.read.T
+            y[..., k, :] = read_out + self.offset
         return self.scale.physical_output(y)
 
 
@@ -65,19 +77,25 @@ class TorchRecurrent(TorchModel):
         self.states = hidden if kind == "gru" else 2 * hidden  # the LSTM's h, then its c
 
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
-        start = [part.contiguous() for part in x0[None].split(self.cell.hidden_size, dim=-1)]
+        state_parts = x0[None].split(self.cell.hidden_size, dim=-1)
+        start = [part.contiguous() for part in state_parts]
         if self.kind == "gru":
             y, h = self.cell(u, start[0])
             return self.read(y), h[0]
-        y, both = self.cell(u, tuple(start))
-        return self.read(y), torch.cat(both, -1)[0]
+        start_state = tuple(start)
+        y, both = self.cell(u, start_state)
+        outputs = self.read(y)
+        end_state = torch.cat(both, -1)
+        return outputs, end_state[0]
 
     def freeze(self, data: DataSet) -> Recurrent:
         """Freeze the trained recurrent model to explicit numbers, with its scales."""
         names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
         weights = {name: tensor_to_numpy(getattr(self.cell, f"{name}_l0")) for name in names}
-        weights["read"] = tensor_to_numpy(self.read.weight)
-        weights["offset"] = tensor_to_numpy(self.read.bias)
+        read_weight = self.read.weight
+        weights["read"] = tensor_to_numpy(read_weight)
+        read_bias = self.read.bias
+        weights["offset"] = tensor_to_numpy(read_bias)
         return Recurrent(kind=self.kind, **weights, scale=data.scale)
 
 
@@ -90,7 +108,8 @@ class RecurrentSpec(ModelSpec):
     hidden: int
 
     def __post_init__(self) -> None:
-        require_one_of(("gru", "lstm"), "model.cell", self.cell)
+        cells = ("gru", "lstm")
+        require_one_of(cells, "model.cell", self.cell)
         require_at_least(1, "model.hidden", self.hidden, "use 16 or so")
 
     def build(self, data: DataSet, seed: int) -> TorchRecurrent:

@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ssm_study.models.identified import Inputs, Measured, Outputs, Simulator
-from ssm_study.models.spec import (
+from ssm_study.models.initial_system import (
     Pairs,
     arx_impulse_response,
     fit_arx_matrices,
     realise_impulse_response,
-    scale_records,
 )
+from ssm_study.models.spec import scale_records
 from ssm_study.signals import DataSet, Scale
 
 OVERFLOW = 1e3  # scaled units: a free run beyond this has diverged and is held there
@@ -48,34 +48,47 @@ class Polynomial(Simulator, names=("narx",)):
 
     def simulate(self, u: Inputs) -> Outputs:
         """Simulate the polynomial model in free run from the equilibrium."""
-        return self.simulate_from_outputs(u, np.zeros((*u.shape[:-2], 0, 1)))
+        no_outputs = np.zeros((*u.shape[:-2], 0, 1))
+        return self.simulate_from_outputs(u, no_outputs)
 
     def simulate_from_outputs(self, u: Inputs, y_start: Measured) -> Outputs:
         """Simulate the polynomial model in free run after some measured outputs."""
         v = self.scale.scaled_input(u)
-        measured = self.scale.scaled_output(y_start)[..., 0]
+        scaled_start = self.scale.scaled_output(y_start)
+        measured = scaled_start[..., 0]
         by_input = _input_factor_product(self.codes, v)
-        is_output = (self.codes >= OUTPUT) & (self.codes < INPUT)
-        lags = np.where(is_output, self.codes - OUTPUT, 0)
-        longest = max(1, int(lags.max()))
-        past = np.zeros((*v.shape[:-2], 1 + longest))
+        is_not_constant = self.codes >= OUTPUT
+        is_no_input = self.codes < INPUT
+        is_output = is_not_constant & is_no_input
+        output_lags = self.codes - OUTPUT
+        lags = np.where(is_output, output_lags, 0)
+        largest_lag = lags.max()
+        longest = max(1, int(largest_lag))
+        batch_shape = v.shape[:-2]
+        past = np.zeros((*batch_shape, 1 + longest))
         past[..., 0] = 1.0  # what a factor that is no output multiplies with
-        y = np.empty(v.shape[:-1])
-        for k in range(v.shape[-2]):
+        output_shape = v.shape[:-1]
+        y = np.empty(output_shape)
+        samples = v.shape[-2]
+        for k in range(samples):
             if k < measured.shape[-1]:
                 value = measured[..., k]
             else:
-                terms = by_input[..., k, :] * past[..., lags].prod(axis=-1)
-                value = np.clip(terms @ self.theta, -OVERFLOW, OVERFLOW)
+                output_factors = past[..., lags].prod(axis=-1)
+                terms = by_input[..., k, :] * output_factors
+                next_output = terms @ self.theta
+                value = np.clip(next_output, -OVERFLOW, OVERFLOW)
             y[..., k] = value
             past[..., 2:] = past[..., 1:-1].copy()
             past[..., 1] = value
-        return self.scale.physical_output(y[..., None])
+        output_column = y[..., None]
+        return self.scale.physical_output(output_column)
 
 
 def _input_factor_product(codes: Codes, v: Float[np.ndarray, "*batch T m"]) -> np.ndarray:
     """Product of the input factors in each term of a polynomial model, at each sample."""
-    product = np.ones((*v.shape[:-1], len(codes)))
+    run_shape = v.shape[:-1]
+    product = np.ones((*run_shape, len(codes)))
     for term, row in enumerate(codes):
         for code in row[row >= INPUT]:
             channel, lag = divmod(int(code) - INPUT, 1000)
@@ -86,9 +99,12 @@ def _input_factor_product(codes: Codes, v: Float[np.ndarray, "*batch T m"]) -> n
 
 def regressor_codes(lags: int, delay: int, inputs: int) -> list[int]:
     """Integer codes of the past outputs and inputs that are regressors of a polynomial model."""
-    outputs = [OUTPUT + lag for lag in range(1, lags + 1)]
-    starts = [INPUT + 1000 * channel + delay for channel in range(inputs)]
-    return [*outputs, *(start + lag for start in starts for lag in range(lags))]
+    output_lags = range(1, lags + 1)
+    outputs = [OUTPUT + lag for lag in output_lags]
+    channels = range(inputs)
+    starts = [INPUT + 1000 * channel + delay for channel in channels]
+    delayed = (start + lag for start in starts for lag in range(lags))
+    return [*outputs, *delayed]
 
 
 def regression_arrays(
@@ -103,9 +119,12 @@ def regression_arrays(
         if len(u) <= first:
             continue
         columns = [_delayed_signal(u, y, code, first) for code in codes]
-        rows.append(np.stack(columns, axis=1))
+        regressors = np.stack(columns, axis=1)
+        rows.append(regressors)
         targets.append(y[first:, 0])
-    return np.concatenate(rows), np.concatenate(targets)
+    all_rows = np.concatenate(rows)
+    all_targets = np.concatenate(targets)
+    return all_rows, all_targets
 
 
 def _delayed_signal(u: np.ndarray, y: np.ndarray, code: int, first: int) -> Float[np.ndarray, "N"]:
@@ -114,15 +133,21 @@ def _delayed_signal(u: np.ndarray, y: np.ndarray, code: int, first: int) -> Floa
         return np.ones(len(u) - first)
     lag = code % 1000
     signal = y[:, 0] if code < INPUT else u[:, (code - INPUT) // 1000]
-    return signal[first - lag : len(signal) - lag]
+    samples = len(signal)
+    return signal[first - lag : samples - lag]
 
 
 def fit_arx(data: DataSet, lags: int, delay: int) -> Polynomial:
     """Fit a linear ARX model by least squares."""
-    codes = [CONSTANT, *regressor_codes(lags, delay, data.scale.inputs)]
-    rows, target = regression_arrays(scale_records(data), codes)
-    theta = np.linalg.lstsq(rows, target, rcond=None)[0]
-    return Polynomial(codes=np.array(codes)[:, None], theta=theta, scale=data.scale)
+    input_count = data.scale.inputs
+    regressors = regressor_codes(lags, delay, input_count)
+    codes = [CONSTANT, *regressors]
+    scaled_records = scale_records(data)
+    rows, target = regression_arrays(scaled_records, codes)
+    solution = np.linalg.lstsq(rows, target, rcond=None)
+    theta = solution[0]
+    code_array = np.array(codes)
+    return Polynomial(codes=code_array[:, None], theta=theta, scale=data.scale)
 
 
 def fit_narx_models(
@@ -132,18 +157,25 @@ def fit_narx_models(
 
     Source: Billings (2013), Nonlinear System Identification, chapter 3 (error reduction ratio).
     """
-    codes = [CONSTANT, *regressor_codes(lags, delay, data.scale.inputs)]
-    values, target = regression_arrays(scale_records(data), codes)
-    thinned = slice(None, None, 1 + len(target) // ROWS)
+    input_count = data.scale.inputs
+    regressors = regressor_codes(lags, delay, input_count)
+    codes = [CONSTANT, *regressors]
+    scaled_records = scale_records(data)
+    values, target = regression_arrays(scaled_records, codes)
+    further_rows = len(target) // ROWS
+    thinned = slice(None, None, 1 + further_rows)
     values = values[thinned]
     target = target[thinned]
     factors = combinations_with_replacement(range(len(codes)), degree)
     products = np.array(list(factors))
-    candidates = values[:, products].prod(axis=-1)
+    factor_columns = values[:, products]
+    candidates = factor_columns.prod(axis=-1)
     order = select_regressors(candidates, target, max(counts))
     for count in counts:
         chosen = order[:count]
-        theta = np.linalg.lstsq(candidates[:, chosen], target, rcond=None)[0]
+        chosen_columns = candidates[:, chosen]
+        solution = np.linalg.lstsq(chosen_columns, target, rcond=None)
+        theta = solution[0]
         yield Polynomial(codes=np.array(codes)[products[chosen]], theta=theta, scale=data.scale)
 
 
@@ -153,11 +185,13 @@ def select_regressors(
     """Order regressors by the share of the remaining residual that each one explains."""
     left = candidates.copy()
     residual = target.copy()
-    least_power = DEPENDENT * (left**2).sum(axis=0)
+    powers = (left**2).sum(axis=0)
+    least_power = DEPENDENT * powers
     chosen: list[int] = []
     while len(chosen) < min(count, left.shape[1]):
         power = (left**2).sum(axis=0)
-        usable = power > np.maximum(least_power, np.finfo(float).tiny)
+        float_limits = np.finfo(float)
+        usable = power > np.maximum(least_power, float_limits.tiny)
         usable[chosen] = False
         if not usable.any():
             break
@@ -165,7 +199,8 @@ def select_regressors(
         reduction = (left.T @ residual) ** 2 / divisor
         explained = np.where(usable, reduction, -1.0)
         best = int(np.argmax(explained))
-        direction = left[:, best] / np.sqrt(power[best])
+        best_column = left[:, best]
+        direction = best_column / np.sqrt(power[best])
         residual = residual - direction * (direction @ residual)
         left -= np.outer(direction, direction @ left)
         chosen.append(best)
@@ -180,7 +215,8 @@ def fit_output_error(data: DataSet, order: int, delay: int) -> Polynomial:
     from an ARX of many lags reduced to the order, which noise disturbs less. Source: Ljung (1999),
     System Identification, section 4.2.
     """
-    problem = _OutputErrorProblem(scale_records(data), order, delay)
+    scaled_records = scale_records(data)
+    problem = _OutputErrorProblem(scaled_records, order, delay)
     denominators = _initial_denominators(data, order, delay)
     starts = [problem.initial_parameters(f) for f in denominators]
     fitted = [problem.minimise(start) for start in starts]
@@ -188,25 +224,32 @@ def fit_output_error(data: DataSet, order: int, delay: int) -> Polynomial:
     f = parameters[:order]
     offset = parameters[-problem.extra_parameter_count] * (1.0 + f.sum())
     b = parameters[order : -problem.extra_parameter_count]
-    codes = [CONSTANT, *regressor_codes(order, delay, data.scale.inputs)]
-    theta = np.concatenate([[offset], -f, b])
-    return Polynomial(codes=np.array(codes)[:, None], theta=theta, scale=data.scale)
+    input_count = data.scale.inputs
+    regressors = regressor_codes(order, delay, input_count)
+    codes = [CONSTANT, *regressors]
+    coefficients = [[offset], -f, b]
+    theta = np.concatenate(coefficients)
+    code_array = np.array(codes)
+    return Polynomial(codes=code_array[:, None], theta=theta, scale=data.scale)
 
 
 def _initial_denominators(data: DataSet, order: int, delay: int) -> list[Float[np.ndarray, "n"]]:
     """Stable denominator polynomials from which the fit of an output-error model starts. One is of
     ARX, one of a long ARX reduced by a balanced realisation of its impulse response."""
     short = fit_arx(data, order, delay)
-    starts = [_stabilise_polynomial(-short.theta[1 : order + 1])]
+    short_denominator = short.theta[1 : order + 1]
+    starts = [_stabilise_polynomial(-short_denominator)]
     records = scale_records(data)
-    shortest = min(len(u) for u, _ in records)
+    lengths = (len(u) for u, _ in records)
+    shortest = min(lengths)
     lags = min(LONG_LAGS, shortest // 4)
     if lags > order:
         matrices = fit_arx_matrices(records, lags, delay == 0)
         response = arx_impulse_response(*matrices)
         system = realise_impulse_response(response, order, np.random.default_rng(0))
         poles = np.linalg.eigvals(system.a)
-        denominator = np.poly(poles).real[1:]
+        characteristic = np.poly(poles)
+        denominator = characteristic.real[1:]
         starts.append(_stabilise_polynomial(denominator))
     return starts
 
@@ -214,10 +257,13 @@ def _initial_denominators(data: DataSet, order: int, delay: int) -> list[Float[n
 def _stabilise_polynomial(f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
     """Move the roots of a polynomial inside the circle of radius 0.998."""
     roots = np.roots([1.0, *f])
-    radius = np.maximum(np.abs(roots), 1e-12)
-    moved = roots / radius * np.minimum(1.0 / radius, 0.998)
+    moduli = np.abs(roots)
+    radius = np.maximum(moduli, 1e-12)
+    shrinkage = np.minimum(1.0 / radius, 0.998)
+    moved = roots / radius * shrinkage
     inside = np.where(radius > 0.998, moved, roots)
-    return np.poly(inside).real[1:]
+    stable_polynomial = np.poly(inside)
+    return stable_polynomial.real[1:]
 
 
 @dataclass(frozen=True)
@@ -235,22 +281,26 @@ class _OutputErrorProblem:
 
     def initial_parameters(self, f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "P"]:
         """Initial parameters with a given denominator; all others are found by least squares."""
-        other_parameters = np.zeros(self.extra_parameter_count + self._input_coefficient_count)
+        parameter_count = self.extra_parameter_count + self._input_coefficient_count
+        other_parameters = np.zeros(parameter_count)
         parameters = np.concatenate([f, other_parameters])
         residual, jacobian = self.residual_and_jacobian(parameters)
-        other_parameters = np.linalg.lstsq(jacobian[:, self.order :], -residual, rcond=None)[0]
+        linear_columns = jacobian[:, self.order :]
+        other_parameters = np.linalg.lstsq(linear_columns, -residual, rcond=None)[0]
         return np.concatenate([f, other_parameters])
 
     @property
     def _input_coefficient_count(self) -> int:
         """Number of coefficients of the model's numerator polynomials."""
-        return self.order * self.records[0][0].shape[1]
+        first_inputs = self.records[0][0]
+        return self.order * first_inputs.shape[1]
 
     def squared_error(self, parameters: Float[np.ndarray, "P"]) -> float:
         """Squared error of the free run over all records; infinite where the run is not finite."""
         residual, _ = self.residual_and_jacobian(parameters)
         value = float(residual @ residual)
-        return value if np.isfinite(value) else np.inf
+        is_finite = np.isfinite(value)
+        return value if is_finite else np.inf
 
     def residual_and_jacobian(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Simulation error of all records, and its Jacobian with respect to the parameters."""
@@ -258,23 +308,32 @@ class _OutputErrorProblem:
         jacobians = []
         for index, (u, y) in enumerate(self.records):
             jacobian = self._output_jacobian(index, u, parameters)
-            linear = jacobian[:, self.order :] @ parameters[self.order :]
+            linear_columns = jacobian[:, self.order :]
+            linear_parameters = parameters[self.order :]
+            linear = linear_columns @ linear_parameters
             free_run = linear - parameters[-self.extra_parameter_count]
-            filtered = _filter_recursively(parameters[: self.order], -free_run)
+            denominator = parameters[: self.order]
+            filtered = _filter_recursively(denominator, -free_run)
             jacobian[:, : self.order] = _delayed_copies(filtered, 1, self.order)
-            residuals.append(linear - y[:, 0])
+            measured = y[:, 0]
+            residuals.append(linear - measured)
             jacobians.append(jacobian)
-        return np.concatenate(residuals), np.concatenate(jacobians)
+        all_residuals = np.concatenate(residuals)
+        all_jacobians = np.concatenate(jacobians)
+        return all_residuals, all_jacobians
 
     def _output_jacobian(self, index: int, u: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Jacobian of one record's simulated output with respect to the parameters in which it is
         linear. The columns of the denominator F stay zero."""
         f = parameters[: self.order]
         n = self.order
-        jacobian = np.zeros((len(u), len(parameters)))
+        samples = len(u)
+        parameter_count = len(parameters)
+        jacobian = np.zeros((samples, parameter_count))
         for channel in range(u.shape[1]):
             column = n * (1 + channel)
-            filtered = _filter_recursively(f, u[:, channel])
+            input_channel = u[:, channel]
+            filtered = _filter_recursively(f, input_channel)
             jacobian[:, column : column + n] = _delayed_copies(filtered, self.delay, n)
         jacobian[:, -self.extra_parameter_count] = 1.0
         impulse = np.zeros(len(u))
@@ -291,16 +350,22 @@ class _OutputErrorProblem:
         damping = 1e-3
         for _ in range(OUTPUT_ERROR_STEPS):
             normal = jacobian.T @ jacobian
-            scale = np.diag(normal) + 1e-9 * np.trace(normal) / len(normal)
+            diagonal = np.diag(normal)
+            least_damping = 1e-9 * np.trace(normal) / len(normal)
+            scale = diagonal + least_damping
             damped = normal + np.diag(damping * scale)
-            step = np.linalg.solve(damped, -jacobian.T @ residual)
+            descent = -jacobian.T
+            step = np.linalg.solve(damped, descent @ residual)
             trial = parameters + step
-            roots = np.roots([1.0, *trial[: self.order]])
-            stable = np.abs(roots).max() < 0.9999
+            denominator = trial[: self.order]
+            roots = np.roots([1.0, *denominator])
+            moduli = np.abs(roots)
+            stable = moduli.max() < 0.9999
             if stable:
                 new_residual, new_jacobian = self.residual_and_jacobian(trial)
             if stable and new_residual @ new_residual < residual @ residual:
-                gain = 1.0 - (new_residual @ new_residual) / (residual @ residual)
+                error_ratio = (new_residual @ new_residual) / (residual @ residual)
+                gain = 1.0 - error_ratio
                 parameters = trial
                 residual = new_residual
                 jacobian = new_jacobian
@@ -318,12 +383,15 @@ def _filter_recursively(f: np.ndarray, signal: np.ndarray) -> np.ndarray:
     """Filter a signal by `1 / (1 + f_1 z^-1 + ...)`."""
     from scipy.signal import lfilter  # SciPy loads this part at its first use, in half a second
 
-    return np.asarray(lfilter([1.0], [1.0, *f], signal))
+    denominator = [1.0, *f]
+    filtered = lfilter([1.0], denominator, signal)
+    return np.asarray(filtered)
 
 
 def _delayed_copies(signal: np.ndarray, first: int, count: int) -> np.ndarray:
     """Copies of one signal with increasing delays, as columns."""
-    columns = np.zeros((len(signal), count))
+    samples = len(signal)
+    columns = np.zeros((samples, count))
     for column in range(count):
         lag = first + column
         columns[lag:, column] = signal[: len(signal) - lag]

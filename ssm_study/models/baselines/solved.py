@@ -16,7 +16,8 @@ from ssm_study.models.baselines.regression import (
     fit_output_error,
 )
 from ssm_study.models.identified import SSM, Simulator
-from ssm_study.models.spec import ModelSpec, Pairs, scale_records
+from ssm_study.models.initial_system import Pairs
+from ssm_study.models.spec import ModelSpec, scale_records
 from ssm_study.refusal import BadRequest, require, require_at_least
 from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
@@ -60,24 +61,35 @@ class N4SID(SolvedSpec):
         require_at_least(1, "model.order", self.order, "use 8 or so")
         rows = self.block_rows
         problem = "must exceed the order"
-        require(rows > self.order, "model.block_rows", rows, problem, "use twice the order")
+        has_enough_rows = rows > self.order
+        require(has_enough_rows, "model.block_rows", rows, problem, "use twice the order")
 
     def solve(self, data: DataSet) -> SSM:
         """Identify a linear state-space model by subspace identification."""
         nfoursid = import_library("nfoursid.nfoursid")
         pandas = import_library("pandas")
-        u, y = (np.concatenate(parts) for parts in zip(*scale_records(data), strict=True))
-        inputs = [f"u{i}" for i in range(u.shape[1])]
-        outputs = [f"y{i}" for i in range(y.shape[1])]
-        table = pandas.DataFrame(np.hstack([u, y]), columns=[*inputs, *outputs])
+        scaled_records = scale_records(data)
+        u, y = (np.concatenate(parts) for parts in zip(*scaled_records, strict=True))
+        input_count = u.shape[1]
+        inputs = [f"u{i}" for i in range(input_count)]
+        output_count = y.shape[1]
+        outputs = [f"y{i}" for i in range(output_count)]
+        signals = np.hstack([u, y])
+        names = [*inputs, *outputs]
+        table = pandas.DataFrame(signals, columns=names)
         columns = {"output_columns": outputs, "input_columns": inputs}
         method = nfoursid.NFourSID(table, num_block_rows=self.block_rows, **columns)
         method.subspace_identification()
         identified, _ = method.system_identification(rank=self.order)
-        radius = float(np.abs(np.linalg.eigvals(identified.a)).max())
-        a = identified.a * min(1.0, SLOWEST / radius)
-        b = estimate_input_matrix(a, identified.c, scale_records(data))
-        system = StateSpace(a=a, b=b, c=identified.c, d=np.zeros_like(identified.d))
+        eigenvalues = np.linalg.eigvals(identified.a)
+        moduli = np.abs(eigenvalues)
+        radius = float(moduli.max())
+        shrinkage = min(1.0, SLOWEST / radius)
+        a = identified.a * shrinkage
+        records = scale_records(data)
+        b = estimate_input_matrix(a, identified.c, records)
+        no_feedthrough = np.zeros_like(identified.d)
+        system = StateSpace(a=a, b=b, c=identified.c, d=no_feedthrough)
         return SSM.from_linear(system, data.step_s, data.scale)
 
 
@@ -88,26 +100,39 @@ def estimate_input_matrix(
     `argmin over B and each record's x0 of sum |y - C x|^2, x+ = A x + B u`: linear in both, so
     solved at once."""
     n = len(a)
-    m = records[0][0].shape[1]
+    first_inputs = records[0][0]
+    m = first_inputs.shape[1]
     count = len(records)
-    each = StateSpace(a=a, b=np.eye(n), c=c, d=np.zeros((len(c), n)))
+    every_state = np.eye(n)
+    output_count = len(c)
+    each = StateSpace(a=a, b=every_state, c=c, d=np.zeros((output_count, n)))
     rows = []
     targets = []
     for i, (u, y) in enumerate(records):
         samples = len(u)
         # (n, m, T, n): input j drives state i alone
-        pushes = np.eye(n)[:, None, None, :] * u.T[None, :, :, None]
-        by_push, _ = each.simulate(pushes.reshape(n * m, samples, n))
-        by_start, _ = each.simulate(np.zeros((n, samples, n)), np.eye(n))
+        inputs_by_state = u.T[None, :, :, None]
+        pushes = np.eye(n)[:, None, None, :] * inputs_by_state
+        flat_pushes = pushes.reshape(n * m, samples, n)
+        by_push, _ = each.simulate(flat_pushes)
+        no_input_shape = (n, samples, n)
+        every_start = np.eye(n)
+        by_start, _ = each.simulate(np.zeros(no_input_shape), every_start)
         driven = by_push.reshape(n * m, -1)
         free = by_start.reshape(n, -1)
-        starts = np.zeros((count, n, free.shape[1]))
+        free_width = free.shape[1]
+        starts = np.zeros((count, n, free_width))
         starts[i] = free
-        columns = np.concatenate([driven, starts.reshape(count * n, -1)])
+        flat_starts = starts.reshape(count * n, -1)
+        columns = np.concatenate([driven, flat_starts])
         rows.append(columns.T)
         targets.append(y.reshape(-1))
-    solved = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)[0]
-    return solved[: n * m].reshape(n, m)
+    all_rows = np.concatenate(rows)
+    all_targets = np.concatenate(targets)
+    solution = np.linalg.lstsq(all_rows, all_targets, rcond=None)
+    solved = solution[0]
+    input_entries = solved[: n * m]
+    return input_entries.reshape(n, m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +161,8 @@ class NARX(SolvedSpec):
         if self.degree == 1 and self.terms is None:
             return fit_arx(data, self.lags, self.delay)
         count = MOST_TERMS if self.terms is None else self.terms
-        return next(fit_narx_models(data, self.lags, self.degree, self.delay, [count]))
+        models = fit_narx_models(data, self.lags, self.degree, self.delay, [count])
+        return next(models)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,12 +189,14 @@ class OutputError(SolvedSpec):
 def _refuse_several_outputs(data: DataSet, model: str) -> None:
     """Raise `BadRequest` for records with several outputs, which the model cannot have."""
     problem = f"takes one output, and there are {data.scale.outputs}"
-    require(data.scale.outputs == 1, "model", model, problem, "choose another model")
+    output_count = data.scale.outputs
+    require(output_count == 1, "model", model, problem, "choose another model")
 
 
 def _refuse_short_records(data: DataSet, lags: int) -> None:
     """Raise `BadRequest` for training records that are shorter than the model's lags."""
-    longest = max(len(record) for record in data.training)
+    lengths = (len(record) for record in data.training)
+    longest = max(lengths)
     problem = f"the longest training record has {longest} samples"
     require(lags < longest, "model.lags", lags, problem, "use fewer lags")
 
@@ -182,4 +210,5 @@ def import_library(name: str) -> Any:
         package = name.split(".")[0]
         problem = f"needs the package {package}, which is not installed"
         remedy = INSTALL.get(package, f"pip install {package}")
-        raise BadRequest("model", MODELS.get(package, package), problem, remedy) from error
+        model = MODELS.get(package, package)
+        raise BadRequest("model", model, problem, remedy) from error

@@ -38,9 +38,11 @@ class LinearScaffold(Scaffold, names=("linear",)):
 
     def bound(self) -> SlopeBound:
         if self.gain.shape == (1, 1):
-            gain = Fraction(float(self.gain[0, 0]))
+            scalar_gain = self.gain[0, 0]
+            gain = Fraction(float(scalar_gain))
             return bound_from_interval(gain, gain, "construction")
-        return bound_from_ball(enclosing_ball_at_scaled_identity(self.gain, 0.0), "construction")
+        ball = enclosing_ball_at_scaled_identity(self.gain, 0.0)
+        return bound_from_ball(ball, "construction")
 
     def jacobian_centre(self) -> Square:
         return self.gain
@@ -64,7 +66,8 @@ class Linear(Trainable):
         frame: MapContext,
         rng: np.random.Generator,  # noqa: ARG002
     ) -> dict[str, Float[np.ndarray, "..."]]:
-        return {"gain": np.eye(frame.samples.shape[1])}
+        sample_shape = frame.samples.shape
+        return {"gain": np.eye(sample_shape[1])}
 
     def explicit_parameters(self, free: Free, slopes: tuple[float, float]) -> Tensor:  # noqa: ARG002
         return free["gain"]

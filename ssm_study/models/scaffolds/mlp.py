@@ -50,14 +50,20 @@ class MlpScaffold(Scaffold, names=("mlp",)):
 
     def compose_with_output_matrix(self, m: Square) -> "MlpScaffold":
         *inner, last = self.network.weights
-        return MlpScaffold(network=replace(self.network, weights=(*inner, m @ last)))
+        weights = (*inner, m @ last)
+        network = replace(self.network, weights=weights)
+        return MlpScaffold(network=network)
 
     def compose_with_input_matrix(self, m: Square) -> "MlpScaffold":
         first, *inner = self.network.weights
-        return MlpScaffold(network=replace(self.network, weights=(first @ m, *inner)))
+        weights = (first @ m, *inner)
+        network = replace(self.network, weights=weights)
+        return MlpScaffold(network=network)
 
     def as_portable(self) -> PortableMap:
-        linear = np.zeros((self.network.outputs, self.network.inputs))
+        output_count = self.network.outputs
+        input_count = self.network.inputs
+        linear = np.zeros((output_count, input_count))
         return PortableMap(linear=linear, network=self.network)
 
 
@@ -85,7 +91,8 @@ class Mlp(Trainable):
 
     def build(self, frame: MapContext, rng: np.random.Generator) -> Any:
         if self.certified and frame.samples.shape[1] == 1:
-            return OneChannel(depth=self.depth).build(frame, rng)
+            one_channel = OneChannel(depth=self.depth)
+            return one_channel.build(frame, rng)
         return super().build(frame, rng)
 
     def initial_values(self, frame: MapContext, rng: np.random.Generator) -> StartingValues:
@@ -109,13 +116,18 @@ class Mlp(Trainable):
             bias = free[f"bias_{i}"]
             is_last = i == self.depth - 1
             after = free[f"weight_{self.depth}"] if is_last else None
-            return (free[f"weight_{i}"], bias, *self._bounded_slopes(free, i, slopes, bias), after)
+            bounded_slopes = self._bounded_slopes(free, i, slopes, bias)
+            return (free[f"weight_{i}"], bias, *bounded_slopes, after)
         v = free[f"direction_{i}"]
         # W = V R^{-T} has W^T W = I, and is cheap to differentiate.
-        root = torch.linalg.cholesky(v.T @ v)
-        w = torch.linalg.solve_triangular(root, v.T, upper=False).T
+        gram = v.T @ v
+        root = torch.linalg.cholesky(gram)
+        normalised = torch.linalg.solve_triangular(root, v.T, upper=False)
+        w = normalised.T
         # A neuron bends where its unit direction meets the kink.
-        bias = -free[f"kink_{i}"] * w.norm(dim=1)
+        kinks = -free[f"kink_{i}"]
+        norms = w.norm(dim=1)
+        bias = kinks * norms
         sector = layer_slope_bounds(*slopes, self.depth, 2)
         return (w, bias, *self._bounded_slopes(free, i, sector, bias), w.T)
 
@@ -126,7 +138,9 @@ class Mlp(Trainable):
         are fixed at its two ends, or trained inside by a logistic map."""
         lower, upper = sector
         if not self.train_slopes:
-            return torch.full_like(like, lower), torch.full_like(like, upper)
+            lower_slopes = torch.full_like(like, lower)
+            upper_slopes = torch.full_like(like, upper)
+            return lower_slopes, upper_slopes
         sides = (free[f"slope_{side}_{layer}"] for side in ("negative", "positive"))
         low, high = (lower + (upper - lower) * torch.sigmoid(side) for side in sides)
         return low, high
@@ -136,7 +150,9 @@ class Mlp(Trainable):
     ) -> Float[Tensor, "*batch m"]:
         for w, b, low, high, after in explicit:
             z = v @ w.T + b
-            v = torch.where(z >= 0, high, low) * z - torch.where(b >= 0, high, low) * b
+            slopes_at_z = torch.where(z >= 0, high, low)
+            slopes_at_b = torch.where(b >= 0, high, low)
+            v = slopes_at_z * z - slopes_at_b * b
             v = v if after is None else v @ after.T
         return v
 
@@ -148,13 +164,21 @@ class Mlp(Trainable):
             return None
         first = w[:, 0]
         last = after[0]
-        points, order = (-b / first).sort()
-        piece = torch.arange(len(order) + 1, device=order.device)
-        beyond = piece[:, None] > order.argsort()[None, :]  # piece j lies right of kink i
-        active = torch.where(beyond == (first > 0), high, low)  # slope of neuron i in piece j
+        break_points = -b / first
+        points, order = break_points.sort()
+        neuron_count = len(order)
+        piece = torch.arange(neuron_count + 1, device=order.device)
+        ranks = order.argsort()
+        beyond = piece[:, None] > ranks[None, :]  # piece j lies right of kink i
+        is_active = beyond == (first > 0)
+        active = torch.where(is_active, high, low)  # slope of neuron i in piece j
         offsets = active @ (last * b)
-        home = torch.searchsorted(points.detach(), points.new_zeros(1), right=True)
-        return points, active @ (last * first), offsets - offsets[home]
+        fixed_points = points.detach()
+        zero = points.new_zeros(1)
+        home = torch.searchsorted(fixed_points, zero, right=True)
+        piece_slopes = active @ (last * first)
+        piece_offsets = offsets - offsets[home]
+        return points, piece_slopes, piece_offsets
 
     def freeze(self, explicit: list[Layer], slopes: Sector) -> MlpScaffold:  # noqa: ARG002
         weights = []
@@ -164,17 +188,22 @@ class Mlp(Trainable):
         before = None  # what comes after the layer before
         for w, bias, low, high, after in explicit:
             weight = tensor_to_numpy(w)
-            weights.append(weight if before is None else weight @ tensor_to_numpy(before))
+            joined_weight = weight if before is None else weight @ tensor_to_numpy(before)
+            weights.append(joined_weight)
             biases.append(tensor_to_numpy(bias))
             negative.append(tensor_to_numpy(low))
             positive.append(tensor_to_numpy(high))
             before = after
         assert before is not None  # nothing but weights comes after the last layer
+        last_weight = tensor_to_numpy(before)
+        all_biases = tuple(biases)
+        negative_slopes = tuple(negative)
+        positive_slopes = tuple(positive)
         network = Network(
-            weights=(*weights, tensor_to_numpy(before)),
-            biases=tuple(biases),
-            negative_slopes=tuple(negative),
-            positive_slopes=tuple(positive),
+            weights=(*weights, last_weight),
+            biases=all_biases,
+            negative_slopes=negative_slopes,
+            positive_slopes=positive_slopes,
         )
         return MlpScaffold(network=network)
 
@@ -198,12 +227,16 @@ def unconstrained_initial_layers(
     channels = frame.samples.shape[1]
     directions, kinks = draw_layer(frame.samples, h, rng)
     free = {"weight_0": directions}
-    shapes = [(h, h)] * (depth - 1) + [(channels, h)]
+    inner_shapes = [(h, h)]
+    last_shape = [(channels, h)]
+    shapes = inner_shapes * (depth - 1) + last_shape
     for i, shape in enumerate(shapes, start=1):
-        free[f"weight_{i}"] = rng.normal(size=shape) / np.sqrt(shape[1])
+        random_weights = rng.normal(size=shape)
+        free[f"weight_{i}"] = random_weights / np.sqrt(shape[1])
     free["bias_0"] = -kinks
     for i in range(1, depth):
-        free[f"bias_{i}"] = 0.1 * rng.normal(size=h)
+        random_biases = rng.normal(size=h)
+        free[f"bias_{i}"] = 0.1 * random_biases
     return free
 
 
@@ -221,8 +254,10 @@ class OneChannel(Trainable):
 
     def initial_values(self, frame: MapContext, rng: np.random.Generator) -> StartingValues:  # noqa: ARG002
         kinks = max(frame.width - 1, 1)
-        ranks = (np.arange(kinks) + 0.5) / kinks
-        points = np.quantile(frame.samples[:, 0], ranks)
+        neuron_numbers = np.arange(kinks)
+        ranks = (neuron_numbers + 0.5) / kinks
+        channel_values = frame.samples[:, 0]
+        points = np.quantile(channel_values, ranks)
         free = {}
         for i in range(self.depth):
             free[f"points_{i}"] = points
@@ -236,21 +271,28 @@ class OneChannel(Trainable):
         for i in range(self.depth):
             points, order = free[f"points_{i}"].sort(-1)
             jumps = free[f"jumps_{i}"].gather(-1, order)
-            passed = torch.nn.functional.pad(jumps.cumsum(-1), (1, 0))
+            passed_points = jumps.cumsum(-1)
+            passed = torch.nn.functional.pad(passed_points, (1, 0))
             logit = free[f"base_{i}"] + JUMP_UNIT * passed
-            inside = lower + (upper - lower) * torch.sigmoid(logit)
-            layers.append((points, inside, scaffold.zero_preserving_offsets(points, inside)))
+            share = torch.sigmoid(logit)
+            above_lower = (upper - lower) * share
+            inside = lower + above_lower
+            piece_offsets = scaffold.zero_preserving_offsets(points, inside)
+            piece_tables = (points, inside, piece_offsets)
+            layers.append(piece_tables)
         return layers
 
     def evaluate(
         self, explicit: list[Pieces], v: Float[Tensor, "*batch 1"]
     ) -> Float[Tensor, "*batch 1"]:
         for points, slopes, offsets in explicit:
-            v = scaffold.evaluate_pieces((points[None], slopes[None], offsets[None]), v)
+            pieces_of_rows = (points[None], slopes[None], offsets[None])
+            v = scaffold.evaluate_pieces(pieces_of_rows, v)
         return v
 
     def pieces(self, explicit: list[Pieces]) -> Pieces | None:
-        return explicit[0] if self.depth == 1 else None
+        is_one_layer = self.depth == 1
+        return explicit[0] if is_one_layer else None
 
     def roughness(self, explicit: list[Pieces]) -> Float[Tensor, ""]:
         by_layer = [scaffold.relative_roughness(slopes) for _, slopes, _ in explicit]
@@ -264,18 +306,28 @@ class OneChannel(Trainable):
         biases = []
         for pieces in explicit:
             points, inside, _ = (tensor_to_numpy(part) for part in pieces)
-            bends = np.diff(inside) / (upper - lower)
-            straight = (inside[0] - lower * bends.sum()) / upper
-            lasts.append(np.append(bends, straight)[None, :])
-            biases.append(np.append(-points, 0.0))
+            slope_changes = np.diff(inside)
+            bends = slope_changes / (upper - lower)
+            total_bend = bends.sum()
+            straight = (inside[0] - lower * total_bend) / upper
+            last_row = np.append(bends, straight)
+            lasts.append(last_row[None, :])
+            layer_biases = np.append(-points, 0.0)
+            biases.append(layer_biases)
         ones = [np.ones((len(bias), 1)) for bias in biases]
-        inner = [after @ last for last, after in zip(lasts[:-1], ones[1:], strict=True)]
+        inner_lasts = lasts[:-1]
+        inner_ones = ones[1:]
+        inner = [after @ last for last, after in zip(inner_lasts, inner_ones, strict=True)]
         negative = [np.append(np.full(len(bias) - 1, lower), upper) for bias in biases]
+        last_weights = lasts[-1]
+        all_biases = tuple(biases)
+        negative_slopes = tuple(negative)
+        positive_slopes = tuple(np.full(len(bias), upper) for bias in biases)
         network = Network(
-            weights=(ones[0], *inner, lasts[-1]),
-            biases=tuple(biases),
-            negative_slopes=tuple(negative),
-            positive_slopes=tuple(np.full(len(bias), upper) for bias in biases),
+            weights=(ones[0], *inner, last_weights),
+            biases=all_biases,
+            negative_slopes=negative_slopes,
+            positive_slopes=positive_slopes,
         )
         return MlpScaffold(network=network)
 
@@ -290,10 +342,13 @@ def layer_slope_bounds(
     (upper/alpha)^(1/L) - 1`, `alpha` the middle.
     """
     if channels == 1 or depth == 1:
-        return lower ** (1 / depth), upper ** (1 / depth)
+        layer_lower = lower ** (1 / depth)
+        layer_upper = upper ** (1 / depth)
+        return layer_lower, layer_upper
     middle = (lower + upper) / 2
     centre = middle ** (1 / depth)
-    relative = (upper / middle) ** (1 / depth) - 1
+    layer_ratio = (upper / middle) ** (1 / depth)
+    relative = layer_ratio - 1
     return centre * (1 - relative), centre * (1 + relative)
 
 
@@ -307,14 +362,22 @@ def draw_layer(
     steeper or flatter.
     """
     neuron = np.arange(width)
-    ranks = (neuron + rng.uniform(0.2, 0.8, size=width)) / width  # one of the samples for each
+    within_rank = rng.uniform(0.2, 0.8, size=width)
+    ranks = (neuron + within_rank) / width  # one of the samples for each
     if inputs.shape[1] == 1:
-        is_even = (neuron + rng.integers(2)) % 2 == 0
+        first_sign = rng.integers(2)
+        is_even = (neuron + first_sign) % 2 == 0
         signs = np.where(is_even, 1.0, -1.0)
-        return signs[:, None], signs * np.quantile(inputs[:, 0], ranks)
-    directions = rng.normal(size=(width, inputs.shape[1]))
+        direction_column = signs[:, None]
+        channel_values = inputs[:, 0]
+        places = np.quantile(channel_values, ranks)
+        return direction_column, signs * places
+    input_count = inputs.shape[1]
+    directions = rng.normal(size=(width, input_count))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     kinks = []
-    for direction, rank in zip(directions, rng.permutation(ranks), strict=True):
-        kinks.append(np.quantile(inputs @ direction, rank))
+    shuffled_ranks = rng.permutation(ranks)
+    for direction, rank in zip(directions, shuffled_ranks, strict=True):
+        kink = np.quantile(inputs @ direction, rank)
+        kinks.append(kink)
     return directions, np.array(kinks)

@@ -32,11 +32,15 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
 
     def __post_init__(self) -> None:
         channels, breaks = self.breakpoints.shape
-        shapes = (self.breakpoints.shape, self.slopes.shape)
-        fits = self.slopes.shape == (channels, breaks + 1)
+        breakpoint_shape = self.breakpoints.shape
+        slope_shape = self.slopes.shape
+        shapes = (breakpoint_shape, slope_shape)
+        needed_shape = (channels, breaks + 1)
+        fits = self.slopes.shape == needed_shape
         problem = "need one slope more than break points"
         require(fits, "breakpoints, slopes", shapes, problem, "write model.json again")
-        is_sorted = bool((np.diff(self.breakpoints, axis=1) >= 0).all())
+        distances = np.diff(self.breakpoints, axis=1)
+        is_sorted = bool((distances >= 0).all())
         problem = "the break points must not decrease"
         require(is_sorted, "breakpoints", shapes[0], problem, "sort them")
 
@@ -46,8 +50,10 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
             breakpoints = self.breakpoints[c]
             slopes = self.slopes[c]
             offsets = continuous_offsets(breakpoints, slopes)
-            piece = np.searchsorted(breakpoints, v[..., c], side="right")
-            out[..., c] = slopes[piece] * v[..., c] + offsets[piece]
+            channel_values = v[..., c]
+            piece = np.searchsorted(breakpoints, channel_values, side="right")
+            linear_part = slopes[piece] * v[..., c]
+            out[..., c] = linear_part + offsets[piece]
         return out
 
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Square:
@@ -58,39 +64,56 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
         return np.diag(slopes_at)
 
     def bound(self) -> SlopeBound:
-        values = [Fraction(float(slope)) for slope in self.slopes.ravel()]
-        return bound_from_interval(min(values), max(values), "construction")
+        all_slopes = self.slopes.ravel()
+        values = [Fraction(float(slope)) for slope in all_slopes]
+        lowest = min(values)
+        highest = max(values)
+        return bound_from_interval(lowest, highest, "construction")
 
     def jacobian_centre(self) -> Square:
-        return np.diag((self.slopes.max(axis=1) + self.slopes.min(axis=1)) / 2)
+        largest_slopes = self.slopes.max(axis=1)
+        smallest_slopes = self.slopes.min(axis=1)
+        return np.diag((largest_slopes + smallest_slopes) / 2)
 
     def compose_with_output_matrix(self, m: Square) -> "MonotoneScaffold":
-        return replace(self, slopes=np.diagonal(m)[:, None] * self.slopes)
+        diagonal = np.diagonal(m)[:, None]
+        slopes = diagonal * self.slopes
+        return replace(self, slopes=slopes)
 
     def compose_with_input_matrix(self, m: Square) -> "MonotoneScaffold":
-        gains = np.diagonal(m)[:, None]
+        diagonal_gains = np.diagonal(m)
+        gains = diagonal_gains[:, None]
         breakpoints = self.breakpoints / gains
         slopes = gains * self.slopes
         turned = gains < 0  # a negative gain runs through the pieces from the other end
-        breakpoints = np.where(turned, breakpoints[:, ::-1], breakpoints)
-        slopes = np.where(turned, slopes[:, ::-1], slopes)
+        reversed_breakpoints = breakpoints[:, ::-1]
+        breakpoints = np.where(turned, reversed_breakpoints, breakpoints)
+        reversed_slopes = slopes[:, ::-1]
+        slopes = np.where(turned, reversed_slopes, slopes)
         return MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
 
     def as_portable(self) -> PortableMap:
         """Network with one neuron per break point that computes the same map. `S_c(v) = s_0 v +
         sum_j (s_{j+1} - s_j) (relu(v - t_j) - relu(-t_j))`."""
         channels, breaks = self.breakpoints.shape
-        linear = np.diag(self.slopes[:, 0])
+        first_slopes = self.slopes[:, 0]
+        linear = np.diag(first_slopes)
         if not breaks:
             return PortableMap(linear=linear, network=None)
-        neurons = np.repeat(np.eye(channels), breaks, axis=0)
-        bends = np.diff(self.slopes, axis=1).ravel()
+        channel_rows = np.eye(channels)
+        neurons = np.repeat(channel_rows, breaks, axis=0)
+        slope_changes = np.diff(self.slopes, axis=1)
+        bends = slope_changes.ravel()
         count = channels * breaks
+        outward = neurons.T * bends
+        flat_breakpoints = self.breakpoints.ravel()
+        zeros = np.zeros(count)
+        ones = np.ones(count)
         network = Network(
-            weights=(neurons, neurons.T * bends),
-            biases=(-self.breakpoints.ravel(),),
-            negative_slopes=(np.zeros(count),),
-            positive_slopes=(np.ones(count),),
+            weights=(neurons, outward),
+            biases=(-flat_breakpoints,),
+            negative_slopes=(zeros,),
+            positive_slopes=(ones,),
         )
         return PortableMap(linear=linear, network=network)
 
@@ -100,9 +123,13 @@ def continuous_offsets(
 ) -> Float[np.ndarray, "h1"]:
     """Offsets with which affine pieces join continuously. The piece `slope v + offset` that
     contains v = 0 has offset zero."""
-    home = int(np.searchsorted(breakpoints, 0.0, side="right"))
-    jumps = (slopes[:-1] - slopes[1:]) * breakpoints
-    left = -np.cumsum(jumps[:home][::-1])[::-1]
+    pieces_below_zero = np.searchsorted(breakpoints, 0.0, side="right")
+    home = int(pieces_below_zero)
+    slopes_before = slopes[:-1]
+    slopes_after = slopes[1:]
+    jumps = (slopes_before - slopes_after) * breakpoints
+    jumps_below = jumps[:home][::-1]
+    left = -np.cumsum(jumps_below)[::-1]
     right = np.cumsum(jumps[home:])
     return np.concatenate([left, [0.0], right])
 
@@ -121,16 +148,24 @@ class Monotone(Trainable):
         frame: MapContext,
         rng: np.random.Generator,  # noqa: ARG002
     ) -> dict[str, Float[np.ndarray, "..."]]:
-        ranks = (np.arange(frame.width) + 0.5) / frame.width
-        points = np.quantile(frame.samples, ranks, axis=0).T
-        free = np.zeros((len(points), frame.width + 1))
+        rank_numbers = np.arange(frame.width)
+        ranks = (rank_numbers + 0.5) / frame.width
+        quantiles = np.quantile(frame.samples, ranks, axis=0)
+        points = quantiles.T
+        break_count = len(points)
+        slope_count = frame.width + 1
+        free = np.zeros((break_count, slope_count))
         return {"points": points, "free": free}
 
     def explicit_parameters(self, free: Free, slopes: tuple[float, float]) -> Pieces:
         lower, upper = slopes
-        points = free["points"].sort(dim=-1).values
-        inside = lower + (upper - lower) * torch.sigmoid(free["free"])
-        return points, inside, scaffold.zero_preserving_offsets(points, inside)
+        sorted_points = free["points"].sort(dim=-1)
+        points = sorted_points.values
+        share = torch.sigmoid(free["free"])
+        above_lower = (upper - lower) * share
+        inside = lower + above_lower
+        offsets = scaffold.zero_preserving_offsets(points, inside)
+        return points, inside, offsets
 
     def evaluate(self, explicit: Pieces, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:
         return scaffold.evaluate_pieces(explicit, v)
@@ -142,8 +177,11 @@ class Monotone(Trainable):
         return points[0], inside[0], offsets[0]
 
     def roughness(self, explicit: Pieces) -> Float[Tensor, ""]:
-        return scaffold.relative_roughness(explicit[1]).sum(-1)
+        roughness = scaffold.relative_roughness(explicit[1])
+        return roughness.sum(-1)
 
     def freeze(self, explicit: Pieces, slopes: tuple[float, float]) -> MonotoneScaffold:  # noqa: ARG002
         points, inside, _ = explicit
-        return MonotoneScaffold(breakpoints=tensor_to_numpy(points), slopes=tensor_to_numpy(inside))
+        breakpoints = tensor_to_numpy(points)
+        slope_values = tensor_to_numpy(inside)
+        return MonotoneScaffold(breakpoints=breakpoints, slopes=slope_values)

@@ -36,24 +36,32 @@ class ResidualScaffold(Scaffold, names=("residual",)):
     def __post_init__(self) -> None:
         outputs = self.network.outputs
         problem = "as many outputs as inputs are needed"
-        require(self.network.inputs == outputs, "weights", outputs, problem, "use kind mlp")
+        input_count = self.network.inputs
+        require(input_count == outputs, "weights", outputs, problem, "use kind mlp")
         remedy = "write model.json again"
         require_at_least(0, "beta", self.beta, remedy)
         shapes = [t.shape for t in self.multipliers]
         needed = [b.shape for b in self.network.biases]
         fits = shapes == needed and all(bool((t > 0).all()) for t in self.multipliers)
-        require(fits, "multipliers", len(shapes), "need one per neuron, positive", remedy)
+        neuron_count = len(shapes)
+        require(fits, "multipliers", neuron_count, "need one per neuron, positive", remedy)
 
     def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch m"]:
-        return self.alpha * v + self.beta * self.network(v)
+        linear_part = self.alpha * v
+        residual_part = self.beta * self.network(v)
+        return linear_part + residual_part
 
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Square:
-        return self.alpha * np.eye(self.network.inputs) + self.beta * self.network.jacobian(v)
+        identity = np.eye(self.network.inputs)
+        residual_slope = self.network.jacobian(v)
+        return self.alpha * identity + self.beta * residual_slope
 
     def bound(self) -> SlopeBound:
         if not is_proved_nonexpansive(self.network, self.multipliers):
-            return network_bound(self.as_portable().as_network())
-        return bound_from_ball(JacobianBall(alpha=self.alpha, beta=self.beta), "construction")
+            network = self.as_portable().as_network()
+            return network_bound(network)
+        ball = JacobianBall(alpha=self.alpha, beta=self.beta)
+        return bound_from_ball(ball, "construction")
 
     def jacobian_centre(self) -> None:
         """No centre matrix is needed: the Jacobians lie around a multiple of the identity."""
@@ -61,8 +69,10 @@ class ResidualScaffold(Scaffold, names=("residual",)):
 
     def as_portable(self) -> PortableMap:
         *inner, last = self.network.weights
-        network = replace(self.network, weights=(*inner, self.beta * last))
-        return PortableMap(linear=self.alpha * np.eye(network.inputs), network=network)
+        scaled_last = self.beta * last
+        network = replace(self.network, weights=(*inner, scaled_last))
+        linear = self.alpha * np.eye(network.inputs)
+        return PortableMap(linear=linear, network=network)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,11 +101,14 @@ class Residual(Trainable):
         free = {f"skew_{i}": rng.normal(size=(h, h)) / shrink for i in layers}
         for i in layers:
             widths = (h if i else m, h)
-            free[f"tail_{i}"] = rng.normal(size=widths) / shrink
-        last = rng.normal(size=(m, h)) / shrink
+            random_tail = rng.normal(size=widths)
+            free[f"tail_{i}"] = random_tail / shrink
+        random_last = rng.normal(size=(m, h))
+        last = random_last / shrink
         free |= {f"scale_{i}": np.zeros(h) for i in layers}
         free |= {f"bias_{i}": rng.normal(size=h) for i in layers}
-        free["last_skew"] = rng.normal(size=(m, m)) * 0.1
+        random_skew = rng.normal(size=(m, m))
+        free["last_skew"] = random_skew * 0.1
         return free | {"last_tail": last.T}
 
     def explicit_parameters(self, free: Free, slopes: tuple[float, float]) -> "Sandwich":
@@ -104,31 +117,47 @@ class Residual(Trainable):
         psis = [torch.exp(free[f"scale_{i}"]) for i in range(self.depth)]
         for i, psi in enumerate(psis):
             a, b = cayley_transform(free[f"skew_{i}"], free[f"tail_{i}"])
-            enter = math.sqrt(2.0) * b / psi[:, None]
-            weights.append(enter if left is None else enter @ left)
-            left = math.sqrt(2.0) * a.T * psi  # sqrt2 A^T Psi, into the next layer
+            scaled_b = math.sqrt(2.0) * b
+            enter = scaled_b / psi[:, None]
+            joined_weight = enter if left is None else enter @ left
+            weights.append(joined_weight)
+            scaled_a = math.sqrt(2.0) * a.T
+            left = scaled_a * psi  # sqrt2 A^T Psi, into the next layer
         _, b = cayley_transform(free["last_skew"], free["last_tail"])
-        ball = (slopes[1] + slopes[0]) / 2, (slopes[1] - slopes[0]) / 2
-        return ball, [*weights, b @ left], [free[f"bias_{i}"] for i in range(self.depth)], psis
+        alpha = (slopes[1] + slopes[0]) / 2
+        beta = (slopes[1] - slopes[0]) / 2
+        ball = alpha, beta
+        all_weights = [*weights, b @ left]
+        biases = [free[f"bias_{i}"] for i in range(self.depth)]
+        return ball, all_weights, biases, psis
 
     def evaluate(
         self, explicit: "Sandwich", v: Float[Tensor, "*batch m"]
     ) -> Float[Tensor, "*batch m"]:
         (alpha, beta), weights, biases, _ = explicit
         d = v
-        for w, b in zip(weights[:-1], biases, strict=True):
-            d = torch.relu(d @ w.T + b) - torch.relu(b)
-        return alpha * v + beta * (d @ weights[-1].T)
+        inner_weights = weights[:-1]
+        for w, b in zip(inner_weights, biases, strict=True):
+            activated = torch.relu(d @ w.T + b)
+            at_zero = torch.relu(b)
+            d = activated - at_zero
+        network_output = d @ weights[-1].T
+        return alpha * v + beta * network_output
 
     def freeze(self, explicit: "Sandwich", slopes: tuple[float, float]) -> ResidualScaffold:  # noqa: ARG002
         (alpha, beta), weights, biases, psis = explicit
+        weight_arrays = tuple(tensor_to_numpy(w) for w in weights)
+        bias_arrays = tuple(tensor_to_numpy(b) for b in biases)
+        negative_slopes = tuple(np.zeros(len(b)) for b in biases)
+        positive_slopes = tuple(np.ones(len(b)) for b in biases)
         network = Network(
-            weights=tuple(tensor_to_numpy(w) for w in weights),
-            biases=tuple(tensor_to_numpy(b) for b in biases),
-            negative_slopes=tuple(np.zeros(len(b)) for b in biases),
-            positive_slopes=tuple(np.ones(len(b)) for b in biases),
+            weights=weight_arrays,
+            biases=bias_arrays,
+            negative_slopes=negative_slopes,
+            positive_slopes=positive_slopes,
         )
-        multipliers = tuple(tensor_to_numpy(psi) ** 2 for psi in psis)
+        squared_scales = (tensor_to_numpy(psi) ** 2 for psi in psis)
+        multipliers = tuple(squared_scales)
         return ResidualScaffold(alpha=alpha, beta=beta, network=network, multipliers=multipliers)
 
 
@@ -144,7 +173,13 @@ def cayley_transform(
 
     `Z = X - X^T + Y^T Y`, `A^T = (I + Z)^-1 (I - Z)`, `B^T = -2 Y (I + Z)^-1`.
     """
-    eye = torch.eye(len(skew), dtype=skew.dtype, device=skew.device)
-    z = skew - skew.T + tail.T @ tail  # skew plus Y^T Y: I + Z is always regular
+    width = len(skew)
+    eye = torch.eye(width, dtype=skew.dtype, device=skew.device)
+    antisymmetric = skew - skew.T
+    gram = tail.T @ tail
+    z = antisymmetric + gram  # skew plus Y^T Y: I + Z is always regular
     inverse = torch.linalg.inv(eye + z)
-    return ((eye - z) @ inverse).T, (-2 * tail @ inverse).T
+    first_rows = (eye - z) @ inverse
+    doubled_tail = -2 * tail
+    last_rows = doubled_tail @ inverse
+    return first_rows.T, last_rows.T

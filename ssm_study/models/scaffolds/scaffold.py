@@ -48,7 +48,8 @@ class Explicit:
 
 def _json_fields(of: Any) -> list[tuple[Field[Any], Any]]:
     """Fields of an object that are written to JSON, with their values."""
-    entries = [(field, getattr(of, field.name)) for field in fields(of)]
+    all_fields = fields(of)
+    entries = [(field, getattr(of, field.name)) for field in all_fields]
     return [
         (field, value) for field, value in entries if not (_is_optional(field) and not value.size)
     ]
@@ -71,10 +72,10 @@ def _to_plain(value: Any) -> Any:
 def _build_from_json(kind: Any, data: Mapping[str, Any]) -> Any:
     """Build an object of a given class from its JSON form."""
     hints = get_type_hints(kind)
-    needed = (field for field in fields(kind) if field.name in data or not _is_optional(field))
-    return kind(
-        **{field.name: _read_entry(hints[field.name], field.name, data) for field in needed}
-    )
+    all_fields = fields(kind)
+    needed = (field for field in all_fields if field.name in data or not _is_optional(field))
+    entries = {field.name: _read_entry(hints[field.name], field.name, data) for field in needed}
+    return kind(**entries)
 
 
 def _read_entry(kind: Any, key: str, data: Mapping[str, Any]) -> Any:
@@ -82,21 +83,25 @@ def _read_entry(kind: Any, key: str, data: Mapping[str, Any]) -> Any:
     if kind in FLAT:
         return _build_from_json(kind, data)
     if get_origin(kind) is tuple:
-        require(isinstance(data.get(key), list), key, data.get(key), "expected a list", AGAIN)
-        return tuple(_read_entry(get_args(kind)[0], key, {key: part}) for part in data[key])
+        stored_list = data.get(key)
+        require(isinstance(stored_list, list), key, stored_list, "expected a list", AGAIN)
+        parts = (_read_entry(get_args(kind)[0], key, {key: part}) for part in data[key])
+        return tuple(parts)
     if kind is float:
         return float(array_from_json(data, key, 0))
     if kind is str or issubclass(kind, Explicit):
         needed = str if kind is str else Mapping
+        stored_value = data.get(key)
         require(
-            isinstance(data.get(key), needed),
+            isinstance(stored_value, needed),
             key,
-            data.get(key),
+            stored_value,
             "missing or not what it should be",
             AGAIN,
         )
         return data[key] if kind is str else kind.from_json(data[key])
-    values = array_from_json(data, key, len(kind.dim_str.split()))
+    axes = kind.dim_str.split()
+    values = array_from_json(data, key, len(axes))
     return values.astype(np.int64) if kind.dtype is Int else values
 
 
@@ -121,7 +126,8 @@ class Scaffold(Family, Explicit):
     @property
     def shape(self) -> tuple[int, int]:
         """Numbers of output and input channels of the static map."""
-        outputs, inputs = self.as_portable().linear.shape
+        portable = self.as_portable()
+        outputs, inputs = portable.linear.shape
         return outputs, inputs
 
     @property
@@ -173,34 +179,49 @@ class Scaffold(Family, Explicit):
         if "as_portable" not in cls.__abstractmethods__:
             return super().from_json(data)
         require_one_of(kinds := Scaffold.members(scaffolds), "kind", data.get("kind"))
-        return kinds[data["kind"]].from_json(data)
+        kind = kinds[data["kind"]]
+        return kind.from_json(data)
 
 
 def tensor_to_numpy(values: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
     """Convert a tensor to a float64 array."""
-    return values.detach().cpu().double().numpy().copy()
+    exact_values = values.detach().cpu().double()
+    return exact_values.numpy().copy()
 
 
 def zero_preserving_offsets(
     points: Float[Tensor, "*c h"], slopes: Float[Tensor, "*c h1"]
 ) -> Float[Tensor, "*c h1"]:
     """Offsets of affine pieces that join continuously to a map that is exactly zero at zero."""
-    jumps = (
-        slopes[..., :-1] - slopes[..., 1:]
-    ) * points  # what keeps the map continuous at each point
-    beyond = torch.where(points > 0, jumps, 0.0).cumsum(-1)
-    before = torch.where(points <= 0, jumps, 0.0).flip(-1).cumsum(-1).flip(-1)
-    zero = torch.zeros_like(jumps[..., :1])
-    return torch.cat([zero, beyond], -1) - torch.cat([before, zero], -1)
+    slopes_before = slopes[..., :-1]
+    slopes_after = slopes[..., 1:]
+    slope_changes = slopes_before - slopes_after
+    jumps = slope_changes * points  # what keeps the map continuous at each point
+    jumps_above_zero = torch.where(points > 0, jumps, 0.0)
+    beyond = jumps_above_zero.cumsum(-1)
+    jumps_below_zero = torch.where(points <= 0, jumps, 0.0)
+    from_zero_down = jumps_below_zero.flip(-1)
+    before = from_zero_down.cumsum(-1).flip(-1)
+    first_jump = jumps[..., :1]
+    zero = torch.zeros_like(first_jump)
+    right_parts = [zero, beyond]
+    left_parts = [before, zero]
+    return torch.cat(right_parts, -1) - torch.cat(left_parts, -1)
 
 
 def evaluate_pieces(pieces: Pieces, v: Float[Tensor, "*batch c"]) -> Float[Tensor, "*batch c"]:
     """Evaluate a piecewise-linear map at every vector of a batch. Points, slopes and offsets have
     one row per channel."""
     points, slopes, offsets = pieces
-    flat = v.flatten(0, -2).mT.contiguous()  # searchsorted wants rows that lie in order
-    piece = torch.searchsorted(points.detach(), flat.detach(), right=True)
-    return (slopes.gather(-1, piece) * flat + offsets.gather(-1, piece)).mT.reshape(v.shape)
+    rows_of_channels = v.flatten(0, -2)
+    flat = rows_of_channels.mT.contiguous()  # searchsorted wants rows that lie in order
+    fixed_points = points.detach()
+    fixed_values = flat.detach()
+    piece = torch.searchsorted(fixed_points, fixed_values, right=True)
+    piece_slopes = slopes.gather(-1, piece)
+    piece_offsets = offsets.gather(-1, piece)
+    mapped = piece_slopes * flat + piece_offsets
+    return mapped.mT.reshape(v.shape)
 
 
 def relative_roughness(slopes: Float[Tensor, "*c h1"]) -> Float[Tensor, "*c"]:
@@ -211,5 +232,9 @@ def relative_roughness(slopes: Float[Tensor, "*c h1"]) -> Float[Tensor, "*c"]:
     of the data, which fit noise and widen the slope interval that a certificate must cover, cost
     extra.
     """
-    relative = slopes / slopes.detach().amax(-1, keepdim=True)
-    return (torch.sqrt(relative.diff() ** 2 + ROUNDING**2) - ROUNDING).sum(-1)
+    fixed_slopes = slopes.detach()
+    largest_slope = fixed_slopes.amax(-1, keepdim=True)
+    relative = slopes / largest_slope
+    changes = relative.diff()
+    rounded_sizes = torch.sqrt(changes**2 + ROUNDING**2)
+    return (rounded_sizes - ROUNDING).sum(-1)

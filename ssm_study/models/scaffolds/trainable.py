@@ -64,4 +64,5 @@ class Trainable(ABC):
         """Build the torch module of the trainable map."""
         from ssm_study.models.torch_scaffold import TorchScaffold
 
-        return TorchScaffold(self, self.initial_values(frame, rng), frame.slopes)
+        initial_values = self.initial_values(frame, rng)
+        return TorchScaffold(self, initial_values, frame.slopes)
