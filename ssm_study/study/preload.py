@@ -25,7 +25,7 @@ HEAVY = {
     "model": re.compile(r"ssm_study\.(training\.|models\.(baselines|torch_|structured_spec))"),
     "synthesis": re.compile(
         r"ssm_study\.(bounds\.lipsdp|certificates\.semidefinite|loop\.(comparison|peers)"
-        r"|synthesis\.(objectives|bilinear_design|\w*lmi))"
+        r"|synthesis\.(objectives|bilinear_(design|gains)|\w*lmi))"
     ),
 }
 

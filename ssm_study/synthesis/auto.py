@@ -99,7 +99,8 @@ class Auto:
         range."""
         grid = getattr(self, name)
         may_be_empty = name == "integral_weights"
-        in_range = all(0 < value < below for value in grid)
+        are_allowed = (0 < value < below for value in grid)
+        in_range = all(are_allowed)
         fits = in_range and (may_be_empty or len(grid) > 0)
         require(fits, f"synthesis.{name}", grid, f"must hold {allowed}", "keep the default grid")
 
@@ -200,7 +201,8 @@ class Auto:
 
         def search_covered_gains(first: Design, most: Design, cover: float) -> Design | None:
             """Search near one design for gains whose proof covers the recorded model error."""
-            largest_area = min(slower * search.response_area(first.pair), FASTER)
+            first_area = search.response_area(first.pair)
+            largest_area = min(slower * first_area, FASTER)
             return search.improve_design(most, cover, rounds, largest_area)
 
         return search_covered_gains
@@ -210,12 +212,15 @@ class Auto:
     ) -> Design:
         """Design with the largest stability margin on a coarse grid of gains, with the reasons
         against the others."""
-        best = np.array(np.unravel_index(np.argmin(peaks), peaks.shape))
-        design = candidates.specification(best).design(model, balls)
+        smallest_peak = np.argmin(peaks)
+        best = np.array(np.unravel_index(smallest_peak, peaks.shape))
+        specification = candidates.specification(best)
+        design = specification.design(model, balls)
         status = f"no stable controller with margin above {self.margin:g}; largest margin taken"
         if np.isinf(self.margin):
             status = "the evidence allows no judgement of the plant; largest margin taken"
-        return self._with_search_outcome(design, status + describe_unsolved_points(candidates))
+        unsolved_text = describe_unsolved_points(candidates)
+        return self._with_search_outcome(design, status + unsolved_text)
 
     def with_input_limits(
         self, lower: Float[np.ndarray, "m"], upper: Float[np.ndarray, "m"]
@@ -225,7 +230,8 @@ class Auto:
 
         Limits without room around rest are not applied.
         """
-        has_room = (lower < 0).all() and (upper > 0).all()
+        can_fall = (lower < 0).all()
+        has_room = can_fall and (upper > 0).all()
         return replace(self, limits=(lower, upper)) if has_room else self
 
     def prefer_covered_designs(self, premise: Premise) -> "Auto":
@@ -248,7 +254,8 @@ class Auto:
         least: Any = {
             name: LEAST_RATE if rate == "auto" else float(rate) for name, rate in rates.items()
         }
-        return replace(grid.specifications()[0], **least).design(model, balls)
+        specifications = grid.specifications()
+        return replace(specifications[0], **least).design(model, balls)
 
     def _with_search_outcome(self, design: Design, status: str) -> Design:
         """Copy of a design that states this method and the outcome of its search."""
@@ -279,9 +286,8 @@ class CertifiedDesigns:
         if self.has_faster and not ranked.is_faster:
             return None
         response = self.response
-        design = response.candidates.specification(ranked.pair).design(
-            response.model, response.balls
-        )
+        specification = response.candidates.specification(ranked.pair)
+        design = specification.design(response.model, response.balls)
         if not design.certified:
             return None
         prediction = predict_margins(response.model, design.pair, response.balls, response.mismatch)

@@ -15,25 +15,30 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.certificates.bilinear_certificates import RestCertificates
-from ssm_study.certificates.problem import NoSolution, symmetric_part
-from ssm_study.certificates.semidefinite import solve_program
+from ssm_study.certificates.problem import NoSolution
 from ssm_study.certificates.theorem import Theorem
 from ssm_study.certificates.theorems.bilinear_contraction import BilinearContraction
 from ssm_study.certificates.theorems.bilinear_everywhere import BilinearEverywhere
 from ssm_study.certificates.theorems.bilinear_loop import BilinearLoop
-from ssm_study.models.bilinear import Bilinear, hat_functions
+from ssm_study.models.bilinear import Bilinear
 from ssm_study.refusal import require_positive
+from ssm_study.synthesis.bilinear_gains import (
+    SOLVER,
+    STRICT,
+    Matrix,
+    feedback_gain,
+    input_columns,
+    observer_gains,
+    solve_or_explain,
+    symmetric_value,
+)
 
-SOLVER = "CLARABEL"
 HALVINGS = 6  # of the interval in which a factor is sought
 ROUNDING = 1e-6  # relative: what keeps an inequality strict after numbers are rounded
-STRICT = 1e-7  # what makes a solver's inequality strict
 BACK_OFF = 0.05  # share of the way from the least factor to one, which leaves room for the metric
 OBSERVER_SHARE = 0.25  # of the way from the observer's factor to one, that of the loop at least
-DRIFT = 0.05  # variance of the state's drift in a sample, as a share of its second moment
 SENSOR_NOISE = 0.05  # deviation of the sensor's noise, scaled units
 LARGEST_FACTOR = 0.98  # of a set that is said to contract
-Matrix = Float[np.ndarray, "n n"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +60,11 @@ class BilinearSynthesis:
             gains = observer_gains(model, self.sensor_noise)
         except NoSolution as failure:
             k = np.zeros((1, model.order))
-            gains = np.zeros((len(model.nodes), model.order, len(model.c)))
-            return RestCertificates(k=k, l_nodes=gains, parts={}, reasons={"gains": str(failure)})
+            node_count = len(model.nodes)
+            output_count = len(model.c)
+            gains = np.zeros((node_count, model.order, output_count))
+            failure_text = str(failure)
+            return RestCertificates(k=k, l_nodes=gains, parts={}, reasons={"gains": failure_text})
         loop = LoopVertices(model=model, k=k, gains=gains)
         parts: dict[str, Theorem] = {}
         reasons: dict[str, str] = {}
@@ -81,12 +89,15 @@ class LoopVertices:
     @property
     def limit(self) -> float:
         """Largest input amplitude, in both directions, that stays within the nodes."""
-        return float(min(-self.model.nodes[0], self.model.nodes[-1]))
+        down = self.model.nodes[0]
+        up = self.model.nodes[-1]
+        return float(min(-down, up))
 
     @cached_property
     def closed_loops(self) -> list[Matrix]:
         """Closed-loop matrices `A_i + B_k K` of all nodes and segments."""
-        return [a + b @ self.k for a in self.model.a for b in input_columns(self.model)]
+        state_matrices = self.model.a
+        return [a + b @ self.k for a in state_matrices for b in input_columns(self.model)]
 
     @cached_property
     def error_matrices(self) -> list[Matrix]:
@@ -97,7 +108,9 @@ class LoopVertices:
     @property
     def floor(self) -> Matrix:
         """Smallest metric that is allowed; in it the input is at most the norm of the state."""
-        return self.k.T @ self.k + ROUNDING * np.eye(self.model.order)
+        squared_gain = self.k.T @ self.k
+        identity = np.eye(self.model.order)
+        return squared_gain + ROUNDING * identity
 
     @cached_property
     def state_metric(self) -> Matrix:
@@ -109,7 +122,8 @@ class LoopVertices:
     def uncontrolled_metric(self) -> Matrix:
         """Metric in which the state contracts with and without the state feedback."""
         reason = "the model without control is not shown to come to rest at all input levels"
-        return contraction_metric([*self.closed_loops, *self.model.a], self.floor, reason)
+        uncontrolled = self.model.a
+        return contraction_metric([*self.closed_loops, *uncontrolled], self.floor, reason)
 
     @cached_property
     def error_metric(self) -> Matrix:
@@ -118,106 +132,13 @@ class LoopVertices:
         return contraction_metric(self.error_matrices, self.floor, reason)
 
 
-def input_columns(model: Bilinear) -> Float[np.ndarray, "s n 1"]:
-    """Slopes `B_k` of the vector b over the segments between nodes, as columns."""
-    widths = np.diff(model.nodes)[:, None]
-    slopes = np.diff(model.b, axis=0) / widths
-    return slopes[:, :, None]
-
-
-def state_second_moment(model: Bilinear) -> Matrix:
-    """Second moment of the states that random inputs within the nodes reach."""
-    from ssm_study.models.bilinear_kernel import simulate_states  # loads numba
-
-    rng = np.random.default_rng(0)
-    levels = rng.uniform(model.nodes[0], model.nodes[-1], 200)
-    hats = hat_functions(model.nodes, np.repeat(levels, 10))
-    states = simulate_states(hats, model.a, model.b, np.zeros(model.order))
-    if not np.isfinite(states).all():
-        raise NoSolution("the model's free run grows without bound")
-    return states.T @ states / len(states)
-
-
-def feedback_gain(model: Bilinear, input_weight: float) -> Float[np.ndarray, "1 n"]:
-    """State-feedback gain K with the smallest bound on a quadratic cost that holds at all vertices
-    of the model.
-
-    With `W = P^{-1}` and `Z = K W`: `(A + B K)' P (A + B K) - P + C'C + R K'K < 0`, by a Schur
-    complement; the trace of P is minimised.
-    """
-    n = model.order
-    p = len(model.c)
-    w = cp.Variable((n, n), symmetric=True)
-    z = cp.Variable((1, n))
-    bound = cp.Variable((n, n), symmetric=True)
-    identity = np.eye(n)
-    constraints = [cp.bmat([[bound, identity], [identity, w]]) >> 0]
-    outputs = model.c @ w
-    inputs = np.sqrt(input_weight) * z
-    for a in model.a:
-        for b in input_columns(model):
-            closed = a @ w + b @ z
-            zeros = np.zeros((n, p + 1))
-            cost = cp.vstack([outputs, inputs])
-            rows = [[w, closed.T, cost.T], [closed, w, zeros], [cost, zeros.T, np.eye(p + 1)]]
-            constraints.append(cp.bmat(rows) >> STRICT * np.eye(2 * n + p + 1))
-    program = cp.Problem(cp.Minimize(cp.trace(bound)), constraints)
-    solve_or_explain(program, "no single gain steadies the model at all of its input levels")
-    return np.linalg.solve(symmetric_value(w), solved_value(z).T).T
-
-
-def observer_gains(model: Bilinear, sensor_noise: float) -> Float[np.ndarray, "q n p"]:
-    """Observer gains L_i with the smallest bound on the variance of the estimation error that holds
-    at all nodes.
-
-    With `M` and `Y_i = M L_i`: `(A + L C) S (A + L C)' + G G' + L N L' < S`, `S = M^{-1}`, by a
-    Schur complement; the trace of S is minimised.
-    """
-    n = model.order
-    p = len(model.c)
-    moment = state_second_moment(model)
-    drift = np.linalg.cholesky(DRIFT * moment + STRICT * np.trace(moment) * np.eye(n))
-    m = cp.Variable((n, n), symmetric=True)
-    bound = cp.Variable((n, n), symmetric=True)
-    identity = np.eye(n)
-    constraints = [cp.bmat([[bound, identity], [identity, m]]) >> 0]
-    products = [cp.Variable((n, p)) for _ in model.a]
-    for a, y in zip(model.a, products, strict=True):
-        error = m @ a + y @ model.c
-        noise = cp.hstack([m @ drift, sensor_noise * y])
-        zeros = np.zeros((n, n + p))
-        rows = [[m, error, noise], [error.T, m, zeros], [noise.T, zeros.T, np.eye(n + p)]]
-        constraints.append(cp.bmat(rows) >> STRICT * np.eye(3 * n + p))
-    program = cp.Problem(cp.Minimize(cp.trace(bound)), constraints)
-    solve_or_explain(program, "no gains make an observer converge at all of the input levels")
-    metric = symmetric_value(m)
-    return np.stack([np.linalg.solve(metric, solved_value(y)) for y in products])
-
-
-def solve_or_explain(program: cp.Problem, reason: str) -> str:
-    """Solve a cvxpy program and return its status; raises `NoSolution` with the given reason."""
-    try:
-        return solve_program(program, SOLVER)
-    except NoSolution as failure:
-        raise NoSolution(f"{reason} ({failure})") from failure
-
-
-def solved_value(variable: cp.Variable) -> Float[np.ndarray, "_ _"]:
-    """Matrix that a solver found for a variable."""
-    return np.asarray(variable.value)
-
-
-def symmetric_value(variable: cp.Variable) -> Matrix:
-    """Symmetric matrix that a solver found for a variable."""
-    return symmetric_part(solved_value(variable))
-
-
 def contraction_metric(matrices: list[Matrix], floor: Matrix, reason: str) -> Matrix:
     """Smallest metric in which all given matrices contract, by nearly the smallest common factor.
     Raises `NoSolution` with the reason where none is found."""
     highest = 1.0 - 10.0 * ROUNDING
     metric = metric_for_factor(matrices, highest, floor, reason)
-    lowest = max(float(np.abs(np.linalg.eigvals(matrix)).max()) for matrix in matrices)
+    spectral_radii = (float(np.abs(np.linalg.eigvals(matrix)).max()) for matrix in matrices)
+    lowest = max(spectral_radii)
     for _ in range(HALVINGS):
         factor = 0.5 * (lowest + highest)
         try:
@@ -226,7 +147,8 @@ def contraction_metric(matrices: list[Matrix], floor: Matrix, reason: str) -> Ma
         except NoSolution:
             lowest = factor
     try:
-        return metric_for_factor(matrices, highest + BACK_OFF * (1.0 - highest), floor, reason)
+        back_off = BACK_OFF * (1.0 - highest)
+        return metric_for_factor(matrices, highest + back_off, floor, reason)
     except NoSolution:
         return metric
 
@@ -237,9 +159,14 @@ def metric_for_factor(matrices: list[Matrix], factor: float, floor: Matrix, reas
     p = cp.Variable((n, n), symmetric=True)
     constraints = [p >> floor]
     for matrix in matrices:
-        rows = [[factor**2 * p, matrix.T @ p], [p @ matrix, p]]
-        constraints.append(cp.bmat(rows) >> STRICT * np.eye(2 * n))
-    program = cp.Problem(cp.Minimize(cp.trace(p)), constraints)
+        contracted = factor**2 * p
+        moved = matrix.T @ p
+        rows = [[contracted, moved], [p @ matrix, p]]
+        whole_matrix = cp.bmat(rows)
+        identity = np.eye(2 * n)
+        constraints.append(whole_matrix >> STRICT * identity)
+    trace = cp.trace(p)
+    program = cp.Problem(cp.Minimize(trace), constraints)
     status = solve_or_explain(program, reason)
     if not status.endswith("optimal"):
         raise NoSolution(f"{reason} ({status})")
@@ -251,31 +178,36 @@ def largest_norm_factor(matrices: list[Matrix], metric: Matrix) -> float:
     root = np.linalg.cholesky(metric).T
     inverse = np.linalg.inv(root)
     norms = [float(np.linalg.norm(root @ matrix @ inverse, 2)) for matrix in matrices]
-    return max(*norms, ROUNDING) * (1.0 + ROUNDING)
+    largest_norm = max(*norms, ROUNDING)
+    return largest_norm * (1.0 + ROUNDING)
 
 
 def bound_by_metric(
     rows: Float[np.ndarray, "_ n"], metric: Matrix, outer: Float[np.ndarray, "_ _"] | None = None
 ) -> float:
     """Smallest g with `|rows x| <= g |x|` in the norms of given metrics, rounded up."""
-    inverse = np.linalg.inv(np.linalg.cholesky(metric).T)
+    factor_of_metric = np.linalg.cholesky(metric)
+    inverse = np.linalg.inv(factor_of_metric.T)
     left = np.eye(len(rows)) if outer is None else np.linalg.cholesky(outer).T
-    return max(float(np.linalg.norm(left @ rows @ inverse, 2)), ROUNDING) * (1.0 + ROUNDING)
+    transformed = left @ rows @ inverse
+    return max(float(np.linalg.norm(transformed, 2)), ROUNDING) * (1.0 + ROUNDING)
 
 
 def model_and_feedback_numbers(loop: LoopVertices, p: Matrix) -> dict[str, Any]:
     """Fields that every certificate of a bilinear loop has: model matrices, state feedback and its
     metric."""
     model = loop.model
+    a_nodes = model.a.reshape(-1, model.order)
+    factor_controller = largest_norm_factor(loop.closed_loops, p)
     return {
         "alpha": 1.0,
         "beta": 0.0,
         "nodes": model.nodes,
-        "a_nodes": model.a.reshape(-1, model.order),
+        "a_nodes": a_nodes,
         "b_nodes": model.b,
         "k": loop.k,
         "p": p,
-        "factor_controller": largest_norm_factor(loop.closed_loops, p),
+        "factor_controller": factor_controller,
     }
 
 
@@ -285,17 +217,21 @@ def observer_numbers(loop: LoopVertices, p: Matrix, least_factor: float) -> dict
     model = loop.model
     m = loop.error_metric
     factor_observer = largest_norm_factor(loop.error_matrices, m)
-    coupling = max(bound_by_metric(b @ loop.k, m, p) for b in input_columns(model))
+    columns = input_columns(model)
+    coupling = max(bound_by_metric(b @ loop.k, m, p) for b in columns)
     through_observer = factor_observer + OBSERVER_SHARE * (1.0 - factor_observer)
-    above = least_factor + ROUNDING + BACK_OFF * (1.0 - least_factor)
+    back_off = BACK_OFF * (1.0 - least_factor)
+    above = least_factor + ROUNDING + back_off
     factor = max(above, through_observer)
+    observer_nodes = loop.gains.reshape(-1, len(model.c))
+    weight = coupling / (factor - factor_observer)
     return {
         "c": model.c,
-        "l_nodes": loop.gains.reshape(-1, len(model.c)),
+        "l_nodes": observer_nodes,
         "m": m,
         "factor_observer": factor_observer,
         "coupling": coupling,
-        "weight": coupling / (factor - factor_observer) * (1.0 + ROUNDING),
+        "weight": weight * (1.0 + ROUNDING),
         "factor": factor,
     }
 
@@ -308,10 +244,12 @@ def certify_loop(loop: LoopVertices) -> BilinearLoop:
     numbers |= observer_numbers(loop, loop.state_metric, numbers["factor_controller"])
     gain_state = bound_by_metric(loop.k, loop.state_metric)
     gain_error = bound_by_metric(loop.k, loop.error_metric)
-    reach = max(gain_state, gain_error / numbers["weight"])
+    reach_of_error = gain_error / numbers["weight"]
+    reach = max(gain_state, reach_of_error)
     numbers["gain_state"] = gain_state
     numbers["gain_error"] = gain_error
-    numbers["radius"] = loop.limit / reach * (1.0 - ROUNDING)
+    radius = loop.limit / reach
+    numbers["radius"] = radius * (1.0 - ROUNDING)
     return decide_exactly(BilinearLoop, numbers, started)
 
 
@@ -321,9 +259,11 @@ def certify_everywhere(loop: LoopVertices) -> BilinearEverywhere:
     started = time.perf_counter()
     p = loop.uncontrolled_metric
     numbers = model_and_feedback_numbers(loop, p)
-    uncontrolled = largest_norm_factor([*loop.model.a], p)
+    state_matrices = loop.model.a
+    uncontrolled = largest_norm_factor([*state_matrices], p)
     numbers["factor_uncontrolled"] = uncontrolled
-    numbers |= observer_numbers(loop, p, max(numbers["factor_controller"], uncontrolled))
+    least_factor = max(numbers["factor_controller"], uncontrolled)
+    numbers |= observer_numbers(loop, p, least_factor)
     return decide_exactly(BilinearEverywhere, numbers, started)
 
 
@@ -334,16 +274,22 @@ def certify_contraction(loop: LoopVertices) -> BilinearContraction:
     refuse_one_sided_input(loop)
     model = loop.model
     numbers = model_and_feedback_numbers(loop, loop.state_metric)
-    widths = np.diff(model.nodes)[:, None, None]
-    changes = np.diff(model.a, axis=0) / widths
+    node_distances = np.diff(model.nodes)
+    widths = node_distances[:, None, None]
+    changes_of_a = np.diff(model.a, axis=0)
+    changes = changes_of_a / widths
     variation = largest_norm_factor([*changes], loop.state_metric)
     gain_state = bound_by_metric(loop.k, loop.state_metric)
     slope = variation * gain_state
     controller = numbers["factor_controller"]
-    largest = max(LARGEST_FACTOR, 0.5 * (1.0 + controller))
-    radius = min((largest - controller) / slope, loop.limit / gain_state)
+    middle_factor = 0.5 * (1.0 + controller)
+    largest = max(LARGEST_FACTOR, middle_factor)
+    slope_radius = (largest - controller) / slope
+    limit_radius = loop.limit / gain_state
+    radius = min(slope_radius, limit_radius)
     radius *= 1.0 - ROUNDING
-    factor = controller + radius * slope * (1.0 + ROUNDING) + STRICT
+    change_of_factor = radius * slope * (1.0 + ROUNDING)
+    factor = controller + change_of_factor + STRICT
     numbers |= {
         "gain_state": gain_state,
         "variation": variation,

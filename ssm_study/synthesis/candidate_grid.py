@@ -70,7 +70,8 @@ class CandidateGrid:
     def candidates(self, model: Model, balls: Balls) -> Candidates | None:
         """Gains at all grid points where the Riccati equation has a solution; None if controller or
         observer has none."""
-        if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
+        allows_zero_slope = (abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output))
+        if any(allows_zero_slope):
             return None
         rest = equilibrium_slopes(model)
         specifications = self.specifications()
@@ -88,15 +89,18 @@ class CandidateGrid:
         if not controllers or not observers:
             return None
         feedback = tuple(specification for specification, _ in controllers)
-        ks = np.stack([solution.k for _, solution in controllers])
+        controller_gains = [solution.k for _, solution in controllers]
+        ks = np.stack(controller_gains)
         observing = tuple(specification for specification, _ in observers)
-        ls = np.stack([solution.k.T for _, solution in observers])
+        observer_gains = [solution.k.T for _, solution in observers]
+        ls = np.stack(observer_gains)
+        injections = stack_neuron_injections(observers)
         return Candidates(
             feedback=feedback,
             ks=ks,
             observing=observing,
             ls=ls,
-            l_zs=stack_neuron_injections(observers),
+            l_zs=injections,
             internal=self._internal_model(model),
             unsolved=unsolved,
         )
@@ -128,25 +132,30 @@ class CandidateGrid:
         candidates: list[GainCandidate] = []
         faster: dict[float, Solution] = {}  # by weight
         unsolved = 0
-        for rate, weight in product(rates, sorted(weights, reverse=True)):
+        falling_weights = sorted(weights, reverse=True)
+        for rate, weight in product(rates, falling_weights):
             latest = candidates[-1][1] if candidates else start
             near = faster.get(weight, latest)
             settings: dict[str, Any] = {f"rate_{side}": rate, name: weight}
             settings["near"] = {} if near is None else {observes: near}
             request = replace(specification, **settings)
             try:
-                solution = request.solve(request.problem(system, ball, observes))
+                problem = request.problem(system, ball, observes)
+                solution = request.solve(problem)
             except NoSolution:
                 unsolved += 1
                 continue
             faster[weight] = solution
-            candidates.append((replace(request, near={observes: solution}), solution))
+            near_solution = replace(request, near={observes: solution})
+            candidate = (near_solution, solution)
+            candidates.append(candidate)
         if rest is not None and rates:
             slowest = rates[-1]
             candidates += self._solve_at_frozen_slopes(
                 specification, system, ball, observes, rest, slowest
             )
-        return SolvedSide(candidates[::-1], unsolved)
+        slowest_first = candidates[::-1]
+        return SolvedSide(slowest_first, unsolved)
 
     def _rates_below_limit(
         self, specification: RiccatiSynthesis, system: System, ball: JacobianBall, observes: bool
@@ -156,8 +165,10 @@ class CandidateGrid:
         own = 0.0  # with neurons the spectral radius proves nothing
         fastest = None
         if isinstance(system, StateSpace):
-            own = max(1 - system.spectral_radius**2, 0.0)
-            frontier = controller_frontier(dual_system(system) if observes else system, ball)
+            state_decay = system.spectral_radius**2
+            own = max(1 - state_decay, 0.0)
+            side = dual_system(system) if observes else system
+            frontier = controller_frontier(side, ball)
             limit = frontier.rate_limit
         else:
             from ssm_study.synthesis import structured_lmi  # CVXPY: only where there are neurons
@@ -201,11 +212,13 @@ class CandidateGrid:
         """
         from ssm_study.synthesis.structured_lmi import StructuredLmi
 
-        problem = specification.problem(system, ball, observes).at_rate(rate)
+        side_problem = specification.problem(system, ball, observes)
+        problem = side_problem.at_rate(rate)
         program = StructuredLmi.for_fixed_gains(problem)
         side = "rate_observer" if observes else "rate_controller"
         proved_candidates = []
-        for slopes in (rest, HALF_SLOPE * np.ones_like(rest)):
+        unit_slopes = np.ones_like(rest)
+        for slopes in (rest, HALF_SLOPE * unit_slopes):
             frozen = system.linearise_at_slopes(slopes)
             solved_side = self.solve_gains(specification, frozen, ball, observes)
             for request, solution in solved_side.candidates:
@@ -215,7 +228,8 @@ class CandidateGrid:
                     continue
                 near = {observes: proved}
                 settings: dict[str, Any] = {side: rate, "near": near}
-                proved_candidates.append((replace(request, **settings), proved))
+                proved_request = replace(request, **settings)
+                proved_candidates.append((proved_request, proved))
         return proved_candidates
 
 
@@ -232,4 +246,5 @@ def stack_neuron_injections(observers: list[GainCandidate]) -> Float[np.ndarray,
     gains = [solution.k_w for _, solution in observers]
     if gains[0] is None:
         return None
-    return np.stack([k_w.T for k_w in gains if k_w is not None])
+    injections = [k_w.T for k_w in gains if k_w is not None]
+    return np.stack(injections)

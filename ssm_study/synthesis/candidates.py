@@ -30,8 +30,10 @@ class Candidates:
     def gains(self, pairs: Int[np.ndarray, "*pairs 2"]) -> Gains:
         """Gains of one controller with one observer, or of many such pairs."""
         l_zs = None if self.l_zs is None else self.l_zs[pairs[..., 1]]
-        k = self.ks[pairs[..., 0]]
-        return Gains(k=k, l=self.ls[pairs[..., 1]], l_z=l_zs, internal=self.internal)
+        controllers = pairs[..., 0]
+        k = self.ks[controllers]
+        observers = pairs[..., 1]
+        return Gains(k=k, l=self.ls[observers], l_z=l_zs, internal=self.internal)
 
     def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis:
         """Settings of the synthesis that gives one pair of gains."""

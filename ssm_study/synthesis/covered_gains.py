@@ -57,7 +57,8 @@ class ScoredGains:
 
     def is_better_than(self, other: "ScoredGains", target: float) -> bool:
         """Whether these gains cover more than others or, if both cover enough, respond faster."""
-        if min(self.coverage, other.coverage) >= target:
+        smaller_coverage = min(self.coverage, other.coverage)
+        if smaller_coverage >= target:
             return self.area < other.area
         return self.coverage > other.coverage
 
@@ -91,7 +92,8 @@ class GainSearch:
         search goes on for as much more.
         """
         wanted_coverage = usual_proof_loss(self.model) * target
-        for _ in range(1 if self.is_brief else CERTIFICATES):
+        certificates = 1 if self.is_brief else CERTIFICATES
+        for _ in range(certificates):
             best = self.search(start, wanted_coverage, rounds, largest_area)
             design = self.certify_gains(start, best.gains)
             if best.coverage < wanted_coverage or design is None:
@@ -100,14 +102,16 @@ class GainSearch:
             if proved >= target:
                 return design
             start = design
-            wanted_coverage = MORE * wanted_coverage * target / max(proved, LEAST_PROVED * target)
+            proved_or_least = max(proved, LEAST_PROVED * target)
+            wanted_coverage = MORE * wanted_coverage * target / proved_or_least
         return None
 
     def proved_coverage(self, design: Design) -> float:
         """Coverage that the certificate of a design proves, decided exactly; zero without a
         certificate."""
         proved = add_coverage_certificate(design, self.model, self.balls, self.premise)
-        return coverage_columns(proved, self.model, self.premise).get("coverage") or 0.0
+        columns = coverage_columns(proved, self.model, self.premise)
+        return columns.get("coverage") or 0.0
 
     def response_area(self, gains: Gains) -> float:
         """Response area of one controller and observer on the model, relative to the open loop."""
@@ -119,21 +123,26 @@ class GainSearch:
         assert isinstance(feedback, StateFeedback)
         controlled = controlled_system(self.model, feedback)
         loop = LoopCoverage.for_loop(self.model, controlled, self.balls, self.premise)
-        coverage, centre = loop.largest_radius(gain_fields(start.pair))
+        start_gains = gain_fields(start.pair)
+        coverage, centre = loop.largest_radius(start_gains)
         area = self.response_area(start.pair)
         best = ScoredGains(gains=start.pair, area=area, coverage=coverage)
         allowed = max(largest_area, area)
         random = np.random.default_rng(SEED)
         step = FIRST_STEP
-        slowest = max(FASTER, self._settling_time_ratios([start.pair])[0])
+        first_gains = [start.pair]
+        first_ratios = self._settling_time_ratios(first_gains)
+        slowest = max(FASTER, first_ratios[0])
         reached = [best.coverage]
         while self._needs_another_round(reached, target, rounds):
-            proposals = [scale_at_random(best.gains, step, random) for _ in range(PROPOSALS)]
+            proposal_numbers = range(PROPOSALS)
+            proposals = [scale_at_random(best.gains, step, random) for _ in proposal_numbers]
             fast = self._faster_proposals(proposals, slowest)
             trials = self._score_proposals(fast, loop, centre, best, target, allowed)
             better = self._best_predicted(trials, best, target)
             step *= SHORTEN if better is None else LENGTHEN
-            step = min(max(step, SMALLEST_STEP), LARGEST_STEP)
+            large_step = max(step, SMALLEST_STEP)
+            step = min(large_step, LARGEST_STEP)
             best = better or best
             reached.append(best.coverage)
         return best
@@ -141,7 +150,8 @@ class GainSearch:
     def _needs_another_round(self, reached: Sequence[float], target: float, rounds: int) -> bool:
         """Whether the search continues, given the coverage after each round so far."""
         if self.is_brief:
-            return len(reached) <= rounds and reached[-1] < target
+            rounds_done = len(reached)
+            return rounds_done <= rounds and reached[-1] < target
         return is_worth_another_round(reached, target, rounds)
 
     def _score_proposals(
@@ -156,17 +166,21 @@ class GainSearch:
         """Score those proposed gains that are fast enough and whose controller alone is stable."""
         if not proposals:
             return []
-        allowed = best.area if best.coverage >= target else largest_area
+        is_covered = best.coverage >= target
+        allowed = best.area if is_covered else largest_area
         least = min(best.coverage, target)
         trials = []
-        for gains, area in zip(proposals, self._response_areas(proposals), strict=True):
+        areas = self._response_areas(proposals)
+        for gains, area in zip(proposals, areas, strict=True):
             if (
                 area > allowed
                 or controller_spectral_radius(self.model.system, gains, self.balls) >= 1
             ):
                 continue
-            coverage = loop.largest_radius_around(gain_fields(gains), centre, least)
-            trials.append(ScoredGains(gains=gains, area=area, coverage=coverage))
+            matrices = gain_fields(gains)
+            coverage = loop.largest_radius_around(matrices, centre, least)
+            scored_gains = ScoredGains(gains=gains, area=area, coverage=coverage)
+            trials.append(scored_gains)
         return trials
 
     def _best_predicted(
@@ -186,25 +200,23 @@ class GainSearch:
     def _faster_proposals(self, proposals: list[Gains], slowest: float) -> list[Gains]:
         """Proposed gains whose loop settles faster than recorded decays by a required factor."""
         ratios = self._settling_time_ratios(proposals)
-        return [gains for gains, ratio in zip(proposals, ratios, strict=True) if ratio < slowest]
+        proposals_and_ratios = zip(proposals, ratios, strict=True)
+        return [gains for gains, ratio in proposals_and_ratios if ratio < slowest]
 
     def _settling_time_ratios(self, proposals: list[Gains]) -> list[float]:
         """Settling time with each of the proposed gains, relative to that of the recorded
         decays."""
+        stacked_gains = stack_gains(proposals)
+        band = self.mismatch.scaled_settling_band
         ratios = largest_settling_time_ratios(
-            self.model,
-            stack_gains(proposals),
-            self.decays,
-            self.mismatch.scaled_settling_band,
-            self.limits,
+            self.model, stacked_gains, self.decays, band, self.limits
         )
         return [float(ratio) for ratio in ratios]
 
     def _response_areas(self, proposals: list[Gains]) -> list[float]:
         """Response area of each of the proposed gains on the model, relative to the open loop."""
-        areas = relative_response_areas(
-            self.model, stack_gains(proposals), self.validation, self.limits
-        )
+        stacked_gains = stack_gains(proposals)
+        areas = relative_response_areas(self.model, stacked_gains, self.validation, self.limits)
         return [float(area) for area in areas]
 
     def certify_gains(self, start: Design, gains: Gains) -> Design | None:
@@ -240,7 +252,8 @@ def certify_other_gains(part: Any, **gains: Any) -> Any:
     is provable."""
     try:
         with linear_algebra_failures_as_no_solution():
-            return certificate_at_largest_rate(replace(part, rate=LEAST_RATE, **gains))
+            slow_part = replace(part, rate=LEAST_RATE, **gains)
+            return certificate_at_largest_rate(slow_part)
     except NoSolution:
         return None
 
@@ -250,17 +263,23 @@ def scale_at_random(gains: Gains, step: float, random: np.random.Generator) -> G
 
     def scale_matrix(matrix: Any) -> Any:
         """Multiply every entry of a matrix by its own random factor."""
-        return matrix * np.exp(step * random.standard_normal(matrix.shape))
+        normal_draws = random.standard_normal(matrix.shape)
+        factors = np.exp(step * normal_draws)
+        return matrix * factors
 
     l_z = None if gains.l_z is None else scale_matrix(gains.l_z)
-    return replace(gains, k=scale_matrix(gains.k), l=scale_matrix(gains.l), l_z=l_z)
+    k = scale_matrix(gains.k)
+    l_of_plant = scale_matrix(gains.l)
+    return replace(gains, k=k, l=l_of_plant, l_z=l_z)
 
 
 def stack_gains(proposals: list[Gains]) -> Gains:
     """Gains of several controllers and observers as one batch."""
     injections = [gains.l_z for gains in proposals if gains.l_z is not None]
-    k = np.stack([gains.k for gains in proposals])
-    l_ = np.stack([gains.l for gains in proposals])
+    controller_gains = [gains.k for gains in proposals]
+    k = np.stack(controller_gains)
+    observer_gains = [gains.l for gains in proposals]
+    l_ = np.stack(observer_gains)
     l_z = np.stack(injections) if injections else None
     return replace(proposals[0], k=k, l=l_, l_z=l_z)
 

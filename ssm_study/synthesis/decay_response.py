@@ -41,21 +41,27 @@ def simulate_decays(model: Model, trials: Trajectories, validation: Trajectories
     for trial in trials:
         if trial.closed_loop or model.scale.scaled_input(trial.u).any():
             continue
-        samples = min(SAMPLES[1], len(trial))
+        recorded_samples = len(trial)
+        samples = min(SAMPLES[1], recorded_samples)
         y = trial.y[:samples]
         measured = model.scale.scaled_output(y)
         start = estimate_initial_state(model, trial, samples, reached_by=validation[0])
-        response = model.simulate(trial.u[:samples], start)
+        first_inputs = trial.u[:samples]
+        response = model.simulate(first_inputs, start)
         simulated = model.scale.scaled_output(response)
-        missed_energy = ((measured - simulated) ** 2).sum()
+        squared_errors = (measured - simulated) ** 2
+        missed_energy = squared_errors.sum()
         energy = (measured**2).sum()
-        starts_away = np.linalg.norm(simulated[0]) > SETTLED
+        start_size = np.linalg.norm(simulated[0])
+        starts_away = start_size > SETTLED
         if starts_away and missed_energy < FITTED * energy:
             decays.append(simulated)
     if not decays:
         return NO_DECAYS
-    shortest = min(len(decay) for decay in decays)
-    return np.stack([decay[:shortest] for decay in decays])
+    decay_lengths = (len(decay) for decay in decays)
+    shortest = min(decay_lengths)
+    equal_decays = [decay[:shortest] for decay in decays]
+    return np.stack(equal_decays)
 
 
 def largest_settling_time_ratios(
@@ -83,8 +89,10 @@ def settling_time_ratios(
     input_limits = limits or (-LARGEST, LARGEST)
     outputs = _closed_loop_outputs(model, gains, decays, input_limits)
     output_sizes = np.linalg.norm(outputs, axis=3)
-    mean_settled = _settling_sample(output_sizes, band).mean(axis=1)
-    mean_alone = max(float(alone.mean()), 1.0)
+    settled_samples = _settling_sample(output_sizes, band)
+    mean_settled = settled_samples.mean(axis=1)
+    mean_sample = alone.mean()
+    mean_alone = max(float(mean_sample), 1.0)
     return np.asarray(mean_settled / mean_alone)
 
 
@@ -93,7 +101,8 @@ def _settling_sample(
 ) -> Float[np.ndarray, "*pairs"]:
     """First sample after which a signal stays within a band."""
     outside = sizes > band
-    samples = np.arange(1, sizes.shape[-1] + 1)
+    sample_count = sizes.shape[-1]
+    samples = np.arange(1, sample_count + 1)
     last_outside = (outside * samples).max(axis=-1)
     return np.asarray(last_outside.astype(float))
 
@@ -109,9 +118,11 @@ def _closed_loop_outputs(
     l_z = None if gains.l_z is None else gains.l_z.transpose(0, 2, 1)
     count, horizon, _ = decays.shape
     pairs = len(k)
-    x = np.zeros((pairs, count, model.order))
+    state_shape = (pairs, count, model.order)
+    x = np.zeros(state_shape)
     x_hat = np.zeros_like(x)
-    outputs = np.zeros((pairs, *decays.shape))
+    output_shape = (pairs, *decays.shape)
+    outputs = np.zeros(output_shape)
     for sample in range(horizon):
         requested = x_hat @ k
         u = np.clip(requested, *limits)

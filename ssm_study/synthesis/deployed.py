@@ -55,7 +55,8 @@ def add_gain_certificates(
     it commands.
     """
     model, balls = commanded_model_and_balls(design, model, balls)
-    design = add_largest_rates(replace(design, extra_certificates={}))
+    bare_design = replace(design, extra_certificates={})
+    design = add_largest_rates(bare_design)
     tolerance = tolerance_certificate(design, model, balls)
     extra = dict(design.extra_certificates)
     if tolerance is not None:
@@ -123,15 +124,16 @@ def certify_input_limits(
     """Certificates of a design's gains under input limits, by name. Empty for neurons, without a
     certificate, or for limits that do not enclose the equilibrium."""
     extra = design.extra_certificates
-    parts = (
-        design.state_feedback,
-        extra.get("state_feedback_deployed"),
-        extra.get("state_feedback_limited"),
-    )
+    deployed_feedback = extra.get("state_feedback_deployed")
+    limited_feedback = extra.get("state_feedback_limited")
+    parts = (design.state_feedback, deployed_feedback, limited_feedback)
     feedbacks = [part for part in parts if isinstance(part, StateFeedbackOfBall) and part.certified]
     ends = (lower, upper)
-    limits = np.stack([model.scale.scaled_input(end) for end in ends], axis=1)
-    hold_rest = ((limits[:, 0] < 0) & (limits[:, 1] > 0)).all()
+    scaled_ends = [model.scale.scaled_input(end) for end in ends]
+    limits = np.stack(scaled_ends, axis=1)
+    can_fall = limits[:, 0] < 0
+    can_rise = limits[:, 1] > 0
+    hold_rest = (can_fall & can_rise).all()
     if not feedbacks or not isinstance(model, SSM) or not hold_rest:
         return {}
     find = partial(certify_under_limits, feedbacks[0])
@@ -143,10 +145,11 @@ def certify_input_limits(
     if corners is not None:
         feedbacks_k = feedbacks[0].k
         internal_states = feedbacks_k.shape[1] - model.order
-        corners = np.pad(corners, ((0, internal_states), (0, 0)))
-        certificates[SETS] = none_if_unsolved(
-            partial(certify_unlimited_start, feedbacks, corners, limits)
-        )
+        internal_rows = (0, internal_states)
+        no_columns = (0, 0)
+        corners = np.pad(corners, (internal_rows, no_columns))
+        certify = partial(certify_unlimited_start, feedbacks, corners, limits)
+        certificates[SETS] = none_if_unsolved(certify)
     return {label: part for label, part in certificates.items() if part is not None}
 
 
@@ -161,13 +164,16 @@ def equilibrium_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
     inverse = invert_map(model.scaffold_out.as_portable())
     rest, _, gain = model.linear.equilibrium_basis()
     outputs, dimension = gain.shape
-    tells_state = dimension in (1, outputs) and np.linalg.matrix_rank(gain) == dimension
+    has_known_dimension = dimension in (1, outputs)
+    tells_state = has_known_dimension and np.linalg.matrix_rank(gain) == dimension
     linear_d = model.linear.d
     if linear_d.any() or inverse is None or not tells_state:
         return None
-    signs = np.array([(1.0, *more) for more in product((-1.0, 1.0), repeat=outputs - 1)]).T
+    sign_rows = [(1.0, *more) for more in product((-1.0, 1.0), repeat=outputs - 1)]
+    signs = np.array(sign_rows).T
     if inverse.matrix is not None:
-        off_diagonal = inverse.matrix - np.diag(np.diagonal(inverse.matrix))
+        diagonal = np.diagonal(inverse.matrix)
+        off_diagonal = inverse.matrix - np.diag(diagonal)
         if np.count_nonzero(off_diagonal):
             signs = inverse.matrix @ signs
     pseudo_inverse = np.linalg.pinv(gain)
@@ -183,9 +189,13 @@ def nearest_equilibrium_starts(
     corners = equilibrium_corners(model)
     if corners is None or not corners.any() or len(starts) < len(corners):
         return None
-    share = np.abs(starts).max() / np.abs(corners).max()
+    largest_start = np.abs(starts).max()
+    largest_corner = np.abs(corners).max()
+    share = largest_start / largest_corner
     internal_states = len(starts) - len(corners)
-    padded: Float[np.ndarray, "s j"] = np.pad(share * corners, ((0, internal_states), (0, 0)))
+    internal_rows = (0, internal_states)
+    no_columns = (0, 0)
+    padded: Float[np.ndarray, "s j"] = np.pad(share * corners, (internal_rows, no_columns))
     return padded
 
 
@@ -217,7 +227,8 @@ class WithinLimits:
         initial states is certified."""
         if SETS not in parts or not isinstance(model, SSM):
             return None
-        starts = nearest_equilibrium_starts(model, parts[SETS].starts)
+        stored_starts = parts[SETS].starts
+        starts = nearest_equilibrium_starts(model, stored_starts)
         if starts is None:
             return None
         low, high = output_range(model, starts)
@@ -230,11 +241,15 @@ def limits_proof(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> Wi
     can be proved."""
     design.parts()
     rest = model.scale.input_equilibrium
-    limits = (lower.tolist(), upper.tolist())
+    lowest = lower.tolist()
+    highest = upper.tolist()
+    limits = (lowest, highest)
     problem = "do not enclose the input at rest"
     remedy = "widen them or choose another operating point"
-    require(((lower < rest) & (rest < upper)).all(), "input limits", limits, problem, remedy)
-    proof = WithinLimits.from_certificate(model, certify_input_limits(model, design, lower, upper))
+    holds_rest = (lower < rest) & (rest < upper)
+    require(holds_rest.all(), "input limits", limits, problem, remedy)
+    certificates = certify_input_limits(model, design, lower, upper)
+    proof = WithinLimits.from_certificate(model, certificates)
     if proof is None:
         raise BadRequest(
             "input limits", limits, "nothing is proved within them", "request smaller rates"
@@ -246,9 +261,14 @@ def output_range(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs,
     """Smallest and largest initial output over given initial states and their reflections about
     the equilibrium, in physical units."""
     linear_c = model.linear.c
-    read = (linear_c @ starts[: model.order]).T
-    ends = model.scale.physical_output(model.scaffold_out(np.concatenate([read, -read])))
-    return ends.min(axis=0), ends.max(axis=0)
+    start_states = starts[: model.order]
+    read = (linear_c @ start_states).T
+    both_signs = [read, -read]
+    mirrored = np.concatenate(both_signs)
+    ends = model.scale.physical_output(model.scaffold_out(mirrored))
+    lowest_output = ends.min(axis=0)
+    highest_output = ends.max(axis=0)
+    return lowest_output, highest_output
 
 
 def none_if_unsolved(find: Callable[[], Theorem | None]) -> Theorem | None:

@@ -104,7 +104,8 @@ class DesignAttempt:
         remedies.append("drop states (reduction.truncate_to)")
         if limit <= 0:
             return f"{sentence} no positive rate; {' or '.join(remedies)}"
-        remedy = ", ".join(["request a smaller rate", *remedies[:-1]])
+        other_remedies = remedies[:-1]
+        remedy = ", ".join(["request a smaller rate", *other_remedies])
         return f"{sentence} only rates below {limit:.6g}; {remedy} or {remedies[-1]}"
 
     def without_certificate(self, reason: str, status: str, proved: bool = False) -> Infeasible:

@@ -50,7 +50,8 @@ def expected_area(area: float, loop_gain: float, spread: float) -> float:
     `loop_gain` is 1 / margin."""
     from scipy.special import ndtr  # here: what only reads a study does without
 
-    positive_gain = max(loop_gain, np.finfo(float).tiny)
+    float_limits = np.finfo(float)
+    positive_gain = max(loop_gain, float_limits.tiny)
     logarithm = np.log(positive_gain)
     deviations = -logarithm / max(spread, LEAST_SPREAD)
     probability = float(ndtr(deviations))
@@ -93,16 +94,20 @@ class ExpectedResponse:
     def resists_noise(self, pair: Pair) -> bool:
         """Whether sensor noise alone leaves the output within the settling band."""
         gains = self.candidates.gains(pair)
-        return output_peak_from_noise(self.model, gains, self.balls, self.mismatch) < 1
+        noise_peak = output_peak_from_noise(self.model, gains, self.balls, self.mismatch)
+        return noise_peak < 1
 
     def stable_pairs(self, peaks: Float[np.ndarray, "C O"]) -> Int[np.ndarray, "N 2"]:
         """Designs with a large enough stability margin whose controller alone is stable."""
         if np.isinf(self.margin):  # no pair has it (and times a peak of zero it is no number)
-            return np.empty((0, 2), dtype=int)
-        pairs = np.argwhere(self.margin * peaks < 1)
+            no_pairs = (0, 2)
+            return np.empty(no_pairs, dtype=int)
+        scaled_peaks = self.margin * peaks
+        pairs = np.argwhere(scaled_peaks < 1)
         gains = self.candidates.gains(pairs)
         system = self.model.system
-        return pairs[controller_spectral_radius(system, gains, self.balls) < 1]
+        controller_radii = controller_spectral_radius(system, gains, self.balls)
+        return pairs[controller_radii < 1]
 
     def pairs_by_expected_response(
         self, peaks: Float[np.ndarray, "C O"], validation: Trajectories, limits: Ends | None
@@ -115,7 +120,8 @@ class ExpectedResponse:
         of a verified design may differ from its candidate's).
         """
         pairs = self.stable_pairs(peaks)
-        if not len(pairs) or not self.mismatch.plant_comes_to_rest:
+        pair_count = len(pairs)
+        if not pair_count or not self.mismatch.plant_comes_to_rest:
             return
         gains = self.candidates.gains(pairs)
         areas = relative_response_areas(self.model, gains, validation, limits)
@@ -129,12 +135,15 @@ class ExpectedResponse:
         remaining = indices_to_compare(areas, slow)
         while remaining or passing:
             while remaining:
-                best_possible = (bool(slow[remaining[0]]), float(areas[remaining[0]]))
+                first_is_slow = slow[remaining[0]]
+                first_area = areas[remaining[0]]
+                best_possible = (bool(first_is_slow), float(first_area))
                 if passing and best_possible >= min(passing)[0]:
                     break
                 index = remaining.pop(0)
                 loop_gain = self.loop_gain(pairs[index], coarse)
-                if self.margin * loop_gain < 1 and self.resists_noise(pairs[index]):
+                scaled_gain = self.margin * loop_gain
+                if scaled_gain < 1 and self.resists_noise(pairs[index]):
                     area = float(areas[index])
                     spread = self.mismatch.spread
                     score = expected_area(area, loop_gain, spread)
@@ -156,9 +165,11 @@ def indices_to_compare(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"
     """Indices of the designs to compare: those with the smallest response areas, and some spread
     over the others."""
     order = np.lexsort((areas, slow))
-    step = max(len(order) // COMPARED, 1)
+    design_count = len(order)
+    step = max(design_count // COMPARED, 1)
     smallest = order[:COMPARED].tolist()
-    spread_over_others = order[COMPARED::step].tolist()
+    other_designs = order[COMPARED::step]
+    spread_over_others = other_designs.tolist()
     return [*smallest, *spread_over_others]
 
 

@@ -83,7 +83,8 @@ class GuaranteedCost:
     @property
     def cost(self) -> float:
         """Guaranteed cost summed over unit initial states, `trace(S)`."""
-        return float(self.tau * np.trace(self.s_over_tau))
+        trace = np.trace(self.s_over_tau)
+        return float(self.tau * trace)
 
 
 @linear_algebra_failures_as_no_solution()
@@ -94,7 +95,8 @@ def guaranteed_cost(problem: Problem) -> Solution:
     beta = problem.ball.beta
     if abs(alpha) <= beta:
         raise NoSolution("the slopes include zero, so no input is sure to have an effect")
-    tau_min = problem.input_weight / (alpha**2 - beta**2)  # kappa > 0 above it
+    slope_margin = alpha**2 - beta**2
+    tau_min = problem.input_weight / slope_margin  # kappa > 0 above it
     best = (
         solve_at_tau(problem, tau_min * TAU_SPAN[1]) if beta == 0 else None
     )  # the cost only falls with tau
@@ -110,13 +112,15 @@ def solve_at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
     ball = problem.ball
     ah = problem.a_hat
     bh = problem.b_hat
-    rt_over_tau = problem.input_weight / tau + ball.beta**2  # all over tau, see the statement
+    squared_radius = ball.beta**2
+    rt_over_tau = problem.input_weight / tau + squared_radius  # all over tau, see the statement
     kappa_times_tau = ball.alpha**2 / rt_over_tau - 1
     if not kappa_times_tau > 0:
         return None
     try:
         q = problem.state_weight / tau
-        s = solve_riccati(ah, bh, q, float(kappa_times_tau))
+        kappa_ratio = float(kappa_times_tau)
+        s = solve_riccati(ah, bh, q, kappa_ratio)
     except NoSolution:
         return None
     m = bh.shape[1]
@@ -124,9 +128,10 @@ def solve_at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
     eigenvalues = np.linalg.eigvalsh(energy)
     if not eigenvalues[-1] < 1:  # Bh^T S Bh < tau I, the hypothesis
         return None
-    k = -(ball.alpha / rt_over_tau) * np.linalg.solve(
-        np.eye(m) + kappa_times_tau * energy, bh.T @ s @ ah
-    )
+    scaled_slope = ball.alpha / rt_over_tau
+    curvature = np.eye(m) + kappa_times_tau * energy
+    coupling = bh.T @ s @ ah
+    k = -scaled_slope * np.linalg.solve(curvature, coupling)
     return GuaranteedCost(s_over_tau=s, k=k, tau=tau)
 
 
@@ -137,20 +142,27 @@ def _minimise_over_tau(problem: Problem, tau_min: float) -> GuaranteedCost:
     def cost_at(log_step: float) -> float:
         """Guaranteed cost as a function of the search variable, the logarithm of `tau / tau_min -
         1`."""
-        tau = tau_min * (1 + np.exp(log_step))
+        tau_step = np.exp(log_step)
+        tau = tau_min * (1 + tau_step)
         point = solve_at_tau(problem, tau)
-        tried.append((FAR if point is None else point.cost, point))
+        cost = FAR if point is None else point.cost
+        tried.append((cost, point))
         return tried[-1][0]
 
-    grid = np.log(np.geomspace(*TAU_SPAN, COARSE_STEPS))
-    index = int(np.argmin([cost_at(step) for step in grid]))
+    tau_steps = np.geomspace(*TAU_SPAN, COARSE_STEPS)
+    grid = np.log(tau_steps)
+    costs = [cost_at(step) for step in grid]
+    index = int(np.argmin(costs))
     if tried[index][1] is None:
         raise NoSolution("no admissible tau")
-    span = float(grid[max(index - 1, 0)]), float(grid[min(index + 1, COARSE_STEPS - 1)])
+    lower_index = max(index - 1, 0)
+    upper_index = min(index + 1, COARSE_STEPS - 1)
+    span = float(grid[lower_index]), float(grid[upper_index])
     scipy.optimize.minimize_scalar(
         cost_at, bounds=span, method="bounded", options={"xatol": LOG_TAU_TOLERANCE}
     )
-    best = min(tried, key=lambda point: point[0])[1]
+    smallest = min(tried, key=lambda point: point[0])
+    best = smallest[1]
     if best is None:  # costs beyond floats, which no comparison orders
         raise NoSolution("no admissible tau")
     return best
@@ -184,7 +196,8 @@ class RiccatiSynthesis(Synthesis):
     ) -> list[Callable[[], Solution]]:
         """Functions that solve the problem for the given weights, and near the largest rate by the
         minimum-energy gain."""
-        weighted = super().solution_attempts(problem, frontier)[:WEIGHTED_ATTEMPTS]
+        all_attempts = super().solution_attempts(problem, frontier)
+        weighted = all_attempts[:WEIGHTED_ATTEMPTS]
         if problem.neurons is not None:
             from ssm_study.synthesis.structured_lmi import StructuredLmi
 

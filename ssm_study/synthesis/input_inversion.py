@@ -47,19 +47,18 @@ def model_behind_map(model: Model) -> Model:
 
 def records_behind_map(model: Model, records: Trajectories) -> Trajectories:
     """Records with `v = S_u(u)`, the input after the input map, in place of the input."""
-    return tuple(replace(record, u=model.map_input(record.u)) for record in records)
+    mapped_records = (replace(record, u=model.map_input(record.u)) for record in records)
+    return tuple(mapped_records)
 
 
 def mismatch_behind_map(
     model: Model, records: Trajectories, start_up_samples: int, mismatch_records: Trajectories
 ) -> Mismatch:
     """Model error of the records with `v = S_u(u)`, the input after the input map, as the input."""
-    return measure_mismatch(
-        model_behind_map(model),
-        records_behind_map(model, records),
-        start_up_samples,
-        records_behind_map(model, mismatch_records),
-    )
+    linear_model = model_behind_map(model)
+    mapped_records = records_behind_map(model, records)
+    mapped_mismatch_records = records_behind_map(model, mismatch_records)
+    return measure_mismatch(linear_model, mapped_records, start_up_samples, mapped_mismatch_records)
 
 
 def mismatch_for_law(law: Any, model: Model, data: DataSet, mismatch: Mismatch) -> Mismatch:
@@ -87,7 +86,8 @@ def mark_as_inverting(design: Design) -> Design:
         state_feedback = replace(part, theorem=INVERTED[name])
         return replace(design, state_feedback=state_feedback)
     kind: Any = find_theorem(INVERTED[name])
-    return replace(design, state_feedback=kind(**vars(part)))
+    feedback_fields = vars(part)
+    return replace(design, state_feedback=kind(**feedback_fields))
 
 
 def commanded_model_and_balls(design: Design, model: Model, balls: Balls) -> tuple[Model, Balls]:
@@ -107,7 +107,8 @@ def design_with_inverted_input(
     limits = getattr(plain, "limits", None)
     if limits is not None:
         ends = [model.scaffold_in(end) for end in limits]
-        plain = replace(plain, limits=tuple(np.sort(ends, axis=0)))  # a falling S_u exchanges them
+        sorted_ends = np.sort(ends, axis=0)
+        plain = replace(plain, limits=tuple(sorted_ends))  # a falling S_u exchanges them
     balls = certified_balls(inner_model)
     records = records_behind_map(model, validation)
     design = plain.design(inner_model, balls, records, shown)

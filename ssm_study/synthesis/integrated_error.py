@@ -47,26 +47,33 @@ def comparison_scenario(
     visited = []
     for record in validation:
         x = np.zeros(model.order)
-        pushes = np.zeros((len(record), 1))
+        record_samples = len(record)
+        pushes = np.zeros((record_samples, 1))
         if record.d is not None:
             pushes = model.disturbance_contribution(record.d)
         mapped_inputs = model.map_input(record.u)
         for mapped_input, push in zip(mapped_inputs, pushes, strict=True):
             visited.append(x)
             x = model.advance(x, mapped_input) + push
-    evenly_spaced = np.linspace(0, len(visited) - 1, CASES + 2)
-    places = evenly_spaced.astype(int)[1:-1]
+    visited_count = len(visited)
+    evenly_spaced = np.linspace(0, visited_count - 1, CASES + 2)
+    rounded_places = evenly_spaced.astype(int)
+    places = rounded_places[1:-1]
     x0 = np.array(visited)[places]
-    radius = min(max(linear.spectral_radius, 1e-6), 1 - 1e-6)
+    positive_radius = max(linear.spectral_radius, 1e-6)
+    radius = min(positive_radius, 1 - 1e-6)
     decay = -np.log(radius)  # per sample, of the slowest mode
     samples = np.ceil(TIME_CONSTANTS / decay)
-    horizon = int(np.clip(samples, *SAMPLES))
+    limited_samples = np.clip(samples, *SAMPLES)
+    horizon = int(limited_samples)
     channels = linear.b.shape[1]
     loads = np.zeros((0, channels))
     if loaded:
         loads = _constant_loads(model, linear, horizon)
-    at_origin = np.zeros((len(loads), model.order))
-    no_load = np.zeros((len(x0), channels))
+    load_count = len(loads)
+    at_origin = np.zeros((load_count, model.order))
+    start_count = len(x0)
+    no_load = np.zeros((start_count, channels))
     all_states = np.concatenate([x0, at_origin])
     all_loads = np.concatenate([no_load, loads])
     return all_states, all_loads, horizon
@@ -76,18 +83,22 @@ def _constant_loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.
     """Constant loads at several levels for each input, scaled by their effect on the output. Inputs
     without effect are left out."""
     if linear.integrates:  # a unit of each channel holds no state: the one that it reaches
-        unit_inputs = np.eye(linear.b.shape[1])[:, None]
+        input_shape = linear.b.shape
+        unit_rows = np.eye(input_shape[1])
+        unit_inputs = unit_rows[:, None]
         constant_inputs = unit_inputs.repeat(horizon, axis=1)
         _, held_states = linear.simulate(constant_inputs)
     else:
         states_by_channel, *_ = linear.equilibrium_basis()
         held_states = states_by_channel.T
-    no_input = np.zeros((len(held_states), linear.b.shape[1]))
+    load_count = len(held_states)
+    no_input = np.zeros((load_count, linear.b.shape[1]))
     scaled = model.scaled_output_at(held_states, no_input)
     reach = np.linalg.norm(scaled, axis=1)
     least_reach = 1e-6 * reach.max()
     has_effect = reach > least_reach
-    channels = np.eye(len(held_states))[has_effect]
+    unit_loads = np.eye(len(held_states))
+    channels = unit_loads[has_effect]
     effects = reach[has_effect, None]
     loads = [level * channels / effects for level in LEVELS]
     return np.concatenate(loads)
@@ -102,10 +113,13 @@ def _load_over_time(
     if not len(own_modes):
         return np.ones(horizon)
     powers = [np.linalg.matrix_power(own_modes, k) for k in range(horizon)]
-    signals = np.stack([power.sum(axis=1) for power in powers])
-    largest = np.abs(signals).max(axis=0)
+    sums_of_rows = [power.sum(axis=1) for power in powers]
+    signals = np.stack(sums_of_rows)
+    magnitudes = np.abs(signals)
+    largest = magnitudes.max(axis=0)
     shapes = signals / largest
-    return np.asarray(shapes.mean(axis=1))
+    mean_shape = shapes.mean(axis=1)
+    return np.asarray(mean_shape)
 
 
 def relative_response_areas(
@@ -125,15 +139,19 @@ def relative_response_areas(
     no_gain = 0 * gains.k[:1]
     no_injection = 0 * gains.l[:1]
     no_control = replace(gains, k=no_gain, l=no_injection, l_z=None)
-    alone = _response_areas(model, no_control, x0, load, horizon, input_limits)[0]
+    open_loop_areas = _response_areas(model, no_control, x0, load, horizon, input_limits)
+    alone = open_loop_areas[0]
     counts = alone > FAINT * alone.max()
     pairs = len(gains.k)
     batch_count = -(-pairs // AT_ONCE)
     areas = []
-    for batch in np.array_split(np.arange(pairs), batch_count):
+    pair_numbers = np.arange(pairs)
+    for batch in np.array_split(pair_numbers, batch_count):
         some_gains = gains.select_pairs(batch)
-        areas.append(_response_areas(model, some_gains, x0, load, horizon, input_limits))
-    counted = np.concatenate(areas)[:, counts]
+        areas_of_batch = _response_areas(model, some_gains, x0, load, horizon, input_limits)
+        areas.append(areas_of_batch)
+    all_areas = np.concatenate(areas)
+    counted = all_areas[:, counts]
     relative = counted / alone[counts]
     return relative.mean(axis=1)
 
@@ -158,7 +176,8 @@ def _response_areas(
     state_gain = k[:, :n]
     internal_gain = k[:, n:]
     pairs = len(k)
-    x = np.broadcast_to(x0, (pairs, *x0.shape)).copy()
+    repeated_starts = np.broadcast_to(x0, (pairs, *x0.shape))
+    x = repeated_starts.copy()
     x_hat = np.zeros_like(x)
     cases = x.shape[:2]
     z = np.zeros((*cases, k.shape[1] - n))
@@ -175,7 +194,8 @@ def _response_areas(
         area = area + size
         settled_at = np.where(size > SETTLED, sample + 1.0, settled_at)
         is_free = (u == requested).all(axis=2, keepdims=True)
-        moved = z @ modes.T + y @ into_modes.T
+        free_modes = z @ modes.T
+        moved = free_modes + y @ into_modes.T
         frozen = z @ frozen_modes(modes).T
         next_z = np.where(is_free, moved, frozen)
         z = np.clip(next_z, -LARGEST, LARGEST)

@@ -68,8 +68,10 @@ class CompiledLmi:
         if objective == "smallest_gain":
             goal, constraints = _minimum_gain_objective(upper, p, y, x)
         else:
-            root = np.real(scipy.linalg.sqrtm(state_weight))
-            performance = [root @ y, np.sqrt(input_weight) * x]
+            complex_root = scipy.linalg.sqrtm(state_weight)
+            root = np.real(complex_root)
+            weighted_input = np.sqrt(input_weight) * x
+            performance = [root @ y, weighted_input]
             goal, constraints = goal_and_constraints(objective, upper, p, 1, performance)
         minimize = cp.Minimize(goal)
         self.problem = cp.Problem(minimize, constraints)
@@ -89,7 +91,8 @@ class CompiledLmi:
         y = p if is_one_matrix else parts["y"].value
         x = parts["x"].value
         try:
-            k = np.linalg.solve(y.T, x.T).T
+            transposed_gain = np.linalg.solve(y.T, x.T)
+            k = transposed_gain.T
         except np.linalg.LinAlgError as error:
             raise NoSolution(f"{status}, singular Y") from error
         sigma = float(parts["sigma"].value)
@@ -103,12 +106,16 @@ def _minimum_gain_objective(
     matrix = cp.bmat(symmetric_from_upper(upper))
     g = cp.Variable(nonneg=True)
     inputs = x.shape[0]
-    metric_row = [y + y.T - p, x.T]
-    gain_row = [x, g * np.eye(inputs)]
+    metric_slack = y + y.T - p
+    metric_row = [metric_slack, x.T]
+    scaled_identity = g * np.eye(inputs)
+    gain_row = [x, scaled_identity]
     bound = cp.bmat([metric_row, gain_row])
-    margin = STRICTNESS * np.eye(matrix.shape[0])
+    size = matrix.shape[0]
+    margin = STRICTNESS * np.eye(size)
     is_strict = matrix >> margin
-    is_scaled = p >> np.eye(p.shape[0])
+    state_count = p.shape[0]
+    is_scaled = p >> np.eye(state_count)
     return g, [is_strict, is_scaled, bound >> 0]
 
 
@@ -144,7 +151,10 @@ class LmiSynthesis(Synthesis):
             order = len(problem.a)
             has_weight = self.objective == "guaranteed_cost"
             weight = problem.state_weight if has_weight else np.eye(order)
-            data = (problem.a.tobytes(), problem.b.tobytes(), weight.tobytes())
+            a_bytes = problem.a.tobytes()
+            b_bytes = problem.b.tobytes()
+            weight_bytes = weight.tobytes()
+            data = (a_bytes, b_bytes, weight_bytes)
             compiled = _compiled_inequality(
                 data, order, self.objective, self.full, problem.input_weight
             )
@@ -180,6 +190,7 @@ def certificate_from_paper_lmi(
     )
     try:
         problem = method.problem(linear, ball, theorem.observes)
-        return attempt.certify_solution(problem, method.solve(problem))
+        solution = method.solve(problem)
+        return attempt.certify_solution(problem, solution)
     except (NoSolution, BadRequest) as error:
         return attempt.without_certificate("the solver returned no matrices", str(error))

@@ -19,7 +19,8 @@ def moves_poles(uncontrolled: Poles, controlled: Poles) -> bool:
         return True
     before = np.sort_complex(uncontrolled)
     after = np.sort_complex(controlled)
-    return bool(np.abs(before - after).max(initial=0.0) > LEAST_EFFECT)
+    movements = np.abs(before - after)
+    return bool(movements.max(initial=0.0) > LEAST_EFFECT)
 
 
 def eigenvalue_groups(model: Model, gains: Gains) -> dict[str, Poles]:
@@ -28,14 +29,22 @@ def eigenvalue_groups(model: Model, gains: Gains) -> dict[str, Poles]:
     linear = linearise_at_equilibrium(model)
     n = len(linear.a)
     inputs = model.scaffold_in.inputs
-    slope_in = model.scaffold_in.jacobian(np.zeros(inputs))
-    slope_out = model.scaffold_out.jacobian(np.zeros(model.scaffold_out.inputs))
-    controlled = linear.a + linear.b @ slope_in @ gains.k[:, :n]
-    observed = linear.a + gains.l[:n] @ slope_out @ linear.c
+    zero_input = np.zeros(inputs)
+    slope_in = model.scaffold_in.jacobian(zero_input)
+    zero_output = np.zeros(model.scaffold_out.inputs)
+    slope_out = model.scaffold_out.jacobian(zero_output)
+    input_matrix = linear.b @ slope_in
+    through_gain = input_matrix @ gains.k[:, :n]
+    controlled = linear.a + through_gain
+    through_observer = gains.l[:n] @ slope_out @ linear.c
+    observed = linear.a + through_observer
     eigenvalues = np.linalg.eigvals(linear.a)
-    estimate = np.linalg.eigvals(observed).astype(complex)
+    estimate_poles = np.linalg.eigvals(observed)
+    estimate = estimate_poles.astype(complex)
+    complex_eigenvalues = eigenvalues.astype(complex)
+    controlled_poles = np.linalg.eigvals(controlled)
     return {
-        "model": eigenvalues.astype(complex),
-        "controlled": np.linalg.eigvals(controlled).astype(complex),
+        "model": complex_eigenvalues,
+        "controlled": controlled_poles.astype(complex),
         "estimate": estimate,
     }

@@ -205,9 +205,11 @@ def input_limit_columns(design: Design, model: Model) -> dict[str, Any]:
     if within_limits is None:
         return {}
     limits: Any = design.extra_certificates[SETS]
-    lower, upper = model.scale.physical_input(limits.limits.T)
+    limit_rows = limits.limits.T
+    lower, upper = model.scale.physical_input(limit_rows)
     everywhere = within_limits.everywhere
-    facts: dict[str, Any] = {"limited_rate": everywhere and everywhere.rate}
+    limited_rate = everywhere and everywhere.rate
+    facts: dict[str, Any] = {"limited_rate": limited_rate}
     facts |= shared_range("limit_lower", "limit_upper", lower, upper)
     outputs = within_limits.lower, within_limits.upper
     return facts | shared_range("unlimited_from", "unlimited_to", *outputs)
@@ -234,13 +236,13 @@ def second_opinion_columns(design: Design, model: Model, balls: Balls) -> dict[s
     feedback = design.state_feedback
     observer = design.observer
     # Of neurons [Z26] says nothing.
-    has_neurons = isinstance(getattr(model, "system", None), StructuredSystem)
+    linear_system = getattr(model, "system", None)
+    has_neurons = isinstance(linear_system, StructuredSystem)
     if has_neurons or isinstance(feedback, Infeasible) or isinstance(observer, Infeasible):
         return {}
-    problems: Any = (
-        ("controller", feedback.rate, StateFeedbackOfBall, balls.input),
-        ("observer", observer.rate, ObserverOfBall, balls.output),
-    )
+    controller_problem = ("controller", feedback.rate, StateFeedbackOfBall, balls.input)
+    observer_problem = ("observer", observer.rate, ObserverOfBall, balls.output)
+    problems: Any = (controller_problem, observer_problem)
     facts: dict[str, Any] = {}
     for side, rate, theorem, ball in problems:
         opinion = certificate_from_paper_lmi(model.linear, ball, rate, theorem)

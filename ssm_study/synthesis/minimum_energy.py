@@ -85,7 +85,8 @@ def minimum_energy_gain(
     m = modes.b_fast.shape[1]
     if modes.fast == 0:
         p = np.zeros((0, 0))
-        return FastGain(k=np.zeros((m, len(modes.left))), p=p)
+        fast_count = len(modes.left)
+        return FastGain(k=np.zeros((m, fast_count)), p=p)
     ah = modes.a_fast / contraction
     bh = modes.b_fast / contraction
     root = inverse_time_gramian_root(ah, bh)
@@ -93,7 +94,9 @@ def minimum_energy_gain(
     energy = b_balanced.T @ b_balanced
     a_balanced = scipy.linalg.solve_triangular(root, ah, lower=True)
     coupling = b_balanced.T @ a_balanced
-    k0_root = -np.linalg.solve(np.eye(m) + energy, coupling)
+    curvature = np.eye(m) + energy
+    gain_at_root = np.linalg.solve(curvature, coupling)
+    k0_root = -gain_at_root
     delta = ball.relative_radius
     eigenvalues = np.linalg.eigvalsh(energy)
     largest_energy = eigenvalues[-1]
@@ -101,12 +104,15 @@ def minimum_energy_gain(
     if widen:
         delta = max(np.sqrt(delta * widest), widest / 2)
     fast_coordinates = modes.left[: modes.fast]
-    divisor = (1 - delta**2) * ball.alpha
+    remaining = 1 - delta**2
+    divisor = remaining * ball.alpha
     k = k0_root @ fast_coordinates / divisor
     if not delta > 0:
-        return FastGain(k=k, p=root @ root.T)
+        metric = root @ root.T
+        return FastGain(k=k, p=metric)
     scale = 1 / delta**2 - 1
-    return FastGain(k=k, p=scale * root @ root.T)
+    scaled_metric = scale * root @ root.T
+    return FastGain(k=k, p=scaled_metric)
 
 
 def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:
@@ -114,9 +120,11 @@ def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:
     the cheapest first."""
     attempts: list[Callable[[], Solution]] = []
     for share in SHARES:
-        attempts.append(partial(minimum_energy_solution, problem, share))
+        attempt = partial(minimum_energy_solution, problem, share)
+        attempts.append(attempt)
     for scale, share in product(SCALES, WHOLE_SHARES):
-        attempts.append(partial(solution_with_full_metric, problem, share, scale))
+        attempt_with_metric = partial(solution_with_full_metric, problem, share, scale)
+        attempts.append(attempt_with_metric)
     return attempts
 
 
@@ -137,7 +145,8 @@ def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solut
 def solution_with_full_metric(problem: Problem, share: float, scale: float) -> Solution:
     """Minimum-energy gain with a scaled copy of its smallest metric for the whole model."""
     modes, fast, faster = _gain_between_rates(problem, share)
-    p = scale * full_metric(problem, modes, fast, faster)
+    smallest_metric = full_metric(problem, modes, fast, faster)
+    p = scale * smallest_metric
     status = f"minimum energy at rate {1 - faster**2:.6g}, metric of the whole model"
     return Solution(p=p, y=p, k=fast.k, sigma=scale, status=status)
 
@@ -147,11 +156,14 @@ def _gain_between_rates(problem: Problem, share: float) -> tuple[Modes, FastGain
     largest provable one."""
     ball = problem.ball
     r = problem.contraction
-    contraction_limit = contraction_frontier(problem.a, problem.b, ball).contraction_limit
+    frontier = contraction_frontier(problem.a, problem.b, ball)
+    contraction_limit = frontier.contraction_limit
     limit = max(contraction_limit, FASTEST * r)
-    faster = float(r * (limit / r) ** share)
+    rate_step = (limit / r) ** share
+    faster = float(r * rate_step)
     modes = split_modes(problem.a, problem.b, faster)
-    return modes, minimum_energy_gain(modes, ball, faster), faster
+    fast_gain = minimum_energy_gain(modes, ball, faster)
+    return modes, fast_gain, faster
 
 
 @dataclass(frozen=True, kw_only=True)

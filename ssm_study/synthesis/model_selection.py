@@ -40,13 +40,15 @@ class LargestCertifiableRate:
     def __post_init__(self) -> None:
         remedy = "use 0.3 and 1, or model.among_starts=null for the best fit"
         for name in ("within_percent", "one_layer_within_percent"):
-            require_at_least(0, f"model.among_starts.{name}", getattr(self, name), remedy)
+            weight = getattr(self, name)
+            require_at_least(0, f"model.among_starts.{name}", weight, remedy)
         if (rate := self.rate_enough) is not None:
             between = (
                 "must lie between 0 and 1",
                 "use 0.135 for a factor of 0.93, or null for the largest rate",
             )
-            require(0 < rate < 1, "model.among_starts.rate_enough", rate, *between)
+            is_rate = 0 < rate < 1
+            require(is_rate, "model.among_starts.rate_enough", rate, *between)
 
     def __call__(self, found: "Sequence[Identification]") -> "Identification":
         """Choose one of the identified models."""
@@ -63,22 +65,24 @@ class LargestCertifiableRate:
         models: list[Any] = [identified.model for identified in near]
         rates = [self.largest_rate(model) for model in models]
         rate_enough = self.rate_enough or 1.0
-        fast_enough = [
-            identified for identified, rate in zip(near, rates, strict=True) if rate >= rate_enough
-        ]
+        models_and_rates = zip(near, rates, strict=True)
+        fast_enough = [identified for identified, rate in models_and_rates if rate >= rate_enough]
         if fast_enough:
             return max(fast_enough, key=lambda identified: identified.fit_validation_percent)
-        return near[int(np.argmax(rates))]
+        fastest = np.argmax(rates)
+        return near[int(fastest)]
 
     def largest_rate(self, model: Any) -> float:
         """Largest rate that a state feedback for a model can be certified for; zero if there is
         none."""
         ball = certified_balls(model).input
-        return max(0.0, largest_certifiable_rate(model.system, ball))
+        certifiable_rate = largest_certifiable_rate(model.system, ball)
+        return max(0.0, certifiable_rate)
 
     def has_certificates(self, model: Any) -> bool:
         """Whether some state feedback and some observer for a model can be certified."""
-        return self.largest_rate(model) > 0.0 and has_certified_observer(model)
+        rate_of_model = self.largest_rate(model)
+        return rate_of_model > 0.0 and has_certified_observer(model)
 
     def _equal_fit_difference(self, model: Any) -> float:
         """Difference in fit, in percentage points, that counts as equal for models of one kind."""
@@ -97,7 +101,8 @@ def has_certified_observer(model: Any) -> bool:
 
     synthesis = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5)
     ball = certified_balls(model).output
-    return finds_certificate(synthesis.problem(system, ball, observes=True), SLOW)
+    observer_problem = synthesis.problem(system, ball, observes=True)
+    return finds_certificate(observer_problem, SLOW)
 
 
 def largest_certifiable_rate(system: System, ball: JacobianBall) -> float:

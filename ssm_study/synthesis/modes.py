@@ -75,8 +75,10 @@ def split_modes(a: Square, b: Float[np.ndarray, "n m"], contraction: float) -> M
     right = z.copy()  # orthogonal so far; the Sylvester solution shears them
     if 0 < k < len(a):
         x = scipy.linalg.solve_sylvester(a_slow, -a_fast, -coupling)
-        left[k:] -= x @ left[:k]
-        right[:, :k] += right[:, k:] @ x
+        fast_rows = left[:k]
+        left[k:] -= x @ fast_rows
+        slow_columns = right[:, k:]
+        right[:, :k] += slow_columns @ x
     b_z = left @ b
     b_fast = b_z[:k]
     b_slow = b_z[k:]
@@ -89,17 +91,21 @@ def weighted_block_metric(problem: Problem, modes: Modes, fast: FastGain) -> Squ
     `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + I`.
     """
     if modes.fast == len(modes.left):
-        matrix = modes.right @ fast.p @ modes.right.T
+        fast_columns = modes.right @ fast.p
+        matrix = fast_columns @ modes.right.T
         return symmetric_part(matrix)
     ah = modes.a_slow / problem.contraction
     eigenvalues = np.linalg.eigvals(ah)
     spectral_radius = np.abs(eigenvalues).max()
     if not spectral_radius < 1:
         raise NoSolution(ON_CIRCLE)
-    lyapunov_metric = scipy.linalg.solve_discrete_lyapunov(ah.T, np.eye(len(ah)))
-    slow = symmetric_part(np.linalg.inv(lyapunov_metric))
+    slow_count = len(ah)
+    lyapunov_metric = scipy.linalg.solve_discrete_lyapunov(ah.T, np.eye(slow_count))
+    inverse_metric = np.linalg.inv(lyapunov_metric)
+    slow = symmetric_part(inverse_metric)
     k = fast.k @ modes.right
-    a = modes.left @ problem.a @ modes.right
+    decoupled = modes.left @ problem.a
+    a = decoupled @ modes.right
     b = modes.left @ problem.b
     candidates = [scipy.linalg.block_diag(fast.p, slow / weight) for weight in SLOW_WEIGHTS]
     ball = problem.ball
@@ -111,10 +117,10 @@ def weighted_block_metric(problem: Problem, modes: Modes, fast: FastGain) -> Squ
     best = max(margins)
     if not best > 0:
         raise NoSolution("no metric of this form holds in floats")
-    good = [
-        p for p, reached in zip(candidates, margins, strict=True) if reached >= best * GOOD_SHARE
-    ]
-    return symmetric_part(modes.right @ good[0] @ modes.right.T)
+    metrics_and_margins = zip(candidates, margins, strict=True)
+    good = [p for p, reached in metrics_and_margins if reached >= best * GOOD_SHARE]
+    metric = modes.right @ good[0] @ modes.right.T
+    return symmetric_part(metric)
 
 
 def full_metric(problem: Problem, modes: Modes, fast: FastGain, faster: float) -> Square:
@@ -126,7 +132,8 @@ def full_metric(problem: Problem, modes: Modes, fast: FastGain, faster: float) -
     if modes.fast == 0:
         raise NoSolution("no fast modes: nothing to couple")
     scale = _state_scales(problem, modes, faster)
-    between = float(faster * (problem.contraction / faster) ** BETWEEN)
+    ratio_step = (problem.contraction / faster) ** BETWEEN
+    between = float(faster * ratio_step)
     right = modes.right @ scale
     left = np.linalg.solve(scale, modes.left)
     return least_metric(problem, fast.k, between, right, left)
@@ -140,9 +147,13 @@ def _state_scales(problem: Problem, modes: Modes, faster: float) -> Square:
     if slow == 0:
         return root
     reach = modes.b_slow @ modes.b_slow.T
-    reach += SLOW_FLOOR * (np.trace(reach) or 1.0) * np.eye(slow)
+    size_of_reach = np.trace(reach) or 1.0
+    identity = np.eye(slow)
+    reach += SLOW_FLOOR * size_of_reach * identity
     try:
-        gramian = scipy.linalg.solve_discrete_lyapunov(modes.a_slow / problem.contraction, reach)
-        return scipy.linalg.block_diag(root, np.linalg.cholesky(gramian))
+        scaled_slow = modes.a_slow / problem.contraction
+        gramian = scipy.linalg.solve_discrete_lyapunov(scaled_slow, reach)
+        slow_root = np.linalg.cholesky(gramian)
+        return scipy.linalg.block_diag(root, slow_root)
     except np.linalg.LinAlgError as error:
         raise NoSolution(ON_CIRCLE) from error

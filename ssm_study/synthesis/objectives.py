@@ -24,19 +24,25 @@ def goal_and_constraints(
     if objective != "guaranteed_cost":
         matrix = cp.bmat(symmetric_from_upper(upper))
         t = cp.Variable()
-        one = np.eye(matrix.shape[0])
+        row_count = matrix.shape[0]
+        one = np.eye(row_count)
         if objective == "feasibility":
             constant = cp.Constant(0)
             return constant, [matrix >> one]
         margin = t * one
         is_deep_inside = matrix >> margin
-        has_fixed_trace = cp.trace(matrix) == len(one)
+        trace = cp.trace(matrix)
+        trace_of_identity = len(one)
+        has_fixed_trace = trace == trace_of_identity
         return -t, [is_deep_inside, has_fixed_trace]
     blocks = _append_performance_rows(upper, at, performance)
     bordered = cp.bmat(symmetric_from_upper(blocks))
-    one = np.eye(p.shape[0])
+    state_count = p.shape[0]
+    one = np.eye(state_count)
     z = cp.Variable(p.shape, symmetric=True)
-    schur_complement = cp.bmat([[z, one], [one, p]])
+    upper_row = [z, one]
+    lower_row = [one, p]
+    schur_complement = cp.bmat([upper_row, lower_row])
     constraints = [bordered >> 0, schur_complement >> 0]
     return cp.trace(z), constraints
 
@@ -44,9 +50,12 @@ def goal_and_constraints(
 def _append_performance_rows(upper: Blocks, at: int, performance: list[cp.Expression]) -> Blocks:
     """Extend a symmetric block matrix by the rows of a performance measure. The rows are coupled to
     block `at`."""
-    zeros: list[Any] = [0] * len(performance)
+    row_count = len(performance)
+    zeros: list[Any] = [0] * row_count
     bordered = [[*row, *zeros] for row in upper]
     bordered[at][-len(zeros) :] = [rows.T for rows in performance]
     for i, rows in enumerate(performance):
-        bordered.append([np.eye(rows.shape[0]), *zeros[i + 1 :]])
+        identity = np.eye(rows.shape[0])
+        remaining_zeros = zeros[i + 1 :]
+        bordered.append([identity, *remaining_zeros])
     return bordered

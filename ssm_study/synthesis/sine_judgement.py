@@ -52,5 +52,6 @@ def sine_columns(
     without = predict_margins(model, design.pair, balls, mismatch)
     mismatch_with_sines = add_sines_to_mismatch(mismatch, sines)
     prediction = predict_margins(model, design.pair, balls, mismatch_with_sines)
-    both = without.predicts_stability() and prediction.predicts_stability()
+    is_stable_without = without.predicts_stability()
+    both = is_stable_without and prediction.predicts_stability()
     return {"sine_margin": prediction.resolved_margin, "predicted_stable": both}

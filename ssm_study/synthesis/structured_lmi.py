@@ -49,9 +49,11 @@ class StructuredLmi:
         upper, multiplier_rows = self._inequality_blocks(self.of, neurons)
         if problem.ball.beta == 0:
             upper = _without_rows(upper, multiplier_rows)
-        root = np.real(scipy.linalg.sqrtm(problem.state_weight))
+        complex_root = scipy.linalg.sqrtm(problem.state_weight)
+        root = np.real(complex_root)
         weighted_state = root @ self.of.p
-        weighted_input = np.sqrt(problem.input_weight) * self.of.x
+        weight_root = np.sqrt(problem.input_weight)
+        weighted_input = weight_root * self.of.x
         performance = [weighted_state, weighted_input]
         at = len(upper) - 1 if neurons.observes else 0
         p = self.of.p
@@ -65,10 +67,13 @@ class StructuredLmi:
         ball = self.problem.ball
         of = SimpleNamespace(alpha=ball.alpha, beta=ball.beta)
         parameter_value = None if self.fixed is None else self.fixed.k
-        of.k = cp.Parameter((m, n), value=parameter_value)
-        of.p = cp.Variable((n, n), symmetric=True)
+        gain_shape = (m, n)
+        of.k = cp.Parameter(gain_shape, value=parameter_value)
+        metric_shape = (n, n)
+        of.p = cp.Variable(metric_shape, symmetric=True)
         of.x = cp.Variable((m, n)) if self.fixed is None else of.k @ of.p
-        of.t = cp.Variable(neurons.e.shape[1])
+        neuron_shape = neurons.e.shape
+        of.t = cp.Variable(neuron_shape[1])
         of.sigma = cp.Variable() if ball.beta > 0 else 0.0
         of.rate = cp.Parameter()
         return of
@@ -83,8 +88,10 @@ class StructuredLmi:
         neuron_matrices = {"e": neurons.e, "f": neurons.f, "g": neurons.g}
         data = {"a": a, "b": b, **neuron_matrices}
         if not neurons.observes:
-            named = SimpleNamespace(**vars(of), **data, y=of.p)
-            row = (np.eye(q), t, t)
+            variables = vars(of)
+            named = SimpleNamespace(**variables, **data, y=of.p)
+            identity = np.eye(q)
+            row = (identity, t, t)
             blocks = structured_state_feedback.structured_feedback_inequality(named, row)
             return blocks, [1, 4]
         of.n = cp.Variable((q, m)) if neurons.allows_injection else np.zeros((q, m))
@@ -93,7 +100,8 @@ class StructuredLmi:
             injected = k_w / self.problem.required_neurons.neuron_scales
             of.n = t @ injected.T
         transposed = {LETTERS[letter]: matrix.T for letter, matrix in data.items()}
-        unknowns = {"q": of.p, "u": of.p, "v": of.x.T, "eta": of.sigma}
+        transposed_gain = of.x.T
+        unknowns = {"q": of.p, "u": of.p, "v": transposed_gain, "eta": of.sigma}
         named = SimpleNamespace(**vars(of), **transposed, **unknowns)
         blocks = structured_observer.structured_observer_inequality(named, t, of.n)
         return blocks, [1]
@@ -109,11 +117,16 @@ class StructuredLmi:
         p = symmetric_part(of.p.value)
         k = of.k.value
         if fixed is None:
-            k = scipy.linalg.solve(p, of.x.value.T, assume_a="sym").T
+            product_value = of.x.value
+            gain_product = product_value.T
+            k = scipy.linalg.solve(p, gain_product, assume_a="sym").T
         weights = of.t.value if neurons.observes else 1 / of.t.value
-        k_w = np.zeros((len(k), len(of.t.value)))
+        neuron_count = len(of.t.value)
+        k_w = np.zeros((len(k), neuron_count))
         if fixed is None and neurons.allows_injection:
-            injection = of.n.value / weights[:, None]
+            injection_product = of.n.value
+            weight_column = weights[:, None]
+            injection = injection_product / weight_column
             k_w = injection.T
         has_ball = self.problem.ball.beta > 0
         sigma = float(of.sigma.value) if has_ball else multiplier_without_ball(self.problem, p, k)
@@ -127,7 +140,8 @@ class StructuredLmi:
         n, m = problem.b.shape
         identity = np.eye(n)
         required_neurons_e = problem.required_neurons.e
-        none = np.zeros((m, required_neurons_e.shape[1]))
+        neuron_count = required_neurons_e.shape[1]
+        none = np.zeros((m, neuron_count))
         k = np.zeros((m, n))
         fixed = Solution(p=identity, y=identity, k=k, sigma=1.0, status="", k_w=none)
         return cls(problem=problem, objective="largest_margin", fixed=fixed)
@@ -144,7 +158,8 @@ class StructuredLmi:
 
 def _without_rows(upper: Blocks, left_out: list[int]) -> Blocks:
     """Upper triangle of a block matrix, without some of its rows and columns."""
-    rows = [i for i in range(len(upper)) if i not in left_out]
+    block_count = len(upper)
+    rows = [i for i in range(block_count) if i not in left_out]
     return [[upper[i][j - i] for j in rows if j >= i] for i in rows]
 
 
@@ -153,7 +168,8 @@ def is_confirmed_exactly(problem: Problem, solution: Solution) -> bool:
     theorem: type[Side] = structured_state_feedback.StructuredStateFeedback
     if problem.required_neurons.observes:
         theorem = structured_observer.StructuredObserver
-    return theorem.holds(**theorem.certificate_numbers(problem, solution))
+    numbers = theorem.certificate_numbers(problem, solution)
+    return theorem.holds(**numbers)
 
 
 def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
@@ -202,7 +218,8 @@ def certify_largest_rate(part: Any) -> Side | None:
     for it."""
     started = time.perf_counter()
     problem, gains = part.as_problem()
-    rate = largest_rate(problem, gains) * (1 - INSIDE)
+    provable_rate = largest_rate(problem, gains)
+    rate = provable_rate * (1 - INSIDE)
     if rate <= part.rate:
         return None
     faster = problem.at_rate(rate)

@@ -79,17 +79,24 @@ class Game:
         of, neurons, half = self.problem, self.neurons, neurons_e / 2
         alpha = of.ball.alpha
         beta = of.ball.beta
-        shares = (alpha, beta)[: 1 + (beta > 0)]
-        drive = of.b + neurons.e @ neurons.g / 2
-        moved = np.hstack([share * neurons.g for share in shares])
+        radii = (alpha, beta)
+        shares = radii[: 1 + (beta > 0)]
+        mean_path = neurons.e @ neurons.g
+        drive = of.b + mean_path / 2
+        moved_rows = [share * neurons.g for share in shares]
+        moved = np.hstack(moved_rows)
         a = of.a + half @ neurons.f
-        b = np.hstack([*(share * drive for share in shares), half])
-        matrices = (a / self.r, b / self.r, neurons.f, moved, of.state_weight)
+        shared_drives = (share * drive for share in shares)
+        b = np.hstack([*shared_drives, half])
+        scaled_a = a / self.r
+        scaled_b = b / self.r
+        matrices = (scaled_a, scaled_b, neurons.f, moved, of.state_weight)
         # numba would compile everything once more for any other layout or kind of number
         contiguous = (np.ascontiguousarray(matrix, dtype=float) for matrix in matrices)
         input_weight = float(of.input_weight)
         self_r = float(self.r)
-        return *contiguous, input_weight, of.b.shape[1], self_r, neurons.allows_injection
+        input_shape = of.b.shape
+        return *contiguous, input_weight, input_shape[1], self_r, neurons.allows_injection
 
 
 class Saddle(NamedTuple):
@@ -111,7 +118,8 @@ def evaluate_saddle(game: Game, logs: Vector, barrier: float) -> Saddle:
     one leads.
     """
     try:
-        return Saddle(*solve_saddle_point(*game.data, logs, barrier))
+        saddle_numbers = solve_saddle_point(*game.data, logs, barrier)
+        return Saddle(*saddle_numbers)
     except (np.linalg.LinAlgError, ArithmeticError):
         none = np.empty((0, 0))
         gradient = np.empty(0)
@@ -127,13 +135,17 @@ def minimise_guaranteed_cost(game: Game, logs: Vector, barrier: float, evaluatio
     gained = np.inf
     while np.isfinite(at.goal) and left > 0 and gained >= FLAT:
         step = -(metric @ at.gradient)
-        step *= min(1.0, STRIDE / max(np.abs(step).max(), 1e-300))
+        step_sizes = np.abs(step)
+        largest_step = max(step_sizes.max(), 1e-300)
+        step *= min(1.0, STRIDE / largest_step)
         there = at
         lower = False
         while left > 0 and not lower and np.abs(step).max() > 1e-6:
             left -= 1
             there = evaluate_saddle(game, logs + step, barrier)
-            lower = bool(there.goal < at.goal + 1e-4 * (step @ at.gradient))  # Armijo's condition
+            slope_along_step = step @ at.gradient
+            sufficient_goal = at.goal + 1e-4 * slope_along_step
+            lower = bool(there.goal < sufficient_goal)  # Armijo's condition
             step = step if lower else step / 3
         if not lower:
             break
@@ -146,8 +158,11 @@ def minimise_guaranteed_cost(game: Game, logs: Vector, barrier: float, evaluatio
             along > 1e-12
         ):  # BFGS's curvature condition: without it the metric would lose definiteness
             outer_product = np.outer(step, change)
-            turn = np.eye(len(logs)) - outer_product / along
-            metric = turn @ metric @ turn.T + np.outer(step, step) / along
+            parameter_count = len(logs)
+            turn = np.eye(parameter_count) - outer_product / along
+            turned_metric = turn @ metric @ turn.T
+            step_product = np.outer(step, step)
+            metric = turned_metric + step_product / along
     return logs
 
 
@@ -186,9 +201,12 @@ def continue_to_rate(
     logs = np.log(2 * neuron_weights + 1e-9)
     if of.ball.beta > 0:
         beta = of.ball.beta
-        input_weight = np.linalg.norm(of.b.T @ of.state_weight @ of.b, 2)
+        weighted_b = of.b.T
+        curvature = weighted_b @ of.state_weight @ of.b
+        input_weight = np.linalg.norm(curvature, 2)
         ball_weight = 1 + 4 * beta**2 * input_weight
-        logs = np.append(logs, np.log(ball_weight))
+        log_ball_weight = np.log(ball_weight)
+        logs = np.append(logs, log_ball_weight)
     slow = game
     share = 1.0
     while np.isinf(evaluate_saddle(slow, logs, 0.0).goal):
@@ -223,7 +241,8 @@ def log_multipliers(problem: Problem, found: Solution) -> Vector:
     observes = problem.required_neurons.observes
     weights = r2 / (found.multipliers * units**2) if observes else found.multipliers / units**2
     bound = [1 / (found.sigma / (r2 * beta**2) if observes else found.sigma)] if beta > 0 else []
-    return np.log(np.append(weights, bound))
+    multipliers = np.append(weights, bound)
+    return np.log(multipliers)
 
 
 def _interpolate_games(game: Game, slow: Game, share: float) -> Game:
@@ -231,7 +250,8 @@ def _interpolate_games(game: Game, slow: Game, share: float) -> Game:
     if share == 1.0:
         return game
     ratio = game.r / slow.r
-    return replace(game, r=slow.r * ratio**share)
+    between = slow.r * ratio**share
+    return replace(game, r=between)
 
 
 def theorem_matrices(game: Game, logs: Vector) -> Solution:
@@ -252,7 +272,8 @@ def theorem_matrices(game: Game, logs: Vector) -> Solution:
         order = len(x)
         own_block = h[:inputs, :inputs]
         right_side = np.hstack([toward[:inputs], h[:inputs, inputs:]])
-        player_gains = np.linalg.solve(own_block, right_side)[:m]
+        all_gains = np.linalg.solve(own_block, right_side)
+        player_gains = all_gains[:m]
         state_gain = player_gains[:, :order]
         neuron_gain = player_gains[:, order:]
         k = neuron_gain @ neurons.f - state_gain
@@ -288,6 +309,9 @@ def multiplier_without_ball(
     """
     if problem.required_neurons.observes:
         eigenvalues = np.linalg.eigvalsh(p)
-        return float(BALL_SLACK * eigenvalues[0] / (np.linalg.norm(problem.b, 2) ** 2 + 1e-300))
-    largest_effort = np.linalg.norm(k @ p @ k.T, 2)
+        smallest_slack = BALL_SLACK * eigenvalues[0]
+        input_norm = np.linalg.norm(problem.b, 2)
+        return float(smallest_slack / (input_norm**2 + 1e-300))
+    effort = k @ p @ k.T
+    largest_effort = np.linalg.norm(effort, 2)
     return float(largest_effort / BALL_SLACK + 1.0)

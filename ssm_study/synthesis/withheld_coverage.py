@@ -23,4 +23,5 @@ def withhold_idle_coverage(facts: dict[str, Any], model: Model, gains: Gains) ->
     poles = eigenvalue_groups(model, gains)
     if moves_poles(poles["model"], poles["controlled"]):
         return facts
-    return facts | {"coverage": None, "coverage_reference": None, "coverage_reason": IDLE}
+    withheld = {"coverage": None, "coverage_reference": None, "coverage_reason": IDLE}
+    return facts | withheld

@@ -19,7 +19,6 @@ TARGET = (10.6, 4.0)
 # Tokens a statement, and percent of long statements, of the rooms that are above the target.
 DENSITY = {
     "ssm_study/study": (10.6, 1.6),
-    "ssm_study/synthesis": (10.82, 2.6),
     "ssm_study/training": (11.9, 3.1),
     "tests": (12.1, 3.5),
 }

@@ -22,7 +22,8 @@ from ssm_study.models.bilinear import Bilinear
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, Scale
 from ssm_study.study.verify import verify
-from ssm_study.synthesis.bilinear_design import BilinearSynthesis, input_columns
+from ssm_study.synthesis.bilinear_design import BilinearSynthesis
+from ssm_study.synthesis.bilinear_gains import input_columns
 
 CHANNELS = (Channel(name="u", unit="V"), Channel(name="y", unit="m"))
 CASES = 400
