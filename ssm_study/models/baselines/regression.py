@@ -227,8 +227,7 @@ def fit_output_error(data: DataSet, order: int, delay: int) -> Polynomial:
     input_count = data.scale.inputs
     regressors = regressor_codes(order, delay, input_count)
     codes = [CONSTANT, *regressors]
-    coefficients = [[offset], -f, b]
-    theta = np.concatenate(coefficients)
+    theta = np.concatenate([[offset], -f, b])
     code_array = np.array(codes)
     return Polynomial(codes=code_array[:, None], theta=theta, scale=data.scale)
 
