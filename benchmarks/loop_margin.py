@@ -174,7 +174,7 @@ def count(arguments: argparse.Namespace) -> None:
 def _of(comparison: pd.DataFrame) -> StudyFolder:
     """A study of which only this table is known."""
     study = StudyFolder(folder=Path())
-    vars(study)["comparison"] = comparison
+    vars(study)["controller_comparison"] = comparison
     vars(study)["units"] = Units(input="V", output="rad/s")  # of the motor, whose table it is
     return study
 

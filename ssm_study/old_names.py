@@ -212,7 +212,12 @@ METHODS: Mapping[str, Mapping[str, str]] = {
     },
     "loop.peers.peer.Identified": {"shown": "mismatch"},
     "api.design.Design": {"within": "within_limits"},
-    "report.study_folder.StudyFolder": {"best": "best_run", "of_best": "read_from_best"},
+    "report.study_folder.RunFolder": {"comparison": "controller_comparison"},
+    "report.study_folder.StudyFolder": {
+        "best": "best_run",
+        "comparison": "controller_comparison",
+        "of_best": "read_from_best",
+    },
     "robustness.prediction.Prediction": {"keeps_the_plant": "predicts_stability"},
     "engine.runs.Run": {"note": "add_columns"},
     "exact.Exact": {"of": "from_floats", "rounded": "to_floats"},

@@ -66,7 +66,7 @@ def detect_code_page(content: bytes) -> str:
     readings = {
         "cp1251": all(is_cyrillic_word(word, "cp1251") for word in words),
         "cp866": all(is_cyrillic_word(word, "cp866") for word in words),
-        "gb18030": are_chinese_words(words) and not are_possibly_korean(words),
+        "gb18030": are_chinese_words(words) and not could_be_korean_words(words),
     }
     pages = [page for page, fits in readings.items() if fits]
     return pages[0] if words and len(pages) == 1 else "cp1252"
@@ -92,8 +92,8 @@ def are_chinese_words(words: list[bytes]) -> bool:
     return is_paired and is_known and frequent >= GB_MOSTLY * len(leads)
 
 
-def are_possibly_korean(words: list[bytes]) -> bool:
-    """Whether bytes could also be Korean syllables in EUC-KR."""
+def could_be_korean_words(words: list[bytes]) -> bool:
+    """Whether the byte pairs of words could also be Korean syllables in the encoding EUC-KR."""
     return all(lead in KOREAN_SYLLABLES for word in words for lead in word[::2])
 
 

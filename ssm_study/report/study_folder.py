@@ -124,7 +124,7 @@ class RunFolder:
         )
 
     @property
-    def comparison(self) -> pd.DataFrame | None:
+    def controller_comparison(self) -> pd.DataFrame | None:
         """Table that compares controllers on this run's plant; None if there is none."""
         return self._parse_file("comparison.csv", lambda content: pd.read_csv(io.StringIO(content)))
 
@@ -190,9 +190,13 @@ class StudyFolder:
         return tables[0] if len(tables) == 1 else pd.concat(tables, ignore_index=True)
 
     @cached_property
-    def comparison(self) -> pd.DataFrame:
+    def controller_comparison(self) -> pd.DataFrame:
         """Comparison tables of all runs, one below another."""
-        found = {name: self.run(name).comparison for name in text_column(self.table, "run") if name}
+        found = {
+            name: self.run(name).controller_comparison
+            for name in text_column(self.table, "run")
+            if name
+        }
         tables = [table.assign(run=name) for name, table in found.items() if table is not None]
         return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 

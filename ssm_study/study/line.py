@@ -233,7 +233,7 @@ class Study(Task["Specification"]):
             "excitation": request.excitation.kind if request.plant else None,
             "synthesis_method": type(request.synthesis).method,
             **lineage_columns(configuration),
-            "rates_chosen": sides_with_chosen_rate(values),
+            "rates_chosen": sides_with_automatic_rate(values),
         }
 
     def command_line_columns(self, request: "Specification", overrides: Sequence[str]) -> Facts:
@@ -294,7 +294,7 @@ def is_number_or_none(value: Any) -> bool:
     return isinstance(value, int | float | None)
 
 
-def sides_with_chosen_rate(values: Mapping[str, Any]) -> str:
+def sides_with_automatic_rate(values: Mapping[str, Any]) -> str:
     """Text that names the gains, controller or observer, whose rate is chosen automatically."""
     if values["rates_chosen"] != "auto":
         return "neither"

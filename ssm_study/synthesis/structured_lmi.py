@@ -23,7 +23,7 @@ from ssm_study.certificates.semidefinite import solve_program
 from ssm_study.certificates.theorem import Blocks
 from ssm_study.certificates.theorems import structured_observer, structured_state_feedback
 from ssm_study.synthesis.objectives import goal_and_constraints
-from ssm_study.synthesis.structured_riccati import log_multipliers, multiplier_without_ball
+from ssm_study.synthesis.structured_riccati import log_multipliers, zero_radius_multiplier
 
 Rows = Float[np.ndarray, "_ _"]
 
@@ -129,7 +129,7 @@ class StructuredLmi:
             injection = injection_product / weight_column
             k_w = injection.T
         has_ball = self.problem.ball.beta > 0
-        sigma = float(of.sigma.value) if has_ball else multiplier_without_ball(self.problem, p, k)
+        sigma = float(of.sigma.value) if has_ball else zero_radius_multiplier(self.problem, p, k)
         scaled = Solution(p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status=status)
         solution = scaled.undo_neuron_scaling(neurons)
         return solution if fixed is None else replace(solution, k_w=fixed.k_w)

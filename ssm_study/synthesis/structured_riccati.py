@@ -285,7 +285,7 @@ def theorem_matrices(game: Game, logs: Vector) -> Solution:
     p = symmetric_part(matrix)
     weights = np.exp(logs[:q])
     beta = problem.ball.beta
-    sigma = float(np.exp(-logs[-1])) if beta > 0 else multiplier_without_ball(problem, p, k)
+    sigma = float(np.exp(-logs[-1])) if beta > 0 else zero_radius_multiplier(problem, p, k)
     if neurons.observes:
         # From the state feedback of transposed data: the congruence that exchanges rows 1 and 4
         # divides one by r and multiplies the other, and the neurons' row, by it. So `Lambda = r^2
@@ -299,11 +299,11 @@ def theorem_matrices(game: Game, logs: Vector) -> Solution:
     return solution.undo_neuron_scaling(problem.required_neurons)
 
 
-def multiplier_without_ball(
+def zero_radius_multiplier(
     problem: Problem, p: Float[np.ndarray, "n n"], k: Float[np.ndarray, "m n"]
 ) -> float:
-    """Multiplier of the ball of Jacobians for a ball of radius zero. It is so large (so small) that
-    it hardly reduces P.
+    """Multiplier of the ball of Jacobians in the matrix inequality, for a ball of radius zero. It
+    is so large (of an observer so small) that it hardly reduces P.
 
     What it takes is `X^T X / sigma` of P, `eta C^T C` of Q.
     """

@@ -130,10 +130,10 @@ def test_one_situation_is_no_robustness(
     """The peers are compared in the nominal one alone: what would be drawn is a wall of one
     colour."""
     study_folder = StudyFolder(folder=studies["runs"])
-    whole = study_folder.comparison
+    whole = study_folder.controller_comparison
     nominal = whole[whole["situation"] == "nominal"]
     assert len(nominal) < len(whole)
-    monkeypatch.setattr(StudyFolder, "comparison", nominal)
+    monkeypatch.setattr(StudyFolder, "controller_comparison", nominal)
     told: list[str] = []
     assert figures.draw_figures(["robustness"], studies["runs"], told.append) == []
     assert "several situations" in told[0]

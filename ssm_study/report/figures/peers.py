@@ -33,10 +33,10 @@ class PeerPanel:
 
 def draw(study: StudyFolder) -> Figure:
     """Draw a panel for each number, with a row for each controller."""
-    compared = "controller" in study.comparison
+    compared = "controller" in study.controller_comparison
     if compared:
-        situation = text_column(study.comparison, "situation")
-        table = study.comparison[situation == "nominal"]
+        situation = text_column(study.controller_comparison, "situation")
+        table = study.controller_comparison[situation == "nominal"]
         method = text_column(table, "controller")
     else:
         table = study.table

@@ -28,7 +28,7 @@ WHOLE = 1 - 1e-9  # share of starts above which all of them settle
 
 def draw(study: StudyFolder) -> Figure:
     """Draw the settling time of every controller (rows) in every test condition (columns)."""
-    compared = study.comparison
+    compared = study.controller_comparison
     several = "situation" in compared and compared["situation"].nunique() > 1
     if not several or numeric_column(compared, "stable_fraction").isna().all():
         raise NothingToDraw(NOT_COMPARED)

@@ -318,7 +318,7 @@ def best_run_comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, A
     """Comparisons of controllers for the best runs that have one, keyed by the name of the run.
     Each is a table or a chart."""
     best = set(text_column(table, "run").head(MOST_TRAJECTORIES))
-    compared = study.comparison
+    compared = study.controller_comparison
     runs = compared.groupby("run") if len(compared) else ()
     return {str(run): comparison_json(rows) for run, rows in runs if run in best}
 

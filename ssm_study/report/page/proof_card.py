@@ -188,7 +188,9 @@ def unproved_statements(record: Record, loop: ShownLoop | None) -> list[str]:
         ]
     start_range = limited_start_range(record)
     if start_range is not None:
-        excluded.append(f"with the input limited, {unproved_starts_text(start_range, loop)}")
+        excluded.append(
+            f"with the input limited, {describe_starts_outside_proof(start_range, loop)}"
+        )
     elif record.get("limit_lower") is None:
         excluded.append(unproved_limits_text(record))
     excluded += exceeded_bound_statements(record)
@@ -224,7 +226,7 @@ def exceeded_bound_statements(record: Record) -> list[str]:
     return [f"{bound}: {estimate} exceeded it by up to {share}"]
 
 
-def unproved_starts_text(start_range: tuple[float, float], loop: ShownLoop | None) -> str:
+def describe_starts_outside_proof(start_range: tuple[float, float], loop: ShownLoop | None) -> str:
     """Text on the initial states outside the range that is proved under an input limit."""
     first, last = start_range
     words = f"starts outside {first:.3g} to {last:.3g}"

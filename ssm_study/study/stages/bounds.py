@@ -5,13 +5,13 @@ from ssm_study.bounds.metrics import model_bound_columns
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.signals import DataSet
-from ssm_study.study.stages.free_run import SIMULATED, ModelRun, compute_free_runs, measure_score
+from ssm_study.study.stages.free_run import SIMULATED, ModelRun, compute_free_runs, free_run_columns
 from ssm_study.study.stages.model import Trained
 
 
 def measure_bounds(simulated: ModelRun, data: DataSet, trained: Trained) -> Facts:
     """Columns of the certified model: its fits, linear part and slopes."""
-    facts = measure_score(simulated, data, trained)
+    facts = free_run_columns(simulated, data, trained)
     _, test_before_reduction = simulate_validation_and_test(trained.model, data)
     facts["fit_test_before_reduction_percent"] = test_before_reduction.fit_percent
     return facts | model_bound_columns(simulated.model)

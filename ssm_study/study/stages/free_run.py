@@ -62,13 +62,13 @@ def compute_free_runs(
         write_records(path, data, run.records, simulated=run.simulated, **about)
 
 
-def measure_score(simulated: ModelRun, data: DataSet, _: Trained) -> Facts:
-    """Columns of the free runs: fits in percent, errors in the output's unit, and a benchmark's
-    score."""
+def free_run_columns(simulated: ModelRun, data: DataSet, _: Trained) -> Facts:
+    """Columns on the free runs of a model: fits in percent, errors in the output's unit, and a
+    benchmark's score."""
     scores = benchmark_rmse(data, simulated.test.simulated) if "benchmark" in data.metadata else ()
     train = {"fit_train_percent": records_fit_percent(simulated.model, data.training, data)}
     fits = fit_columns(simulated.validation, simulated.test, scores)
     return train | fits | initial_state_columns(simulated.model, data, simulated.test)
 
 
-SCORE = Stage("score", compute_free_runs, ModelRun, measure_score, SIMULATED)
+SCORE = Stage("score", compute_free_runs, ModelRun, free_run_columns, SIMULATED)
