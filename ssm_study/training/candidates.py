@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.models.baselines.regression import fit_output_error
+from ssm_study.models.baselines.regression import fit_arx, fit_output_error
 from ssm_study.models.identified import SSM
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.scaffolds.linear import LinearScaffold
@@ -19,12 +19,20 @@ from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.short_starts import STEPS, short_spec
 from ssm_study.training.structured_fit import StructuredFit
 
+LINEAR = "linear output error"
+REGRESSION = "linear ARX"  # the errors of one step: a load that is not in the log weighs less
+FIT_RECURSION = {LINEAR: fit_output_error, REGRESSION: fit_arx}
+ENDED_LINEAR = {
+    LINEAR: "the error of a linear free run no longer falls",
+    REGRESSION: "a linear regression has one solution",
+}
 LARGEST_ERROR = 100.0  # percent: of a free run no better than the mean; one piece decides nothing
 NEARLY = 0.05  # of the best error: candidates nearer than this are about as good
 HOPELESS = 1.5  # times the best error after two folds: not tried on the others
 FEWEST_FOLDS = 2
 EXPLAINS_LESS = 1.25  # times the error on the training records of the folds
 EXPLAINED = 15.0  # percent: the largest error on these records for which that counts
+CHANCE = 2.0  # standard errors that folds may contradict a regression where a load acts
 Settings = dict[str, Any]
 Row = dict[str, Any]
 
@@ -73,6 +81,15 @@ class Candidate:
         difference = self.errors[: len(other.errors)] - other.errors
         standard_error = difference.std(ddof=1) / np.sqrt(len(difference))
         return bool(standard_error > by * other.mean_error_percent)
+
+    def is_worse_beyond_chance(self, other: "Candidate") -> bool:
+        """Whether a candidate's mean error on the folds exceeds another's by more than
+        `CHANCE` standard errors of the difference."""
+        if len(self.errors) < len(other.errors):
+            return True
+        excess = self.errors[: len(other.errors)] - other.errors
+        standard_error = excess.std(ddof=1) / np.sqrt(len(excess))
+        return bool(excess.mean() > CHANCE * standard_error)
 
     def fits_far_worse_than(self, other: "Candidate") -> bool:
         """Whether another candidate fits the records on which it was trained far better than this
@@ -188,28 +205,30 @@ class Trial:
         return np.array(self.by_start[self.best_start_kind])
 
 
-def try_linear_model(folds: Sequence[DataSet], order: int, delay: int) -> Trial:
-    """Fit a linear output-error model on every fold, and score it on the held-out part. A delay of
-    1 is no dead time, 0 a direct path."""
+def try_linear_model(folds: Sequence[DataSet], order: int, delay: int, kind: str = LINEAR) -> Trial:
+    """Fit a linear model on every fold, and score it on the held-out part. A delay of 1 is no dead
+    time, 0 a direct path; the kind is output error or ARX."""
     trial = Trial()
     for fold in folds:
         part = fold.shift_out_dead_time(delay - 1) if delay > 1 else fold
         with np.errstate(all="ignore"):
-            model = fit_linear_model(part, order, direct=delay == 0)
+            model = fit_linear_model(part, order, direct=delay == 0, kind=kind)
             fit_training = records_fit_percent(model, part.training, part)
             trial.add_fold(model, part, 100.0 - fit_training)
     return trial
 
 
-def fit_linear_model(data: DataSet, order: int, *, direct: bool) -> SSM:
-    """Fit a linear output-error model as a state space. `x+ = A x + B u + B_d d, y = C x + D u`.
+def fit_linear_model(data: DataSet, order: int, *, direct: bool, kind: str = LINEAR) -> SSM:
+    """Fit a linear output-error or ARX model as a state space. `x+ = A x + B u + B_d d, y = C x + D
+    u`.
 
     The state of a held-out piece can then be estimated from many samples; the recursion itself
     would start from as many noisy outputs as it has lags. Measured disturbances are further inputs
     of the recursion, from one sample before on.
     """
     records = delay_disturbances(data) if direct else data
-    model = fit_output_error(records.with_disturbances_as_inputs(), order, 0 if direct else 1)
+    fit_recursion = FIT_RECURSION[kind]
+    model = fit_recursion(records.with_disturbances_as_inputs(), order, 0 if direct else 1)
     f = model.theta[1 : order + 1]
     both = model.theta[order + 1 :].reshape(-1, order).T  # (lags, inputs and disturbances)
     gains = both[:, : data.scale.inputs]

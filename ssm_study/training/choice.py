@@ -14,6 +14,7 @@ from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet
 from ssm_study.training.choice_of_paths import choose_delay, choose_input_path, choose_integrator
 from ssm_study.training.choice_of_products import choose_products
+from ssm_study.training.choice_of_regression import choose_regression
 from ssm_study.training.choice_of_size import (
     judge_integrator,
     other_structures,
@@ -56,6 +57,9 @@ def iterate_choices(
         yield search.make_choice(None)
         return
     predictor = choose_products(search, data)
+    regression = choose_regression(search, candidates) if predictor is None else None
+    if regression is not None:
+        yield search.make_choice(regression)
     while candidates:
         chosen = simplest_certifiable_candidate(search, candidates)
         choice = search.make_choice(chosen, other_structures(candidates, chosen))

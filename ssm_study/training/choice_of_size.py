@@ -33,6 +33,7 @@ INTEGRATING_SIZES: tuple[Settings, ...] = (
     TRIED_SIZE,
 )
 FREE_ORDERS_AND_NEURONS = ((2, 2), (3, 3), (2, 5), (3, 5))
+FEW_NEURONS = 2  # sizes of these that are tried first
 FREE_SIZES: tuple[Settings, ...] = tuple(  # not contracting by construction
     {"order": order, "neurons": neurons, "knots": 0, "rate": None}
     for order, neurons in FREE_ORDERS_AND_NEURONS
@@ -122,11 +123,15 @@ def try_noncontracting_models(search: Search) -> list[Candidate]:
     """Candidates that need not contract in open loop.
 
     No metric common to all slopes of a spring that hardens exists where it is lightly damped.
-    Feedback adds the damping, so that the closed loop can be certified all the same.
+    Feedback adds the damping, so that the closed loop can be certified all the same. Many neurons
+    are tried only where few were not given up before the last fold.
     """
     if not search.is_undecided("rate") or search.has_integrator:
         return []
-    return score_sizes(search, "no contraction", FREE_SIZES)
+    few_neurons = score_sizes(search, "no contraction", FREE_SIZES[:FEW_NEURONS])
+    if all(len(candidate.errors) < len(search.folds) for candidate in few_neurons):
+        return few_neurons
+    return few_neurons + score_sizes(search, "no contraction", FREE_SIZES[FEW_NEURONS:])
 
 
 def score_sizes(search: Search, question: str, sizes: Sequence[Settings]) -> list[Candidate]:

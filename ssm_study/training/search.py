@@ -11,6 +11,8 @@ from ssm_study.models.bilinear_spec import BilinearSpec
 from ssm_study.models.structured_spec import AUTO, AUTOMATIC, StructuredSpec
 from ssm_study.signals import DataSet
 from ssm_study.training.candidates import (
+    LINEAR,
+    REGRESSION,
     Candidate,
     Row,
     Settings,
@@ -22,9 +24,9 @@ from ssm_study.training.candidates import (
 )
 from ssm_study.training.folds import FOLDS
 
-LINEAR = "linear output error"
 STRUCTURED = "structured"
 PRODUCTS = "products of input and state"
+LINEAR_KINDS = (LINEAR, REGRESSION)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,15 +34,15 @@ class Choice:
     """Model settings that are all decided, with the table of candidates. The table is empty if
     nothing was tried.
 
-    `is_linear`: the output-error model itself is to be taken, of this order and delay. `others` are
-    settings of other structures that the folds cannot tell from the chosen one. `predictor` are
-    those of a model with products of input and state that predicts far better.
+    `linear_kind`: the output-error or ARX model itself is to be taken, of this order and delay.
+    `others` are settings of other structures that the folds cannot tell from the chosen one.
+    `predictor` are those of a model with products of input and state that predicts far better.
     """
 
     spec: StructuredSpec
     rows: tuple[Row, ...] = ()
     error: float | None = None
-    is_linear: bool = False
+    linear_kind: str | None = None
     others: tuple[StructuredSpec, ...] = ()
     predictor: BilinearSpec | None = None
 
@@ -105,15 +107,16 @@ class Search:
             )
         )
 
-    def score_linear_model(self, question: str, order: int, delay: int) -> Candidate:
-        """Score a linear output-error model on the folds."""
+    def score_linear_model(
+        self, question: str, order: int, delay: int, kind: str = LINEAR
+    ) -> Candidate:
+        """Score a linear output-error or ARX model on the folds."""
         settings = {"order": order, "delay": delay}
-        tried = self.find_candidate(LINEAR, settings)
+        tried = self.find_candidate(kind, settings)
         if tried is not None:
             return tried
-        return self.add_candidate(
-            question, LINEAR, settings, try_linear_model(self.folds, order, delay)
-        )
+        trial = try_linear_model(self.folds, order, delay, kind)
+        return self.add_candidate(question, kind, settings, trial)
 
     def setting_value(self, name: str) -> Any:
         """Value of a setting as decided so far, or as the user set it."""
@@ -186,17 +189,17 @@ class Search:
         predicts may have models of the others."""
         chosen = [*self.chosen]
         error = None
-        is_linear = False
+        linear_kind = None
         if candidate is not None:
             chosen.append(candidate)
             error = candidate.mean_error_percent
-            is_linear = candidate.model == LINEAR
+            linear_kind = candidate.model if candidate.model in LINEAR_KINDS else None
         other_specs = tuple(self._decided_spec(other) for other in others)
         return Choice(
             spec=self._decided_spec(candidate),
             rows=self.candidate_rows(chosen),
             error=error,
-            is_linear=is_linear,
+            linear_kind=linear_kind,
             others=other_specs,
         )
 
@@ -205,7 +208,7 @@ class Search:
         decided = dict(self.decided)
         if candidate is not None:
             decided |= candidate.settings
-            if candidate.model == LINEAR:
+            if candidate.model in LINEAR_KINDS:
                 decided |= {"neurons": 0, "knots": 0, "input_path": "none"}
         automatic = self.spec.automatic_settings
         settings = {name: decided[name] for name in automatic if name in decided}

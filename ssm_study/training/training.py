@@ -155,21 +155,22 @@ class Training:
         self, choice: "Choice", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
         """Train the linear or structured model that a choice of settings describes."""
-        if not choice.is_linear:
+        if choice.linear_kind is None:
             best = self._train_from_best_starts(choice.spec, data, session)
             return self._with_other_structures(best, choice, data, session)
-        from ssm_study.training.candidates import fit_linear_model
+        from ssm_study.training.candidates import ENDED_LINEAR, fit_linear_model
         from ssm_study.training.metrics import Identification
 
         began = time.perf_counter()
         dead_time = int(choice.spec.dead_time)
         records = data.shift_out_dead_time(dead_time) if dead_time else data
         direct = choice.spec.feedthrough is True
-        model: Any = fit_linear_model(records, int(choice.spec.order), direct=direct)
+        order = int(choice.spec.order)
+        model: Any = fit_linear_model(records, order, direct=direct, kind=choice.linear_kind)
         if dead_time:
             model = model.with_dead_time(dead_time)
         seconds = time.perf_counter() - began
-        ended = "the error of a linear free run no longer falls"
+        ended = ENDED_LINEAR[choice.linear_kind]
         return Identification.from_model(model, data, seconds=seconds, curve=[], ended=ended)
 
     def _with_other_structures(

@@ -187,6 +187,18 @@ def test_a_model_that_need_not_contract_has_to_gain_a_quarter() -> None:
     assert try_noncontracting_models(search) == []
 
 
+def test_many_neurons_without_contraction_need_few_that_were_not_given_up() -> None:
+    spec = StructuredSpec(order=AUTO, neurons=AUTO, knots=0, input_path="none", rate=AUTO)
+    fold = data_set(samples=100)
+    search = Search(spec=spec, folds=(fold,) * 4, seed=0, announce=quiet)
+    for size in (2, 3):
+        given_up = candidate("structured", 90.0, 90.0)
+        settings = {"order": size, "neurons": size, "rate": None}
+        search.tried.append(replace(given_up, settings=settings))
+    tried = try_noncontracting_models(search)
+    assert [one.settings["neurons"] for one in tried] == [2, 3]
+
+
 def test_finalists_are_trained_further_and_nothing_else() -> None:
     """After a few steps a large model is less trained than a small one."""
     spec = StructuredSpec(**FIXED | BRIEF | {"order": AUTO})  # type: ignore[arg-type]

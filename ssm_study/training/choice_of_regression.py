@@ -1,0 +1,47 @@
+"""Choice of a linear regression (ARX) where something acts that is not in the log.
+
+The error of a free run is then mostly the load, which is slow: a few thousand samples hold few
+independent values of it, and models that minimise this error follow it by chance. The errors of one
+step hold as many values as there are samples. So a regression is the steadier estimate, although
+its free run fits the records less. Folds see too few values of the load to tell the two apart.
+"""
+
+from collections.abc import Sequence
+
+from ssm_study.training.candidates import (
+    EXPLAINED,
+    REGRESSION,
+    Candidate,
+    best_candidate,
+    good_candidates,
+    simplest_good_candidate,
+)
+from ssm_study.training.search import Search
+
+LAGS = (3, 4, 6, 8, 10, 15, 20)
+
+
+def choose_regression(search: Search, candidates: Sequence[Candidate]) -> Candidate | None:
+    """Linear ARX model that is to be taken instead of all candidates; None where they explain the
+    records, or predict the folds better by more than chance.
+
+    The candidates explain the records if one that is about as good as the best leaves less than
+    `EXPLAINED` of those that it was trained on.
+    """
+    best = best_candidate(candidates)
+    unexplained = min(candidate.training_error for candidate in good_candidates(candidates))
+    if unexplained < EXPLAINED or not can_be_tried(search):
+        return None
+    is_direct = search.setting_value("feedthrough") is True
+    delay = 0 if is_direct else 1 + int(search.setting_value("dead_time"))
+    tried = [search.score_linear_model("regression", lags, delay, REGRESSION) for lags in LAGS]
+    simplest = simplest_good_candidate(tried)
+    is_taken = search.is_certifiable(simplest) and not simplest.is_worse_beyond_chance(best)
+    return simplest if is_taken else None
+
+
+def can_be_tried(search: Search) -> bool:
+    """Whether a linear model of one output may be chosen: with no integrator, of any order."""
+    has_one_output = search.folds[0].scale.outputs == 1
+    is_open = has_one_output and search.is_undecided("order") and search.allows_linear_model
+    return is_open and not search.has_integrator

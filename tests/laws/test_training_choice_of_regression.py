@@ -1,0 +1,121 @@
+"""Where a load acts that is not in the log, a regression is taken if folds do not contradict it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from models_cases import data_set
+
+from ssm_study.models.baselines.regression import fit_arx
+from ssm_study.models.structured_spec import StructuredSpec
+from ssm_study.signals import DataSet
+from ssm_study.training import choice
+from ssm_study.training.candidates import REGRESSION, Candidate
+from ssm_study.training.choice_of_regression import LAGS, choose_regression
+from ssm_study.training.folds import make_folds
+from ssm_study.training.optimisers import Lbfgs
+from ssm_study.training.search import Search
+from ssm_study.training.training import Training, TrainingSession
+
+SPEC = StructuredSpec(
+    order="auto", neurons="auto", knots="auto", input_path="none", among_starts=None
+)
+
+
+@pytest.fixture(scope="module")
+def loaded() -> DataSet:
+    """Records to whose output a slow load adds a third of its deviation."""
+    data = data_set(noise=0.01, samples=500, records=4)
+    rng = np.random.default_rng(2)
+    parts = {}
+    for part in ("training", "validation", "test"):
+        records = []
+        for record in getattr(data, part):
+            levels = np.repeat(rng.normal(size=1 + len(record) // 100), 100)[: len(record)]
+            load = record.y.std() / 3.0 * levels[:, None]
+            records.append(replace(record, y=record.y + load))
+        parts[part] = tuple(records)
+    return replace(data, **parts)
+
+
+def search_in(data: DataSet, spec: StructuredSpec = SPEC) -> Search:
+    return Search(spec=spec, folds=make_folds(data), seed=0, announce=lambda _: None)
+
+
+def candidate(training_error: float, *errors: float) -> Candidate:
+    return Candidate(
+        question="size",
+        model="structured",
+        settings={},
+        errors=np.array(errors),
+        training_error=training_error,
+    )
+
+
+def test_records_that_are_explained_need_no_regression(loaded: DataSet) -> None:
+    search = search_in(loaded)
+    explains = candidate(8.0, 60.0, 60.0, 60.0, 60.0)
+    assert choose_regression(search, [explains]) is None
+    assert search.tried == []
+
+
+def test_a_regression_is_taken_where_folds_cannot_tell(loaded: DataSet, tmp_path: Path) -> None:
+    search = search_in(loaded)
+    tried = choose_regression(search, [candidate(30.0, 60.0, 60.0, 60.0, 60.0)])
+    assert tried is not None
+    assert tried.model == REGRESSION
+    assert len(search.tried) == len(LAGS)
+    smaller = [other for other in search.tried if other.settings["order"] < tried.settings["order"]]
+    best = min(search.tried, key=lambda other: other.mean_error_percent)
+    assert all(other.is_clearly_worse(best) for other in smaller)
+    made = search.make_choice(tried)
+    assert made.linear_kind == REGRESSION
+    training = Training(
+        optimiser=Lbfgs(steps_per_epoch=10, history=20),
+        max_epochs=1,
+        patience=1,
+        min_gain_percent=0.0,
+        validation_tolerance_percent=0.0,
+    )
+    session = TrainingSession(seed=0, folder=tmp_path)
+    identified = training._train_choice(made, loaded, session)
+    lags = int(made.spec.order)
+    expected = fit_arx(loaded, lags, 1)
+    u = loaded.test[0].u
+    actual = identified.model.simulate(u) - identified.model.simulate(0.0 * u)
+    reference = expected.simulate(u) - expected.simulate(0.0 * u)
+    np.testing.assert_allclose(actual, reference, atol=1e-8 * np.ptp(reference))
+
+
+def test_the_regression_is_the_first_choice_and_the_candidates_follow(
+    loaded: DataSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = replace(candidate(30.0, 60.0, 60.0, 60.0, 60.0), settings={"order": 2, "neurons": 1})
+    monkeypatch.setattr(choice, "try_model_sizes", lambda *_, **__: [other])
+    monkeypatch.setattr(choice, "choose_products", lambda *_: None)
+    first, second = choice.iterate_choices(SPEC, loaded, 0, lambda _: None)
+    assert first.linear_kind == REGRESSION
+    assert second.linear_kind is None
+    assert [row["model"] for row in second.rows if row["chosen"]] == ["structured"]
+    assert second.spec.neurons == 1
+
+
+def test_folds_that_agree_refuse_a_regression(loaded: DataSet) -> None:
+    search = search_in(loaded)
+    assert choose_regression(search, [candidate(20.0, 1.0, 1.0, 1.0, 1.0)]) is None
+    assert search.tried
+
+
+def test_a_size_that_is_fixed_stays_fixed(loaded: DataSet) -> None:
+    search = search_in(loaded, replace(SPEC, neurons=2))
+    assert choose_regression(search, [candidate(30.0, 60.0, 60.0, 60.0, 60.0)]) is None
+
+
+def test_two_standard_errors_are_chance() -> None:
+    best = candidate(30.0, 40.0, 40.0, 40.0, 40.0)
+    scattered = candidate(30.0, 60.0, 30.0, 50.0, 40.0)
+    behind = candidate(30.0, 50.0, 46.0, 50.0, 48.0)
+    assert not scattered.is_worse_beyond_chance(best)
+    assert behind.is_worse_beyond_chance(best)
+    assert candidate(30.0, 1.0, 1.0).is_worse_beyond_chance(best)
