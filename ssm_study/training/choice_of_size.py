@@ -131,7 +131,7 @@ def try_noncontracting_models(search: Search) -> list[Candidate]:
     few_neurons = score_sizes(search, "no contraction", FREE_SIZES[:FEW_NEURONS])
     if all(len(candidate.errors) < len(search.folds) for candidate in few_neurons):
         return few_neurons
-    return few_neurons + score_sizes(search, "no contraction", FREE_SIZES[FEW_NEURONS:])
+    return score_sizes(search, "no contraction", FREE_SIZES)  # those of few neurons only once
 
 
 def score_sizes(search: Search, question: str, sizes: Sequence[Settings]) -> list[Candidate]:
