@@ -8,8 +8,10 @@ counter only warns; what is readable, a reader judges.
 
 import importlib.util
 import sys
+from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -41,7 +43,13 @@ def load_counter() -> ModuleType:
 code_shape = load_counter()
 ROOMS = sorted(path.parent for path in PACKAGE.glob("*/__init__.py"))
 FOLDERS = [*ROOMS, ROOT / "tests"]
-SOURCES = [*code_shape.read_sources(PACKAGE), *code_shape.read_sources(ROOT / "tests")]
+
+
+@cache
+def read_all_sources() -> list[Any]:
+    """Every file of the package and of the tests, read and parsed once: no worker needs them but
+    the one that runs these tests."""
+    return [*code_shape.read_sources(PACKAGE), *code_shape.read_sources(ROOT / "tests")]
 
 
 def name_of(path: Path) -> str:
@@ -50,7 +58,7 @@ def name_of(path: Path) -> str:
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=name_of)
 def test_no_room_is_denser_than_it_was(folder: Path) -> None:
-    sources = code_shape.read_sources(folder)
+    sources = [source for source in read_all_sources() if folder in source.path.parents]
     facts = code_shape.density_facts(sources)
     tokens, long_percent = DENSITY.get(name_of(folder), TARGET)
     assert facts["tokens_a_statement"] <= tokens
@@ -58,14 +66,14 @@ def test_no_room_is_denser_than_it_was(folder: Path) -> None:
 
 
 def test_files_are_short() -> None:
-    lengths = {name_of(source.path): len(source.text.splitlines()) for source in SOURCES}
+    lengths = {name_of(source.path): len(source.text.splitlines()) for source in read_all_sources()}
     long = {name for name, length in lengths.items() if length > LONGEST_FILE}
     assert long - LONG_FILES == set()
 
 
 def test_functions_are_short() -> None:
     long = set()
-    for source in SOURCES:
+    for source in read_all_sources():
         for function in source.functions:
             if code_shape.count_body_lines(function) > LONGEST_BODY:
                 long.add(f"{name_of(source.path)}: {function.name}")
@@ -73,16 +81,20 @@ def test_functions_are_short() -> None:
 
 
 def test_assignments_are_not_packed() -> None:
-    packed = [node for source in SOURCES for node in source.nodes if code_shape.is_packed(node)]
+    packed = [
+        node for source in read_all_sources() for node in source.nodes if code_shape.is_packed(node)
+    ]
     assert len(packed) <= MOST_PACKED
 
 
 def test_no_line_is_wide_and_no_docstring_opens_with_a_riddle() -> None:
-    wide = [name_of(source.path) for source in SOURCES if code_shape.count_wide_lines(source)]
+    wide = [
+        name_of(source.path) for source in read_all_sources() if code_shape.count_wide_lines(source)
+    ]
     assert wide == []
     riddles = [
         name_of(source.path)
-        for source in SOURCES
+        for source in read_all_sources()
         if any(code_shape.opens_with_a_riddle(node) for node in source.documented)
     ]
     assert riddles == []

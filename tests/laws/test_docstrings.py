@@ -3,6 +3,7 @@ names."""
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,6 @@ from jaxtyping import TypeCheckError
 from ssm_study.signals import fit_percent
 
 PACKAGE = Path(__file__).resolve().parents[2] / "ssm_study"
-MODULES = {
-    str(path.relative_to(PACKAGE)): ast.parse(path.read_text())
-    for path in sorted(PACKAGE.rglob("*.py"))
-    if not path.name.startswith("test_")
-}
 ROOMS_OF_THEOREMS = ("bounds", "synthesis")
 SOURCE = re.compile(r"\[Z26\]|docs/(?:theory|trust)\.md|\b(?:19|20)\d\d\b")
 REFUSAL = re.compile(r"BadRequest|[Rr]efus|[Rr]aises|NoSolution")
@@ -29,6 +25,13 @@ UNIT = re.compile(
 Public = ast.FunctionDef | ast.ClassDef
 
 
+@cache
+def parse_modules() -> dict[str, ast.Module]:
+    """Syntax tree of each module by its path, parsed once by the worker that runs these tests."""
+    paths = [path for path in sorted(PACKAGE.rglob("*.py")) if not path.name.startswith("test_")]
+    return {str(path.relative_to(PACKAGE)): ast.parse(path.read_text()) for path in paths}
+
+
 def public(module: ast.Module) -> list[Public]:
     return [
         node for node in module.body if isinstance(node, Public) and not node.name.startswith("_")
@@ -36,7 +39,7 @@ def public(module: ast.Module) -> list[Public]:
 
 
 def named(kind: type[ast.AST]) -> list[tuple[str, Public]]:
-    modules = MODULES.items()
+    modules = parse_modules().items()
     return [
         (path, node)
         for path, module in modules
@@ -47,7 +50,7 @@ def named(kind: type[ast.AST]) -> list[tuple[str, Public]]:
 
 def test_a_module_says_what_it_answers() -> None:
     """In sentences: a first paragraph that ends as one."""
-    modules = MODULES.items()
+    modules = parse_modules().items()
     first = {
         path: (ast.get_docstring(module) or "").split("\n\n")[0].rstrip()
         for path, module in modules
@@ -70,7 +73,7 @@ def test_every_public_name_is_told() -> None:
 
 
 def test_every_theorem_and_bound_names_its_source() -> None:
-    modules = MODULES.items()
+    modules = parse_modules().items()
     without = [
         path
         for path, module in modules
