@@ -297,6 +297,13 @@ def smoke_study(shared_folder: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
+def smoke_store(smoke_study: Path) -> Path:
+    """The stages of `smoke_study`: results whose `.store` is a link to it compute none of them
+    again."""
+    return smoke_study.parent / ".store"
+
+
+@pytest.fixture(scope="session")
 def smoke_run(smoke_study: Path) -> Path:
     """The run folder of `smoke_study`: read only."""
     (record,) = smoke_study.glob("*/record.json")

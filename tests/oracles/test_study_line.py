@@ -181,19 +181,17 @@ def test_the_table_has_one_typed_row(smoke_study: Path) -> None:
 STAGES = ("model", "synthesis")
 
 
-TINY = [
-    "experiment=smoke",
-    "study=sweep",
-    "progress=false",
-    "synthesis=riccati",
-    "training.max_epochs=2",
-]
+RICCATI = ["experiment=smoke", "study=sweep", "progress=false", "synthesis=riccati"]
+TINY = [*RICCATI, "training.max_epochs=2"]
 
 
-def test_inputs_cut_at_limits_are_replayed(tmp_path: Path) -> None:
+def test_inputs_cut_at_limits_are_replayed(tmp_path: Path, smoke_store: Path) -> None:
+    (tmp_path / ".store").symlink_to(smoke_store)
     limits = ["loop.input_lower=-0.2", "loop.input_upper=0.3"]
     assert (
-        main(["run", *TINY, *limits, "synthesis.rate_controller=0.05", f"results_dir={tmp_path}"])
+        main(
+            ["run", *RICCATI, *limits, "synthesis.rate_controller=0.05", f"results_dir={tmp_path}"]
+        )
         == 0
     )
     paths = tmp_path.glob("sweep/*/record.json")
@@ -271,11 +269,14 @@ def test_a_sweep_over_rates_trains_once_and_infeasible_is_a_result(tmp_path: Pat
     assert st_mtime_ns_by_path == before
 
 
-def test_one_failing_run_does_not_take_the_sweep_with_it(tmp_path: Path) -> None:
+def test_one_failing_run_does_not_take_the_sweep_with_it(tmp_path: Path, smoke_store: Path) -> None:
     """A run whose data diverge at run time fails; the others are kept and gathered; exit status
     1."""
+    (tmp_path / ".store").symlink_to(smoke_store)
     bad = "plant.solver_step_s=5e-4,1e-300"
-    assert main(["run", "-m", *TINY, f"results_dir={tmp_path}", bad, "hydra/launcher=basic"]) == 1
+    assert (
+        main(["run", "-m", *RICCATI, f"results_dir={tmp_path}", bad, "hydra/launcher=basic"]) == 1
+    )
     runs_path = tmp_path / "sweep" / "runs.parquet"
     table = pd.read_parquet(runs_path)
     status = sorted(table["status"])
