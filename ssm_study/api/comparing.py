@@ -121,15 +121,15 @@ def read_models(models: Any) -> dict[str, Model]:
         models = [models]
     remedy = "give a list of models, as st.fit returns them"
     several = isinstance(models, Mapping | list | tuple)
-    kind = type(models)
-    require(several, "models", kind.__name__, "is no list of models", remedy)
+    kind = type(models).__name__
+    require(several, "models", kind, "is no list of models", remedy)
     has_models = len(models) > 0
     require(has_models, "models", "none", "there is nothing to compare", remedy)
     each = models.values() if isinstance(models, Mapping) else models
     for model in each:
         is_model = isinstance(model, Model)
-        kind = type(model)
-        require(is_model, "models", kind.__name__, "is no model", remedy)
+        kind = type(model).__name__
+        require(is_model, "models", kind, "is no model", remedy)
     if isinstance(models, Mapping):
         return {str(name): model for name, model in models.items()}
     return _name_models(models)

@@ -36,8 +36,8 @@ def choose_plant(design: "Design", plant: Any) -> Plant | IdentifiedPlant:
         return make_identified_plant(design)
     remedy = "give one of ssm_study.plants, or your own (docs/howto_plant.md)"
     is_plant = isinstance(plant, Plant | IdentifiedPlant)
-    kind = type(plant)
-    require(is_plant, "plant", kind.__name__, "is no plant", remedy)
+    kind = type(plant).__name__
+    require(is_plant, "plant", kind, "is no plant", remedy)
     chosen: Plant | IdentifiedPlant = plant
     return chosen
 
@@ -56,8 +56,7 @@ def simulate_loop(
     """
     names = [channel.name for channel in plant.outputs]
     output_count = len(names)
-    checked_starts = signal_columns(y0, "y0", output_count, names)
-    starts = checked_starts[1]
+    _, starts = signal_columns(y0, "y0", output_count, names)
     parts = Parts(LOOP, overrides)
     configured_loop = parts.build("loop")
     loop: Loop = configured_loop.with_default_horizon(design.model)

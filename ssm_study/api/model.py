@@ -131,8 +131,7 @@ class Model:
         step_s = self.data.step_s
         check_time_index(u, None, step_s)
         channels = len(self.data.inputs)
-        checked_inputs = signal_columns(u, "u", channels, self.input_names)
-        inputs = checked_inputs[1]
+        _, inputs = signal_columns(u, "u", channels, self.input_names)
         samples = len(inputs)
         measured = disturbance_values(disturbance, self.disturbance_names, samples)
         members = self.identification.members or (self.simulator,)

@@ -93,12 +93,11 @@ class RestDesign:
         """
         on = plant or BilinearPlant.from_model(self.model, self.channels[:1], self.channels[1:])
         is_plant = isinstance(on, Plant)
-        kind = type(on)
-        require(is_plant, "plant", kind.__name__, "is no plant", "leave it out")
+        kind = type(on).__name__
+        require(is_plant, "plant", kind, "is no plant", "leave it out")
         names = [channel.name for channel in on.outputs]
         output_count = len(names)
-        checked_starts = signal_columns(y0, "y0", output_count, names)
-        starts = checked_starts[1]
+        _, starts = signal_columns(y0, "y0", output_count, names)
         samples = self._default_samples
         if horizon_s is not None:
             seconds = read_number("horizon_s", horizon_s)

@@ -39,10 +39,8 @@ def simulate_given_record(
     data = model.data
     check_time_index(u, y, data.step_s)
     input_count = len(data.inputs)
-    checked_inputs = signal_columns(u, "u", input_count, model.input_names)
-    inputs = checked_inputs[1]
-    checked_outputs = signal_columns(y, "y", columns=model.output_names)
-    outputs = checked_outputs[1]
+    _, inputs = signal_columns(u, "u", input_count, model.input_names)
+    _, outputs = signal_columns(y, "y", columns=model.output_names)
     samples = len(inputs)
     output_count = len(data.outputs)
     expected_shape = (samples, output_count)

@@ -36,8 +36,7 @@ def simulate(
     if isinstance(subject, Model):
         step_s = subject.data.step_s
         check_time_index(values, None, step_s)
-        checked_inputs = signal_columns(values, "u", columns=subject.input_names)
-        inputs = checked_inputs[1]
+        _, inputs = signal_columns(values, "u", columns=subject.input_names)
         table = pd.DataFrame(inputs)
         outputs = subject.predict(table, disturbance)
         predicted = pd.DataFrame(outputs)
@@ -51,8 +50,8 @@ def simulate(
         return subject.simulate(values, plant=plant)
     is_design = isinstance(subject, Design)
     remedy = "give what st.fit or st.control returned"
-    kind = type(subject)
-    require(is_design, "subject", kind.__name__, "is no model and no design", remedy)
+    kind = type(subject).__name__
+    require(is_design, "subject", kind, "is no model and no design", remedy)
     warn_of_unknown_maps(subject.unknown_maps)
     on = choose_plant(subject, plant)
     rollouts = simulate_loop(subject, values, on, overrides, disturbance=disturbance)

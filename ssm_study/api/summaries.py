@@ -47,8 +47,8 @@ def summarise_model(model: "Model") -> pd.Series:
     """Table of a model's properties: class, size, fits, poles, slopes, evidence."""
     facts = model.facts
     data = model.data
-    model_class = type(model.simulator)
-    lines: dict[str, Any] = {"class": model_class.__name__}
+    model_class = type(model.simulator).__name__
+    lines: dict[str, Any] = {"class": model_class}
     input_names = map(name_with_unit, data.inputs)
     lines["inputs"] = ", ".join(input_names)
     output_names = map(name_with_unit, data.outputs)

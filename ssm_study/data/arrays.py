@@ -197,8 +197,8 @@ def as_real_matrix(values: Any, name: str) -> SignalTable:
     try:
         raw = np.asarray(values)
     except NO_NUMBERS as error:
-        kind = type(values)
-        raise BadRequest(name, kind.__name__, "not a table of numbers", remedy) from error
+        kind = type(values).__name__
+        raise BadRequest(name, kind, "not a table of numbers", remedy) from error
     problem = "are complex; a signal is real"
     kind_of_number = raw.dtype.kind
     require(kind_of_number != "c", name, "numbers", problem, "give the real part")
@@ -208,8 +208,8 @@ def as_real_matrix(values: Any, name: str) -> SignalTable:
     try:
         table = np.asarray(raw, dtype=np.float64)
     except NO_NUMBERS as error:
-        kind = type(values)
-        raise BadRequest(name, kind.__name__, "not a table of numbers", remedy) from error
+        kind = type(values).__name__
+        raise BadRequest(name, kind, "not a table of numbers", remedy) from error
     dimensions = (1, 2)
     is_table = table.ndim in dimensions and table.size > 0
     require(is_table, name, f"shape {table.shape}", "not a signal", remedy)

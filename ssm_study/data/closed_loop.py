@@ -76,9 +76,9 @@ def reconstruct_pi_set_point(log: Trajectory, gain: float, integral_s: float) ->
     hides e.
     """
     field = "data.controller"
-    input_shape = log.u.shape
-    output_shape = log.y.shape
-    shape = (input_shape[1], output_shape[1])
+    input_count = log.u.shape[1]
+    output_count = log.y.shape[1]
+    shape = (input_count, output_count)
     u = log.u[:, 0]
     remedy = "name the set point"
     single_channels = (1, 1)

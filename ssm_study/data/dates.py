@@ -199,8 +199,7 @@ def choose_increasing_times(readings: list[np.ndarray], samples: int) -> DateSec
     if count > 1 and any(has_even_steps(one) for one in chosen):
         chosen = [one for one in chosen if has_even_steps(one)]
     first, *others = map(date_differences_s, chosen)
-    differences = (not np.allclose(first, other) for other in others)
-    if any(differences):
+    if any(not np.allclose(first, other) for other in others):
         raise AmbiguousDates
     return chosen[0]
 

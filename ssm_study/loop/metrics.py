@@ -208,8 +208,7 @@ def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
     kind_counts = sorted(motion.items())
     unsettled = [f"{count} {kind}" for kind, count in kind_counts if kind != "settled"]
     stable_count = len(settled_times_s)
-    has_noise_free_run = (loop.noise_free is not None for loop in loops)
-    judged_noise_free = any(has_noise_free_run)
+    judged_noise_free = any(loop.noise_free is not None for loop in loops)
     all_settle = stable_count == cases
     settling_time_worst_s = max(settled_times_s) if all_settle else None
     settling_time_mean_s = mean_without_none(settled_times_s)

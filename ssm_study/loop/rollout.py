@@ -203,8 +203,8 @@ def replay_error(controller: Controller, run: Rollouts, limits: Limits = UNLIMIT
     stayed_count = stayed.sum()
     memory = controller.initial_memory(int(stayed_count))
     worst = 0.0
-    input_shape = run.u.shape
-    for k in range(input_shape[1]):
+    samples = run.u.shape[1]
+    for k in range(samples):
         applied = run.u[stayed, k]
         measured = run.measured[stayed, k]
         inputs = controller.input(memory, measured, targets[k])

@@ -60,10 +60,10 @@ def matrices_from_parameters(free: FreeParameters, rate: float) -> RecurrenceMat
     """Matrices of a contracting recurrence from its unconstrained parameters. It contracts with `r
     = rate` in the metric `M = I`."""
     n = free.x_g.shape[1]
-    contraction_of_e = _cayley_contraction(free.x_e)
-    e = np.sqrt(2.0) * contraction_of_e[0]
-    contraction_of_g = _cayley_contraction(free.x_g)
-    stacked = rate * contraction_of_g[0]
+    con_e, _ = _cayley_contraction(free.x_e)
+    e = np.sqrt(2.0) * con_e
+    con_g, _ = _cayley_contraction(free.x_g)
+    stacked = rate * con_g
     a = stacked[:n]
     root = _slack_root(e)  # R
     scaled_g = stacked[n:]

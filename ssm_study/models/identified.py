@@ -271,8 +271,8 @@ class SSM(ScaffoldedModel):
     ) -> tuple[Outputs, State]:
         """Simulate the linear recurrence `C x + D ubar` step by step. The last state is returned,
         too."""
-        shape_of_b = self.linear.b.shape
-        lifted = ubar.shape[-1] == shape_of_b[1]
+        input_count = self.linear.b.shape[1]
+        lifted = ubar.shape[-1] == input_count
         system = self.linear if lifted else self.driven_system
         return system.simulate(ubar, x0)
 
@@ -295,8 +295,8 @@ class SSM(ScaffoldedModel):
         delayed inputs are states of the recurrence. Measured disturbances act without the dead
         time."""
         linear = self.linear
-        input_shape = linear.b.shape
-        line = DelayLine(states=linear.order, channels=input_shape[1], samples=samples)
+        input_count = linear.b.shape[1]
+        line = DelayLine(states=linear.order, channels=input_count, samples=samples)
         a = line.state_matrix(linear.a, linear.b)
         c = line.append_delay_columns(linear.c, linear.d)
         delayed_input = line.input_matrix()

@@ -132,8 +132,8 @@ def output_regression_coefficient(start: Initialisation, records: Pairs) -> floa
     simulated_outputs = [start.simulate_output(u) for u, _ in records]
     simulated = np.concatenate(simulated_outputs)
     squared_sum = (simulated**2).sum()
-    float_limits = np.finfo(float)
-    power = max(squared_sum, float_limits.tiny)
+    smallest_float = np.finfo(float).tiny
+    power = max(squared_sum, smallest_float)
     correlation = (measured * simulated).sum()
     return float(correlation / power)
 

@@ -317,5 +317,5 @@ def linearise_at_equilibrium(model: Model) -> StateSpace:
     if isinstance(model, SSM):
         return model.linear
     zero_state = np.zeros(model.order)
-    input_shape = model.b.shape
-    return model.linearise_at(zero_state, np.zeros(input_shape[1]))
+    mapped_inputs = model.b.shape[1]
+    return model.linearise_at(zero_state, np.zeros(mapped_inputs))

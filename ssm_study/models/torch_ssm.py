@@ -358,8 +358,8 @@ class TorchSSM(TorchModel):
 
     def freeze(self, data: DataSet) -> SSM:
         system = self.lru.to_state_space()
-        b_shape = system.b.shape
-        m = b_shape[1] - self.lru.disturbances
+        driven_inputs = system.b.shape[1]
+        m = driven_inputs - self.lru.disturbances
         mapped_columns = system.b[:, :m]
         feedthrough_columns = system.d[:, :m]
         linear = StateSpace(a=system.a, b=mapped_columns, c=system.c, d=feedthrough_columns)

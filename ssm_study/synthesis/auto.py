@@ -99,8 +99,7 @@ class Auto:
         range."""
         grid = getattr(self, name)
         may_be_empty = name == "integral_weights"
-        are_allowed = (0 < value < below for value in grid)
-        in_range = all(are_allowed)
+        in_range = all(0 < value < below for value in grid)
         fits = in_range and (may_be_empty or len(grid) > 0)
         require(fits, f"synthesis.{name}", grid, f"must hold {allowed}", "keep the default grid")
 

@@ -70,8 +70,7 @@ class CandidateGrid:
     def candidates(self, model: Model, balls: Balls) -> Candidates | None:
         """Gains at all grid points where the Riccati equation has a solution; None if controller or
         observer has none."""
-        allows_zero_slope = (abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output))
-        if any(allows_zero_slope):
+        if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
             return None
         rest = equilibrium_slopes(model)
         specifications = self.specifications()

@@ -50,8 +50,8 @@ def expected_area(area: float, loop_gain: float, spread: float) -> float:
     `loop_gain` is 1 / margin."""
     from scipy.special import ndtr  # here: what only reads a study does without
 
-    float_limits = np.finfo(float)
-    positive_gain = max(loop_gain, float_limits.tiny)
+    smallest_float = np.finfo(float).tiny
+    positive_gain = max(loop_gain, smallest_float)
     logarithm = np.log(positive_gain)
     deviations = -logarithm / max(spread, LEAST_SPREAD)
     probability = float(ndtr(deviations))

@@ -161,8 +161,7 @@ def _minimise_over_tau(problem: Problem, tau_min: float) -> GuaranteedCost:
     scipy.optimize.minimize_scalar(
         cost_at, bounds=span, method="bounded", options={"xatol": LOG_TAU_TOLERANCE}
     )
-    smallest = min(tried, key=lambda point: point[0])
-    best = smallest[1]
+    _, best = min(tried, key=lambda point: point[0])
     if best is None:  # costs beyond floats, which no comparison orders
         raise NoSolution("no admissible tau")
     return best

@@ -83,8 +83,8 @@ def _constant_loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.
     """Constant loads at several levels for each input, scaled by their effect on the output. Inputs
     without effect are left out."""
     if linear.integrates:  # a unit of each channel holds no state: the one that it reaches
-        input_shape = linear.b.shape
-        unit_rows = np.eye(input_shape[1])
+        input_count = linear.b.shape[1]
+        unit_rows = np.eye(input_count)
         unit_inputs = unit_rows[:, None]
         constant_inputs = unit_inputs.repeat(horizon, axis=1)
         _, held_states = linear.simulate(constant_inputs)

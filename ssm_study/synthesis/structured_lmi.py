@@ -72,8 +72,8 @@ class StructuredLmi:
         metric_shape = (n, n)
         of.p = cp.Variable(metric_shape, symmetric=True)
         of.x = cp.Variable((m, n)) if self.fixed is None else of.k @ of.p
-        neuron_shape = neurons.e.shape
-        of.t = cp.Variable(neuron_shape[1])
+        neuron_count = neurons.e.shape[1]
+        of.t = cp.Variable(neuron_count)
         of.sigma = cp.Variable() if ball.beta > 0 else 0.0
         of.rate = cp.Parameter()
         return of
@@ -117,8 +117,7 @@ class StructuredLmi:
         p = symmetric_part(of.p.value)
         k = of.k.value
         if fixed is None:
-            product_value = of.x.value
-            gain_product = product_value.T
+            gain_product = of.x.value.T
             k = scipy.linalg.solve(p, gain_product, assume_a="sym").T
         weights = of.t.value if neurons.observes else 1 / of.t.value
         neuron_count = len(of.t.value)

@@ -95,8 +95,8 @@ class Game:
         contiguous = (np.ascontiguousarray(matrix, dtype=float) for matrix in matrices)
         input_weight = float(of.input_weight)
         self_r = float(self.r)
-        input_shape = of.b.shape
-        return *contiguous, input_weight, input_shape[1], self_r, neurons.allows_injection
+        input_count = of.b.shape[1]
+        return *contiguous, input_weight, input_count, self_r, neurons.allows_injection
 
 
 class Saddle(NamedTuple):

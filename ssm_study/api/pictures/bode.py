@@ -176,10 +176,8 @@ def estimate_response(
     output_deviation = y - y.mean()
     rate = 1 / step_s
     frequency, cross = signal.csd(input_deviation, output_deviation, fs=rate, nperseg=segment)
-    input_spectrum = signal.welch(input_deviation, fs=rate, nperseg=segment)
-    power = input_spectrum[1]
-    output_spectrum = signal.welch(output_deviation, fs=rate, nperseg=segment)
-    output_power = output_spectrum[1]
+    _, power = signal.welch(input_deviation, fs=rate, nperseg=segment)
+    _, output_power = signal.welch(output_deviation, fs=rate, nperseg=segment)
     cross_power = np.abs(cross) ** 2
     coherent_power = COHERENT * power * output_power
     coherent = cross_power > coherent_power

@@ -190,8 +190,8 @@ def select_regressors(
     chosen: list[int] = []
     while len(chosen) < min(count, left.shape[1]):
         power = (left**2).sum(axis=0)
-        float_limits = np.finfo(float)
-        usable = power > np.maximum(least_power, float_limits.tiny)
+        smallest_float = np.finfo(float).tiny
+        usable = power > np.maximum(least_power, smallest_float)
         usable[chosen] = False
         if not usable.any():
             break

@@ -66,8 +66,8 @@ class Linear(Trainable):
         frame: MapContext,
         rng: np.random.Generator,  # noqa: ARG002
     ) -> dict[str, Float[np.ndarray, "..."]]:
-        sample_shape = frame.samples.shape
-        return {"gain": np.eye(sample_shape[1])}
+        channel_count = frame.samples.shape[1]
+        return {"gain": np.eye(channel_count)}
 
     def explicit_parameters(self, free: Free, slopes: tuple[float, float]) -> Tensor:  # noqa: ARG002
         return free["gain"]
