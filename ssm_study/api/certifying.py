@@ -128,14 +128,14 @@ class Certification:
 
     @property
     def certified(self) -> bool:
-        """Whether all `verdicts` hold: as of a `Design`, those of controller, observer and the loop
-        of both."""
+        """Whether all `verdicts` hold: those on the given gains and, where both are given, on their
+        loop."""
         return bool(self.verdicts) and all(self.verdicts.values())
 
     @property
     def verdicts(self) -> dict[str, bool]:
-        """Verdicts of exact arithmetic on the given gains, by name, and, of both, on the loop `u =
-        K xh`.
+        """Verdicts of exact arithmetic by name: on each given gain and, where controller and
+        observer are given, on their loop `u = K xh`.
 
         The loop is certified where both gains are and the observer computes the plant's own maps;
         it cannot where `unknown_maps` has an entry.
@@ -147,7 +147,7 @@ class Certification:
         return add_loop_verdict(verdicts, self.unknown_maps)
 
     def summary(self) -> pd.Series:
-        """Table with rate, limit and reason of each gain, and the verdict on the loop of both."""
+        """Table with rate, limit and reason of each gain, and the verdict on their common loop."""
         lines: dict[str, str] = {}
         for name, gain in (("controller", self.controller), ("observer", self.observer)):
             if gain is not None:

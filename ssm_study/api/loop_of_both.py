@@ -36,8 +36,8 @@ def describe_loop_of_both(
 def add_loop_verdict(
     gain_verdicts: Mapping[str, bool], unknown_maps: Mapping[str, str]
 ) -> dict[str, bool]:
-    """Verdicts on controller and observer, and the one that follows for the loop of both. It is
-    certified where both are and the observer computes the plant's own maps."""
+    """Verdicts on controller, observer and the loop of both, where the last follows from the first
+    two. It is certified where both are and the observer computes the plant's own maps."""
     holds_for_gains = all(gain_verdicts.values())
     is_certified = holds_for_gains and not unknown_maps
     return {**gain_verdicts, "loop": is_certified}
@@ -70,8 +70,8 @@ def unstable_example(
     slopes: Pair,
     output_slopes: Pair,
 ) -> str | None:
-    """Text on the plant within the slopes that an observer with the mean slopes loses most clearly;
-    None if it loses none of those at the ends.
+    """Text on the plant with slopes at the ends of their ranges whose estimate diverges fastest
+    where the observer assumes the mean slopes; None if no such estimate diverges.
 
     `driven` is B K, `corrected` is L C.
     """

@@ -116,7 +116,7 @@ def skipped_column_lines(skipped: dict[str, str]) -> list[str]:
 
 
 def refuse_wrong_kinds(path: object, step_s: object, settings: object) -> None:
-    """Raise `BadRequest` for a path, a sampling time or settings of another kind."""
+    """Raise `BadRequest` for a path, a sampling time or text settings of a wrong type."""
     is_path = isinstance(path, str | Path)
     require(is_path, "path", type(path).__name__, "is no path", "give the name of a file")
     is_number = isinstance(step_s, int | float) and not isinstance(step_s, bool)

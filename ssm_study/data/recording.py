@@ -84,7 +84,7 @@ class Columns:
         require(are_apart, "data.output", sorted(both), "is an input too", remedy)
 
     def _check_columns(self, field: str, names: Names) -> None:
-        """Raise `BadRequest` for input or output columns that are none, the same twice, or the
+        """Raise `BadRequest` for an input or output that names no column, one twice, or the
         clock."""
         columns = as_name_list(names)
         is_named = len(columns) > 0 and all(columns)

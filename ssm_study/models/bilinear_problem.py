@@ -53,7 +53,7 @@ class FitParameters(NamedTuple):
         return np.concatenate(flat_parts)
 
     def with_values(self, values: Vector) -> "FitParameters":
-        """Parameters of the same shapes with the entries of a vector as values."""
+        """Copy of the parameters, with the entries of a vector as their values."""
         sizes = [part.size for part in self]
         ends = np.cumsum(sizes)[:-1]
         pieces = np.split(values, ends)

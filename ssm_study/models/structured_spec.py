@@ -304,7 +304,7 @@ class StructuredSpec(ModelSpec):
         return lift, read
 
     def without_neurons(self) -> SSMSpec:
-        """Settings of the same model without neurons, which is trained as `model=ssm` is."""
+        """Settings of the model without its neurons, which is trained as `model=ssm` is."""
         inward = Monotone() if self.knots else Linear()
         outward = Monotone() if self.output_knots else Linear()
         knots = int(self.knots)

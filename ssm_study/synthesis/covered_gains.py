@@ -248,8 +248,8 @@ def is_worth_another_round(reached: Sequence[float], target: float, rounds: int)
 
 
 def certify_other_gains(part: Any, **gains: Any) -> Any:
-    """Certificate of other gains by the same theorem, at the largest provable rate; None if no rate
-    is provable."""
+    """Certificate of given gains by the theorem of another certificate, at the largest provable
+    rate; None if no rate is provable."""
     try:
         with linear_algebra_failures_as_no_solution():
             slow_part = replace(part, rate=LEAST_RATE, **gains)

@@ -105,7 +105,7 @@ def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem
 
 
 def certificate_at_largest_rate(part: Side) -> Side | None:
-    """Certificate of the same gain at the largest rate that is proved for it.
+    """Certificate of an already certified gain at the largest rate that can be proved for it.
 
     A plug-in's theorem says itself how (`Side.certificate_at_largest_rate`).
     """

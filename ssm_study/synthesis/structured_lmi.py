@@ -213,8 +213,8 @@ def _confirmed_solution(program: StructuredLmi, problem: Problem, rate: float) -
 
 
 def certify_largest_rate(part: Any) -> Side | None:
-    """Certificate of the same gain, for a model with neurons, at the largest rate that is proved
-    for it."""
+    """Certificate of an already certified gain at the largest rate that can be proved for it, where
+    the model has neurons."""
     started = time.perf_counter()
     problem, gains = part.as_problem()
     provable_rate = largest_rate(problem, gains)

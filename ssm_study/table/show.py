@@ -96,7 +96,7 @@ def print_rows(rows: pd.DataFrame, by: str | None) -> None:
 def gather_rows(
     study: Path, by: str | None, where: str | None, anew: bool = False
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Table of a study, and those of its rows that are to be printed.
+    """Table of a study, and the rows of it that are to be printed.
 
     A table whose first rows contradict the runs' records is made anew: its seal vouches for its
     bytes, not for who wrote them.
