@@ -277,7 +277,7 @@ class SSM(ScaffoldedModel):
         return system.simulate(ubar, x0)
 
     def with_linear_part(self, linear: StateSpace) -> "SSM":
-        """Copy of the model with another linear part `(A, B, C, D)`, of an equal number of states."""
+        """Copy of the model with another linear part `(A, B, C, D)` of equally many states."""
         return replace(self, linear=linear)
 
     def with_driven_system(self, system: StateSpace) -> "SSM":
