@@ -187,8 +187,8 @@ def test_other_channels_than_were_fitted_are_refused(design: Design) -> None:
             refused()
 
 
-def test_study_gives_its_table(tmp_path: Path, smoke_study: Path) -> None:
-    (tmp_path / ".store").symlink_to(smoke_study.parent / ".store")  # its model is there already
+def test_study_gives_its_table(tmp_path: Path, smoke_store: Path) -> None:
+    (tmp_path / ".store").symlink_to(smoke_store)  # its model is there already
     words = ("experiment=smoke", f"results_dir={tmp_path}", "study=mine", "progress=false")
     table = st.study(*words)
     status = list(table["status"])

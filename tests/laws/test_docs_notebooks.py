@@ -31,7 +31,11 @@ SHORTER = {
 
 
 @pytest.fixture(scope="module")
-def shell(tmp_path_factory: pytest.TempPathFactory, made_once: None) -> Iterator[Any]:  # noqa: ARG001
+def shell(
+    tmp_path_factory: pytest.TempPathFactory,
+    smoke_store: Path,
+    made_once: None,  # noqa: ARG001
+) -> Iterator[Any]:
     """The shell of a Jupyter kernel, in this process, one for all notebooks: a process of its own
     loads the libraries for longer than a short notebook takes.
 
@@ -44,8 +48,10 @@ def shell(tmp_path_factory: pytest.TempPathFactory, made_once: None) -> Iterator
     config = pytest.importorskip("traitlets.config").Config(history)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SSM_STUDY_EXPERIMENT", "smoke")
-        results_path = str(tmp_path_factory.mktemp("notebooks") / "results")
-        patch.setenv("SSM_STUDY_RESULTS", results_path)
+        results_path = tmp_path_factory.mktemp("notebooks") / "results"
+        results_path.mkdir()
+        (results_path / ".store").symlink_to(smoke_store)
+        patch.setenv("SSM_STUDY_RESULTS", str(results_path))
         patch.setattr("ssm_study.cli.summary.RUN_FIGURES", ())  # each is drawn where it is shown
         patch.chdir(ROOT)
         notebook = ModuleType("notebook")

@@ -274,15 +274,11 @@ def logged(folder: Path) -> list[str]:
 
 
 def test_a_run_without_controller_has_no_certificate_and_no_loop(
-    copied_run: Path, tmp_path: Path
+    copied_run: Path, tmp_path: Path, smoke_store: Path
 ) -> None:
     """Invented beside an infeasible run or a baseline, they would be drawn as its own."""
-    beyond = [
-        "experiment=smoke",
-        "+data.trials=false",
-        "synthesis=riccati",
-        "synthesis.rate_controller=0.999",
-    ]
+    (tmp_path / ".store").symlink_to(smoke_store)
+    beyond = ["experiment=smoke", "synthesis=riccati", "synthesis.rate_controller=0.999"]
     baseline = [*logged(tmp_path), "model=gru", "training.max_epochs=1"]
     for study, asked in {"none": beyond, "baseline": baseline}.items():
         assert (
