@@ -6,6 +6,7 @@ state from which it runs: measured outputs, a state estimated from the first sam
 simulated from the log before (`models.baselines.starts`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ from ssm_study.models.baselines.regression import (
     fit_narx_models,
     fit_output_error,
 )
-from ssm_study.models.baselines.starts import OUTPUTS, simulate_from_each_start
+from ssm_study.models.baselines.starts import OUTPUTS, STARTS, simulate_from_each_start
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import DataSet
 
@@ -28,6 +29,7 @@ OUTPUT_ERROR_ORDERS = (1, 2, 3, 4, 6)
 NARX_LAGS = (2, 3)
 NARX_DEGREES = (2, 3)
 NARX_TERMS = (4, 6, 9, 12, 16, 20)
+MOST_STARTED = 10  # regressions that are run from every kind of initial state
 VALIDATES_AS_WELL = 1.0  # point of validation fit that a baseline may be behind the best
 
 
@@ -61,7 +63,8 @@ def fit_baselines(data: DataSet) -> list[Baseline]:
 
     Empty for several outputs, and where the records are too short. ARX with up to 20 lags, output
     error with up to 6, NARX of degree 2 and 3 with up to 20 terms; delays up to 8 samples, 0 where
-    the input acts at once.
+    the input acts at once. Output-error models and the best of the others are run from every kind
+    of initial state, the rest from measured outputs only.
     """
     longest = max(len(record) for record in data.training)
     if data.scale.outputs != 1 or longest < SHORTEST:
@@ -74,16 +77,19 @@ def fit_baselines(data: DataSet) -> list[Baseline]:
     ]
     best_arx = max(tried, key=_validation_fit)
     delay = int(_shortest_input_lag(best_arx.model))
-    for order in OUTPUT_ERROR_ORDERS:
-        words = f"an output-error model with {order} lags, delay {delay}"
-        model = fit_output_error(data, order, delay)
-        tried.append(_score_baseline(words, model, data))
     for lags in NARX_LAGS:
         for degree in NARX_DEGREES:
             for late in sorted({0, 1, delay}):
                 for model in fit_narx_models(data, lags, degree, late, NARX_TERMS):
                     tried.append(_score_baseline(_describe_narx(degree, model), model, data))
-    return tried
+    tried.sort(key=_validation_fit, reverse=True)
+    best = [_score_baseline(each.words, each.model, data, STARTS) for each in tried[:MOST_STARTED]]
+    output_error = []
+    for order in OUTPUT_ERROR_ORDERS:
+        words = f"an output-error model with {order} lags, delay {delay}"
+        model = fit_output_error(data, order, delay)
+        output_error.append(_score_baseline(words, model, data, STARTS))
+    return [*best, *output_error, *tried[MOST_STARTED:]]
 
 
 def baseline_columns(data: DataSet) -> dict[str, object] | None:
@@ -114,10 +120,13 @@ def _none_if_infinite(fit: float) -> float | None:
     return fit if np.isfinite(fit) else None
 
 
-def _score_baseline(words: str, model: Polynomial, data: DataSet) -> Baseline:
-    """Score a simple model by its fit to the validation records, from the best initial states."""
+def _score_baseline(
+    words: str, model: Polynomial, data: DataSet, starts: Sequence[str] = (OUTPUTS,)
+) -> Baseline:
+    """Score a simple model by its fit to the validation records, from the best of some kinds of
+    initial states."""
     with np.errstate(all="ignore"):
-        runs = simulate_from_each_start(model, data, data.validation)
+        runs = simulate_from_each_start(model, data, data.validation, starts)
         fits = {start: finite_fit_percent(run) for start, run in runs.items()}
     best = max(fits, key=fits.__getitem__)
     return Baseline(words=words, model=model, fit_validation_percent=fits[best], start=best)
