@@ -28,6 +28,7 @@ import pandas as pd
 from benchmarks.adversarial import __main__ as adversarial
 from benchmarks.aside_plants import ASIDE
 from benchmarks.common import add_table_options, finished_results, keep, rows_of, study_of
+from benchmarks.steep_plants import STEEP
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
@@ -93,7 +94,8 @@ class RowTask:
 
 def plant_of(name: str) -> Plant:
     """The plant of this name, of the project or of a benchmark."""
-    return ASIDE[name]() if name in ASIDE else adversarial.plant_of(name)
+    written_here = {**ASIDE, **STEEP}
+    return written_here[name]() if name in written_here else adversarial.plant_of(name)
 
 
 @dataclass(frozen=True, kw_only=True)

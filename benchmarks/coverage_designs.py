@@ -3,12 +3,14 @@
     python -m benchmarks.coverage_designs --jobs 2 --to coverage_designs.csv
     python -m benchmarks.coverage_designs --table coverage_designs.csv
 
-Per plant of `benchmarks/adversarial` and of `benchmarks/aside_plants.py` one model of order 4 is
+Per plant of `benchmarks/adversarial` and of `benchmarks/aside_plants.py` (those of
+`benchmarks/steep_plants.py` by name) one model of order 4 is
 identified (seed 0) and 100 designs are drawn from a grid far wider than that of `auto`. Each has a
-line: its coverage by frequency (zero where the premise has a reason against it), for ten of those
-of one and more the coverage that is decided exactly, what is predicted, and how many of ten starts
-settle on the simulated plant, with noise and without. Seeds are fixed. A minute of one core a
-plant.
+line: its coverage by frequency (zero where the premise has a reason against it), what is
+predicted, and how many of ten starts settle on the simulated plant, with noise and without. Ten of
+those of coverage one and more also have the coverage that is decided exactly, the one that single
+sines at the peaks of their own loop leave (`sine_coverage`), and what is predicted with these
+(`sine_predicted`). Seeds are fixed. A minute or two of one core a plant.
 """
 
 import argparse
@@ -28,10 +30,13 @@ from ssm_study.loop.design_grid import DesignGrid
 from ssm_study.loop.peers.peer import Identified
 from ssm_study.synthesis.candidates import Candidates
 from ssm_study.synthesis.measured_discs_choice import LOST, LoopCoverage
-from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
+from ssm_study.synthesis.measured_discs_run import add_coverage_certificate
+from ssm_study.synthesis.sine_judgement import simulated_sines, sine_columns, sine_coverage_columns
+from ssm_study.synthesis.withheld_coverage import reported_coverage
 
 KEY = ("plant", "seed", "design")
 ORDER = 4
+EXACT = ("coverage", "sine_coverage", "sine_predicted")
 DECIDED = 10  # designs of each plant whose coverage is decided exactly
 MADE = [path.stem for path in sorted((adversarial.HERE / "conf").glob("*.yaml"))]
 KEPT = (
@@ -74,13 +79,24 @@ class DrawnDesigns:
             coverages.append(loop.largest_radius({"k": gains.k, "l": gains.l})[0])
         return coverages
 
-    def exact(self, pair: Any) -> Any:
-        """Coverage of one pair that is decided exactly; empty without one."""
+    def exact(self, pair: Any, seed: int) -> dict[str, Any]:
+        """Coverage of one pair that is decided exactly, and what single sines at the peaks of its
+        loop leave of it and of its prediction; empty without one."""
         case = self.case
-        balls = certified_balls(case.model)
-        design = self.candidates.specification(pair).design(case.model, balls)
-        proved = add_coverage_certificate(design, case.model, balls, case.premise)
-        return coverage_columns(proved, case.model, case.premise).get("coverage") or ""
+        model = case.model
+        balls = certified_balls(model)
+        design = self.candidates.specification(pair).design(model, balls)
+        proved = add_coverage_certificate(design, model, balls, case.premise)
+        coverage = reported_coverage(proved, model, case.premise)
+        source = case.parts.data
+        sines = simulated_sines(proved, model, balls, case.mismatch, source, case.plant, seed)
+        judged = sine_columns(proved, model, balls, case.mismatch, sines)
+        facts = sine_coverage_columns(proved, sines, coverage)
+        return {
+            "coverage": coverage or "",
+            "sine_coverage": facts.get("sine_coverage", ""),
+            "sine_predicted": judged.get("predicted_stable", ""),
+        }
 
 
 def rows_of_task(task: GridTask) -> list[dict[str, Any]]:
@@ -102,7 +118,7 @@ def rows_of_task(task: GridTask) -> list[dict[str, Any]]:
         row: dict[str, Any] = {"plant": task.plant, "seed": task.seed, "design": behaved["design"]}
         row["coverage_by_frequency"] = coverage
         is_decided = coverage >= LOST and decided < DECIDED
-        row["coverage"] = drawn.exact(pair) if is_decided else ""
+        row |= drawn.exact(pair, task.seed) if is_decided else dict.fromkeys(EXACT, "")
         decided += is_decided
         row |= {name: behaved[name] for name in KEPT}
         rows.append(row)
@@ -120,9 +136,14 @@ def summary(path: Path) -> pd.DataFrame:
     table["covered_lost"] = covered & ~settles
     table["exactly"] = table.coverage >= 1
     table["exactly_lost"] = table.exactly & ~settles
+    with_sines = table.get("sine_coverage", table.coverage)
+    is_measured = with_sines.notna()
+    table["with_sines"] = table.exactly & is_measured & (with_sines >= 1)
+    table["with_sines_lost"] = table.with_sines & ~settles
     table["predicted"] = table.predicted_stable
     table["predicted_lost"] = table.predicted_stable & ~settles
     names = ["settle", "covered", "covered_lost", "exactly", "exactly_lost"]
+    names += ["with_sines", "with_sines_lost"]
     groups = table.groupby("plant", sort=False)
     result = groups[[*names, "predicted", "predicted_lost"]].sum()
     result.insert(0, "designs", groups.size())

@@ -27,6 +27,7 @@ ADDED_COLUMNS = frozenset(
         "noise_gain_model",
         "faster_than_open_loop",
         "predicted_faster",
+        "sine_coverage",
         "sine_margin",
         "settling_time_pi_s",
         "stable_count_pi",

@@ -35,7 +35,7 @@ from ssm_study.synthesis.expected_response import faster_response_column
 from ssm_study.synthesis.loop_poles import eigenvalue_groups
 from ssm_study.synthesis.measured_discs_run import coverage_columns
 from ssm_study.synthesis.metrics import design_columns, proof_columns
-from ssm_study.synthesis.withheld_coverage import withhold_idle_coverage
+from ssm_study.synthesis.withheld_coverage import withhold_coverage
 
 if TYPE_CHECKING:
     import control as python_control
@@ -145,7 +145,7 @@ class Design:
         )
         evidence = self.origin.evidence
         if self.certificate.feasible:
-            facts = withhold_idle_coverage(facts, self.model, self.certificate.pair)
+            facts = withhold_coverage(facts, self.model, self.certificate.pair)
         facts = withhold_predictions(facts, evidence.level)
         facts |= {"evidence": evidence.level, "evidence_reasons": evidence.reasons}
         return facts

@@ -144,7 +144,7 @@ def withhold_predictions(facts: dict[str, Any], level: str | None) -> dict[str, 
     """
     if level != CANNOT_JUDGE:
         return facts
-    about_the_plant = ("predicted_stable", "predicted_faster", "coverage_needed")
+    about_the_plant = ("predicted_stable", "predicted_faster", "coverage_needed", "sine_coverage")
     withheld: dict[str, Any] = {name: None for name in about_the_plant if name in facts}
     if facts.get("coverage") is not None:
         withheld |= {"coverage": None, "coverage_reason": NO_JUDGEMENT, "coverage_reference": None}

@@ -9,5 +9,6 @@ COLUMNS = (
     ),
     Column("coverage_reason", "string", word="Why nothing is covered"),
     iterated_column("coverage_needed", "low", "Coverage that fresh data need", "–"),
+    iterated_column("sine_coverage", "high", "Model error of single sines covered", "–"),
     Column("coverage_reference", "string", word="Record that decides the coverage"),
 )

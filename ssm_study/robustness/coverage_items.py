@@ -19,6 +19,7 @@ from ssm_study.robustness.coverage_spectra import (
 )
 from ssm_study.robustness.record_errors import EXCITED
 from ssm_study.robustness.return_to_rest import SURE
+from ssm_study.robustness.single_sines import SineMismatch
 
 GROUPS = (2, 4, 8, 16)  # neighbouring bands that are also covered together
 TOTAL = "in total"
@@ -191,6 +192,34 @@ def requirement_from_sine(record: MismatchSpectrum, centre: float) -> Item:
     angle = float(record.angles[strongest])
     place = f"one sine at {angle:.2f} rad/sample"
     return powers.combine_lines(line, place, is_doubtful=True, is_band=True)
+
+
+def requirement_from_measured_sine(sine: SineMismatch, centre: float) -> Item | None:
+    """Requirement on the weights from a single sine that was measured after the choice of a design;
+    None without its powers. With `D = e - c m` of both periods,
+
+        Re(D_1 conj D_2) = error - 2 c cross + c^2 model
+
+    of which three standard errors of the noise are left out, as in a record of a sine.
+    """
+    if sine.error_power is None or sine.cross_power is None:
+        return None
+    assert sine.model_power is not None
+    assert sine.noise_power is not None
+    cross = 2 * centre * sine.cross_power
+    repeats = sine.error_power - cross + centre**2 * sine.model_power
+    variance = sine.noise_power**2 / 2 + sine.noise_power * max(repeats, 0.0)
+    seen = repeats - SURE * float(np.sqrt(variance))
+    return Item(
+        record=f"input of rms {sine.amplitude:.2g}",
+        place=f"one sine at {sine.angle:.2f} rad/sample",
+        is_band=True,
+        angles=np.array([sine.angle]),
+        model_power=np.array([sine.model_power]),
+        input_power=np.ones(1),
+        seen=max(seen, 0.0),
+        dark=False,
+    )
 
 
 def requirements_from_average(record: AveragedSpectrum, centre: float) -> list[Item]:

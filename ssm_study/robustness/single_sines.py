@@ -26,11 +26,20 @@ SAME = 1e-9  # of a sine's range, by which two of its cycles may differ
 @dataclass(frozen=True, kw_only=True)
 class SineMismatch:
     """Model error measured with a single sine. `gain` is an upper limit of error over input at one
-    `angle` (rad/sample) and one `amplitude`, the input's rms (scaled)."""
+    `angle` (rad/sample) and one `amplitude`, the input's rms (scaled).
+
+    The powers are over the input's at that line: of the error that repeats, of the model's output,
+    their `cross` power (real part) and of the noise. They are None where an earlier version stored
+    the gain alone.
+    """
 
     angle: float
     amplitude: float
     gain: float
+    error_power: float | None = None
+    model_power: float | None = None
+    cross_power: float | None = None
+    noise_power: float | None = None
 
 
 def repeats_one_line(errors: RecordErrors) -> bool:
@@ -98,7 +107,18 @@ def measure_sine_error(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> S
     gain = np.sqrt(upper_limit / drive[line])
     wave = errors.u[errors.start :]
     amplitude = np.sqrt((wave**2).mean())
-    return SineMismatch(angle=float(angle), amplitude=float(amplitude), gain=float(gain))
+    _, model = errors.period_spectra(errors.model)[:, line]
+    mean_error = (first + second) / 2
+    cross = (mean_error * model.conj()).real
+    return SineMismatch(
+        angle=float(angle),
+        amplitude=float(amplitude),
+        gain=float(gain),
+        error_power=float(repeating_power / drive[line]),
+        model_power=float((np.abs(model) ** 2).sum() / drive[line]),
+        cross_power=float(cross.sum() / drive[line]),
+        noise_power=float(noise_power / drive[line]),
+    )
 
 
 def add_sine_errors(views: Sequence[View], sines: Sequence[SineMismatch]) -> tuple[View, ...]:

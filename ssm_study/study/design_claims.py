@@ -51,8 +51,8 @@ from ssm_study.synthesis.measured_discs_run import (
     fresh_data_needs,
 )
 from ssm_study.synthesis.metrics import design_columns
-from ssm_study.synthesis.sine_judgement import simulated_sines, sine_columns
-from ssm_study.synthesis.withheld_coverage import withhold_idle_coverage
+from ssm_study.synthesis.sine_judgement import simulated_sines, sine_columns, sine_coverage_columns
+from ssm_study.synthesis.withheld_coverage import withhold_coverage
 from ssm_study.systems import Balls, System
 
 
@@ -81,7 +81,7 @@ def check_certificate(run: RunFiles) -> Claims:
     if "predicted_faster" in run.record:
         records = run.simulated.validation.records, run.mismatch_records
         facts |= faster_response_column(design, run.model, mismatch, *records)
-    facts |= recompute_sine_columns(run, balls, mismatch)
+    facts |= recompute_sine_columns(run, balls, mismatch, facts.get("coverage"))
     yield Derived(withhold_predictions(facts, run.record.get("evidence")))
 
 
@@ -179,7 +179,7 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
     facts |= recompute_fresh_data_column(run, premise, mismatch)
     if run.record.get("coverage") is not None or not run.design.feasible:
         return facts  # true of the proof; a run of before such numbers were withheld has them
-    return withhold_idle_coverage(facts, run.model, run.design.pair)
+    return withhold_coverage(facts, run.model, run.design.pair)
 
 
 def recompute_fresh_data_column(
@@ -198,9 +198,12 @@ def recompute_fresh_data_column(
     )
 
 
-def recompute_sine_columns(run: RunFiles, balls: Balls, mismatch: Mismatch) -> dict[str, Any]:
+def recompute_sine_columns(
+    run: RunFiles, balls: Balls, mismatch: Mismatch, coverage: float | None
+) -> dict[str, Any]:
     """Recompute the columns of the single-sine tests by simulating the tests again. The result is
-    None for a run made before such tests existed."""
+    empty for a run made before such tests existed; `coverage` is that over the run's records, which
+    earlier runs did not compare with the sines."""
     specification = run.specification
     if "sine_margin" not in run.record or not specification.has_sine_trials:
         return {}
@@ -213,7 +216,10 @@ def recompute_sine_columns(run: RunFiles, balls: Balls, mismatch: Mismatch) -> d
         specification.plant,
         specification.seed,
     )
-    return sine_columns(run.design, run.model, balls, mismatch, sines)
+    facts = sine_columns(run.design, run.model, balls, mismatch, sines)
+    if "sine_coverage" in run.record:
+        facts |= sine_coverage_columns(run.design, sines, coverage)
+    return facts
 
 
 def requested_system(run: RunFiles) -> System:

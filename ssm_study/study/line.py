@@ -175,7 +175,7 @@ class Study(Task["Specification"]):
         design = stages.run_stage(SYNTHESIS, *inputs, data, bounded, mismatch, judgement)
         if request.has_sine_trials:
             inputs = request.sine_stage_settings()
-            stages.run_stage(SINE_TRIALS, *inputs, bounded, mismatch, judgement, design)
+            stages.run_stage(SINE_TRIALS, *inputs, data, bounded, mismatch, judgement, design)
         if with_fresh_data:
             inputs = request.stage_settings("data", "seed", *plant)
             stages.run_stage(FRESH_DATA, *inputs, data, bounded, mismatch, design)

@@ -1,14 +1,17 @@
 """Test of a chosen design by single sines at the frequencies where its loop is most sensitive.
 
 The prediction is made again with what the sines show beside the other records; it stands only where
-both predict stability. Source: docs/trust.md, "What is measured for it".
+both predict stability. The proof covers the model error only if it covers that of the sines, too.
+Source: docs/trust.md, "What is measured for it" and "Covered".
 """
 
 from collections.abc import Sequence
 from typing import Any
 
 from ssm_study.certificates.certificate import Design
+from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.models.structured import Model
+from ssm_study.robustness.coverage_items import requirement_from_measured_sine
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sine_trials import (
@@ -17,6 +20,7 @@ from ssm_study.robustness.sine_trials import (
     measure_sine_mismatch,
     sensitive_lines,
 )
+from ssm_study.synthesis.measured_discs_run import certificate_weights
 from ssm_study.systems import Balls
 
 
@@ -55,3 +59,27 @@ def sine_columns(
     is_stable_without = without.predicts_stability()
     both = is_stable_without and prediction.predicts_stability()
     return {"sine_margin": prediction.resolved_margin, "predicted_stable": both}
+
+
+def sine_coverage_columns(
+    design: Design, sines: Sequence[SineMismatch], coverage: float | None
+) -> dict[str, Any]:
+    """Columns of the model error that the proof covers at the single sines; empty without a proof
+    or sines.
+
+    `coverage` is that over the run's records, None where nothing is covered. The premise must hold
+    for the sines, too, so where they need more, theirs takes its place.
+    """
+    part = design.extra_certificates.get(MeasuredDiscs.part)
+    if coverage is None or not isinstance(part, MeasuredDiscs):
+        return {}
+    measured = [requirement_from_measured_sine(sine, part.centre) for sine in sines]
+    items = [item for item in measured if item is not None]
+    need, where = certificate_weights(part).largest_required_radius(items)
+    if need <= 0:
+        return {}
+    sine_coverage = part.kappa / need
+    facts: dict[str, Any] = {"sine_coverage": sine_coverage}
+    if sine_coverage < coverage:
+        facts |= {"coverage": sine_coverage, "coverage_reference": where}
+    return facts

@@ -1,27 +1,56 @@
-"""Coverage of a controller that hardly acts, which is not reported.
+"""Coverage of a controller that hardly acts, or that is unstable by itself, which is not reported.
 
-Such a controller covers any model error, for the plant comes to rest without it. Source:
+A controller that hardly acts covers any model error, for the plant comes to rest without it. A
+controller that is unstable by itself needs the plant's answer at every amplitude, beyond those on
+record, too: where an actuator saturates or friction holds the plant, it runs alone. Source:
 docs/trust.md, "Covered".
 """
 
 from typing import Any
 
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Design
 from ssm_study.models.structured import Model
+from ssm_study.robustness.coverage import Premise
 from ssm_study.robustness.coverage_columns import WITHHELD
+from ssm_study.robustness.sensitivity import controller_spectral_radius
 from ssm_study.synthesis.loop_poles import eigenvalue_groups, moves_poles
+from ssm_study.synthesis.measured_discs_run import coverage_columns
 from ssm_study.systems import Gains
 
 IDLE = f"{WITHHELD}: the controller hardly acts"
+UNSTABLE = (
+    f"{WITHHELD}: the controller itself is unstable, so it fails where the plant holds still "
+    "(input limit, friction), whatever the proof covers"
+)
 
 
-def withhold_idle_coverage(facts: dict[str, Any], model: Model, gains: Gains) -> dict[str, Any]:
-    """Replace the coverage of a controller that hardly acts by the reason why it is not
-    reported."""
+def reported_coverage(design: Design, model: Model, premise: Premise) -> float | None:
+    """Coverage of a design over the run's records, as it is reported; None without one."""
+    facts = coverage_columns(design, model, premise)
+    if design.feasible:
+        facts = withhold_coverage(facts, model, design.pair)
+    coverage: float | None = facts.get("coverage")
+    return coverage
+
+
+def withhold_coverage(facts: dict[str, Any], model: Model, gains: Gains) -> dict[str, Any]:
+    """Replace the coverage of a controller that hardly acts, or is unstable by itself, by the
+    reason why it is not reported."""
     coverage = facts.get("coverage")
     if coverage is None or coverage < 1:
         return facts
-    poles = eigenvalue_groups(model, gains)
-    if moves_poles(poles["model"], poles["controlled"]):
+    reason = withholding_reason(model, gains)
+    if reason is None:
         return facts
-    withheld = {"coverage": None, "coverage_reference": None, "coverage_reason": IDLE}
+    withheld = {"coverage": None, "coverage_reference": None, "coverage_reason": reason}
     return facts | withheld
+
+
+def withholding_reason(model: Model, gains: Gains) -> str | None:
+    """Reason why no coverage is reported of a controller, whatever the proof; None if it is."""
+    poles = eigenvalue_groups(model, gains)
+    if not moves_poles(poles["model"], poles["controlled"]):
+        return IDLE
+    radius = controller_spectral_radius(model.system, gains, certified_balls(model))
+    return UNSTABLE if radius >= 1 else None

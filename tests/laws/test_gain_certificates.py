@@ -5,9 +5,11 @@ import pytest
 
 import ssm_study as st
 from ssm_study.api.summaries import summarise_input_limits, summarise_prediction
+from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.loop_poles import moves_poles
-from ssm_study.synthesis.withheld_coverage import IDLE, withhold_idle_coverage
+from ssm_study.synthesis.withheld_coverage import IDLE, UNSTABLE, withhold_coverage
+from ssm_study.systems import Gains, StateSpace
 
 A = np.array([[0.9, 0.1], [0.0, 0.8]])
 B = np.array([[0.0], [1.0]])
@@ -137,14 +139,29 @@ def test_an_idle_controller_is_not_praised() -> None:
     praised = summarise_prediction(facts, acts=True)
     assert "2.7e+03 times" in praised["covered by the proof"]
     gains = idle.certificate.pair
-    withheld = withhold_idle_coverage(facts | {"coverage_reference": "input"}, idle.model, gains)
+    withheld = withhold_coverage(facts | {"coverage_reference": "input"}, idle.model, gains)
     assert withheld["coverage"] is None
     assert withheld["coverage_reason"] == IDLE
     assert summarise_prediction(withheld, acts=False)["covered by the proof"] == IDLE
     active = st.control((A, B, C, NO_DIRECT_PATH, 0.1), rate=0.5)
     assert "effect of the controller" not in active.summary()
     assert "rates below 0.189" in active.summary()["without control"]
-    assert withhold_idle_coverage(facts, active.model, active.certificate.pair) == facts
+    assert withhold_coverage(facts, active.model, active.certificate.pair) == facts
+
+
+def test_the_coverage_of_a_controller_that_is_unstable_by_itself_is_withheld() -> None:
+    """`xh+ = (a + b k + l c) xh` at a plant that holds still: -1.2 with these gains, while the loop
+    on the model contracts."""
+    one = np.ones((1, 1))
+    model = SSM.from_linear(StateSpace(a=0.5 * one, b=one, c=one, d=0 * one), 0.1)
+    stable = Gains(k=-0.4 * one, l=-0.4 * one)
+    unstable = Gains(k=-0.85 * one, l=-0.85 * one)
+    facts = {"coverage": 1.2, "coverage_reference": "input"}
+    assert withhold_coverage(facts, model, stable) == facts
+    withheld = withhold_coverage(facts, model, unstable)
+    assert withheld["coverage"] is None
+    assert withheld["coverage_reason"] == UNSTABLE
+    assert withhold_coverage({"coverage": 0.9}, model, unstable) == {"coverage": 0.9}
 
 
 def test_poles_that_move_are_an_effect() -> None:

@@ -13,10 +13,18 @@ from loop_cases import motor
 from test_coverage import BALLS, MODEL, design, records, scaled_model
 
 from ssm_study.bounds.frequency import frequency_response
+from ssm_study.certificates.certificate import Design
 from ssm_study.data.simulated import PERIOD, SINE_SHARES, simulate_sine_records
 from ssm_study.models.identified import SSM
+from ssm_study.robustness.coverage import measure_premise
+from ssm_study.robustness.coverage_items import (
+    requirement_from_measured_sine,
+    requirement_from_sine,
+)
+from ssm_study.robustness.coverage_spectra import line_spectrum
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.prediction import predict_margins
+from ssm_study.robustness.record_errors import RecordErrors
 from ssm_study.robustness.sensitivity import error_to_input_response
 from ssm_study.robustness.sine_trials import (
     SineMismatch,
@@ -25,7 +33,9 @@ from ssm_study.robustness.sine_trials import (
     sensitive_lines,
 )
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.sine_judgement import lines_to_test, sine_columns
+from ssm_study.synthesis.measured_discs_run import add_coverage_certificate
+from ssm_study.synthesis.sine_judgement import lines_to_test, sine_columns, sine_coverage_columns
+from ssm_study.synthesis.withheld_coverage import reported_coverage
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 FAST = design(input_weight=1e-3)
@@ -143,3 +153,57 @@ def test_the_simulated_sines_repeat_and_reach_down_to_a_hundredth() -> None:
     deviation = np.zeros(1)
     sine_records = simulate_sine_records(plant, rng, deviation, [])
     assert sine_records == ()
+
+
+@pytest.fixture(scope="module")
+def covered() -> tuple[Design, float]:
+    """A design whose proof covers the records, and its coverage."""
+    premise = measure_premise(SSM_MODEL, (), MISMATCH, 0, records(scaled_model(SHARE), noise=1e-3))
+    proved = add_coverage_certificate(FAST, SSM_MODEL, BALLS, premise)
+    coverage = reported_coverage(proved, SSM_MODEL, premise)
+    assert coverage is not None
+    assert coverage > 1
+    return proved, coverage
+
+
+@pytest.mark.parametrize("centre", [0.0, -0.25])
+def test_a_sine_asks_of_the_disc_what_its_record_asks(centre: float) -> None:
+    """Two routes: from the stored powers of the sine, and from its record's spectrum."""
+    trial = sine(scaled_model(SHARE), 43, 0.5, 1e-3)
+    (measured,) = measure_sine_mismatch(SSM_MODEL, (trial,), MISMATCH, PERIOD)
+    item = requirement_from_measured_sine(measured, centre)
+    errors = RecordErrors.from_record(SSM_MODEL, trial, 0)
+    last_two_periods = replace(errors, start=PERIOD, period=PERIOD)
+    spectrum = line_spectrum(last_two_periods, np.array(MISMATCH.noise))
+    other = requirement_from_sine(spectrum, centre)
+    assert item is not None
+    input_power = other.input_power.sum()
+    np.testing.assert_allclose(item.seen, other.seen / input_power, rtol=1e-9)
+    np.testing.assert_allclose(item.model_power, other.model_power / input_power, rtol=1e-9)
+    np.testing.assert_allclose(item.angles, other.angles)
+
+
+def test_the_proof_covers_only_what_it_covers_at_the_sines(covered: tuple[Design, float]) -> None:
+    proved, coverage = covered
+    trial = sine(scaled_model(SHARE), 43, 0.5, 1e-3)
+    (usual,) = measure_sine_mismatch(SSM_MODEL, (trial,), MISMATCH, PERIOD)
+    facts = sine_coverage_columns(proved, [usual], coverage)
+    assert facts["sine_coverage"] > 1
+    assert usual.error_power is not None
+    larger = replace(usual, error_power=usual.error_power * (2 * facts["sine_coverage"]) ** 2)
+    facts = sine_coverage_columns(proved, [usual, larger], coverage)
+    assert facts["coverage"] == facts["sine_coverage"]
+    assert facts["coverage"] == pytest.approx(0.5, rel=0.1)
+    assert "one sine at" in facts["coverage_reference"]
+
+
+def test_without_a_coverage_or_powers_the_sines_change_none(covered: tuple[Design, float]) -> None:
+    proved, coverage = covered
+    gain_alone = SineMismatch(angle=0.3, amplitude=0.3, gain=5.0)
+    assert sine_coverage_columns(proved, [gain_alone], coverage) == {}
+    assert sine_coverage_columns(proved, [], coverage) == {}
+    powers = {"error_power": 25.0, "model_power": 1.0, "cross_power": 0.0, "noise_power": 0.0}
+    harmful = replace(gain_alone, **powers)
+    assert sine_coverage_columns(proved, [harmful], None) == {}
+    assert sine_coverage_columns(FAST, [harmful], coverage) == {}
+    assert sine_coverage_columns(proved, [harmful], coverage)["coverage"] < 1

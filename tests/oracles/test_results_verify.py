@@ -58,6 +58,7 @@ NUMBERS = {
             "mismatch_spread",
             "controller_radius",
             "noise_peak",
+            "sine_coverage",
             "sine_margin",
         ),
         ITERATED,

@@ -1,6 +1,7 @@
 """Stage that tests a chosen design with single sines on the simulated plant, at frequencies where
 its loop is most sensitive."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -8,18 +9,21 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.evidence.metrics import Judgement, withhold_predictions
+from ssm_study.robustness.coverage import measure_premise
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.sine_trials import SineMismatch
+from ssm_study.signals import DataSet
 from ssm_study.study.stages.files import read_json, write_json
 from ssm_study.study.stages.free_run import ModelRun
-from ssm_study.synthesis.sine_judgement import simulated_sines, sine_columns
+from ssm_study.synthesis.sine_judgement import simulated_sines, sine_columns, sine_coverage_columns
+from ssm_study.synthesis.withheld_coverage import reported_coverage
 
 FILE = "sine_trials.json"
-FIELDS = ("angle", "amplitude", "gain")
 
 
 def compute_sine_trials(
     folder: Path,
+    records: DataSet,
     bounded: ModelRun,
     mismatch: Mismatch,
     judged: Judgement,
@@ -30,30 +34,37 @@ def compute_sine_trials(
     plant: Any,
 ) -> None:
     """Simulate single-sine experiments, and measure the model error in each."""
-    del judged
+    del records, judged
     model = bounded.model
     balls = certified_balls(model)
     sines = simulated_sines(design, model, balls, mismatch, data, plant, seed)
-    rows = [{name: repr(getattr(sine, name)) for name in FIELDS} for sine in sines]
+    rows = [{name: repr(value) for name, value in asdict(sine).items()} for sine in sines]
     write_json(folder / FILE, {"sines": rows})
 
 
 def read_sine_trials(folder: Path) -> list[SineMismatch]:
     """Model errors measured with single sines, as the stage stored them."""
     rows = read_json(folder / FILE)["sines"]
-    return [SineMismatch(**{name: float(row[name]) for name in FIELDS}) for row in rows]
+    return [SineMismatch(**{name: float(text) for name, text in row.items()}) for row in rows]
 
 
 def measure_sine_trials(
     sines: list[SineMismatch],
+    records: DataSet,
     bounded: ModelRun,
     mismatch: Mismatch,
     judged: Judgement,
     design: Design,
 ) -> Facts:
-    """Columns of the stability margin and the prediction, measured again with the single sines."""
+    """Columns of the stability margin, the prediction and the coverage, measured again with the
+    single sines."""
     model = bounded.model
+    start_up = records.start_up_samples
+    trials = records.mismatch_records
+    premise = measure_premise(model, records.validation, mismatch, start_up, trials)
+    coverage = reported_coverage(design, model, premise)
     facts = sine_columns(design, model, certified_balls(model), mismatch, sines)
+    facts |= sine_coverage_columns(design, sines, coverage)
     return withhold_predictions(facts, judged.level)
 
 

@@ -87,7 +87,7 @@ def measure_synthesis(
     """Columns of the design and of its prediction."""
     from ssm_study.synthesis.expected_response import faster_response_column
     from ssm_study.synthesis.measured_discs_run import coverage_columns
-    from ssm_study.synthesis.withheld_coverage import withhold_idle_coverage
+    from ssm_study.synthesis.withheld_coverage import withhold_coverage
 
     model = bounded.model
     balls = certified_balls(model)
@@ -98,7 +98,7 @@ def measure_synthesis(
     facts |= coverage_columns(design, model, premise, fresh)
     facts |= faster_response_column(design, model, mismatch, data.validation, data.mismatch_records)
     if design.feasible:
-        facts = withhold_idle_coverage(facts, model, design.pair)
+        facts = withhold_coverage(facts, model, design.pair)
     return withhold_predictions(facts, judged.level) | second_opinion_columns(design, model, balls)
 
 
