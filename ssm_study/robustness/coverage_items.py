@@ -207,15 +207,23 @@ def requirement_from_measured_sine(sine: SineMismatch, centre: float) -> Item | 
     assert sine.model_power is not None
     assert sine.noise_power is not None
     cross = 2 * centre * sine.cross_power
-    repeats = sine.error_power - cross + centre**2 * sine.model_power
-    variance = sine.noise_power**2 / 2 + sine.noise_power * max(repeats, 0.0)
-    seen = repeats - SURE * float(np.sqrt(variance))
+    at_centre = centre**2 * sine.model_power
+    repeats = sine.error_power - cross + at_centre
+    of_noise = sine.noise_power**2 / 2
+    of_product = sine.noise_power * max(repeats, 0.0)
+    variance = of_noise + of_product
+    standard_error = float(np.sqrt(variance))
+    seen = repeats - SURE * standard_error
+    record = f"input of rms {sine.amplitude:.2g}"
+    place = f"one sine at {sine.angle:.2f} rad/sample"
+    angles = np.array([sine.angle])
+    model_powers = np.array([sine.model_power])
     return Item(
-        record=f"input of rms {sine.amplitude:.2g}",
-        place=f"one sine at {sine.angle:.2f} rad/sample",
+        record=record,
+        place=place,
         is_band=True,
-        angles=np.array([sine.angle]),
-        model_power=np.array([sine.model_power]),
+        angles=angles,
+        model_power=model_powers,
         input_power=np.ones(1),
         seen=max(seen, 0.0),
         dark=False,

@@ -95,30 +95,46 @@ def measure_sine_error(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> S
     drive = _input_power_at_lines(errors)
     line = 1 + int(drive[1:].argmax())
     angle = 2 * np.pi * line / errors.period
-    first, second = errors.period_spectra(errors.e)[:, line]
-    product = (first * second.conj()).real
-    repeating_power = product.sum()
-    repeats = max(float(repeating_power), 0.0)
     noise_of_sample = float(np.interp(angle, ANGLES, noise))
     noise_power = errors.period * noise_of_sample
-    variance = noise_power**2 / 2 + noise_power * repeats
+    input_power = float(drive[line])
+    powers = _powers_at_line(errors, line)
+    relative_powers = {name: power / input_power for name, power in powers.items()}
+    relative_noise = noise_power / input_power
+    repeats = max(relative_powers["error_power"], 0.0)
+    variance = relative_noise**2 / 2 + relative_noise * repeats
     standard_error = np.sqrt(variance)
     upper_limit = repeats + LIMIT * standard_error
-    gain = np.sqrt(upper_limit / drive[line])
+    gain = np.sqrt(upper_limit)
     wave = errors.u[errors.start :]
     amplitude = np.sqrt((wave**2).mean())
-    _, model = errors.period_spectra(errors.model)[:, line]
-    mean_error = (first + second) / 2
-    cross = (mean_error * model.conj()).real
     return SineMismatch(
         angle=float(angle),
         amplitude=float(amplitude),
         gain=float(gain),
-        error_power=float(repeating_power / drive[line]),
-        model_power=float((np.abs(model) ** 2).sum() / drive[line]),
-        cross_power=float(cross.sum() / drive[line]),
-        noise_power=float(noise_power / drive[line]),
+        noise_power=relative_noise,
+        **relative_powers,
     )
+
+
+def _powers_at_line(errors: RecordErrors, line: int) -> dict[str, float]:
+    """Powers at one spectral line: of the error that repeats in both periods, of the model's
+    output, and the real part of their cross power."""
+    error_spectra = errors.period_spectra(errors.e)
+    model_spectra = errors.period_spectra(errors.model)
+    first, second = error_spectra[:, line]
+    model = model_spectra[1, line]
+    product = first * second.conj()
+    repeating = product.real
+    mean_error = (first + second) / 2
+    cross_spectrum = mean_error * model.conj()
+    cross = cross_spectrum.real
+    model_powers = np.abs(model) ** 2
+    return {
+        "error_power": float(repeating.sum()),
+        "model_power": float(model_powers.sum()),
+        "cross_power": float(cross.sum()),
+    }
 
 
 def add_sine_errors(views: Sequence[View], sines: Sequence[SineMismatch]) -> tuple[View, ...]:
