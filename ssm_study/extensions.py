@@ -94,6 +94,17 @@ def import_trusted_packages() -> None:
         import_module(name)
 
 
+def import_trusted_module(name: str) -> None:
+    """Import the modules of this name that lie anywhere in the trusted extension packages, which
+    themselves are imported first."""
+    import_trusted_packages()
+    for package, folder in trusted_packages().items():
+        for file in sorted(folder.rglob(f"{name}.py")):
+            inner_folders = file.relative_to(folder).with_suffix("").parts
+            if all(part.isidentifier() for part in inner_folders):
+                import_module(".".join((package, *inner_folders)))
+
+
 def _package_folder(name: str) -> Path | None:
     """Folder of an importable package; None if there is no such package."""
     spec = find_spec(name)

@@ -13,7 +13,7 @@ from jaxtyping import Complex, Float
 
 from ssm_study import save_as_run
 from ssm_study.api.arguments import Values
-from ssm_study.api.design_files import write_records
+from ssm_study.api.design_files import read_stored_design, write_records
 from ssm_study.api.known_maps import name_unknown_maps, refuse_unknown_maps, warn_of_unknown_maps
 from ssm_study.api.loop_of_both import add_loop_verdict
 from ssm_study.api.model import Model, draw_or_refuse
@@ -27,7 +27,6 @@ from ssm_study.evidence.metrics import withhold_predictions
 from ssm_study.export import targets
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthrough
 from ssm_study.models.identified import SSM
-from ssm_study.models.stored import read_model_json
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest, require
 from ssm_study.synthesis.deployed import WithinLimits, limits_proof
@@ -70,17 +69,11 @@ class Design:
     def load(cls, folder: Path) -> "Design":
         """Load the controller of a run folder or of a saved design.
 
-        Raises `BadRequest` where the folder has no controller.
+        Raises `BadRequest` where the folder has no controller, and where its certificates or its
+        record are not as they were written.
         """
-        targets.load_controller(folder)
-        model = read_model_json(json.loads((folder / "model.json").read_text(encoding="utf-8")))
-        record_file = folder / "record.json"
-        record: dict[str, Any] = {}
-        if record_file.is_file():
-            record = json.loads(record_file.read_text(encoding="utf-8"))
-        assert isinstance(model, SSM | StructuredSSM)  # `load_controller` refuses others
-        certificate = Certificates.load(folder / "certificate.json")
-        return cls(certificate=certificate, model=model, run_folder=folder, stored_record=record)
+        stored = read_stored_design(folder)
+        return cls(run_folder=folder, **stored)
 
     @cached_property
     def folder(self) -> Path:

@@ -1,10 +1,43 @@
-"""Files of recorded signals in the folder of a saved design, for its export."""
+"""Files in the folder of a saved design: recorded signals for its export, and what is read back."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.data.mcap import SignalGroup, write_mcap
+from ssm_study.durable import read_sealed_json
+from ssm_study.export import targets
+from ssm_study.models.identified import SSM
+from ssm_study.models.stored import read_model_json
+from ssm_study.models.structured import StructuredSSM
+from ssm_study.refusal import require
 from ssm_study.signals import DataSet
+
+RECORD = "record.json"
+NAMES_EVERY_CLAIM = "`ssm-study verify` names every claim that does not hold"
+
+
+def read_stored_design(folder: Path) -> dict[str, Any]:
+    """Read certificates, model and record of a run or of a saved design, as keyword arguments of
+    `Design`.
+
+    Every certificate is decided again for the model, in exact arithmetic. Raises `BadRequest` where
+    a claim does not hold, or where the record is not as it was written.
+    """
+    targets.load_controller(folder)
+    model = read_model_json(json.loads((folder / "model.json").read_text(encoding="utf-8")))
+    assert isinstance(model, SSM | StructuredSSM)  # `load_controller` refuses others
+    certificate = Certificates.load(folder / "certificate.json")
+    failed = targets.failed_certificate_claims(folder, model, certificate)
+    require(not failed, "design", folder, "; ".join(failed), NAMES_EVERY_CLAIM)
+    record: dict[str, Any] | None = {}
+    if (folder / RECORD).is_file():
+        record = read_sealed_json((folder / RECORD).read_bytes())
+        problem = f"{RECORD} is not as it was written"
+        require(record is not None, "design", folder, problem, NAMES_EVERY_CLAIM)
+    return {"certificate": certificate, "model": model, "stored_record": record}
 
 
 def write_records(data: DataSet, folder: Path) -> None:

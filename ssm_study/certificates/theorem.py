@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.exact import Exact, is_positive_definite
-from ssm_study.extensions import import_trusted_packages
+from ssm_study.extensions import import_trusted_module
 from ssm_study.refusal import require
 from ssm_study.systems import Balls, JacobianBall, StructuredSystem
 
@@ -48,6 +48,7 @@ Blocks = list[list[Any]]
 def symmetric_from_upper(upper: Blocks) -> Blocks:
     """Full symmetric block matrix from its upper triangle of blocks. Blocks of zeros become arrays
     of their size."""
+    upper = [[_as_block(row[0]), *row[1:]] for row in upper]
     sizes = [row[0].shape[0] for row in upper]
 
     def block(i: int, j: int) -> Any:
@@ -59,6 +60,14 @@ def symmetric_from_upper(upper: Blocks) -> Blocks:
         return stored_block if i <= j else stored_block.T
 
     return [[block(i, j) for j in range(len(sizes))] for i in range(len(sizes))]
+
+
+def _as_block(diagonal_block: Any) -> Any:
+    """Block on the diagonal; a plain number, such as the number of inputs less two, is one of size
+    one."""
+    if isinstance(diagonal_block, int | float):
+        return np.array([[float(diagonal_block)]])
+    return diagonal_block
 
 
 def assemble_blocks(rows: Blocks) -> Any:
@@ -151,6 +160,18 @@ class Theorem(ABC):
         cls.final = not abstract
         if unanswered and cls.final:
             raise TypeError(f"theorem {cls.__name__} does not answer: {', '.join(unanswered)}")
+        cls._refuse_undeclared_products()
+
+    @classmethod
+    def _refuse_undeclared_products(cls) -> None:
+        """Raise `TypeError` for a product that is no field of the class or is formed of none."""
+        declared = {name for kind in cls.__mro__ for name in vars(kind).get("__annotations__", {})}
+        for product, factors in cls.products.items():
+            for name in (product, *factors):
+                if name not in declared:
+                    equation = f"{product} = {' '.join(factors)}"
+                    problem = f"the product {equation} uses {name}, which is no field"
+                    raise TypeError(f"theorem {cls.__name__}: {problem}; declare it in the class")
 
     @staticmethod
     @abstractmethod
@@ -187,6 +208,8 @@ class Theorem(ABC):
         for label, (left, right) in cls.products.items():
             matrices[label] = matrices[left] @ matrices[right]
         conditions = cls.conditions(SimpleNamespace(**matrices))
+        if not conditions:
+            raise TypeError(f"theorem {cls.__name__} has no conditions, so it would always hold")
         return {label: symmetric_from_upper(upper) for label, upper in conditions.items()}
 
     @classmethod
@@ -213,10 +236,21 @@ class Theorem(ABC):
 
     @classmethod
     def from_numbers(
-        cls, numbers: Mapping[str, Any], *, started: float, status: str, **information: Any
+        cls,
+        numbers: Mapping[str, Any],
+        *,
+        status: str,
+        started: float | None = None,
+        **information: Any,
     ) -> Any:
-        """Construct a certificate from its numbers and decide it in exact arithmetic. Products are
-        rounded to floats; `started` is a time of `time.perf_counter`."""
+        """Construct a certificate from its numbers and decide it in exact arithmetic.
+
+        `numbers` are what `conditions` uses; products are computed exactly and rounded to floats.
+        `status` says where the numbers come from (a solver's word, or "given"), and `information`
+        are the fields beside the proof: `method`, and `rate_limit` where the class has it (`nan` if
+        no limit is known). The seconds since `started`, a time of `time.perf_counter`, are stored.
+        """
+        started = time.perf_counter() if started is None else started
         certified = cls.holds(**numbers)
         first_condition, *_ = cls.as_floats(**numbers).values()
         metric_matrix = numbers[cls.metric_matrix]
@@ -279,13 +313,14 @@ class Theorem(ABC):
 
 
 def find_theorem(name: str) -> type[Theorem]:
-    """Class of a theorem by the name of its file; theorems of extension packages are found, too."""
+    """Class of a theorem by the name of its file, which lies in `theorems/` or anywhere in an
+    extension package that is installed with an entry point, or named by `--with`."""
     module = f"{FOLDER}.{name}"
     may_be_a_file = name.isidentifier() and not name.startswith("_")
     if may_be_a_file and importlib.util.find_spec(module) is not None:
         importlib.import_module(module)
-    else:
-        import_trusted_packages()
+    elif may_be_a_file:
+        import_trusted_module(name)
     kinds: list[Any] = [Theorem]
     for kind in kinds:  # grows while it is read: subclasses of subclasses
         kinds += kind.__subclasses__()

@@ -32,6 +32,10 @@ ELSEWHERE = (
     "another process is at this run, so nothing was done here; when it is through, the same "
     "command prints the outcome"
 )
+RETRY = (
+    "a failed run is not tried again by the same command; once its cause is mended, add "
+    "--retry-failed"
+)
 WIDTH = 80  # of the outcome, where a terminal is not narrower
 
 
@@ -63,6 +67,8 @@ def print_run_summary(config: DictConfig) -> bool:
             # Last: it vouches for tables and figures.
             write_atomically(stored_text_path, json.dumps(stored_text).encode(), durable=False)
     console.print(Text.from_ansi(stored_text[-1]), soft_wrap=True)
+    if record.get("status") == FAILED:
+        print(RETRY)
     return record.get("status") not in (OK, INFEASIBLE) or (
         config.strict and record.get("evidence") == "cannot judge"
     )
@@ -118,4 +124,6 @@ def print_sweep_summary(config: DictConfig) -> bool:
 
     table = show_table(study_folder(config))
     withheld = config.strict and "evidence" in table and (table["evidence"] == CANNOT_JUDGE).any()
+    if (table["status"] == FAILED).any():
+        print(RETRY)
     return bool(table["status"].isin([FAILED, LOST, CORRUPT]).any() or withheld)

@@ -269,17 +269,23 @@ def describe_origin(run: Path, name: str = "") -> str:
 def _first_failed_claim(run: Path, model: Model, design: Design) -> str:
     """First claim of a run's stored certificate that exact arithmetic does not confirm; empty if it
     confirms all."""
-    content = json.loads((run / "certificate.json").read_text())
     for side in SIDES:
         if not design.certificates_by_name[side].certified:
             return f"exact arithmetic does not confirm the {side.replace('_', ' ')}"
+    failed = failed_certificate_claims(run, model, design)
+    return failed[0].rstrip(".") if failed else ""
+
+
+def failed_certificate_claims(run: Path, model: Model, design: Design) -> list[str]:
+    """Sentences on those claims in a run's `certificate.json` that its model file does not bear
+    out, in exact arithmetic."""
+    content = json.loads((run / "certificate.json").read_text())
     try:
         # Refused for an internal model behind a nonlinear output map, which no theorem covers.
         controlled = controlled_system(model, design.parts()[0])
-        failed = failed_checks(content, model.system, certified_balls(model), controlled)
     except BadRequest as refused:
-        return str(refused).rstrip(".")
-    return failed[0].rstrip(".") if failed else ""
+        return [str(refused)]
+    return failed_checks(content, model.system, certified_balls(model), controlled)
 
 
 def _describe_rounding_error(run: Path, device: Device) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ UNFINISHED = {
     "lost": "lost: the run was stopped before its end; the same command takes it up again",
 }
 NOTES = "ssm-study show RUN"
-THEOREMS = {"controller": "Theorem 1", "observer": "Theorem 2"}
+PAPER_THEOREMS = {"controller": "Theorem 1", "observer": "Theorem 2"}
 Row = tuple[str, str, str]  # the column that must be known, label, value
 
 
@@ -192,7 +192,8 @@ def log_reading_text(record: Mapping[str, Any]) -> str:
 
 def proved_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
     """Rows on the rates that exact arithmetic proves for the deployed gains on the model."""
-    for side, theorem in THEOREMS.items():
+    for side, paper_theorem in PAPER_THEOREMS.items():
+        theorem = facts.own_theorems.get(side, paper_theorem)
         name = f"{side}_certified_rate"
         limit = f"at most {format_column(record, f'{side}_rate_limit')}"
         chosen = "chosen by auto" if side in str(record.get("rates_chosen")) else "requested"
@@ -222,6 +223,9 @@ def limit_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
     label = LIMITS_OF[_is_on_plant(record)]
     if record.get("neurons") and record.get("controller_certified"):
         yield "neurons", label, "nothing is proved: the theorems on limits know no neurons"
+    if "controller" in facts.own_theorems and record.get("limit_lower") is None:
+        theorem = facts.own_theorems["controller"]
+        yield "controller_certified", label, f"nothing is proved within them for {theorem}"
     low, high = (format_column(record, f"limit_{end}") for end in ("lower", "upper"))
     rate = format_column(record, "limited_rate")
     everywhere = "at no rate" if rate == MISSING else f"at {rate} per sample"

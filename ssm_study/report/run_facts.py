@@ -1,13 +1,18 @@
 """Facts on a run that its files contain but its record does not."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 
+from ssm_study.certificates.theorem import FOLDER
 from ssm_study.signals import Channel
 from ssm_study.study.recordings import RecordedCases
+
+# Part of `certificate.json` with the certificate of each side.
+CERTIFICATE_PARTS = {"controller": "state_feedback", "observer": "observer"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,13 +20,15 @@ class RunFacts:
     """Sampling time, units and set points of a run, for the text on its outcome.
 
     `no_set_points_reason` is why the exported code follows no set points, empty if it does. A unit
-    follows a space; it is empty where there are several channels, or none is stated.
+    follows a space; it is empty where there are several channels, or none is stated. `own_theorems`
+    are the names of the certificates' theorems by side where they come from an extension package.
     """
 
     step_s: float | None = None
     no_set_points_reason: str = ""
     input_unit: str = ""
     output_unit: str = ""
+    own_theorems: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def read(cls, run: Path) -> "RunFacts":
@@ -41,7 +48,21 @@ class RunFacts:
             no_set_points_reason=describe_missing_set_points(run),
             input_unit=units["input"],
             output_unit=units["measured"],
+            own_theorems=read_own_theorems(run),
         )
+
+
+def read_own_theorems(run: Path) -> dict[str, str]:
+    """Names of the theorems of a run's controller and observer that lie outside this package."""
+    with suppress(OSError, ValueError):
+        parts = json.loads((run / "certificate.json").read_text(encoding="utf-8"))
+        own_theorems = {}
+        for side, part in CERTIFICATE_PARTS.items():
+            name = str(parts.get(part, {}).get("theorem", part))
+            if name.isidentifier() and find_spec(f"{FOLDER}.{name}") is None:
+                own_theorems[side] = name
+        return own_theorems
+    return {}
 
 
 def unit_words(channels: Sequence[Channel]) -> str:

@@ -30,7 +30,6 @@ from ssm_study.loop.textbook_pi import textbook_pi_columns
 from ssm_study.models.members import NAMES, member_columns
 from ssm_study.models.metrics import Simulation, fit_columns, size_columns
 from ssm_study.models.warm_start import choose_initial_state_source, initial_state_columns
-from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet
 from ssm_study.study import trials
 from ssm_study.study.design_claims import check_certificate
@@ -51,7 +50,7 @@ from ssm_study.study.loop_recordings import (
 )
 from ssm_study.study.recording_labels import find_wrong_labels
 from ssm_study.study.recordings import TRIALS, record_signal_pairs
-from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, error_text
+from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles
 from ssm_study.study.stages.catalogue import STAGES
 from ssm_study.study.stages.dataset import DATASET
 from ssm_study.study.stages.evidence import read_judgement
@@ -175,21 +174,18 @@ def check_records(run: RunFiles) -> Claims:
     A recording of somebody else's may be elsewhere by now: then what follows from it is not
     checked.
     """
-    try:
-        records = run.data
-    except (BadRequest, OSError) as error:
-        if run.specification.plant is not None and not run.specification.plant.real:
-            raise
-        reason = f"the recorded data cannot be read: {error_text(error)}"
+    reason = run.missing_log_reason
+    if reason:
         columns = (*data_metrics.COLUMNS, *evidence_metrics.COLUMNS, BY_NAME["fit_train_percent"])
         names = [column.name for column in columns if not column.setting]
         names += [name for name in run.record if name.startswith("score_test_")]
         names += ["piece_start", "fit_test_other_start_percent"]
         names += [name for name in NAMES if name in run.record]
         names += ["excitation.mcap", "evidence.json", "labels of recordings", "predicted_stable"]
+        names += ["validation.mcap, as measured", "test.mcap, as measured"]
         yield NotChecked(dict.fromkeys(names, reason))
     else:
-        yield from check_record_columns(run, records)
+        yield from check_record_columns(run, run.data)
 
 
 def check_record_columns(run: RunFiles, records: DataSet) -> Claims:

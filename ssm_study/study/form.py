@@ -106,8 +106,12 @@ def _check_reasons(run: RunFiles) -> Claims:
             yield NotChecked({claim: "words, which decide nothing"})
 
 
-def _check_settling_bands(run: RunFiles) -> Iterator[Checked]:
+def _check_settling_bands(run: RunFiles) -> Claims:
     """Check that each recording of a loop has the settling band of its plant."""
+    if run.missing_log_reason:
+        claim = "closed_loop_model.mcap settling_band"
+        yield NotChecked({claim: run.missing_log_reason})
+        return
     twin = IdentifiedPlant.from_model(run.model, run.data.inputs, run.data.outputs)
     for name in ("closed_loop.mcap", NOISE_FREE, "closed_loop_model.mcap"):
         path = run.path / name

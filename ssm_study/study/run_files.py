@@ -78,6 +78,19 @@ class RunFiles:
         except BadRequest:
             return self._data()
 
+    @cached_property
+    def missing_log_reason(self) -> str:
+        """Why the log of the run cannot be read here; empty where it can, and for records that are
+        simulated again, whose errors are raised."""
+        try:
+            self.data  # noqa: B018  # read once, and kept
+        except (BadRequest, OSError) as error:
+            plant = self.specification.plant
+            if plant is not None and not plant.real:
+                raise
+            return f"the recorded data cannot be read: {error_text(error)}"
+        return ""
+
     @property
     def working_folder(self) -> Path:
         """Folder to which relative paths in the run's configuration refer. It is the present folder

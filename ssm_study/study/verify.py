@@ -34,6 +34,8 @@ from ssm_study.withdrawn import WITHDRAWN_COLUMNS
 
 SECTION_CLAIMS = {"settings": "requested", "records": "data", "loops": "loop"}
 UNGIVEN = "nothing in the run's files gives it"
+NOT_DERIVED = "cannot be derived: "
+UNREACHED = "rests on what cannot be derived"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,11 +158,15 @@ def verify_files(run: RunFiles) -> Verification:
             derived |= result.columns
         else:
             unchecked |= result.reasons
+    cut_short = any(finding.found.startswith(NOT_DERIVED) for finding in findings)
     # Also what the record lacks although its files give it.
     for name in dict.fromkeys((*derived, *run.record)):
         judgement = judge_column(name, run.record, derived, unchecked)
         if isinstance(judgement, Checked):
-            findings.append(judgement)
+            if cut_short and judgement.found.endswith(UNGIVEN):
+                unchecked[name] = UNREACHED
+            else:
+                findings.append(judgement)
         elif judgement:
             unchecked[name] = judgement
     return Verification(findings=tuple(findings), unchecked=unchecked)
@@ -173,7 +179,7 @@ def _findings_of_sections(run: RunFiles) -> Iterator[Checked | Derived | NotChec
         try:
             yield from section(run)
         except Exception as error:
-            problem = f"cannot be derived: {error_text(error)}"
+            problem = f"{NOT_DERIVED}{error_text(error)}"
             yield Checked(claim=section_claim(section.__name__), holds=False, found=problem)
 
 

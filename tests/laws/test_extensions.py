@@ -14,11 +14,13 @@ import pytest
 from omegaconf import OmegaConf
 
 from ssm_study import extensions
+from ssm_study.certificates.theorem import find_theorem
 from ssm_study.cli.main import main
 from ssm_study.cli.new_study import write_study
 from ssm_study.data import readers
 from ssm_study.data.readers.reader import Reader
 from ssm_study.refusal import BadRequest
+from ssm_study.report.run_facts import read_own_theorems
 from ssm_study.study.allow_list import refuse_foreign_targets
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,6 +47,30 @@ def trusting(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     yield
     monkeypatch.undo()
     extensions.trusted_packages.cache_clear()
+
+
+@pytest.mark.usefixtures("trusting")
+def test_a_theorem_in_a_package_of_ones_own_is_found_by_the_name_of_its_file(
+    tmp_path: Path,
+) -> None:
+    """Nothing has imported its module before; a module of another name is not imported."""
+    package = tmp_path / "vertex_laboratory"
+    inner = package / "proofs"
+    inner.mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    (inner / "__init__.py").write_text("")
+    (package / "broken_figure.py").write_text("raise RuntimeError('imported')\n")
+    template = ROOT / "ssm_study" / "certificates" / "theorems" / "_template.py"
+    text = template.read_text().replace(", abstract=True", "")
+    (inner / "vertex_feedback.py").write_text(text)
+    with pytest.raises(BadRequest, match="not a theorem that this installation has"):
+        find_theorem("vertex_feedback")
+    extensions.trust_package(package)
+    theorem = find_theorem("vertex_feedback")
+    assert theorem.__module__ == "vertex_laboratory.proofs.vertex_feedback"
+    stored = {"state_feedback": {"theorem": "vertex_feedback"}, "observer": {}}
+    (tmp_path / "certificate.json").write_text(json.dumps(stored))
+    assert read_own_theorems(tmp_path) == {"controller": "vertex_feedback"}
 
 
 @pytest.fixture(scope="module")

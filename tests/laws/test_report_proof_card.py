@@ -35,7 +35,7 @@ def test_the_card_of_the_proof_says_within_which_limits_it_holds() -> None:
     card = certified_rates_card(certified(), LOOP)
     assert card is not None
     assert card.number == "0.361"
-    assert card.text.startswith("certified rate per sample (Theorem 1), to 37 % in 0.045 s; with")
+    assert card.text.startswith("certified rate per sample, to 37 % in 0.045 s; with")
     assert "between -4.9 and 4.97 V only from rest at outputs between -0.131 and 0.131" in card.text
     assert "where 2 of the 4 starts shown lie; from everywhere no rate is proved" in card.text
     text = " ".join(card.lines)

@@ -1,13 +1,17 @@
 """Designs that are saved and read again say what they said before, wherever they lie."""
 
+import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.signal import lfilter
 
 import ssm_study as st
 from ssm_study.api.scratch import scratch_folder
 from ssm_study.api.summaries import summarise_prediction
+from ssm_study.certificates.certificate import certificate_digest
+from ssm_study.refusal import BadRequest
 
 QUICK = ("model.hidden_width=4", "training.max_epochs=3")
 
@@ -25,6 +29,25 @@ def test_a_saved_design_takes_the_log_of_its_arrays_along(tmp_path: Path) -> Non
     assert str(copied) in settings
     assert str(scratch_folder()) not in settings
     assert repr(st.load(saved)) == repr(design), "evidence and prediction are not lost"
+    record_file = saved / "record.json"
+    written_record = record_file.read_text()
+    improved_record = written_record.replace(
+        '"predicted_stable":', '"predicted_stable":true,"was":'
+    )
+    assert improved_record != written_record
+    record_file.write_text(improved_record)
+    with pytest.raises(BadRequest, match=r"record\.json is not as it was written"):
+        st.load(saved)
+    record_file.write_text(written_record)
+    certificate_file = saved / "certificate.json"
+    content = json.loads(certificate_file.read_text())
+    for part in content.values():
+        if "k" in part:
+            part["k"] = (-4 * np.array(part["k"])).tolist()
+            part["digest"] = certificate_digest(part)
+    certificate_file.write_text(json.dumps(content))
+    with pytest.raises(BadRequest, match="in exact arithmetic the inequality fails"):
+        st.load(saved)
 
 
 def test_a_saved_model_takes_the_log_of_its_arrays_along_and_may_be_moved(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import json
 import re
 import sys
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -104,6 +105,55 @@ def test_a_class_that_leaves_a_question_open_is_refused() -> None:
 
         class Incomplete(StateFeedback):
             pass
+
+
+class Answered(StateFeedback, abstract=True):
+    """Every question answered, for classes with one fault each."""
+
+    @staticmethod
+    def conditions(of):
+        return {"one input": [[2 - of.b.shape[1]]], "inequality": [[of.p]]}
+
+    def model_data(self, context):
+        return {"a": context.controlled.a}
+
+    @classmethod
+    def largest_provable_rate(cls, context):  # noqa: ARG003
+        return None
+
+    @staticmethod
+    def certificate_numbers(problem, found):  # noqa: ARG004
+        return {}
+
+
+@pytest.mark.parametrize("factors", [("k", "p"), ("k", "undeclared")])
+def test_a_product_of_undeclared_fields_is_refused_when_the_class_is_defined(factors) -> None:
+    message = "Undeclared: the product .* is no field; declare it in the class"
+    with pytest.raises(TypeError, match=message):
+
+        class Undeclared(Answered):
+            products: ClassVar[dict[str, tuple[str, str]]] = {"x": factors}
+
+
+def test_a_theorem_without_conditions_certifies_nothing() -> None:
+    class Unconditional(Answered):
+        @staticmethod
+        def conditions(of):  # noqa: ARG004
+            return {}
+
+    with pytest.raises(TypeError, match="Unconditional has no conditions"):
+        Unconditional.holds(p=np.eye(2))
+
+
+@pytest.mark.parametrize(("inputs", "holds"), [(1, True), (2, False)])
+def test_a_hypothesis_on_a_number_is_a_condition_too(inputs: int, holds: bool) -> None:
+    class OfOneInput(Answered):
+        pass
+
+    numbers = {"p": np.eye(2), "b": np.ones((2, inputs))}
+    assert OfOneInput.holds(**numbers) is holds
+    in_floats = OfOneInput.as_floats(**numbers)
+    assert in_floats["one input"].shape == (1, 1)
 
 
 def test_a_theorem_written_with_the_names_of_version_0_1_answers_by_those_of_today() -> None:

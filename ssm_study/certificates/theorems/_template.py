@@ -18,17 +18,20 @@ is printed.
 >>> print("one line that holds, one that does not")
 one line that holds, one that does not
 
-How to use this file. Copy it to `theorems/<name>.py`, take out `abstract=True`, and import it: the
-base class says what is not answered. The fields are what `certificate.json` stores and reads back;
-`conditions` is what exact arithmetic decides and `verify` derives again; `model_data` and
-`products` are what a tampered file is held against. Where gains are searched, add a `Synthesis`,
-with `feedback_theorem` (`observer_theorem`) set to the class, whose `solve` returns what
-`certificate_numbers` stores, and one yaml in `conf/synthesis/` with its `_target_`; for gains that
-are given, call `from_numbers`. A field that Python reserves is written with an underscore
-(`lambda_`) and stored without. A multiplier that must stay diagonal is a vector,
-`Float[np.ndarray, "q"]`, and enters as `theorem.multiplier_matrix(of.lambda_)`. A theorem for
-models with neurons has their matrix `e` as a field: without it `verify` takes it for one that
-knows none.
+How to use this file. Copy it into a package of your own that registers an entry point of the group
+`ssm_study` (docs/howto_plant.md), or to `theorems/` here, as `<name>.py`: the file's name is the
+theorem's. Take out `abstract=True`: the base class says what is not answered. The fields are what
+`certificate.json` stores and reads back; `conditions` is what exact arithmetic decides and `verify`
+derives again; `model_data` and `products` are what a tampered file is held against. Where gains are
+searched, add a `Synthesis`, with `feedback_theorem` (`observer_theorem`) set to the class, whose
+`solve` returns what `certificate_numbers` stores, and one yaml in `conf/synthesis/` with its
+`_target_`; for gains that are given, call `NameOfTheTheorem.from_numbers({...}, status="given",
+method="given", rate_limit=float("nan"))`. A hypothesis that is no matrix inequality is a condition
+on a number: `"one input": [[2 - of.b.shape[1]]]` holds for one input alone, and a certificate for
+two is false. A field that Python reserves is written with an underscore (`lambda_`) and stored
+without. A multiplier that must stay diagonal is a vector, `Float[np.ndarray, "q"]`, and enters as
+`theorem.multiplier_matrix(of.lambda_)`. A theorem for models with neurons has their matrix `e` as a
+field: without it `verify` takes it for one that knows none.
 """
 
 from collections.abc import Mapping
@@ -45,13 +48,15 @@ class NameOfTheTheorem(StateFeedback, abstract=True):
     """Equation of the theorem in one line. State here the shapes of its own fields (`y:
     Float[np.ndarray, "n n"]`), beside `a, b, alpha, beta, rate, p, k` of the base."""
 
-    # {"x": ("k", "y")}: x = k y, exactly, is `of.x` below
+    # {"x": ("k", "y")}: x = k y, exactly, is `of.x` below; declare x and y as fields, too
     products: ClassVar[Mapping[str, tuple[str, str]]] = {}
 
     @staticmethod
     def conditions(of: Any) -> dict[str, Blocks]:
-        """Upper triangles of symmetric block matrices, all of which must be positive definite; 0
-        stands for a block of zeros."""
+        """Upper triangles of symmetric block matrices, all of which must be positive definite.
+
+        On the diagonal a plain number is a block of size one; beside it 0 is a block of zeros.
+        """
         return {
             "inequality": [[of.p]],
             "rate above 0": [[of.rate]],

@@ -70,7 +70,7 @@ def certified_rates_card(record: Record, loop: ShownLoop | None = None) -> Card 
         step_s = None if loop is None else loop.step_s
         slower = unproved_speed_up_text(record, step_s)
         lines = (slower, rate_line(record, rate, loop), coverage_sentence(record))
-        headline = f"certified rate per sample (Theorem 1){timed_words(rate, loop)}"
+        headline = f"certified rate per sample{timed_words(rate, loop)}"
         return Card(
             title=TITLE,
             number=round_rate_down(rate),
