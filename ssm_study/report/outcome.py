@@ -198,7 +198,9 @@ def proved_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
         limit = f"at most {format_column(record, f'{side}_rate_limit')}"
         chosen = "chosen by auto" if side in str(record.get("rates_chosen")) else "requested"
         requested = f"{format_column(record, f'rate_{side}')} {chosen}"
-        requested_words = f"{requested}, {limit}: {certificate_status_word(record, side)}"
+        if side not in facts.own_theorems:  # the limit is that of the paper's theorems
+            requested = f"{requested}, {limit}"
+        requested_words = f"{requested}: {certificate_status_word(record, side)}"
         label = f"{side.capitalize()} rate"
         if record.get(name) is None:
             yield f"rate_{side}", label, requested_words

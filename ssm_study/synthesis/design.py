@@ -19,6 +19,7 @@ from ssm_study.certificates.certificate import (
     Design,
     Infeasible,
     Observer,
+    ProblemCertificate,
     Side,
     StateFeedback,
     certificate_digest,
@@ -67,9 +68,17 @@ class DesignAttempt:
     method: str
     started: float
 
+    @property
+    def limit_is_exact(self) -> bool:
+        """Whether the frontier is that of the theorem. It is for the paper's inequalities; the
+        theorem of another package may reach further."""
+        return issubclass(self.theorem, ProblemCertificate)
+
     def infeasible_beyond_limit(self) -> Infeasible | None:
         """Infeasible result of an attempt whose requested rate exceeds the theoretical limit; None
-        if it does not."""
+        if it does not, or if the theorem's own limit is not known."""
+        if not self.limit_is_exact:
+            return None
         ball = self.ball
         limit = self.frontier.rate_limit
         if abs(ball.alpha) <= ball.beta:
@@ -150,10 +159,12 @@ class DesignAttempt:
                 continue
             if best.certified:
                 return best
-        inside = f"the rate is inside the frontier {self.frontier.rate_limit:.6g}, yet"
+        inside = ""
+        if self.limit_is_exact:
+            inside = f"the rate is inside the frontier {self.frontier.rate_limit:.6g}, yet "
         if best is None:  # information, not a verdict
             reason = (
-                f"{inside} {self.method} found no certificate ({status}); try synthesis=riccati "
+                f"{inside}{self.method} found no certificate ({status}); try synthesis=riccati "
                 "or a lower rate"
             )
             return self.without_certificate(reason, status)
@@ -161,7 +172,7 @@ class DesignAttempt:
         number = f"{best.condition:.1e}; {fewer}request a smaller rate"
         if best.condition > MOST_CONDITION:
             reason = (
-                f"{inside} its metric needs more digits than floats have: its condition number "
+                f"{inside}its metric needs more digits than floats have: its condition number "
                 f"is {number}"
             )
             return self.without_certificate(reason, best.solver_status)

@@ -15,8 +15,10 @@ import numpy as np
 import pytest
 
 from ssm_study.certificates.certificate import Design, StateFeedback, certificate_digest
+from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.theorem import find_theorem
-from ssm_study.synthesis.design import failed_checks
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis.design import DesignAttempt, failed_checks
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 FOLDER = Path(__file__).resolve().parents[2] / "ssm_study" / "certificates" / "theorems"
@@ -154,6 +156,26 @@ def test_a_hypothesis_on_a_number_is_a_condition_too(inputs: int, holds: bool) -
     assert OfOneInput.holds(**numbers) is holds
     in_floats = OfOneInput.as_floats(**numbers)
     assert in_floats["one input"].shape == (1, 1)
+
+
+def test_only_the_paper_theorems_are_refused_beyond_the_papers_frontier() -> None:
+    """The theorem of another package may reach further than any gain under Theorem 1."""
+
+    class OfAnotherPackage(Answered):
+        pass
+
+    matrix = np.array([[1.0]])
+    system = StateSpace(a=0.9 * matrix, b=matrix, c=matrix, d=0 * matrix)
+    ball = JacobianBall(alpha=1.0, beta=0.2)
+    frontier = controller_frontier(system, ball)
+    request = {"rate": 0.99, "ball": ball, "frontier": frontier, "method": "own", "started": 0.0}
+    assert frontier.rate_limit < 0.99
+    of_the_paper = DesignAttempt(theorem=StateFeedbackOfBall, **request)
+    refused = of_the_paper.infeasible_beyond_limit()
+    assert refused is not None
+    assert "only rates below" in refused.reason
+    of_another_package = DesignAttempt(theorem=OfAnotherPackage, **request)
+    assert of_another_package.infeasible_beyond_limit() is None
 
 
 def test_a_theorem_written_with_the_names_of_version_0_1_answers_by_those_of_today() -> None:
