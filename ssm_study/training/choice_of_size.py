@@ -13,7 +13,7 @@ from ssm_study.training.candidates import (
     simplest_good_candidate,
 )
 from ssm_study.training.choice_of_paths import DELAY_GAIN, TRIED_SIZE
-from ssm_study.training.search import LINEAR, Search
+from ssm_study.training.search import LINEAR, STRUCTURED, Search
 
 LINEAR_ORDERS = (1, 2, 3, 4, 6, 8, 10)
 HIGH_LINEAR_ORDERS = (14, 20)  # one by one, while all that are smaller are behind
@@ -82,12 +82,30 @@ def try_model_sizes(search: Search, *, also_integrating: bool = False) -> list[C
     sizes = INTEGRATING_SIZES if search.has_integrator else SIZES
     candidates += score_sizes(search, "size", sizes)
     candidates += try_larger_models(search, candidates)
+    candidates += one_layer_without_integrator(search)
     free = try_noncontracting_models(search)
     contracting = train_finalists(search, candidates)
     integrating = try_integrating_sizes(search, contracting) if also_integrating else []
     linear = [candidate for candidate in contracting if candidate.model == LINEAR]
     larger = [candidate for candidate in contracting if candidate.model != LINEAR]
     return [*linear, *integrating, *larger, *candidates_far_ahead(free, contracting)]
+
+
+def one_layer_without_integrator(search: Search) -> list[Candidate]:
+    """One-layer candidates to which an integrator was preferred; none without an integrator.
+
+    Of models with an integrator often only the smallest can be certified. One that then predicts
+    worse than one layer without an integrator is no gain.
+    """
+    if not search.has_integrator:
+        return []
+    structured = [candidate for candidate in search.tried if candidate.model == STRUCTURED]
+    return [
+        candidate
+        for candidate in structured
+        if candidate.settings.get("neurons") == 0
+        and candidate.settings.get("integrating_output") is False
+    ]
 
 
 def try_larger_models(search: Search, smaller: Sequence[Candidate]) -> list[Candidate]:

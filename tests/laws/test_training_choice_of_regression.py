@@ -55,9 +55,19 @@ def candidate(training_error: float, *errors: float) -> Candidate:
 
 def test_records_that_are_explained_need_no_regression(loaded: DataSet) -> None:
     search = search_in(loaded)
-    explains = candidate(8.0, 60.0, 60.0, 60.0, 60.0)
-    assert choose_regression(search, [explains]) is None
+    explains = candidate(19.0, 60.0, 60.0, 60.0, 60.0)
+    follows_by_chance = candidate(25.0, 70.0, 70.0, 70.0, 70.0)
+    assert choose_regression(search, [explains, follows_by_chance]) is None
     assert search.tried == []
+
+
+def test_what_others_explain_by_chance_hides_no_load(loaded: DataSet) -> None:
+    search = search_in(loaded)
+    predicts_best = candidate(27.0, 60.0, 60.0, 60.0, 60.0)
+    explains_more = candidate(9.0, 62.0, 58.0, 64.0, 60.0)
+    tried = choose_regression(search, [explains_more, predicts_best])
+    assert tried is not None
+    assert tried.model == REGRESSION
 
 
 def test_a_regression_is_taken_where_folds_cannot_tell(loaded: DataSet, tmp_path: Path) -> None:

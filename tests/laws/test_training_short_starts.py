@@ -17,7 +17,9 @@ from ssm_study.training.candidates import Candidate, simplest_good_candidate
 from ssm_study.training.choice_of_size import (
     candidates_far_ahead,
     judge_integrator,
+    one_layer_without_integrator,
     other_structures,
+    simplest_certifiable_candidate,
     train_finalists,
     try_integrating_sizes,
     try_noncontracting_models,
@@ -26,7 +28,7 @@ from ssm_study.training.choice_of_size import (
 from ssm_study.training.folds import make_folds
 from ssm_study.training.metrics import Identification
 from ssm_study.training.optimisers import Lbfgs
-from ssm_study.training.search import Choice, Search
+from ssm_study.training.search import STRUCTURED, Choice, Search
 from ssm_study.training.short_starts import STEPS, best_seeds, training_fit_text
 from ssm_study.training.structured_fit import StructuredFit
 from ssm_study.training.training import Training, TrainingSession
@@ -197,6 +199,36 @@ def test_many_neurons_without_contraction_need_few_that_were_not_given_up() -> N
         search.tried.append(replace(given_up, settings=settings))
     tried = try_noncontracting_models(search)
     assert [one.settings["neurons"] for one in tried] == [2, 3]
+
+
+def test_one_layer_stays_where_no_good_model_with_an_integrator_can_be_certified() -> None:
+    spec = StructuredSpec(order=AUTO, neurons=AUTO, knots=AUTO, integrating_output=AUTO)
+    search = Search(spec=spec, folds=(), seed=0, announce=quiet)
+    without = candidate(STRUCTURED, 20.0, 22.0, 21.0, 23.0)
+    one_layer = replace(without, settings={"neurons": 0, "integrating_output": False})
+    neurons = replace(without, settings={"neurons": 5, "integrating_output": False})
+    search.tried += [one_layer, neurons]
+    assert one_layer_without_integrator(search) == []
+    search.decided["integrating_output"] = True
+    stays = one_layer_without_integrator(search)
+    assert [id(each) for each in stays] == [id(one_layer)]
+    smallest = candidate("one state", 30.0, 31.0, 30.0, 33.0)
+    best = candidate("two states", 10.0, 11.0, 10.0, 12.0)
+    search.spec = replace(spec, among_starts=AllCertified())
+    examined = [replace(each, example="model") for each in (smallest, best, one_layer)]
+    search.certified = {id(each): each.model != "two states" for each in examined}
+    assert simplest_certifiable_candidate(search, examined) is examined[2]
+    assert simplest_certifiable_candidate(search, examined[:2]) is examined[0]
+
+
+class AllCertified:
+    """Choice among starts that certifies every model."""
+
+    def __call__(self, identified: object) -> None:
+        """Choose none: nobody asks."""
+
+    def has_certificates(self, model: object) -> bool:
+        return model is not None
 
 
 def test_finalists_are_trained_further_and_nothing_else() -> None:
