@@ -158,8 +158,7 @@ def compare_simulations(
         scored_outputs = [values[scored] for values in outputs]
         output = np.concatenate(scored_outputs)
         scores = _score_row(whole, output, output_names)
-        size = {"states": states[name]}
-        rows[name] = scores | size
+        rows[name] = scores | {"states": states[name]}
     unsorted = pd.DataFrame.from_dict(rows, orient="index")
     table = unsorted.sort_values("fit_percent", ascending=False)
     table.index.name = "model"

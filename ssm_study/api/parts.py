@@ -175,8 +175,8 @@ def split_settings(words: Iterable[str]) -> list[tuple[str, str]]:
 
 def part_name(word: str) -> str:
     """Name of the part of a study that a setting such as `model.order=4` belongs to."""
-    before_value = str(word).partition("=")[0]
-    setting_path = before_value.lstrip("+")
+    signed_key = str(word).partition("=")[0]
+    setting_path = signed_key.lstrip("+")
     key = setting_path.rpartition("@")[2]
     dotted_key = key.replace("/", ".")
     return dotted_key.partition(".")[0]

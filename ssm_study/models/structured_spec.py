@@ -274,8 +274,8 @@ class StructuredSpec(ModelSpec):
     def training_count(self) -> int:
         """Number of training runs from different initial parameters. It is `starts`, one more with
         `among_starts`, and at least as many as `members` need."""
-        has_prior_start = self.among_starts is not None
-        return max(self.starts + has_prior_start, self.members)
+        has_extra_start = self.among_starts is not None
+        return max(self.starts + has_extra_start, self.members)
 
     def for_training_run(self, start: int) -> "StructuredSpec":
         """Copy of the settings with the initial values for one of several training runs. With
