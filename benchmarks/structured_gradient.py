@@ -20,7 +20,8 @@ import torch
 from common import REFERENCE, ROOT, cpu_seconds, write
 
 from ssm_study.models.structured_spec import TrainablePieces
-from ssm_study.training.structured_problem import CORE, RecordBatch, SimulationProblem, Theta
+from ssm_study.training.record_batch import RecordBatch
+from ssm_study.training.structured_problem import CORE, SimulationProblem, Theta
 
 sys.path.append(str(ROOT / "tests"))
 from structured_adjoint import gradient

@@ -64,13 +64,21 @@ class Candidate:
         """Whether a candidate's error on the folds is clearly larger than another's. It exceeds the
         other's by that share of it, and by one standard error or on all folds but one: a single odd
         piece makes the standard error large."""
-        if len(self.errors) < len(other.errors):
+        own_folds = len(self.errors)
+        if own_folds < len(other.errors):
             return True
-        excess = self.errors[: len(other.errors)] - other.errors
-        standard_error = float(excess.std(ddof=1)) / np.sqrt(len(excess))
+        other_folds = len(other.errors)
+        excess = self.errors[:other_folds] - other.errors
+        deviation = excess.std(ddof=1)
+        root_of_count = np.sqrt(len(excess))
+        standard_error = float(deviation) / root_of_count
         is_worse = excess > by * other.errors
-        is_consistent = int(is_worse.sum()) >= len(excess) - 1
-        is_large = bool(excess.mean() > by * other.mean_error_percent)
+        worse_folds = is_worse.sum()
+        fold_count = len(excess)
+        is_consistent = int(worse_folds) >= fold_count - 1
+        mean_excess = excess.mean()
+        large_excess = by * other.mean_error_percent
+        is_large = bool(mean_excess > large_excess)
         return is_large and (is_consistent or bool(excess.mean() > standard_error))
 
     def folds_contradict(self, other: "Candidate", by: float = NEARLY) -> bool:
@@ -78,8 +86,11 @@ class Candidate:
 
         One standard error of the difference is then larger than that share of the other's error.
         """
-        difference = self.errors[: len(other.errors)] - other.errors
-        standard_error = difference.std(ddof=1) / np.sqrt(len(difference))
+        other_folds = len(other.errors)
+        difference = self.errors[:other_folds] - other.errors
+        deviation = difference.std(ddof=1)
+        root_of_count = np.sqrt(len(difference))
+        standard_error = deviation / root_of_count
         return bool(standard_error > by * other.mean_error_percent)
 
     def is_worse_beyond_chance(self, other: "Candidate") -> bool:
@@ -109,16 +120,20 @@ class Candidate:
         It does not count where the other one explains less of the records: then that fold holds
         motions that no other has, and the last training has them all.
         """
-        fails = bool(self.errors.max() >= LARGEST_ERROR > other.errors.max())
+        largest_error = self.errors.max()
+        fails = bool(largest_error >= LARGEST_ERROR > other.errors.max())
         return fails and not other.fits_far_worse_than(self)
 
     def table_row(self, *, chosen: bool, certified: bool | None) -> Row:
         """Row of the table of candidates. `certified` is None if that was not examined."""
         fits = 100.0 - self.errors
         row: Row = {"question": self.question, "model": self.model, **self.settings}
-        row["fit_held_out_percent"] = float(fits.mean())
-        row["fit_worst_fold_percent"] = float(fits.min())
-        row["fits_of_folds_percent"] = " ".join(f"{fit:.1f}" for fit in fits)
+        mean_fit = fits.mean()
+        row["fit_held_out_percent"] = float(mean_fit)
+        worst_fit = fits.min()
+        row["fit_worst_fold_percent"] = float(worst_fit)
+        fit_texts = (f"{fit:.1f}" for fit in fits)
+        row["fits_of_folds_percent"] = " ".join(fit_texts)
         row["fit_training_percent"] = 100.0 - self.training_error
         row["folds"] = len(fits)
         row["piece_start"] = self.start
@@ -129,7 +144,8 @@ class Candidate:
     @property
     def describe(self) -> str:
         """Line of text with a candidate's settings and error."""
-        settings = ", ".join(f"{name} {value}" for name, value in self.settings.items())
+        setting_texts = (f"{name} {value}" for name, value in self.settings.items())
+        settings = ", ".join(setting_texts)
         return f"{self.question}: {self.model}, {settings}: {100.0 - self.mean_error_percent:.1f} %"
 
 
@@ -159,7 +175,8 @@ def good_candidates(candidates: Sequence[Candidate], by: float = NEARLY) -> list
         if not (candidate.is_clearly_worse(best, by) or candidate.fails_where_other_predicts(best))
     ]
     rivals = [candidate for candidate in near if candidate.folds_contradict(best, by)]
-    explains_most = min([best, *rivals], key=lambda candidate: candidate.training_error)
+    rivals_and_best = [best, *rivals]
+    explains_most = min(rivals_and_best, key=lambda candidate: candidate.training_error)
     return [candidate for candidate in near if not candidate.fits_far_worse_than(explains_most)]
 
 
@@ -179,7 +196,8 @@ class Trial:
         self.example = model
         self.training_errors.append(training_error)
         states = () if model is None else states_from_past(model, fold, fold.test)
-        starts = {SAMPLES: (None,) * len(states), PAST: states}
+        record_count = len(states)
+        starts = {SAMPLES: (None,) * record_count, PAST: states}
         for name, errors in self.by_start.items():
             if model is None:
                 errors.append(LARGEST_ERROR)
@@ -191,18 +209,23 @@ class Trial:
         """Add the error of a structured model on the fold without which it was trained."""
         loss = float(fit.loss)
         self.fits.append(fit)
-        model = fit.as_model() if np.isfinite(loss) else None
-        self.add_fold(model, fold, 100.0 * np.sqrt(loss))
+        is_finite = np.isfinite(loss)
+        model = fit.as_model() if is_finite else None
+        relative_error = np.sqrt(loss)
+        self.add_fold(model, fold, 100.0 * relative_error)
 
     @property
     def best_start_kind(self) -> str:
         """Kind of initial state with the smaller mean error."""
-        return PAST if sum(self.by_start[PAST]) < sum(self.by_start[SAMPLES]) else SAMPLES
+        errors_with_past = self.by_start[PAST]
+        errors_with_samples = self.by_start[SAMPLES]
+        return PAST if sum(errors_with_past) < sum(errors_with_samples) else SAMPLES
 
     @property
     def errors(self) -> Float[np.ndarray, "folds"]:
         """Errors on the folds for the kind of initial state with the smaller mean error."""
-        return np.array(self.by_start[self.best_start_kind])
+        errors_of_kind = self.by_start[self.best_start_kind]
+        return np.array(errors_of_kind)
 
 
 def try_linear_model(folds: Sequence[DataSet], order: int, delay: int, kind: str = LINEAR) -> Trial:
@@ -228,36 +251,47 @@ def fit_linear_model(data: DataSet, order: int, *, direct: bool, kind: str = LIN
     """
     records = delay_disturbances(data) if direct else data
     fit_recursion = FIT_RECURSION[kind]
-    model = fit_recursion(records.with_disturbances_as_inputs(), order, 0 if direct else 1)
+    records_with_inputs = records.with_disturbances_as_inputs()
+    delay = 0 if direct else 1
+    model = fit_recursion(records_with_inputs, order, delay)
     f = model.theta[1 : order + 1]
-    both = model.theta[order + 1 :].reshape(-1, order).T  # (lags, inputs and disturbances)
-    gains = both[:, : data.scale.inputs]
+    input_coefficients = model.theta[order + 1 :]
+    both = input_coefficients.reshape(-1, order).T  # (lags, inputs and disturbances)
+    input_count = data.scale.inputs
+    gains = both[:, :input_count]
     d = gains[:1] if direct else np.zeros((1, gains.shape[1]))
     by_lag = np.concatenate([gains[1:], 0.0 * d]) if direct else gains
     a = np.eye(order, k=1)
     a[:, 0] = f
-    offset = data.scale.output_scale * model.theta[0] / (1.0 - f.sum())
-    scale = replace(data.scale, output_equilibrium=data.scale.output_equilibrium + offset)
+    scaled_constant = data.scale.output_scale * model.theta[0]
+    denominator_sum = f.sum()
+    offset = scaled_constant / (1.0 - denominator_sum)
+    moved_equilibrium = data.scale.output_equilibrium + offset
+    scale = replace(data.scale, output_equilibrium=moved_equilibrium)
     b = by_lag + f[:, None] * d
-    system = StateSpace(a=a, b=b, c=np.eye(1, order), d=d)
+    first_state = np.eye(1, order)
+    system = StateSpace(a=a, b=b, c=first_state, d=d)
     if not data.disturbances:
         return SSM.from_linear(system, data.step_s, scale)
-    identity_in = LinearScaffold.identity(gains.shape[1])
+    gain_count = gains.shape[1]
+    identity_in = LinearScaffold.identity(gain_count)
     identity_out = LinearScaffold.identity(1)
+    disturbance_start = gains.shape[1]
     return SSM(
         linear=system,
         scaffold_in=identity_in,
         scaffold_out=identity_out,
         scale=scale,
         step_s=data.step_s,
-        b_d=both[:, gains.shape[1] :],
+        b_d=both[:, disturbance_start:],
     )
 
 
 def delay_disturbances(data: DataSet) -> DataSet:
     """Training records in which measured disturbances are delayed by one sample. An effect within
     the sample for the input is then one of the sample before for them."""
-    late = tuple(delay_disturbance(record) for record in data.training)
+    delayed_records = (delay_disturbance(record) for record in data.training)
+    late = tuple(delayed_records)
     return replace(data, training=late)
 
 
@@ -266,7 +300,9 @@ def delay_disturbance(record: Trajectory) -> Trajectory:
     repeated."""
     if record.d is None:
         return record
-    late = np.vstack([record.d[:1], record.d[:-1]])
+    first_value = record.d[:1]
+    earlier_values = record.d[:-1]
+    late = np.vstack([first_value, earlier_values])
     return replace(record, d=late)
 
 
@@ -293,7 +329,8 @@ def train_further(fits: Sequence[StructuredFit], folds: Sequence[DataSet], steps
     for fit, fold in zip(fits, folds, strict=True):
         dead_time = int(fit.spec.dead_time)
         fit.take_further_steps(steps)
-        trial.add_fit(fit, fold.shift_out_dead_time(dead_time) if dead_time else fold)
+        shifted_fold = fold.shift_out_dead_time(dead_time) if dead_time else fold
+        trial.add_fit(fit, shifted_fold)
     return trial
 
 
@@ -313,8 +350,12 @@ def relative_rms_error(run: Simulation, data: DataSet) -> float:
     """
     squares = []
     for record, simulated in zip(run.records, run.simulated, strict=True):
-        error = (record.y - simulated)[run.start_up_samples :] / data.scale.output_scale
+        output_error = record.y - simulated
+        error = output_error[run.start_up_samples :] / data.scale.output_scale
         squares.append(error**2)
     with np.errstate(all="ignore"):
-        error_percent = 100.0 * float(np.sqrt(np.mean(np.concatenate(squares))))
-    return min(error_percent, LARGEST_ERROR) if np.isfinite(error_percent) else LARGEST_ERROR
+        all_squares = np.concatenate(squares)
+        mean_square = np.mean(all_squares)
+        error_percent = 100.0 * float(np.sqrt(mean_square))
+    is_finite = np.isfinite(error_percent)
+    return min(error_percent, LARGEST_ERROR) if is_finite else LARGEST_ERROR

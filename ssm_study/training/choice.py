@@ -35,7 +35,8 @@ def choose_model(
 
     Records too short for folds choose nothing: the defaults of `model=structured` are taken.
     """
-    return next(iterate_choices(spec, data, seed, announce))
+    choices = iterate_choices(spec, data, seed, announce)
+    return next(choices)
 
 
 def iterate_choices(
@@ -62,7 +63,8 @@ def iterate_choices(
         yield search.make_choice(regression)
     while candidates:
         chosen = simplest_certifiable_candidate(search, candidates)
-        choice = search.make_choice(chosen, other_structures(candidates, chosen))
+        others = other_structures(candidates, chosen)
+        choice = search.make_choice(chosen, others)
         yield replace(choice, predictor=predictor)
         if not search.is_certifiable(chosen):  # then none of them can
             return

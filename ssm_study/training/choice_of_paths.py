@@ -54,17 +54,22 @@ def choose_between_two(
         search.score_structured_model(question, size | {name: value}) for value in values
     )
     is_needed = without.is_clearly_worse(with_it, gain)
-    search.adopt_settings(with_it if is_needed else without, {name: values[int(is_needed)]})
+    adopted = with_it if is_needed else without
+    index = int(is_needed)
+    chosen_value = values[index]
+    search.adopt_settings(adopted, {name: chosen_value})
 
 
 def response_lag(data: DataSet) -> int | None:
     """Number of samples until the output first responds to an input; None if noise hides it."""
-    record = max(join_training_and_validation(data).training, key=len)
+    all_records = join_training_and_validation(data)
+    record = max(all_records.training, key=len)
     if len(record) <= SHORTEST:
         return None
     inputs = [u for u in record.u.T if np.ptp(u) > 0]
     outputs = [y for y in record.y.T if np.ptp(y) > 0]
-    lags = [first_response_lag(u, y) for u, y in product(inputs, outputs)]
+    pairs_of_channels = product(inputs, outputs)
+    lags = [first_response_lag(u, y) for u, y in pairs_of_channels]
     answered = [lag for lag in lags if lag is not None]
     return min(answered, default=None)
 
@@ -73,7 +78,8 @@ def choose_integrator(search: Search, data: DataSet) -> None:
     """Choose whether the model's output is a running sum. It is tried if a linear model nearly
     integrates."""
     if search.is_undecided("integrating_output"):
-        tried = search.spec.neurons != 0 and nearly_integrates(data)
+        neurons = search.spec.neurons
+        tried = neurons != 0 and nearly_integrates(data)
         values = (False, True) if tried else (False,)
         choose_between_two(search, "integrator", "integrating_output", values, DELAY_GAIN)
 
@@ -87,16 +93,23 @@ def nearly_integrates(data: DataSet) -> bool:
     if data.scale.outputs != 1:
         return False
     with np.errstate(all="ignore"):
-        system = fit_linear_model(
-            join_training_and_validation(data), SLOW_ORDER, direct=False
-        ).driven_system
+        all_records = join_training_and_validation(data)
+        slow_model = fit_linear_model(all_records, SLOW_ORDER, direct=False)
+        system = slow_model.driven_system
         modes, vectors = np.linalg.eig(system.a)
-        by_output = np.abs(system.c @ vectors).T
-        by_input = np.abs(np.linalg.solve(vectors, system.b + 0j))
+        modal_outputs = system.c @ vectors
+        by_output = np.abs(modal_outputs).T
+        complex_b = system.b + 0j
+        modal_inputs = np.linalg.solve(vectors, complex_b)
+        by_input = np.abs(modal_inputs)
         residues = by_output * by_input
-        radii = np.minimum(np.abs(modes), 1.0 - 1e-9)
-        gains = residues.sum(axis=1) / (1.0 - radii)
-    share = gains[radii > INTEGRATES].sum() / gains.sum()
+        moduli = np.abs(modes)
+        radii = np.minimum(moduli, 1.0 - 1e-9)
+        mode_gains = residues.sum(axis=1)
+        gains = mode_gains / (1.0 - radii)
+    integrating_gains = gains[radii > INTEGRATES]
+    total_gain = gains.sum()
+    share = integrating_gains.sum() / total_gain
     return bool(share > CARRIES)
 
 
@@ -108,4 +121,5 @@ def choose_input_path(search: Search) -> None:
     if search.has_integrator or search.spec.neurons == 0:
         search.decided["input_path"] = "none"
         return
-    choose_between_two(search, "input path", "input_path", ("none", "free"), DELAY_GAIN)
+    paths = ("none", "free")
+    choose_between_two(search, "input path", "input_path", paths, DELAY_GAIN)

@@ -33,9 +33,11 @@ def choose_products(search: Search, data: DataSet) -> BilinearSpec | None:
         return None
     candidates = [try_products(search, order, nodes) for order, nodes in SIZES]
     best = min(candidates, key=lambda candidate: candidate.mean_error_percent)
-    if not all(other.is_clearly_worse(best, PRODUCTS_GAIN) for other in others):
+    are_worse = (other.is_clearly_worse(best, PRODUCTS_GAIN) for other in others)
+    if not all(are_worse):
         return None
-    simplest = next(each for each in candidates if not each.is_clearly_worse(best))
+    good_enough = (each for each in candidates if not each.is_clearly_worse(best))
+    simplest = next(good_enough)
     search.chosen.append(simplest)
     order = int(simplest.settings["order"])
     nodes = int(simplest.settings["nodes"])
@@ -45,8 +47,10 @@ def choose_products(search: Search, data: DataSet) -> BilinearSpec | None:
 def can_be_tried(search: Search, data: DataSet) -> bool:
     """Whether a model with products of input and state can be fitted to the data. It takes one
     input and no measured disturbance, and the user must have fixed neither size nor members."""
-    is_simple = data.scale.inputs == 1 and not data.disturbances
-    is_undecided = all(search.is_undecided(name) for name in ("order", "neurons"))
+    input_count = data.scale.inputs
+    is_simple = input_count == 1 and not data.disturbances
+    sizes = ("order", "neurons")
+    is_undecided = all(search.is_undecided(name) for name in sizes)
     is_alone = search.spec.members == 1
     lacks_nothing = all(search.setting_value(name) == value for name, value in UNTRIED.items())
     return is_simple and is_undecided and is_alone and lacks_nothing
@@ -73,7 +77,8 @@ def score_on_folds(spec: BilinearSpec, folds: Sequence[DataSet]) -> Trial:
             fit_training = records_fit_percent(model, fold.training, fold)
         finite = np.isfinite(fit_training)
         trial.example = model
-        trial.training_errors.append(100.0 - fit_training if finite else LARGEST_ERROR)
+        error_in_training = 100.0 - fit_training if finite else LARGEST_ERROR
+        trial.training_errors.append(error_in_training)
         for name in (SAMPLES, PAST):
             trial.by_start[name].append(error)
     return trial

@@ -57,7 +57,8 @@ def judge_integrator(search: Search) -> bool:
     integrator is decided on only if it is clearly better than models without neurons, too. If it is
     better, but not clearly, models of several sizes with an integrator are trained as well.
     """
-    if not (search.has_integrator and search.spec.integrating_output == AUTO):
+    is_open = search.has_integrator and search.spec.integrating_output == AUTO
+    if not is_open:
         return False
     with_integrator = search.chosen[-1]
     search.decided["integrating_output"] = False
@@ -88,7 +89,8 @@ def try_model_sizes(search: Search, *, also_integrating: bool = False) -> list[C
     integrating = try_integrating_sizes(search, contracting) if also_integrating else []
     linear = [candidate for candidate in contracting if candidate.model == LINEAR]
     larger = [candidate for candidate in contracting if candidate.model != LINEAR]
-    return [*linear, *integrating, *larger, *candidates_far_ahead(free, contracting)]
+    far_ahead = candidates_far_ahead(free, contracting)
+    return [*linear, *integrating, *larger, *far_ahead]
 
 
 def one_layer_without_integrator(search: Search) -> list[Candidate]:
@@ -111,7 +113,8 @@ def one_layer_without_integrator(search: Search) -> list[Candidate]:
 def try_larger_models(search: Search, smaller: Sequence[Candidate]) -> list[Candidate]:
     """Candidates of high order, one by one, while all that are smaller are behind. The first is
     tried, too, if a linear model needs more states than the others have."""
-    first_order = smaller[0].settings.get("order")  # None where the order is given
+    first_settings = smaller[0].settings
+    first_order = first_settings.get("order")  # None where the order is given
     needs_order = first_order is not None and int(first_order) > int(TRIED_SIZE["order"])
     candidates = [*smaller]
     for larger in LARGER:
@@ -119,7 +122,8 @@ def try_larger_models(search: Search, smaller: Sequence[Candidate]) -> list[Cand
         if not (is_last_good or needs_order):
             break
         needs_order = False
-        candidates.append(search.score_structured_model("size", larger))
+        larger_candidate = search.score_structured_model("size", larger)
+        candidates.append(larger_candidate)
     return candidates[len(smaller) :]
 
 
@@ -131,8 +135,10 @@ def try_integrating_sizes(search: Search, contracting: Sequence[Candidate]) -> l
     """
     with_integrator = {"integrating_output": True, "input_path": "none"}
     sizes = [size | with_integrator for size in INTEGRATING_SIZES]
-    finalists = train_finalists(search, score_sizes(search, "integrator", sizes))
-    most = (1.0 - NEARLY) * best_candidate(contracting).mean_error_percent
+    scored = score_sizes(search, "integrator", sizes)
+    finalists = train_finalists(search, scored)
+    best_contracting = best_candidate(contracting)
+    most = (1.0 - NEARLY) * best_contracting.mean_error_percent
     leading = [candidate for candidate in finalists if candidate.mean_error_percent < most]
     return [candidate for candidate in leading if search.is_certifiable(candidate)]
 
@@ -155,7 +161,8 @@ def try_noncontracting_models(search: Search) -> list[Candidate]:
 def score_sizes(search: Search, question: str, sizes: Sequence[Settings]) -> list[Candidate]:
     """Candidates of several sizes, scored on the folds, equal sizes only once."""
     scored = [search.score_structured_model(question, size) for size in sizes]
-    return list({id(candidate): candidate for candidate in scored}.values())
+    distinct = {id(candidate): candidate for candidate in scored}
+    return list(distinct.values())
 
 
 def candidates_far_ahead(
@@ -179,7 +186,8 @@ def train_finalists(search: Search, candidates: Sequence[Candidate]) -> list[Can
     most = FINALIST * best.mean_error_percent
     near = [candidate for candidate in trained if candidate.mean_error_percent <= most]
     by_error = sorted(near, key=lambda candidate: candidate.mean_error_percent)
-    finalists = [id(candidate) for candidate in by_error[:MOST_FINALISTS]]
+    best_by_error = by_error[:MOST_FINALISTS]
+    finalists = [id(candidate) for candidate in best_by_error]
     return [
         search.train_further(candidate, FURTHER_STEPS) if id(candidate) in finalists else candidate
         for candidate in candidates
@@ -191,7 +199,8 @@ def try_sizes_without_neurons(search: Search) -> list[Candidate]:
     map."""
     order = int(TRIED_SIZE["order"])
     candidates = []
-    if search.folds[0].scale.outputs == 1 and search.is_undecided("order"):
+    scale = search.folds[0].scale
+    if scale.outputs == 1 and search.is_undecided("order"):
         simplest = choose_linear_order(search)
         order = int(simplest.settings["order"])
         if not search.allows_linear_model:
@@ -199,9 +208,11 @@ def try_sizes_without_neurons(search: Search) -> list[Candidate]:
             simplest = search.score_structured_model("size", without_neurons)
         candidates.append(simplest)
     least, most = ONE_LAYER_ORDERS
-    one_layer_order = min(max(order, least), most)
+    least_order = max(order, least)
+    one_layer_order = min(least_order, most)
     one_layer = {"order": one_layer_order, "neurons": 0, "knots": 16}
-    candidates.append(search.score_structured_model("size", one_layer))
+    one_layer_candidate = search.score_structured_model("size", one_layer)
+    candidates.append(one_layer_candidate)
     return candidates
 
 
@@ -214,7 +225,8 @@ def choose_linear_order(search: Search) -> Candidate:
     for order in HIGH_LINEAR_ORDERS:
         if simplest_good_candidate(tried) is not tried[-1]:
             break
-        tried.append(search.score_linear_model("linear order", order, delay))
+        linear_candidate = search.score_linear_model("linear order", order, delay)
+        tried.append(linear_candidate)
     return simplest_good_candidate(tried)
 
 
@@ -244,5 +256,6 @@ def other_structures(candidates: Sequence[Candidate], chosen: Candidate) -> list
 
 def is_contracting(candidate: Candidate) -> bool:
     """Whether a candidate's models contract by construction: with a rate, without an integrator."""
-    has_rate = candidate.settings.get("rate", 0.0) is not None
+    rate = candidate.settings.get("rate", 0.0)
+    has_rate = rate is not None
     return has_rate and candidate.settings.get("integrating_output") is not True

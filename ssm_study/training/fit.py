@@ -48,44 +48,60 @@ class TrainingBatch(nn.Module):
         super().__init__()
         self.integrated_share = share
         scale = data.scale.with_disturbances_as_inputs()
-        u, y = pad_records(
-            [
-                (scale.scaled_input(r.inputs_and_disturbances), scale.scaled_output(r.y))
-                for r in cut.pieces
-            ]
-        )
-        scored = np.zeros((*u.shape[:2], 1))
-        for e, (piece, unscored) in enumerate(zip(cut.pieces, cut.unscored, strict=True)):
+        scaled_pairs = [
+            (scale.scaled_input(r.inputs_and_disturbances), scale.scaled_output(r.y))
+            for r in cut.pieces
+        ]
+        u, y = pad_records(scaled_pairs)
+        record_shape = u.shape[:2]
+        scored = np.zeros((*record_shape, 1))
+        pieces = zip(cut.pieces, cut.unscored, strict=True)
+        for e, (piece, unscored) in enumerate(pieces):
             scored[e, unscored : len(piece)] = 1.0
-        mean = (scored * y).sum(axis=(0, 1)) / scored.sum()  # one offset for all records
-        spread = float((scored * (y - mean) ** 2).sum())
-        for name, values in {"u": u, "y": y, "weight": scored / spread, "scored": scored}.items():
+        records_and_samples = (0, 1)
+        weighted_sum = (scored * y).sum(axis=records_and_samples)
+        scored_count = scored.sum()
+        mean = weighted_sum / scored_count  # one offset for all records
+        squares = (y - mean) ** 2
+        scored_squares = scored * squares
+        spread = float(scored_squares.sum())
+        buffers = {"u": u, "y": y, "weight": scored / spread, "scored": scored}
+        for name, values in buffers.items():
             self.register_buffer(name, torch.from_numpy(values), persistent=False)
-        summed = (self.scored * self.y).cumsum(
-            1
-        ) * self.scored  # of y as of its error, see `training_objective`
-        self.register_buffer("sum_spread", summed.square().sum(), persistent=False)
-        self.lift = InputMapping(self.u[..., : data.scale.inputs], sorts)
+        scored_outputs = self.scored * self.y
+        running_sums = scored_outputs.cumsum(1)
+        summed = running_sums * self.scored  # of y as of its error, see `training_objective`
+        squared_sums = summed.square()
+        self.register_buffer("sum_spread", squared_sums.sum(), persistent=False)
+        input_count = data.scale.inputs
+        plain_inputs = self.u[..., :input_count]
+        self.lift = InputMapping(plain_inputs, sorts)
 
     def simulate(self, model: TorchModel, x0: States | None = None) -> Signals:
         """Simulate the model in free run over all records."""
-        return model(self.u, x0, **self._mapped_inputs(model))
+        mapped = self._mapped_inputs(model)
+        return model(self.u, x0, **mapped)
 
     def advance(self, model: TorchModel, x0: States) -> tuple[Signals, States]:
         """Simulate the model over all records, and return the outputs and the final states. Padding
         is simulated, too."""
-        return model.advance(self.u, x0, **self._mapped_inputs(model))
+        mapped = self._mapped_inputs(model)
+        return model.advance(self.u, x0, **mapped)
 
     def _mapped_inputs(self, model: TorchModel) -> dict[str, Signals]:
         """Inputs after the input map, where they are computed once for all windows."""
         if not isinstance(model, TorchSSM):
             return {}
-        return {"lifted": model.driving_signals(self.u, self.lift(model.scaffold_in))}
+        mapped_inputs = self.lift(model.scaffold_in)
+        signals = model.driving_signals(self.u, mapped_inputs)
+        return {"lifted": signals}
 
     def squared_error(self, y_hat: Signals) -> Float[Tensor, ""]:
         """Weighted squared error of simulated outputs, `sum weight |e|^2`, from which the fit is
         computed."""
-        return (self.weight * (y_hat - self.y) ** 2).sum()
+        squared_error = (y_hat - self.y) ** 2
+        weighted_squares = self.weight * squared_error
+        return weighted_squares.sum()
 
     def training_objective(self, y_hat: Signals) -> Float[Tensor, ""]:
         """Training objective of simulated outputs. `(1 - share) sum weight |e|^2 + share |running
@@ -96,11 +112,14 @@ class TrainingBatch(nn.Module):
         """
         if self.integrated_share == 0.0:
             return self.squared_error(y_hat)
-        summed = (self.scored * (y_hat - self.y)).cumsum(1) * self.scored
-        drift = summed.square().sum() / self.sum_spread  # relative to the sum of y itself
-        return (1 - self.integrated_share) * self.squared_error(
-            y_hat
-        ) + self.integrated_share * drift
+        scored_error = self.scored * (y_hat - self.y)
+        running_error = scored_error.cumsum(1)
+        summed = running_error * self.scored
+        squared_drift = summed.square()
+        drift = squared_drift.sum() / self.sum_spread  # relative to the sum of y itself
+        error_part = (1 - self.integrated_share) * self.squared_error(y_hat)
+        drift_part = self.integrated_share * drift
+        return error_part + drift_part
 
 
 class InitialStates(nn.Module):
@@ -116,22 +135,33 @@ class InitialStates(nn.Module):
         super().__init__()
         self.cut = cut
         self.weight = weight
-        for name, places in (("rows", rows), ("later", cut.continuing_windows)):
-            self.register_buffer(name, torch.tensor(places, dtype=torch.int64), persistent=False)
-        self.free = nn.Parameter(values[self.rows].clone())
+        trained_rows = ("rows", rows)
+        continued_rows = ("later", cut.continuing_windows)
+        for name, places in (trained_rows, continued_rows):
+            indices = torch.tensor(places, dtype=torch.int64)
+            self.register_buffer(name, indices, persistent=False)
+        first_values = values[self.rows]
+        self.free = nn.Parameter(first_values.clone())
 
     def forward(self) -> States:
         """Initial states of all windows."""
-        return self.free.new_zeros(len(self.cut.pieces), self.free.shape[1]).index_copy(
-            0, self.rows, self.free
-        )
+        window_count = len(self.cut.pieces)
+        state_width = self.free.shape[1]
+        zero_states = self.free.new_zeros(window_count, state_width)
+        return zero_states.index_copy(0, self.rows, self.free)
 
     def shooting_defects(self, ends: States, starts: States) -> Float[Tensor, "k n"]:
         """Differences between the final state of a window and the initial state of the next,
         weighted for the penalty."""
         reached = ends[self.later - 1]  # where the window before ends
-        size = (reached.square().sum(0) + UNMOVED) * reached.shape[1] / self.weight
-        return (reached - starts[self.later]) / torch.sqrt(size)
+        squares = reached.square()
+        sum_of_squares = squares.sum(0)
+        state_count = reached.shape[1]
+        size = (sum_of_squares + UNMOVED) * state_count / self.weight
+        continued_starts = starts[self.later]
+        difference = reached - continued_starts
+        root_size = torch.sqrt(size)
+        return difference / root_size
 
 
 def roughness_penalty(model: TorchModel, weight: float) -> Float[Tensor, ""]:
@@ -141,7 +171,9 @@ def roughness_penalty(model: TorchModel, weight: float) -> Float[Tensor, ""]:
     It is free of scale, so a weight of 0.001 means a thousandth of the output's variance.
     """
     if weight > 0 and isinstance(model, TorchSSM):
-        roughness = model.scaffold_in.roughness() + model.scaffold_out.roughness()
+        input_roughness = model.scaffold_in.roughness()
+        output_roughness = model.scaffold_out.roughness()
+        roughness = input_roughness + output_roughness
         return weight * roughness
     return torch.zeros(())
 
@@ -195,8 +227,10 @@ class Fit(pl.LightningModule):
         problem = "this model has no state to start a window from"
         remedy = "use training.windows.samples=null"
         able = model.states > 0 or not cut.continuing_windows
-        require(able, "training.windows.samples", self.settings.windows.samples, problem, remedy)
-        rows = [*(cut.first if moving else ()), *cut.continuing_windows]
+        windows = self.settings.windows
+        require(able, "training.windows.samples", windows.samples, problem, remedy)
+        moving_rows = cut.first if moving else ()
+        rows = [*moving_rows, *cut.continuing_windows]
         values = simulate_window_starts(model, self.training_records, cut) if rows else None
         return None if values is None else InitialStates(cut, sorted(rows), values, weight)
 
@@ -220,33 +254,41 @@ class Fit(pl.LightningModule):
     def training_loss(self) -> Tensor:
         """Training loss of the current model: simulation error, shooting defects and roughness."""
         y_hat, defects = self.simulate_windows()
-        added = roughness_penalty(self.model, self.settings.roughness_weight)
-        return self.training_records.training_objective(y_hat) + defects.square().sum() + added
+        weight = self.settings.roughness_weight
+        added = roughness_penalty(self.model, weight)
+        objective = self.training_records.training_objective(y_hat)
+        squared_defects = defects.square()
+        return objective + squared_defects.sum() + added
 
     def simulate_windows(self) -> tuple[Signals, Float[Tensor, "k n"]]:
         """Simulated outputs of all windows, and the differences of state between successive
         windows."""
         x0 = None if self.starts is None else self.starts()
         if self.starts is None or x0 is None or not self.starts.cut.continuing_windows:
-            return self.training_records.simulate(
-                self.model, x0
-            ), self.training_records.y.new_zeros(0, 0)
+            outputs = self.training_records.simulate(self.model, x0)
+            no_defects = self.training_records.y.new_zeros(0, 0)
+            return outputs, no_defects
         y_hat, ends = self.training_records.advance(self.model, x0)
-        return y_hat, self.starts.shooting_defects(ends, x0)
+        defects = self.starts.shooting_defects(ends, x0)
+        return y_hat, defects
 
     def forward(self) -> Float[Tensor, "N"]:
         """Residuals of the simulation, whose squared sum is minimised. `sqrt(weight) (y_hat - y)`,
         then the defects."""
         records, (y_hat, defects) = self.training_records, self.simulate_windows()
-        return torch.cat(
-            [(torch.sqrt(records.weight) * (y_hat - records.y)).flatten(), defects.flatten()]
-        )
+        root_weight = torch.sqrt(records.weight)
+        error = y_hat - records.y
+        weighted_error = (root_weight * error).flatten()
+        flat_defects = defects.flatten()
+        return torch.cat([weighted_error, flat_defects])
 
     def residuals_at(self, flat: Float[Tensor, "P"]) -> Float[Tensor, "N"]:
         """Residuals of the simulation as a function of all trainable parameters."""
         named = [(name, p) for name, p in self.named_parameters() if p.requires_grad]
-        parts = flat.split([p.numel() for _, p in named])
-        values = {name: part.view(p.shape) for (name, p), part in zip(named, parts, strict=True)}
+        sizes = [p.numel() for _, p in named]
+        parts = flat.split(sizes)
+        named_parts = zip(named, parts, strict=True)
+        values = {name: part.view(p.shape) for (name, p), part in named_parts}
         with allow_forward_derivatives():
             return functional_call(self, values, ())
 
@@ -258,19 +300,20 @@ class Fit(pl.LightningModule):
         last step.
         """
         fitted = None if self.starts is None else self.starts()[list(self.starts.cut.first)]
-        moving = self.data.start_up_samples > 0 and isinstance(self.model, TorchSSM)
-        estimated = self._validation_starts() if moving else None
-        for name, records, x0 in (
-            ("training", self.whole, fitted),
-            ("validation", self.validation_records, estimated),
-        ):
-            loss = float(records.squared_error(records.simulate(self.model, x0)))
+        start_up_samples = self.data.start_up_samples
+        moving = start_up_samples > 0 and isinstance(self.model, TorchSSM)
+        estimated = self._estimate_validation_states() if moving else None
+        training_part = ("training", self.whole, fitted)
+        validation_part = ("validation", self.validation_records, estimated)
+        for name, records, x0 in (training_part, validation_part):
+            outputs = records.simulate(self.model, x0)
+            loss = float(records.squared_error(outputs))
             self.log(
                 f"fit_{name}_percent",
                 fit_from_relative_error(loss**0.5) if np.isfinite(loss) else -np.inf,
             )
 
-    def _validation_starts(self) -> States:
+    def _estimate_validation_states(self) -> States:
         """Initial states of the validation records, estimated from their first samples.
 
         A record that starts in motion says nothing about a model that simulates it from rest:
@@ -279,13 +322,19 @@ class Fit(pl.LightningModule):
         """
         like = next(self.model.parameters())
         records = self.data.validation
-        if not all(torch.isfinite(parameter).all() for parameter in self.model.parameters()):
-            return like.new_full((len(records), self.model.states), torch.nan)
+        parameters = self.model.parameters()
+        are_finite = (torch.isfinite(parameter).all() for parameter in parameters)
+        if not all(are_finite):
+            record_count = len(records)
+            state_count = self.model.states
+            return like.new_full((record_count, state_count), torch.nan)
         stored = self.model.freeze(self.data)
         states = [
             estimate_initial_state(stored, record, self.data.start_up_samples) for record in records
         ]
-        return torch.from_numpy(np.stack(states)).to(like)
+        state_table = np.stack(states)
+        state_tensor = torch.from_numpy(state_table)
+        return state_tensor.to(like)
 
     def configure_optimizers(self) -> Any:
         """Build the optimiser of the training."""
@@ -294,20 +343,24 @@ class Fit(pl.LightningModule):
     def trained_model_with_remark(self) -> tuple[Simulator, str]:
         """Trained model as explicit numbers, and a remark on it. Rounding to float32 is removed by
         a few L-BFGS iterations in float64, if they end finite and lower."""
-        single = self.training_records.y.dtype == torch.float32
+        training_outputs = self.training_records.y
+        single = training_outputs.dtype == torch.float32
         self.to("cpu", torch.float64)
         if single and not isinstance(
             self.settings.optimiser, Levenberg
         ):  # which leaves the penalties out
-            before = {name: value.clone() for name, value in self.state_dict().items()}
+            state_of_module = self.state_dict()
+            before = {name: value.clone() for name, value in state_of_module.items()}
+            parameters = trainable_parameters(self)
             optimiser = torch.optim.LBFGS(
-                trainable_parameters(self), max_iter=POLISH_STEPS, line_search_fn="strong_wolfe"
+                parameters, max_iter=POLISH_STEPS, line_search_fn="strong_wolfe"
             )
             first = float(self._loss_and_gradient())
             optimiser.step(self._loss_and_gradient)
             if not float(self._loss_and_gradient()) <= first:  # also where it is NaN
                 self.load_state_dict(before)
-        return self.model.freeze(self.data), ""
+        frozen_model = self.model.freeze(self.data)
+        return frozen_model, ""
 
 
 @torch.no_grad()
@@ -320,5 +373,8 @@ def simulate_window_starts(model: TorchModel, records: TrainingBatch, cut: Recor
     """
     states = records.u.new_zeros(len(cut.pieces), model.states)
     for later in cut.continuing_windows:
-        states[later] = model.advance(records.u[later - 1 : later], states[later - 1 : later])[1][0]
+        window = records.u[later - 1 : later]
+        start = states[later - 1 : later]
+        advanced = model.advance(window, start)
+        states[later] = advanced[1][0]
     return states

@@ -32,7 +32,8 @@ def join_consecutive_records(records: Sequence[Trajectory]) -> list[Trajectory]:
             and before.log == record.log > 0
             and is_direct_continuation(record, before)
         ):
-            joined[-1] = Trajectory.concatenate([before, record])
+            record_pair = [before, record]
+            joined[-1] = Trajectory.concatenate(record_pair)
         else:
             joined.append(record)
     return joined
@@ -40,7 +41,8 @@ def join_consecutive_records(records: Sequence[Trajectory]) -> list[Trajectory]:
 
 def is_direct_continuation(record: Trajectory, before: Trajectory) -> bool:
     """Whether a record begins directly after the end of another."""
-    return record.first == before.first + len(before)
+    samples_before = len(before)
+    return record.first == before.first + samples_before
 
 
 def make_folds(data: DataSet) -> tuple[DataSet, ...]:
@@ -59,21 +61,18 @@ def make_folds(data: DataSet) -> tuple[DataSet, ...]:
     folds = []
     for k in range(FOLDS):
         trained, held_out = hold_out_records(joined, k) if whole else hold_out_pieces(joined, k)
-        folds.append(
-            replace(
-                data,
-                training=shorten_records(trained),
-                validation=held_out,
-                test=held_out,
-                start_up_samples=unscored,
-            )
+        shortened = shorten_records(trained)
+        fold_data = replace(
+            data, training=shortened, validation=held_out, test=held_out, start_up_samples=unscored
         )
+        folds.append(fold_data)
     return tuple(folds)
 
 
 def hold_out_records(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
     """Training records without about every fourth one, and the records left out."""
-    trained = tuple(record for k, record in enumerate(records) if k % FOLDS != fold)
+    remaining = (record for k, record in enumerate(records) if k % FOLDS != fold)
+    trained = tuple(remaining)
     return trained, records[fold::FOLDS]
 
 
@@ -93,7 +92,10 @@ def hold_out_pieces(records: Trajectories, fold: int) -> tuple[Trajectories, Tra
 
 def shorten_records(records: Trajectories) -> Trajectories:
     """Records cut at their ends to a given total length."""
-    share = MOST_SAMPLES / sum(len(record) for record in records)
+    lengths = (len(record) for record in records)
+    total = sum(lengths)
+    share = MOST_SAMPLES / total
     if share >= 1.0:
         return records
-    return tuple(record[: max(SHORTEST_PIECE, round(share * len(record)))] for record in records)
+    shortened = (record[: max(SHORTEST_PIECE, round(share * len(record)))] for record in records)
+    return tuple(shortened)

@@ -29,11 +29,18 @@ def corner_gains(matrices: KernelMatrices) -> Float[np.ndarray, "corners"]:
     output."""
     n = len(matrices.a)
     q = matrices.e.shape[1]
-    slopes = np.array(list(product((0.0, 1.0), repeat=q))).reshape(2**q, q)
-    recurrences = matrices.a + (matrices.e * slopes[:, None, :]) @ matrices.f
-    b = np.broadcast_to(matrices.b, (len(slopes), *matrices.b.shape))
-    states = np.linalg.solve(np.eye(n) - recurrences, b)
-    return (matrices.c @ states)[:, 0, 0]
+    corners = product((0.0, 1.0), repeat=q)
+    corner_list = list(corners)
+    slopes = np.array(corner_list).reshape(2**q, q)
+    slope_rows = slopes[:, None, :]
+    through_neurons = (matrices.e * slope_rows) @ matrices.f
+    recurrences = matrices.a + through_neurons
+    corner_count = len(slopes)
+    b = np.broadcast_to(matrices.b, (corner_count, *matrices.b.shape))
+    identity = np.eye(n)
+    states = np.linalg.solve(identity - recurrences, b)
+    gains = matrices.c @ states
+    return gains[:, 0, 0]
 
 
 def gain_shortfall(matrices: KernelMatrices, least_share: float) -> Float[np.ndarray, "corners"]:
@@ -41,10 +48,13 @@ def gain_shortfall(matrices: KernelMatrices, least_share: float) -> Float[np.nda
     fraction of the largest gain."""
     with np.errstate(all="ignore"):
         gains = corner_gains(matrices)
-    largest = gains[np.argmax(np.abs(gains))]
-    if not np.isfinite(gains).all() or largest == 0.0:
+    largest_index = np.argmax(np.abs(gains))
+    largest = gains[largest_index]
+    is_finite = np.isfinite(gains)
+    if not is_finite.all() or largest == 0.0:
         return np.zeros(len(gains))
-    return WEIGHT * np.maximum(least_share - gains / largest, 0.0)
+    shortfall = least_share - gains / largest
+    return WEIGHT * np.maximum(shortfall, 0.0)
 
 
 def jacobian_by_differences(
@@ -55,9 +65,13 @@ def jacobian_by_differences(
 ) -> Float[np.ndarray, "V P"]:
     """Jacobian of residuals with respect to the parameters that affect them, by central
     differences."""
-    slopes = np.zeros((len(present), len(flat)))
+    residual_count = len(present)
+    parameter_count = len(flat)
+    slopes = np.zeros((residual_count, parameter_count))
     for i in moving:
         step = np.zeros(len(flat))
         step[i] = DIFFERENCE
-        slopes[:, i] = (residuals(flat + step) - residuals(flat - step)) / (2.0 * DIFFERENCE)
+        ahead = residuals(flat + step)
+        behind = residuals(flat - step)
+        slopes[:, i] = (ahead - behind) / (2.0 * DIFFERENCE)
     return slopes

@@ -51,11 +51,14 @@ def levenberg_marquardt_step(
         gained = loss - value  # not above zero where the trial is not finite
         if gained > 0:
             # What the quadratic model promises.
-            expected = -float(2 * gradient @ step + step @ normal @ step)
+            model_change = 2 * gradient @ step + step @ normal @ step
+            expected = -float(model_change)
             damping *= damping_factor(gained, expected)
             least, most = DAMPING_RANGE
-            return step, value, min(max(damping, least), most)
-        damping = min(damping * rule.grow, DAMPING_RANGE[1])
+            limited_damping = max(damping, least)
+            return step, value, min(limited_damping, most)
+        larger_damping = damping * rule.grow
+        damping = min(larger_damping, DAMPING_RANGE[1])
     return None, loss, damping
 
 
@@ -82,32 +85,40 @@ class LevenbergMarquardt(torch.optim.Optimizer):
         damping: float,
         longest_step: float,
     ) -> None:
-        super().__init__([parameter for _, parameter in named], {"damping": damping})
+        parameters = [parameter for _, parameter in named]
+        defaults = {"damping": damping}
+        super().__init__(parameters, defaults)
         self.residual = residual
         most = {
             name: longest_step if name.endswith(("nu", "theta")) else torch.inf for name, _ in named
         }
-        self.limits = torch.cat(
-            [torch.full_like(p.detach(), most[name]).flatten() for name, p in named]
-        )
+        limits = [torch.full_like(p.detach(), most[name]).flatten() for name, p in named]
+        self.limits = torch.cat(limits)
 
     @torch.no_grad()
     def step(self, closure: Any = None) -> float:  # type: ignore[override]  # noqa: ARG002 - needs residuals, not a loss
         """Take one Levenberg-Marquardt step."""
         residual = self.residual
         group = self.param_groups[0]
-        flat = torch.cat([p.detach().flatten() for p in group["params"]])
+        flat_parts = [p.detach().flatten() for p in group["params"]]
+        flat = torch.cat(flat_parts)
         r = residual(flat)
         j = jacfwd(residual)(flat)  # P + 1 forward passes, those of the Jacobian in one batch
         loss = float(r @ r)
         gradient = j.T @ r
         normal = j.T @ j
-        scale = normal.diagonal().clamp(min=FORWARD.weakest * float(normal.diagonal().max()))
+        diagonal = normal.diagonal()
+        largest = normal.diagonal().max()
+        weakest = FORWARD.weakest * float(largest)
+        scale = diagonal.clamp(min=weakest)
 
         def solve_damped(damping: float) -> Tensor:
             """Solve the damped normal equations, and limit the length of the step."""
-            step = torch.linalg.solve(normal + torch.diag(damping * scale), -gradient)
-            return torch.maximum(torch.minimum(step, self.limits), -self.limits)
+            damping_matrix = torch.diag(damping * scale)
+            step = torch.linalg.solve(normal + damping_matrix, -gradient)
+            below = torch.minimum(step, self.limits)
+            lowest = -self.limits
+            return torch.maximum(below, lowest)
 
         def loss_at(step: Tensor) -> float:
             """Loss after a step from the current parameters."""

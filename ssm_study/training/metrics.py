@@ -49,16 +49,14 @@ class Identification:
     @classmethod
     def from_model(cls, model: Simulator, data: DataSet, **how: Any) -> "Identification":
         """Identified model with its fit to the validation records."""
-        return cls(
-            model=model,
-            fit_validation_percent=records_fit_percent(model, data.validation, data),
-            **how,
-        )
+        fit_validation_percent = records_fit_percent(model, data.validation, data)
+        return cls(model=model, fit_validation_percent=fit_validation_percent, **how)
 
 
 def records_fit_percent(model: Simulator, records: Trajectories, data: DataSet) -> float:
     """Fit in percent of a model's free runs on several records."""
-    return Simulation.simulate_records(model, records, data.start_up_samples).fit_percent
+    simulation = Simulation.simulate_records(model, records, data.start_up_samples)
+    return simulation.fit_percent
 
 
 def training_columns(seconds: float, ended: str) -> dict[str, Any]:

@@ -60,7 +60,8 @@ class Lbfgs(OptimiserSpec):
             "tolerance_grad": 0.0,
             "tolerance_change": 0.0,
         }
-        return torch.optim.LBFGS(trainable_parameters(fit), **sizes, **search)
+        parameters = trainable_parameters(fit)
+        return torch.optim.LBFGS(parameters, **sizes, **search)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,30 +96,25 @@ class Adam(OptimiserSpec):
         super().__post_init__()
         require_positive("optimiser.learning_rate", self.learning_rate, "use 0.01 or so")
         final = self.final_fraction
+        is_fraction = 0 < final <= 1
         require(
-            0 < final <= 1,
-            "optimiser.final_fraction",
-            final,
-            "must lie in (0, 1]",
-            "use 0.01 or so",
+            is_fraction, "optimiser.final_fraction", final, "must lie in (0, 1]", "use 0.01 or so"
         )
 
     def build(self, fit: "Fit") -> dict[str, Any]:
         """Build the Adam optimiser of a training, with a decaying learning rate."""
-        optimiser = torch.optim.Adam(trainable_parameters(fit), lr=self.learning_rate, fused=True)
+        parameters = trainable_parameters(fit)
+        optimiser = torch.optim.Adam(parameters, lr=self.learning_rate, fused=True)
 
         def decay_factor(epoch: int) -> float:
             """Factor of the learning rate in an epoch."""
             along = epoch / fit.settings.max_epochs
-            return (
-                self.final_fraction
-                + (1 - self.final_fraction) * (1 + math.cos(math.pi * along)) / 2
-            )
+            cosine = math.cos(math.pi * along)
+            variable_part = (1 - self.final_fraction) * (1 + cosine)
+            return self.final_fraction + variable_part / 2
 
-        return {
-            "optimizer": optimiser,
-            "lr_scheduler": torch.optim.lr_scheduler.LambdaLR(optimiser, decay_factor),
-        }
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, decay_factor)
+        return {"optimizer": optimiser, "lr_scheduler": schedule}
 
 
 def trainable_parameters(model: "nn.Module") -> "list[nn.Parameter]":

@@ -60,9 +60,10 @@ class Choice:
 
 def setting_text(value: object) -> str:
     """Text of a setting's name or value, such as `dead time`, `yes` or `5`."""
-    return {"True": "yes", "False": "no", "None": "none"}.get(
-        str(value), str(value).replace("_", " ")
-    )
+    words = {"True": "yes", "False": "no", "None": "none"}
+    text = str(value)
+    plain_text = str(value).replace("_", " ")
+    return words.get(text, plain_text)
 
 
 @dataclass(kw_only=True)
@@ -80,7 +81,9 @@ class Search:
 
     def is_undecided(self, name: str) -> bool:
         """Whether a setting is to be chosen from the records and is not decided yet."""
-        return bool(getattr(self.spec, name) == AUTO) and name not in self.decided
+        value = getattr(self.spec, name)
+        is_automatic = value == AUTO
+        return bool(is_automatic) and name not in self.decided
 
     def score_structured_model(self, question: str, settings: Settings) -> Candidate:
         """Score a structured model with given settings on the folds."""
@@ -90,9 +93,8 @@ class Search:
         if tried is not None:
             return tried
         best = best_candidate(self.tried) if self.tried else None
-        return self.add_candidate(
-            question, STRUCTURED, settings, try_structured_model(spec, self.folds, self.seed, best)
-        )
+        trial = try_structured_model(spec, self.folds, self.seed, best)
+        return self.add_candidate(question, STRUCTURED, settings, trial)
 
     def complete_settings(self, settings: Settings) -> StructuredSpec:
         """Model settings completed from those decided so far and from defaults."""
@@ -100,12 +102,11 @@ class Search:
         if wanted_settings.get("neurons") == 0:
             wanted_settings["input_path"] = "none"  # there are no neurons for it to reach
         automatic = self.spec.automatic_settings
-        return fill_in_defaults(
-            replace(
-                self.spec,
-                **{name: wanted_settings[name] for name in automatic if name in wanted_settings},
-            )
-        )
+        wanted_of_automatic = {
+            name: wanted_settings[name] for name in automatic if name in wanted_settings
+        }
+        completed = replace(self.spec, **wanted_of_automatic)
+        return fill_in_defaults(completed)
 
     def score_linear_model(
         self, question: str, order: int, delay: int, kind: str = LINEAR
@@ -120,7 +121,8 @@ class Search:
 
     def setting_value(self, name: str) -> Any:
         """Value of a setting as decided so far, or as the user set it."""
-        return self.decided.get(name, getattr(self.spec, name))
+        own_value = getattr(self.spec, name)
+        return self.decided.get(name, own_value)
 
     @property
     def has_integrator(self) -> bool:
@@ -131,8 +133,11 @@ class Search:
     def allows_linear_model(self) -> bool:
         """Whether the user requested neither neurons nor static maps."""
         open_or_none = (AUTO, 0)
-        sizes = (self.spec.neurons, self.spec.knots)
-        return all(size in open_or_none for size in sizes) and self.spec.output_knots == 0
+        neurons = self.spec.neurons
+        knots = self.spec.knots
+        sizes = (neurons, knots)
+        are_open = (size in open_or_none for size in sizes)
+        return all(are_open) and self.spec.output_knots == 0
 
     def is_certifiable(self, candidate: Candidate) -> bool:
         """Whether a state feedback and an observer can be certified for one of the candidate's
@@ -141,13 +146,15 @@ class Search:
         One of the models that were trained on the folds is enough: the chosen candidate is trained
         from many starts, of which those with a certificate come first.
         """
-        has_certificates = getattr(self.spec.among_starts, "has_certificates", None)
+        starts = self.spec.among_starts
+        has_certificates = getattr(starts, "has_certificates", None)
         if has_certificates is None or candidate.example is None:
             return True
         if id(candidate) not in self.certified:
             finite = [fit for fit in candidate.fits if np.isfinite(float(fit.loss))]
             models = [fit.as_model() for fit in finite] or [candidate.example]
-            self.certified[id(candidate)] = any(has_certificates(model) for model in models)
+            are_certifiable = (has_certificates(model) for model in models)
+            self.certified[id(candidate)] = any(are_certifiable)
         return self.certified[id(candidate)]
 
     def train_further(self, candidate: Candidate, steps: int) -> Candidate:
@@ -159,7 +166,9 @@ class Search:
         self, question: str, model: str, settings: Settings, trial: Trial
     ) -> Candidate:
         """Add a candidate to the list and print its error."""
-        training_error = float(np.median(trial.training_errors))
+        median_error = np.median(trial.training_errors)
+        training_error = float(median_error)
+        fits = tuple(trial.fits)
         candidate = Candidate(
             question=question,
             model=model,
@@ -168,7 +177,7 @@ class Search:
             start=trial.best_start_kind,
             example=trial.example,
             training_error=training_error,
-            fits=tuple(trial.fits),
+            fits=fits,
         )
         self.tried.append(candidate)
         self.announce(candidate.describe)
@@ -194,13 +203,12 @@ class Search:
             chosen.append(candidate)
             error = candidate.mean_error_percent
             linear_kind = candidate.model if candidate.model in LINEAR_KINDS else None
-        other_specs = tuple(self._decided_spec(other) for other in others)
+        decided_specs = (self._decided_spec(other) for other in others)
+        other_specs = tuple(decided_specs)
+        spec = self._decided_spec(candidate)
+        rows = self.candidate_rows(chosen)
         return Choice(
-            spec=self._decided_spec(candidate),
-            rows=self.candidate_rows(chosen),
-            error=error,
-            linear_kind=linear_kind,
-            others=other_specs,
+            spec=spec, rows=rows, error=error, linear_kind=linear_kind, others=other_specs
         )
 
     def _decided_spec(self, candidate: Candidate | None) -> StructuredSpec:
@@ -220,10 +228,12 @@ class Search:
         for candidate in self.tried:
             is_chosen = any(candidate is other for other in chosen)
             is_certified = self.certified.get(id(candidate))
-            rows.append(candidate.table_row(chosen=is_chosen, certified=is_certified))
+            row = candidate.table_row(chosen=is_chosen, certified=is_certified)
+            rows.append(row)
         return tuple(rows)
 
 
 def fill_in_defaults(spec: StructuredSpec) -> StructuredSpec:
     """Model settings in which every undecided setting has its default value."""
-    return replace(spec, **{name: AUTOMATIC[name] for name in spec.automatic_settings})
+    defaults = {name: AUTOMATIC[name] for name in spec.automatic_settings}
+    return replace(spec, **defaults)

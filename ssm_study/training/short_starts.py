@@ -22,7 +22,8 @@ def short_spec(spec: StructuredSpec) -> StructuredSpec:
 
     A single neuron is drawn as often as ever: its draws are cheap, and more of them end badly.
     """
-    return spec if spec.neurons == 1 else replace(spec, draws=min(DRAWS, spec.draws))
+    has_one_neuron = spec.neurons == 1
+    return spec if has_one_neuron else replace(spec, draws=min(DRAWS, spec.draws))
 
 
 def count_starts(spec: StructuredSpec) -> tuple[int, int]:
@@ -32,8 +33,12 @@ def count_starts(spec: StructuredSpec) -> tuple[int, int]:
     feedback can be certified, and each takes less time.
     """
     more = 2 if spec.rate is None else 1
-    ended = max(ceil(more * spec.starts / 2), spec.members)
-    return max(more * 2 * spec.starts, ended), ended
+    half_of_starts = more * spec.starts / 2
+    rounded_half = ceil(half_of_starts)
+    ended = max(rounded_half, spec.members)
+    short_runs = more * 2 * spec.starts
+    all_runs = max(short_runs, ended)
+    return all_runs, ended
 
 
 def best_seeds(
@@ -58,9 +63,11 @@ def best_seeds(
         announce(f"{done} of {count}, {training_fit_text(float(fits[seed].loss))}")
     finite = [seed for seed, fit in fits.items() if np.isfinite(float(fit.loss))]
     by_loss = sorted(finite, key=lambda seed: float(fits[seed].loss))
-    certified = first_certified_seeds(spec, {seed: fits[seed] for seed in by_loss}, best)
+    finite_fits = {seed: fits[seed] for seed in by_loss}
+    certified = first_certified_seeds(spec, finite_fits, best)
     others = [seed for seed in by_loss if seed not in certified]
-    return [*certified, *others][:best] or [first]
+    ordered_seeds = [*certified, *others]
+    return ordered_seeds[:best] or [first]
 
 
 def first_certified_seeds(

@@ -16,11 +16,11 @@ from ssm_study.models.structured import Model, StructuredSSM, evaluate_activatio
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet, Trajectories, fit_from_relative_error
 from ssm_study.training.metrics import records_fit_percent
+from ssm_study.training.record_batch import RecordBatch
 from ssm_study.training.structured_problem import (
     CORE,
     FREE_CORE,
     Descent,
-    RecordBatch,
     SimulationProblem,
     Theta,
     has_converged,
@@ -72,17 +72,21 @@ class StructuredFit(pl.LightningModule):
         """Least-squares problem that the training records pose."""
         spec = self.spec
         scale = self.data.scale
-        lift, read = spec.build_maps((scale.inputs, scale.outputs), scale.disturbances)
-        records = RecordBatch.from_pairs(scale_records_with_disturbances(self.data))
+        channels = (scale.inputs, scale.outputs)
+        lift, read = spec.build_maps(channels, scale.disturbances)
+        scaled_pairs = scale_records_with_disturbances(self.data)
+        records = RecordBatch.from_pairs(scaled_pairs)
+        rate = None if spec.rate is None else float(spec.rate)
+        gain_share = spec.gain_share if self.integrates else 0.0
         return SimulationProblem(
             records=records,
             neurons=spec.neuron_kinds,
             lift=lift,
             read=read,
-            rate=None if spec.rate is None else float(spec.rate),
+            rate=rate,
             integrating_output=self.integrates,
             ridge=spec.ridge,
-            gain_share=spec.gain_share if self.integrates else 0.0,
+            gain_share=gain_share,
         )
 
     def _parameter_shapes(self) -> dict[str, tuple[int, ...]]:
@@ -101,7 +105,8 @@ class StructuredFit(pl.LightningModule):
             sizes["log_d"] = (q,)
         sizes["scaffold_in"] = self.problem.lift.parameter_channels.shape
         sizes["scaffold_out"] = self.problem.read.parameter_channels.shape
-        sizes["x0"] = (len(self.data.training), n + p * self.integrates)
+        record_count = len(self.data.training)
+        sizes["x0"] = (record_count, n + p * self.integrates)
         return sizes
 
     @property
@@ -142,7 +147,8 @@ class StructuredFit(pl.LightningModule):
         """Parameters after some training steps without the penalty on the gain's sign. With the
         penalty from the beginning, the training would end in far worse local minima."""
         free = replace(self.problem, gain_share=0.0)
-        return minimise_simulation_error(free, start, self._trained_blocks, UNPENALISED).theta
+        descent = minimise_simulation_error(free, start, self._trained_blocks, UNPENALISED)
+        return descent.theta
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are in the problem
         """Make the initial parameters in the first epoch, and take one training step in each
@@ -150,18 +156,22 @@ class StructuredFit(pl.LightningModule):
         if torch.isnan(self.loss):
             self.take_steps(0)
             return
-        self._store_descent(take_step(self.problem, self._current_descent, self._trained_blocks))
+        next_descent = take_step(self.problem, self._current_descent, self._trained_blocks)
+        self._store_descent(next_descent)
 
     @property
     def _trained_blocks(self) -> tuple[str, ...]:
         """Names of the parameter blocks that training changes."""
-        core = CORE if self.spec.rate is None else FREE_CORE
+        rate = self.spec.rate
+        core = CORE if rate is None else FREE_CORE
         return self._phase_blocks(core, self.spec.input_path != "none")
 
     def _store_descent(self, at: Descent) -> None:
         """Store the state of the minimisation in the module's buffers."""
         for name in self.parameter_blocks:
-            getattr(self, name).copy_(torch.as_tensor(at.theta[name]))
+            buffer = getattr(self, name)
+            stored_values = at.theta[name]
+            buffer.copy_(torch.as_tensor(stored_values))
         self.loss.fill_(at.loss)
         self.damping.fill_(at.damping)
 
@@ -177,9 +187,12 @@ class StructuredFit(pl.LightningModule):
         theta = self._fit_linear_model(linear, moving, rng)
         if spec.knots or spec.output_knots:
             maps = (*moving, "scaffold_in", "scaffold_out")
-            theta = minimise_simulation_error(linear, theta, maps, spec.start_steps[1]).theta
+            map_steps = spec.start_steps[1]
+            fitted_maps = minimise_simulation_error(linear, theta, maps, map_steps)
+            theta = fitted_maps.theta
         draws = [self._draw_neurons(short, theta, rng) for _ in range(spec.draws)]
-        best = min(draws, key=lambda draw: draw.loss).theta
+        best_draw = min(draws, key=lambda draw: draw.loss)
+        best = best_draw.theta
         # Records that the start has not seen begin at rest.
         x0 = np.zeros_like(self.parameter_blocks["x0"])
         if np.shares_memory(stretch.u[:1, :1], self.problem.records.u[:1, :1]):
@@ -198,7 +211,9 @@ class StructuredFit(pl.LightningModule):
         """Fit a linear model to the records, from an ARX model or from random poles."""
         spec = self.spec
         steps = spec.start_steps[0]
-        start = fit_initial_linear_model(linear, int(spec.order), bool(spec.feedthrough), rng)
+        order = int(spec.order)
+        feedthrough = bool(spec.feedthrough)
+        start = fit_initial_linear_model(linear, order, feedthrough, rng)
         fitted = minimise_simulation_error(linear, start, moving, steps)
         if self.integrates:
             return fitted.theta
@@ -220,7 +235,8 @@ class StructuredFit(pl.LightningModule):
         drawn = minimise_simulation_error(free, theta, unconstrained, spec.start_steps[2])
         if spec.rate is None:
             return drawn
-        theta = contracting_initial_parameters(free, drawn.theta, float(spec.rate))
+        rate = float(spec.rate)
+        theta = contracting_initial_parameters(free, drawn.theta, rate)
         constrained = self._phase_blocks(FREE_CORE, has_input_path)
         return minimise_simulation_error(short, theta, constrained, RACE)
 
@@ -240,7 +256,8 @@ class StructuredFit(pl.LightningModule):
         """Compute the training and validation fits of the current model. That of training uses the
         fitted initial states, that of validation those of a score."""
         r = self.problem.weighted_error(self.parameter_blocks)
-        fit_training = fit_from_relative_error(np.sqrt(r @ r))
+        relative_error = np.sqrt(r @ r)
+        fit_training = fit_from_relative_error(relative_error)
         fit_validation = records_fit_percent(self.as_model(), self.data.validation, self.data)
         self.log("fit_training_percent", fit_training)
         self.log("fit_validation_percent", fit_validation)
@@ -252,12 +269,14 @@ class StructuredFit(pl.LightningModule):
         """Trained model as explicit numbers. The running sum of `integrating_output` is one more
         state per output."""
         theta = self.parameter_blocks
-        parts: dict[str, Any] = self.problem.matrices(theta)._asdict()
+        matrices = self.problem.matrices(theta)
+        parts: dict[str, Any] = matrices._asdict()
         del parts["kinds"]
         if self.integrates:
             parts |= append_integrator(parts)
         if self.data.scale.disturbances:
-            parts |= split_disturbance_columns(parts, self.data.scale.inputs)
+            scale = self.data.scale
+            parts |= split_disturbance_columns(parts, scale.inputs)
         input_map = self.problem.lift.freeze(theta["scaffold_in"])
         output_map = self.problem.read.freeze(theta["scaffold_out"])
         return StructuredSSM(
@@ -274,10 +293,13 @@ class StructuredFit(pl.LightningModule):
 
         Without any neuron it is the model of one layer, of which more can be proved.
         """
-        model = prune_neurons(self.as_model(), self.data.training)
-        idle = len(self.spec.neuron_kinds) - len(model.neurons)
+        whole_model = self.as_model()
+        model = prune_neurons(whole_model, self.data.training)
+        kept_neurons = len(model.neurons)
+        idle = len(self.spec.neuron_kinds) - kept_neurons
         note = f"; neurons removed because they did nothing: {idle}" if idle else ""
-        return model if model.neurons else SSM.from_json(model.to_json()), note
+        smallest_model = model if model.neurons else SSM.from_json(model.to_json())
+        return smallest_model, note
 
 
 def append_integrator(parts: Matrices) -> Matrices:
@@ -290,7 +312,9 @@ def append_integrator(parts: Matrices) -> Matrices:
     p = len(c)
     none = np.zeros((n, p))
     unseen = np.zeros((len(f), p))
-    integrating = {"a": np.block([[a, none], [c, np.eye(p)]])}
+    state_row = [a, none]
+    sum_row = [c, np.eye(p)]
+    integrating = {"a": np.block([state_row, sum_row])}
     integrating["b"] = np.vstack([parts["b"], parts["d"]])
     integrating["e"] = np.vstack([parts["e"], parts["h"]])
     integrating["f"] = np.hstack([f, unseen])
@@ -303,7 +327,9 @@ def append_integrator(parts: Matrices) -> Matrices:
 def split_disturbance_columns(parts: Matrices, inputs: int) -> Matrices:
     """Split the input matrices into columns of inputs and columns of measured disturbances."""
     split = {name: parts[name][:, :inputs] for name in ("b", "d", "g")}
-    return split | {"b_d": parts["b"][:, inputs:]}
+    disturbance_columns = parts["b"][:, inputs:]
+    disturbance_part = {"b_d": disturbance_columns}
+    return split | disturbance_part
 
 
 def prune_neurons(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
@@ -315,11 +341,13 @@ def prune_neurons(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
     where D is zero.
     """
     for i in reversed(range(len(model.neurons))):
-        if np.any(model.h[:, i] != 0) and np.any(model.g[i] != 0):
+        reaches_output = model.h[:, i] != 0
+        if np.any(reaches_output) and np.any(model.g[i] != 0):
             continue
         candidate = linearise_neuron(model, i, records)
         output = simulate_all(model, records)
-        change = np.linalg.norm(simulate_all(candidate, records) - output)
+        simulated = simulate_all(candidate, records)
+        change = np.linalg.norm(simulated - output)
         deviation = np.linalg.norm(output - output.mean(axis=0))
         if change / deviation < IDLE:
             model = candidate
@@ -328,7 +356,8 @@ def prune_neurons(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
 
 def simulate_all(model: StructuredSSM, records: Trajectories) -> Float[np.ndarray, "T p"]:
     """Simulated outputs of several records from the equilibrium, one below another."""
-    return np.concatenate([model.simulate(record.u, d=record.d) for record in records])
+    outputs = [model.simulate(record.u, d=record.d) for record in records]
+    return np.concatenate(outputs)
 
 
 def linearise_neuron(model: StructuredSSM, i: int, records: Trajectories) -> StructuredSSM:
@@ -338,22 +367,31 @@ def linearise_neuron(model: StructuredSSM, i: int, records: Trajectories) -> Str
         driving = model.driving_signals(record.u, record.d)
         _, states = model.simulate_mapped(driving)
         v = model.map_input(record.u)
-        z = states[:-1] @ model.f.T + v @ model.g.T + model.bias
+        from_state = states[:-1] @ model.f.T
+        from_input = v @ model.g.T
+        z = from_state + from_input + model.bias
         by_neuron = evaluate_activations(model.neurons, z, "slope")
         slopes.append(by_neuron[:, i])
-    slope = float(np.concatenate(slopes).mean())
+    all_slopes = np.concatenate(slopes)
+    slope = float(all_slopes.mean())
     e = model.e[:, [i]]
     f = model.f[[i]]
     g = model.g[[i]]
     h = model.h[:, [i]]
-    parts = {"a": model.a + slope * e @ f}
-    parts["b"] = model.b + slope * e @ g
-    parts["c"] = model.c + slope * h @ f
-    parts["d"] = model.d + slope * h @ g
+    through_neuron = slope * e @ f
+    parts = {"a": model.a + through_neuron}
+    input_change = slope * e @ g
+    parts["b"] = model.b + input_change
+    output_change = slope * h @ f
+    parts["c"] = model.c + output_change
+    feedthrough_change = slope * h @ g
+    parts["d"] = model.d + feedthrough_change
     parts["e"] = np.delete(model.e, i, 1)
     parts["f"] = np.delete(model.f, i, 0)
     parts["g"] = np.delete(model.g, i, 0)
     parts["h"] = np.delete(model.h, i, 1)
     parts["bias"] = np.delete(model.bias, i, 0)
-    others = model.neurons[:i] + model.neurons[i + 1 :]
+    earlier_neurons = model.neurons[:i]
+    later_neurons = model.neurons[i + 1 :]
+    others = earlier_neurons + later_neurons
     return replace(model, neurons=others, **parts)

@@ -1,8 +1,6 @@
 """Least-squares problem of the simulation error of a structured model, and its minimisation."""
 
 from dataclasses import dataclass, replace
-from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +11,6 @@ from ssm_study.models.contracting import (
     differentiate_matrices,
     matrices_from_parameters,
 )
-from ssm_study.models.initial_system import Pairs
 from ssm_study.models.structured import activation_codes
 from ssm_study.models.structured_kernel import (
     KernelMatrices,
@@ -22,10 +19,9 @@ from ssm_study.models.structured_kernel import (
     split_blocks,
 )
 from ssm_study.models.structured_spec import TrainablePieces
-from ssm_study.refusal import require
 from ssm_study.training.gain_sign import MOST_NEURONS, gain_shortfall, jacobian_by_differences
 from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, levenberg_marquardt_step
-from ssm_study.training.windows import pad_records
+from ssm_study.training.record_batch import RecordBatch
 
 # Parameters by block: a, e, f (or x_e, x_g, log_d), b, g, bias, c, d, h, scaffold_in, scaffold_out,
 # x0.
@@ -33,74 +29,8 @@ Theta = dict[str, Float[np.ndarray, "..."]]
 FREE_CORE = ("x_e", "x_g", "log_d")
 CORE = ("a", "e", "f")
 UNWEIGHTED = ("x0", "x_e", "x_g", "a")  # what the ridge leaves alone: coordinates, and starts
-STILL = 0.1  # of the records' deviation: where they move less, no start is made
 GAIN_BLOCKS = (*CORE, *FREE_CORE, "b", "c")  # what moves the gain
 SETTLED = 1e-4  # relative gain of a step below which a descent has ended
-
-
-class RecordBatch(NamedTuple):
-    """Scaled records of equal length, where shorter ones are padded. `weight` is 0 where padded,
-    and such that `|r|^2 = (1 - fit / 100)^2`."""
-
-    u: Float[np.ndarray, "N T m"]
-    y: Float[np.ndarray, "N T p"]
-    weight: Float[np.ndarray, "N T 1"]
-
-    @classmethod
-    def from_pairs(cls, pairs: Pairs) -> "RecordBatch":
-        """Records as one batch, where shorter ones are padded at their ends."""
-        u, y = pad_records(pairs)
-        outputs = np.concatenate([output for _, output in pairs])
-        deviation = np.linalg.norm(outputs - outputs.mean(axis=0))
-        lengths = np.array([len(record) for record, _ in pairs])
-        sample = np.arange(u.shape[1])
-        is_recorded = sample[None, :, None] < lengths[:, None, None]
-        return cls(u=u, y=y, weight=is_recorded / deviation)
-
-    def take_whole_records(self, samples: int) -> "RecordBatch":
-        """First whole records that have a given number of samples together. If the first is longer,
-        its beginning is taken."""
-        count = max(1, samples // self.u.shape[1])
-        return RecordBatch(*(part[:count, :samples] for part in self))
-
-    def find_moving_stretch(self, samples: int) -> "RecordBatch":
-        """Part of the records, of given length, in which input and output move. It is
-        `take_whole_records(samples)` if they move there, else the part of one record that moves
-        most. Raises `BadRequest` if none moves."""
-        beginning = self.take_whole_records(samples)
-        if self._relative_movement(beginning) >= STILL:
-            return beginning
-        firsts = range(0, self.u.shape[1], max(1, samples // 2))
-        places = product(range(len(self.u)), firsts)
-        stretches = [self._cut_stretch(*place, samples) for place in places]
-        moving = max(stretches, key=self._relative_movement)
-        problem = "no stretch of the training records moves in input and output"
-        remedy = "log an experiment in which the input moves the output"
-        require(self._relative_movement(moving) > 0, "data.training", "at rest", problem, remedy)
-        return moving
-
-    def _cut_stretch(self, record: int, first: int, samples: int) -> "RecordBatch":
-        """Cut a range of samples out of one record."""
-        return RecordBatch(*(part[record : record + 1, first : first + samples] for part in self))
-
-    def _relative_movement(self, stretch: "RecordBatch") -> float:
-        """Standard deviation of a part of the records relative to that of all records, the smaller
-        of input and output."""
-        if not stretch.recorded_mask.any():
-            return 0.0
-        pairs = ((stretch.u, self.u), (stretch.y, self.y))
-        shares = []
-        for signal_inside, signal in pairs:
-            inside = signal_inside[stretch.recorded_mask].std(axis=0)
-            everywhere = signal[self.recorded_mask].std(axis=0)
-            deviation = float(np.linalg.norm(everywhere))
-            shares.append(float(np.linalg.norm(inside)) / max(deviation, 1e-300))
-        return min(shares)
-
-    @property
-    def recorded_mask(self) -> np.ndarray:
-        """For each sample, whether it was recorded rather than padded."""
-        return self.weight[..., 0] > 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,22 +59,28 @@ class SimulationProblem:
     def matrices(self, theta: Theta) -> KernelMatrices:
         """Matrices of the recurrence for compiled code."""
         if self.rate is not None:
-            core = matrices_from_parameters(free_parameters(theta), self.rate)
+            free = free_parameters(theta)
+            core = matrices_from_parameters(free, self.rate)
             theta = theta | core._asdict()
-        return KernelMatrices.from_parts(theta, activation_codes(self.neurons))
+        codes = activation_codes(self.neurons)
+        return KernelMatrices.from_parts(theta, codes)
 
     def initial_conditions(
         self, theta: Theta
     ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N p"]]:
         """Initial states of the records, and initial outputs where the output is a running sum."""
         n = len(theta["b"])
-        return np.ascontiguousarray(theta["x0"][:, :n]), theta["x0"][:, n:]
+        model_states = theta["x0"][:, :n]
+        sums = theta["x0"][:, n:]
+        return np.ascontiguousarray(model_states), sums
 
     def simulate_signals(self, theta: Theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Simulated mapped inputs, outputs before the output map, and states. `(N, T + 1, n)`."""
-        v = np.ascontiguousarray(self.lift.values(theta["scaffold_in"], self.records.u))
+        mapped = self.lift.values(theta["scaffold_in"], self.records.u)
+        v = np.ascontiguousarray(mapped)
         x0, _ = self.initial_conditions(theta)
-        ybar, states = simulate_compiled(self.matrices(theta), v, x0)
+        matrices = self.matrices(theta)
+        ybar, states = simulate_compiled(matrices, v, x0)
         return v, ybar, states
 
     def simulate_output(self, theta: Theta) -> Float[np.ndarray, "N T p"]:
@@ -152,15 +88,19 @@ class SimulationProblem:
         _, ybar, _ = self.simulate_signals(theta)
         if self.integrating_output:
             _, begun = self.initial_conditions(theta)
-            return begun[:, None, :] + running_sum(ybar)
-        return self.read.freeze(theta["scaffold_out"])(ybar)
+            sums = running_sum(ybar)
+            return begun[:, None, :] + sums
+        output_map = self.read.freeze(theta["scaffold_out"])
+        return output_map(ybar)
 
     def weighted_error(self, theta: Theta) -> Float[np.ndarray, "R"]:
         """Weighted simulation error of all records as one vector."""
         # A trial step may be unstable: its loss is infinite, and it is refused.
         with np.errstate(all="ignore"):
-            error = self.simulate_output(theta) - self.records.y
-            return (self.records.weight * error).ravel()
+            simulated = self.simulate_output(theta)
+            error = simulated - self.records.y
+            weighted_error = self.records.weight * error
+            return weighted_error.ravel()
 
     def gain_sign_residuals(self, theta: Theta) -> Float[np.ndarray, "V"]:
         """Residuals of the penalty on sign changes of the steady-state gain; empty without this
@@ -169,7 +109,8 @@ class SimulationProblem:
         is_asked = self.gain_share > 0.0 and 0 < len(self.neurons) <= MOST_NEURONS
         if not is_asked or (inputs, self.read.channels) != (1, 1):
             return np.zeros(0)
-        return gain_shortfall(self.matrices(theta), self.gain_share)
+        matrices = self.matrices(theta)
+        return gain_shortfall(matrices, self.gain_share)
 
     def gain_sign_residuals_and_jacobian(
         self, theta: Theta, free: tuple[str, ...]
@@ -179,13 +120,16 @@ class SimulationProblem:
         missing = self.gain_sign_residuals(theta)
         flat = pack_parameters(theta, free)
         moves_gain = [np.full(theta[name].size, name in GAIN_BLOCKS) for name in free]
-        moving = np.flatnonzero(np.concatenate(moves_gain))
+        moves = np.concatenate(moves_gain)
+        moving = np.flatnonzero(moves)
         moving = moving if missing.any() else moving[:0]
 
         def residuals_at(moved: Float[np.ndarray, "P"]) -> Float[np.ndarray, "V"]:
-            return self.gain_sign_residuals(theta | unpack_parameters(moved, theta, free))
+            moved_blocks = unpack_parameters(moved, theta, free)
+            return self.gain_sign_residuals(theta | moved_blocks)
 
-        return missing, jacobian_by_differences(residuals_at, flat, missing, moving)
+        jacobian = jacobian_by_differences(residuals_at, flat, missing, moving)
+        return missing, jacobian
 
     def residual_and_jacobian(
         self, theta: Theta, free: tuple[str, ...]
@@ -201,14 +145,19 @@ class SimulationProblem:
         if "x0" in free:
             columns["x0"] = self._derivatives_by_initial_states(columns["x0"])
         blocks = [name for name in free if name not in FREE_CORE]
-        turn = np.eye(sum(columns[name].shape[-1] for name in blocks))
+        widths = (columns[name].shape[-1] for name in blocks)
+        turn = np.eye(sum(widths))
         if len(blocks) < len(free):
             blocks = [*CORE, *blocks]
-            turn = block_diag(self._derivatives_by_free_parameters(theta), turn)
-        jacobian = np.concatenate([columns[name] for name in blocks], axis=-1)
+            by_free = self._derivatives_by_free_parameters(theta)
+            turn = block_diag(by_free, turn)
+        blocks_in_order = [columns[name] for name in blocks]
+        jacobian = np.concatenate(blocks_in_order, axis=-1)
         jacobian *= weight[..., None]  # in place: it is the largest array of a training
-        residual = (weight * (y - target)).ravel()
-        return residual, jacobian.reshape(target.size, -1), turn
+        weighted_residual = weight * (y - target)
+        residual = weighted_residual.ravel()
+        flat_jacobian = jacobian.reshape(target.size, -1)
+        return residual, flat_jacobian, turn
 
     def _output_and_derivatives(
         self, theta: Theta
@@ -217,19 +166,23 @@ class SimulationProblem:
         u, target, _ = self.records
         v, _, by_input_map = self.lift.values_and_derivatives(theta["scaffold_in"], u)
         x0, begun = self.initial_conditions(theta)
-        y, columns = simulate_with_sensitivities(
-            self.matrices(theta), v, x0, by_input_map, self.lift.parameter_channels
-        )
+        matrices = self.matrices(theta)
+        channels = self.lift.parameter_channels
+        y, columns = simulate_with_sensitivities(matrices, v, x0, by_input_map, channels)
         self._zero_disturbance_feedthrough(columns)
         columns["scaffold_out"] = np.zeros((*target.shape, 0))
         if self.integrating_output:
-            y = begun[:, None, :] + running_sum(y)
-            return y, {name: running_sum(part) for name, part in columns.items()}
+            sums = running_sum(y)
+            y = begun[:, None, :] + sums
+            summed_columns = {name: running_sum(part) for name, part in columns.items()}
+            return y, summed_columns
         if not self.read.knots:
             return y, columns
         y, slope, by_output_map = self.read.values_and_derivatives(theta["scaffold_out"], y)
         columns = {name: slope[..., None] * part for name, part in columns.items()}
-        outputs = np.arange(target.shape[-1])[:, None]
+        output_count = target.shape[-1]
+        output_numbers = np.arange(output_count)
+        outputs = output_numbers[:, None]
         is_own = self.read.parameter_channels == outputs
         columns["scaffold_out"] = by_output_map[..., None, :] * is_own
         return y, columns
@@ -249,11 +202,16 @@ class SimulationProblem:
 
     def _derivatives_by_free_parameters(self, theta: Theta) -> Float[np.ndarray, "K F"]:
         """Derivatives of the recurrence's matrices with respect to its free parameters."""
-        units = np.eye(pack_parameters(theta, FREE_CORE).size)
-        directions = FreeParameters(**unpack_parameters(units, theta, FREE_CORE))
-        changes = differentiate_matrices(free_parameters(theta), directions, self.rate or 1.0)
+        packed = pack_parameters(theta, FREE_CORE)
+        units = np.eye(packed.size)
+        unit_blocks = unpack_parameters(units, theta, FREE_CORE)
+        directions = FreeParameters(**unit_blocks)
+        free = free_parameters(theta)
+        contraction_factor = self.rate or 1.0
+        changes = differentiate_matrices(free, directions, contraction_factor)
         flat = [part.reshape(len(part), part[0].size) for part in changes]
-        return np.concatenate(flat, axis=1).T
+        all_changes = np.concatenate(flat, axis=1)
+        return all_changes.T
 
     def _derivatives_by_initial_states(
         self, own: Float[np.ndarray, "N T p n"]
@@ -272,13 +230,16 @@ class SimulationProblem:
 
 def free_parameters(theta: Theta) -> FreeParameters:
     """Free parameters of a contracting recurrence, from the parameter blocks."""
-    return FreeParameters(*(theta[name] for name in FREE_CORE))
+    blocks = (theta[name] for name in FREE_CORE)
+    return FreeParameters(*blocks)
 
 
 def running_sum(y: Float[np.ndarray, "N T *rest"]) -> Float[np.ndarray, "N T *rest"]:
     """Sum of a signal over all earlier samples, as an integrator gives it."""
     total = np.cumsum(y, axis=1)
-    return np.concatenate([np.zeros_like(total[:, :1]), total[:, :-1]], axis=1)
+    first = total[:, :1]
+    earlier = total[:, :-1]
+    return np.concatenate([np.zeros_like(first), earlier], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -297,11 +258,14 @@ def regularised_loss(problem: SimulationProblem, theta: Theta, free: tuple[str, 
     residual = problem.weighted_error(theta)
     with np.errstate(all="ignore"):
         penalties = [problem.ridge_weight(name) * float(np.sum(theta[name] ** 2)) for name in free]
-        value = float(residual @ residual) + sum(penalties)
+        squared_error = float(residual @ residual)
+        ridge_penalty = sum(penalties)
+        value = squared_error + ridge_penalty
     if np.isfinite(value):
         missing = problem.gain_sign_residuals(theta)
         value += float(missing @ missing)
-    return value if np.isfinite(value) else np.inf
+    is_finite = np.isfinite(value)
+    return value if is_finite else np.inf
 
 
 def take_step(problem: SimulationProblem, at: Descent, free: tuple[str, ...]) -> Descent:
@@ -311,15 +275,19 @@ def take_step(problem: SimulationProblem, at: Descent, free: tuple[str, ...]) ->
     if not np.isfinite(normal).all():
         return replace(at, damping=np.inf)
     diagonal = np.diagonal(normal)
-    scale = np.maximum(diagonal, WRITTEN_OUT.weakest * diagonal.max())
+    largest = diagonal.max()
+    weakest = WRITTEN_OUT.weakest * largest
+    scale = np.maximum(diagonal, weakest)
 
     def parameters_after(by: Float[np.ndarray, "P"]) -> Theta:
         """Parameter blocks after a step."""
-        return at.theta | unpack_parameters(flat + by, at.theta, free)
+        moved_blocks = unpack_parameters(flat + by, at.theta, free)
+        return at.theta | moved_blocks
 
     def solve_damped(damping: float) -> Float[np.ndarray, "P"] | None:
         """Solve the damped normal equations for a step."""
-        return solve_damped_equations(normal + np.diag(damping * scale), gradient)
+        damping_matrix = np.diag(damping * scale)
+        return solve_damped_equations(normal + damping_matrix, gradient)
 
     def loss_at(by: Float[np.ndarray, "P"]) -> float:
         """Loss after a step from the current parameters."""
@@ -342,8 +310,13 @@ def linearise_loss(
     ridges = [np.full(theta[name].size, problem.ridge_weight(name)) for name in free]
     weights = np.concatenate(ridges)  # R, its diagonal
     with np.errstate(all="ignore"):
-        normal = turn.T @ (j.T @ j) @ turn
-        gradient = turn.T @ (j.T @ residual) + weights * pack_parameters(theta, free)
+        gram = j.T @ j
+        turned_gram = turn.T @ gram
+        normal = turned_gram @ turn
+        error_gradient = j.T @ residual
+        turned_gradient = turn.T @ error_gradient
+        parameters = pack_parameters(theta, free)
+        gradient = turned_gradient + weights * parameters
     normal[np.diag_indices_from(normal)] += weights
     missing, slopes = problem.gain_sign_residuals_and_jacobian(theta, free)
     normal += slopes.T @ slopes
@@ -356,7 +329,8 @@ def minimise_simulation_error(
 ) -> Descent:
     """Minimise the simulation error by the Levenberg-Marquardt method. It takes a limited number of
     steps, until `has_converged`."""
-    at = Descent(theta=theta, loss=regularised_loss(problem, theta, free))
+    loss = regularised_loss(problem, theta, free)
+    at = Descent(theta=theta, loss=loss)
     for _ in range(most):
         before = at.loss
         at = take_step(problem, at, free)
@@ -384,7 +358,8 @@ def solve_damped_equations(
 
 def pack_parameters(theta: Theta, names: tuple[str, ...]) -> Float[np.ndarray, "P"]:
     """Join named blocks of parameters to one vector."""
-    return np.concatenate([theta[name].ravel() for name in names])
+    flat_blocks = [theta[name].ravel() for name in names]
+    return np.concatenate(flat_blocks)
 
 
 def unpack_parameters(

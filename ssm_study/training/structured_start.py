@@ -38,22 +38,30 @@ def fit_initial_linear_model(
     inputs, outputs = (np.concatenate(signals) for signals in zip(*records, strict=True))
     if problem.integrating_output:
         records = [(u[:-1], np.diff(y, axis=0)) for u, y in records]
-    shortest = min(len(u) for u, _ in records)
-    lags = min(arx_lag_count(order), shortest // 4)
-    response = arx_impulse_response(*fit_arx_matrices(records, lags, feedthrough))
+    lengths = (len(u) for u, _ in records)
+    shortest = min(lengths)
+    arx_lags = arx_lag_count(order)
+    lags = min(arx_lags, shortest // 4)
+    arx_matrices = fit_arx_matrices(records, lags, feedthrough)
+    response = arx_impulse_response(*arx_matrices)
     system = realise_impulse_response(response, order, rng)
 
     n, m = system.b.shape
     p = len(system.c)
-    radius = float(np.abs(np.linalg.eigvals(system.a)).max())
+    eigenvalues = np.linalg.eigvals(system.a)
+    moduli = np.abs(eigenvalues)
+    radius = float(moduli.max())
     shapes = matrix_shapes(n, m, p, 0)
     start = {name: np.zeros(shape) for name, shape in shapes.items()}
-    start["a"] = system.a * min(1.0, SLOWEST / max(radius, 1e-9))
+    positive_radius = max(radius, 1e-9)
+    shrinkage = SLOWEST / positive_radius
+    start["a"] = system.a * min(1.0, shrinkage)
     start["b"] = system.b
     start["c"] = system.c
     if feedthrough:
         start["d"] = remove_disturbance_feedthrough(problem, system.d)
-    start["x0"] = np.zeros((len(problem.records.u), n + p * problem.integrating_output))
+    record_count = len(problem.records.u)
+    start["x0"] = np.zeros((record_count, n + p * problem.integrating_output))
     start["scaffold_in"] = problem.lift.initial_parameters(inputs)
     start["scaffold_out"] = problem.read.initial_parameters(outputs)
     return normalise_states(problem, start)
@@ -78,7 +86,8 @@ def remove_disturbance_feedthrough(
     problem: SimulationProblem, d: Float[np.ndarray, "p m"]
 ) -> Float[np.ndarray, "p m"]:
     """Set to zero the feedthrough columns of measured disturbances."""
-    return np.where(np.arange(d.shape[1]) < problem.lift.channels, d, 0.0)
+    is_input = np.arange(d.shape[1]) < problem.lift.channels
+    return np.where(is_input, d, 0.0)
 
 
 def normalise_states(problem: SimulationProblem, theta: Theta) -> Theta:
@@ -88,11 +97,14 @@ def normalise_states(problem: SimulationProblem, theta: Theta) -> Theta:
     overturns another.
     """
     states = states_at_scored_samples(problem, theta)
-    size = np.sqrt(np.mean(states**2, axis=0)) + 1e-9
+    mean_squares = np.mean(states**2, axis=0)
+    size = np.sqrt(mean_squares) + 1e-9
     x0 = theta["x0"].copy()
     x0[:, : len(size)] /= size
     scaled = dict(theta)
-    scaled["a"] = theta["a"] * size / size[:, None]
+    scaled_rows = theta["a"] * size
+    size_column = size[:, None]
+    scaled["a"] = scaled_rows / size_column
     scaled["b"] = theta["b"] / size[:, None]
     scaled["c"] = theta["c"] * size
     scaled["x0"] = x0
@@ -102,7 +114,9 @@ def normalise_states(problem: SimulationProblem, theta: Theta) -> Theta:
 def states_at_scored_samples(problem: SimulationProblem, theta: Theta) -> Float[np.ndarray, "N n"]:
     """States before each scored sample of all records, one below another."""
     _, _, states = problem.simulate_signals(theta)
-    return states[:, :-1][problem.records.recorded_mask]
+    earlier_states = states[:, :-1]
+    is_recorded = problem.records.recorded_mask
+    return earlier_states[is_recorded]
 
 
 def fit_best_random_poles(
@@ -119,7 +133,8 @@ def fit_best_random_poles(
     candidates = []
     for _ in range(SCREENED):
         poles = draw_poles(order, rng)
-        candidates.append(begun | fit_model_with_poles(problem, begun, poles, estimates, rng))
+        fitted = fit_model_with_poles(problem, begun, poles, estimates, rng)
+        candidates.append(begun | fitted)
     return min(candidates, key=lambda candidate: regularised_loss(problem, candidate, ()))
 
 
@@ -128,14 +143,21 @@ def draw_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]
     scale."""
     blocks: list[np.ndarray] = []
     while (left := order - sum(map(len, blocks))) > 0:
-        time_constant = np.exp(rng.uniform(0.0, np.log(LONGEST)))
+        longest = np.log(LONGEST)
+        log_time_constant = rng.uniform(0.0, longest)
+        time_constant = np.exp(log_time_constant)
         radius = np.exp(-1.0 / time_constant)
         turn = np.eye(1)
         if left > 1 and rng.uniform() < 0.5:
-            angle = rng.uniform(0.0, 0.5 * np.pi) * rng.uniform() ** 2
+            quarter_turn = 0.5 * np.pi
+            largest_angle = rng.uniform(0.0, quarter_turn)
+            squared_share = rng.uniform() ** 2
+            angle = largest_angle * squared_share
             cosine = np.cos(angle)
             sine = np.sin(angle)
-            turn = np.array([[cosine, sine], [-sine, cosine]])
+            upper_row = [cosine, sine]
+            lower_row = [-sine, cosine]
+            turn = np.array([upper_row, lower_row])
         blocks.append(radius * turn)
     return linalg.block_diag(*blocks)
 
@@ -150,11 +172,17 @@ def fit_model_with_poles(
     """Fit a linear model with given poles by least squares. States have unit size; C and initial
     states are fitted."""
     _, outputs, weight = problem.records
-    at_rest = begun | {"x0": 0.0 * begun["x0"], "d": 0.0 * begun["d"]}
+    zero_states = 0.0 * begun["x0"]
+    no_feedthrough = 0.0 * begun["d"]
+    zero_blocks = {"x0": zero_states, "d": no_feedthrough}
+    at_rest = begun | zero_blocks
     b = rng.normal(size=begun["b"].shape)
-    _, _, states = problem.simulate_signals(at_rest | {"a": a, "b": b})
+    drawn = {"a": a, "b": b}
+    driven = at_rest | drawn
+    _, _, states = problem.simulate_signals(driven)
     x = states[:, :-1]
-    size = np.sqrt(np.mean(x**2, axis=(0, 1))) + 1e-12
+    mean_squares = np.mean(x**2, axis=(0, 1))
+    size = np.sqrt(mean_squares) + 1e-12
     x = x / size
     a = a * size / size[:, None]
     b = b / size[:, None]
@@ -163,12 +191,18 @@ def fit_model_with_poles(
     output_map = problem.read.freeze(begun["scaffold_out"])
     output_slope = output_map(np.ones_like(outputs))
     y = outputs / output_slope
-    decay = matrix_powers(a, outputs.shape[1])
+    sample_count = outputs.shape[1]
+    decay = matrix_powers(a, sample_count)
     c = least_squares_output_matrix(x, y, weight, decay, estimates)
-    x0 = np.zeros((len(outputs), len(a)))
+    record_count = len(outputs)
+    state_count = len(a)
+    x0 = np.zeros((record_count, state_count))
     if estimates:
-        x0 = least_squares_initial_states(y - x @ c.T, weight, c, decay)
-    return at_rest | {"a": a, "b": b, "c": c, "x0": x0}
+        explained = x @ c.T
+        remaining = y - explained
+        x0 = least_squares_initial_states(remaining, weight, c, decay)
+    fitted_blocks = {"a": a, "b": b, "c": c, "x0": x0}
+    return at_rest | fitted_blocks
 
 
 def least_squares_output_matrix(
@@ -184,12 +218,16 @@ def least_squares_output_matrix(
     regressors = x
     if estimates:
         # The columns of each record span what its initial state can do.
-        decays = [decay.sum(axis=2)] * count
-        free_motion = linalg.block_diag(*decays).reshape(count, samples, -1)
-        regressors = np.concatenate([x, free_motion], axis=-1)
+        summed_decay = decay.sum(axis=2)
+        decays = [summed_decay] * count
+        block_decays = linalg.block_diag(*decays)
+        free_motion = block_decays.reshape(count, samples, -1)
+        driven_and_free = [x, free_motion]
+        regressors = np.concatenate(driven_and_free, axis=-1)
     rows = (weight * regressors).reshape(count * samples, -1)
     targets = (weight * y).reshape(count * samples, -1)
-    return regularised_least_squares(rows, targets)[:n].T
+    coefficients = regularised_least_squares(rows, targets)
+    return coefficients[:n].T
 
 
 def least_squares_initial_states(
@@ -201,21 +239,23 @@ def least_squares_initial_states(
     """Initial states whose free decay fits best what the input leaves unexplained in the output."""
     count = len(residual)
     n = c.shape[1]
-    observed = (weight[..., None] * (c @ decay)).reshape(count, -1, n)
+    weight_rows = weight[..., None]
+    weighted_decay = weight_rows * (c @ decay)
+    observed = weighted_decay.reshape(count, -1, n)
     missing = (weight * residual).reshape(count, -1, 1)
-    states = [
-        regularised_least_squares(rows, targets)[:, 0]
-        for rows, targets in zip(observed, missing, strict=True)
-    ]
+    rows_and_targets = zip(observed, missing, strict=True)
+    states = [regularised_least_squares(rows, targets)[:, 0] for rows, targets in rows_and_targets]
     return np.stack(states)
 
 
 def matrix_powers(a: Float[np.ndarray, "n n"], count: int) -> Float[np.ndarray, "T n n"]:
     """Powers of a matrix, computed by repeated doubling."""
-    powers = np.eye(len(a))[None]
+    identity = np.eye(len(a))
+    powers = identity[None]
     ahead = a
     while len(powers) < count:
-        powers = np.concatenate([powers, powers @ ahead])
+        doubled = [powers, powers @ ahead]
+        powers = np.concatenate(doubled)
         ahead = ahead @ ahead
     return powers[:count]
 
@@ -227,7 +267,9 @@ def regularised_least_squares(
     normal = x.T @ x
     k = len(normal)
     ridge = RESIDUE_RIDGE * np.trace(normal) / k
-    return linalg.solve(normal + ridge * np.eye(k), x.T @ y)
+    penalty = ridge * np.eye(k)
+    cross_products = x.T @ y
+    return linalg.solve(normal + penalty, cross_products)
 
 
 def add_random_neurons(
@@ -238,12 +280,17 @@ def add_random_neurons(
     theta = normalise_states(problem, theta)
     n, m = theta["b"].shape
     p = len(theta["c"])
-    f = rng.normal(size=(count, n))
+    neuron_shape = (count, n)
+    f = rng.normal(size=neuron_shape)
     sizes = rng.uniform(0.7, 3.0, (count, 1))
-    f *= sizes / np.linalg.norm(f, axis=1, keepdims=True)
-    e = SMALL * rng.normal(size=(n, count))
-    bias = RESTS_WITHIN * rng.uniform(-1.0, 1.0, count)
-    neurons = {"e": e * np.linalg.norm(theta["b"]), "f": f, "bias": bias}
+    norms = np.linalg.norm(f, axis=1, keepdims=True)
+    f *= sizes / norms
+    random_rows = rng.normal(size=(n, count))
+    e = SMALL * random_rows
+    random_bias = rng.uniform(-1.0, 1.0, count)
+    bias = RESTS_WITHIN * random_bias
+    input_norm = np.linalg.norm(theta["b"])
+    neurons = {"e": e * input_norm, "f": f, "bias": bias}
     neurons["g"] = np.zeros((count, m))
     neurons["h"] = np.zeros((p, count))
     return theta | neurons
@@ -254,19 +301,28 @@ def contracting_initial_parameters(problem: SimulationProblem, theta: Theta, rat
     of `contracting.project_to_contracting`."""
     v, _, states = problem.simulate_signals(theta)
     recorded = problem.records.recorded_mask
-    x = states[:, :-1][recorded]
-    z = x @ theta["f"].T + v[recorded] @ theta["g"].T + theta["bias"]
+    earlier_states = states[:, :-1]
+    x = earlier_states[recorded]
+    from_state = x @ theta["f"].T
+    from_input = v[recorded] @ theta["g"].T
+    z = from_state + from_input + theta["bias"]
     slopes = evaluate_activations(problem.neurons, z, "slope")
-    core = RecurrenceMatrices(*(theta[name] for name in CORE))
-    contracting = project_to_contracting(core, slopes.mean(axis=0), rate)
+    core_blocks = (theta[name] for name in CORE)
+    core = RecurrenceMatrices(*core_blocks)
+    mean_slopes = slopes.mean(axis=0)
+    contracting = project_to_contracting(core, mean_slopes, rate)
     t = contracting.t
     free = parameters_from_matrices(transform_to_metric(contracting), rate)
 
     n = len(theta["a"])
     x0 = theta["x0"].copy()
-    x0[:, :n] = x0[:, :n] @ t.T
+    model_states = x0[:, :n]
+    x0[:, :n] = model_states @ t.T
     moved = dict(theta)
     moved["b"] = t @ theta["b"]
-    moved["c"] = linalg.solve(t.T, theta["c"].T).T
+    moved_rows = linalg.solve(t.T, theta["c"].T)
+    moved["c"] = moved_rows.T
     moved["x0"] = x0
-    return moved | free._asdict() | {"log_d": np.log(contracting.d)}
+    free_blocks = free._asdict()
+    log_scales = np.log(contracting.d)
+    return moved | free_blocks | {"log_d": log_scales}

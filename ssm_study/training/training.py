@@ -47,17 +47,13 @@ class Training:
 
     def __post_init__(self) -> None:
         share = self.integrated_share
+        is_share = 0 <= share <= 1
         require(
-            0 <= share <= 1,
-            "training.integrated_share",
-            share,
-            "is a share of the loss",
-            "use 0 to 1",
+            is_share, "training.integrated_share", share, "is a share of the loss", "use 0 to 1"
         )
         for name in ("max_epochs", "patience", "starts"):
-            require_at_least(
-                1, f"training.{name}", getattr(self, name), "use a positive whole number"
-            )
+            number = getattr(self, name)
+            require_at_least(1, f"training.{name}", number, "use a positive whole number")
         for name in (
             "min_gain_percent",
             "validation_tolerance_percent",
@@ -65,8 +61,10 @@ class Training:
             "roughness_weight",
         ):
             require_at_least(0, f"training.{name}", getattr(self, name), "use 0")
-        require_one_of((32, 64), "training.precision", self.precision)
-        require_one_of(("auto", "zero", "estimated"), "training.initial_state", self.initial_state)
+        precisions = (32, 64)
+        require_one_of(precisions, "training.precision", self.precision)
+        initial_states = ("auto", "zero", "estimated")
+        require_one_of(initial_states, "training.initial_state", self.initial_state)
 
     def identify(
         self,
@@ -103,7 +101,8 @@ class Training:
         members = getattr(spec, "members", 1)
         if isinstance(spec, StructuredSpec) and spec.neurons == 0:
             spec = spec.without_neurons()
-        trainings = max(getattr(spec, "training_count", self.starts), members)
+        requested = getattr(spec, "training_count", self.starts)
+        trainings = max(requested, members)
         starts = [spec.for_training_run(k) for k in range(trainings)]
         return self._train_best_of_several(starts, data, session, members)
 
@@ -118,11 +117,14 @@ class Training:
         from ssm_study.training.folds import join_training_and_validation
 
         began = time.perf_counter()
-        choices = iterate_choices(spec, data, session.seed, make_progress_printer(session.progress))
+        printer = make_progress_printer(session.progress)
+        choices = iterate_choices(spec, data, session.seed, printer)
         best: Identification | None = None
-        for k, choice in enumerate(islice(choices, MOST_TRAINED)):
+        first_choices = islice(choices, MOST_TRAINED)
+        for k, choice in enumerate(first_choices):
             folder = session.folder / f"choice_{k}" if k else session.folder
-            identified = self._identify_choice(choice, data, replace(session, folder=folder))
+            own_session = replace(session, folder=folder)
+            identified = self._identify_choice(choice, data, own_session)
             chosen = choice.describe(spec.automatic_settings)
             best = best or replace(identified, choice=choice.rows, chosen=chosen)
             if can_be_certified(choice.spec, identified.model):
@@ -133,7 +135,8 @@ class Training:
             records = join_training_and_validation(data) if spec.refit else data
             predictor = choice.predictor.solve(records)
             best = replace(best, members=(predictor,))
-        return replace(best, seconds=time.perf_counter() - began)
+        now_s = time.perf_counter()
+        return replace(best, seconds=now_s - began)
 
     def _identify_choice(
         self, choice: "Choice", data: DataSet, session: "TrainingSession"
@@ -146,7 +149,8 @@ class Training:
 
         if not (choice.rows and choice.spec.refit):
             return self._train_choice(choice, data, session)
-        best = self._train_choice(choice, join_training_and_validation(data), session)
+        all_records = join_training_and_validation(data)
+        best = self._train_choice(choice, all_records, session)
         ended = best.ended + REFIT_WORDS
         fit = records_fit_percent(best.model, data.validation, data)
         return replace(best, ended=ended, refitted=True, fit_validation_percent=fit)
@@ -181,17 +185,24 @@ class Training:
         Folds cannot tell these from the chosen one; where structures err differently, their mean
         errs less than that of one structure's trainings.
         """
-        count = min(len(choice.others), len(best.members) - 1)
+        other_count = len(choice.others)
+        member_count = len(best.members)
+        count = min(other_count, member_count - 1)
         if count < 1:
             return best
-        members = [*best.members[: len(best.members) - count]]
+        first_members = best.members[: len(best.members) - count]
+        members = [*first_members]
         seconds = best.seconds
-        for k, spec in enumerate(choice.others[:count], start=1):
-            apart = replace(session, folder=session.folder / f"structure_{k}")
-            other = self._train_from_best_starts(replace(spec, members=1), data, apart)
+        other_specs = choice.others[:count]
+        for k, spec in enumerate(other_specs, start=1):
+            own_folder = session.folder / f"structure_{k}"
+            apart = replace(session, folder=own_folder)
+            single_spec = replace(spec, members=1)
+            other = self._train_from_best_starts(single_spec, data, apart)
             members.append(other.model)
             seconds += other.seconds
-        return replace(best, members=tuple(members), seconds=seconds)
+        all_members = tuple(members)
+        return replace(best, members=all_members, seconds=seconds)
 
     def _train_from_best_starts(
         self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
@@ -202,7 +213,8 @@ class Training:
 
         brief = short_spec(spec)
         announce = make_progress_printer(session.progress, "short starts")
-        seeds = best_seeds(brief, data, session.seed, *count_starts(spec), announce)
+        start_counts = count_starts(spec)
+        seeds = best_seeds(brief, data, session.seed, *start_counts, announce)
         starts = [brief] * len(seeds)
         return self._train_best_of_several(
             starts, data, session, spec.members, only_certified=True, seeds=seeds
@@ -223,7 +235,8 @@ class Training:
         any has both.
         The `members` that fit the training records best predict together.
         """
-        dead_time = int(getattr(starts[0], "dead_time", 0))
+        stored_dead_time = getattr(starts[0], "dead_time", 0)
+        dead_time = int(stored_dead_time)
         records = data.shift_out_dead_time(dead_time) if dead_time else data
         seeds = seeds or [session.seed + 1000 * k for k in range(len(starts))]
         identified = self._train_several_times(starts, seeds, records, session)
@@ -241,8 +254,10 @@ class Training:
         seconds = sum(start.seconds for start in identified)
         if dead_time:
             averaged = [model.with_dead_time(dead_time) for model in averaged]
-            best = replace(best, model=best.model.with_dead_time(dead_time))  # type: ignore[attr-defined]
-        return replace(best, members=tuple(averaged), seconds=seconds)
+            delayed_model = best.model.with_dead_time(dead_time)  # type: ignore[attr-defined]
+            best = replace(best, model=delayed_model)
+        averaged_models = tuple(averaged)
+        return replace(best, members=averaged_models, seconds=seconds)
 
     def _train_several_times(
         self,
@@ -284,9 +299,8 @@ def select_by_training_fit(
     if count < 2:
         return []
     models = [start.model for start in identified]
-    return sorted(models, key=lambda model: -records_fit_percent(model, data.training, data))[
-        :count
-    ]
+    best_first = sorted(models, key=lambda model: -records_fit_percent(model, data.training, data))
+    return best_first[:count]
 
 
 def can_be_certified(spec: "ModelSpec", model: Any) -> bool:
@@ -302,7 +316,8 @@ def refuse_disturbances_without_path(spec: "ModelSpec", data: DataSet) -> None:
     from ssm_study.models.spec import SSMSpec
     from ssm_study.models.structured_spec import StructuredSpec
 
-    names = ", ".join(channel.name for channel in data.disturbances)
+    names_of_disturbances = (channel.name for channel in data.disturbances)
+    names = ", ".join(names_of_disturbances)
     takes = not data.disturbances or isinstance(spec, SSMSpec | StructuredSpec)
     problem = f"{type(spec).__name__} has no path for measured disturbances"
     remedy = "use model=log, structured, ssm or linear, or name the column an input"

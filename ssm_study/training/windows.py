@@ -40,7 +40,10 @@ class Windows:
         window, or its start-up samples fill one."""
         if self.samples is None:
             unscored = (start_up_samples,) * len(records)
-            return RecordWindows(tuple(records), unscored, tuple(range(len(records))))
+            whole_records = tuple(records)
+            record_count = len(records)
+            numbers = tuple(range(record_count))
+            return RecordWindows(whole_records, unscored, numbers)
         self._refuse_short_records(records, start_up_samples)
         pieces: list[Trajectory] = []
         unscored_samples: list[int] = []
@@ -49,9 +52,14 @@ class Windows:
             first.append(len(pieces))
             for start in range(0, len(record), self.samples):
                 name = f"{record.name}[{start}]"
-                pieces.append(replace(record[start : start + self.samples], name=name))
-                unscored_samples.append(max(0, start_up_samples - start))
-        return RecordWindows(tuple(pieces), tuple(unscored_samples), tuple(first))
+                piece = record[start : start + self.samples]
+                named_piece = replace(piece, name=name)
+                pieces.append(named_piece)
+                unscored_piece = max(0, start_up_samples - start)
+                unscored_samples.append(unscored_piece)
+        all_pieces = tuple(pieces)
+        first_windows = tuple(first)
+        return RecordWindows(all_pieces, tuple(unscored_samples), first_windows)
 
     def _refuse_short_records(self, records: Sequence[Trajectory], start_up_samples: int) -> None:
         """Raise `BadRequest` for training records that are shorter than a window."""
@@ -60,7 +68,8 @@ class Windows:
         shortest = min(records, key=len)
         problem = f"the record {shortest.name} has only {len(shortest)} samples"
         remedy = "shorten the windows or use null"
-        require(self.samples <= len(shortest), field, self.samples, problem, remedy)
+        shortest_samples = len(shortest)
+        require(self.samples <= shortest_samples, field, self.samples, problem, remedy)
         problem = f"the {start_up_samples} start-up samples leave nothing to score"
         fits = self.samples > start_up_samples
         require(fits, field, self.samples, problem, "lengthen the windows")
@@ -78,17 +87,24 @@ class RecordWindows:
     @property
     def continuing_windows(self) -> list[int]:
         """Indices of the windows that continue an earlier window of the same record."""
-        return sorted(set(range(len(self.pieces))) - set(self.first))
+        window_count = len(self.pieces)
+        all_windows = set(range(window_count))
+        return sorted(all_windows - set(self.first))
 
 
 def pad_records(pairs: "Pairs") -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray, "e T p"]]:
     """Pad records with zeros at their ends to a common length."""
-    longest = max(len(u) for u, _ in pairs)
+    lengths = (len(u) for u, _ in pairs)
+    longest = max(lengths)
     inputs = [pad_with_zeros(u, longest) for u, _ in pairs]
     outputs = [pad_with_zeros(y, longest) for _, y in pairs]
-    return np.stack(inputs), np.stack(outputs)
+    all_inputs = np.stack(inputs)
+    all_outputs = np.stack(outputs)
+    return all_inputs, all_outputs
 
 
 def pad_with_zeros(values: Float[np.ndarray, "T c"], samples: int) -> Float[np.ndarray, "T2 c"]:
     """Pad a signal with zeros at its end to a given length."""
-    return np.pad(values, ((0, samples - len(values)), (0, 0)))
+    missing_samples = samples - len(values)
+    rows_after = (0, missing_samples)
+    return np.pad(values, (rows_after, (0, 0)))

@@ -19,7 +19,6 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "ssm_study"
 TARGET = (10.6, 4.0)
 # Tokens a statement, and percent of long statements, of the rooms that are above the target.
-DENSITY = {"ssm_study/study": (10.6, 1.6), "ssm_study/training": (11.9, 3.1), "tests": (12.1, 3.5)}
 LONGEST_FILE = 400  # lines
 LONGEST_BODY = 40  # lines of a function, its docstring left out
 MOST_PACKED = 250  # assignments of several values to several names

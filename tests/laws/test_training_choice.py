@@ -34,9 +34,9 @@ from ssm_study.training.folds import (
 )
 from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.optimisers import Lbfgs
+from ssm_study.training.record_batch import RecordBatch
 from ssm_study.training.search import Choice, Search
 from ssm_study.training.structured_fit import StructuredFit
-from ssm_study.training.structured_problem import RecordBatch
 from ssm_study.training.training import Training
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))

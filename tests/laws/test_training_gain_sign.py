@@ -8,10 +8,10 @@ import pytest
 from ssm_study.models.contracting import FreeParameters, matrices_from_parameters
 from ssm_study.models.structured_spec import TrainablePieces
 from ssm_study.training.gain_sign import corner_gains
+from ssm_study.training.record_batch import RecordBatch
 from ssm_study.training.structured_problem import (
     FREE_CORE,
     Descent,
-    RecordBatch,
     SimulationProblem,
     Theta,
     pack_parameters,

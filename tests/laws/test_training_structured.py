@@ -23,11 +23,11 @@ from ssm_study.models.contracting import (
 from ssm_study.models.spec import scale_records
 from ssm_study.models.structured_spec import TrainablePieces
 from ssm_study.training.levenberg import DAMPING_RANGE
+from ssm_study.training.record_batch import RecordBatch
 from ssm_study.training.structured_problem import (
     CORE,
     FREE_CORE,
     Descent,
-    RecordBatch,
     SimulationProblem,
     Theta,
     has_converged,
