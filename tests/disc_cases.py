@@ -14,7 +14,9 @@ def first_order(gain: float, pole: float, direct: float) -> np.ndarray:
     return np.array([[pole, 1.0], [gain, direct]])
 
 
-WEIGHTS = Weights(floor=0.3, output=first_order(0.2, 0.7, 0.4), input=first_order(0.05, 0.5, 0.1))
+OUTPUT_WEIGHT = first_order(0.2, 0.7, 0.4)
+INPUT_WEIGHT = first_order(0.05, 0.5, 0.1)
+WEIGHTS = Weights(floor=0.3, output=OUTPUT_WEIGHT, input=INPUT_WEIGHT)
 
 
 def on_the_plant(
@@ -35,10 +37,12 @@ def on_the_plant(
         m = alpha_out * (system.c @ x + system.d @ drive)
         entering = np.concatenate([m, u])
         e = mismatch.c @ delta + mismatch.d @ entering
-        difference = alpha_out * (system.c @ xh + system.d @ drive) - m
+        predicted_output = system.c @ xh + system.d @ drive
+        difference = alpha_out * predicted_output - m
         injected = difference - e
         x = system.a @ x + system.b @ drive
-        xh = system.a @ xh + system.b @ drive + gains["l"] @ injected
+        correction = gains["l"] @ injected
+        xh = system.a @ xh + system.b @ drive + correction
         delta = mismatch.a @ delta + mismatch.b @ entering
         inputs[k] = u[0]
     return inputs
@@ -53,25 +57,24 @@ def at_the_edge(kappa: float, centre: float, rng: np.random.Generator) -> StateS
     for i in range(3):
         pole = rng.uniform(-0.95, 0.95)
         sign = rng.choice([-1.0, 1.0])
-        all_pass = (np.array([[pole]]), np.array([[1 - pole**2]]), np.array([[1.0]]), -pole * ONE)
+        gain = np.array([[1 - pole**2]])
+        all_pass = (np.array([[pole]]), gain, np.array([[1.0]]), -pole * ONE)
         parts.append((all_pass, sign * share[i]))
-    filters = [
-        weight_system(np.eye(0), WEIGHTS.floor),
-        weight_system(WEIGHTS.output, 1.0),
-        weight_system(WEIGHTS.input, 1.0),
-    ]
+    floor = weight_system(np.eye(0), WEIGHTS.floor)
+    of_output = weight_system(WEIGHTS.output, 1.0)
+    of_input = weight_system(WEIGHTS.input, 1.0)
+    filters = [floor, of_output, of_input]
     blocks = []
     for (all_pass, size), weight, column in zip(parts, filters, (0, 0, 1), strict=True):
         into = np.zeros((1, 2))
         into[0, column] = 1.0
         blocks.append(weight_then_all_pass(weight, all_pass, into, kappa * size))
-    direct = sum(block.d for block in blocks) + np.array([[centre, 0.0]])
-    return StateSpace(
-        a=block_diag(*(block.a for block in blocks)),
-        b=np.vstack([block.b for block in blocks]),
-        c=np.hstack([block.c for block in blocks]),
-        d=direct,
-    )
+    centre_gain = np.array([[centre, 0.0]])
+    direct = sum(block.d for block in blocks) + centre_gain
+    states = [block.a for block in blocks]
+    inputs = [block.b for block in blocks]
+    outputs = [block.c for block in blocks]
+    return StateSpace(a=block_diag(*states), b=np.vstack(inputs), c=np.hstack(outputs), d=direct)
 
 
 def weight_system(weight: np.ndarray, gain: float) -> StateSpace:
@@ -96,9 +99,8 @@ def weight_then_all_pass(
     """Series of a filter and an all-pass times `size`, driven by the signal that `into` picks."""
     aa, ab, ac, ad = all_pass
     no_coupling = np.zeros((len(weight.a), 1))
-    return StateSpace(
-        a=np.block([[weight.a, no_coupling], [ab @ weight.c, aa]]),
-        b=np.vstack([weight.b, ab @ weight.d]) @ into,
-        c=size * np.hstack([ad @ weight.c, ac]),
-        d=size * ad @ weight.d @ into,
-    )
+    a = np.block([[weight.a, no_coupling], [ab @ weight.c, aa]])
+    b = np.vstack([weight.b, ab @ weight.d]) @ into
+    c = size * np.hstack([ad @ weight.c, ac])
+    d = size * ad @ weight.d @ into
+    return StateSpace(a=a, b=b, c=c, d=d)

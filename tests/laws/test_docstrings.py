@@ -84,11 +84,10 @@ def test_every_theorem_and_bound_names_its_source() -> None:
 
 def told(module: ast.Module) -> str:
     """All docstrings of a module."""
-    tellers = [
-        module,
-        *(n for n in ast.walk(module) if isinstance(n, ast.FunctionDef | ast.ClassDef)),
-    ]
-    return "\n".join(ast.get_docstring(node) or "" for node in tellers)
+    definitions = [n for n in ast.walk(module) if isinstance(n, ast.FunctionDef | ast.ClassDef)]
+    tellers = [module, *definitions]
+    docstrings = [ast.get_docstring(node) or "" for node in tellers]
+    return "\n".join(docstrings)
 
 
 def test_who_refuses_says_so() -> None:
@@ -113,7 +112,8 @@ def test_arrays_of_public_functions_have_shapes() -> None:
 def signature(function: ast.FunctionDef) -> list[str]:
     posonlyargs = function.args.posonlyargs
     kwonlyargs = function.args.kwonlyargs
-    given = [a.annotation for a in [*posonlyargs, *function.args.args, *kwonlyargs]]
+    arguments = [*posonlyargs, *function.args.args, *kwonlyargs]
+    given = [a.annotation for a in arguments]
     annotations = [*given, function.returns]
     return [ast.unparse(annotation) for annotation in annotations if annotation is not None]
 
@@ -163,4 +163,5 @@ def test_shapes_are_checked_anew_in_every_test(length: int) -> None:
     with pytest.raises(TypeCheckError, match="fit_percent"):
         fit_percent(np.zeros((3, 1)), np.zeros((length, 1)))
     for _ in range(100):
-        fit_percent(np.arange(3.0)[:, None], np.zeros((3, 1)))
+        ramp = np.arange(3.0)[:, None]
+        fit_percent(ramp, np.zeros((3, 1)))

@@ -47,7 +47,8 @@ def random_scaffold(kind: str, seed: int, channels: int) -> Scaffold:
         mlp_scaffold_network = network(rng, channels, channels, widths)
         return MlpScaffold(network=mlp_scaffold_network)
     if kind == "monotone":
-        points = np.sort(rng.normal(size=(channels, 5)), axis=1)
+        drawn_points = rng.normal(size=(channels, 5))
+        points = np.sort(drawn_points, axis=1)
         slopes = rng.uniform(0.1, 1.0, size=(channels, 6))
         return MonotoneScaffold(breakpoints=points, slopes=slopes)
     multipliers = tuple(rng.uniform(0.5, 2.0, size=h) for h in widths)
@@ -75,7 +76,9 @@ def test_the_jacobian_is_the_derivative(kind: str, seed: int, channels: int) -> 
     v = rng.normal(size=channels)
     direction = rng.normal(size=channels)
     step = 1e-7  # far smaller than the distance to the next break point, almost surely
-    difference = scaffold(v + step * direction) - scaffold(v - step * direction)
+    ahead = scaffold(v + step * direction)
+    behind = scaffold(v - step * direction)
+    difference = ahead - behind
     slope = difference / (2 * step)
     actual = scaffold.jacobian(v) @ direction
     np.testing.assert_allclose(actual, slope, atol=1e-5)
@@ -99,8 +102,10 @@ def test_a_monotone_scaffold_is_the_integral_of_its_slopes(seed: int, channels: 
     scaffold = random_scaffold("monotone", seed, channels)
     assert isinstance(scaffold, MonotoneScaffold)
     for c in range(channels):
-        knots = np.concatenate([[-3.0], np.clip(scaffold.breakpoints[c], -3, 3), [3.0]])
-        values = scaffold(np.repeat(knots[:, None], channels, axis=1))[:, c]
+        inside = np.clip(scaffold.breakpoints[c], -3, 3)
+        knots = np.concatenate([[-3.0], inside, [3.0]])
+        on_every_channel = np.repeat(knots[:, None], channels, axis=1)
+        values = scaffold(on_every_channel)[:, c]
         actual = np.diff(values)
         differences = np.diff(knots)
         expected = scaffold.slopes[c] * differences
@@ -110,7 +115,8 @@ def test_a_monotone_scaffold_is_the_integral_of_its_slopes(seed: int, channels: 
 @pytest.mark.parametrize("gain", [0.5, 3.0, -0.5, -3.0])
 def test_gains_around_a_monotone_scaffold_become_part_of_it(gain: float) -> None:
     scaffold = random_scaffold("monotone", 0, 1)
-    v = np.linspace(-3, 3, 41)[:, None]
+    even_points = np.linspace(-3, 3, 41)
+    v = even_points[:, None]
     m = np.array([[gain]])
     actual = scaffold.compose_with_input_matrix(m)(v)
     expected = scaffold(gain * v)

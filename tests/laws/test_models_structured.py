@@ -21,7 +21,8 @@ KINDS = tuple(NEURONS)
 
 
 def monotone(rng: np.random.Generator, channels: int) -> MonotoneScaffold:
-    points = np.sort(rng.normal(size=(channels, 5)), axis=1)
+    drawn_points = rng.normal(size=(channels, 5))
+    points = np.sort(drawn_points, axis=1)
     slopes = rng.uniform(0.2, 1.5, (channels, 6))
     return MonotoneScaffold(breakpoints=points, slopes=slopes)
 
@@ -41,18 +42,22 @@ def drawn(
     shapes = {"b": b, "c": c, "d": d, "e": e, "f": f, "g": g, "h": h, "bias": (q,)}
     a = rng.normal(size=(n, n))
     norm = np.linalg.norm(a, 2)
+    matrices = {name: 0.3 * rng.normal(size=shape) for name, shape in shapes.items()}
+    scaffold_in = monotone(rng, m)
+    scaffold_out = monotone(rng, p)
+    scale = Scale(
+        input_scale=rng.uniform(0.5, 2, m),
+        output_scale=rng.uniform(0.5, 2, p),
+        input_equilibrium=rng.normal(size=m),
+        output_equilibrium=rng.normal(size=p),
+    )
     return StructuredSSM(
         a=0.6 * a / norm,
-        **{name: 0.3 * rng.normal(size=shape) for name, shape in shapes.items()},
+        **matrices,
         neurons=kinds,
-        scaffold_in=monotone(rng, m),
-        scaffold_out=monotone(rng, p),
-        scale=Scale(
-            input_scale=rng.uniform(0.5, 2, m),
-            output_scale=rng.uniform(0.5, 2, p),
-            input_equilibrium=rng.normal(size=m),
-            output_equilibrium=rng.normal(size=p),
-        ),
+        scaffold_in=scaffold_in,
+        scaffold_out=scaffold_out,
+        scale=scale,
         step_s=0.01,
     )
 
@@ -61,9 +66,11 @@ def drawn(
 @given(seed=st.integers(0, 2**31), n=st.integers(1, 5), m=st.integers(1, 3), p=st.integers(1, 3))
 def test_the_compiled_run_is_the_stepped_one(seed: int, n: int, m: int, p: int) -> None:
     rng = np.random.default_rng(seed)
-    model = drawn(seed, n, m, p, tuple(rng.choice(KINDS, size=rng.integers(0, 6)).tolist()))
+    kinds = tuple(rng.choice(KINDS, size=rng.integers(0, 6)).tolist())
+    model = drawn(seed, n, m, p, kinds)
     input_equilibrium = model.scale.input_equilibrium
-    u = input_equilibrium + rng.normal(size=(2, 40, m))
+    deviation = rng.normal(size=(2, 40, m))
+    u = input_equilibrium + deviation
     x = rng.normal(size=(2, n))
     compiled = model.simulate(u, x)
     for k in range(40):
@@ -77,15 +84,18 @@ def test_the_compiled_run_is_the_stepped_one(seed: int, n: int, m: int, p: int) 
 def test_rest_stays_at_rest_whatever_the_bias() -> None:
     model = drawn(0)
     input_equilibrium = model.scale.input_equilibrium
-    y = model.simulate(np.tile(input_equilibrium, (20, 1)))
+    resting_input = np.tile(input_equilibrium, (20, 1))
+    y = model.simulate(resting_input)
     output_equilibrium = model.scale.output_equilibrium
-    assert np.array_equal(y, np.tile(output_equilibrium, (20, 1)))
+    resting_output = np.tile(output_equilibrium, (20, 1))
+    assert np.array_equal(y, resting_output)
 
 
 def test_a_stored_model_of_one_layer_is_the_case_without_neurons() -> None:
     rich = drawn(1, kinds=())
     names = ("scaffold_in", "scaffold_out", "scale")
-    plain = SSM(linear=rich.linear, step_s=0.01, **{name: getattr(rich, name) for name in names})
+    parts = {name: getattr(rich, name) for name in names}
+    plain = SSM(linear=rich.linear, step_s=0.01, **parts)
     same = StructuredSSM.from_json(plain.to_json())
     rng = np.random.default_rng(1)
     u = rng.normal(size=(200, 2))
@@ -110,10 +120,12 @@ def test_a_model_reads_back_to_the_same_bits(kinds: tuple[str, ...]) -> None:
 
 @given(kind=st.sampled_from(KINDS), z=st.floats(-50, 50), gap=st.floats(1e-3, 5))
 def test_secants_of_a_neuron_lie_in_the_unit_interval(kind: str, z: float, gap: float) -> None:
-    low, high = (evaluate_activations((kind,), np.array([at]))[0] for at in (z, z + gap))
+    points = np.array([[z], [z + gap]])
+    low, high = evaluate_activations((kind,), points)[:, 0]
     upper_limit = (high - low) / gap
     assert -1e-12 <= upper_limit <= 1 + 1e-9
-    slope = evaluate_activations((kind,), np.array([z]), "slope")[0]
+    at_low = np.array([z])
+    slope = evaluate_activations((kind,), at_low, "slope")[0]
     assert 0 <= slope <= 1
     code = KINDS.index(kind)
     actual = activation_and_slope(code, z)
@@ -123,22 +135,23 @@ def test_secants_of_a_neuron_lie_in_the_unit_interval(kind: str, z: float, gap: 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_slope_is_the_derivative(kind: str) -> None:
-    z = np.linspace(-3, 3, 41)[:, None] + 0.013
-    difference = (
-        evaluate_activations((kind,), z + 1e-6) - evaluate_activations((kind,), z - 1e-6)
-    ) / 2e-6
+    even = np.linspace(-3, 3, 41)[:, None]
+    z = even + 0.013
+    above = evaluate_activations((kind,), z + 1e-6)
+    below = evaluate_activations((kind,), z - 1e-6)
+    difference = (above - below) / 2e-6
     actual = evaluate_activations((kind,), z, "slope")
     np.testing.assert_allclose(actual, difference, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("field", "value", "word"),
-    [
-        ("e", np.zeros((3, 4)), "of shape"),
-        ("bias", np.full(5, np.nan), "finite"),
-        ("neurons", ("tanh",) * 4 + ("sine",), "unknown neuron"),
-    ],
-)
+UNFIT = [
+    ("e", np.zeros((3, 4)), "of shape"),
+    ("bias", np.full(5, np.nan), "finite"),
+    ("neurons", ("tanh",) * 4 + ("sine",), "unknown neuron"),
+]
+
+
+@pytest.mark.parametrize(("field", "value", "word"), UNFIT)
 def test_what_does_not_fit_is_refused(field: str, value: object, word: str) -> None:
     with pytest.raises(BadRequest, match=word):
         replace(drawn(5), **{field: value})

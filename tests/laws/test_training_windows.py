@@ -22,14 +22,10 @@ from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.optimisers import Levenberg, OptimiserSpec
 from ssm_study.training.windows import Windows
 
+CERTIFIED_MLP = Mlp(depth=2, train_slopes=True, certified=True)
 MODELS = {
     "ssm": spec(order=3, scaffold_out=Monotone()),
-    "ring": spec(
-        start="ring",
-        order=5,
-        real_modes=1,
-        scaffold_in=Mlp(depth=2, train_slopes=True, certified=True),
-    ),
+    "ring": spec(start="ring", order=5, real_modes=1, scaffold_in=CERTIFIED_MLP),
     "gru": RecurrentSpec(cell="gru", hidden=3),
     "lstm": RecurrentSpec(cell="lstm", hidden=3),
 }
@@ -45,20 +41,22 @@ def unequal(samples: int = 100) -> DataSet:
     training_y = data.training[1].y
     y = training_y[:-17]
     short = dataclasses.replace(data.training[1], u=u, y=y)
-    return dataclasses.replace(data, training=(data.training[0], short))
+    training_records = (data.training[0], short)
+    return dataclasses.replace(data, training=training_records)
 
 
 def fit_of(model: ModelSpec, data: DataSet, windows: Windows | None = None, **settings: Any) -> Fit:
-    return Fit(
-        model.build(data, 0), data, training(**{"windows": windows or Windows(), **settings})
-    )
+    settings_of_windows = {"windows": windows or Windows(), **settings}
+    model_to_train = model.build(data, 0)
+    return Fit(model_to_train, data, training(**settings_of_windows))
 
 
 def step_of(fit: Fit) -> tuple[Tensor, dict[str, Tensor]]:
     """The objective, and its gradient by the names of the model's parameters."""
     loss = fit.training_loss()
     loss.backward()
-    return loss.detach(), {n: p.grad for n, p in fit.model.named_parameters() if p.grad is not None}
+    gradients = {n: p.grad for n, p in fit.model.named_parameters() if p.grad is not None}
+    return loss.detach(), gradients
 
 
 @each_model
@@ -68,14 +66,16 @@ def test_two_halves_are_the_whole(model: ModelSpec) -> None:
     net = model.build(unequal(), 0)
     u = torch.randn(3, 60, 1, dtype=torch.float64)
     x0 = torch.randn(3, net.states, dtype=torch.float64)
-    (whole, end), (head, middle) = net.advance(u, x0), net.advance(u[:, :23], x0)
+    whole, end = net.advance(u, x0)
+    head, middle = net.advance(u[:, :23], x0)
     tail, end_of_tail = net.advance(u[:, 23:], middle)
     actual = torch.cat([head, tail], 1)
     torch.testing.assert_close(actual, whole, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(end_of_tail, end, rtol=1e-9, atol=1e-9)
     actual = net(u, x0)
     torch.testing.assert_close(actual, whole, rtol=1e-12, atol=1e-12)
-    torch.testing.assert_close(net(u), net(u, torch.zeros_like(x0)), rtol=1e-9, atol=1e-9)
+    from_zero = net(u, torch.zeros_like(x0))
+    torch.testing.assert_close(net(u), from_zero, rtol=1e-9, atol=1e-9)
 
 
 @each_model
@@ -101,7 +101,8 @@ def test_shooting_without_defects_is_single_shooting(model: ModelSpec) -> None:
     largest = defects.abs().max()
     assert largest < 1e-9
     actual = fit.training_records.squared_error(y_hat)
-    expected = whole.training_records.squared_error(whole.simulate_windows()[0])
+    free_run = whole.simulate_windows()[0]
+    expected = whole.training_records.squared_error(free_run)
     torch.testing.assert_close(actual, expected)
 
 
@@ -131,7 +132,8 @@ def test_the_gradient_of_shooting_is_that_of_finite_differences(model: ModelSpec
     parameters = [p for p in fit.parameters() if p.requires_grad]
     with torch.no_grad():
         free = fit.starts.free
-        fit.starts.free += 0.3 * torch.randn(free.shape, generator=rng, dtype=torch.float64)
+        noise = torch.randn(free.shape, generator=rng, dtype=torch.float64)
+        fit.starts.free += 0.3 * noise
     direction = [torch.randn(p.shape, generator=rng, dtype=torch.float64) for p in parameters]
     loss = fit.training_loss()
     slope = sum(
@@ -147,7 +149,8 @@ def test_the_gradient_of_shooting_is_that_of_finite_differences(model: ModelSpec
                 p -= side * d
         seen.append(float(moved))
     difference = seen[0] - seen[1]
-    assert (difference) / 2e-6 == pytest.approx(float(slope), rel=1e-5)
+    quotient = difference / 2e-6
+    assert quotient == pytest.approx(float(slope), rel=1e-5)
 
 
 def test_the_residuals_of_shooting_are_its_objective() -> None:
@@ -156,36 +159,34 @@ def test_the_residuals_of_shooting_are_its_objective() -> None:
     assert fit.starts is not None
     with torch.no_grad():
         fit.starts.free += 0.5
-    flat = torch.cat([p.detach().flatten() for p in fit.parameters() if p.requires_grad])
+    trained = [p.detach().flatten() for p in fit.parameters() if p.requires_grad]
+    flat = torch.cat(trained)
     objective = fit.training_loss()
     actual = fit.residuals_at(flat).square().sum()
     expected = objective.detach()
     torch.testing.assert_close(actual, expected)
-    assert fit.simulate_windows()[1].square().sum() > 0.1
+    defects = fit.simulate_windows()[1]
+    assert defects.square().sum() > 0.1
+
+
+LONG_WINDOWS = Windows(samples=100, continuity_weight=1.0)
+LEVENBERG = Levenberg(steps_per_epoch=2, damping=0.01, longest_step=0.5)
 
 
 @pytest.mark.parametrize(
-    ("optimiser", "windows"),
-    [
-        (LBFGS, Windows(samples=100, continuity_weight=1.0)),
-        (
-            Levenberg(steps_per_epoch=2, damping=0.01, longest_step=0.5),
-            Windows(samples=100, continuity_weight=1.0),
-        ),
-    ],
+    ("optimiser", "windows"), [(LBFGS, LONG_WINDOWS), (LEVENBERG, LONG_WINDOWS)]
 )
 def test_windows_find_the_system(
     optimiser: OptimiserSpec, windows: Windows, tmp_path: Path
 ) -> None:
     data = data_set()
-    found = training(optimiser, windows=windows, max_epochs=12).identify(spec(), data, 0, tmp_path)
-    assert (
-        records_fit_percent(found.model, data.test, data) > 95.0
-    )  # a linear input map stops below 93
+    settings = training(optimiser, windows=windows, max_epochs=12)
+    found = settings.identify(spec(), data, 0, tmp_path)
+    test_fit = records_fit_percent(found.model, data.test, data)
+    assert test_fit > 95.0  # a linear input map stops below 93
     shown = max(row["fit_training_percent"] for row in found.curve)
-    assert records_fit_percent(found.model, data.training, data) == pytest.approx(
-        shown, abs=0.5
-    )  # the curve shows whole records
+    training_fit = records_fit_percent(found.model, data.training, data)
+    assert training_fit == pytest.approx(shown, abs=0.5)  # the curve shows whole records
 
 
 def test_records_in_motion_are_shot_at_too(tmp_path: Path) -> None:
@@ -220,22 +221,23 @@ def test_equal_seeds_and_float32_shoot_alike(tmp_path: Path) -> None:
     )  # two steps an epoch go less far
     for optimiser, least in ((settings.optimiser, 80.0), (levenberg, 50.0)):
         single = dataclasses.replace(settings, precision=32, optimiser=optimiser)
-        low = single.identify(spec(), data, 3, tmp_path / type(optimiser).__name__)
+        folder = tmp_path / type(optimiser).__name__
+        low = single.identify(spec(), data, 3, folder)
         assert records_fit_percent(low.model, data.training, data) > least
 
 
-@pytest.mark.parametrize(
-    ("changes", "named"),
-    [
-        ({"samples": 1}, r"training.windows.samples = 1"),
-        ({"samples": 40, "continuity_weight": -1.0}, r"training.windows.continuity_weight = -1"),
-        (
-            {"samples": 40, "continuity_weight": float("nan")},
-            r"training.windows.continuity_weight = nan",
-        ),
-        ({"samples": 40, "continuity_weight": 0.0}, r"training.windows.continuity_weight = 0"),
-    ],
-)
+REFUSED_WINDOWS = [
+    ({"samples": 1}, r"training.windows.samples = 1"),
+    ({"samples": 40, "continuity_weight": -1.0}, r"training.windows.continuity_weight = -1"),
+    (
+        {"samples": 40, "continuity_weight": float("nan")},
+        r"training.windows.continuity_weight = nan",
+    ),
+    ({"samples": 40, "continuity_weight": 0.0}, r"training.windows.continuity_weight = 0"),
+]
+
+
+@pytest.mark.parametrize(("changes", "named"), REFUSED_WINDOWS)
 def test_windows_out_of_range_are_refused(changes: dict[str, Any], named: str) -> None:
     with pytest.raises(BadRequest, match=named):
         Windows(**changes)
@@ -244,10 +246,12 @@ def test_windows_out_of_range_are_refused(changes: dict[str, Any], named: str) -
 def test_a_window_that_no_record_can_fill_is_refused(tmp_path: Path) -> None:
     data = unequal()
     windows = Windows(samples=90)
+    settings = training(windows=windows)
     with pytest.raises(
         BadRequest, match=r"samples = 90: the record training_1 has only 83 samples"
     ):
-        training(windows=windows).identify(spec(), data, 0, tmp_path)
+        settings.identify(spec(), data, 0, tmp_path)
     late = dataclasses.replace(data, start_up_samples=40)
+    settings = training(windows=SHOOTING)
     with pytest.raises(BadRequest, match="40 start-up samples leave nothing"):
-        training(windows=SHOOTING).identify(spec(), late, 0, tmp_path)
+        settings.identify(spec(), late, 0, tmp_path)

@@ -42,32 +42,48 @@ def near_linear(seed: int, centre: np.ndarray) -> MlpScaffold:
     """`N(v)` close to `centre v`: leaky slopes between 0.8 and 1 around an almost linear
     network."""
     rng = np.random.default_rng(seed)
-    first = np.vstack([np.eye(2), 0.2 * rng.normal(size=(2, 2))])
-    last = np.hstack([centre / 0.9, 0.1 * rng.normal(size=(2, 2))])
-    slopes = (np.full(4, 0.8),), (np.ones(4),)
+    coupling_in = 0.2 * rng.normal(size=(2, 2))
+    first = np.vstack([np.eye(2), coupling_in])
+    coupling_out = 0.1 * rng.normal(size=(2, 2))
+    last = np.hstack([centre / 0.9, coupling_out])
+    negative_slopes = (np.full(4, 0.8),)
+    positive_slopes = (np.ones(4),)
     weights = (first, last)
     biases = (rng.normal(size=4),)
     mlp_scaffold_network = Network(
-        weights=weights, biases=biases, negative_slopes=slopes[0], positive_slopes=slopes[1]
+        weights=weights,
+        biases=biases,
+        negative_slopes=negative_slopes,
+        positive_slopes=positive_slopes,
     )
     return MlpScaffold(network=mlp_scaffold_network)
 
 
-SIGNS = MonotoneScaffold(
-    breakpoints=np.array([[0.5], [-0.5]]), slopes=np.array([[1.0, 0.5], [-1.0, -2.0]])
-)
+KINKS = np.array([[0.5], [-0.5]])
+SLOPES = np.array([[1.0, 0.5], [-1.0, -2.0]])
+SIGNS = MonotoneScaffold(breakpoints=KINKS, slopes=SLOPES)
+
+
+MIRROR = np.diag([1.0, -1.0])
+ROTATIONS_AND_SIGNS = [
+    LinearScaffold(gain=TURN),
+    near_linear(1, TURN),
+    near_linear(2, MIRROR),
+    SIGNS,
+]
 
 
 @pytest.mark.parametrize(
     "inner",
-    [LinearScaffold(gain=TURN), near_linear(1, TURN), near_linear(2, np.diag([1.0, -1.0])), SIGNS],
+    ROTATIONS_AND_SIGNS,
     ids=["rotation", "rotating network", "mirroring network", "one falling channel"],
 )
 @pytest.mark.parametrize("side", ["in", "out"])
 def test_rotations_and_signs_are_absorbed(inner, side: str) -> None:
     """Singular values alone would pass these as they are; the ball around alpha I refuses them
     until absorbed."""
-    model = two_channel(inner) if side == "in" else two_channel(LinearScaffold.identity(2), inner)
+    identity = LinearScaffold.identity(2)
+    model = two_channel(inner) if side == "in" else two_channel(identity, inner)
     relative_radius = getattr(certified_balls(model), f"{side}put").relative_radius
     assert relative_radius >= 1
     turned = model.absorb_map_centres()
@@ -90,11 +106,8 @@ def test_channels_of_different_gain_keep_their_map(side: str) -> None:
     slopes = np.array([[2.0, 3.0, 4.0], [0.1, 0.2, 0.3]])
     changed_inner = replace(inner, slopes=slopes)
     for scaffold in (inner, changed_inner):
-        model = (
-            two_channel(scaffold)
-            if side == "in"
-            else two_channel(LinearScaffold.identity(2), scaffold)
-        )
+        identity = LinearScaffold.identity(2)
+        model = two_channel(scaffold) if side == "in" else two_channel(identity, scaffold)
         turned = model.absorb_map_centres()
         assert turned.linear is not model.linear
         rng = np.random.default_rng(2)
@@ -158,15 +171,15 @@ def test_balanced_coordinates_and_the_truncation_bound(seed: int, order: int) ->
     balanced = balanced_realization(linear)
     np.testing.assert_allclose(hankel_singular_values(balanced), hankel, rtol=1e-5)
     b = balanced.c.T
-    for w in (
-        controllability_gramian(balanced.a, balanced.b),
-        controllability_gramian(balanced.a.T, b),
-    ):
+    of_input = controllability_gramian(balanced.a, balanced.b)
+    of_output = controllability_gramian(balanced.a.T, b)
+    for w in (of_input, of_output):
         expected = np.diag(hankel)
         atol = 1e-5 * hankel[0]
         np.testing.assert_allclose(w, expected, atol=atol)
     reduced = balanced_realization(linear, order - 1)
-    z = np.exp(1j * np.linspace(0, np.pi, 200))
+    angles = np.linspace(0, np.pi, 200)
+    z = np.exp(1j * angles)
     gaps = [abs(response(linear, point) - response(reduced, point)) for point in z]
     upper_limit = 2 * hankel[-1] * (1 + 1e-6) + 1e-9
     assert max(gaps) <= upper_limit
@@ -236,9 +249,14 @@ def test_states_are_dropped_by_their_share_of_the_largest(scale: float) -> None:
     assert order == 2
 
 
-@pytest.mark.parametrize(
-    "bad", [{"truncate_to": 0}, {"drop_below": 0.0}, {"balanced": False, "truncate_to": 2}]
-)
+REFUSED_REDUCTIONS = [
+    {"truncate_to": 0},
+    {"drop_below": 0.0},
+    {"balanced": False, "truncate_to": 2},
+]
+
+
+@pytest.mark.parametrize("bad", REFUSED_REDUCTIONS)
 def test_reduction_refuses(bad: dict) -> None:
     with pytest.raises(BadRequest, match="reduction"):
         Reduction(**bad)

@@ -53,7 +53,8 @@ def test_the_exact_interval_is_what_a_fine_walk_finds(seed: int, widths: tuple[i
     net = network(seed, 1, widths)
     lower, upper = slope_interval(net)
     v = np.linspace(-8, 8, 40_001)
-    differences = np.diff(net(v[:, None])[:, 0])
+    outputs = net(v[:, None])[:, 0]
+    differences = np.diff(outputs)
     slopes = differences / np.diff(v)
     smallest = slopes.min()
     assert smallest >= float(lower) - 1e-9
@@ -71,7 +72,9 @@ def test_the_exact_interval_is_what_a_fine_walk_finds(seed: int, widths: tuple[i
 
 def test_both_ends_of_the_exact_interval_are_attained() -> None:
     """Break points at -1 and 1; slopes 0.1 + 1, 2, 1 + 0.1 from left to right, by hand."""
-    weights = (np.array([[1.0], [-1.0]]), np.array([[1.0, -1.0]]))
+    both_signs = np.array([[1.0], [-1.0]])
+    difference_of_both = np.array([[1.0, -1.0]])
+    weights = (both_signs, difference_of_both)
     biases = (np.array([1.0, 1.0]),)
     negative_slopes = (np.array([0.25, 0.25]),)
     positive_slopes = (np.array([1.0, 1.0]),)
@@ -93,7 +96,8 @@ def test_neurons_that_bend_at_one_point_are_never_both_active() -> None:
     """`relu(w) - relu(-w)` of `w = relu(v) - relu(-v)`: the identity, whose only break point lies
     on an edge."""
     turned = np.array([[1.0, -1.0]])
-    weights = (turned.T, np.vstack([turned, -turned]), turned)
+    mirrored = np.vstack([turned, -turned])
+    weights = (turned.T, mirrored, turned)
     biases = (np.zeros(2),) * 2
     negative_slopes = (np.zeros(2),) * 2
     positive_slopes = (np.ones(2),) * 2
@@ -110,7 +114,9 @@ def test_neurons_that_bend_at_one_point_are_never_both_active() -> None:
 def test_the_papers_lower_bound_is_unsound() -> None:
     """`W1 = [1, 1]^T, W2 = [1, -1]`: the zero map, whose "smallest slope" the norm product puts at
     0.02."""
-    weights = (np.array([[1.0], [1.0]]), np.array([[1.0, -1.0]]))
+    two_equal = np.array([[1.0], [1.0]])
+    difference_of_both = np.array([[1.0, -1.0]])
+    weights = (two_equal, difference_of_both)
     biases = (np.zeros(2),)
     negative_slopes = (np.full(2, 0.01),)
     positive_slopes = (np.ones(2),)
@@ -136,8 +142,11 @@ def test_the_spectral_figure_is_sound_from_above(seed: int, widths: tuple[int, .
     assert upper <= upper_limit
 
 
+CHANNEL_WIDTHS = st.sampled_from([(6,), (4, 3)])
+
+
 @pytest.mark.parametrize("method", [interval_bound, lipsdp_bound])
-@given(st.integers(0, 10**6), st.integers(1, 3), st.sampled_from([(6,), (4, 3)]))
+@given(st.integers(0, 10**6), st.integers(1, 3), CHANNEL_WIDTHS)
 def test_sampled_jacobians_lie_in_the_ball(
     method: Any, seed: int, channels: int, widths: tuple[int, ...]
 ) -> None:
@@ -179,7 +188,9 @@ def test_lipsdp_of_one_neuron_is_tight_and_holds_both_slopes() -> None:
         positive_slopes=positive_slopes,
     )
     centre, radius = lipsdp_ball(net)
-    largest = max(1 - centre[0, 0], centre[0, 0] - 0.1)
+    above = 1 - centre[0, 0]
+    below = centre[0, 0] - 0.1
+    largest = max(above, below)
     assert largest <= radius <= 0.45 * (1 + 1e-5)
 
 
@@ -211,7 +222,9 @@ def test_the_interval_of_one_neuron_behind_two_inputs_by_hand() -> None:
     column is not."""
     one = (np.zeros(1),)
     slope = np.array([[1.0, 1.0], [0.0, 0.0]])
-    weights = (np.array([[1.0, 1.0]]), np.array([[1.0], [0.0]]))
+    sum_of_inputs = np.array([[1.0, 1.0]])
+    to_the_first = np.array([[1.0], [0.0]])
+    weights = (sum_of_inputs, to_the_first)
     negative_slopes = (np.full(1, 0.1),)
     positive_slopes = (np.ones(1),)
     net = Network(
@@ -285,7 +298,8 @@ def test_a_residual_scaffolding_fills_the_ball_it_was_built_with() -> None:
     inner = network(0, 2, (5,))
     scale = 1 / lipsdp_ball(inner, scalar_centre=True)[1]
     smallest = min(scale, 0.05)
-    weights = (inner.weights[0], inner.weights[1] * smallest)
+    scaled_outer = inner.weights[1] * smallest
+    weights = (inner.weights[0], scaled_outer)
     shrunk = replace(inner, weights=weights)
     multipliers = (np.ones(5),)
     scaffold = ResidualScaffold(alpha=0.6, beta=0.4, network=shrunk, multipliers=multipliers)

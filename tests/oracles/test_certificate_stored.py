@@ -23,7 +23,9 @@ def stored() -> tuple[dict, StateSpace]:
     synthesis = RiccatiSynthesis(
         rate_controller=0.03, rate_observer=0.2, input_weight=0.1, output_noise=0.1
     )
-    limits = np.array([-4.0]), np.array([6.0])
+    lower = np.array([-4.0])
+    upper = np.array([6.0])
+    limits = lower, upper
     design = synthesis.design(model, MOTOR_BALLS)
     whole = add_gain_certificates(design, model, MOTOR_BALLS, limits)
     expected = {"state_feedback_deployed", "observer_deployed", "tolerance"}
@@ -44,82 +46,81 @@ def test_what_is_stored_is_verified_from_the_file(stored: tuple[dict, StateSpace
     assert certified_rate == content["state_feedback_deployed"]["rate"]
 
 
-@pytest.mark.parametrize(
-    ("part", "name", "change", "found"),
-    [
-        (
-            "tolerance",
-            "kappa",
-            lambda kappa: 1.01 * kappa,
-            "tolerance.certified = True: in exact arithmetic the inequality fails",
-        ),
-        ("tolerance", "kappa", lambda kappa: -kappa, "fails (kappa)"),
-        ("tolerance", "kappa", lambda kappa: 0.5 * kappa, None),  # less than is proved is proved
-        ("tolerance", "lambda_p", lambda value: -value, "fails (inequality, lambda_p)"),
-        ("tolerance", "p", lambda p: [[-value for value in row] for row in p], "fails"),
-        (
-            "tolerance",
-            "k",
-            lambda k: [[0.5 * value for value in row] for row in k],
-            "tolerance.k: differs",
-        ),
-        ("tolerance", "alpha_out", lambda value: 0.5 * value, "tolerance.alpha_out: differs"),
-        ("tolerance", "beta", lambda value: 0.5 * value, "tolerance.alpha, beta"),
-        ("tolerance", "weight_input", lambda w: [[10 * w[0][0]]], "fails (inequality)"),
-        ("state_feedback_deployed", "rate", lambda rate: rate * 1.01, "fails (inequality)"),
-        ("state_feedback_deployed", "theorem", lambda _: "observer", "is of another part"),
-        (
-            "observer_deployed",
-            "l",
-            lambda gain: [[0.99 * v for v in row] for row in gain],
-            "not the one that is deployed",
-        ),
-        ("state_feedback_limited", "rate", lambda rate: rate * 1.01, "fails (inequality)"),
-        (
-            "state_feedback_limited",
-            "beta",
-            lambda beta: 0.99 * beta,
-            "state_feedback_limited.alpha, beta",
-        ),
-        ("state_feedback_limited", "theorem", lambda _: "state_feedback", "is of another part"),
-        (
-            "state_feedback_unlimited",
-            "starts",
-            lambda x: [[1.01 * v for v in row] for row in x],
-            "fails (start 0)",
-        ),
-        ("state_feedback_unlimited", "level", lambda level: 1.01 * level, "limit 0 is not reached"),
-        (
-            "state_feedback_unlimited",
-            "limits",
-            lambda ends: [[-ends[0][0], ends[0][1]]],
-            "fails (lower limit 0",
-        ),
-        (
-            "state_feedback_unlimited",
-            "k",
-            lambda k: [[0.5 * v for v in row] for row in k],
-            "not the one that is deployed",
-        ),
-        (
-            "state_feedback",
-            "certified_rate",
-            lambda rate: rate * 1.01,
-            "state_feedback.certified_rate",
-        ),
-        ("tolerance", "rate", lambda _: 0.1, "is not part of a certificate"),
-    ],
-)
+TAMPERED = [
+    (
+        "tolerance",
+        "kappa",
+        lambda kappa: 1.01 * kappa,
+        "tolerance.certified = True: in exact arithmetic the inequality fails",
+    ),
+    ("tolerance", "kappa", lambda kappa: -kappa, "fails (kappa)"),
+    ("tolerance", "kappa", lambda kappa: 0.5 * kappa, None),  # less than is proved is proved
+    ("tolerance", "lambda_p", lambda value: -value, "fails (inequality, lambda_p)"),
+    ("tolerance", "p", lambda p: [[-value for value in row] for row in p], "fails"),
+    (
+        "tolerance",
+        "k",
+        lambda k: [[0.5 * value for value in row] for row in k],
+        "tolerance.k: differs",
+    ),
+    ("tolerance", "alpha_out", lambda value: 0.5 * value, "tolerance.alpha_out: differs"),
+    ("tolerance", "beta", lambda value: 0.5 * value, "tolerance.alpha, beta"),
+    ("tolerance", "weight_input", lambda w: [[10 * w[0][0]]], "fails (inequality)"),
+    ("state_feedback_deployed", "rate", lambda rate: rate * 1.01, "fails (inequality)"),
+    ("state_feedback_deployed", "theorem", lambda _: "observer", "is of another part"),
+    (
+        "observer_deployed",
+        "l",
+        lambda gain: [[0.99 * v for v in row] for row in gain],
+        "not the one that is deployed",
+    ),
+    ("state_feedback_limited", "rate", lambda rate: rate * 1.01, "fails (inequality)"),
+    (
+        "state_feedback_limited",
+        "beta",
+        lambda beta: 0.99 * beta,
+        "state_feedback_limited.alpha, beta",
+    ),
+    ("state_feedback_limited", "theorem", lambda _: "state_feedback", "is of another part"),
+    (
+        "state_feedback_unlimited",
+        "starts",
+        lambda x: [[1.01 * v for v in row] for row in x],
+        "fails (start 0)",
+    ),
+    ("state_feedback_unlimited", "level", lambda level: 1.01 * level, "limit 0 is not reached"),
+    (
+        "state_feedback_unlimited",
+        "limits",
+        lambda ends: [[-ends[0][0], ends[0][1]]],
+        "fails (lower limit 0",
+    ),
+    (
+        "state_feedback_unlimited",
+        "k",
+        lambda k: [[0.5 * v for v in row] for row in k],
+        "not the one that is deployed",
+    ),
+    ("state_feedback", "certified_rate", lambda rate: rate * 1.01, "state_feedback.certified_rate"),
+    ("tolerance", "rate", lambda _: 0.1, "is not part of a certificate"),
+]
+
+
+@pytest.mark.parametrize(("part", "name", "change", "found"), TAMPERED)
 def test_tampering_is_found(
     stored: tuple[dict, StateSpace], part: str, name: str, change, found: str | None
 ) -> None:
     """The digest is written anew: the claim itself has to be found."""
     content = copy.deepcopy(stored[0])
     linear = stored[1]
-    content[part][name] = change(content[part].get(name))
+    original = content[part].get(name)
+    content[part][name] = change(original)
     content[part]["digest"] = certificate_digest(content[part])
     broken = failed_checks(content, linear, MOTOR_BALLS)
-    assert broken == [] if found is None else any(found in claim for claim in broken), broken
+    if found is None:
+        assert broken == []
+    else:
+        assert any(found in claim for claim in broken), broken
 
 
 def test_a_withdrawn_part_of_an_older_file_is_kept_and_not_checked(
@@ -147,7 +148,8 @@ def test_a_tolerance_of_an_older_theorem_is_withdrawn(
     content = copy.deepcopy(stored[0])
     linear = stored[1]
     named = {} if theorem is None else {"theorem": theorem}
-    content["tolerance"] = {"s": 0.1, "weight": [[1.0]]} | named
+    older = {"s": 0.1, "weight": [[1.0]]}
+    content["tolerance"] = older | named
     design = Design.from_json(content)
     assert set(design.withdrawn) == {"tolerance"}
     assert failed_checks(content, linear, MOTOR_BALLS) == []

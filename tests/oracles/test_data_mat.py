@@ -18,12 +18,10 @@ from ssm_study.refusal import BadRequest
 KINDS = ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", ">f8"]
 
 
-@given(
-    kind=st.sampled_from(KINDS),
-    shape=st.tuples(st.integers(0, 5), st.integers(0, 5)),
-    compressed=st.booleans(),
-    data=st.data(),
-)
+SHAPE = st.tuples(st.integers(0, 5), st.integers(0, 5))
+
+
+@given(kind=st.sampled_from(KINDS), shape=SHAPE, compressed=st.booleans(), data=st.data())
 def test_version_5(
     tmp_path_factory: pytest.TempPathFactory,
     kind: str,
@@ -31,7 +29,8 @@ def test_version_5(
     compressed: bool,
     data: st.DataObject,
 ) -> None:
-    matrix = data.draw(arrays(np.dtype(kind), shape))
+    entries = arrays(np.dtype(kind), shape)
+    matrix = data.draw(entries)
     path = tmp_path_factory.mktemp("mat") / "a.mat"
     b = np.arange(3.0)
     savemat(path, {"matrix_1": matrix, "b": b}, do_compression=compressed)
@@ -47,7 +46,8 @@ def test_version_5(
 def test_version_4(
     tmp_path_factory: pytest.TempPathFactory, kind: str, data: st.DataObject
 ) -> None:
-    matrix = data.draw(arrays(np.dtype(kind), (3, 2)))
+    entries = arrays(np.dtype(kind), (3, 2))
+    matrix = data.draw(entries)
     path = tmp_path_factory.mktemp("mat") / "a.mat"
     c = np.ones(2) * 1j
     e = scipy.sparse.eye_array(2, format="csc")
@@ -65,14 +65,18 @@ def test_version_4(
 def test_version_4_of_another_byte_order(tmp_path: Path) -> None:
     """`x = [1; 2]` of a machine whose greatest byte is first, and of a VAX, whose numbers are not
     read."""
-    for order, numbers in ((1000, [1.0, 2.0]), (2000, None)):
-        content = struct.pack(">5i", order, 2, 1, 0, 2) + b"x\0" + struct.pack(">2d", 1.0, 2.0)
+    cases = ((1000, [1.0, 2.0]), (2000, None))
+    for order, numbers in cases:
+        header = struct.pack(">5i", order, 2, 1, 0, 2)
+        two_doubles = struct.pack(">2d", 1.0, 2.0)
+        content = header + b"x\0" + two_doubles
         (tmp_path / "a.mat").write_bytes(content)
         if numbers is None:
             with pytest.raises(BadRequest, match=r"not a complete MAT file: .*byte ordering"):
                 MatReader().read(tmp_path / "a.mat", ["x"])
         else:
-            columns = MatReader().read(tmp_path / "a.mat", ["x"]).columns
+            table = MatReader().read(tmp_path / "a.mat", ["x"])
+            columns = table.columns
             actual = columns["x"]
             np.testing.assert_array_equal(actual, numbers)
 
@@ -83,7 +87,8 @@ def test_what_is_no_matrix_is_named(tmp_path: Path) -> None:
     savemat(tmp_path / "a.mat", {"s": s, "c": c, "t": "text", "z": 1j})
     values = parse_mat_file(tmp_path / "a.mat")
     expected = {"c{1}": "text", "t": "text", "z": "complex"}
-    assert {name: value for name, value in values.items() if isinstance(value, str)} == expected
+    refusals = {name: value for name, value in values.items() if isinstance(value, str)}
+    assert refusals == expected
     assert values["s.f"] == 1.0
     assert values["c{2}"] == 1.0
 
@@ -92,16 +97,20 @@ def test_an_object_that_cannot_be_read_is_skipped_by_name(tmp_path: Path) -> Non
     """Old objects (iddata) by their fields; a string, table or timeseries of a new class is an
     element without shape, written here by hand."""
     u = np.arange(30.0)
-    fields = np.array([(u[:, None], 0.1)], dtype=[("InputData", "O"), ("Ts", "O")])
+    record = [(u[:, None], 0.1)]
+    fields = np.array(record, dtype=[("InputData", "O"), ("Ts", "O")])
     iddata = scipy.io.matlab.MatlabObject(fields, "iddata")
     m = np.ones((30, 2))
     savemat(tmp_path / "a.mat", {"z": iddata, "u": u, "m": m})
 
     def element(kind: int, data: bytes) -> bytes:
-        return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
+        padding = b"\0" * (-len(data) % 8)
+        return struct.pack("<II", kind, len(data)) + data + padding
 
     flags = element(6, struct.pack("<II", 17, 0))
-    opaque = flags + element(1, b"tt") + element(1, b"MCOS") + element(1, b"timeseries")
+    class_of_object = element(1, b"MCOS")
+    name_of_class = element(1, b"timeseries")
+    opaque = flags + element(1, b"tt") + class_of_object + name_of_class
     with (tmp_path / "a.mat").open("ab") as stream:
         stream.write(element(14, opaque))
     table = MatReader().read(tmp_path / "a.mat", ["z.InputData", "u", "m:2"])
@@ -127,9 +136,10 @@ def test_the_servo_files(benchmark_data: Path, name: str) -> None:
         np.testing.assert_array_equal(mine[variable], theirs[variable])
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"MATLAB 7.3 MAT-file" + bytes(200), b"\x89HDF\r\n" + bytes(100), b"x" * 200]
-)
+NO_MATRICES = [b"", b"MATLAB 7.3 MAT-file" + bytes(200), b"\x89HDF\r\n" + bytes(100), b"x" * 200]
+
+
+@pytest.mark.parametrize("content", NO_MATRICES)
 def test_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.mat").write_bytes(content)
     with pytest.raises(
@@ -148,8 +158,10 @@ def test_the_sampling_time_that_an_object_states(tmp_path: Path) -> None:
     path = tmp_path / "log.mat"
     fields: dict[str, object] = {"path": str(path), "input": "id.InputData"}
     fields["output"] = "id.OutputData"
-    for unit, step_s in (("seconds", 20.0), ("milliseconds", 0.02), ("", 20.0)):
-        scipy.io.savemat(path, {"id": log | {"TimeUnit": unit}})
+    cases = (("seconds", 20.0), ("milliseconds", 0.02), ("", 20.0))
+    for unit, step_s in cases:
+        with_unit = log | {"TimeUnit": unit}
+        scipy.io.savemat(path, {"id": with_unit})
         recorded_data = RecordedData(**fields)
         pieces, remark = recorded_data.read_pieces(path)
         assert pieces[0].step_s == pytest.approx(step_s)

@@ -25,42 +25,44 @@ def whole(data, side: str) -> np.ndarray:  # type: ignore[no-untyped-def]
     """One signal over all parts, in the order of the log."""
     records = [*data.training, *data.validation, *data.test]
     ordered = sorted(records, key=lambda record: record.first)
-    return np.concatenate([getattr(record, side)[:, 0] for record in ordered])
+    signals = [getattr(record, side)[:, 0] for record in ordered]
+    return np.concatenate(signals)
 
 
 @pytest.fixture(scope="module")
 def truth() -> np.ndarray:
     """Input and output of the log that most files hold."""
-    return np.loadtxt(FOLDER / "plain.txt", delimiter=",", skiprows=1)[:, 1:]
+    columns = np.loadtxt(FOLDER / "plain.txt", delimiter=",", skiprows=1)
+    return columns[:, 1:]
 
 
-@pytest.mark.parametrize(
-    ("name", "settings", "step_s"),
-    [
-        ("ms.csv", {}, 0.01),
-        ("ms2.csv", {}, 0.01),
-        ("us.csv", {}, 0.01),
-        ("plain.txt", {}, 0.01),
-        ("tab.txt", {"input": 0, "output": 1, "step_s": 0.01}, 0.01),
-        ("german.csv", {}, 0.01),
-        ("matrix.mat", {"input": "data:2", "output": "data:3", "time": "data:1"}, 0.01),
-        ("matrix.mat", {"input": 1, "output": 2, "time": 0}, 0.01),
-        ("struct.mat", {"input": "log.u", "output": "log.y", "step_s": 0.01}, 0.01),
-        ("names.csv", {"input": "Servo 1 (us)", "output": "Speed (RPM)"}, 0.01),
-        ("names.csv", {"input": 1, "output": 2}, 0.01),
-        ("names.csv", {"input": "Servo_1", "output": "speed"}, 0.01),
-        ("trail.csv", {}, 0.01),
-        ("units_row.csv", {}, 0.01),
-        ("comment.csv", {}, 0.01),
-        ("unnamed.csv", {"step_s": 0.01}, 0.01),
-        ("dates_eu.csv", {}, MINUTE),
-        ("dates_nosec.csv", {}, MINUTE),
-        ("latin.csv", {"input": "Drehzahl in 1/min", "output": "Öltemp °C"}, 0.01),
-        ("three_digits.csv", {"step_s": 0.135}, 0.135),
-        ("three_digits.csv", {}, 0.135),
-        ("dup.csv", {"step_s": 0.01}, 0.01),
-    ],
-)
+READABLE = [
+    ("ms.csv", {}, 0.01),
+    ("ms2.csv", {}, 0.01),
+    ("us.csv", {}, 0.01),
+    ("plain.txt", {}, 0.01),
+    ("tab.txt", {"input": 0, "output": 1, "step_s": 0.01}, 0.01),
+    ("german.csv", {}, 0.01),
+    ("matrix.mat", {"input": "data:2", "output": "data:3", "time": "data:1"}, 0.01),
+    ("matrix.mat", {"input": 1, "output": 2, "time": 0}, 0.01),
+    ("struct.mat", {"input": "log.u", "output": "log.y", "step_s": 0.01}, 0.01),
+    ("names.csv", {"input": "Servo 1 (us)", "output": "Speed (RPM)"}, 0.01),
+    ("names.csv", {"input": 1, "output": 2}, 0.01),
+    ("names.csv", {"input": "Servo_1", "output": "speed"}, 0.01),
+    ("trail.csv", {}, 0.01),
+    ("units_row.csv", {}, 0.01),
+    ("comment.csv", {}, 0.01),
+    ("unnamed.csv", {"step_s": 0.01}, 0.01),
+    ("dates_eu.csv", {}, MINUTE),
+    ("dates_nosec.csv", {}, MINUTE),
+    ("latin.csv", {"input": "Drehzahl in 1/min", "output": "Öltemp °C"}, 0.01),
+    ("three_digits.csv", {"step_s": 0.135}, 0.135),
+    ("three_digits.csv", {}, 0.135),
+    ("dup.csv", {"step_s": 0.01}, 0.01),
+]
+
+
+@pytest.mark.parametrize(("name", "settings", "step_s"), READABLE)
 def test_the_right_step_and_columns(
     name: str, settings: dict[str, object], step_s: float, truth: np.ndarray
 ) -> None:
@@ -138,16 +140,17 @@ def test_a_file_whose_first_row_is_numbers_has_no_names(truth: np.ndarray) -> No
     assert len(whole(two, "u")) == 1501
 
 
-@pytest.mark.parametrize(
-    ("settings", "says"),
-    [
-        ({"input": "data"}, "is a matrix of 3 columns; name one as data:1 or data:3"),
-        ({"input": "data:4"}, "the file has data:1, data:2, data:3"),
-    ],
-)
+REFUSED_COLUMNS = [
+    ({"input": "data"}, "is a matrix of 3 columns; name one as data:1 or data:3"),
+    ({"input": "data:4"}, "the file has data:1, data:2, data:3"),
+]
+
+
+@pytest.mark.parametrize(("settings", "says"), REFUSED_COLUMNS)
 def test_a_matrix_is_named_by_its_columns(settings: dict[str, object], says: str) -> None:
+    settings_of_data = {"output": "data:3", "step_s": 0.01}
     with pytest.raises(BadRequest, match=says):
-        read("matrix.mat", **({"output": "data:3", "step_s": 0.01} | settings))
+        read("matrix.mat", **(settings_of_data | settings))
 
 
 def test_the_clock_is_no_signal_and_a_column_no_two() -> None:

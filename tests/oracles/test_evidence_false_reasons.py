@@ -22,7 +22,8 @@ from ssm_study.signals import Channel, DataSet, Trajectory
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from log_kinds import kind_named
 
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "data" / "logs_small"
+SHARED_DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+SHARED = SHARED_DATA / "logs_small"
 RNG = np.random.default_rng(7)
 
 
@@ -76,12 +77,15 @@ def test_a_small_error_on_records_that_hardly_move_is_a_doubt_with_both_numbers(
     moving = scipy.signal.lfilter([0.1], [1, -0.9], LEVELS[:900])
     white_noise = RNG.standard_normal(600)
     moving[300:] = 0.5 + 0.001 * white_noise
-    judged = with_runs(blocks(LEVELS[:900], moving, [300, 600]), case(WHITE, WHITE).model, 0.005)
+    moved_little = blocks(LEVELS[:900], moving, [300, 600])
+    model = case(WHITE, WHITE).model
+    judged = with_runs(moved_little, model, 0.005)
     (found,) = fit.judge_poor_fit(judged)
     assert found.level == "doubt"
     assert "of the output's range" in found.sentence
     assert f"the test record by {judged.test.fit_percent:.1f} %" in found.sentence
-    hopeless = with_runs(blocks(LEVELS[:900], moving, [300, 600]), judged.model, 1.0)
+    same_records = blocks(LEVELS[:900], moving, [300, 600])
+    hopeless = with_runs(same_records, judged.model, 1.0)
     findings = fit.judge_poor_fit(hopeless)
     levels = [finding.level for finding in findings]
     assert levels == ["cannot judge"]
@@ -101,27 +105,35 @@ def test_a_poor_fit_blames_the_model_where_a_filter_does_better_and_the_log_wher
 
 
 def test_a_coarse_sensor_repeats_itself_by_chance_and_a_copied_record_does_not():
-    coarse = np.round(answer(LEVELS, noise=0.1) / 0.25) * 0.25
-    assert records.repeated_test_share(case(LEVELS, coarse).data) < records.PART
-    copied = case(np.tile(LEVELS[:1000], 6), np.tile(coarse[:1000], 6)).data
+    noisy = answer(LEVELS, noise=0.1)
+    coarse = np.round(noisy / 0.25) * 0.25
+    data = case(LEVELS, coarse).data
+    assert records.repeated_test_share(data) < records.PART
+    repeated_input = np.tile(LEVELS[:1000], 6)
+    repeated_output = np.tile(coarse[:1000], 6)
+    copied = case(repeated_input, repeated_output).data
     assert records.repeated_test_share(copied) > 0.9
 
 
 def test_a_coarse_sensor_behind_an_input_that_stands_still_repeats_itself_by_chance():
     u = np.repeat([0.0, 0.5, -0.4, 0.8, 0.1, -0.6], 1000)
-    coarse = np.round((answer(u, noise=0.02)) / 0.1) * 0.1
-    assert records.repeated_test_share(case(u, coarse).data) < records.PART
+    measured = answer(u, noise=0.02)
+    coarse = np.round(measured / 0.1) * 0.1
+    data = case(u, coarse).data
+    assert records.repeated_test_share(data) < records.PART
 
 
 def rectified(u: np.ndarray) -> np.ndarray:
     """Speed of a machine that turns one way and stands still half of the time."""
-    filtered_signal = scipy.signal.lfilter([0.1], [1, -0.9], np.maximum(u - 0.2, 0))
+    beyond_the_threshold = np.maximum(u - 0.2, 0)
+    filtered_signal = scipy.signal.lfilter([0.1], [1, -0.9], beyond_the_threshold)
     return filtered_signal.round(3)
 
 
 def test_a_machine_at_rest_does_not_saturate_and_a_clipped_output_does():
     slow = LEVELS[:600].repeat(10)
-    assert not list(records._judge_saturation(case(slow, rectified(slow))))
+    at_rest = case(slow, rectified(slow))
+    assert not list(records._judge_saturation(at_rest))
     clipped = np.clip(answer(LEVELS), -0.3, 0.3)
     findings = list(records._judge_saturation(case(LEVELS, clipped)))
     assert sentences(findings).count("it saturates") == 2
@@ -135,26 +147,31 @@ def test_a_machine_that_stops_at_once_stands_at_zero_and_a_sensor_that_ends_else
     (finding,) = records._judge_saturation(case(LEVELS, stopping))
     assert finding.level == "note"
     assert "stands at 0 in" in finding.sentence
-    (shifted,) = records._judge_saturation(case(LEVELS, stopping + 3.0))
+    moved_up = case(LEVELS, stopping + 3.0)
+    (shifted,) = records._judge_saturation(moved_up)
     assert shifted.level == "doubt"
     assert "it saturates" in shifted.sentence
 
 
 def test_a_position_at_its_farthest_does_not_saturate():
-    sine = np.sin(2 * np.pi * np.arange(6000) / 800)
+    angles = 2 * np.pi * np.arange(6000) / 800
+    sine = np.sin(angles)
     u = 255 * sine
-    assert not list(records._judge_saturation(case(u, motor_position(u, 60))))
+    position = motor_position(u, 60)
+    assert not list(records._judge_saturation(case(u, position)))
 
 
 def test_changes_count_across_the_cuts_of_a_log():
     """Steps every 100 samples, cut at the steps: each piece alone holds its input still."""
-    u = np.repeat(RNG.uniform(-1, 1, 36), 100)
-    data = blocks(u, u, list(range(100, 3600, 100)))
+    levels = RNG.uniform(-1, 1, 36)
+    u = np.repeat(levels, 100)
+    cuts = list(range(100, 3600, 100))
+    data = blocks(u, u, cuts)
     assert records.count_input_changes(data) == 11
-    once = np.repeat(
-        [0.0, 1.0, 0.0], [50, 100, 3450]
-    )  # up where it trains, down where it validates
-    input_changes = records.count_input_changes(blocks(once, once + u, list(range(100, 3600, 100))))
+    heights = [0.0, 1.0, 0.0]
+    once = np.repeat(heights, [50, 100, 3450])  # up where it trains, down where it validates
+    cuts_of_the_log = list(range(100, 3600, 100))
+    input_changes = records.count_input_changes(blocks(once, once + u, cuts_of_the_log))
     assert input_changes == 1
 
 
@@ -162,18 +179,21 @@ def motor_position(u: np.ndarray, dead: float) -> np.ndarray:
     """A motor's lag behind a dead zone, integrated and rounded as an encoder does."""
     difference = np.abs(u) - dead
     drive = np.sign(u) * np.maximum(difference, 0)
-    speed = scipy.signal.lfilter([0, 0.2], [1, -0.8], np.where(drive < 0, 0.7 * drive, drive))
+    uneven = np.where(drive < 0, 0.7 * drive, drive)
+    speed = scipy.signal.lfilter([0, 0.2], [1, -0.8], uneven)
     running_sum = np.cumsum(speed)
     return np.round(0.05 * running_sum)
 
 
-SWEEP = 255 * scipy.signal.sawtooth(np.arange(6000) / 100, 0.5)
+PERIODS = np.arange(6000) / 100
+SWEEP = 255 * scipy.signal.sawtooth(PERIODS, 0.5)
 
 
 @pytest.mark.parametrize("dead", [0, 60])
 @pytest.mark.parametrize("u", [SWEEP, 255 * LEVELS], ids=["sweep", "levels"])
 def test_a_motor_position_integrates_and_does_not_run_away(u, dead):
-    findings = feedback.judge_feedback(case(u, motor_position(u, dead)))
+    log = case(u, motor_position(u, dead))
+    findings = feedback.judge_feedback(log)
     told = sentences(findings)
     assert "runs away" not in told
 
@@ -190,9 +210,9 @@ def test_what_runs_away_still_grows_with_itself(pole):
     u = LEVELS[:1000]
     y = scipy.signal.lfilter([0, 0.1], [1, -pole], u)
     log = Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)
-    assert (
-        feedback.growth_statistics(blocks(log.u[:, 0], log.y[:, 0], [600, 800]))[1] > feedback.GROWS
-    )
+    log = log
+    data = blocks(log.u[:, 0], log.y[:, 0], [600, 800])
+    assert feedback.growth_statistics(data)[1] > feedback.GROWS
 
 
 @pytest.mark.parametrize("u", [WHITE, LEVELS], ids=["white", "levels"])
@@ -207,11 +227,16 @@ def test_an_answer_within_the_sample_is_feedthrough_and_no_closed_loop(u):
     assert "closed-loop" not in found.sentence
 
 
+SAMPLED_LOGS = sorted(SHARED.glob("*_sample_*.csv"))
+
+
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the folder of small logs is not there")
-@pytest.mark.parametrize("path", sorted(SHARED.glob("*_sample_*.csv")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", SAMPLED_LOGS, ids=lambda path: path.stem)
 def test_small_logs_that_answer_within_the_sample(path):
     table = pd.read_csv(path)
-    data = blocks(table["u"].to_numpy(), table["y"].to_numpy(), [2000, 2500])
+    u = table["u"].to_numpy()
+    y = table["y"].to_numpy()
+    data = blocks(u, y, [2000, 2500])
     model = case(WHITE, WHITE).model
     findings = feedback.judge_feedback(with_runs(data, model, 0.1))
     told = sentences(findings)
@@ -220,14 +245,18 @@ def test_small_logs_that_answer_within_the_sample(path):
     assert ("model.feedthrough=true" in told) == expected
 
 
+POSITION_LOGS = sorted(SHARED.glob("pos_*.csv"))
+
+
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the folder of small logs is not there")
-@pytest.mark.parametrize("path", sorted(SHARED.glob("pos_*.csv")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", POSITION_LOGS, ids=lambda path: path.stem)
 def test_small_logs_of_a_position_do_not_run_away(path):
     table = pd.read_csv(path)
     u, y = (table[name].to_numpy(float) for name in "uy")
     length = len(u)
     difference = y - y[0]
-    data = blocks(u, difference, [length * 6 // 10, length * 8 // 10])
+    cuts = [length * 6 // 10, length * 8 // 10]
+    data = blocks(u, difference, cuts)
     findings = feedback.judge_instability(data, closed=False, integrated=False)
     told = sentences(findings)
     assert "runs away" not in told
@@ -246,7 +275,8 @@ def test_a_slow_sweep_of_a_static_characteristic_has_no_false_reason():
     assert sum(len(part[0]) for part in parts) == 1440
     table = pd.read_csv(path)
     u = table["us"].to_numpy() - 1250.0
-    data = blocks(u, table["rpm"].to_numpy(float) - 35.0, [864, 1152])
+    speed = table["rpm"].to_numpy(float)
+    data = blocks(u, speed - 35.0, [864, 1152])
     model = case(WHITE, WHITE).model
     log = with_runs(data, model, 0.1)
     assert not list(feedback.judge_feedback(log))
@@ -263,10 +293,13 @@ def test_a_slow_sweep_of_a_static_characteristic_has_no_false_reason():
 def short_log(pole: float) -> Case:
     """A short log of a lag, or of a sum, with a model that integrates."""
     rng = np.random.default_rng(1)
-    u = np.repeat(rng.uniform(-1, 1, 60), 10)
-    y = scipy.signal.lfilter([0, 0.1], [1, -pole], u) + 0.001 * rng.standard_normal(600)
+    levels = rng.uniform(-1, 1, 60)
+    u = np.repeat(levels, 10)
+    noise = 0.001 * rng.standard_normal(600)
+    y = scipy.signal.lfilter([0, 0.1], [1, -pole], u) + noise
     model = case(WHITE, WHITE, slow=1.0).model
-    return with_runs(blocks(u, y, [360, 480]), model, 0.01)
+    data = blocks(u, y, [360, 480])
+    return with_runs(data, model, 0.01)
 
 
 def test_an_integrating_model_speaks_for_the_output_only_where_the_log_does():
@@ -284,13 +317,16 @@ def test_an_integrator_is_not_blamed_for_a_position_it_has_not_been_at():
             replace(one, y=one.y + 100.0) for one in drifting.data.test))
     )  # fmt: skip
     assert not [sentence for sentence in records._judge_range(beyond) if "output" in sentence]
-    lag = replace(beyond, model=case(WHITE, WHITE, slow=0.9).model)
+    lagging_model = case(WHITE, WHITE, slow=0.9).model
+    lag = replace(beyond, model=lagging_model)
     assert [sentence for sentence in records._judge_range(lag) if "output is beyond" in sentence]
 
 
 def test_an_output_that_follows_its_input_is_not_told_to_integrate():
-    u = np.repeat(RNG.uniform(-1, 1, 30), 40)
-    level = blocks(u, u + 0.01 * RNG.standard_normal(1200), [720, 960])
+    levels = RNG.uniform(-1, 1, 30)
+    u = np.repeat(levels, 40)
+    noise = 0.01 * RNG.standard_normal(1200)
+    level = blocks(u, u + noise, [720, 960])
     assert records.follows_input_level(level)
     assert not records.follows_input_level(short_log(1.0).data)
 

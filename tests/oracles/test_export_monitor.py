@@ -21,7 +21,9 @@ from ssm_study.robustness.coverage import running_constraint_sum
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, certificate_weights
 
 SAMPLES = 600
-UNLIMITED = (np.array([-np.inf]), np.array([np.inf]))
+BELOW_ALL = np.array([-np.inf])
+ABOVE_ALL = np.array([np.inf])
+UNLIMITED = (BELOW_ALL, ABOVE_ALL)
 MAIN = """#include <stdio.h>
 #include "controller.h"
 int main(void) {
@@ -40,9 +42,8 @@ int main(void) {
 @pytest.fixture(scope="module")
 def covered() -> tuple[SSM, Design]:
     model = SSM.from_linear(MODEL, 0.01)
-    return model, add_coverage_certificate(
-        design(), model, BALLS, premise(scaled_model(0.4), noise=0.01)
-    )
+    records = premise(scaled_model(0.4), noise=0.01)
+    return model, add_coverage_certificate(design(), model, BALLS, records)
 
 
 @pytest.fixture(scope="module")
@@ -70,11 +71,14 @@ def watched(device: Device, monitor: Monitor, tmp_path_factory: pytest.TempPathF
     subprocess.run(["gcc", *words, "main.c", "-o", "main"], cwd=folder, check=True)
 
     def watch(y: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        text = " ".join(f"{a!r} {b!r}" for a, b in zip(y.tolist(), u.tolist(), strict=True))
+        samples = [f"{a!r} {b!r}" for a, b in zip(y.tolist(), u.tolist(), strict=True)]
+        text = " ".join(samples)
         program = [folder / "main"]
         done = subprocess.run(program, input=text, capture_output=True, text=True, check=True)
-        table = np.array(done.stdout.split(), dtype=float).reshape(-1, 2)
-        return table[:, 0], table[:, 1].astype(bool)
+        numbers = np.array(done.stdout.split(), dtype=float)
+        table = numbers.reshape(-1, 2)
+        flags = table[:, 1].astype(bool)
+        return table[:, 0], flags
 
     return watch
 
@@ -89,8 +93,10 @@ def loop(made: Design, plant, start: float, samples: int = SAMPLES) -> tuple[np.
     """The loop on `y = plant(m, k)` with m from the model's state, the estimate from rest: y, u, m,
     and the states of model and estimate."""
     gains = made.gains
-    x = np.linalg.solve(np.eye(2) - MODEL.a, MODEL.b)[:, 0]
-    x *= start / float((MODEL.c @ x)[0])
+    identity = np.eye(2)
+    x = np.linalg.solve(identity - MODEL.a, MODEL.b)[:, 0]
+    output = float((MODEL.c @ x)[0])
+    x *= start / output
     xh = np.zeros(2)
     rows = []
     for k in range(samples):
@@ -99,8 +105,10 @@ def loop(made: Design, plant, start: float, samples: int = SAMPLES) -> tuple[np.
         y = plant(m, k)
         rows.append((y, u, m, *x, *xh))
         injected = MODEL.c @ xh - y
-        x = MODEL.a @ x + MODEL.b[:, 0] * u
-        xh = MODEL.a @ xh + MODEL.b[:, 0] * u + gains["l"] @ injected
+        model_input = MODEL.b[:, 0] * u
+        x = MODEL.a @ x + model_input
+        predicted = MODEL.a @ xh + MODEL.b[:, 0] * u
+        xh = predicted + gains["l"] @ injected
     table = np.array(rows)
     return table[:, 0], table[:, 1], table[:, 2], table[:, 3:]
 
@@ -110,14 +118,14 @@ def test_the_sum_is_the_running_sum_of_the_premise_that_never_falls_below_zero(
 ) -> None:
     part = part_of(covered[1])
     rng = np.random.default_rng(0)
-    y = np.repeat(rng.uniform(-1, 1, SAMPLES // 20), 20)
+    levels = rng.uniform(-1, 1, SAMPLES // 20)
+    y = np.repeat(levels, 20)
     y[0] = 0.5
     u = rng.uniform(-1, 1, SAMPLES)
     m = MODEL.simulate(u[:, None])[0]
     e = y[:, None] - m
-    whole = running_constraint_sum(
-        certificate_weights(part), part.centre, part.kappa, u[:, None], m, e
-    )
+    weights = certificate_weights(part)
+    whole = running_constraint_sum(weights, part.centre, part.kappa, u[:, None], m, e)
     added = np.diff(whole, prepend=0.0) - monitor.allowance
     expected = np.zeros(SAMPLES)
     last = 0.0
@@ -129,7 +137,8 @@ def test_the_sum_is_the_running_sum_of_the_premise_that_never_falls_below_zero(
     limit = monitor.sum_limit(y[:1])
     assert expected.max() > limit > monitor.limit > 0
     assert flags[-1]
-    np.testing.assert_array_equal(flags, np.maximum.accumulate(expected) > limit)
+    largest_so_far = np.maximum.accumulate(expected)
+    np.testing.assert_array_equal(flags, largest_so_far > limit)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -142,13 +151,17 @@ def test_the_sum_bounds_the_energy_of_any_plant(covered: tuple[SSM, Design], see
     y, u, m, states = loop(covered[1], lambda m, k: rng.uniform(-1, 2) * m + noise[k], 0.0)
     e = (y - m)[:, None]
     signals = (u[:, None], m[:, None], e)
-    sums = running_constraint_sum(certificate_weights(part), part.centre, part.kappa, *signals)
-    xi = np.hstack([states[:, :2], states[:, 2:] - states[:, :2]])
+    weights = certificate_weights(part)
+    sums = running_constraint_sum(weights, part.centre, part.kappa, *signals)
+    estimation_error = states[:, 2:] - states[:, :2]
+    xi = np.hstack([states[:, :2], estimation_error])
     of_output = filter_states(part.weight_output, m)
-    filtered = np.hstack([of_output, filter_states(part.weight_input, u)])
+    of_input = filter_states(part.weight_input, u)
+    filtered = np.hstack([of_output, of_input])
     xi = np.hstack([xi, filtered])
     energies = np.einsum("ti,ij,tj->t", xi, part.p, xi)
-    assert (energies[1:] <= energies[0] + sums[:-1] + 1e-9).all()
+    allowed = energies[0] + sums[:-1] + 1e-9
+    assert (energies[1:] <= allowed).all()
     assert energies.max() > 1e-3
 
 
@@ -156,20 +169,23 @@ def filter_states(weight: np.ndarray, signal: np.ndarray) -> np.ndarray:
     order = len(weight) - 1
     states = np.zeros((len(signal), order))
     for k in range(len(signal) - 1):
-        states[k + 1] = weight[:order, :order] @ states[k] + weight[:order, -1] * signal[k]
+        kept_state = weight[:order, :order] @ states[k]
+        states[k + 1] = kept_state + weight[:order, -1] * signal[k]
     return states
 
 
 def test_a_plant_of_the_records_raises_no_flag(covered: tuple[SSM, Design], watched) -> None:
     rng = np.random.default_rng(1)
-    for start, share in itertools.product((-0.5, 0.2, 0.5), (0.7, 1.4, 3.0)):
+    cases = itertools.product((-0.5, 0.2, 0.5), (0.7, 1.4, 3.0))
+    for start, share in cases:
         noise = 0.01 * rng.standard_normal(SAMPLES)
 
         def plant(m: float, k: int, share: float = share, noise: np.ndarray = noise) -> float:
             return share * m + noise[k]
 
         y, u, _, _ = loop(covered[1], plant, start / share)
-        assert np.abs(y[-100:]).max() < 0.05
+        last_outputs = np.abs(y[-100:])
+        assert last_outputs.max() < 0.05
         assert not watched(y, u)[1].any()
 
 
@@ -177,7 +193,8 @@ def test_a_decay_from_afar_raises_no_flag(covered: tuple[SSM, Design], watched) 
     """The plant is its model and starts three scales away, the monitor's model at rest."""
     model = covered[0]
     y, u, _, _ = loop(covered[1], lambda m, _: m, 3.0)
-    assert decay_energy(model.linear) * 3.0**2 > 30 * Monitor.for_design(*covered).limit
+    limit = Monitor.for_design(*covered).limit
+    assert decay_energy(model.linear) * 3.0**2 > 30 * limit
     assert not watched(y, u)[1].any()
 
 
@@ -187,7 +204,8 @@ def test_a_plant_that_the_loop_loses_is_flagged_before_it_leaves(
 ) -> None:
     """It answers `share` times as strongly as the model: the loop swings and grows."""
     y, u, _, _ = loop(covered[1], lambda m, _: share * m, 1e-2)
-    left = int(np.argmax(np.abs(y) > 3))
+    is_beyond = np.abs(y) > 3
+    left = int(np.argmax(is_beyond))
     assert left > 0
     flags = watched(y, u)[1]
     assert flags[left]
@@ -198,11 +216,13 @@ def test_it_costs_less_than_the_controller_again(
 ) -> None:
     without = products(device, tmp_path / "without")
     with_it = products(device, tmp_path / "with", monitor)
-    assert without < with_it <= 2 * without + 2 * (len(monitor.output.a) + len(monitor.input.a)) + 8
+    states = len(monitor.output.a) + len(monitor.input.a)
+    assert without < with_it <= 2 * without + 2 * states + 8
 
 
 def test_without_a_proof_there_is_none(covered: tuple[SSM, Design]) -> None:
     assert Monitor.for_design(covered[0], design()) is None
-    bare = Device.from_controller(convert_controller(covered[0], design()), "double", *UNLIMITED)
+    controller = convert_controller(covered[0], design())
+    bare = Device.from_controller(controller, "double", *UNLIMITED)
     text = render_c_files(bare, about="test")["controller.h"]
     assert '#error "no monitor' in text

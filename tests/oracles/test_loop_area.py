@@ -32,7 +32,8 @@ def visited(model: SSM, records: tuple[Trajectory, ...]) -> np.ndarray:
             states.append(x)
             linear_a = model.linear.a
             linear_b = model.linear.b
-            x = linear_a @ x + linear_b @ model.scaffold_in(model.scale.scaled_input(u))
+            scaled_input = model.scale.scaled_input(u)
+            x = linear_a @ x + linear_b @ model.scaffold_in(scaled_input)
     return np.array(states)
 
 
@@ -63,10 +64,8 @@ def test_the_horizon_is_four_time_constants_between_50_and_150_samples(
     c = model.linear.c
     d = model.linear.d
     linear = StateSpace(a=a, b=b, c=c, d=d)
-    assert (
-        comparison_scenario(model.with_linear_part(linear), (motor_record(),), loaded=False)[2]
-        == samples
-    )
+    changed_model = model.with_linear_part(linear)
+    assert comparison_scenario(changed_model, (motor_record(),), loaded=False)[2] == samples
 
 
 def test_loads_hold_a_quarter_and_half_of_an_output_scale_on_every_channel_that_acts() -> None:
@@ -91,7 +90,8 @@ def test_loads_hold_a_quarter_and_half_of_an_output_scale_on_every_channel_that_
     held = np.linalg.norm(scaled, axis=1)
     for channel in (0, 2):
         acting = loads[:, channel] != 0
-        signed = np.sort(held[acting] * np.sign(loads[acting, channel]))
+        directions = np.sign(loads[acting, channel])
+        signed = np.sort(held[acting] * directions)
         expected = [-0.5, -0.25, 0.25, 0.5]
         np.testing.assert_allclose(signed, expected)
     assert not loads[:, 1].any()
@@ -110,13 +110,18 @@ def by_hand(
     z = np.zeros(difference)
     sizes = []
     for _ in range(horizon):
-        drive = model.scaffold_in(k[:, :n] @ x_hat + k[:, n:] @ z)
-        y = model.scaffold_out(linear.c @ x + linear.d @ (drive + load))
-        seen = model.scaffold_out(linear.c @ x_hat + linear.d @ drive)
+        state_feedback = k[:, :n] @ x_hat
+        drive = model.scaffold_in(state_feedback + k[:, n:] @ z)
+        disturbed_drive = drive + load
+        plant_output = linear.c @ x + linear.d @ (disturbed_drive)
+        y = model.scaffold_out(plant_output)
+        predicted_output = linear.c @ x_hat + linear.d @ drive
+        seen = model.scaffold_out(predicted_output)
         norm = float(np.linalg.norm(y))
         sizes.append(norm)
         x = linear.a @ x + linear.b @ (drive + load)
-        x_hat = linear.a @ x_hat + linear.b @ drive + gain @ (seen - y)
+        correction = gain @ (seen - y)
+        x_hat = linear.a @ x_hat + linear.b @ drive + correction
         z = z + y[: len(z)]
     afters = range(horizon + 1)
     settled = next(after for after in afters if max(sizes[after:], default=0.0) <= 0.05)
@@ -137,15 +142,18 @@ def test_the_area_is_the_loop_written_out(integrators: int) -> None:
     given.u[60:] = model.scale.input_equilibrium  # where the record rests
     x0s, loads, horizon = comparison_scenario(model, (given,), loaded=integrators > 0)
     k = ks[pairs[:, 0]]
-    gains = Gains(k=k, l=ls[pairs[:, 1]])
+    observer_gains = ls[pairs[:, 1]]
+    gains = Gains(k=k, l=observer_gains)
     found = relative_response_areas(model, gains, (given,))
     none = np.zeros((2, n)), np.zeros((n, 2))
     cases = list(zip(x0s, loads, strict=True))
-    alone = np.array([by_hand(model, *none, x0, load, horizon) for x0, load in cases])
+    areas = [by_hand(model, *none, x0, load, horizon) for x0, load in cases]
+    alone = np.array(areas)
     counts = alone > 0.1 * alone.max()  # what rests already is no measure of a controller
     assert not counts.all()
     for (i, j), area in zip(pairs, found, strict=True):
-        each = np.array([by_hand(model, ks[i], ls[j], x0, load, horizon) for x0, load in cases])
+        areas = [by_hand(model, ks[i], ls[j], x0, load, horizon) for x0, load in cases]
+        each = np.array(areas)
         expected = (each / alone)[counts].mean()
         assert area == pytest.approx(expected, rel=1e-9)
 
@@ -155,10 +163,12 @@ def test_no_control_is_one_and_a_design_that_diverges_is_huge_and_finite() -> No
     design = motor_design()
     k = design.state_feedback.k
     gain = design.observer.l
-    ks = np.stack([0 * k, k, 1e3 * k])
+    no_gain = 0 * k
+    ks = np.stack([no_gain, k, 1e3 * k])
     ls = np.stack([gain, -1e3 * gain])
     pairs = np.array([[0, 0], [1, 0], [2, 0], [1, 1]])
-    gains = Gains(k=ks[pairs[:, 0]], l=ls[pairs[:, 1]])
+    ks_of_pairs = ks[pairs[:, 0]]
+    gains = Gains(k=ks_of_pairs, l=ls[pairs[:, 1]])
     validation = (motor_record(),)
     none, own, wild, blind = relative_response_areas(model, gains, validation)
     assert none == pytest.approx(1.0)

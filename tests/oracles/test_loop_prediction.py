@@ -35,10 +35,13 @@ from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
 
-STEEP_AND_FLAT = (JacobianBall(alpha=1.0, beta=0.0), JacobianBall(alpha=0.1, beta=0.0))
+STEEP = JacobianBall(alpha=1.0, beta=0.0)
+FLAT = JacobianBall(alpha=0.1, beta=0.0)
+STEEP_AND_FLAT = (STEEP, FLAT)
 
 
-ONES = Balls(input=JacobianBall(alpha=1.0, beta=0.0), output=JacobianBall(alpha=1.0, beta=0.0))
+UNIT_SLOPE = JacobianBall(alpha=1.0, beta=0.0)
+ONES = Balls(input=UNIT_SLOPE, output=UNIT_SLOPE)
 
 
 def linear_model(seed: int, order: int = 3) -> SSM:
@@ -85,14 +88,13 @@ def closed(model: SSM, k: np.ndarray, gain: np.ndarray, taps: np.ndarray) -> flo
     t = len(taps) - 1
     shift = np.eye(t, k=-1)
     first = np.eye(t, 1)
-    injected = gain @ (c + d @ k) - gain @ (d + taps[:1, None]) @ k
-    block_matrix = np.block(
-        [
-            [a, np.zeros((n, t)), b @ k],
-            [np.zeros((t, n)), shift, first @ k],
-            [-gain @ c, -gain @ taps[None, 1:], a + b @ k + injected],
-        ]
-    )
+    with_feedthrough = c + d @ k
+    first_tap = d + taps[:1, None]
+    injected = gain @ (with_feedthrough) - gain @ (first_tap) @ k
+    plant_rows = [a, np.zeros((n, t)), b @ k]
+    delay_rows = [np.zeros((t, n)), shift, first @ k]
+    observer_rows = [-gain @ c, -gain @ taps[None, 1:], a + b @ k + injected]
+    block_matrix = np.block([plant_rows, delay_rows, observer_rows])
     eigenvalues = np.linalg.eigvals(block_matrix)
     spectral_radius = np.abs(eigenvalues).max()
     return float(spectral_radius)
@@ -123,7 +125,8 @@ def test_a_flat_mismatch_has_the_same_margin_either_way(seed):
     model = linear_model(seed)
     riccati_synthesis = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3)
     design = riccati_synthesis.design(model, ONES)
-    record = recorded(model, np.array([0.0, 0.3]))
+    taps = np.array([0.0, 0.3])
+    record = recorded(model, taps)
     mismatch = measure_mismatch(model, (record,))
     found = predict_margins(model, design.pair, ONES, mismatch)
     assert found.resolved_margin == pytest.approx(found.mismatch_margin, rel=0.1)
@@ -135,19 +138,17 @@ def test_what_pairs_share_changes_no_number(seed):
     itself."""
     model = linear_model(seed)
     shared = Responses(angles=FINE_ANGLES)
-    shown = measure_mismatch(model, (recorded(model, np.array([0.2, 0.3])),))
+    record = recorded(model, np.array([0.2, 0.3]))
+    shown = measure_mismatch(model, (record,))
     for rate in (0.1, 0.3):
         riccati_synthesis = RiccatiSynthesis(rate_controller=rate, rate_observer=rate)
         pair = riccati_synthesis.design(model, BALLS).pair
         alone = robustness_measure(model, pair, BALLS, shown)
-        assert robustness_measure(model, pair, BALLS, shown, shared) == pytest.approx(
-            alone, rel=1e-9
-        )
-        assert (
-            alone / 2
-            <= robustness_measure(model, pair, BALLS, shown, shared, refused=alone / 2)
-            <= alone * (1 + 1e-9)
-        )
+        shared_measure = robustness_measure(model, pair, BALLS, shown, shared)
+        assert shared_measure == pytest.approx(alone, rel=1e-9)
+        half = alone / 2
+        from_half = robustness_measure(model, pair, BALLS, shown, shared, refused=half)
+        assert half <= from_half <= alone * (1 + 1e-9)
         assert 0 < alone < np.inf
 
 
@@ -161,12 +162,12 @@ def test_a_resonance_that_the_total_gain_averages_away_is_seen():
     pair = Gains(k=k, l=gain)
     ends = slope_combinations(model.linear, pair, BALLS)
     loops = [error_to_input_response(*end) for end in ends]
-    largest = np.max(
-        [largest_singular_values(frequency_response(loop, FINE_ANGLES)) for loop in loops], axis=0
-    )
+    responses = [largest_singular_values(frequency_response(loop, FINE_ANGLES)) for loop in loops]
+    largest = np.max(responses, axis=0)
     largests = [(near(w)(FINE_ANGLES) * largest).max() for w in angles]
     sensitive = np.array(largests)
-    by_frequency = 0.1 + 0.9 * near(angles[sensitive.argmax()])(angles)
+    most_sensitive = angles[sensitive.argmax()]
+    by_frequency = 0.1 + 0.9 * near(most_sensitive)(angles)
     shown = flat(by_frequency, 0.1)
     gains = Gains(k=k, l=gain)
     found = predict_margins(model, gains, BALLS, shown)
@@ -198,7 +199,8 @@ def test_the_radius_is_the_growth_of_the_controller_alone(seed):
         inputs = law.input(memory, still, target)
         following = law.advance(memory, inputs, still, target)
         norm = np.linalg.norm(following)
-        grown.append(np.log(norm / np.linalg.norm(memory)))
+        growth = norm / np.linalg.norm(memory)
+        grown.append(np.log(growth))
         norm = np.linalg.norm(memory)
         memory = following * norm / np.linalg.norm(following)
     pair = Gains(k=k, l=gain)
@@ -213,12 +215,13 @@ def test_the_integrator_does_not_count():
     design = motor_design()
     k = design.state_feedback.k[None]
     gain = design.observer.l[None]
-    with_integral = np.concatenate([k, np.full((1, 1, 1), 0.3)], axis=2)
+    integral = np.full((1, 1, 1), 0.3)
+    with_integral = np.concatenate([k, integral], axis=2)
     pair = Gains(k=with_integral, l=gain)
     gains = Gains(k=k, l=gain)
-    assert controller_spectral_radius(model.linear, pair, BALLS) == controller_spectral_radius(
-        model.linear, gains, BALLS
-    )
+    with_integrator = controller_spectral_radius(model.linear, pair, BALLS)
+    without_integrator = controller_spectral_radius(model.linear, gains, BALLS)
+    assert with_integrator == without_integrator
 
 
 def test_an_integrator_holds_where_the_plant_does():
@@ -226,7 +229,8 @@ def test_an_integrator_holds_where_the_plant_does():
     answers does."""
     model = motor_model()
     state_feedback_k = motor_design().state_feedback.k
-    k = np.hstack([state_feedback_k, [[-0.02]]])
+    integral_gain = [[-0.02]]
+    k = np.hstack([state_feedback_k, integral_gain])
     observer_l = motor_design().observer.l
     pair = Gains(k=k, l=observer_l)
     ones = np.ones(len(ANGLES))
@@ -239,9 +243,9 @@ def test_an_integrator_holds_where_the_plant_does():
     )
     mismatch = Mismatch(views=(large,))
     alone = robustness_measure(model, pair, BALLS, mismatch)
-    assert (
-        0 < alone <= robustness_measure(model, pair, BALLS, Mismatch(views=(held, held, large))) < 1
-    )
+    views = Mismatch(views=(held, held, large))
+    measure = robustness_measure(model, pair, BALLS, views)
+    assert 0 < alone <= measure < 1
     answers = replace(held, response=0.5)
     views = (answers, large)
     mismatch = Mismatch(views=views)
@@ -273,7 +277,8 @@ def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
     gain = 2 / sum(alone)  # between what the two slopes tolerate
     small = (seen(0.1, gain), seen(0.5, 0.0), seen(1.0, 0.0))
     mismatch = Mismatch(views=small)
-    assert (robustness_measure(model, pair, balls, mismatch) < 1) == passes
+    measure = robustness_measure(model, pair, balls, mismatch)
+    assert (measure < 1) == passes
     large = (
         seen(0.1, 0.0),
         seen(0.5, gain),
@@ -284,10 +289,8 @@ def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
     trial = Mismatch(views=views, loop=loop)
     views = (seen(0.1, gain), seen(1.0, 0.0))
     pair_alone = Mismatch(views=views)
-    smallest = min(
-        robustness_measure(model, pair, balls, one)
-        for one in (Mismatch(views=large), trial, pair_alone)
-    )
+    mismatches = (Mismatch(views=large), trial, pair_alone)
+    smallest = min(robustness_measure(model, pair, balls, one) for one in mismatches)
     assert smallest > 1
 
 
@@ -327,7 +330,8 @@ def noisy_loop(sigma: float, held_up_to: float) -> tuple[SSM, Gains, Mismatch]:
     standard_deviation = np.std(response[0])
     moved = float(standard_deviation)
     strength = sigma * BAND / PEAK / moved
-    noise = tuple(np.full(len(ANGLES), strength**2).tolist())
+    spectrum = np.full(len(ANGLES), strength**2)
+    noise = tuple(spectrum.tolist())
     none = 0 * ANGLES
     held, free = (held_up_to + more for more in (0.0, 0.5))
     views = [
@@ -341,7 +345,8 @@ def noisy_loop(sigma: float, held_up_to: float) -> tuple[SSM, Gains, Mismatch]:
         )
         for at, r in ((held, 0.0), (free, 1.0))
     ]
-    return model, pair, Mismatch(views=tuple(views), noise=noise)
+    mismatch = Mismatch(views=tuple(views), noise=noise)
+    return model, pair, mismatch
 
 
 @pytest.mark.parametrize("held_up_to", [0.0, 4.0])
@@ -357,7 +362,8 @@ def test_the_noise_peak_counts_the_slope_of_the_input_map_once(held_up_to):
     same = replace(model, linear=halved, scaffold_in=scaffold_in)
     jacobian_ball = JacobianBall(alpha=2.0, beta=0.0)
     steeper = replace(ONES, input=jacobian_ball)
-    assert output_peak_from_noise(same, pair, steeper, shown) == pytest.approx(own)
+    peak = output_peak_from_noise(same, pair, steeper, shown)
+    assert peak == pytest.approx(own)
     gain = -0.5 * np.eye(1)
     scaffold_in = LinearScaffold(gain=gain)
     falling = replace(model, scaffold_in=scaffold_in)
@@ -367,12 +373,12 @@ def test_the_noise_peak_counts_the_slope_of_the_input_map_once(held_up_to):
     alphas = (-0.5, 0.5)
     balls = [replace(ONES, input=JacobianBall(alpha=alpha, beta=0.4)) for alpha in alphas]
     turned = replace(pair, k=-pair.k)  # the same loop
-    assert output_peak_from_noise(falling, turned, balls[0], shown) == output_peak_from_noise(
-        rising, pair, balls[1], shown
-    )
+    of_falling = output_peak_from_noise(falling, turned, balls[0], shown)
+    of_rising = output_peak_from_noise(rising, pair, balls[1], shown)
+    assert of_falling == of_rising
     # of a ball the slope at rest alone counts
     jacobian_ball = JacobianBall(alpha=0.5, beta=0.0)
     point = replace(ONES, input=jacobian_ball)
-    assert output_peak_from_noise(rising, pair, balls[1], shown) == output_peak_from_noise(
-        rising, pair, point, shown
-    )
+    of_ball = output_peak_from_noise(rising, pair, balls[1], shown)
+    of_point = output_peak_from_noise(rising, pair, point, shown)
+    assert of_ball == of_point

@@ -34,7 +34,8 @@ def test_two_equal_pieces_are_found_wherever_they_are(seed, period, before, afte
     rng = np.random.default_rng(seed)
     piece = rng.standard_normal((period, 1))
     white_noise = rng.standard_normal((before, 1))
-    u = np.concatenate([white_noise, piece, piece, np.zeros((after, 1))])
+    rest_after = np.zeros((after, 1))
+    u = np.concatenate([white_noise, piece, piece, rest_after])
     expected = (before, period)
     assert find_repetition(u) == expected
     u[before + period // 2] += 1e-3
@@ -57,7 +58,8 @@ def twice(model: SSM, missed, noise: float, amplitude: float = 1.0, seed: int = 
     white_noise = rng.standard_normal((1024, 1))
     u = amplitude * np.tile(white_noise, (3, 1))
     response = model.simulate(u)
-    y = response + missed(u) + noise * rng.standard_normal(u.shape)
+    sensor_noise = noise * rng.standard_normal(u.shape)
+    y = response + missed(u) + sensor_noise
     return Trajectory(u=u, y=y, step_s=0.01)
 
 
@@ -67,14 +69,16 @@ def test_noise_of_the_sensor_is_not_mismatch_and_distortion_is():
     model = linear_model(0)
     trajectory = twice(model, lambda u: 0.3 * np.abs(u), 0.0)
     quiet = measure_mismatch(model, (trajectory,))
-    noisy = measure_mismatch(model, (twice(model, lambda u: 0.3 * np.abs(u), 0.2),))
+    noisy_record = twice(model, lambda u: 0.3 * np.abs(u), 0.2)
+    noisy = measure_mismatch(model, (noisy_record,))
     expected = 0.3 * np.sqrt(1 - 2 / np.pi)
     assert quiet.gain == pytest.approx(expected, rel=0.05)  # the mean of |u| is no input's answer
     assert noisy.gain == pytest.approx(quiet.gain, rel=0.1)
     rest = noisy.views[0].rest
     median = np.median(rest / quiet.views[0].rest)
     assert median == pytest.approx(1.0, rel=0.2)
-    once = replace(twice(model, lambda u: 0.3 * np.abs(u), 0.2), name="once")
+    record = twice(model, lambda u: 0.3 * np.abs(u), 0.2)
+    once = replace(record, name="once")
     y = once.y[:1024]
     cut = Trajectory(u=once.u[:1024], y=y, step_s=0.01)
     mismatch = measure_mismatch(model, (cut,))
@@ -91,9 +95,13 @@ def test_noise_of_the_sensor_is_not_mismatch_and_distortion_is():
 def radius(model: SSM, pair: Gains, factor: float) -> float:
     """Spectral radius of the loop of a plant that answers `1 + factor` times what the model does:
     states (x, estimate)."""
-    (a, b, c, d), k, more = (getattr(model.linear, name) for name in "abcd"), pair.k, 1 + factor
+    a, b, c, d = (getattr(model.linear, name) for name in "abcd")
+    k = pair.k
+    more = 1 + factor
     injected = pair.l @ c - factor * pair.l @ d @ k
-    matrix = np.block([[a, b @ k], [-more * pair.l @ c, a + b @ k + injected]])
+    plant_rows = [a, b @ k]
+    observer_rows = [-more * pair.l @ c, a + b @ k + injected]
+    matrix = np.block([plant_rows, observer_rows])
     eigenvalues = np.linalg.eigvals(matrix)
     spectral_radius = np.abs(eigenvalues).max()
     return float(spectral_radius)
@@ -169,7 +177,8 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
     """The loop run with an offset of the output, sample by sample, against the margin; integrators
     leave nothing."""
     model = linear_model(seed)
-    linear = replace(model.linear, d=np.zeros((1, 1)))
+    no_feedthrough = np.zeros((1, 1))
+    linear = replace(model.linear, d=no_feedthrough)
     model = model.with_linear_part(linear)
     moderate = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01)
     design = moderate.design(model, ONES)
@@ -192,9 +201,12 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
         shown = Mismatch(views=view, stuck=stuck, farthest=farthest)
         found = predict_margins(model, design.pair, ONES, shown)
         largest = max(stuck, default=0.0)
-        worst = largest * {2: np.sqrt(20), 3: np.cbrt(20), 0: 0}[len(stuck)]
-        left = abs(float(y[0])) / offset * worst / (BAND * farthest)  # in bands
-        assert not stuck or found.resolved_margin == pytest.approx(1 / left, rel=1e-3)
+        power_mean = {2: np.sqrt(20), 3: np.cbrt(20), 0: 0}
+        worst = largest * power_mean[len(stuck)]
+        offset_left = abs(float(y[0])) / offset
+        left = offset_left * worst / (BAND * farthest)  # in bands
+        if stuck:
+            assert found.resolved_margin == pytest.approx(1 / left, rel=1e-3)
         expected = left < 1 and found.controller_radius < 1
         assert found.predicts_stability() == expected
         changed_careful = replace(careful, internal_model=["step"], integral_weight=0.01)
@@ -238,7 +250,8 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
                                                                                              False),
                         (0.1 * scale * k**0, False), (3 * scale * np.exp(-k / 30),
                                                       True)):  # fmt: skip
-        trajectory = Trajectory(u=still, y=left + noise, step_s=0.01)
+        changed_output = left + noise
+        trajectory = Trajectory(u=still, y=changed_output, step_s=0.01)
         shown = measure_mismatch(model, (record,), 0, (trajectory,))
         assert shown.plant_comes_to_rest == rests
         pair = motor_design().pair
@@ -264,17 +277,21 @@ def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and
         upper_limit = share * input_amplitude[0]
         assert largest <= upper_limit
         assert not record.u[-PERIOD // 2 :].any()
-    for record, share in zip(records[-len(RETURNS) :], RETURNS, strict=True):
+    slow_returns = records[-len(RETURNS) :]
+    for record, share in zip(slow_returns, RETURNS, strict=True):
         input_amplitude = motor().input_amplitude
         expected = share * input_amplitude[0]
         assert record.u[0, 0] == expected
         differences = np.diff(record.u[:, 0])
         largest = np.abs(differences).max()
-        assert 0 < largest < np.abs(record.u[0, 0]) / 100
+        start = np.abs(record.u[0, 0])
+        assert 0 < largest < start / 100
         assert not record.u[-PERIOD // 2 :].any()
-    for record, share in zip(records[len(SHARES) :], DECAYS, strict=False):
+    free_decays = records[len(SHARES) :]
+    for record, share in zip(free_decays, DECAYS, strict=False):
         assert not record.u.any()
-        assert record.y[0, 0] == pytest.approx(4.0 * share, abs=0.5)
+        start = record.y[0, 0]
+        assert start == pytest.approx(4.0 * share, abs=0.5)
     rng = np.random.default_rng(3)
     deviation = np.array([0.1])
     again = simulate_mismatch_records(motor(), rng, deviation)
@@ -283,9 +300,8 @@ def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and
 
 def test_a_mismatch_is_stored_bit_for_bit(tmp_path: Path):
     """With a trial in closed loop and a rest, and without; infinite gains included."""
-    shown = measure_mismatch(
-        linear_model(0), (twice(linear_model(0), lambda u: 0.3 * np.abs(u), 0.2),)
-    )
+    missed_record = twice(linear_model(0), lambda u: 0.3 * np.abs(u), 0.2)
+    shown = measure_mismatch(linear_model(0), (missed_record,))
     view = shown.views[0]
     by_frequency = np.full_like(view.rest, np.inf)
     linear = view.linear + complex(np.inf, 1.0)

@@ -21,7 +21,8 @@ def motor() -> DCMotor:
 
 def levels(samples: int, amplitude: float, seed: int = 0) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    return np.repeat(rng.uniform(-amplitude, amplitude, -(-samples // 15)), 15)[:samples, None]
+    heights = rng.uniform(-amplitude, amplitude, -(-samples // 15))
+    return np.repeat(heights, 15)[:samples, None]
 
 
 def test_the_fast_motor_converges_to_the_exact_one_with_order_four(motor: DCMotor) -> None:
@@ -36,7 +37,9 @@ def test_the_fast_motor_converges_to_the_exact_one_with_order_four(motor: DCMoto
         difference = np.abs(x[0] - exact.x[:-1])
         largest_difference = difference.max()
         errors.append(largest_difference)
-    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    coarser = np.array(errors[:-1])
+    finer = np.array(errors[1:])
+    orders = np.log2(coarser / finer)
     assert (orders > 3.5).all(), (errors, orders)
     assert errors[0] < 1e-4
 
@@ -45,10 +48,12 @@ def test_the_fast_motor_converges_to_the_exact_one_with_order_four(motor: DCMoto
 def test_the_configured_step_is_accurate_with_disturbances(motor: DCMotor, seed: int) -> None:
     u = levels(150, 2.0, seed)
     d = levels(150, 3e-3, 100 + seed)
-    x0 = motor.equilibrium_states(np.array([[4.0 - 2 * seed]]))
+    start_output = np.array([[4.0 - 2 * seed]])
+    x0 = motor.equilibrium_states(start_output)
     exact = simulate_exactly(motor, u, x0[0], d)
     x, _ = motor.simulate(u[None], x0=x0, d=d[None])
-    difference = np.abs(x[0, :, 2] - exact.x[:-1, 2])
+    load_speed = exact.x[:-1, 2]
+    difference = np.abs(x[0, :, 2] - load_speed)
     largest_difference = difference.max()
     assert largest_difference < 1e-4  # rad/s; the measurement noise is 0.14
 
@@ -61,11 +66,15 @@ def test_the_exact_motor_agrees_with_a_general_solver_between_switches(motor: DC
     def rate(_: float, x: np.ndarray, v: float) -> np.ndarray:
         difference = x[1] - x[2]
         shaft = p.stiffness * x[3] + p.damping * difference
-        difference = v - p.resistance * x[0] - p.k * x[1]
+        back_emf = p.k * x[1]
+        winding_voltage = v - p.resistance * x[0]
+        difference = winding_voltage - back_emf
+        motor_torque = p.k * x[0] - shaft - p.motor_viscous * x[1]
+        load_torque = shaft - p.load_viscous * x[2]
         return np.array([
             difference / motor.inductance_h,
-            (p.k * x[0] - shaft - p.motor_viscous * x[1]) / motor.motor_inertia_kgm2,
-            (shaft - p.load_viscous * x[2]) / motor.load_inertia_kgm2,
+            (motor_torque) / motor.motor_inertia_kgm2,
+            (load_torque) / motor.load_inertia_kgm2,
             x[1] - x[2],
         ])  # fmt: skip
 
@@ -73,29 +82,36 @@ def test_the_exact_motor_agrees_with_a_general_solver_between_switches(motor: DC
     x0 = np.zeros(4)
     exact_run = simulate_exactly(frictionless, u, x0)
     exact = exact_run.x[-1]
-    ivp = solve_ivp(rate, (0, 20 * motor.step_s), np.zeros(4), args=(2.0,), rtol=1e-11, atol=1e-13)
+    duration_s = 20 * motor.step_s
+    ivp = solve_ivp(rate, (0, duration_s), np.zeros(4), args=(2.0,), rtol=1e-11, atol=1e-13)
     there = ivp.y[:, -1]
     np.testing.assert_allclose(exact, there, rtol=1e-8, atol=1e-9)
 
 
 def test_the_motor_sticks_exactly_under_a_torque_below_friction(motor: DCMotor) -> None:
+    holding_torque = 0.95 * motor.coulomb_torque_nm
     stall_v = (
-        motor.dead_zone_v
-        + 0.95 * motor.coulomb_torque_nm * motor.resistance_ohm / motor.torque_constant_nm_per_a
+        motor.dead_zone_v + holding_torque * motor.resistance_ohm / motor.torque_constant_nm_per_a
     )
-    x, y = motor.simulate(np.full((1, 300, 1), stall_v))
+    constant_input = np.full((1, 300, 1), stall_v)
+    x, y = motor.simulate(constant_input)
     assert (x[..., 1] == 0.0).all()  # not small: zero
     assert (y == 0.0).all()
     assert x[0, -1, 0] > 0.05  # although current flows
-    moving, _ = motor.simulate(np.full((1, 300, 1), 1.2 * stall_v))
+    stronger_input = np.full((1, 300, 1), 1.2 * stall_v)
+    moving, _ = motor.simulate(stronger_input)
     assert (moving[0, :, 1] != 0.0).any()
 
 
 def test_the_motor_comes_to_rest_and_stays_there(motor: DCMotor) -> None:
-    x0 = motor.equilibrium_states(np.linspace(-4, 4, 5)[:, None])
-    x, _ = motor.simulate(np.zeros((5, 400, 1)), x0=x0)
-    assert (x[:, -50:, 1:3] == 0.0).all()
-    assert (np.ptp(x[:, -50:, 3], axis=1) == 0.0).all()  # the twist friction holds does not creep
+    outputs = np.linspace(-4, 4, 5)[:, None]
+    x0 = motor.equilibrium_states(outputs)
+    no_input = np.zeros((5, 400, 1))
+    x, _ = motor.simulate(no_input, x0=x0)
+    last_speeds = x[:, -50:, 1:3]
+    assert (last_speeds == 0.0).all()
+    last_twists = x[:, -50:, 3]
+    assert (np.ptp(last_twists, axis=1) == 0.0).all()  # the twist friction holds does not creep
 
 
 def test_switch_times_are_located(motor: DCMotor) -> None:
@@ -107,18 +123,24 @@ def test_switch_times_are_located(motor: DCMotor) -> None:
     b = rigid.load_viscous_nms_per_rad
     inertia = rigid.load_inertia_kgm2
     a0 = rigid.coulomb_torque_nm
-    stop = inertia / b * np.log(1 + b * 2.0 / a0)
+    time_constant = inertia / b
+    stop = time_constant * np.log(1 + b * 2.0 / a0)
     difference = np.abs(run.switch_times_s - stop)
     largest_difference = difference.min()
     assert largest_difference < 1e-10
     assert SWITCH_TIME_TOLERANCE_S <= 1e-10
 
 
-@given(x0=st.lists(st.floats(-4, 4), min_size=4, max_size=4))
+STARTS = st.lists(st.floats(-4, 4), min_size=4, max_size=4)
+
+
+@given(x0=STARTS)
 def test_energy_never_grows_without_input(x0: list[float]) -> None:
     motor = from_yaml("plant", "dc_motor")
-    start = np.array([x0]) * np.array([0.2, 1.0, 1.0, 0.01])
-    x, _ = motor.simulate(np.zeros((1, 60, 1)), x0=start)
+    units = np.array([0.2, 1.0, 1.0, 0.01])
+    start = np.array([x0]) * units
+    no_input = np.zeros((1, 60, 1))
+    x, _ = motor.simulate(no_input, x0=start)
     # (L_a i_a^2 + J_m w_m^2 + J_L w_L^2 + k_s twist^2) / 2, with the twist in the last state
     stored = (
         motor.inductance_h,
@@ -126,7 +148,8 @@ def test_energy_never_grows_without_input(x0: list[float]) -> None:
         motor.load_inertia_kgm2,
         motor.shaft_stiffness_nm_per_rad,
     )
-    energy = 0.5 * np.sum(np.array(stored) * x[0] ** 2, axis=-1)
+    energies = np.array(stored) * x[0] ** 2
+    energy = 0.5 * np.sum(energies, axis=-1)
     differences = np.diff(energy)
     upper_limit = 1e-9 * energy[0] + 1e-15
     assert (differences <= upper_limit).all()
@@ -143,10 +166,13 @@ def test_the_motor_is_odd(motor: DCMotor) -> None:
 
 
 def test_the_dead_zone_is_dead(motor: DCMotor) -> None:
-    x, _ = motor.simulate(np.full((1, 50, 1), 0.399))
+    inside_the_zone = np.full((1, 50, 1), 0.399)
+    x, _ = motor.simulate(inside_the_zone)
     assert (x == 0.0).all()
-    x, _ = motor.simulate(np.full((1, 50, 1), -0.401))
-    assert (x[0, 1:, 0] < 0).all()
+    outside_the_zone = np.full((1, 50, 1), -0.401)
+    x, _ = motor.simulate(outside_the_zone)
+    current = x[0, 1:, 0]
+    assert (current < 0).all()
 
 
 def test_a_disturbance_torque_can_break_the_load_loose(motor: DCMotor) -> None:

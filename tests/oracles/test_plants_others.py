@@ -21,12 +21,13 @@ def test_quadruple_tank_rests_where_johansson_says_with_his_time_constants() -> 
     rest = plant.equilibrium()
     expected = [12.4, 12.7, 1.8, 1.4]
     np.testing.assert_allclose(rest.x, expected, rtol=0.1)  # table 2, measured levels
-    t = np.array(plant.area_cm2) / np.array(plant.outlet_cm2) * np.sqrt(2 * rest.x / 981.0)
+    area_ratio = np.array(plant.area_cm2) / np.array(plant.outlet_cm2)
+    t = area_ratio * np.sqrt(2 * rest.x / 981.0)
     expected = [62, 90, 23, 30]
     np.testing.assert_allclose(t, expected, rtol=0.06)
-    bumped = (
-        plant.advance(rest.x + 0.01 * np.eye(4), np.tile(rest.u, (4, 1)), np.zeros((4, 2))) - rest.x
-    )
+    bumps = rest.x + 0.01 * np.eye(4)
+    resting_inputs = np.tile(rest.u, (4, 1))
+    bumped = plant.advance(bumps, resting_inputs, np.zeros((4, 2))) - rest.x
     actual = np.diag(bumped) / 0.01
     expected = np.exp(-plant.step_s / t)
     np.testing.assert_allclose(actual, expected, rtol=2e-3)
@@ -43,16 +44,20 @@ def test_quadruple_tank_agrees_with_a_general_solver() -> None:
 
     def rate(_: float, h: np.ndarray) -> np.ndarray:
         q = out * np.sqrt(2 * 981.0 * h)
-        pumped = np.array(
-            [g[0] * k[0] * 2.2, g[1] * k[1] * 3.7, (1 - g[1]) * k[1] * 3.7, (1 - g[0]) * k[0] * 2.2]
-        )
-        difference = pumped + np.array([q[2] + 3.0, q[3] - 2.0, 0.0, 0.0]) - q
-        return (difference) / area
+        flow_left = g[0] * k[0] * 2.2
+        flow_right = g[1] * k[1] * 3.7
+        pumped = np.array([flow_left, flow_right, (1 - g[1]) * k[1] * 3.7, (1 - g[0]) * k[0] * 2.2])
+        inflow = np.array([q[2] + 3.0, q[3] - 2.0, 0.0, 0.0])
+        difference = pumped + inflow - q
+        return difference / area
 
     x = plant.equilibrium().x
-    ivp = solve_ivp(rate, (0, 10 * plant.step_s), x, rtol=1e-11, atol=1e-12)
+    duration_s = 10 * plant.step_s
+    ivp = solve_ivp(rate, (0, duration_s), x, rtol=1e-11, atol=1e-12)
     there = ivp.y[:, -1]
-    response = plant.simulate(np.tile(u, (1, 11, 1)), x0=x[None], d=np.tile(d, (1, 11, 1)))
+    constant_input = np.tile(u, (1, 11, 1))
+    constant_disturbance = np.tile(d, (1, 11, 1))
+    response = plant.simulate(constant_input, x0=x[None], d=constant_disturbance)
     here = response[0][0, -1]
     np.testing.assert_allclose(here, there, rtol=1e-6)
 
@@ -79,15 +84,20 @@ def tanks() -> CascadedTanks:
 
 def test_tanks_agree_with_a_general_solver_below_the_brim(tanks: CascadedTanks) -> None:
     def rate(_: float, x: np.ndarray) -> list[float]:
-        upper = tanks.pump_gain * 2.0 - tanks.outflow_upper * np.sqrt(x[0])
-        difference = tanks.inflow_lower * np.sqrt(x[0]) - tanks.outflow_lower * np.sqrt(x[1])
+        from_upper = tanks.outflow_upper * np.sqrt(x[0])
+        upper = tanks.pump_gain * 2.0 - from_upper
+        into_lower = tanks.inflow_lower * np.sqrt(x[0])
+        out_of_lower = tanks.outflow_lower * np.sqrt(x[1])
+        difference = into_lower - out_of_lower
         return [upper, difference + 1e-3]
 
     x = tanks.equilibrium().x
-    ivp = solve_ivp(rate, (0, 20 * tanks.step_s), x, rtol=1e-11, atol=1e-12)
+    duration_s = 20 * tanks.step_s
+    ivp = solve_ivp(rate, (0, duration_s), x, rtol=1e-11, atol=1e-12)
     there = ivp.y[:, -1]
     d = np.full((1, 21, 1), 1e-3)
-    response = tanks.simulate(np.full((1, 21, 1), 2.0), x0=x[None], d=d)
+    constant_input = np.full((1, 21, 1), 2.0)
+    response = tanks.simulate(constant_input, x0=x[None], d=d)
     here = response[0][0, -1]
     np.testing.assert_allclose(here, there, rtol=1e-8)
 
@@ -98,17 +108,20 @@ def test_tanks_overflow_and_the_spill_reaches_the_lower_tank(tanks: CascadedTank
     assert x.max() == tanks.brim_v  # full to the brim, never over
     changed_tanks = replace(tanks, spill_share=0.0)
     dry, _ = changed_tanks.simulate(u)
-    position_of_largest = np.argmax(x[0, :, 0] == tanks.brim_v)
+    is_full = x[0, :, 0] == tanks.brim_v
+    position_of_largest = np.argmax(is_full)
     first_full = int(position_of_largest)
     actual = dry[0, : first_full - 1]
     expected = x[0, : first_full - 1]
     np.testing.assert_array_equal(actual, expected)
     lower_limit = dry[0, first_full + 1 : first_full + 5, 1]
-    assert (x[0, first_full + 1 : first_full + 5, 1] > lower_limit).all()
+    lower_level = x[0, first_full + 1 : first_full + 5, 1]
+    assert (lower_level > lower_limit).all()
 
 
 def test_the_pump_never_sucks(tanks: CascadedTanks) -> None:
-    response = tanks.simulate(np.full((1, 50, 1), -3.0))
+    negative_voltage = np.full((1, 50, 1), -3.0)
+    response = tanks.simulate(negative_voltage)
     actual = response[0]
     response = tanks.simulate(np.zeros((1, 50, 1)))
     expected = response[0]
@@ -129,32 +142,37 @@ def test_the_drive_converges_with_order_one_to_a_general_solver(drive: StribeckD
     def rate(_: float, x: np.ndarray) -> list[float]:
         w = np.array([x[1]])
         friction = drive.friction_nm(w)[0]
-        difference = drive.torque_constant_nm_per_a * x[0] - drive.viscous_nms_per_rad * x[1]
+        driving_torque = drive.torque_constant_nm_per_a * x[0]
+        viscous_torque = drive.viscous_nms_per_rad * x[1]
+        difference = driving_torque - viscous_torque
         torque = difference - friction
-        return [(1.5 - x[0]) / drive.current_lag_s, torque / drive.inertia_kgm2]
+        current_rate = (1.5 - x[0]) / drive.current_lag_s
+        return [current_rate, torque / drive.inertia_kgm2]
 
-    ivp = solve_ivp(rate, (0, 20 * drive.step_s), [0.0, 5.0], rtol=1e-11, atol=1e-12)
+    duration_s = 20 * drive.step_s
+    ivp = solve_ivp(rate, (0, duration_s), [0.0, 5.0], rtol=1e-11, atol=1e-12)
     there = ivp.y[1, -1]
+    constant_input = np.full((1, 21, 1), 1.5)
+    start = np.array([[0.0, 5.0]])
     errors = [
-        abs(
-            replace(drive, substeps=n).simulate(
-                np.full((1, 21, 1), 1.5), x0=np.array([[0.0, 5.0]])
-            )[1][0, -1, 0]
-            - there
-        )
+        abs(replace(drive, substeps=n).simulate(constant_input, x0=start)[1][0, -1, 0] - there)
         for n in (20, 40, 80)
     ]
     upper_limit = 0.02 * abs(there)
     assert errors[0] < upper_limit
-    actual = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    coarser = np.array(errors[:-1])
+    finer = np.array(errors[1:])
+    actual = np.log2(coarser / finer)
     np.testing.assert_allclose(actual, 1.0, atol=0.1)
 
 
 def test_the_drive_sticks_up_to_the_static_torque_and_not_beyond(drive: StribeckDrive) -> None:
     hold_a = drive.static_torque_nm / drive.torque_constant_nm_per_a
-    response = drive.simulate(np.full((1, 100, 1), 0.99 * hold_a))
+    below_the_hold = np.full((1, 100, 1), 0.99 * hold_a)
+    response = drive.simulate(below_the_hold)
     assert (response[1] == 0.0).all()
-    response = drive.simulate(np.full((1, 100, 1), 1.1 * hold_a))
+    above_the_hold = np.full((1, 100, 1), 1.1 * hold_a)
+    response = drive.simulate(above_the_hold)
     assert response[1][0, -1, 0] > 0.1  # and then runs away from rest
 
 
@@ -165,9 +183,11 @@ def test_the_drive_starts_on_both_sides_of_rest(drive: StribeckDrive) -> None:
 
 def test_the_drive_saturates(drive: StribeckDrive) -> None:
     limit = drive.current_limit_a
-    response = drive.simulate(np.full((1, 50, 1), 3 * limit))
+    beyond_the_limit = np.full((1, 50, 1), 3 * limit)
+    response = drive.simulate(beyond_the_limit)
     actual = response[0]
-    response = drive.simulate(np.full((1, 50, 1), limit))
+    at_the_limit = np.full((1, 50, 1), limit)
+    response = drive.simulate(at_the_limit)
     expected = response[0]
     np.testing.assert_array_equal(actual, expected)
 
@@ -182,8 +202,9 @@ def test_a_loops_disturbance_enters_the_first_of_the_tanks_inflows(
     loop = regulation.Loop(horizon_s=1.0, disturbance=disturbance)
     mock = Mock(spec=Controller)
     equilibrium = plant.equilibrium()
+    no_disturbance = np.zeros((1, 5, 2))
     with pytest.raises(InterruptedError):
-        loop.simulate(plant, mock, equilibrium.y[None], np.zeros((1, 5, 2)))
+        loop.simulate(plant, mock, equilibrium.y[None], no_disturbance)
     disturbance = close_loop.call_args.kwargs["disturbance"]
     actual = disturbance[0]
     expected = [[2.0, 0.0]] * 5

@@ -23,11 +23,9 @@ from ssm_study.systems import Balls, JacobianBall, StateSpace
 class Model:
     """A stable third-order model, one fast and one slow pole pair."""
 
+    a = np.array([[0.95, 0.1, 0.0], [-0.1, 0.95, 0.2], [0.0, 0.0, 0.5]])
     linear = StateSpace(
-        a=np.array([[0.95, 0.1, 0.0], [-0.1, 0.95, 0.2], [0.0, 0.0, 0.5]]),
-        b=np.array([[0.0], [1.0], [0.7]]),
-        c=np.array([[1.0, 0.5, -0.3]]),
-        d=np.zeros((1, 1)),
+        a=a, b=np.array([[0.0], [1.0], [0.7]]), c=np.array([[1.0, 0.5, -0.3]]), d=np.zeros((1, 1))
     )
 
 
@@ -48,11 +46,10 @@ def plain_ldl_is_positive(matrix: list[list[Fraction]]) -> bool:
     return True
 
 
-@given(
-    st.integers(1, 6),
-    st.integers(0, 10_000),
-    st.sampled_from([-1e-3, -1e-13, -1e-16, 0.0, 1e-16, 1e-13, 1e-3]),
-)
+SHIFT = st.sampled_from([-1e-3, -1e-13, -1e-16, 0.0, 1e-16, 1e-13, 1e-3])
+
+
+@given(st.integers(1, 6), st.integers(0, 10_000), SHIFT)
 def test_the_exact_routes_agree_with_textbook_elimination(
     size: int, seed: int, shift: float
 ) -> None:
@@ -74,7 +71,8 @@ def test_the_exact_routes_agree_with_textbook_elimination(
 
 @pytest.mark.parametrize("synthesis", [RiccatiSynthesis, ClosedFormSynthesis, LmiSynthesis])
 def test_every_method_is_certified_and_survives_its_file(synthesis, tmp_path) -> None:
-    design = synthesis(rate_controller=0.3, rate_observer=0.3).design(Model(), BALLS)
+    method = synthesis(rate_controller=0.3, rate_observer=0.3)
+    design = method.design(Model(), BALLS)
     assert design.certified
     design.save(tmp_path / "certificate.json")
     again = Design.load(tmp_path / "certificate.json")
@@ -82,7 +80,8 @@ def test_every_method_is_certified_and_survives_its_file(synthesis, tmp_path) ->
         before = getattr(design, side)
         after = getattr(again, side)
         for name, value in vars(before).items():
-            assert np.array_equal(value, getattr(after, name)), name
+            value_after = getattr(after, name)
+            assert np.array_equal(value, value_after), name
     text = (tmp_path / "certificate.json").read_text()
     content = json.loads(text)
     observer = content["observer"]
@@ -139,13 +138,11 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
     border = 0.2 * x.T
     corner = 0.6 * p - 1.3 * b @ b.T
     middle = y + y.T - p
-    one = np.block(
-        [
-            [corner, coupling, zero],
-            [coupling.T, middle, border],
-            [zero.T, border.T, 1.3 * np.eye(2)],
-        ]
-    )
+    first_rows = [corner, coupling, zero]
+    middle_rows = [coupling.T, middle, border]
+    identity = 1.3 * np.eye(2)
+    last_rows = [zero.T, border.T, identity]
+    one = np.block([first_rows, middle_rows, last_rows])
     asked = {"alpha": 0.7, "beta": 0.2, "rate": 0.4}
     exactly = StateFeedbackOfBall.exact_conditions(a=a, b=b, p=p, y=y, k=k, sigma=1.3, **asked)
     actual = exactly["inequality"].to_floats()
@@ -155,13 +152,10 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
     v = y @ gain
     coupling = (y @ a + 0.7 * v @ c).T
     border = 0.2 * v
-    two = np.block(
-        [
-            [corner, coupling, zero],
-            [coupling.T, middle, border],
-            [zero.T, border.T, 1.3 * np.eye(2)],
-        ]
-    )
+    first_rows = [corner, coupling, zero]
+    middle_rows = [coupling.T, middle, border]
+    last_rows = [zero.T, border.T, 1.3 * np.eye(2)]
+    two = np.block([first_rows, middle_rows, last_rows])
     exactly = ObserverOfBall.exact_conditions(a=a, c=c, q=p, u=y, l=gain, eta=1.3, **asked)
     actual = exactly["inequality"].to_floats()
     np.testing.assert_allclose(actual, two, atol=1e-13)
@@ -170,13 +164,16 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
 def test_units_far_apart_are_decided_by_the_balls_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows and columns in units that are `2^40` apart, one of them indefinite by its last bit."""
     monkeypatch.setattr(exact, "has_positive_leading_minors", lambda _: pytest.fail("eliminated"))
-    rational = fmpq_mat([[2, 2**40], [2**40, 2 * 2**80]])
+    entries = [[2, 2**40], [2**40, 2 * 2**80]]
+    rational = fmpq_mat(entries)
     matrix = Exact(rational)
     assert exact.is_positive_definite(matrix)
-    rational = fmpq_mat([[1, 2**41], [2**41, 2**80]])
+    entries = [[1, 2**41], [2**41, 2**80]]
+    rational = fmpq_mat(entries)
     matrix = Exact(rational)
     assert not exact.is_positive_definite(matrix)
-    rational = fmpq_mat([[2**400, 2**200], [2**200, 0]])
+    entries = [[2**400, 2**200], [2**200, 0]]
+    rational = fmpq_mat(entries)
     matrix = Exact(rational)
     assert not exact.is_positive_definite(matrix)
 
@@ -211,15 +208,23 @@ def test_what_floats_cannot_see_needs_no_elimination(
     """`L diag(1, ..., smallest) L^T`, exact: definite or not by its last pivot, far below the
     resolution of floats."""
     rng = np.random.default_rng(size)
-    lower = Exact.from_floats(np.tril(0.1 * rng.normal(size=(size, size)), -1) + np.eye(size))
-    matrix = lower @ np.diag([*np.geomspace(1, 1e-3, size - 1), smallest]) @ lower.T
+    drawn_entries = rng.normal(size=(size, size))
+    entries = 0.1 * drawn_entries
+    unit_triangle = np.tril(entries, -1) + np.eye(size)
+    lower = Exact.from_floats(unit_triangle)
+    falling = np.geomspace(1, 1e-3, size - 1)
+    pivots = [*falling, smallest]
+    matrix = lower @ np.diag(pivots) @ lower.T
     monkeypatch.setattr(exact, "has_positive_leading_minors", lambda _: pytest.fail("eliminated"))
     assert exact.is_positive_definite(matrix) is (smallest > 0)
 
 
 def test_a_factor_whose_inverse_is_beyond_the_floats_is_decided() -> None:
     """`L L^T` with `2^-20` beside ones, exact in floats: L's inverse grows by `2^20` a row."""
-    factor = 2.0**-20 * np.eye(56) + np.diag(np.ones(55), -1)
+    ones = np.ones(55)
+    shift = np.diag(ones, -1)
+    small_diagonal = 2.0**-20 * np.eye(56)
+    factor = small_diagonal + shift
     floats = factor @ factor.T
     actual = np.linalg.cholesky(floats)
     np.testing.assert_array_equal(actual, factor)

@@ -14,7 +14,9 @@ from ssm_study.synthesis.modes import split_modes
 from ssm_study.systems import JacobianBall, StateSpace
 
 A = np.array([[1.05, 0.1, 0.0], [-0.1, 0.97, 0.2], [0.0, 0.0, 0.4]])
-INPUTS = {1: np.array([[0.1], [1.0], [0.5]]), 2: np.array([[0.1, 0.7], [1.0, -0.2], [0.5, 0.3]])}
+ONE_INPUT = np.array([[0.1], [1.0], [0.5]])
+TWO_INPUTS = np.array([[0.1, 0.7], [1.0, -0.2], [0.5, 0.3]])
+INPUTS = {1: ONE_INPUT, 2: TWO_INPUTS}
 
 
 def problem(inputs: int, beta: float = 0.3) -> Problem:
@@ -42,15 +44,20 @@ def block(asked: Problem, found: Solution, rows: np.ndarray | None = None) -> np
     coupling = a @ found.y + ball.alpha * b @ x
     border = ball.beta * x.T
     rows = np.zeros((0, n)) if rows is None else rows
-    beside = np.zeros((n, len(rows))), np.zeros((m, len(rows)))
-    corner = (1 - asked.rate) * found.p - found.sigma * b @ b.T
+    state_rows = np.zeros((n, len(rows)))
+    input_rows = np.zeros((m, len(rows)))
+    contracted = (1 - asked.rate) * found.p
+    corner = contracted - found.sigma * b @ b.T
     difference = found.y + found.y.T - found.p
+    no_input = np.zeros((n, m))
+    identity = np.eye(len(rows))
+    middle = found.sigma * np.eye(m)
     return np.block(
         [
-            [corner, coupling, np.zeros((n, m)), beside[0]],
+            [corner, coupling, no_input, state_rows],
             [coupling.T, difference, border, rows.T],
-            [np.zeros((m, n)), border.T, found.sigma * np.eye(m), beside[1]],
-            [beside[0].T, rows, beside[1].T, np.eye(len(rows))],
+            [no_input.T, border.T, middle, input_rows],
+            [state_rows.T, rows, input_rows.T, identity],
         ]
     )
 
@@ -66,7 +73,8 @@ FORMS = pytest.mark.parametrize(("inputs", "full"), [(1, False), (2, False), (2,
 @FORMS
 def test_feasibility_is_the_block_matrix_above_the_identity(inputs: int, full: bool) -> None:
     asked = problem(inputs)
-    matrix = block(asked, solved(asked, "feasibility", full)[0])
+    feasible, _ = solved(asked, "feasibility", full)
+    matrix = block(asked, feasible)
     assert least(matrix) > 1 - 1e-4
 
 
@@ -77,10 +85,13 @@ def test_the_largest_margin_is_the_least_eigenvalue_at_a_trace_of_one_each(
     asked = problem(inputs)
     found, value = solved(asked, "largest_margin", full)
     matrix = block(asked, found)
-    assert np.trace(matrix) == pytest.approx(len(matrix), rel=1e-6)
+    trace = np.trace(matrix)
+    assert trace == pytest.approx(len(matrix), rel=1e-6)
     assert least(matrix) == pytest.approx(-value, abs=1e-5)
-    other = block(asked, solved(asked, "feasibility", full)[0])
-    assert least(matrix) >= least(other) * len(other) / np.trace(other) - 1e-6
+    feasible, _ = solved(asked, "feasibility", full)
+    other = block(asked, feasible)
+    scaled_other = least(other) * len(other) / np.trace(other)
+    assert least(matrix) >= scaled_other - 1e-6
 
 
 @FORMS
@@ -104,7 +115,10 @@ def test_the_guaranteed_cost_is_the_trace_of_the_inverse_metric(inputs: int, ful
     expected = np.trace(inverse)
     assert value == pytest.approx(expected, rel=1e-4)
     root = np.sqrt(asked.state_weight)  # diagonal
-    rows = np.vstack([root @ found.y, np.sqrt(asked.input_weight) * found.k @ found.y])
+    state_rows = root @ found.y
+    input_weight = np.sqrt(asked.input_weight)
+    input_rows = input_weight * found.k @ found.y
+    rows = np.vstack([state_rows, input_rows])
     matrix = block(asked, found, rows)
     assert least(matrix) > -1e-6
     other = guaranteed_cost(asked)
@@ -143,7 +157,8 @@ def test_the_inequality_is_solved_with_y_equal_to_p_unless_asked_otherwise() -> 
     c = np.ones((1, 3))
     d = np.zeros((1, 1))
     linear = StateSpace(a=asked.a, b=asked.b, c=c, d=d)
-    for options, equal in (({}, True), ({"full": True}, False)):
+    cases = (({}, True), ({"full": True}, False))
+    for options, equal in cases:
         lmi_synthesis = LmiSynthesis(rate_controller=0.1, rate_observer=0.1, **options)
         part = lmi_synthesis.state_feedback(linear, asked.ball)
         assert isinstance(part, StateFeedback)
@@ -185,7 +200,9 @@ def test_the_energy_root_is_a_root_of_the_energy_and_there_is_none_out_of_reach(
     np.testing.assert_allclose(w, expected, rtol=1e-12)
     expected = np.tril(root)
     np.testing.assert_array_equal(root, expected)
+    first_mode_only = np.array([[1.0], [0.0]])
     with pytest.raises(NoSolution, match="out of the input's reach"):
-        inverse_time_gramian_root(np.diag([2.0, 3.0]), np.array([[1.0], [0.0]]))
+        inverse_time_gramian_root(np.diag([2.0, 3.0]), first_mode_only)
+    no_input = np.zeros((2, 1))
     with pytest.raises(NoSolution, match="out of the input's reach"):
-        inverse_time_gramian_root(np.diag([2.0, 3.0]), np.zeros((2, 1)))
+        inverse_time_gramian_root(np.diag([2.0, 3.0]), no_input)
