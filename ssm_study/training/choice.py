@@ -28,22 +28,15 @@ REFIT_WORDS = "; trained on the training and validation records"
 MOST_TRAINED = 3  # choices, one after the other, until a model of one is certified
 
 
-def choose_model(
-    spec: StructuredSpec, data: DataSet, seed: int, announce: Callable[[str], None]
-) -> Choice:
-    """Choose every model setting that is `auto` by its error on held-out folds.
-
-    Records too short for folds choose nothing: the defaults of `model=structured` are taken.
-    """
-    choices = iterate_choices(spec, data, seed, announce)
-    return next(choices)
-
-
 def iterate_choices(
     spec: StructuredSpec, data: DataSet, seed: int, announce: Callable[[str], None]
 ) -> Iterator[Choice]:
-    """Iterate over choices of settings, the best first, in case no model of the first can be
-    certified. The paths are the same in all."""
+    """Iterate over choices of every setting that is `auto`, by its error on held-out folds: the
+    best first, the others in case no model of the first can be certified.
+
+    The paths are the same in all. Records too short for folds choose nothing: the defaults of
+    `model=structured` are taken.
+    """
     folds = make_folds(data) if spec.automatic_settings else ()
     if not folds:
         yield Choice(spec=fill_in_defaults(spec))

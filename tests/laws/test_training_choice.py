@@ -24,7 +24,7 @@ from ssm_study.training.candidates import (
     is_many_times_worse,
     simplest_good_candidate,
 )
-from ssm_study.training.choice import choose_model
+from ssm_study.training.choice import iterate_choices
 from ssm_study.training.choice_of_paths import nearly_integrates
 from ssm_study.training.choice_of_size import simplest_certifiable_candidate
 from ssm_study.training.folds import (
@@ -102,7 +102,7 @@ def summed(record: Trajectory) -> np.ndarray:
 def test_the_delay_is_what_the_records_show(change: object, name: str, expected: object) -> None:
     data = changed(data_set(noise=0.02, samples=500, records=4), change)
     spec = StructuredSpec(**FIXED | BRIEF | {name: "auto"})  # type: ignore[arg-type]
-    choice = choose_model(spec, data, 0, quiet)
+    choice = next(iterate_choices(spec, data, 0, quiet))
     assert getattr(choice.spec, name) == expected
     text = json.dumps(choice.rows)
     rows = json.loads(text)
@@ -122,8 +122,8 @@ def test_the_test_records_are_not_looked_at() -> None:
     test = (replace(data.test[0], y=y),)
     other = replace(data, test=test)
     spec = StructuredSpec(**FIXED | BRIEF | {"feedthrough": "auto"})  # type: ignore[arg-type]
-    choice = choose_model(spec, data, 0, quiet)
-    expected = choose_model(spec, other, 0, quiet)
+    choice = next(iterate_choices(spec, data, 0, quiet))
+    expected = next(iterate_choices(spec, other, 0, quiet))
     assert choice == expected
 
 
@@ -131,7 +131,7 @@ def test_short_records_choose_nothing() -> None:
     data = data_set(samples=120, records=1)
     spec = StructuredSpec(order="auto", neurons="auto", input_path="auto", knots="auto")
     changed_data = replace(data, validation=data.training)
-    choice = choose_model(spec, changed_data, 0, quiet)
+    choice = next(iterate_choices(spec, changed_data, 0, quiet))
     structured_spec = StructuredSpec(order=5, neurons=5)
     expected = Choice(spec=structured_spec)
     assert choice == expected
@@ -140,7 +140,7 @@ def test_short_records_choose_nothing() -> None:
 def test_what_is_fixed_stays_fixed() -> None:
     data = data_set(noise=0.02, samples=400, records=4)
     spec = StructuredSpec(order="auto", neurons=0, knots=4, **BRIEF)  # type: ignore[arg-type]
-    choice = choose_model(spec, data, 0, quiet)
+    choice = next(iterate_choices(spec, data, 0, quiet))
     assert choice.spec.neurons == 0
     assert choice.spec.knots == 4
     assert choice.spec.automatic_settings == ()
