@@ -12,6 +12,7 @@ from ssm_study.engine.records import RECORD, read_record
 
 ENDLESS = [
     "experiment=smoke",
+    "+data.trials=false",
     "training.max_epochs=100000",
     "training.patience=100000",
     "+training.checkpoint_every_s=0.01",

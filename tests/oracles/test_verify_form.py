@@ -19,18 +19,19 @@ from ssm_study.study.verify import verify
 Lie = Callable[[Path, dict[str, Any]], None]
 
 
-def make_run(folder: Path, *words: str) -> Path:
+def make_run(folder: Path, store: Path, *words: str) -> Path:
+    (folder / ".store").symlink_to(store)
     place = [f"results_dir={folder}", "study=honest", "progress=false"]
-    assert main(["run", "experiment=smoke", "+data.trials=false", *words, *place]) == 0
+    assert main(["run", "experiment=smoke", *words, *place]) == 0
     paths = (folder / "honest").glob("*/record.json")
     return next(path.parent for path in paths)
 
 
 @pytest.fixture(scope="module")
-def honest(tmp_path_factory: pytest.TempPathFactory, made_once: None) -> Path:
+def honest(tmp_path_factory: pytest.TempPathFactory, smoke_store: Path, made_once: None) -> Path:
     del made_once
     folder = tmp_path_factory.mktemp("results")
-    return make_run(folder, "synthesis=riccati")
+    return make_run(folder, smoke_store, "synthesis=riccati")
 
 
 def wrong_claims(run: Path) -> set[str]:
@@ -101,9 +102,13 @@ def test_the_unaltered_run_is_accepted(honest: Path, tmp_path: Path) -> None:
     assert record_version == 2
 
 
-def test_an_infeasible_design_with_an_internal_model_is_accepted(tmp_path: Path) -> None:
+def test_an_infeasible_design_with_an_internal_model_is_accepted(
+    tmp_path: Path, smoke_store: Path
+) -> None:
     """It was accused: its limit is that of the model with the internal model."""
-    run = make_run(tmp_path, "synthesis=auto_integral", "synthesis.rate_controller=0.58")
+    run = make_run(
+        tmp_path, smoke_store, "synthesis=auto_integral", "synthesis.rate_controller=0.58"
+    )
     status = (read_record(run) or {})["status"]
     assert status == "infeasible"
     assert wrong_claims(run) == set()
