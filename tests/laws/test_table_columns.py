@@ -45,7 +45,8 @@ from ssm_study.cli.main import main
 from ssm_study.report.page.data import page_data
 from ssm_study.report.study_folder import StudyFolder
 endings.RUN_FIGURES = ()
-assert main(["run", "experiment=smoke", "results_dir=results", "progress=false"]) == 0
+words = ["experiment=smoke", "synthesis=riccati", "+data.trials=false", "progress=false"]
+assert main(["run", *words, "results_dir=results"]) == 0
 (run,) = (path.parent for path in Path("results/smoke").glob("*/record.json"))
 assert main(["show", str(run.parent), "--columns"]) == 0
 words = page_data(StudyFolder(folder=run.parent))["words"]
