@@ -51,7 +51,8 @@ def versions(folder: Path) -> dict[str, str]:
     sources = Code({"ssm_study": folder})
     found = {}
     for stage in STAGES:
-        targets = [find_symbol(target) for target in TARGETS.get(stage.name, ())]
+        names = TARGETS.get(stage.name, ())
+        targets = [find_symbol(target) for target in names]
         symbol = find_symbol(stage.compute)
         found[stage.name] = sources.code_digest(symbol, *targets)
         symbol = find_symbol(stage.measure)
@@ -61,11 +62,8 @@ def versions(folder: Path) -> dict[str, str]:
 
 @pytest.fixture
 def scratch(tmp_path: Path) -> Path:
-    return Path(
-        shutil.copytree(
-            ROOT / "ssm_study", tmp_path / "ssm_study", ignore=shutil.ignore_patterns("*.pyc")
-        )
-    )
+    compiled_files = shutil.ignore_patterns("*.pyc")
+    return Path(shutil.copytree(ROOT / "ssm_study", tmp_path / "ssm_study", ignore=compiled_files))
 
 
 def stale(folder: Path, file: str, pattern: str, instead: str) -> set[str]:
@@ -114,15 +112,13 @@ def test_a_plant_is_stale_where_it_is_named(scratch: Path) -> None:
     edit = (r"^class DCMotor\(", "class DCMotor(object, ")
     expected = {"dataset", "loop"}
     assert stale(scratch, "plants/dc_motor.py", *edit) == expected
-    assert (
-        stale(
-            scratch,
-            "plants/cascaded_tanks.py",
-            r"^class CascadedTanks\(",
-            "class CascadedTanks(object, ",
-        )
-        == set()
+    never_named = stale(
+        scratch,
+        "plants/cascaded_tanks.py",
+        r"^class CascadedTanks\(",
+        "class CascadedTanks(object, ",
     )
+    assert never_named == set()
 
 
 def test_training_does_not_make_data_stale_nor_the_other_way_round(scratch: Path) -> None:
@@ -223,7 +219,8 @@ def test_every_symbol_that_is_reached_counts_and_no_other(
     assert old in TOY[file]
     (tmp_path / file).write_text(TOY[file].replace(old, new, 1))
     folders = {"toy": tmp_path}
-    assert (Code(folders).code_digest(("toy.a", "root")) != before) is counts
+    digest = Code(folders).code_digest(("toy.a", "root"))
+    assert (digest != before) is counts
 
 
 def test_a_library_counts_by_its_version_where_it_is_used(

@@ -33,7 +33,8 @@ def test_distances_contract_in_the_metric(proof: st.Certification, side: str) ->
     metric = gain.metric
     for slope in gain.slopes:
         step = A + slope * through
-        slack = (1 - gain.rate) * metric - step.T @ metric @ step
+        contracted = (1 - gain.rate) * metric
+        slack = contracted - step.T @ metric @ step
         least = np.linalg.eigvalsh(slack).min()
         assert least > 0
     rng = np.random.default_rng(0)
@@ -43,7 +44,8 @@ def test_distances_contract_in_the_metric(proof: st.Certification, side: str) ->
     for _ in range(30):
         slope = rng.uniform(*gain.slopes)
         distance = (A + slope * through) @ distance
-        ratio = np.linalg.norm(distance, axis=0) / np.linalg.norm(start, axis=0)
+        start_norms = np.linalg.norm(start, axis=0)
+        ratio = np.linalg.norm(distance, axis=0) / start_norms
         growth = max(growth, ratio.max())
     assert growth <= gain.overshoot
     assert "Euclidean distances grow at most" in proof.summary()[f"{side}, overshoot"]
@@ -54,19 +56,23 @@ def test_p_itself_is_no_metric() -> None:
     a = np.array([[1.05, 0.2, 0.0], [-0.1, 0.9, 0.3], [0.0, -0.05, 0.7]])
     b = np.array([[0.1], [0.3], [1.0]])
     k = np.array([[-1.5, -1.5, -0.6]])
-    gain = st.certify(a, b, K=k, slopes=SLOPES).controller
+    proof_of_k = st.certify(a, b, K=k, slopes=SLOPES)
+    gain = proof_of_k.controller
     assert gain is not None
     assert gain.certificate is not None
     p = gain.certificate.p
     step = a + 0.8 * b @ k
-    slack = (1 - gain.rate) * p - step.T @ p @ step
+    contracted = (1 - gain.rate) * p
+    slack = contracted - step.T @ p @ step
     least = np.linalg.eigvalsh(slack).min()
     assert least < 0
-    assert np.allclose(gain.metric @ p, np.eye(3))
+    product = gain.metric @ p
+    assert np.allclose(product, np.eye(3))
 
 
 def test_a_gain_without_a_certificate_has_no_metric() -> None:
-    gain = st.certify(A, B, K=[[1.0, 1.0]], slopes=SLOPES).controller
+    unproved = st.certify(A, B, K=[[1.0, 1.0]], slopes=SLOPES)
+    gain = unproved.controller
     assert gain is not None
     assert gain.metric is None
     assert gain.overshoot is None
@@ -93,7 +99,8 @@ def test_a_gain_is_compared_with_none(proof: st.Certification) -> None:
     summary = idle.summary()
     assert summary["controller, without it"] == summary["controller, this gain"]
     assert proof.controller is not None
-    assert proof.controller.rate_without == pytest.approx(1 - 0.9**2)
+    open_loop_rate = 1 - 0.9**2
+    assert proof.controller.rate_without == pytest.approx(open_loop_rate)
 
 
 def test_certificates_print_what_they_prove_and_no_matrices(proof: st.Certification) -> None:
@@ -102,7 +109,8 @@ def test_certificates_print_what_they_prove_and_no_matrices(proof: st.Certificat
     assert printed.startswith("GainCertificate\n  gain ")
     assert "decided exactly" in printed
     assert "array" not in printed
-    design = st.control((A, B, C, NO_DIRECT_PATH, 0.1), rate=0.1)
+    system = (A, B, C, NO_DIRECT_PATH, 0.1)
+    design = st.control(system, rate=0.1)
     limits = design.within_limits([-1.0], [1.0])
     printed = repr(limits)
     assert "at the full rate  from equilibria with outputs from [-" in printed
@@ -114,9 +122,11 @@ def test_certificates_print_what_they_prove_and_no_matrices(proof: st.Certificat
 def test_a_rate_that_the_open_loop_has_too_is_called_no_gain() -> None:
     """The lag contracts at 0.19 by itself, and a gain that costs much adds nothing to that."""
     lag = ([[0.9]], [[1.0]], [[0.1]], [[0.0]], 0.1)
-    slow = st.control(lag, rate=0.05, input_weight=1e4).summary()["without control"]
+    costly = st.control(lag, rate=0.05, input_weight=1e4)
+    slow = costly.summary()["without control"]
     assert slow.endswith("rates below 0.189: the controller's rate shows no gain")
-    fast = st.control(lag, rate=0.5).summary()["without control"]
+    cheap = st.control(lag, rate=0.5)
+    fast = cheap.summary()["without control"]
     assert fast == "the model contracts at rates below 0.189"
     facts = {"limited_rate": 0.18, "limit_lower": -1.0, "limit_upper": 1.0}
     line = summarise_input_limits(facts, 0.19)["controller, input limited"]
@@ -126,7 +136,8 @@ def test_a_rate_that_the_open_loop_has_too_is_called_no_gain() -> None:
 
 
 def test_an_idle_controller_is_not_praised() -> None:
-    system = (np.array([[0.0, 1.0], [0.0, 0.0]]), B, C, NO_DIRECT_PATH, 0.1)
+    a = np.array([[0.0, 1.0], [0.0, 0.0]])
+    system = (a, B, C, NO_DIRECT_PATH, 0.1)
     idle = st.control(system, rate=0.3)
     words = "hardly any: the poles are those without control"
     assert idle.summary()["effect of the controller"] == words
@@ -139,21 +150,25 @@ def test_an_idle_controller_is_not_praised() -> None:
     praised = summarise_prediction(facts, acts=True)
     assert "2.7e+03 times" in praised["covered by the proof"]
     gains = idle.certificate.pair
-    withheld = withhold_coverage(facts | {"coverage_reference": "input"}, idle.model, gains)
+    covered = facts | {"coverage_reference": "input"}
+    withheld = withhold_coverage(covered, idle.model, gains)
     assert withheld["coverage"] is None
     assert withheld["coverage_reason"] == IDLE
     assert summarise_prediction(withheld, acts=False)["covered by the proof"] == IDLE
-    active = st.control((A, B, C, NO_DIRECT_PATH, 0.1), rate=0.5)
+    system_of_active = (A, B, C, NO_DIRECT_PATH, 0.1)
+    active = st.control(system_of_active, rate=0.5)
     assert "effect of the controller" not in active.summary()
     assert "rates below 0.189" in active.summary()["without control"]
-    assert withhold_coverage(facts, active.model, active.certificate.pair) == facts
+    facts_of_active = withhold_coverage(facts, active.model, active.certificate.pair)
+    assert facts_of_active == facts
 
 
 def test_the_coverage_of_a_controller_that_is_unstable_by_itself_is_withheld() -> None:
     """`xh+ = (a + b k + l c) xh` at a plant that holds still: -1.2 with these gains, while the loop
     on the model contracts."""
     one = np.ones((1, 1))
-    model = SSM.from_linear(StateSpace(a=0.5 * one, b=one, c=one, d=0 * one), 0.1)
+    lag = StateSpace(a=0.5 * one, b=one, c=one, d=0 * one)
+    model = SSM.from_linear(lag, 0.1)
     stable = Gains(k=-0.4 * one, l=-0.4 * one)
     unstable = Gains(k=-0.85 * one, l=-0.85 * one)
     facts = {"coverage": 1.2, "coverage_reference": "input"}
@@ -161,7 +176,8 @@ def test_the_coverage_of_a_controller_that_is_unstable_by_itself_is_withheld() -
     withheld = withhold_coverage(facts, model, unstable)
     assert withheld["coverage"] is None
     assert withheld["coverage_reason"] == UNSTABLE
-    assert withhold_coverage({"coverage": 0.9}, model, unstable) == {"coverage": 0.9}
+    withheld = withhold_coverage({"coverage": 0.9}, model, unstable)
+    assert withheld == {"coverage": 0.9}
 
 
 def test_poles_that_move_are_an_effect() -> None:
@@ -174,15 +190,18 @@ def test_no_gain_is_promised_where_an_unstable_mode_is_out_of_reach() -> None:
     """Fewer states would hide the mode: the certificate would be of a plant that explodes."""
     unstable = np.diag([1.1, 0.5])
     c = np.array([[0.0, 1.0]])
-    printed = repr(st.control((unstable, B, c, NO_DIRECT_PATH, 0.1), rate=0.3))
+    design = st.control((unstable, B, c, NO_DIRECT_PATH, 0.1), rate=0.3)
+    printed = repr(design)
     assert "a mode of modulus 1.1 is not stable and the input does not reach it" in printed
     assert "the output does not show it, so no gain stabilises it" in printed
     assert "fewer states" not in printed
     slow = np.diag([0.99, 0.5])
-    printed = repr(st.control((slow, B, c, NO_DIRECT_PATH, 0.1), rate=0.3))
+    design = st.control((slow, B, c, NO_DIRECT_PATH, 0.1), rate=0.3)
+    printed = repr(design)
     assert "allows only rates below 0.0199" in printed
 
 
 def test_limits_of_a_bare_system_are_refused() -> None:
+    system = (A, B, C, NO_DIRECT_PATH, 0.1)
     with pytest.raises(BadRequest, match="of a bare system nothing is proved there; leave them"):
-        st.control((A, B, C, NO_DIRECT_PATH, 0.1), rate=0.5, input_limits=(-1.0, 1.0))
+        st.control(system, rate=0.5, input_limits=(-1.0, 1.0))

@@ -37,15 +37,16 @@ ENDS = np.array([0.0, 1.0])
 
 
 def panel() -> PicturePanel:
-    series = (
-        Series(x=ENDS, y=ENDS, name="solid"),
-        Series(x=ENDS, y=ENDS, name="dashed", dashes=DASHED, colour=style.VERMILLION),
-        Series(x=ENDS, y=ENDS, name="poles", mark="crosses", colour=style.GREY),
-        Series(x=ENDS, y=ENDS, name="held", mark="steps", dashes=(2, 2)),
-        Series(x=ENDS, y=ENDS),
-    )
-    bands = (Band(x=ENDS, low=ENDS, high=ENDS + 1, name="area", colour=style.SKY),)
-    rules = (GuideLine(y=1.0, name="bound", dashed=False),)
+    solid = Series(x=ENDS, y=ENDS, name="solid")
+    dashed = Series(x=ENDS, y=ENDS, name="dashed", dashes=DASHED, colour=style.VERMILLION)
+    poles = Series(x=ENDS, y=ENDS, name="poles", mark="crosses", colour=style.GREY)
+    held = Series(x=ENDS, y=ENDS, name="held", mark="steps", dashes=(2, 2))
+    unnamed = Series(x=ENDS, y=ENDS)
+    series = (solid, dashed, poles, held, unnamed)
+    area = Band(x=ENDS, low=ENDS, high=ENDS + 1, name="area", colour=style.SKY)
+    bands = (area,)
+    bound = GuideLine(y=1.0, name="bound", dashed=False)
+    rules = (bound,)
     return PicturePanel(x_label="x", y_label="y", series=series, bands=bands, rules=rules)
 
 
@@ -59,28 +60,26 @@ def test_the_legend_shows_marks_colours_and_dashes_as_they_are_drawn() -> None:
         "held": ["line", style.BLUE, "2 2"],
         "area": ["band", style.SKY, ""],
     }
-    band, rule, *drawn = panel_spec(panel(), "")["layer"]
+    layers = panel_spec(panel(), "")["layer"]
+    band, rule, *drawn = layers
     assert band["mark"]["type"] == "area"
     assert rule["mark"]["strokeDash"] == ()
-    assert [layer["mark"].get("strokeDash") for layer in drawn] == [
-        None,
-        [5, 3],
-        None,
-        [2, 2],
-        None,
-    ]
-    assert [layer["encoding"]["color"]["value"] for layer in drawn[:3]] == [
-        entries[name][1] for name in ("solid", "dashed", "poles")
-    ]
+    dashes = [layer["mark"].get("strokeDash") for layer in drawn]
+    assert dashes == [None, [5, 3], None, [2, 2], None]
+    colours = [layer["encoding"]["color"]["value"] for layer in drawn[:3]]
+    of_the_legend = [entries[name][1] for name in ("solid", "dashed", "poles")]
+    assert colours == of_the_legend
 
 
 def test_every_mark_has_a_symbol_in_the_legend() -> None:
     from ssm_study.report.page.pictures import JOINED, MARKS
     from ssm_study.report.page.writing import read_asset
 
-    shapes = read_asset("state.js").partition("const SHAPES = {")[2].partition("};")[0]
+    after_the_name = read_asset("state.js").partition("const SHAPES = {")[2]
+    shapes = after_the_name.partition("};")[0]
     names = set(re.findall(r"^  (\w+): \"", shapes, re.M))
-    assert {*MARKS, "band"} - {*JOINED} | {"line"} <= names
+    marks_in_the_legend = {*MARKS, "band"} - {*JOINED} | {"line"}
+    assert marks_in_the_legend <= names
 
 
 def test_as_many_dashes_as_colours_and_none_twice() -> None:
@@ -98,7 +97,8 @@ def test_a_thinned_line_keeps_its_peaks_its_ends_and_its_gaps() -> None:
     assert len(thin_x) <= MOST_POINTS + 5
     assert np.nanmax(thin_y) == 40.0
     assert np.nanmin(thin_y) == -40.0
-    assert thin_x[[0, -1]].tolist() == [0.0, 4999.0]
+    ends = thin_x[[0, -1]]
+    assert ends.tolist() == [0.0, 4999.0]
     assert np.isnan(thin_y).sum() == 1
     assert (np.diff(thin_x) > 0).all()
 
@@ -128,15 +128,18 @@ def test_the_line_at_the_records_gain_meets_what_the_record_shows(kind: str) -> 
     y = model.scaffold_in(deviation)
     record = Trajectory(u=u, y=y, step_s=0.01)
     ratio = record_gain_ratio(model, record)
-    slope = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])
-    slope_of_best_line = float(np.polyfit(deviation[:, 0], y[:, 0], 1)[0])
+    slopes_at_rest = model.scaffold_in.jacobian(np.zeros(1))
+    slope = float(slopes_at_rest[0, 0])
+    best_line = np.polyfit(deviation[:, 0], y[:, 0], 1)
+    slope_of_best_line = float(best_line[0])
     if kind == "linear":
         assert ratio is None
         assert slope_of_best_line == pytest.approx(slope)
         return
     assert ratio is not None
     assert ratio * slope == pytest.approx(slope_of_best_line)
-    names = [series.name for series in bode_picture(model, record).panels[0].series]
+    panel_of_gains = bode_picture(model, record).panels[0]
+    names = [series.name for series in panel_of_gains.series]
     assert "model at the record's mean gain" in names
 
 
@@ -166,7 +169,8 @@ def test_a_long_title_is_not_cut_off(wide: bool) -> None:
         "Frequency response at rest; over the record the input map's gain is 1.9 times that at rest"
     )
     panels = (panel(),)
-    figure = draw_picture(Picture(title=title, panels=panels, wide=wide))
+    picture = Picture(title=title, panels=panels, wide=wide)
+    figure = draw_picture(picture)
     figure.draw_without_rendering()
     words = figure.get_suptitle()
     assert " ".join(words.split()) == title

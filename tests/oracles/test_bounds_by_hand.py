@@ -52,7 +52,8 @@ def test_the_smoothed_copy_that_a_search_climbs_becomes_the_network(seed: int) -
         negative_slopes=negative_slopes,
         positive_slopes=positive_slopes,
     )
-    for v in rng.uniform(-5, 5, size=(20, 2)):
+    points = rng.uniform(-5, 5, size=(20, 2))
+    for v in points:
         actual = worst_case._smooth_jacobian(net, v, 1e-7)
         expected = net.jacobian(v)
         np.testing.assert_allclose(actual, expected, rtol=1e-9)
@@ -67,7 +68,8 @@ def test_the_smoothed_copy_that_a_search_climbs_becomes_the_network(seed: int) -
         negative_slopes=negative_slopes,
         positive_slopes=positive_slopes,
     )
-    assert worst_case._smooth_jacobian(single, np.zeros(1), 1.0)[0, 0] == pytest.approx(0.8)
+    jacobian = worst_case._smooth_jacobian(single, np.zeros(1), 1.0)
+    assert jacobian[0, 0] == pytest.approx(0.8)
 
 
 def test_the_refusal_names_the_value_of_the_last_state_that_was_to_be_kept() -> None:
@@ -82,14 +84,17 @@ def test_the_refusal_names_the_value_of_the_last_state_that_was_to_be_kept() -> 
     assert values[2] < upper_limit < values[1]
     with pytest.raises(BadRequest, match="at most 2") as refused:
         balanced_realization(linear)
-    assert refused.value.value == pytest.approx(values[2], rel=1e-3)
+    third = pytest.approx(values[2], rel=1e-3)
+    assert refused.value.value == third
     order = balanced_realization(linear, 2).order
     assert order == 2
 
 
 def test_the_papers_figure_is_the_product_of_the_extreme_singular_values_and_slopes() -> None:
     """`2 x 0.5 x 0.1` below and `3 x 4 x 1` above; nothing of it is a ball."""
-    weights = (np.diag([2.0, -3.0]), np.diag([0.5, 4.0]))
+    inner = np.diag([2.0, -3.0])
+    outer = np.diag([0.5, 4.0])
+    weights = (inner, outer)
     biases = (np.ones(2),)
     negative_slopes = (np.array([0.1, 0.2]),)
     positive_slopes = (np.array([1.0, 0.9]),)
@@ -130,7 +135,9 @@ def test_a_falling_map_has_an_inverse() -> None:
 
 def test_a_map_that_couples_its_channels_has_no_inverse_by_channel() -> None:
     """Its one neuron sees the first channel and moves the second."""
-    weights = (np.array([[1.0, 0.0]]), np.array([[0.0], [1.0]]))
+    first_input_alone = np.array([[1.0, 0.0]])
+    second_output_alone = np.array([[0.0], [1.0]])
+    weights = (first_input_alone, second_output_alone)
     biases = (np.array([0.5]),)
     negative_slopes = (np.array([0.1]),)
     positive_slopes = (np.ones(1),)

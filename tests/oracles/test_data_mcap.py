@@ -24,16 +24,16 @@ from ssm_study.signals import Channel
 
 
 def group(topic: str, values: np.ndarray, step_s: float = 0.01) -> SignalGroup:
-    channels = tuple(Channel(name=f"signal_{k}", unit="rad/s") for k in range(values.shape[1]))
+    numbers = range(values.shape[1])
+    channels = tuple(Channel(name=f"signal_{k}", unit="rad/s") for k in numbers)
     time_s = np.arange(len(values)) * step_s
     return SignalGroup(topic=topic, time_s=time_s, channels=channels, values=values)
 
 
-@given(
-    values=arrays(
-        np.float64, st.tuples(st.integers(1, 20), st.integers(1, 20)), elements=st.floats(width=64)
-    )
-)
+SHAPES = st.tuples(st.integers(1, 20), st.integers(1, 20))
+
+
+@given(values=arrays(np.float64, SHAPES, elements=st.floats(width=64)))
 def test_every_double_survives(
     values: np.ndarray, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -41,7 +41,8 @@ def test_every_double_survives(
     groups = (group("/output", values),)
     write_mcap(path, groups, {"plant": "DCMotor"})
     (back,), metadata = read_mcap(path)
-    assert np.ascontiguousarray(back.values).tobytes() == values.tobytes()
+    read_back = np.ascontiguousarray(back.values).tobytes()
+    assert read_back == values.tobytes()
     assert metadata == {"plant": "DCMotor"}
 
 
@@ -132,7 +133,8 @@ def test_groups_below_one_name_take_half_the_bytes_of_topics_apart(tmp_path: Pat
     sizes = []
     for topic in ("/case_0/{}", "/{}_alone"):
         names = [topic.format(name) for name in ("input", "output", "measured", "estimate")]
-        write_mcap(tmp_path / "b.mcap", tuple(group(name, values) for name in names), {})
+        groups = tuple(group(name, values) for name in names)
+        write_mcap(tmp_path / "b.mcap", groups, {})
         st_size = (tmp_path / "b.mcap").stat().st_size
         sizes.append(st_size)
     upper_limit = sizes[1] / 2
@@ -152,7 +154,8 @@ def recording(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.7, 0.99, 0.9999])
 def test_a_truncated_recording_is_refused(recording: Path, share: float) -> None:
     whole = recording.read_bytes()
-    recording.write_bytes(whole[: int(share * len(whole))])
+    kept_bytes = int(share * len(whole))
+    recording.write_bytes(whole[:kept_bytes])
     with pytest.raises(BadRequest, match=r"path = .*record it again\.$"):
         read_mcap(recording)
 
@@ -162,7 +165,8 @@ def test_no_flipped_bit_changes_a_number_silently(recording: Path) -> None:
     (true,), about = read_mcap(recording)
     rng = np.random.default_rng(3)
     refused = 0
-    for position in rng.integers(0, 8 * len(whole), 300):
+    positions = rng.integers(0, 8 * len(whole), 300)
+    for position in positions:
         damaged = bytearray(whole)
         damaged[position // 8] ^= 1 << (position % 8)
         recording.write_bytes(damaged)
@@ -190,7 +194,8 @@ def test_a_name_that_is_no_identifier_is_refused() -> None:
 def test_an_existing_recording_is_replaced_whole_or_not_at_all(recording: Path) -> None:
     before = recording.read_bytes()
     signal_group = group("/a", np.ones((2, 1)))
-    groups = (signal_group, group("/a", np.ones((2, 1))))
+    other_group = group("/a", np.ones((2, 1)))
+    groups = (signal_group, other_group)
     with pytest.raises(BadRequest, match="share a topic"):
         write_mcap(recording, groups, {})
     assert recording.read_bytes() == before
@@ -223,7 +228,8 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
     frame says it."""
     zstd_compressor = zstandard.ZstdCompressor()
     press = zstd_compressor.compressobj(size=2**30)
-    packed = b"".join([*(press.compress(bytes(2**20)) for _ in range(2**10)), press.flush()])
+    blocks = [press.compress(bytes(2**20)) for _ in range(2**10)]
+    packed = b"".join([*blocks, press.flush()])
     for claimed in (2**30, 100):
         path = tmp_path / f"{claimed}.mcap"
         with path.open("wb") as file:
@@ -247,15 +253,15 @@ def logged(writer: Writer, topic: str, field: dict[str, object], contents: list[
     file = descriptor_pb2.FileDescriptorProto(
         name=f"{topic}.proto", package="theirs", syntax="proto3"
     )
-    file.message_type.add(name="Point").field.add(name="x", number=1, type=1, label=1)
+    point = file.message_type.add(name="Point")
+    point.field.add(name="x", number=1, type=1, label=1)
     whole = file.message_type.add(name=topic)
     if field:
         whole.field.add(number=1, **field)
     file_descriptor_set = descriptor_pb2.FileDescriptorSet(file=[file])
     data = file_descriptor_set.SerializeToString()
-    channel = writer.register_channel(
-        f"/{topic}", "protobuf", writer.register_schema(f"theirs.{topic}", "protobuf", data)
-    )
+    schema = writer.register_schema(f"theirs.{topic}", "protobuf", data)
+    channel = writer.register_channel(f"/{topic}", "protobuf", schema)
     for k, content in enumerate(contents):
         writer.add_message(channel, k, content, k)
 
@@ -266,10 +272,12 @@ def test_topics_of_others_without_numbers_are_passed_over(tmp_path: Path) -> Non
     with (tmp_path / "a.mcap").open("wb") as stream:
         writer = Writer(stream)
         writer.start()
-        logged(writer, "Speed", {"name": "speed", "type": 1, "label": 1}, [number] * 3)
+        speed = {"name": "speed", "type": 1, "label": 1}
+        logged(writer, "Speed", speed, [number] * 3)
         logged(writer, "Ping", {}, [b""] * 3)
         listed = {"name": "points", "type": 11, "label": 3, "type_name": ".theirs.Point"}
-        logged(writer, "Path", listed, [(b"\x0a\x09" + point) * k for k in (1, 2, 0)])
+        paths = [(b"\x0a\x09" + point) * k for k in (1, 2, 0)]
+        logged(writer, "Path", listed, paths)
         writer.finish()
     (found,), _ = read_mcap(tmp_path / "a.mcap")
     assert found.topic == "/Speed"

@@ -21,14 +21,16 @@ SAMPLES = 1500
 SKIP = 20
 ANGLE = 0.1
 RNG = np.random.default_rng(0)
-U = RNG.uniform(-1, 1, 300).repeat(5)
+LEVELS = RNG.uniform(-1, 1, 300)
+U = LEVELS.repeat(5)
 
 
 def swinging(radius: float) -> StateSpace:
     """A resonance at `ANGLE` a sample whose swing keeps `radius` of itself."""
     cosine = np.cos(ANGLE)
     sine = np.sin(ANGLE)
-    turn = radius * np.array([[cosine, -sine], [np.sin(ANGLE), np.cos(ANGLE)]])
+    second_row = [np.sin(ANGLE), np.cos(ANGLE)]
+    turn = radius * np.array([[cosine, -sine], second_row])
     b = np.array([[0.0], [0.1]])
     c = np.array([[1.0, 0.0]])
     d = np.zeros((1, 1))
@@ -76,9 +78,8 @@ def drifting_phase(noise: float) -> np.ndarray:
 @pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 def test_a_swing_that_goes_on_by_itself_cannot_be_judged(cut, noise):
-    (found,) = own_motion.judge_autonomous_motion(
-        case(drifting_phase(noise), swinging(0.9995), cut)
-    )
+    log = case(drifting_phase(noise), swinging(0.9995), cut)
+    (found,) = own_motion.judge_autonomous_motion(log)
     assert found.level == "cannot judge"
     assert "it moves by itself" in found.sentence
 
@@ -87,7 +88,8 @@ def test_a_swing_that_goes_on_by_itself_cannot_be_judged(cut, noise):
 def test_a_steady_swing_is_not_taken_for_the_inputs_because_the_model_carries_its_phase(cut):
     """An undamped model predicts it from the state in which the log begins."""
     y = np.cos(ANGLE * np.arange(SAMPLES))
-    (found,) = own_motion.judge_autonomous_motion(case(y, swinging(0.99995), cut))
+    log = case(y, swinging(0.99995), cut)
+    (found,) = own_motion.judge_autonomous_motion(log)
     assert found.level == "cannot judge"
     assert "it moves by itself" in found.sentence
 
@@ -97,7 +99,8 @@ def test_a_steady_swing_is_not_taken_for_the_inputs_because_the_model_carries_it
 @pytest.mark.parametrize("radius", [0.9, 0.99, 0.9995])
 def test_a_resonance_that_the_input_moves_is_judged_however_noisy(radius, noise, cut):
     system = swinging(radius)
-    judged = case(measured(system, noise, np.array([3.0, 0.0])), system, cut)
+    offset = np.array([3.0, 0.0])
+    judged = case(measured(system, noise, offset), system, cut)
     assert own_motion.judge_autonomous_motion(judged) == []
     assert not [found for found in feedback.judge_feedback(judged) if found.level == "cannot judge"]
 
@@ -105,7 +108,8 @@ def test_a_resonance_that_the_input_moves_is_judged_however_noisy(radius, noise,
 @pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
 @pytest.mark.parametrize("pole", [0.999, 1.0])
 def test_what_integrates_keeps_an_offset_and_is_judged(pole, cut):
-    judged = case(measured(integrating(pole), 0.02, np.array([10.0])), integrating(0.9995), cut)
+    y = measured(integrating(pole), 0.02, np.array([10.0]))
+    judged = case(y, integrating(0.9995), cut)
     assert own_motion.judge_autonomous_motion(judged) == []
     assert not [found for found in feedback.judge_feedback(judged) if found.level == "cannot judge"]
 
@@ -116,7 +120,8 @@ def test_the_walk_of_an_integrator_is_taken_for_growth_once_in_a_hundred():
         rng = np.random.default_rng(seed)
         white_noise = rng.standard_normal(SAMPLES)
         walk = np.cumsum(0.1 * U + white_noise)
-        found = feedback.judge_instability(case(walk, integrating(0.999)).data, closed=False)
+        data = case(walk, integrating(0.999)).data
+        found = feedback.judge_instability(data, closed=False)
         refused += len([finding for finding in found if finding.level == "cannot judge"])
     assert refused <= 3
 
@@ -124,17 +129,16 @@ def test_the_walk_of_an_integrator_is_taken_for_growth_once_in_a_hundred():
 @pytest.mark.parametrize(("pole", "refused"), [(1.002, True), (1.004, True), (1.0005, False)])
 def test_what_grows_is_refused_once_the_log_is_long_enough_to_show_it(pole, refused):
     y = measured(integrating(pole), 0.01, np.zeros(1))
-    found = [
-        one.sentence
-        for one in feedback.judge_feedback(case(y, integrating(0.999), split_into_blocks))
-    ]
+    log = case(y, integrating(0.999), split_into_blocks)
+    found = [one.sentence for one in feedback.judge_feedback(log)]
     assert any("runs away by itself (a mode at 1.00" in one for one in found) == refused
 
 
 @pytest.mark.parametrize(("noise", "share"), [(0.0, 1.0), (0.5, 0.8)])
 def test_of_a_plant_that_the_input_moves_both_runs_predict_all_but_the_noise(noise, share):
     system = swinging(0.9)
-    found = own_motion.predicted_power_shares(case(measured(system, noise, np.zeros(2)), system))
+    log = case(measured(system, noise, np.zeros(2)), system)
+    found = own_motion.predicted_power_shares(log)
     expected = (share, share)
     assert found == pytest.approx(expected, abs=0.1 if noise else 1e-4)
 

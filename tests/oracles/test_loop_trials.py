@@ -36,7 +36,8 @@ def looped(
     for k in range(samples):
         said = model.linear.c @ x
         white_noise = rng.standard_normal(1)
-        y[k] = said + relay * np.tanh(50 * said) + noise * white_noise
+        friction = relay * np.tanh(50 * said)
+        y[k] = said + friction + noise * white_noise
         inputs = controller.input(memory, y[k : k + 1], plan[k])
         u[k] = inputs[0]
         memory = controller.advance(memory, u[k : k + 1], y[k : k + 1], plan[k])
@@ -57,12 +58,10 @@ def slow_model() -> SSM:
 
 
 MODEL = slow_model()
-FAST = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.5, input_weight=1e-3).design(
-    MODEL, ONES
-)
-CALM = RiccatiSynthesis(rate_controller=0.25, rate_observer=0.3, input_weight=100.0).design(
-    MODEL, ONES
-)
+FAST_METHOD = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.5, input_weight=1e-3)
+FAST = FAST_METHOD.design(MODEL, ONES)
+CALM_METHOD = RiccatiSynthesis(rate_controller=0.25, rate_observer=0.3, input_weight=100.0)
+CALM = CALM_METHOD.design(MODEL, ONES)
 
 
 def recorded(noise: float = 0.01) -> Trajectory:
@@ -141,7 +140,8 @@ def test_of_a_moving_loop_the_noise_goes_in_every_band(size):
     shown = mismatch.loop
     assert shown is not None
     actual = shown.by_frequency > 0
-    expected = (size > 0) & np.isin(np.arange(33), [0, 32])
+    ends_of_the_band = np.isin(np.arange(33), [0, 32])
+    expected = (size > 0) & ends_of_the_band
     np.testing.assert_array_equal(actual, expected)
 
 

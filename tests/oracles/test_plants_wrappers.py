@@ -25,7 +25,8 @@ def plant(request: pytest.FixtureRequest) -> Plant:
 def inputs(plant: Plant, cases: int = 2) -> np.ndarray:
     rng = np.random.default_rng(0)
     levels = rng.uniform(-1, 1, (cases, SAMPLES, len(plant.inputs)))
-    return plant.equilibrium().u + levels * np.array(plant.input_amplitude)
+    deviation = levels * np.array(plant.input_amplitude)
+    return plant.equilibrium().u + deviation
 
 
 def test_saturation_clips(plant: Plant) -> None:
@@ -36,7 +37,8 @@ def test_saturation_clips(plant: Plant) -> None:
     limited = SaturatedInput(plant=plant, lower=lower, upper=upper)
     u = inputs(plant)
     actual = limited.simulate(u)[1]
-    response = plant.simulate(np.clip(u, rest - half, rest + half))
+    clipped = np.clip(u, rest - half, rest + half)
+    response = plant.simulate(clipped)
     expected = response[1]
     np.testing.assert_array_equal(actual, expected)
     response = limited.simulate(u)
@@ -46,9 +48,8 @@ def test_saturation_clips(plant: Plant) -> None:
 @pytest.mark.parametrize("samples", [1, 3])
 def test_delay_shifts(plant: Plant, samples: int) -> None:
     u = inputs(plant)
-    shifted = np.concatenate(
-        [np.tile(plant.equilibrium().u, (2, samples, 1)), u[:, :-samples]], axis=1
-    )
+    waiting = np.tile(plant.equilibrium().u, (2, samples, 1))
+    shifted = np.concatenate([waiting, u[:, :-samples]], axis=1)
     delayed = DelayedInput(plant=plant, samples=samples)
     actual = delayed.simulate(u)[1]
     expected = plant.simulate(shifted)[1]
@@ -77,23 +78,24 @@ def test_wrappers_stack(plant: Plant) -> None:
     stack = DelayedInput(plant=limited, samples=2)
     x, y = stack.simulate(inputs(plant))
     expected = len(stack.states)
-    assert x.shape[2] == expected == len(plant.states) + 2 * len(plant.inputs)
+    states_and_delays = len(plant.states) + 2 * len(plant.inputs)
+    assert x.shape[2] == expected == states_and_delays
     delayed_input = DelayedInput(plant=plant, samples=2)
     response = delayed_input.simulate(inputs(plant))
     expected = response[1]
     np.testing.assert_array_equal(y, expected)
 
 
-@pytest.mark.parametrize(
-    ("build", "says"),
-    [
-        (lambda p: SaturatedInput(plant=p, lower=1.0, upper=2.0), "do not enclose rest"),
-        (lambda p: SaturatedInput(plant=p, lower=[-1.0, -1.0], upper=1.0), "there are 1 inputs"),
-        (lambda p: DelayedInput(plant=p, samples=0), "samples = 0"),
-        (lambda _: RandomDisturbance(amplitude=1.0, hold_s=0.0), "hold_s = 0.0"),
-        (lambda _: PeriodicDisturbance(amplitude=1.0, frequency_hz=0.0), "frequency_hz = 0.0"),
-    ],
-)
+REFUSED_WRAPPERS = [
+    (lambda p: SaturatedInput(plant=p, lower=1.0, upper=2.0), "do not enclose rest"),
+    (lambda p: SaturatedInput(plant=p, lower=[-1.0, -1.0], upper=1.0), "there are 1 inputs"),
+    (lambda p: DelayedInput(plant=p, samples=0), "samples = 0"),
+    (lambda _: RandomDisturbance(amplitude=1.0, hold_s=0.0), "hold_s = 0.0"),
+    (lambda _: PeriodicDisturbance(amplitude=1.0, frequency_hz=0.0), "frequency_hz = 0.0"),
+]
+
+
+@pytest.mark.parametrize(("build", "says"), REFUSED_WRAPPERS)
 def test_refused(build, says: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(BadRequest, match=says):
         build(from_yaml("plant", "dc_motor"))

@@ -19,7 +19,8 @@ from ssm_study.signals import Channel, DataSet
 
 T = 200
 RNG = np.random.default_rng(0)
-GOOD = {"t": np.arange(T) * 0.01, "u": RNG.standard_normal(T), "y": RNG.standard_normal(T)}
+TIME_S = np.arange(T) * 0.01
+GOOD = {"t": TIME_S, "u": RNG.standard_normal(T), "y": RNG.standard_normal(T)}
 EVERY = [".csv", ".mat", ".parquet", ".mcap"]
 STATING = [".csv", ".parquet", ".mcap"]  # MAT has no place for a unit
 
@@ -30,21 +31,22 @@ def written(folder: Path, suffix: str, columns: dict[str, np.ndarray], unit: str
     path = folder / f"log{suffix}"
     if suffix == ".csv":
         table = pd.DataFrame(columns)
-        table.rename(columns={"y": f"y [{unit}]"} if unit else {}).to_csv(path, index=False)
+        new_names = {"y": f"y [{unit}]"} if unit else {}
+        table.rename(columns=new_names).to_csv(path, index=False)
     elif suffix == ".parquet":
         fields = [
             pa.field(n, pa.float64(), metadata={"unit": unit} if unit and n == "y" else None)
             for n in columns
         ]
-        parquet.write_table(
-            pa.table([pa.array(v) for v in columns.values()], schema=pa.schema(fields)), path
-        )
+        arrays = [pa.array(v) for v in columns.values()]
+        parquet.write_table(pa.table(arrays, schema=pa.schema(fields)), path)
     elif suffix == ".mat":
         savemat(path, columns)
     else:
         signals = {name: values for name, values in columns.items() if name != "t"}
         channels = tuple(Channel(name=name, unit=unit if name == "y" else "") for name in signals)
-        values = np.stack(list(signals.values()), axis=1)
+        signals_in_order = list(signals.values())
+        values = np.stack(signals_in_order, axis=1)
         signal_group = SignalGroup(
             topic="/log", time_s=columns["t"], channels=channels, values=values
         )
@@ -82,7 +84,8 @@ def test_numbers_that_are_not_finite(tmp_path: Path, suffix: str, bad: float) ->
     y = GOOD["y"].copy()
     y[50] = bad
     says = r"column y, line 52 = " if suffix == ".csv" else r"column y, \w+ 50 = "
-    refused(written(tmp_path, suffix, GOOD | {"y": y}), says)
+    path = written(tmp_path, suffix, GOOD | {"y": y})
+    refused(path, says)
 
 
 @pytest.mark.parametrize("suffix", EVERY)
@@ -90,7 +93,8 @@ def test_a_missing_value_cuts_the_record(tmp_path: Path, suffix: str) -> None:
     """Nothing is invented: the two stretches train apart, and the outcome says so."""
     y = GOOD["y"].copy()
     y[50] = np.nan
-    built = build(written(tmp_path, suffix, GOOD | {"y": y}))
+    path = written(tmp_path, suffix, GOOD | {"y": y})
+    built = build(path)
     expected = [50, 69]
     assert [len(record) for record in built.training] == expected
     training_y = built.training[1].y
@@ -128,9 +132,8 @@ def test_time_running_backwards(tmp_path: Path, suffix: str) -> None:
     test)."""
     t = GOOD["t"].copy()
     t[100] = t[98]
-    refused(
-        written(tmp_path, suffix, GOOD | {"t": t}), "sample 100 is not later", time="t", step_s=None
-    )
+    path = written(tmp_path, suffix, GOOD | {"t": t})
+    refused(path, "sample 100 is not later", time="t", step_s=None)
 
 
 def foreign(folder: Path, times_s: np.ndarray, y: list[object]) -> Path:
@@ -157,7 +160,8 @@ def test_another_programs_recording(tmp_path: Path) -> None:
     y = [float(v) for v in GOOD["y"]]
     t = GOOD["t"].copy()
     build(foreign(tmp_path, t, [*y]))
-    refused(foreign(tmp_path, t, [*y[:50], "fast", *y[51:]]), "y = fast: no number in message 50")
+    with_a_word = [*y[:50], "fast", *y[51:]]
+    refused(foreign(tmp_path, t, with_a_word), "y = fast: no number in message 50")
     t[100] = t[98]
     refused(foreign(tmp_path, t, [*y]), r"/log \(time_s\) = .*times must be finite, increasing")
 
@@ -191,5 +195,6 @@ def test_shorter_than_the_start_up_window(tmp_path: Path, suffix: str) -> None:
 @pytest.mark.parametrize("suffix", [".mat", ".mcap", ".parquet"])
 def test_truncated(tmp_path: Path, suffix: str, share: float) -> None:
     path = written(tmp_path, suffix, GOOD)
-    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+    size = int(share * path.stat().st_size)
+    path.write_bytes(path.read_bytes()[:size])
     refused(path, "log")

@@ -18,30 +18,29 @@ from ssm_study.data.recording import Recording
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Scale
 
+REFUSED_DATA = [
+    ("trajectories=0", "data.trajectories = 0"),
+    ("samples=19", "data.samples = 19: "),
+    ("noise_variance=-0.02", "data.noise_variance = -0.02: must not be negative"),
+    ("start_up_samples=-1", "data.start_up_samples = -1"),
+]
 
-@pytest.mark.parametrize(
-    ("override", "says"),
-    [
-        ("trajectories=0", "data.trajectories = 0"),
-        ("samples=19", "data.samples = 19: "),
-        ("noise_variance=-0.02", "data.noise_variance = -0.02: must not be negative"),
-        ("start_up_samples=-1", "data.start_up_samples = -1"),
-    ],
-)
+
+@pytest.mark.parametrize(("override", "says"), REFUSED_DATA)
 def test_simulated_values(override: str, says: str) -> None:
     with pytest.raises(Exception, match=says):  # hydra wraps what a constructor raises
         from_yaml("data", "simulated", override)
 
 
-@pytest.mark.parametrize(
-    ("choice", "override", "says"),
-    [
-        ("prbs", "amplitude=-1.0", "excitation.amplitude = -1.0"),
-        ("prbs", "register_bits=1", "excitation.register_bits = 1"),
-        ("aprbs", "clock_s=0.0", "excitation.clock_s = 0.0"),
-        ("aprbs", "longest_hold_clocks=0", "excitation.longest_hold_clocks = 0"),
-    ],
-)
+REFUSED_CHOICES = [
+    ("prbs", "amplitude=-1.0", "excitation.amplitude = -1.0"),
+    ("prbs", "register_bits=1", "excitation.register_bits = 1"),
+    ("aprbs", "clock_s=0.0", "excitation.clock_s = 0.0"),
+    ("aprbs", "longest_hold_clocks=0", "excitation.longest_hold_clocks = 0"),
+]
+
+
+@pytest.mark.parametrize(("choice", "override", "says"), REFUSED_CHOICES)
 def test_excitation_values(choice: str, override: str, says: str) -> None:
     with pytest.raises(Exception, match=says):
         from_yaml("excitation", choice, override)
@@ -65,10 +64,8 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused_before_it_does(tmp_pa
         for _ in range(40):
             writer.write_table(table)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    for name, words in (
-        ("a.mat", "more than 128 MiB"),
-        ("a.parquet", "40000000 rows are more than 16777216"),
-    ):
+    cases = (("a.mat", "more than 128 MiB"), ("a.parquet", "40000000 rows are more than 16777216"))
+    for name, words in cases:
         st_size = (tmp_path / name).stat().st_size
         assert st_size < 2**20
         wanted = {"u": "", "y": ""}
@@ -79,29 +76,32 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused_before_it_does(tmp_pa
     assert difference < 350_000  # kilobytes
 
 
-@pytest.mark.parametrize(
-    ("u", "y", "says"),
-    [
-        (
-            pd.DataFrame(np.ones((9, 2)), columns=["a", "a"]),
-            np.ones(9),
-            r"u, y = \['a', 'a', 'y'\]: .*one name",
-        ),
-        (
-            pd.Series(np.ones(9), name="a"),
-            pd.Series(np.ones(9), name="a"),
-            r"u, y = \['a', 'a'\]: .*one name",
-        ),
-        ([], [], r"u = shape \(0,\): not a signal; give an array \(T, channels\)"),
-        ("speed", np.ones(9), r"u = str: not a table of numbers"),
-    ],
-)
+NO_LOGS = [
+    (
+        pd.DataFrame(np.ones((9, 2)), columns=["a", "a"]),
+        np.ones(9),
+        r"u, y = \['a', 'a', 'y'\]: .*one name",
+    ),
+    (
+        pd.Series(np.ones(9), name="a"),
+        pd.Series(np.ones(9), name="a"),
+        r"u, y = \['a', 'a'\]: .*one name",
+    ),
+    ([], [], r"u = shape \(0,\): not a signal; give an array \(T, channels\)"),
+    ("speed", np.ones(9), r"u = str: not a table of numbers"),
+]
+
+
+@pytest.mark.parametrize(("u", "y", "says"), NO_LOGS)
 def test_arrays_that_are_no_log(tmp_path: Path, u: object, y: object, says: str) -> None:
     with pytest.raises(BadRequest, match=says):
         write_log_files(u, y, tmp_path)
 
 
-@pytest.mark.parametrize("change", [{"input_scale": [0.0, 1.0]}, {"output_equilibrium": [np.nan]}])
+NO_SCALES = [{"input_scale": [0.0, 1.0]}, {"output_equilibrium": [np.nan]}]
+
+
+@pytest.mark.parametrize("change", NO_SCALES)
 def test_scales_that_are_none(change: dict[str, list[float]]) -> None:
     input_scale = [1.0, 1.0]
     input_equilibrium = [0.0, 0.0]
@@ -111,10 +111,11 @@ def test_scales_that_are_none(change: dict[str, list[float]]) -> None:
         "input_equilibrium": input_equilibrium,
     }
     numbers = sides | {"output_equilibrium": [0.0]} | change
+    arrays = {name: np.array(values) for name, values in numbers.items()}
     with pytest.raises(
         BadRequest, match="needs positive scales, and one finite equilibrium value for each"
     ):
-        Scale(**{name: np.array(values) for name, values in numbers.items()})
+        Scale(**arrays)
 
 
 @pytest.mark.parametrize("part", ["training", "validation", "test"])
@@ -123,7 +124,8 @@ def test_experiments_without_a_recording(part: str) -> None:
     one = [recording]
     parts = dict.fromkeys(("training", "validation", "test"), one)
     RecordedExperiments(benchmark="own", **parts)
+    fields = parts | {part: []}
     with pytest.raises(
         BadRequest, match=f"data.{part} = none: no recording is named; name at least one"
     ):
-        RecordedExperiments(benchmark="own", **(parts | {part: []}))
+        RecordedExperiments(benchmark="own", **fields)

@@ -41,31 +41,32 @@ def test_what_was_written_holds(stored: dict) -> None:
     system = model().system
     balls = certified_balls(model())
     assert failed_checks(stored, system, balls) == []
-    assert {"e", "f", "g", "lambda"} <= set(stored["state_feedback"])
-    assert {"e", "f", "h", "l_z", "lambda"} <= set(stored["observer"])
+    of_feedback = set(stored["state_feedback"])
+    assert {"e", "f", "g", "lambda"} <= of_feedback
+    of_observer = set(stored["observer"])
+    assert {"e", "f", "h", "l_z", "lambda"} <= of_observer
 
 
-@pytest.mark.parametrize(
-    ("side", "name", "factor", "found"),
-    [
-        ("state_feedback", "e", 0.5, "state_feedback.e: differs"),
-        ("state_feedback", "f", 0.5, "state_feedback.f: differs"),
-        ("state_feedback", "g", 0.5, "state_feedback.g: differs"),
-        ("state_feedback", "lambda", -1.0, "the inequality fails"),
-        ("state_feedback", "k", 100.0, "the inequality fails"),
-        ("observer", "h", np.nan, "observer.h"),
-        ("observer", "e", 0.5, "observer.e: differs"),
-        ("observer", "eta", -1.0, "the inequality fails"),
-        ("observer", "l_z", 100.0, "the inequality fails"),
-        ("observer", "lambda", 1e-3, "the inequality fails"),
-    ],
-)
+ALTERED = [
+    ("state_feedback", "e", 0.5, "state_feedback.e: differs"),
+    ("state_feedback", "f", 0.5, "state_feedback.f: differs"),
+    ("state_feedback", "g", 0.5, "state_feedback.g: differs"),
+    ("state_feedback", "lambda", -1.0, "the inequality fails"),
+    ("state_feedback", "k", 100.0, "the inequality fails"),
+    ("observer", "h", np.nan, "observer.h"),
+    ("observer", "e", 0.5, "observer.e: differs"),
+    ("observer", "eta", -1.0, "the inequality fails"),
+    ("observer", "l_z", 100.0, "the inequality fails"),
+    ("observer", "lambda", 1e-3, "the inequality fails"),
+]
+
+
+@pytest.mark.parametrize(("side", "name", "factor", "found"), ALTERED)
 def test_an_altered_number_is_named(
     stored: dict, side: str, name: str, factor: float, found: str
 ) -> None:
-    value = (
-        (np.array(stored[side][name]) * factor).tolist() if np.isfinite(factor) else [[1.0, 1.0]]
-    )
+    number = np.array(stored[side][name])
+    value = (number * factor).tolist() if np.isfinite(factor) else [[1.0, 1.0]]
     claims = altered(stored, side, name, value)
     assert any(found in claim for claim in claims)
 
@@ -97,9 +98,11 @@ def test_a_theorem_without_neurons_proves_nothing_of_a_model_with_them_and_the_r
         name: part["rate_limit"]
         for name, part in (("plain", other[side]), ("stored", stored[side]))
     }
-    for part, limit, beside in ((other[side], "stored", stored), (stored[side], "plain", other)):
+    cases = ((other[side], "stored", stored), (stored[side], "plain", other))
+    for part, limit, beside in cases:
         forged = part | {"rate_limit": limits[limit]}
-        content = beside | {side: forged | {"digest": certificate_digest(forged)}}
+        digest = certificate_digest(forged)
+        content = beside | {side: forged | {"digest": digest}}
         system = (stand if beside is stored else alone).system
         claims = failed_checks(content, system, certified_balls(stand))
         assert f"{side}: the matrices do not fit the model" in claims

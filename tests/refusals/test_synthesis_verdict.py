@@ -26,7 +26,9 @@ from ssm_study.synthesis.design import DesignAttempt, failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, guaranteed_cost
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
-BALLS = Balls(input=JacobianBall.from_slopes(0.3, 1.0), output=JacobianBall.from_slopes(0.8, 1.2))
+INPUT_BALL = JacobianBall.from_slopes(0.3, 1.0)
+OUTPUT_BALL = JacobianBall.from_slopes(0.8, 1.2)
+BALLS = Balls(input=INPUT_BALL, output=OUTPUT_BALL)
 PLANT = StateSpace(
     a=np.array([[0.95, 0.1], [-0.1, 0.9]]),
     b=np.array([[0.0], [1.0]]),
@@ -59,7 +61,8 @@ def test_an_attempt_without_matrices_is_followed_by_the_next() -> None:
     def nothing() -> Solution:
         raise NoSolution("nothing")
 
-    part = request.first_certified_solution(problem, [nothing, lambda: guaranteed_cost(problem)])
+    methods = [nothing, lambda: guaranteed_cost(problem)]
+    part = request.first_certified_solution(problem, methods)
     assert isinstance(part, StateFeedback)
     assert part.certified
 
@@ -95,7 +98,8 @@ def test_a_certificate_of_another_order_does_not_fit() -> None:
 
 def test_the_digest_is_of_the_numbers_and_not_of_their_order() -> None:
     part = stored(0.3)["observer"]
-    assert certificate_digest(dict(reversed(part.items()))) == part["digest"]
+    backwards = dict(reversed(part.items()))
+    assert certificate_digest(backwards) == part["digest"]
 
 
 def test_a_malformed_part_says_what_is_wrong_with_it() -> None:
@@ -116,7 +120,8 @@ def test_a_malformed_part_says_what_is_wrong_with_it() -> None:
 )
 def test_entries_of_a_matrix_are_numbers(made: Callable[[float], object]) -> None:
     content = stored(0.3)
-    content["observer"]["l"][0][0] = made(content["observer"]["l"][0][0])
+    row = content["observer"]["l"][0]
+    row[0] = made(row[0])
     with pytest.raises(BadRequest, match=r"certificate.observer.l .*not a finite matrix"):
         Design.from_json(content)
 
@@ -141,30 +146,33 @@ def test_a_certificate_that_is_not_a_number_is_not_written(tmp_path: Path) -> No
 @pytest.mark.parametrize("name", ["k", "p", "y", "l", "q", "u"])
 def test_one_matrix_of_another_order_does_not_fit(name: str) -> None:
     design = designed()
-    part, side = (
-        (design.state_feedback, "state_feedback")
-        if name in "kpy"
-        else (design.observer, "observer")
-    )
+    if name in "kpy":
+        part = design.state_feedback
+        side = "state_feedback"
+    else:
+        part = design.observer
+        side = "observer"
+    wrong_shape = np.ones((3, 3))
     object.__setattr__(
-        part, name, np.ones((3, 3))
+        part, name, wrong_shape
     )  # as a file may hold it: its shapes are checked here only
     known = VerificationContext(system=PLANT, controlled=PLANT, balls=BALLS, gains=design.gains)
     assert part.failed_checks(known) == [": the matrices do not fit the model"], side
 
 
-EDGE = {"p": 1.0, "y": 1.0, "sigma": float(np.nextafter(0.5, 0)), "rate": 0.5}
+BELOW_HALF = np.nextafter(0.5, 0)
+EDGE = {"p": 1.0, "y": 1.0, "sigma": float(BELOW_HALF), "rate": 0.5}
 
 
-@pytest.mark.parametrize(
-    ("name", "start", "towards"),
-    [
-        ("p", 1.0, 0.0),
-        ("sigma", EDGE["sigma"], 1.0),
-        ("rate", 0.5, 1.0),
-        ("y", float(np.nextafter(0.5, 1)), 0.0),
-    ],
-)
+STORED_NUMBERS = [
+    ("p", 1.0, 0.0),
+    ("sigma", EDGE["sigma"], 1.0),
+    ("rate", 0.5, 1.0),
+    ("y", float(np.nextafter(0.5, 1)), 0.0),
+]
+
+
+@pytest.mark.parametrize(("name", "start", "towards"), STORED_NUMBERS)
 def test_one_unit_in_the_last_place_of_a_stored_number_is_found(
     name: str, start: float, towards: float
 ) -> None:
@@ -180,19 +188,23 @@ def test_one_unit_in_the_last_place_of_a_stored_number_is_found(
     limit = contraction_frontier(zero, one, ball).rate_limit
     state_feedback = designed().state_feedback
     scalar = replace(state_feedback, a=zero, b=one, p=one, y=one, k=zero, x=zero, rate_limit=limit)
-    text = json.dumps(replace(designed(), state_feedback=scalar).to_json())
+    changed = replace(designed(), state_feedback=scalar)
+    text = json.dumps(changed.to_json())
     content = json.loads(text)
 
     def claims(value: float) -> list[str]:
         part = content["state_feedback"] | EDGE | {name: value}
-        part |= {"certified_rate": part["rate"], **{key: [[part[key]]] for key in "py"}}
+        matrices = {key: [[part[key]]] for key in "py"}
+        part |= {"certified_rate": part["rate"], **matrices}
         state_feedback = part | {"digest": certificate_digest(part)}
         said = failed_checks(content | {"state_feedback": state_feedback}, linear, BALLS)
         return [claim for claim in said if claim.startswith("state_feedback")]
 
     away = 0.0 if towards else 2.0
-    assert claims(start) == claims(float(np.nextafter(start, away))) == []
-    (found,) = claims(float(np.nextafter(start, towards)))
+    next_away = float(np.nextafter(start, away))
+    assert claims(start) == claims(next_away) == []
+    next_towards = float(np.nextafter(start, towards))
+    (found,) = claims(next_towards)
     assert "in exact arithmetic the inequality fails" in found
 
 
@@ -210,7 +222,8 @@ def test_a_rate_of_one_or_more_is_no_certificate_though_the_inequality_may_hold(
     )
     conditions = StateFeedbackOfBall.exact_conditions(**forged.variables)
     assert exact.is_positive_definite(conditions["inequality"]) is (rate > 1)
-    text = json.dumps(replace(designed(), state_feedback=forged).to_json())
+    changed = replace(designed(), state_feedback=forged)
+    text = json.dumps(changed.to_json())
     content = json.loads(text)
     said = failed_checks(content, linear, BALLS)
     assert any("state_feedback.certified = True" in claim for claim in said)
@@ -234,10 +247,16 @@ def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
     assert changed_request.infeasible_beyond_limit() is None
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("rate", 0.0), ("rate", 1.0), ("rate", 1.5), ("input_weight", 0.0), ("input_weight", -1.0)],
-)
+OUTSIDE = [
+    ("rate", 0.0),
+    ("rate", 1.0),
+    ("rate", 1.5),
+    ("input_weight", 0.0),
+    ("input_weight", -1.0),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), OUTSIDE)
 def test_a_problem_outside_its_hypotheses(name: str, value: float) -> None:
     asked = {"rate": 0.1, "input_weight": 1.0, name: value}
     state_weight = np.eye(2)
@@ -249,7 +268,8 @@ def test_the_margin_is_that_of_the_exact_inequality() -> None:
     """The smallest eigenvalue of what exact arithmetic decides on, rounded afterwards; Y is not P
     here."""
     part = designed().state_feedback
-    y = part.y @ np.array([[1.0, 0.1], [0.0, 1.2]])
+    change = np.array([[1.0, 0.1], [0.0, 1.2]])
+    y = part.y @ change
     numbers = part.variables | {"y": y}
     as_floats = type(part).as_floats
     ours, exactly = (
@@ -270,9 +290,11 @@ def test_what_stands_beside_the_matrices() -> None:
     observer = designed().observer
     beyond = designed(0.9).state_feedback
     elapsed = time.perf_counter() - started
-    expected = np.sqrt((feedback.k**2).sum())
+    entries = feedback.k**2
+    expected = np.sqrt(entries.sum())
     assert feedback.gain_norm == pytest.approx(expected)  # one row: its Euclidean length
-    expected = np.sqrt((observer.l**2).sum())
+    entries = observer.l**2
+    expected = np.sqrt(entries.sum())
     assert observer.gain_norm == pytest.approx(expected)
     parts = (feedback, observer, beyond)
     assert all(0 <= part.seconds <= elapsed for part in parts)
