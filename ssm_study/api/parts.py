@@ -285,8 +285,7 @@ class Parts:
 
     def overrides_for_parts(self, *names: str) -> tuple[str, ...]:
         """Command-line overrides that set the named parts of a study or the seeds."""
-        chosen_words = (word for word in self.given if part_name(word) in names)
-        return tuple(chosen_words)
+        return tuple(word for word in self.given if part_name(word) in names)
 
     def command_overrides(self) -> tuple[str, ...]:
         """Choices and settings as overrides for the command line `ssm-study run`."""

@@ -54,8 +54,7 @@ def simulate_given_record(
     record = Trajectory(u=inputs, y=outputs, d=measured, step_s=data.step_s)
     members = model.identification.members or (model.simulator,)
     runs = [Simulation.simulate_records(member, (record,), start_up) for member in members]
-    member_count = len(runs)
-    return runs[0] if member_count == 1 else mean_of_runs(runs)
+    return runs[0] if len(runs) == 1 else mean_of_runs(runs)
 
 
 def read_start_up(start_up_samples: Any, default: int, samples: int) -> int:

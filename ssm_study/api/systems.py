@@ -145,8 +145,7 @@ def read_channel_values(name: str, values: Any, channels: int) -> Float[np.ndarr
     """Read one finite number for each channel. Raises `BadRequest` for anything else."""
     checked_numbers = read_numbers(name, values)
     numbers = checked_numbers.reshape(-1)
-    count = len(numbers)
-    fits = count == channels and bool(np.isfinite(numbers).all())
+    fits = len(numbers) == channels and bool(np.isfinite(numbers).all())
     problem = f"is not {channels} finite numbers, one for each input"
     require(fits, name, values, problem, "give the limits in the input's unit")
     return numbers
@@ -164,8 +163,7 @@ def read_folder(name: str, folder: Any) -> Path:
 
 def _read_matrices(system: tuple[Any, ...]) -> tuple[StateSpace, float]:
     """Read a linear system that is given as (A, B, C, D, step_s)."""
-    length = len(system)
-    require(length == 5, "model", f"a tuple of {len(system)}", "is no linear system", FORMS)
+    require(len(system) == 5, "model", f"a tuple of {len(system)}", "is no linear system", FORMS)
     *matrices, step_s = system
     return _build_state_space(matrices), read_sampling_time(step_s)
 

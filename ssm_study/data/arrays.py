@@ -155,8 +155,7 @@ def disturbance_values(
         return None
     problem = "the model was fitted without measured disturbances"
     remedy = "give them to st.fit"
-    name_count = len(names)
-    require(name_count > 0, "disturbance", "given", problem, remedy)
+    require(len(names) > 0, "disturbance", "given", problem, remedy)
     disturbance_count = len(names)
     table = signal_columns(values, "disturbance", disturbance_count, names)[1]
     problem = f"the input has {samples} samples"
@@ -247,8 +246,7 @@ def check_time_index(u: Any, y: Any, step_s: float | None) -> None:
     tables = pd.Series | pd.DataFrame
     indexed = [(name, side.index) for name, side in sides if isinstance(side, tables)]
     lengths = {len(index) for _, index in indexed}
-    indexed_count = len(indexed)
-    if indexed_count == 2 and len(lengths) == 1:
+    if len(indexed) == 2 and len(lengths) == 1:
         (_, first), (_, second) = indexed
         problem = "their indexes differ: the samples are not of the same times"
         same = first.equals(second)

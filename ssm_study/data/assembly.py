@@ -88,8 +88,7 @@ def _check_record(record: Trajectory, step_s: float, start_up_samples: int) -> N
     is_long = len(record) > start_up_samples + 1
     problem = f"no longer than the start-up window of {start_up_samples} samples"
     remedy = "use a longer record or a smaller data.start_up_samples"
-    samples = len(record)
-    require(is_long, field, samples, problem, remedy)
+    require(is_long, field, len(record), problem, remedy)
     difference_s = record.step_s - step_s
     is_same = abs(difference_s) <= SAME_STEP * step_s
     problem = f"differs from the {step_s:g} s of the first training record"

@@ -51,8 +51,7 @@ def parse_calendar_numbers(title: str, times: Times) -> tuple[Times, str] | None
 def are_unix_times(times: Times) -> bool:
     """Whether increasing numbers are times since 1970, in seconds or a smaller unit."""
     finite = times[np.isfinite(times)]
-    count = len(finite)
-    if count < 3 or finite.min() <= 0:
+    if len(finite) < 3 or finite.min() <= 0:
         return False
     largest = float(finite.max())
     units_s = [unit_s for digits, unit_s in EPOCHS if largest >= digits]

@@ -61,8 +61,7 @@ def clock_unit_s(title: str, stated: str) -> float | None:
         return seconds
     plain_title = title.replace("µ", "μ")
     words = title_words(plain_title)
-    word_count = len(words)
-    last = words[-1] if word_count > 1 else ""
+    last = words[-1] if len(words) > 1 else ""
     whole = title.strip().lower()
     long_words = ("millis", "micros", "seconds", "milliseconds", "microseconds", "minutes", "hours")
     if last in SECONDS:
@@ -79,8 +78,7 @@ def is_clock_name(title: str) -> bool:
     if normalised in WORDS or lower in ("millis", "micros", "seconds"):
         return True
     words = title_words(plain)
-    word_count = len(words)
-    if word_count < 2 or words[-1] not in SECONDS:
+    if len(words) < 2 or words[-1] not in SECONDS:
         return False
     first_words = words[:-1]
     without_unit = "".join(first_words)
@@ -96,8 +94,7 @@ def runs_like_clock(title: str, unit: str, times: ClockTimes) -> bool:
         return False
     is_known_time = np.isfinite(times)
     steps = np.diff(times[is_known_time])
-    step_count = len(steps)
-    return step_count > 1 and bool((steps > 0).mean() > MOSTLY)
+    return len(steps) > 1 and bool((steps > 0).mean() > MOSTLY)
 
 
 def has_clock_word(title: str) -> bool:
@@ -202,8 +199,7 @@ def is_increasing(times: ClockTimes, *, strictly: bool = False) -> bool:
 
 def is_evenly_spaced(times: ClockTimes) -> bool:
     """Whether successive times have the same distance up to a thousandth."""
-    count = len(times)
-    if count < 3 or not np.isfinite(times).all():
+    if len(times) < 3 or not np.isfinite(times).all():
         return False
     steps = np.diff(times)
     spread = np.ptp(steps)

@@ -25,8 +25,7 @@ def find_clock_restarts(time_s: Float[np.ndarray, "T"]) -> list[int]:
         return []
     steps = np.diff(time_s)
     backwards = np.flatnonzero(steps < 0) + 1
-    restart_count = len(backwards)
-    if not restart_count or not (steps > 0).any():
+    if not len(backwards) or not (steps > 0).any():
         return []
     forward_steps = steps[steps > 0]
     period_s = float(np.median(forward_steps))

@@ -19,8 +19,7 @@ Steps = Float[np.ndarray, "_"]
 def unwrap_clock(times: Times, *, is_dated: bool) -> tuple[Times, str]:
     """Unwrap times past a counter overflow or the end of summer time, and describe what was
     changed."""
-    count = len(times)
-    if count < FEWEST or not np.isfinite(times).all():
+    if len(times) < FEWEST or not np.isfinite(times).all():
         return times, ""
     steps = np.diff(times)
     rising = steps[steps > 0]

@@ -47,8 +47,7 @@ def column_facts(name: str, table: Table) -> ColumnFacts:
     values = table.columns[name]
     finite = values[np.isfinite(values)]
     is_held = np.diff(finite) == 0
-    count = len(finite)
-    held_share = float(is_held.mean()) if count > 1 else 0.0
+    held_share = float(is_held.mean()) if len(finite) > 1 else 0.0
     is_dated = name in table.dated
     smallest = finite.min(initial=np.inf)
     largest = finite.max(initial=-np.inf)

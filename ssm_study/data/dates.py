@@ -195,8 +195,7 @@ def choose_increasing_times(readings: list[np.ndarray], samples: int) -> DateSec
         return np.full(samples, np.nan)
     forwards = [one for one in readings if (date_differences_s(one) >= 0).all()]
     chosen = forwards or readings
-    count = len(chosen)
-    if count > 1 and any(has_even_steps(one) for one in chosen):
+    if len(chosen) > 1 and any(has_even_steps(one) for one in chosen):
         chosen = [one for one in chosen if has_even_steps(one)]
     first, *others = map(date_differences_s, chosen)
     if any(not np.allclose(first, other) for other in others):

@@ -150,8 +150,7 @@ class GainSearch:
     def _needs_another_round(self, reached: Sequence[float], target: float, rounds: int) -> bool:
         """Whether the search continues, given the coverage after each round so far."""
         if self.is_brief:
-            rounds_done = len(reached)
-            return rounds_done <= rounds and reached[-1] < target
+            return len(reached) <= rounds and reached[-1] < target
         return is_worth_another_round(reached, target, rounds)
 
     def _score_proposals(

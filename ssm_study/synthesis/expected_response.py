@@ -120,8 +120,7 @@ class ExpectedResponse:
         of a verified design may differ from its candidate's).
         """
         pairs = self.stable_pairs(peaks)
-        pair_count = len(pairs)
-        if not pair_count or not self.mismatch.plant_comes_to_rest:
+        if not len(pairs) or not self.mismatch.plant_comes_to_rest:
             return
         gains = self.candidates.gains(pairs)
         areas = relative_response_areas(self.model, gains, validation, limits)

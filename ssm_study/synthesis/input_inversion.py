@@ -47,8 +47,7 @@ def model_behind_map(model: Model) -> Model:
 
 def records_behind_map(model: Model, records: Trajectories) -> Trajectories:
     """Records with `v = S_u(u)`, the input after the input map, in place of the input."""
-    mapped_records = (replace(record, u=model.map_input(record.u)) for record in records)
-    return tuple(mapped_records)
+    return tuple(replace(record, u=model.map_input(record.u)) for record in records)
 
 
 def mismatch_behind_map(

@@ -98,8 +98,7 @@ class _Prepared(ast.NodeTransformer):
             comparison = self._comparison_expression(left, operator, right)
             comparisons.append(comparison)
             left = right
-        count = len(comparisons)
-        return comparisons[0] if count == 1 else ast.BoolOp(ast.And(), comparisons)
+        return comparisons[0] if len(comparisons) == 1 else ast.BoolOp(ast.And(), comparisons)
 
     def _comparison_expression(
         self, left: ast.expr, operator: ast.cmpop, right: ast.expr

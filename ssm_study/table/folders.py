@@ -86,8 +86,7 @@ def _matching_names(names: list[str], part: str) -> list[str]:
 def _run_names(study: Path) -> list[str]:
     """Names of the runs of a study that left a record."""
     records = study.glob(f"*/{RECORD}")
-    names = (record.parent.name for record in records)
-    return sorted(names)
+    return sorted(record.parent.name for record in records)
 
 
 def _list_names(names: list[str]) -> str:

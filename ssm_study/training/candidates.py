@@ -64,8 +64,7 @@ class Candidate:
         """Whether a candidate's error on the folds is clearly larger than another's. It exceeds the
         other's by that share of it, and by one standard error or on all folds but one: a single odd
         piece makes the standard error large."""
-        own_folds = len(self.errors)
-        if own_folds < len(other.errors):
+        if len(self.errors) < len(other.errors):
             return True
         other_folds = len(other.errors)
         excess = self.errors[:other_folds] - other.errors

@@ -68,8 +68,7 @@ class Windows:
         shortest = min(records, key=len)
         problem = f"the record {shortest.name} has only {len(shortest)} samples"
         remedy = "shorten the windows or use null"
-        shortest_samples = len(shortest)
-        require(self.samples <= shortest_samples, field, self.samples, problem, remedy)
+        require(self.samples <= len(shortest), field, self.samples, problem, remedy)
         problem = f"the {start_up_samples} start-up samples leave nothing to score"
         fits = self.samples > start_up_samples
         require(fits, field, self.samples, problem, "lengthen the windows")
