@@ -29,7 +29,9 @@ OPTIMISERS = sorted(path.stem for path in (CONF / "training" / "optimiser").glob
 
 
 PACKAGES = {"n4sid": "nfoursid"}  # the extra "baselines"
-FEWER = dict.fromkeys(("structured", "log"), ("model.starts=1", "model.draws=2"))
+# Few steps of few starts: what is judged is that a model comes of it and replays.
+BRIEF = ("model.starts=1", "model.draws=2", "model.start_steps=[5,3,3]")
+FEWER = dict.fromkeys(("structured", "log"), BRIEF)
 
 
 def read(group: str, choice: str, *overrides: str) -> Any:

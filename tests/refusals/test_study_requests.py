@@ -256,6 +256,7 @@ def test_a_finished_run_says_that_its_data_have_changed(
         "training.max_epochs=3",
         "synthesis=riccati",
         "loop.initial_conditions=2",
+        "loop.horizon_s=3",
         "study=log",
     ]
     words += ["synthesis.rate_controller=0.5", "synthesis.rate_observer=0.6"]
