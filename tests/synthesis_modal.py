@@ -41,14 +41,15 @@ def modal_gain(
     with conjugate b."""
     fast = np.abs(eigenvalues) > contraction
     modes = eigenvalues[fast]
-    moved = modes[:, None] - contraction**2 / modes.conj()
+    reflected = contraction**2 / modes.conj()
+    moved = modes[:, None] - reflected
     apart = modes[:, None] - modes
     np.fill_diagonal(apart, 1.0)
     k = np.zeros(len(eigenvalues), dtype=complex)
     # One quotient at a time: the products alone overflow for hundreds of modes.
-    k[fast] = -np.prod(moved / apart, axis=1) / (
-        b[fast] * (1 - ball.relative_radius**2) * ball.alpha
-    )
+    reach = b[fast] * (1 - ball.relative_radius**2)
+    product = np.prod(moved / apart, axis=1)
+    k[fast] = -product / (reach * ball.alpha)
     return k
 
 
@@ -58,7 +59,8 @@ def modal_energy(
     """`W` of the fast modes (all `|lambda| > r`): Hermitian; `P = (1/delta^2 - 1) W` with sigma =
     1."""
     outer_product = np.outer(b, b.conj())
-    difference = np.outer(eigenvalues, eigenvalues.conj()) - contraction**2
+    products = np.outer(eigenvalues, eigenvalues.conj())
+    difference = products - contraction**2
     return outer_product / difference
 
 
@@ -68,13 +70,16 @@ def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver:
     modes = split_modes(problem.a, problem.b, faster)
     m = problem.b.shape[1]
     if modes.fast == 0:
-        fast = FastGain(k=np.zeros((m, len(problem.a))), p=np.zeros((0, 0)))
+        no_metric = np.zeros((0, 0))
+        no_gain = np.zeros((m, len(problem.a)))
+        fast = FastGain(k=no_gain, p=no_metric)
         p = weighted_block_metric(problem, modes, fast)
         return Solution(p=p, y=p, k=fast.k, sigma=1.0, status="no fast modes")
     ah = modes.a_fast / faster
     bh = modes.b_fast / faster
     root = inverse_time_gramian_root(ah, bh)
-    balanced_a = scipy.linalg.solve_triangular(root, ah @ root, lower=True)
+    transformed = ah @ root
+    balanced_a = scipy.linalg.solve_triangular(root, transformed, lower=True)
     balanced_b = scipy.linalg.solve_triangular(root, bh, lower=True)
     state_weight = np.eye(modes.fast)
     lmi = CompiledLmi(
@@ -94,7 +99,9 @@ def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver:
     found = lmi.solve(changed_problem, solver)
     triangular = scipy.linalg.solve_triangular(root, found.k.T, lower=True, trans="T")
     k = triangular.T @ modes.left[: modes.fast]
-    fast = FastGain(k=k, p=root @ (found.p / found.sigma) @ root.T)
+    metric = found.p / found.sigma
+    scaled_metric = root @ (metric) @ root.T
+    fast = FastGain(k=k, p=scaled_metric)
     p = weighted_block_metric(problem, modes, fast)
     return Solution(p=p, y=p, k=k, sigma=1.0, status=f"{found.status} on {modes.fast} fast modes")
 
@@ -130,4 +137,5 @@ class ModalLmiSynthesis(Synthesis):
         r = problem.contraction
         solve = partial(solve_on_fast_modes, objective=self.objective, solver=self.solver)
         floor = max(frontier.contraction_limit, FASTEST * r)
-        return [partial(solve, problem, float(r * (floor / r) ** share)) for share in SHARES]
+        rates = [float(r * (floor / r) ** share) for share in SHARES]
+        return [partial(solve, problem, rate) for rate in rates]

@@ -31,7 +31,8 @@ def test_signals_stay_within_the_amplitude_and_use_it(name: str) -> None:
     upper_limit = np.array(REQUEST.amplitude) * (1 + 1e-12)
     assert (np.abs(u) <= upper_limit).all()
     lower_limit = 0.7 * np.array(REQUEST.amplitude)
-    assert (np.abs(u).max(axis=0) > lower_limit).all()
+    largest = np.abs(u).max(axis=0)
+    assert (largest > lower_limit).all()
 
 
 @EVERY
@@ -43,14 +44,16 @@ def test_equal_generators_give_equal_signals_and_others_do_not(name: str) -> Non
     expected = excitation.signal(REQUEST, rng)
     np.testing.assert_array_equal(first, expected)
     rng = np.random.default_rng(4)
-    assert not np.array_equal(first, excitation.signal(REQUEST, rng))
+    second = excitation.signal(REQUEST, rng)
+    assert not np.array_equal(first, second)
 
 
 @EVERY
 def test_channels_differ(name: str) -> None:
     rng = np.random.default_rng(0)
     u = from_yaml("excitation", name).signal(REQUEST, rng)
-    assert np.abs(np.corrcoef(u.T)[0, 1]) < 0.9
+    correlation = np.corrcoef(u.T)[0, 1]
+    assert np.abs(correlation) < 0.9
 
 
 @EVERY
@@ -58,7 +61,8 @@ def test_every_excitation_identifies_order_eight(name: str) -> None:
     """With a clock of twice the sampling time; band-limited signals reach less at slower clocks,
     and should."""
     rng = np.random.default_rng(0)
-    u = from_yaml("excitation", name).signal(replace(REQUEST, clock_s=0.02), rng)
+    faster = replace(REQUEST, clock_s=0.02)
+    u = from_yaml("excitation", name).signal(faster, rng)
     assert persistency_order(u) >= 17
 
 
@@ -78,7 +82,8 @@ def test_a_prbs_is_a_maximum_length_sequence() -> None:
     prbs = PRBS(register_bits=7)
     rng = np.random.default_rng(0)
     u = prbs.signal(request, rng)[:, 0]
-    correlation = np.fft.ifft(np.abs(np.fft.fft(u)) ** 2).real / length
+    spectrum = np.abs(np.fft.fft(u))
+    correlation = np.fft.ifft(spectrum**2).real / length
     actual = correlation[1:]
     np.testing.assert_allclose(actual, -1 / length, atol=1e-12)
 
@@ -86,8 +91,10 @@ def test_a_prbs_is_a_maximum_length_sequence() -> None:
 def test_coverage_tells_two_levels_from_many() -> None:
     plant = from_yaml("plant", "dc_motor")
     data = from_yaml("data", "simulated", "trajectories=4", "test_samples=400")
-    many = data.build(plant, from_yaml("excitation", "aprbs"), 0)
-    two = data.build(plant, from_yaml("excitation", "prbs"), 0)
+    aprbs = from_yaml("excitation", "aprbs")
+    many = data.build(plant, aprbs, 0)
+    prbs = from_yaml("excitation", "prbs")
+    two = data.build(plant, prbs, 0)
     assert input_coverage(many) > 0.8
     assert input_coverage(two) == pytest.approx(0.1)
     assert warn_if_two_level(many) is None
@@ -133,25 +140,31 @@ def test_clipping_lowers_the_crest_factor(seed: int) -> None:
     rng = np.random.default_rng(seed)
     random = multisine.signal(ONE, rng)[:, 0]
     rng = np.random.default_rng(seed)
-    clipped = Multisine().signal(ONE, rng)[:, 0]
+    signal = Multisine().signal(ONE, rng)
+    clipped = signal[:, 0]
     assert crest_factor(clipped) < 0.75 * crest_factor(random)
     assert crest_factor(clipped) < 2.0
 
 
 def test_a_chirp_sweeps_its_band() -> None:
     rng = np.random.default_rng(0)
-    u = from_yaml("excitation", "chirp", "low_hz=1.0", "high_hz=4.0").signal(ONE, rng)
-    differences = np.diff(np.sign(u[:, 0]))
+    chirp = from_yaml("excitation", "chirp", "low_hz=1.0", "high_hz=4.0")
+    u = chirp.signal(ONE, rng)
+    signs = np.sign(u[:, 0])
+    differences = np.diff(signs)
     crossings = np.flatnonzero(differences)
     differences = np.diff(crossings)
     halves = differences * ONE.step_s
-    assert 0.5 / halves[0] == pytest.approx(1.0, rel=0.2)
-    assert 0.5 / halves[-1] == pytest.approx(4.0, rel=0.2)
+    first_hz = 0.5 / halves[0]
+    assert first_hz == pytest.approx(1.0, rel=0.2)
+    last_hz = 0.5 / halves[-1]
+    assert last_hz == pytest.approx(4.0, rel=0.2)
 
 
 def test_a_staircase_holds_uniform_levels() -> None:
     rng = np.random.default_rng(0)
-    u = from_yaml("excitation", "staircase").signal(ONE, rng)[:, 0]
+    staircase = from_yaml("excitation", "staircase")
+    u = staircase.signal(ONE, rng)[:, 0]
     actual = np.unique(u)
     expected = np.linspace(-2.0, 2.0, 11)
     np.testing.assert_allclose(actual, expected, atol=1e-12)
@@ -179,7 +192,8 @@ def test_a_file_is_taken_as_it_is(tmp_path: Path) -> None:
     path = str(tmp_path / "u.csv")
     own = OwnSignal(path=path, column="volt")
     for record in asked.build(plant, own, 0).training:  # from rest on, as the file has it
-        applied = record.u[:, 0] - plant.equilibrium().u[0]
+        rest = plant.equilibrium().u[0]
+        applied = record.u[:, 0] - rest
         difference = np.abs(values - applied[0])
         position_of_smallest = difference.argmin()
         start = int(position_of_smallest)

@@ -61,18 +61,18 @@ def test_equal_meanings_have_equal_keys() -> None:
     c = [1, 2.5]
     a = {"c": c, "d": 2}
     c = (1, 2.5)
-    assert digest_of_value({"b": 2, "a": a}) == digest_of_value({"a": {"d": 2.0, "c": c}, "b": 2.0})
+    reordered = {"a": {"d": 2.0, "c": c}, "b": 2.0}
+    assert digest_of_value({"b": 2, "a": a}) == digest_of_value(reordered)
     assert canonical_json(True) != canonical_json(1)
     assert canonical_json("1") != canonical_json(1)
 
 
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+
+
 @given(
     st.recursive(
-        st.none()
-        | st.booleans()
-        | st.integers()
-        | st.floats(allow_nan=False, allow_infinity=False)
-        | st.text(),
+        st.none() | st.booleans() | st.integers() | FINITE | st.text(),
         lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
     )
 )
@@ -108,7 +108,8 @@ def harm(path: Path, damage: str) -> None:
     if damage == "flip":
         content[len(content) // 2] ^= 1
     truncate = content[:-1]
-    path.write_bytes({"flip": content, "truncate": truncate, "extend": content + b" "}[damage])
+    damaged = {"flip": content, "truncate": truncate, "extend": content + b" "}
+    path.write_bytes(damaged[damage])
 
 
 def test_no_flipped_bit_anywhere_in_a_stage_is_silent(tmp_path: Path) -> None:
@@ -118,7 +119,8 @@ def test_no_flipped_bit_anywhere_in_a_stage_is_silent(tmp_path: Path) -> None:
     for name in [*CONTENT, MANIFEST]:
         original = (stage.path / name).read_bytes()
         smallest = min(150, 8 * len(original))
-        for bit in rng.choice(8 * len(original), size=smallest, replace=False):
+        bits = rng.choice(8 * len(original), size=smallest, replace=False)
+        for bit in bits:
             flipped = bytearray(original)
             flipped[bit // 8] ^= 1 << (bit % 8)
             (stage.path / name).write_bytes(flipped)
@@ -205,9 +207,11 @@ def test_two_nodes_that_do_not_see_each_others_locks_share_their_stages(tmp_path
         assert [worker.wait(timeout=120) for worker in workers] == expected
         return ledger.read_text().splitlines()
 
-    assert 6 <= len(nodes(a="012345", b="543210")) <= 8
+    nodes_of_reversed = nodes(a="012345", b="543210")
+    assert 6 <= len(nodes_of_reversed) <= 8
     assert nodes(c="012345") == []
-    assert 3 <= len(nodes(a="abc", b="abc")) <= 6
+    nodes_of_equal = nodes(a="abc", b="abc")
+    assert 3 <= len(nodes_of_equal) <= 6
     paths = (store / "model").iterdir()
     folders = list(paths)
     assert len(folders) == 9
@@ -313,7 +317,8 @@ def test_a_plan_computes_nothing_and_knows_every_key(tmp_path: Path) -> None:
         settings = {"order": 8}
         model = stages.run_stage(stage, settings, None, data)
         settings = {"rate": rate}
-        stage = stages.run_stage(Stage(name="synthesis", compute=write_kept), settings, None, model)
+        synthesis = Stage(name="synthesis", compute=write_kept)
+        stage = stages.run_stage(synthesis, settings, None, model)
         result = stage.result
         return result.key
 
@@ -351,11 +356,10 @@ def test_a_plan_reckons_with_the_mean_of_what_was_timed(
         )
 
     walks = [walk("model", k) for k in range(3)]
-    assert plan_lines(store, walks, 3, 0, 2)[-1] == "estimated time: about 21 s with 2 at a time"
-    assert (
-        plan_lines(store, [*walks, walk("data", 0)], 3, 0, 2)[-1]
-        == "estimated time: at least 21 s with 2 at a time"
-    )
+    plan = plan_lines(store, walks, 3, 0, 2)
+    assert plan[-1] == "estimated time: about 21 s with 2 at a time"
+    with_unknown = plan_lines(store, [*walks, walk("data", 0)], 3, 0, 2)
+    assert with_unknown[-1] == "estimated time: at least 21 s with 2 at a time"
     for seconds, said in (
         (66.0, "99 s"),
         (200 / 3, "2 min"),
@@ -363,10 +367,8 @@ def test_a_plan_reckons_with_the_mean_of_what_was_timed(
         (4000.0, "1.7 h"),
     ):
         known["model"] = seconds
-        assert (
-            plan_lines(store, walks, 3, 0, 2)[-1]
-            == f"estimated time: about {said} with 2 at a time"
-        )
+        plan_of_known = plan_lines(store, walks, 3, 0, 2)
+        assert plan_of_known[-1] == f"estimated time: about {said} with 2 at a time"
 
 
 @pytest.mark.parametrize("name", ["../model", "a/b", "", ".hidden"])

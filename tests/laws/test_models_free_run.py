@@ -36,7 +36,8 @@ def model() -> SSM:
 
 def record(model: SSM, x0: np.ndarray, noise: float = 0.0) -> Trajectory:
     rng = np.random.default_rng(0)
-    u = 1.0 + np.repeat(rng.uniform(-2, 2, (40, 1)), 5, axis=0)
+    levels = rng.uniform(-2, 2, (40, 1))
+    u = 1.0 + np.repeat(levels, 5, axis=0)
     y = model.simulate(u, x0)
     white_noise = rng.standard_normal(y.shape)
     return Trajectory(u=u, y=y + noise * white_noise, step_s=0.1)
@@ -45,21 +46,26 @@ def record(model: SSM, x0: np.ndarray, noise: float = 0.0) -> Trajectory:
 def test_the_state_is_found_from_the_samples_that_are_not_scored(model: SSM) -> None:
     """Without noise what is left of the unknown start after the start-up samples is a few percent
     of it."""
-    seen = record(model, np.array([1.5, -0.4]))
-    difference = np.abs(simulate_record(model, seen, 20) - seen.y)
+    x0 = np.array([1.5, -0.4])
+    seen = record(model, x0)
+    simulated = simulate_record(model, seen, 20)
+    difference = np.abs(simulated - seen.y)
     left = difference[20:].max()
     response = model.simulate(seen.u)
     difference = np.abs(response - seen.y)
     largest = difference[20:].max()
     upper_limit = 0.05 * largest
     assert left < upper_limit
-    difference = abs(estimate_initial_state(model, seen, 20)[0] - 1.5)
+    first_state = estimate_initial_state(model, seen, 20)[0]
+    difference = abs(first_state - 1.5)
     assert difference < 0.1
 
 
 def test_noise_is_not_taken_for_a_state(model: SSM) -> None:
-    seen = record(model, np.array([1.5, -0.4]), noise=0.05)
-    estimated = fit_percent(seen.y, simulate_record(model, seen, 20), 20)
+    x0 = np.array([1.5, -0.4])
+    seen = record(model, x0, noise=0.05)
+    simulated = simulate_record(model, seen, 20)
+    estimated = fit_percent(seen.y, simulated, 20)
     response = model.simulate(seen.u)
     percent = fit_percent(seen.y, response, 20)
     lower_limit = percent + 5
@@ -67,8 +73,10 @@ def test_noise_is_not_taken_for_a_state(model: SSM) -> None:
 
 
 def test_without_start_up_samples_every_sample_is_predicted_from_rest(model: SSM) -> None:
-    seen = record(model, np.array([1.5, -0.4]))
-    assert np.array_equal(simulate_record(model, seen, 0), model.simulate(seen.u))
+    x0 = np.array([1.5, -0.4])
+    seen = record(model, x0)
+    simulated = simulate_record(model, seen, 0)
+    assert np.array_equal(simulated, model.simulate(seen.u))
 
 
 def test_a_state_the_input_never_reaches_is_not_invented(model: SSM) -> None:
@@ -76,15 +84,19 @@ def test_a_state_the_input_never_reaches_is_not_invented(model: SSM) -> None:
     u = np.ones((50, 1))
     y = np.full((50, 1), 5.0)
     still = Trajectory(u=u, y=y, step_s=0.1)
-    largest = np.abs(estimate_initial_state(model, still, 10)).max()
+    estimated = estimate_initial_state(model, still, 10)
+    largest = np.abs(estimated).max()
     assert largest < 1e-12
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_an_unstable_model_of_which_numbers_overflow_starts_at_rest(model: SSM) -> None:
-    seen = record(model, np.array([1.5, -0.4]))
-    unstable = model.with_linear_part(replace(model.linear, a=1e3 * model.linear.a))
-    assert np.array_equal(estimate_initial_state(unstable, seen, 200), np.zeros(2))
+    x0 = np.array([1.5, -0.4])
+    seen = record(model, x0)
+    unstable_part = replace(model.linear, a=1e3 * model.linear.a)
+    unstable = model.with_linear_part(unstable_part)
+    estimated = estimate_initial_state(unstable, seen, 200)
+    assert np.array_equal(estimated, np.zeros(2))
     assert estimate_initial_state(model, seen, 200).any()
 
 
@@ -93,7 +105,8 @@ def test_the_gramian_of_a_record_is_the_sum_over_it() -> None:
     plain sum."""
     rng = np.random.default_rng(3)
     white_noise = rng.standard_normal((3, 3))
-    fast = np.diag([0.8, -0.5, 0.2]) + 0.02 * white_noise
+    modes = np.diag([0.8, -0.5, 0.2])
+    fast = modes + 0.02 * white_noise
     b = rng.standard_normal((3, 2))
     actual = reachability_gramian(fast, b, 4000)
     expected = solve_discrete_lyapunov(fast, b @ b.T)

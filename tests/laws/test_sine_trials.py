@@ -40,14 +40,17 @@ from ssm_study.synthesis.withheld_coverage import reported_coverage
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 FAST = design(input_weight=1e-3)
 SHARE = 0.2
-MISMATCH = measure_mismatch(SSM_MODEL, records(scaled_model(SHARE), noise=1e-3))
+NOISY_RECORDS = records(scaled_model(SHARE), noise=1e-3)
+MISMATCH = measure_mismatch(SSM_MODEL, NOISY_RECORDS)
 
 
 def sine(answer, line: int, amplitude: float, noise: float, seed: int = 0) -> Trajectory:
-    wave = amplitude * np.sin(2 * np.pi * line * np.arange(PERIOD) / PERIOD)
+    angles = 2 * np.pi * line * np.arange(PERIOD) / PERIOD
+    wave = amplitude * np.sin(angles)
     u = np.tile(wave[:, None], (3, 1))
     rng = np.random.default_rng(seed)
-    y = answer(u) + noise * rng.standard_normal(u.shape)
+    white_noise = rng.standard_normal(u.shape)
+    y = answer(u) + noise * white_noise
     return Trajectory(u=u, y=y, step_s=0.01, name="sine")
 
 
@@ -59,7 +62,8 @@ def test_a_sine_shows_the_gain_of_its_line(line: int) -> None:
     assert measured.angle == pytest.approx(expected)
     expected = 0.5 / np.sqrt(2)
     assert measured.amplitude == pytest.approx(expected, rel=1e-3)
-    response = frequency_response(MODEL, np.array([measured.angle]))[0, 0, 0]
+    angles = np.array([measured.angle])
+    response = frequency_response(MODEL, angles)[0, 0, 0]
     exact = SHARE * abs(response)
     assert exact * 0.999 < measured.gain < 1.05 * exact + 1e-3
 
@@ -76,7 +80,8 @@ def test_what_noise_hides_is_not_zero() -> None:
     small = tuple(sine(scaled_model(SHARE), 43, 0.01, 1e-3, seed) for seed in range(40))
     sine_mismatch = measure_sine_mismatch(SSM_MODEL, small, MISMATCH, PERIOD)
     limits = [trial.gain for trial in sine_mismatch]
-    exact = SHARE * abs(frequency_response(MODEL, np.array([2 * np.pi * 43 / PERIOD]))[0, 0, 0])
+    response = frequency_response(MODEL, np.array([2 * np.pi * 43 / PERIOD]))
+    exact = SHARE * abs(response[0, 0, 0])
     mean = np.mean(np.array(limits) > exact)
     assert mean > 0.9
 
@@ -87,7 +92,8 @@ def test_a_sine_that_shows_more_than_the_records_refutes_the_prediction() -> Non
     (line, *_) = sensitive_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
     angle = 2 * np.pi * line / PERIOD
     loop = error_to_input_response(SSM_MODEL.linear, FAST.pair, 1.0, 1.0)
-    peak = abs(frequency_response(loop, np.array([angle]))[0, 0, 0])
+    response = frequency_response(loop, np.array([angle]))
+    peak = abs(response[0, 0, 0])
     harmful = SineMismatch(angle=angle, amplitude=0.3, gain=1.2 / peak)
     facts = sine_columns(FAST, SSM_MODEL, BALLS, MISMATCH, [harmful])
     assert facts["predicted_stable"] is False
@@ -96,7 +102,8 @@ def test_a_sine_that_shows_more_than_the_records_refutes_the_prediction() -> Non
     facts = sine_columns(FAST, SSM_MODEL, BALLS, MISMATCH, [harmless])
     expected = {"predicted_stable": True, "sine_margin": before.resolved_margin}
     assert facts == expected
-    assert sine_columns(FAST, SSM_MODEL, BALLS, MISMATCH, []) == {}
+    without_sines = sine_columns(FAST, SSM_MODEL, BALLS, MISMATCH, [])
+    assert without_sines == {}
 
 
 def test_a_sine_below_every_record_has_a_view_of_its_own() -> None:
@@ -112,7 +119,8 @@ def test_a_sine_below_every_record_has_a_view_of_its_own() -> None:
     actual = views[1].by_frequency
     np.testing.assert_array_equal(actual, smallest.by_frequency)
     by_frequency = views[0].by_frequency
-    interpolated_values = np.interp(0.3, np.linspace(0, np.pi, 33), by_frequency)
+    angles = np.linspace(0, np.pi, 33)
+    interpolated_values = np.interp(0.3, angles, by_frequency)
     assert interpolated_values == pytest.approx(5.0)
 
 
@@ -121,7 +129,8 @@ def test_the_trials_lie_at_the_peaks_of_the_sensitivity() -> None:
     assert 1 <= len(lines) <= 2
     angles = 2 * np.pi * np.arange(4, PERIOD // 2) / PERIOD
     loop = error_to_input_response(SSM_MODEL.linear, FAST.pair, 1.0, 1.0)
-    size = np.abs(frequency_response(loop, angles)[:, 0, 0])
+    responses = frequency_response(loop, angles)
+    size = np.abs(responses[:, 0, 0])
     largest = max(size[line - 4] for line in lines)
     assert largest > 0.99 * size.max()
 
@@ -129,7 +138,8 @@ def test_the_trials_lie_at_the_peaks_of_the_sensitivity() -> None:
 def test_where_no_noise_is_known_nothing_is_tried() -> None:
     unknown = replace(MISMATCH, noise=())
     assert lines_to_test(FAST, SSM_MODEL, BALLS, unknown, PERIOD) == []
-    assert len(lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)) > 0
+    lines = lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)
+    assert len(lines) > 0
 
 
 def test_the_simulated_sines_repeat_and_reach_down_to_a_hundredth() -> None:
@@ -158,7 +168,8 @@ def test_the_simulated_sines_repeat_and_reach_down_to_a_hundredth() -> None:
 @pytest.fixture(scope="module")
 def covered() -> tuple[Design, float]:
     """A design whose proof covers the records, and its coverage."""
-    premise = measure_premise(SSM_MODEL, (), MISMATCH, 0, records(scaled_model(SHARE), noise=1e-3))
+    noisy_records = records(scaled_model(SHARE), noise=1e-3)
+    premise = measure_premise(SSM_MODEL, (), MISMATCH, 0, noisy_records)
     proved = add_coverage_certificate(FAST, SSM_MODEL, BALLS, premise)
     coverage = reported_coverage(proved, SSM_MODEL, premise)
     assert coverage is not None
@@ -178,8 +189,10 @@ def test_a_sine_asks_of_the_disc_what_its_record_asks(centre: float) -> None:
     other = requirement_from_sine(spectrum, centre)
     assert item is not None
     input_power = other.input_power.sum()
-    np.testing.assert_allclose(item.seen, other.seen / input_power, rtol=1e-9)
-    np.testing.assert_allclose(item.model_power, other.model_power / input_power, rtol=1e-9)
+    power_ratio = other.seen / input_power
+    np.testing.assert_allclose(item.seen, power_ratio, rtol=1e-9)
+    model_power_ratio = other.model_power / input_power
+    np.testing.assert_allclose(item.model_power, model_power_ratio, rtol=1e-9)
     np.testing.assert_allclose(item.angles, other.angles)
 
 
@@ -190,7 +203,8 @@ def test_the_proof_covers_only_what_it_covers_at_the_sines(covered: tuple[Design
     facts = sine_coverage_columns(proved, [usual], coverage)
     assert facts["sine_coverage"] > 1
     assert usual.error_power is not None
-    larger = replace(usual, error_power=usual.error_power * (2 * facts["sine_coverage"]) ** 2)
+    larger_gain = 2 * facts["sine_coverage"]
+    larger = replace(usual, error_power=usual.error_power * larger_gain ** 2)
     facts = sine_coverage_columns(proved, [usual, larger], coverage)
     assert facts["coverage"] == facts["sine_coverage"]
     assert facts["coverage"] == pytest.approx(0.5, rel=0.1)

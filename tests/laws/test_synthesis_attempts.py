@@ -14,10 +14,8 @@ from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, guaranteed_cos
 from ssm_study.synthesis.minimum_energy import SHARES, minimum_energy_attempts
 from ssm_study.systems import JacobianBall
 
-BALLS = [
-    JacobianBall(alpha=1.0, beta=0.0),
-    JacobianBall.from_slopes(0.4, 1.0),
-]  # a frontier at r = 0, one above it
+UNIT_SLOPE = JacobianBall(alpha=1.0, beta=0.0)
+BALLS = [UNIT_SLOPE, JacobianBall.from_slopes(0.4, 1.0)]  # a frontier at r = 0, one above it
 
 
 def problem(ball: JacobianBall, rate: float = 0.1) -> Problem:
@@ -36,7 +34,8 @@ def shares(asked: Problem, contractions: list[float]) -> np.ndarray:
     where that is zero."""
     contraction_limit = limits(asked).contraction_limit
     floor = max(contraction_limit, asked.contraction / 2)
-    return np.log(np.array(contractions) / asked.contraction) / np.log(floor / asked.contraction)
+    logs = np.log(np.array(contractions) / asked.contraction)
+    return logs / np.log(floor / asked.contraction)
 
 
 @pytest.mark.parametrize("ball", BALLS)
@@ -51,7 +50,8 @@ def test_gains_in_closed_form_are_built_inside_the_room(ball: JacobianBall) -> N
             found = attempt()
         except NoSolution:
             continue
-        rate = float(found.status.split("at rate ")[1].split(",")[0])
+        words = found.status.split("at rate ")[1]
+        rate = float(words.split(",")[0])
         assert asked.rate < rate < limits(asked).rate_limit
         assert 1 <= found.sigma < 2
         made.append((found.sigma, found.status))
@@ -92,8 +92,9 @@ def test_the_smallest_tau_itself_is_not_admissible() -> None:
     """`kappa = 0`: the equation says nothing of the input, though it still has a solution where A
     is stable."""
     one = np.ones((1, 1))
+    state_weight = 0.1 * one
     asked = Problem(
-        a=0.5 * one, b=one, ball=BALLS[0], rate=0.1, state_weight=0.1 * one, input_weight=1.0
+        a=0.5 * one, b=one, ball=BALLS[0], rate=0.1, state_weight=state_weight, input_weight=1.0
     )
     assert solve_at_tau(asked, 1.0) is None
     assert solve_at_tau(asked, 2.0) is not None
@@ -108,7 +109,8 @@ def test_without_a_radius_the_weights_give_the_linear_quadratic_regulator() -> N
     a = asked.a / r
     b = 2.0 * asked.b / r
     s = scipy.linalg.solve_discrete_are(a, b, asked.state_weight, np.eye(1))
-    gain = -np.linalg.solve(np.eye(1) + b.T @ s @ b, b.T @ s @ a)
+    input_cost = np.eye(1) + b.T @ s @ b
+    gain = -np.linalg.solve(input_cost, b.T @ s @ a)
     actual = guaranteed_cost(asked).k
     np.testing.assert_allclose(actual, gain, rtol=1e-6)
 
@@ -118,7 +120,8 @@ def test_the_weights_are_tried_at_the_asked_rate_and_two_faster_ones_before_the_
 ):
     asked = problem(BALLS[1])
     method = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
-    attempts = method.solution_attempts(asked, limits(asked))[:5]
+    attempts_at_all_rates = method.solution_attempts(asked, limits(asked))
+    attempts = attempts_at_all_rates[:5]
     said = [attempt().status.split()[0] for attempt in attempts]
     expected = ["tau", "tau", "tau", "minimum", "minimum"]
     assert said == expected

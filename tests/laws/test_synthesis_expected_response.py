@@ -39,6 +39,7 @@ def response(monkeypatch: pytest.MonkeyPatch) -> ExpectedResponse:
     ls = gains[:1]
     grid = Candidates(feedback=(), ks=gains, observing=(), ls=ls)
     mismatch = Mismatch(views=())
+
     return ExpectedResponse(
         model=motor_model(), balls=BALLS, candidates=grid, mismatch=mismatch, margin=1.0
     )
@@ -75,7 +76,8 @@ def test_without_a_faster_pair_the_others_are_still_offered(response, monkeypatc
 
 def test_a_plant_that_does_not_rest_is_offered_nothing(response):
     restless = Mismatch(views=(), left_at_rest=0.5)
-    moving = ExpectedResponse(**{**vars(response), "mismatch": restless})
+    fields = {**vars(response), "mismatch": restless}
+    moving = ExpectedResponse(**fields)
     assert order_of(moving) == []
 
 
@@ -100,7 +102,8 @@ def test_the_compared_pairs_are_the_fastest_and_some_of_the_rest():
     assert min(compared) < 10  # the slowest are among them
     slow = np.array([True, False])
     expected = [1, 0]
-    assert indices_to_compare(np.array([0.1, 0.8]), slow) == expected
+    areas = np.array([0.1, 0.8])
+    assert indices_to_compare(areas, slow) == expected
 
 
 def test_a_decay_is_answered_by_the_model_alone():
@@ -109,7 +112,8 @@ def test_a_decay_is_answered_by_the_model_alone():
     linear = model.linear
     input_equilibrium = model.scale.input_equilibrium
     u = np.tile(input_equilibrium, (200, 1))
-    y = model.simulate(np.tile(input_equilibrium, (200, 1)), START)
+    resting_input = np.tile(input_equilibrium, (200, 1))
+    y = model.simulate(resting_input, START)
     trial = Trajectory(u=u, y=y, step_s=model.step_s)
     rng = RNG.standard_normal((400, linear.b.shape[1]))
     u = input_equilibrium + rng
@@ -118,9 +122,12 @@ def test_a_decay_is_answered_by_the_model_alone():
     decays = simulate_decays(model, (trial,), (excited,))
     assert len(decays) == 1
     k = np.zeros((1, 1, model.order))
-    none = Gains(k=k, l=np.zeros((1, model.order, 1)))
-    assert largest_settling_time_ratios(model, none, decays, 0.05) == pytest.approx([1.0])
+    no_injection = np.zeros((1, model.order, 1))
+    none = Gains(k=k, l=no_injection)
+    ratios = largest_settling_time_ratios(model, none, decays, 0.05)
+    assert ratios == pytest.approx([1.0])
     assert not largest_settling_time_ratios(model, none, NO_DECAYS, 0.05).any()
     u = trial.u + 1.0
     moving = replace(trial, u=u)
-    assert not len(simulate_decays(model, (moving,), (excited,)))
+    simulated = simulate_decays(model, (moving,), (excited,))
+    assert not len(simulated)

@@ -58,7 +58,8 @@ def test_what_was_swept_stands_before_what_came_of_it() -> None:
 def test_settings_of_the_command_tell_runs_apart() -> None:
     """Settings that no column of their own repeats tell runs apart: in `show`, in filters and on
     the page."""
-    settings = [(step_s, undone) for step_s in (0.005, 0.02) for undone in (False, True)]
+    sampling_times_s = (0.005, 0.02)
+    settings = [(step_s, undone) for step_s in sampling_times_s for undone in (False, True)]
     table = table_from_records(
         {
             "run": f"r-{i}",
@@ -82,6 +83,7 @@ def test_settings_of_the_command_tell_runs_apart() -> None:
 
 
 def test_a_side_that_nobody_certified_is_not_said_to_be() -> None:
+    verdicts = [(True, True), (True, None), (None, True), (None, None)]
     rows = [
         {
             "run": f"r-{i}",
@@ -89,9 +91,7 @@ def test_a_side_that_nobody_certified_is_not_said_to_be() -> None:
             "controller_certified": controller,
             "observer_certified": observer,
         }
-        for i, (controller, observer) in enumerate(
-            [(True, True), (True, None), (None, True), (None, None)]
-        )
+        for i, (controller, observer) in enumerate(verdicts)
     ]
     lines = render_table(table_from_records(rows)).splitlines()[1:]
     expected = ["both", "ctl", "obs", "-"]

@@ -24,7 +24,8 @@ def loop(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`x+ = 0.9 x + 0.1 u` under a PI, y with noise half as large as what the input moves."""
     rng = np.random.default_rng(seed)
-    r = rng.uniform(-1, 1, SAMPLES // 10).repeat(10)
+    levels = rng.uniform(-1, 1, SAMPLES // 10)
+    r = levels.repeat(10)
     w = 0.2 * rng.standard_normal(SAMPLES)
     u = np.zeros(SAMPLES)
     y = np.zeros(SAMPLES)
@@ -32,7 +33,8 @@ def loop(
     i = 0.0
     slow = 0.0
     for k in range(SAMPLES):
-        slow = drift * slow + np.sqrt(1 - drift**2) * w[k]
+        shock = np.sqrt(1 - drift**2) * w[k]
+        slow = drift * slow + shock
         y[k] = x + slow
         e = r[k] - y[k]
         u[k], i = GAIN * (e + i), i + STEP_S / integral_s * e
@@ -55,14 +57,8 @@ def fitted(u: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def written(folder: Path, *columns: np.ndarray) -> str:
-    np.savetxt(
-        folder / "log.csv",
-        np.column_stack(columns),
-        delimiter=",",
-        header="r,u,y",
-        comments="",
-        fmt="%.12g",
-    )
+    signals = np.column_stack(columns)
+    np.savetxt(folder / "log.csv", signals, delimiter=",", header="r,u,y", comments="", fmt="%.12g")
     return str(folder / "log.csv")
 
 
@@ -71,12 +67,14 @@ def test_the_set_point_of_a_pi_is_found_again() -> None:
     rows = reconstruct_pi_set_point(log(u, y), GAIN, INTEGRAL_S)
     found = rows[:, 0]
     late = SAMPLES // 10  # what the integral held at the start is forgotten by then
-    difference = np.abs((found - r)[late:] - (found - r)[-1])
+    deviation = (found - r)[late:]
+    difference = np.abs(deviation - deviation[-1])
     largest_difference = difference.max()
     assert largest_difference < 1e-9
     rows = reconstruct_pi_set_point(log(u, y), 2 * GAIN, INTEGRAL_S)
     wrong = rows[:, 0]
-    largest = np.abs((wrong - r)[late:]).max()
+    deviation = (wrong - r)[late:]
+    largest = np.abs(deviation).max()
     assert largest > 0.1
 
 
@@ -149,9 +147,11 @@ def test_refusals(tmp_path: Path) -> None:
     for controller in ([0.0, 1.0], [1.0], [1.0, -1.0]):
         with pytest.raises(BadRequest, match="is no PI; give"):
             RecordedData(**asked, controller=controller)
+    clipped = log(np.clip(u, -1, 1), y)
     with pytest.raises(BadRequest, match="are at a limit of the input"):
-        reconstruct_pi_set_point(log(np.clip(u, -1, 1), y), GAIN, INTEGRAL_S)
-    trajectory = Trajectory(u=np.stack([u, u], axis=1), y=y[:, None], step_s=STEP_S)
+        reconstruct_pi_set_point(clipped, GAIN, INTEGRAL_S)
+    two_inputs = np.stack([u, u], axis=1)
+    trajectory = Trajectory(u=two_inputs, y=y[:, None], step_s=STEP_S)
     with pytest.raises(BadRequest, match="a PI has one each"):
         reconstruct_pi_set_point(trajectory, GAIN, INTEGRAL_S)
     logs = [log(u[:300], y[:300])]

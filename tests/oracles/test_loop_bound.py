@@ -34,7 +34,8 @@ def certified(model: SSM) -> tuple[StateFeedback, Observer]:
     ball = JacobianBall.from_slopes(lower, upper)
     frontier = controller_frontier(model.linear, ball)
     limit = frontier.rate_limit
-    synthesis = RiccatiSynthesis(rate_controller=0.9 * limit, rate_observer=0.5, input_weight=0.1)
+    rate = 0.9 * limit
+    synthesis = RiccatiSynthesis(rate_controller=rate, rate_observer=0.5, input_weight=0.1)
     feedback = synthesis.state_feedback(model.linear, ball)
     observer = synthesis.observer(model.linear, IDENTITY)
     assert feedback.certified
@@ -78,7 +79,8 @@ def test_measured_is_within_certified(seed):
     assert bound_violations == 0
     d, e = metric_distances(run.states, run.estimate, feedback, observer)
     floor = 1e-12 * e[:, :1]  # of the start: below it, differences of two states are rounding
-    upper_limit = observer.contraction * e[:, :-1] * (1 + 1e-9) + floor
+    decayed = observer.contraction * e[:, :-1]
+    upper_limit = decayed * (1 + 1e-9) + floor
     assert (e[:, 1:] <= upper_limit).all()
     largest = d[:, -1].max()
     upper_limit = 1e-3 * d[:, 0].max()
@@ -105,9 +107,11 @@ def test_decay_of_a_known_error_is_that_decay():
     x = np.zeros((2, 200, 4))
     rng = np.random.default_rng(0)
     direction = rng.standard_normal(4)
-    shrink = np.array([[0.8], [0.7]]) ** np.arange(200)
+    factors = np.array([[0.8], [0.7]])
+    shrink = factors ** np.arange(200)
     x_hat = shrink[:, :, None] * direction
-    assert estimation_decay_rate(x, x_hat, feedback, observer) == pytest.approx(1 - 0.64, rel=1e-9)
+    decay_rate = estimation_decay_rate(x, x_hat, feedback, observer)
+    assert decay_rate == pytest.approx(1 - 0.64, rel=1e-9)
     assert estimation_decay_rate(x, x, feedback, observer) is None
 
 
@@ -119,18 +123,24 @@ def test_an_estimate_beyond_its_bound_is_measured_as_a_share_of_the_start():
     pushed = np.zeros_like(run.estimate)
     x0 = run.states[:, 0]
     x_hat = pushed[:, :1]
-    d, e = metric_distances(run.states[:, :1], x_hat, feedback, observer)
+    start = run.states[:, :1]
+    d, e = metric_distances(start, x_hat, feedback, observer)
     matrices = (feedback.p, observer.q)
     root_p, root_q = (np.linalg.cholesky(matrix) for matrix in matrices)
     inverse = np.linalg.inv(root_p)
-    kappa = np.linalg.norm(inverse @ np.linalg.inv(root_q).T, 2)
+    inverse_root = np.linalg.inv(root_q)
+    kappa = np.linalg.norm(inverse @ inverse_root.T, 2)
     d0 = d[:, 0]
     e0 = e[:, 0]
     bound = distance_bound(d0, e0, 120, feedback, observer)
-    bound = bound + kappa * e * observer.contraction ** np.arange(120)
-    pushed[7, 40] = root_p[:, 0] * (bound[7, 40] + 0.3 * bound[7, 0])
-    assert relative_bound_excess(pushed, x0, feedback, observer) == pytest.approx(0.3, rel=1e-6)
-    assert relative_bound_excess(pushed, np.zeros_like(x0), feedback, observer) is None
+    decay = observer.contraction ** np.arange(120)
+    bound = bound + kappa * e * decay
+    distance = bound[7, 40] + 0.3 * bound[7, 0]
+    pushed[7, 40] = root_p[:, 0] * distance
+    excess = relative_bound_excess(pushed, x0, feedback, observer)
+    assert excess == pytest.approx(0.3, rel=1e-6)
+    excess_from_rest = relative_bound_excess(pushed, np.zeros_like(x0), feedback, observer)
+    assert excess_from_rest is None
 
 
 def test_a_rate_that_is_not_certified_is_caught():
@@ -141,7 +151,8 @@ def test_a_rate_that_is_not_certified_is_caught():
     boast_observer = replace(observer, rate=0.99)
     bound_violations = count_bound_violations(run.states, run.estimate, boast, boast_observer)
     assert bound_violations > 0
-    assert estimation_decay_rate(run.states, run.estimate, feedback, observer) < boast_observer.rate
+    decay_rate = estimation_decay_rate(run.states, run.estimate, feedback, observer)
+    assert decay_rate < boast_observer.rate
 
 
 def test_the_bound_is_the_sum_it_says():
@@ -153,13 +164,16 @@ def test_the_bound_is_the_sum_it_says():
     r_o = observer.contraction
     inverse = np.linalg.inv(feedback.p)
     linear_b = model.linear.b
-    into = np.linalg.norm(np.linalg.cholesky(inverse).T @ linear_b, 2)
-    inverse = np.linalg.inv(np.linalg.cholesky(observer.q).T)
+    root = np.linalg.cholesky(inverse)
+    into = np.linalg.norm(root.T @ linear_b, 2)
+    root_of_observer = np.linalg.cholesky(observer.q)
+    inverse = np.linalg.inv(root_of_observer.T)
     out = np.linalg.norm(feedback.k @ inverse, 2)
     slopes = model.scaffold_in.slopes
     largest = float(slopes.max())
     c = largest * into * out
     k = 7
-    expected = r_c**k * 2.0 + c * 3.0 * sum(r_c ** (k - 1 - i) * r_o**i for i in range(k))
+    injected = [r_c ** (k - 1 - i) * r_o**i for i in range(k)]
+    expected = r_c**k * 2.0 + c * 3.0 * sum(injected)
     distances = distance_bound(d0, e0, 10, feedback, observer)
     assert distances[0, k] == pytest.approx(expected, rel=1e-9)

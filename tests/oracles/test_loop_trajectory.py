@@ -52,7 +52,9 @@ def test_what_is_left_of_zero_by_rounding_is_reached(inputs, size):
 
 
 def test_a_value_the_map_does_not_reach_is_refused():
-    weights = (np.array([[1.0], [1.0]]), np.array([[1.0, -1.0]]))
+    two_equal = np.array([[1.0], [1.0]])
+    difference_of_both = np.array([[1.0, -1.0]])
+    weights = (two_equal, difference_of_both)
     biases = (np.array([0.0, 1.0]),)
     negative_slopes = (np.zeros(2),)
     positive_slopes = (np.ones(2),)
@@ -91,7 +93,8 @@ def test_a_planned_trajectory_is_the_models_own_and_near():
     x = plan[:, :2]
     u = plan[:, 2:]
     actual = x[1:]
-    expected = model.advance(x[:-1], model.scaffold_in(u[:-1]))
+    drive = model.scaffold_in(u[:-1])
+    expected = model.advance(x[:-1], drive)
     np.testing.assert_allclose(actual, expected, atol=1e-9)
     y = model.output_at(x, model.scaffold_in(u))
     difference = np.abs(y - reference)
@@ -107,9 +110,8 @@ def test_no_other_trajectory_costs_less():
     white_noise = rng.standard_normal((60, 2))
     walk = np.cumsum(0.1 * white_noise, axis=0)
     output_equilibrium = model.scale.output_equilibrium
-    reference = output_equilibrium + np.concatenate(
-        [walk, np.tile(walk[-1], (150, 1))]
-    )  # ends at rest
+    resting = np.tile(walk[-1], (150, 1))
+    reference = output_equilibrium + np.concatenate([walk, resting])  # ends at rest
     plan = feasible_trajectory(model, reference)
     v = model.scaffold_in(plan[:, model.order :])
     target = model.scale.scaled_output(reference)
@@ -117,12 +119,16 @@ def test_no_other_trajectory_costs_less():
     def cost(inputs: np.ndarray) -> float:
         y, _ = model.linear.simulate(inputs, plan[0, : model.order])
         differences = np.diff(inputs, axis=0, prepend=0)
-        return float(((y - target) ** 2).sum() + (differences**2).sum())
+        output_cost = ((y - target) ** 2).sum()
+        input_cost = (differences**2).sum()
+        return float(output_cost + input_cost)
 
     for _ in range(5):
         step = np.zeros_like(v)
         step[:60] = rng.standard_normal((60, 2))
-        difference = cost(v + 1e-4 * step) - cost(v - 1e-4 * step)
+        ahead = cost(v + 1e-4 * step)
+        behind = cost(v - 1e-4 * step)
+        difference = ahead - behind
         slope = difference / 2e-4
         assert abs(slope) < 1e-6
         assert cost(v + 0.05 * step) > cost(v)
@@ -138,7 +144,8 @@ def test_the_loop_converges_to_any_planned_trajectory_of_its_model():
     loop_runs = loop.run_design(plant, model, motor_design(), seed=0)
     run = loop_runs.controlled
     plan = feasible_trajectory(model, run.reference)
-    target = model.output_at(plan[:, :2], model.scaffold_in(plan[:, 2:]))
+    drive = model.scaffold_in(plan[:, 2:])
+    target = model.output_at(plan[:, :2], drive)
     difference = np.abs(run.y - target)
     largest = difference[:, 300:].max()
     assert largest < 1e-3
@@ -154,14 +161,16 @@ def test_the_true_motor_reaches_a_set_speed_within_what_the_model_misses(speed):
     loop_runs = loop.run_design(motor(), motor_model(), motor_design(), seed=0)
     run = loop_runs.controlled
     assert run.stayed_within_bound.all()
-    difference = np.abs(run.y[:, -1, 0] - speed)
+    last_output = run.y[:, -1, 0]
+    difference = np.abs(last_output - speed)
     largest_difference = difference.max()
     assert largest_difference < 1.5
 
 
 def test_set_points_hold_each_value():
     model = motor_model()
-    reference = np.repeat([[1.0], [-3.0], [1.0]], 5, axis=0)
+    levels = [[1.0], [-3.0], [1.0]]
+    reference = np.repeat(levels, 5, axis=0)
     points = set_point_equilibria(model, reference)
     for k in (0, 7, 14):
         expected = np.concatenate(scaled_equilibrium(model, reference[k]))
@@ -206,7 +215,8 @@ def test_rest_is_planned_as_rest():
 
 def test_a_planned_step_ends_at_its_set_point():
     model = motor_model()
-    reference = np.repeat([[0.0], [5.0]], 300, axis=0)
+    levels = [[0.0], [5.0]]
+    reference = np.repeat(levels, 300, axis=0)
     plan = feasible_trajectory(model, reference)
     actual = plan[-1]
     y = np.array([5.0])

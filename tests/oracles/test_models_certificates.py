@@ -25,7 +25,8 @@ def lipschitz_matrix(scaffold: ResidualScaffold) -> np.ndarray:
     sizes = [w.shape[1] for w in weights]
     running_sum = np.cumsum(sizes)
     offsets = np.concatenate([[0], running_sum])
-    matrix = np.zeros((offsets[-1], offsets[-1]))
+    size = offsets[-1]
+    matrix = np.zeros((size, size))
     block = [slice(offsets[i], offsets[i + 1]) for i in range(len(sizes))]
     matrix[block[0], block[0]] = np.eye(sizes[0])
     for layer, t in enumerate(multipliers, start=1):
@@ -51,7 +52,8 @@ def test_the_stored_multipliers_prove_the_residual_map_1_lipschitz(depth: int, s
     smallest = eigenvalues.min()
     assert smallest > -1e-9
     data = frozen.to_json()
-    data["weights"][0] = (1.2 * np.array(data["weights"][0])).tolist()
+    larger = 1.2 * np.array(data["weights"][0])
+    data["weights"][0] = larger.tolist()
     scaffold = ResidualScaffold.from_json(data)
     eigenvalues = np.linalg.eigvalsh(lipschitz_matrix(scaffold))
     smallest = eigenvalues.min()
@@ -100,7 +102,8 @@ def test_a_ball_that_the_multipliers_do_not_prove_is_not_believed(channels: int)
         jacobians = [told.jacobian(point) for point in points]
         alpha = bound.ball.alpha
         eye = alpha * np.eye(channels)
-        farthest = max(float(np.linalg.norm(j - eye, 2)) for j in jacobians)
+        distances = [float(np.linalg.norm(j - eye, 2)) for j in jacobians]
+        farthest = max(distances)
         assert bound.method != "construction"
         assert liar.beta < farthest <= bound.ball.beta * (1 + 1e-9)
 
@@ -132,11 +135,10 @@ def test_a_certificate_with_the_small_ball_of_an_honest_map_is_refused() -> None
     text = json.dumps(design.to_json())
     content = json.loads(text)
     assert failed_checks(content, system, small) == []  # what was believed before
-    slopes = [liar.jacobian(np.array([v]))[0, 0] for v in np.linspace(-3, 3, 400)]
-    radii = [
-        np.abs(np.linalg.eigvals(system.a + s * system.b @ design.state_feedback.k)).max()
-        for s in slopes
-    ]
+    points = np.linspace(-3, 3, 400)
+    slopes = [liar.jacobian(np.array([v]))[0, 0] for v in points]
+    k = design.state_feedback.k
+    radii = [np.abs(np.linalg.eigvals(system.a + s * system.b @ k)).max() for s in slopes]
     assert max(radii) > 1
     ball = jacobian_ball(liar).ball
     derived = Balls(input=ball, output=exact)
@@ -148,7 +150,8 @@ def test_the_perceptron_of_one_channel_can_saturate() -> None:
     """Both outer slopes at the floor, steep in the middle: out of reach of positive weights,
     whatever their values."""
     frame_slopes = (0.1, 1.0)
-    samples = np.linspace(-1, 1, 50)[:, None]
+    even_points = np.linspace(-1, 1, 50)
+    samples = even_points[:, None]
     frame = MapContext(width=8, slopes=frame_slopes, samples=samples)
     mlp = Mlp(depth=1, train_slopes=True, certified=True)
     rng = np.random.default_rng(0)

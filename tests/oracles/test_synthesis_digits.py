@@ -42,7 +42,8 @@ def hard_problem(gap: float) -> Problem:
 
 
 def longer(matrix: np.ndarray) -> arb_mat:
-    return arb_mat([[arb(float(value)) for value in row] for row in matrix])
+    rows = [[arb(float(value)) for value in row] for row in matrix]
+    return arb_mat(rows)
 
 
 def least_metric(problem: Problem, k: np.ndarray, contraction: float, scale: np.ndarray) -> arb_mat:
@@ -51,17 +52,25 @@ def least_metric(problem: Problem, k: np.ndarray, contraction: float, scale: np.
     r = arb(contraction)
     n = len(problem.a)
     alpha = problem.ball.alpha
-    closed = (longer(problem.a) + arb(alpha) * longer(problem.b) * longer(k)) / r
+    long_b = longer(problem.b)
+    driven = arb(alpha) * long_b * longer(k)
+    closed = (longer(problem.a) + driven) / r
     a = closed.transpose()
     b = longer(problem.b) / r
     identity = longer(np.eye(n))
     beta = problem.ball.beta
-    g = -(arb(beta) ** 2) * longer(k).transpose() * longer(k)
-    h = b * b.transpose() + arb(SLACK) * longer(scale) * longer(scale).transpose()
+    long_gain = longer(k)
+    squared_beta = arb(beta) ** 2
+    g = -squared_beta * long_gain.transpose() * long_gain
+    long_scale = longer(scale)
+    scaled = arb(SLACK) * long_scale * long_scale.transpose()
+    h = b * b.transpose() + scaled
     for _ in range(12):
         inverse = (identity + g * h).inv().mid()
-        h = (h + a.transpose() * h * inverse * a).mid()
-        g = (g + a * inverse * g * a.transpose()).mid()
+        controlled = a.transpose() * h * inverse * a
+        h = (h + controlled).mid()
+        observed = a * inverse * g * a.transpose()
+        g = (g + observed).mid()
         a = (a * inverse * a).mid()
     return (h + h.transpose()) / 2
 
@@ -75,7 +84,8 @@ def rounded(metric: arb_mat, bits: int) -> Exact:
         for i in range(metric.nrows())
     ]
     ctx.prec = before
-    shift = max(0, *(-int(exponent) for row in parts for _, exponent in row))
+    exponents = [-int(exponent) for row in parts for _, exponent in row]
+    shift = max(0, *exponents)
     scaled = [
         [int(mantissa) << (shift + int(exponent)) for mantissa, exponent in row] for row in parts
     ]
@@ -97,12 +107,15 @@ def test_its_gain_is_right_and_its_metric_lacks_a_few_bits(long_numbers: None) -
     """The gain as stored, in floats, is certified by a metric of 62 bits; the same metric in 53 is
     none."""
     problem = hard_problem(1e-4)
-    limit = contraction_frontier(problem.a, problem.b, problem.ball).contraction_limit
-    faster = float(problem.contraction * (limit / problem.contraction) ** 0.5)
+    frontier = contraction_frontier(problem.a, problem.b, problem.ball)
+    limit = frontier.contraction_limit
+    share = (limit / problem.contraction) ** 0.5
+    faster = float(problem.contraction * share)
     modes = split_modes(problem.a, problem.b, faster)
     k = minimum_energy_gain(modes, problem.ball, faster).k
     between = float(faster * (problem.contraction / faster) ** 0.2)
-    metric = least_metric(problem, k, between, modes.right @ _state_scales(problem, modes, faster))
+    scale = modes.right @ _state_scales(problem, modes, faster)
+    metric = least_metric(problem, k, between, scale)
     assert certified(problem, k, metric, 62)
     assert not certified(problem, k, metric, MANTISSA)
 
