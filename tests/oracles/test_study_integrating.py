@@ -103,6 +103,7 @@ def test_a_linear_model_with_its_integrator_goes_the_whole_way(tmp_path: Path) -
         "model.order=1",
         "model.neurons=1",
         "model.starts=1",
+        "model.draws=2",
         "model.among_starts=null",
         "model.ridge=0.1",
     )
@@ -110,7 +111,9 @@ def test_a_linear_model_with_its_integrator_goes_the_whole_way(tmp_path: Path) -
     assert isinstance(model.ssm, SSM)
     assert model.ssm.linear.integrates
     assert model.facts["fit_test_percent"] > 90
-    design = st.control(model, "synthesis=auto_integral", "loop.initial_conditions=2", *FEW)
+    search = ("synthesis.integral_weights=[0.001,0.01]", "+synthesis.observer_rates=[0.1,0.3]")
+    words = ("synthesis=auto_integral", "loop.initial_conditions=2", *FEW, *search)
+    design = st.control(model, *words)
     assert design.certificate.certified
     assert design.record["stable_fraction"] == 1
     run = design.save(tmp_path / "saved")
