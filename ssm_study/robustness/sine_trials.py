@@ -13,6 +13,8 @@ import numpy as np
 
 from ssm_study.bounds.frequency import frequency_response
 from ssm_study.models.structured import Model
+from ssm_study.robustness.bands import ANGLES
+from ssm_study.robustness.margin_by_frequency import margin_curves
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.record_errors import RecordErrors
 from ssm_study.robustness.sensitivity import (
@@ -51,11 +53,38 @@ def sensitive_lines(model: Model, pair: Gains, balls: Balls, period: int) -> lis
     are lines of a period, at peaks of `|T_ue|`."""
     lines: list[int] = []
     for angle in peak_frequencies(model, pair, balls):
-        line = int(np.rint(angle * period / (2 * np.pi)))
-        line = min(max(line, FEWEST_LINES), period // 2 - 1)
+        line = nearest_line(angle, period)
         if line not in lines:
             lines.append(line)
     return sorted(lines[:PEAKS])
+
+
+def deciding_line(
+    model: Model, pair: Gains, balls: Balls, mismatch: Mismatch, period: int
+) -> int | None:
+    """Spectral line at which the broadband records leave the smallest stability margin; None if
+    they leave any. The lowest frequencies, below the first band, are left out: what counts there is
+    an offset.
+
+    A loop whose `|T_ue|` is flat may swing far from its peak, where the records show a large model
+    error but jitter over a steep curve, so that a single sine meets a larger one.
+    """
+    gains = np.zeros(len(FINE_ANGLES))
+    for curve in margin_curves(model, pair, balls, mismatch):
+        if curve.amplitude is not None:
+            gains = np.maximum(gains, 1 / curve.margin)
+    gains = np.where(ANGLES[1] > FINE_ANGLES, 0.0, gains)
+    deciding = int(gains.argmax())
+    if gains[deciding] == 0:
+        return None
+    return nearest_line(float(FINE_ANGLES[deciding]), period)
+
+
+def nearest_line(angle: float, period: int) -> int:
+    """Spectral line of a period nearest to a frequency (rad/sample), with a few cycles in the
+    period at least."""
+    line = int(np.rint(angle * period / (2 * np.pi)))
+    return min(max(line, FEWEST_LINES), period // 2 - 1)
 
 
 def measure_sine_mismatch(

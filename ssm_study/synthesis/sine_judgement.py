@@ -17,6 +17,7 @@ from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sine_trials import (
     SineMismatch,
     add_sines_to_mismatch,
+    deciding_line,
     measure_sine_mismatch,
     sensitive_lines,
 )
@@ -31,7 +32,11 @@ def lines_to_test(
     inverts the input map, and if the noise is unknown."""
     if not design.feasible or design.inverts_input_map or not mismatch.noise:
         return []
-    return sensitive_lines(model, design.pair, balls, period)
+    lines = sensitive_lines(model, design.pair, balls, period)
+    deciding = deciding_line(model, design.pair, balls, mismatch, period)
+    if deciding is not None and deciding not in lines:
+        lines.append(deciding)
+    return lines
 
 
 def simulated_sines(

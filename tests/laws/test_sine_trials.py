@@ -29,6 +29,7 @@ from ssm_study.robustness.sensitivity import error_to_input_response
 from ssm_study.robustness.sine_trials import (
     SineMismatch,
     add_sines_to_mismatch,
+    deciding_line,
     measure_sine_mismatch,
     sensitive_lines,
 )
@@ -133,6 +134,32 @@ def test_the_trials_lie_at_the_peaks_of_the_sensitivity() -> None:
     size = np.abs(responses[:, 0, 0])
     largest = max(size[line - 4] for line in lines)
     assert largest > 0.99 * size.max()
+
+
+def test_the_line_where_the_records_decide_the_margin_is_tried_last() -> None:
+    """The frequency of the largest `g |T_ue|`, which the peak of `|T_ue|` alone may miss."""
+    lines = lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)
+    at_peaks = sensitive_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
+    assert lines[: len(at_peaks)] == at_peaks
+    deciding = deciding_line(SSM_MODEL, FAST.pair, BALLS, MISMATCH, PERIOD)
+    assert deciding in lines
+    hidden = replace(MISMATCH.views[-1], by_frequency=1e-6 * np.ones(33))
+    gain_at_one_band = hidden.by_frequency.copy()
+    gain_at_one_band[7] = 0.1
+    everything_counts = {"linear": 0 * hidden.linear, "rest": gain_at_one_band}
+    peaked = replace(hidden, by_frequency=gain_at_one_band, **everything_counts)
+    mismatch = replace(MISMATCH, views=(peaked,))
+    line = deciding_line(SSM_MODEL, FAST.pair, BALLS, mismatch, PERIOD)
+    assert line is not None
+    assert abs(2 * np.pi * line / PERIOD - 7 * np.pi / 32) < np.pi / 32
+
+
+def test_records_without_a_mismatch_decide_at_no_line() -> None:
+    view = MISMATCH.views[-1]
+    none = np.zeros(33)
+    silent = replace(view, by_frequency=none, linear=0 * view.linear, rest=none)
+    mismatch = replace(MISMATCH, views=(silent,))
+    assert deciding_line(SSM_MODEL, FAST.pair, BALLS, mismatch, PERIOD) is None
 
 
 def test_where_no_noise_is_known_nothing_is_tried() -> None:
