@@ -94,7 +94,7 @@ class DrawnDesigns:
         facts = sine_coverage_columns(proved, sines, coverage)
         return {
             "coverage": coverage or "",
-            "sine_coverage": facts.get("sine_coverage", ""),
+            "sine_coverage": facts.get("sine_coverage") or "",
             "sine_predicted": judged.get("predicted_stable", ""),
         }
 

@@ -215,6 +215,7 @@ def recompute_sine_columns(
         specification.data,
         specification.plant,
         specification.seed,
+        only_peaks="sine_coverage" not in run.record,
     )
     facts = sine_columns(run.design, run.model, balls, mismatch, sines)
     if "sine_coverage" in run.record:

@@ -26,13 +26,21 @@ from ssm_study.systems import Balls
 
 
 def lines_to_test(
-    design: Design, model: Model, balls: Balls, mismatch: Mismatch, period: int
+    design: Design,
+    model: Model,
+    balls: Balls,
+    mismatch: Mismatch,
+    period: int,
+    *,
+    only_peaks: bool = False,
 ) -> list[int]:
     """Spectral lines at which a design is to be tested with single sines. Empty for a law that
-    inverts the input map, and if the noise is unknown."""
+    inverts the input map, and if the noise is unknown. `only_peaks`: those of earlier runs."""
     if not design.feasible or design.inverts_input_map or not mismatch.noise:
         return []
     lines = sensitive_lines(model, design.pair, balls, period)
+    if only_peaks:
+        return lines
     deciding = deciding_line(model, design.pair, balls, mismatch, period)
     if deciding is not None and deciding not in lines:
         lines.append(deciding)
@@ -40,13 +48,21 @@ def lines_to_test(
 
 
 def simulated_sines(
-    design: Design, model: Model, balls: Balls, mismatch: Mismatch, data: Any, plant: Any, seed: int
+    design: Design,
+    model: Model,
+    balls: Balls,
+    mismatch: Mismatch,
+    data: Any,
+    plant: Any,
+    seed: int,
+    *,
+    only_peaks: bool = False,
 ) -> list[SineMismatch]:
     """Model errors at a design's critical frequencies, measured with single sines on the simulated
     plant."""
     from ssm_study.data.simulated import PERIOD
 
-    lines = lines_to_test(design, model, balls, mismatch, PERIOD)
+    lines = lines_to_test(design, model, balls, mismatch, PERIOD, only_peaks=only_peaks)
     records = data.simulate_sensitive_sines(plant, seed, lines)
     return measure_sine_mismatch(model, records, mismatch, PERIOD)
 
@@ -69,20 +85,22 @@ def sine_columns(
 def sine_coverage_columns(
     design: Design, sines: Sequence[SineMismatch], coverage: float | None
 ) -> dict[str, Any]:
-    """Columns of the model error that the proof covers at the single sines; empty without a proof
-    or sines.
+    """Columns of the model error that the proof covers at the single sines; null without a proof,
+    empty without sines.
 
     `coverage` is that over the run's records, None where nothing is covered. The premise must hold
     for the sines, too, so where they need more, theirs takes its place.
     """
     part = design.extra_certificates.get(MeasuredDiscs.part)
-    if coverage is None or not isinstance(part, MeasuredDiscs):
+    if not sines:
         return {}
+    if coverage is None or not isinstance(part, MeasuredDiscs):
+        return {"sine_coverage": None}
     measured = [requirement_from_measured_sine(sine, part.centre) for sine in sines]
     items = [item for item in measured if item is not None]
     need, where = certificate_weights(part).largest_required_radius(items)
     if need <= 0:
-        return {}
+        return {"sine_coverage": None}
     sine_coverage = part.kappa / need
     facts: dict[str, Any] = {"sine_coverage": sine_coverage}
     if sine_coverage < coverage:

@@ -141,6 +141,7 @@ def test_the_line_where_the_records_decide_the_margin_is_tried_last() -> None:
     lines = lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)
     at_peaks = sensitive_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
     assert lines[: len(at_peaks)] == at_peaks
+    assert lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD, only_peaks=True) == at_peaks
     deciding = deciding_line(SSM_MODEL, FAST.pair, BALLS, MISMATCH, PERIOD)
     assert deciding in lines
     hidden = replace(MISMATCH.views[-1], by_frequency=1e-6 * np.ones(33))
@@ -241,10 +242,11 @@ def test_the_proof_covers_only_what_it_covers_at_the_sines(covered: tuple[Design
 def test_without_a_coverage_or_powers_the_sines_change_none(covered: tuple[Design, float]) -> None:
     proved, coverage = covered
     gain_alone = SineMismatch(angle=0.3, amplitude=0.3, gain=5.0)
-    assert sine_coverage_columns(proved, [gain_alone], coverage) == {}
+    null = {"sine_coverage": None}
+    assert sine_coverage_columns(proved, [gain_alone], coverage) == null
     assert sine_coverage_columns(proved, [], coverage) == {}
     powers = {"error_power": 25.0, "model_power": 1.0, "cross_power": 0.0, "noise_power": 0.0}
     harmful = replace(gain_alone, **powers)
-    assert sine_coverage_columns(proved, [harmful], None) == {}
-    assert sine_coverage_columns(FAST, [harmful], coverage) == {}
+    assert sine_coverage_columns(proved, [harmful], None) == null
+    assert sine_coverage_columns(FAST, [harmful], coverage) == null
     assert sine_coverage_columns(proved, [harmful], coverage)["coverage"] < 1
