@@ -65,11 +65,12 @@ OPENING = """# Gallery
 
 *For everyone who looks for a picture: every figure, its caption, and the line that draws it.*
 
-`ssm-study report STUDY` draws all of them, each as PNG and PDF, of the study's best run; `--only`
-names one. The page of a study shows those of its best runs. From Python, `model = st.fit(...)` and
-`design = st.control(model)` draw the same, and every picture is a Matplotlib figure
-([Python](howto_python.md)). Several models on one record: `ssm-study overlay RUN RUN`,
-`st.compare([a, b], u, y).plot()`. A log before anything is fitted: `ssm-study look FILE`.
+`ssm-study report STUDY` draws all figures below for the study's best run, each as PNG and PDF; with
+`--only` and a name it draws one. The page of a study shows the figures of its best runs. From
+Python, `model = st.fit(...)` and `design = st.control(model)` draw the same, and every picture is a
+Matplotlib figure ([Python](howto_python.md)). Several models on one record:
+`ssm-study overlay RUN RUN`, `st.compare([a, b], u, y).plot()`. A log before anything is fitted:
+`ssm-study look FILE`.
 """
 
 
