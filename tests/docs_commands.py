@@ -31,6 +31,21 @@ INDENTED = re.compile(rf"^    ({OURS})$", re.M)
 # the processes of a sweep takes ten seconds each time, and is the same for all. Those of SWEEPS
 # stay sweeps. `experiment=smoke` is small as it is and stays whole, but for long sweeps.
 SWEEPS = ("experiment=smoke", "experiment=order_by_rate")
+# The sweep of seeds starts processes, as the launcher does by default; these run in this process.
+IN_THIS_PROCESS = ("study=first_sweep", "experiment=order_by_rate")
+# Sizes that a log would decide by training on its folds. README's log decides them; for the log
+# under these names they are set.
+SIZED = "study=heater"
+SIZES = {
+    "model.order": 2,
+    "model.neurons": 1,
+    "model.input_path": "none",
+    "model.feedthrough": "false",
+    "model.dead_time": 0,
+    "model.integrating_output": "false",
+    "model.knots": 4,
+    "model.rate": 0.999,
+}
 SMALL = {
     "model.starts": "1",
     "model.draws": "1",
@@ -190,6 +205,8 @@ def small(arguments: list[str], written: Path | None = None) -> list[str]:
     reader's own."""
     if {"--help", "--cfg"} & set(arguments):
         return arguments
+    if set(IN_THIS_PROCESS) & set(arguments) and "--dry-run" not in arguments:
+        arguments = [*arguments, "hydra/launcher=basic"]
     words = [word if word.startswith("-") else first_value(word) for word in arguments]
     if not set(SWEEPS) & set(arguments):
         words = [word for word in words if word != "-m"]
@@ -208,6 +225,10 @@ def small(arguments: list[str], written: Path | None = None) -> list[str]:
     words += [first_value(f"{key}={values}") for key, values in swept.items() if key not in given]
     config = composed(words) if swept else config
     replaced = {key: value for key, value in SMALL.items() if has(config, key)}
+    if isinstance(OmegaConf.select(config, "model.neurons"), int):
+        replaced["model.neurons"] = 1
+    if any(word.startswith(SIZED) for word in words):
+        replaced |= SIZES
     if has(
         config, "data.benchmark"
     ):  # the launcher's processes may be older than this test's environment
