@@ -142,7 +142,7 @@ def measured_noise_gain(run: Rollouts) -> float | None:
     None without noise. `std(y) / std(n)` over the second half of the horizon.
 
     The share of the sensor's noise n that reaches the true output at rest; `noise_gain_model` of
-    the design is it for the model.
+    the design is the model's gain at the worst frequency.
     """
     half = run.y.shape[1] // 2
     stayed = run.stayed_within_bound
