@@ -205,27 +205,34 @@ def _shapes(request: pytest.FixtureRequest) -> Iterator[None]:
 MADE_AGAIN = (
     "ssm_study.data.metrics.persistency_order",
     "ssm_study.data.simulated.SimulatedData.build",
+    "ssm_study.data.simulated.SimulatedData.simulate_fresh_sets",
     "ssm_study.loop.regulation.Loop.run_on_model",
     "ssm_study.loop.regulation.Loop.run_on_plant",
     "ssm_study.loop.regulation.Loop.run_design",
     "ssm_study.study.claims.model_bound_columns",
+    "ssm_study.study.claims.textbook_pi_columns",
     "ssm_study.study.design_claims.failed_checks",
+    "ssm_study.study.design_claims.faster_response_column",
     "ssm_study.study.design_claims.measure_mismatch",
     "ssm_study.study.design_claims.measure_premise",
+    "ssm_study.study.design_claims.simulated_sines",
     "ssm_study.study.run_files.collect_findings",
     "ssm_study.study.run_files.measure_mismatch",
+    "ssm_study.synthesis.measured_discs_run.measure_premise",
 )
 
 
 def once(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, asked once for equal arguments."""
+    """The function, asked once for equal arguments; what it would yield one by one comes at
+    once."""
     known: dict[bytes, Any] = {}
 
     def made(*given: Any) -> Any:
         text = pickle.dumps(given)
         key = hashlib.sha256(text).digest()
         if key not in known:
-            known[key] = function(*given)
+            result = function(*given)
+            known[key] = tuple(result) if isinstance(result, Iterator) else result
         return known[key]
 
     return made
