@@ -25,6 +25,16 @@ TINY = [
 QUICK = ("synthesis=riccati", "+data.trials=false")
 
 
+# Grids of one or two points each for a search over rates and weights: judged is the line from data
+# to record, not how many designs are tried on the way.
+SEARCH = "ssm_study.synthesis.auto.Auto"
+SMALL_GRIDS = (
+    "+synthesis.stretch_shares=[0.3]",
+    "+synthesis.observer_rates=[0.2]",
+    "+synthesis.input_weights=[0.01,1.0]",
+    "+synthesis.output_noises=[0.01,1.0]",
+)
+SMALL_INTEGRAL_GRID = "synthesis.integral_weights=[0.001]"
 OPTIONS = {"plant": "plant", "scaffold": "scaffold@model.scaffold_in", "reduction": "reduction"}
 
 
@@ -34,10 +44,25 @@ def run_choices() -> list[tuple[str, ...]]:
     words: list[tuple[str, ...]] = []
     for group, option in OPTIONS.items():
         words += [(*QUICK, f"{option}={name}") for name in list_choices(group)]
-    words += [(f"synthesis={name}",) for name in list_choices("synthesis")]
+    words += [(*small_grids(name), f"synthesis={name}") for name in list_choices("synthesis")]
     for folder in extension_configuration_folders():
         words += [(f"experiment={path.stem}",) for path in folder.glob("experiment/*.yaml")]
     return words
+
+
+def small_grids(synthesis: str) -> tuple[str, ...]:
+    """Words that shorten the search of a choice of `synthesis/`; none where it does not search."""
+    texts = []
+    for folder in configuration_folders():
+        path = folder / "synthesis" / f"{synthesis}.yaml"
+        if path.is_file():
+            texts.append(path.read_text())
+    text = texts[0]
+    if SEARCH not in text:
+        return ()
+    if "integral_weights" not in text:
+        return SMALL_GRIDS
+    return (*SMALL_GRIDS, SMALL_INTEGRAL_GRID)
 
 
 @pytest.fixture(autouse=True)
