@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from fresh_programs import Ended, start_program
 from omegaconf import OmegaConf
 
 from ssm_study import extensions
@@ -32,9 +33,16 @@ SMALL = [
     "training.max_epochs=3",
 ]
 SMALL += ["synthesis=reserved", "model.order=2", "~loop.comparison", "progress=false"]
-# The command, but for the two figures that a run draws.
-UNDRAWN = "import sys; from ssm_study.cli import summary; from ssm_study.cli.main import main; "
-UNDRAWN += "summary.RUN_FIGURES = (); sys.exit(main(sys.argv[1:]))"
+SMALL += ["loop.initial_conditions=2"]
+# The command where the package is installed, but for the two figures that a run draws.
+UNDRAWN = """
+import sys
+sys.path.insert(0, PLACE)
+from ssm_study.cli import summary
+from ssm_study.cli.main import main
+summary.RUN_FIGURES = ()
+sys.exit(main(WORDS))
+"""
 
 
 @pytest.fixture
@@ -101,14 +109,31 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def python(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
-    """A program of its own: it is no worker of this test run and shares no folder with one
-    before."""
-    words = [sys.executable, *map(str, arguments)]
-    alone = {
-        name: value for name, value in os.environ.items() if not name.startswith("PYTEST_XDIST")
+# Its own process is no worker of this test run, and shares no folder with one.
+JUDGE = """
+import os, sys
+import pytest
+for name in [name for name in os.environ if name.startswith("PYTEST_XDIST")]:
+    del os.environ[name]
+os.environ.update(ENVIRONMENT)
+os.chdir(ROOT)
+sys.path.insert(0, PLACE)
+sys.exit(pytest.main(WORDS))
+"""
+
+
+def judge(place: Path, folder: Path, *words: object, **environment: str) -> Ended:
+    """Pytest in a process of its own, asked as the owner of a package in `place` would ask."""
+    values = {
+        "ENVIRONMENT": repr(environment),
+        "ROOT": repr(str(ROOT)),
+        "PLACE": repr(str(place)),
+        "WORDS": repr([str(word) for word in words]),
     }
-    return subprocess.run(words, cwd=ROOT, env=alone | environment, capture_output=True, text=True)
+    text = JUDGE
+    for name, value in values.items():
+        text = text.replace(name, value)
+    return start_program(text, folder).wait(timeout_s=250)
 
 
 def fingerprint() -> str:
@@ -127,7 +152,8 @@ def test_an_installed_package_goes_the_whole_way(
     asked = ["run", "experiment=tclab", *SMALL, f"results_dir={tmp_path}"]
     assert main(asked) == 2
     assert "there is no experiment/tclab" in capsys.readouterr().err
-    done = python("-c", UNDRAWN, *asked, PYTHONPATH=str(installed))
+    program = UNDRAWN.replace("PLACE", repr(str(installed))).replace("WORDS", repr(asked))
+    done = start_program(program, tmp_path / "program").wait(timeout_s=250)
     assert done.returncode == 0, done.stderr
     (path,) = tmp_path.glob("tclab/*/record.json")
     text = path.read_text()
@@ -138,25 +164,14 @@ def test_an_installed_package_goes_the_whole_way(
     assert fingerprint() == before
 
 
-def test_the_package_conforms(installed: Path) -> None:
+def test_the_package_conforms(installed: Path, tmp_path: Path) -> None:
     """Its figures are drawn as well; asked as its owner would, without the options of our own
     tests."""
-    judged = [
-        "-m",
-        "pytest",
-        "--pyargs",
-        "ssm_study.conformance",
-        "-q",
-        "-o",
-        "addopts=",
-        "-p",
-        "no:cacheprovider",
-    ]
-    done = python(
-        *judged, "-k", "(tclab and not experiment) or reserved", PYTHONPATH=str(installed)
-    )
+    package = ["--pyargs", "ssm_study.conformance", "-k", "(tclab and not experiment) or reserved"]
+    plain = ["-q", "-o", "addopts=", "-p", "no:cacheprovider"]
+    done = judge(installed, tmp_path / "program", *package, *plain)
     assert done.returncode == 0, done.stdout[-3000:]
-    assert "no tests ran" not in done.stdout
+    assert "passed" in done.stdout
 
 
 @pytest.mark.usefixtures("trusting")
@@ -173,10 +188,10 @@ def test_a_folder_of_ones_own_runs_as_it_was_made(
         with pytest.raises(BadRequest, match="may not create this class"):
             refuse_foreign_targets(named)
     assert main([*asked, "--with", "own_study"]) == 0
-    returncode = python(
-        "-m", "pytest", "-q", tmp_path / "own_study", PYTHONPATH=str(tmp_path)
-    ).returncode
-    assert returncode == 0
+    trusted = {extensions.FOLDER: os.environ[extensions.FOLDER]}
+    done = judge(tmp_path, tmp_path / "program", "-q", tmp_path / "own_study", **trusted)
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert "passed" in done.stdout
     refuse_foreign_targets(named)
 
 
