@@ -232,7 +232,7 @@ def test_the_proof_covers_only_what_it_covers_at_the_sines(covered: tuple[Design
     assert facts["sine_coverage"] > 1
     assert usual.error_power is not None
     larger_gain = 2 * facts["sine_coverage"]
-    larger = replace(usual, error_power=usual.error_power * larger_gain ** 2)
+    larger = replace(usual, error_power=usual.error_power * larger_gain**2)
     facts = sine_coverage_columns(proved, [usual, larger], coverage)
     assert facts["coverage"] == facts["sine_coverage"]
     assert facts["coverage"] == pytest.approx(0.5, rel=0.1)
