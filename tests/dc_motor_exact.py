@@ -34,16 +34,20 @@ class _Flow:
     def __init__(self, motor: DCMotor, modes: Modes, v_eff: float, load_nm: float) -> None:
         p = motor.constants
         f = np.zeros((5, 5))
-        f[0] = np.array([-p.resistance, -p.k, 0.0, 0.0, v_eff]) * p.per_inductance
+        current_row = np.array([-p.resistance, -p.k, 0.0, 0.0, v_eff])
+        f[0] = current_row * p.per_inductance
         f[3, 1:3] = 1.0, -1.0
         self.modes = modes
         self.limit = p.coulomb
         difference = -p.damping - p.motor_viscous
+        of_motor = [p.k, difference, p.damping, -p.stiffness, 0.0]
+        of_load = [0.0, p.damping, -p.damping - p.load_viscous, p.stiffness, -load_nm]
         self.torque = np.array([
-            [p.k, difference, p.damping, -p.stiffness, 0.0],
-            [0.0, p.damping, -p.damping - p.load_viscous, p.stiffness, -load_nm],
+            of_motor,
+            of_load,
         ])  # fmt: skip
-        for body, inertia in enumerate((motor.motor_inertia_kgm2, motor.load_inertia_kgm2)):
+        inertias = (motor.motor_inertia_kgm2, motor.load_inertia_kgm2)
+        for body, inertia in enumerate(inertias):
             if modes[body] != 0:
                 f[1 + body] = self.torque[body] / inertia
                 f[1 + body, 4] -= modes[body] * p.coulomb / inertia
@@ -85,7 +89,8 @@ def _first_end(
 ) -> tuple[float, int] | None:
     """The first time within `span` at which a body leaves its mode, and which body; None if neither
     does."""
-    looks = max(1, int(np.ceil(span / scan)))
+    intervals = int(np.ceil(span / scan))
+    looks = max(1, intervals)
     transition = expm(flow.f * (span / looks))
     before = z
     for look in range(looks):
@@ -124,7 +129,9 @@ def _period(
         z = flow.at(z, after)
         t = t + after
         z[1 + body] = 0.0
-        modes[body] = _mode(0.0, float(torque[body] @ z), limit if modes[body] != 0 else 0.0)
+        torque_of_body = float(torque[body] @ z)
+        friction = limit if modes[body] != 0 else 0.0
+        modes[body] = _mode(0.0, torque_of_body, friction)
         ends.append(t)
 
 

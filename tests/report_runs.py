@@ -48,7 +48,8 @@ def random_model(rng: np.random.Generator, kind: str, channels: int) -> SSM:
     c = rng.standard_normal((channels, ORDER))
     eigenvalues = np.linalg.eigvals(a)
     spectral_radius = np.abs(eigenvalues).max()
-    linear = StateSpace(a=0.6 * a / spectral_radius, b=b, c=c, d=d)
+    scaled = 0.6 * a / spectral_radius
+    linear = StateSpace(a=scaled, b=b, c=c, d=d)
     scaffold_in = random_scaffold(rng, kind, channels)
     scaffold_out = random_scaffold(rng, kind, channels)
     input_scale = rng.uniform(0.5, 2, channels)
@@ -103,7 +104,9 @@ def _network(rng: np.random.Generator, channels: int, hidden: tuple[int, ...]) -
 def random_design(rng: np.random.Generator, model: SSM, integral: bool | list[str]) -> Design:
     linear_b = model.linear.b
     outputs = model.scale.outputs
-    (n, m), p, linear = linear_b.shape, outputs, model.linear
+    n, m = linear_b.shape
+    p = outputs
+    linear = model.linear
     shared = {
         "alpha": 0.5,
         "beta": 0.1,
@@ -116,16 +119,15 @@ def random_design(rng: np.random.Generator, model: SSM, integral: bool | list[st
     a = linear.a
     b = linear.b
     if integral:  # of one output a ramp and a sine, of several outputs constants, unless named
-        named = (
-            integral
-            if isinstance(integral, list)
-            else ["ramp", "sine(5Hz)"]
-            if p == 1
-            else ["step"]
-        )
+        if isinstance(integral, list):
+            named = integral
+        else:
+            named = ["ramp", "sine(5Hz)"] if p == 1 else ["step"]
         modes = internal_model(named, model.step_s, p)
-        fed = error_input_matrix(modes, p) @ (0.7 * np.eye(p))
-        a = np.block([[a, np.zeros((n, len(modes)))], [fed @ linear.c, modes]])
+        gain_of_errors = 0.7 * np.eye(p)
+        fed = error_input_matrix(modes, p) @ (gain_of_errors)
+        no_coupling = np.zeros((n, len(modes)))
+        a = np.block([[a, no_coupling], [fed @ linear.c, modes]])
         b = np.vstack([b, fed @ linear.d])
     white_noise = rng.standard_normal((m, len(a)))
     k = 0.1 * white_noise
@@ -162,22 +164,31 @@ def write_recordings(run: Path, *, seed: int = 0) -> Path:
     records = [group(f"/record_{i}/input", volt, rng.uniform(-5, 5, (200, 1))) for i in range(3)]
     write_mcap(run / "excitation.mcap", tuple(records), {})
     cases = []
-    for i, start in enumerate(rng.uniform(-4, 4, 11)):
-        decay = start * np.exp(-time_s / 0.05)[:, None]
+    start_outputs = rng.uniform(-4, 4, 11)
+    for i, start in enumerate(start_outputs):
+        envelope = np.exp(-time_s / 0.05)
+        decay = start * envelope[:, None]
         signal_group = group(f"/case_{i}/reference", speed, 0 * y)
         cases += [signal_group, group(f"/case_{i}/output", speed, decay)]
         signal_group = group(f"/case_{i}/input", volt, -decay)
         cases += [signal_group]
-        signal_group = group(f"/case_{i}/uncontrolled", speed, np.sqrt(np.abs(decay)))
+        slow_decay = np.sqrt(np.abs(decay))
+        signal_group = group(f"/case_{i}/uncontrolled", speed, slow_decay)
         cases += [signal_group]
     metadata = {"settling_band": "0.5"}
     write_mcap(run / "closed_loop.mcap", tuple(cases), metadata)
+    write_comparison(run)
+    return run
+
+
+def write_comparison(run: Path) -> None:
+    """`comparison.csv` of two controllers in two situations, and a `training_curve.json`."""
     names = ("pi", "auto")
     rows = [f"{name},{case},0.9,0.1,0.2,3.0" for name in names for case in ("nominal", "delay")]
     head = "controller,situation,stable_fraction,"
     head += "settling_time_mean_s,settling_time_open_loop_s,input_peak_v"
     text = "\n".join([head, *rows])
     (run / "comparison.csv").write_text(text + "\n")
-    text = json.dumps([{"epoch": k, "loss_training": 1 / (k + 1)} for k in range(9)])
+    curve = [{"epoch": k, "loss_training": 1 / (k + 1)} for k in range(9)]
+    text = json.dumps(curve)
     (run / "training_curve.json").write_text(text)
-    return run

@@ -26,7 +26,8 @@ COLUMNS = SCHEMA.split()
 def table(runs: int = 60, seed: int = 0) -> pd.DataFrame:
     """Runs of every kind: settled, lost, infeasible, failed; missing is null."""
     rng = np.random.default_rng(seed)
-    frame = pd.DataFrame([_row(k, rng) for k in range(runs)], columns=COLUMNS)
+    rows = [_row(k, rng) for k in range(runs)]
+    frame = pd.DataFrame(rows, columns=COLUMNS)
     frame["controller_feasible"] = frame["controller_feasible"].astype("boolean")
     return frame
 
@@ -48,7 +49,8 @@ def _row(k: int, rng: np.random.Generator) -> dict[str, Any]:
     """One run: every seventeenth failed, infeasible where the rate lies beyond the limit."""
     slope = float(rng.choice([0.01, 0.05, 0.2, 0.5]))
     rate = float(rng.choice([0.02, 0.05, 0.1, 0.2, 0.3, 0.4]))
-    limit = float(1 - (0.97 * (1 - slope) / (1 + slope)) ** 2) * rng.uniform(0.9, 1.1)
+    smallest_ratio = 0.97 * (1 - slope) / (1 + slope)
+    limit = float(1 - smallest_ratio**2) * rng.uniform(0.9, 1.1)
     order = 4 + 4 * (k % 3)
     hidden_width = int(rng.choice([8, 16, 32]))
     synthesis_method = str(rng.choice(["lmi", "riccati", "closed_form"]))
@@ -85,7 +87,8 @@ def _model_columns(fit: float, slope: float, rate: float, limit: float) -> dict[
 
 def _loop_columns(fit: float, rate: float, rng: np.random.Generator) -> dict[str, Any]:
     difference = 14 - 20 * rate - (92 - fit) / 5
-    stable = int(np.clip(rng.normal(difference, 1.5), 0, 10))
+    drawn_count = rng.normal(difference, 1.5)
+    stable = int(np.clip(drawn_count, 0, 10))
     time_s = 0.19 * (1 - rate) + 0.01 * rng.uniform()
     controller_gain_norm = 10 ** (3 * rate)
     settling_time_mean_s = time_s if stable else None

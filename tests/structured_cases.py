@@ -30,11 +30,13 @@ def drawn(
     b = rng.normal(size=(n, m))
     c = rng.normal(size=(1, n))
     d = np.zeros((1, m))
-    e = size * rng.normal(size=(n, q)) / np.sqrt(n)
+    directions = rng.normal(size=(n, q))
+    e = size * directions / np.sqrt(n)
     f = size * rng.normal(size=(q, n))
     g = 0.3 * rng.normal(size=(q, m))
+    feedthrough = h * rng.normal(size=(1, q))
     return StructuredSystem(
-        a=a * radius / spectral_radius, b=b, c=c, d=d, e=e, f=f, g=g, h=h * rng.normal(size=(1, q))
+        a=a * radius / spectral_radius, b=b, c=c, d=d, e=e, f=f, g=g, h=feedthrough
     )
 
 
@@ -66,7 +68,8 @@ def slowest(metric: np.ndarray, steps: list[np.ndarray]) -> float:
     """The largest factor by which any of these matrices stretches, in the metric."""
     root = np.linalg.cholesky(metric).T
     inverse = np.linalg.inv(root)
-    return max(float(np.linalg.norm(root @ step @ inverse, 2)) for step in steps)
+    norms = [float(np.linalg.norm(root @ step @ inverse, 2)) for step in steps]
+    return max(norms)
 
 
 def controlled_steps(
@@ -90,7 +93,8 @@ def observing_steps(
     for row in slopes:
         for slope in (ball.lower, ball.alpha, ball.upper):
             linear = system.linearise_at_slopes(row)
-            steps.append(linear.a + slope * (l_ @ linear.c + (system.e * row) @ l_z @ system.c))
+            neurons_seen = (system.e * row) @ l_z @ system.c
+            steps.append(linear.a + slope * (l_ @ linear.c + neurons_seen))
     return steps
 
 

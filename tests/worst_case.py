@@ -39,7 +39,8 @@ def worst_jacobian(
     smoothed copy."""
     rng = np.random.default_rng(seed)
     points = rng.uniform(-span, span, size=(64 * starts, scaffold.inputs))
-    distances = [_distance(scaffold.jacobian(v), ball.alpha) for v in points]
+    jacobians = [scaffold.jacobian(v) for v in points]
+    distances = [_distance(jacobian, ball.alpha) for jacobian in jacobians]
     order = np.argsort(distances)
     best = order[::-1][:starts]
     found = [(distances[i], points[i]) for i in best]
@@ -68,11 +69,10 @@ def _distance(jacobian: Float[np.ndarray, "m m"], alpha: float) -> float:
 def _climb(network: Network, alpha: float, start: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
     v = start
     for temperature in TEMPERATURES:
-        v = np.asarray(
-            scipy.optimize.minimize(
-                _nearness, v, args=(network, alpha, temperature), method="L-BFGS-B"
-            ).x
+        search = scipy.optimize.minimize(
+            _nearness, v, args=(network, alpha, temperature), method="L-BFGS-B"
         )
+        v = np.asarray(search.x)
     return v
 
 
@@ -97,7 +97,10 @@ def _smooth_jacobian(
     )
     for w, b, low, high in layers:
         z = w @ d + b
-        slope = low + (high - low) * scipy.special.expit(z / temperature)
+        share = scipy.special.expit(z / temperature)
+        slope = low + (high - low) * share
         product = slope[:, None] * (w @ product)
-        d = np.where(z >= 0, high, low) * z - np.where(b >= 0, high, low) * b
+        slope_at_z = np.where(z >= 0, high, low)
+        slope_at_rest = np.where(b >= 0, high, low)
+        d = slope_at_z * z - slope_at_rest * b
     return network.weights[-1] @ product

@@ -21,13 +21,13 @@ def controller() -> ObserverFeedback:
     return ObserverFeedback.from_design(motor_model(), motor_design())
 
 
-@pytest.mark.parametrize(
-    "reference",
-    [
-        StepReference(before=0.0, after=6.0, at_s=0.2),
-        PeriodicDisturbance(amplitude=4.0, frequency_hz=2.0),
-    ],
-)
+REFERENCES = [
+    StepReference(before=0.0, after=6.0, at_s=0.2),
+    PeriodicDisturbance(amplitude=4.0, frequency_hz=2.0),
+]
+
+
+@pytest.mark.parametrize("reference", REFERENCES)
 def test_a_batch_is_its_rows(reference):
     loop = Loop(
         horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5, reference=reference
@@ -35,7 +35,9 @@ def test_a_batch_is_its_rows(reference):
     y0, noise = loop.draw_starts_and_noise(motor(), seed=1)
     together = loop.simulate(motor(), controller(), y0, noise)
     for i in range(len(y0)):
-        alone = loop.simulate(motor(), controller(), y0[i : i + 1], noise[i : i + 1])
+        one_start = y0[i : i + 1]
+        one_noise = noise[i : i + 1]
+        alone = loop.simulate(motor(), controller(), one_start, one_noise)
         for name in ("u", "y", "measured", "estimate", "states"):
             actual = getattr(together, name)[i]
             expected = getattr(alone, name)[0]
@@ -60,13 +62,17 @@ def test_the_loop_is_the_equations_written_out():
         assert run.measured[0, sample, 0] == pytest.approx(y, rel=1e-9, abs=1e-12)
         expected = x[0, 2]
         assert run.y[0, sample, 0] == pytest.approx(expected, rel=1e-9, abs=1e-12)
-        lifted = float(model.scaffold_in(np.array([u / 1.7]))[0])
+        scaled_input = np.array([u / 1.7])
+        lifted = float(model.scaffold_in(scaled_input)[0])
         linear_c = model.linear.c
         error = float((linear_c @ x_hat)[0]) - y / 5.0
         linear_a = model.linear.a
         linear_b = model.linear.b
-        x_hat = linear_a @ x_hat + linear_b[:, 0] * lifted + observer_gain[:, 0] * error
-        x = motor().advance(x, np.array([[u]]), np.zeros((1, 1)))
+        driven = linear_a @ x_hat + linear_b[:, 0] * lifted
+        x_hat = driven + observer_gain[:, 0] * error
+        applied = np.array([[u]])
+        no_disturbance = np.zeros((1, 1))
+        x = motor().advance(x, applied, no_disturbance)
 
 
 def test_the_seed_decides_the_draw_and_nothing_else_does():
@@ -137,7 +143,8 @@ def test_the_model_in_the_plants_place_replays_itself():
     expected = model.simulate(u)
     np.testing.assert_allclose(actual, expected, rtol=1e-12, atol=1e-12)
     output_equilibrium = model.scale.output_equilibrium
-    y0 = output_equilibrium + np.array([[0.3, -0.2], [1.0, 1.0]])
+    offsets = np.array([[0.3, -0.2], [1.0, 1.0]])
+    y0 = output_equilibrium + offsets
     actual = plant.output(plant.equilibrium_states(y0))
     np.testing.assert_allclose(actual, y0, rtol=1e-9)
 
@@ -175,7 +182,8 @@ def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
     disturbance = np.zeros((2, 5, 1))
     asked = {"x0": x0, "reference": reference, "noise": noise, "disturbance": disturbance}
     bound = np.full(1, 10.0)
-    run = simulate_closed_loop(plant, Uncontrolled.for_plant(plant), **asked, bound=bound)
+    uncontrolled = Uncontrolled.for_plant(plant)
+    run = simulate_closed_loop(plant, uncontrolled, **asked, bound=bound)
     expected = [0, STAYED]
     assert run.left_at_sample.tolist() == expected
     start = plant.output(x0)
@@ -195,7 +203,8 @@ def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
 def test_every_column_is_a_number_or_nothing():
     result = LOOP.run_design(motor(), motor_model(), motor_design(), seed=0)
     columns = behaviour_columns(result) | certificate_columns(result, motor_design())
-    assert all(value is None or np.isfinite(value) for value in columns.values())
+    is_number = [value is None or np.isfinite(value) for value in columns.values()]
+    assert all(is_number)
     assert columns["initial_conditions"] == 5
     assert columns["certified_bound_violations"] == 0
     rate = motor_design().observer.rate

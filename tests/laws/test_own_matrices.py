@@ -31,29 +31,29 @@ def design() -> Design:
     return st.control(SYSTEM, rate=0.5, slopes=SLOPES)
 
 
+COMPLEX_REQUESTS = [
+    ("A", lambda _: st.certify(1j * A, B, K=K)),
+    ("B", lambda _: st.certify(A, 1j * B, K=K)),
+    ("K", lambda _: st.certify(A, B, K=[[1j, 0]])),
+    ("L", lambda _: st.certify(A, C=C, L=1j * L)),
+    ("slopes", lambda _: st.certify(A, B, K=K, slopes=(1j, 2))),
+    ("A", lambda _: st.control((1j * A, B, C, D, 0.1), rate=0.5)),
+    ("D", lambda _: st.control((A, B, C, 1j * D, 0.1), rate=0.5)),
+    ("output_slopes", lambda _: st.control(SYSTEM, rate=0.5, output_slopes=(1, 2j))),
+    ("input_limits", lambda _: st.control(SYSTEM, rate=0.5, input_limits=(None, 1j))),
+    ("y0", lambda design: st.simulate(design, np.array([[1j]]))),
+    ("y0", lambda design: design.plot(np.array([[1j]]))),
+    ("lower", lambda design: design.within_limits(np.array([-1j]), 2)),
+    ("size", lambda design: design.step(np.complex128(1j))),
+    ("u", lambda _: st.fit(1j * np.arange(9.0), np.arange(9.0), 0.1)),
+    ("step_s", lambda _: st.fit(np.arange(9.0), np.arange(9.0), np.complex128(0.1))),
+    ("slopes", lambda _: st.fit(np.arange(9.0), np.arange(9.0), 0.1, slopes=(1j, 2))),
+    ("u", lambda _: st.Estimator(step_s=0.1).fit(1j * np.arange(9.0), np.arange(9.0))),
+]
+
+
 @pytest.mark.filterwarnings("error::numpy.exceptions.ComplexWarning")
-@pytest.mark.parametrize(
-    ("name", "ask"),
-    [
-        ("A", lambda _: st.certify(1j * A, B, K=K)),
-        ("B", lambda _: st.certify(A, 1j * B, K=K)),
-        ("K", lambda _: st.certify(A, B, K=[[1j, 0]])),
-        ("L", lambda _: st.certify(A, C=C, L=1j * L)),
-        ("slopes", lambda _: st.certify(A, B, K=K, slopes=(1j, 2))),
-        ("A", lambda _: st.control((1j * A, B, C, D, 0.1), rate=0.5)),
-        ("D", lambda _: st.control((A, B, C, 1j * D, 0.1), rate=0.5)),
-        ("output_slopes", lambda _: st.control(SYSTEM, rate=0.5, output_slopes=(1, 2j))),
-        ("input_limits", lambda _: st.control(SYSTEM, rate=0.5, input_limits=(None, 1j))),
-        ("y0", lambda design: st.simulate(design, np.array([[1j]]))),
-        ("y0", lambda design: design.plot(np.array([[1j]]))),
-        ("lower", lambda design: design.within_limits(np.array([-1j]), 2)),
-        ("size", lambda design: design.step(np.complex128(1j))),
-        ("u", lambda _: st.fit(1j * np.arange(9.0), np.arange(9.0), 0.1)),
-        ("step_s", lambda _: st.fit(np.arange(9.0), np.arange(9.0), np.complex128(0.1))),
-        ("slopes", lambda _: st.fit(np.arange(9.0), np.arange(9.0), 0.1, slopes=(1j, 2))),
-        ("u", lambda _: st.Estimator(step_s=0.1).fit(1j * np.arange(9.0), np.arange(9.0))),
-    ],
-)
+@pytest.mark.parametrize(("name", "ask"), COMPLEX_REQUESTS)
 def test_complex_numbers_are_refused_wherever_they_enter(
     name: str, ask: Callable[[Any], object], design: Design, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -69,16 +69,16 @@ def test_a_shape_that_does_not_fit_says_what_is_needed() -> None:
         st.certify(A, np.ones(3), K=K)
 
 
-@pytest.mark.parametrize(
-    ("slopes", "words"),
-    [
-        ((0.0, 1.0), "hold zero, so an input might have no effect.*give a positive lowest slope"),
-        ((-0.8, 1.2), "hold zero"),
-        ((-1.2, -0.8), "are negative; change the sign"),
-        ((1.2, 0.8), r"are descending: the lowest comes first; give \(0\.8, 1\.2\)"),
-        ((0.8, np.inf), "are not finite"),
-    ],
-)
+REFUSED_SLOPES = [
+    ((0.0, 1.0), "hold zero, so an input might have no effect.*give a positive lowest slope"),
+    ((-0.8, 1.2), "hold zero"),
+    ((-1.2, -0.8), "are negative; change the sign"),
+    ((1.2, 0.8), r"are descending: the lowest comes first; give \(0\.8, 1\.2\)"),
+    ((0.8, np.inf), "are not finite"),
+]
+
+
+@pytest.mark.parametrize(("slopes", "words"), REFUSED_SLOPES)
 def test_refused_slopes_say_why(slopes: tuple[float, float], words: str) -> None:
     with pytest.raises(BadRequest, match=words):
         st.certify(A, B, K=K, slopes=slopes)
@@ -92,48 +92,55 @@ def test_no_gain_proves_more_than_none_where_the_slopes_hold_zero() -> None:
 
 
 def test_a_vector_is_a_column_of_b_and_of_l() -> None:
-    proof = st.certify(A, B[:, 0], C[0], K=K[0], L=L[:, 0], slopes=SLOPES)
-    assert repr(proof) == repr(st.certify(A, B, C, K=K, L=L, slopes=SLOPES))
-    design = st.control((A, B[:, 0], C[0], D, 0.1), rate=0.5)
+    from_columns = st.certify(A, B, C, K=K, L=L, slopes=SLOPES)
+    from_vectors = st.certify(A, B[:, 0], C[0], K=K[0], L=L[:, 0], slopes=SLOPES)
+    assert repr(from_vectors) == repr(from_columns)
+
+    system = (A, B[:, 0], C[0], D, 0.1)
+    design = st.control(system, rate=0.5)
     assert design.certified
 
 
 def test_a_mode_out_of_reach_is_named() -> None:
     unstable = np.diag([1.2, 0.5])
-    proof = st.certify(unstable, B, np.array([[0.0, 1.0]]), K=K, L=L)
+    second_state = np.array([[0.0, 1.0]])
+
+    printed = repr(st.certify(unstable, B, second_state, K=K, L=L))
+
     words = "a mode of modulus 1.2 is not stable and the"
-    assert f"{words} input does not reach it, so no gain stabilises it; use another act" in repr(
-        proof
-    )
-    assert f"{words} output does not show it, so no gain stabilises it; use another sens" in repr(
-        proof
-    )
+    advice = "so no gain stabilises it; use another"
+    assert f"{words} input does not reach it, {advice} act" in printed
+    assert f"{words} output does not show it, {advice} sens" in printed
 
 
 def test_a_picture_without_records_says_what_to_do(design: Design, tmp_path: Path) -> None:
     words = r"design = matrices: has no records.*identify a model with st\.fit"
     with pytest.raises(BadRequest, match=words):
         design.margin_plot()
-    saved = st.control(SYSTEM, rate=0.5).save(tmp_path / "saved")
+    designed = st.control(SYSTEM, rate=0.5)
+    saved = designed.save(tmp_path / "saved")
     words = r"loaded design = .*comes without its model's records.*st\.load the saved model"
     with pytest.raises(BadRequest, match=words):
         st.load(saved).coverage_plot()
 
 
 def test_masked_entries_are_refused() -> None:
-    masked = np.ma.masked_array(A, mask=[[False, True], [False, False]])
+    mask = [[False, True], [False, False]]
+    masked = np.ma.masked_array(A, mask=mask)
     with pytest.raises(BadRequest, match="has masked entries"):
         st.certify(masked, B, K=K)
 
 
 def test_real_numbers_of_any_kind_are_read() -> None:
-    plain = st.certify(A.tolist(), B.astype(np.float32), K=K.tolist(), slopes=SLOPES)
+    single_precision = B.astype(np.float32)
+    plain = st.certify(A.tolist(), single_precision, K=K.tolist(), slopes=SLOPES)
     assert plain.certified
 
 
 def test_a_design_that_failed_prints_its_reason() -> None:
     """The words are the certificate's, without the names of a study's settings."""
-    printed = repr(st.control(SYSTEM, rate=0.99, slopes=SLOPES))
+    design = st.control(SYSTEM, rate=0.99, slopes=SLOPES)
+    printed = repr(design)
     assert (
         "controller     no certificate: rate 0.99 is infeasible: the slopes allow only" in printed
     )
@@ -147,7 +154,8 @@ def test_a_design_that_failed_prints_its_reason() -> None:
 def test_a_rate_limit_below_zero_is_told_as_none() -> None:
     """Only rates below -0.21 is no advice: no rate is positive and below it."""
     unstable = (2 * A, B, C, D, 0.1)
-    printed = repr(st.control(unstable, rate=0.5, slopes=(0.3, 5.0)))
+    design = st.control(unstable, rate=0.5, slopes=(0.3, 5.0))
+    printed = repr(design)
     assert "the slopes allow no positive rate; give slopes that lie closer together" in printed
     assert "request a smaller rate" not in printed
 
@@ -155,10 +163,8 @@ def test_a_rate_limit_below_zero_is_told_as_none() -> None:
 def test_a_side_that_arithmetic_does_not_confirm_prints_why() -> None:
     slopes = {"slopes": SLOPES, "output_slopes": SLOPES}
     design = st.control(SYSTEM, rate=0.85, method="lmi", **slopes)
-    sides = {
-        "controller": design.certificate.state_feedback,
-        "observer": design.certificate.observer,
-    }
+    certificate = design.certificate
+    sides = {"controller": certificate.state_feedback, "observer": certificate.observer}
     summary = design.summary()
     assert not design.certificate.certified
     for name, part in sides.items():
@@ -168,7 +174,8 @@ def test_a_side_that_arithmetic_does_not_confirm_prints_why() -> None:
 
 def test_certify_says_in_words_that_no_rate_is_possible() -> None:
     coupled = np.array([[0.9, 1.0], [0.0, 0.8]])
-    proof = st.certify(coupled, B, K=[[-0.5, -0.8]], slopes=(0.2, 2.0))
+    slow = [[-0.5, -0.8]]
+    proof = st.certify(coupled, B, K=slow, slopes=(0.2, 2.0))
     assert not proof.certified
     assert "no single constant metric proves a rate for every slope from 0.2 to 2" in repr(proof)
 
@@ -184,8 +191,9 @@ def test_a_rate_of_no_design_is_refused_by_its_own_name() -> None:
 )
 def test_a_missing_sampling_period_is_asked_for(dt: float | bool | None, remedy: str) -> None:
     """A discrete system of unknown period cannot be sampled; a continuous one can."""
+    system = control.StateSpace(A, B, C, D, dt)
     with pytest.raises(BadRequest, match=remedy):
-        st.control(control.StateSpace(A, B, C, D, dt), rate=0.5)
+        st.control(system, rate=0.5)
 
 
 def test_the_printed_certificate_names_its_slopes() -> None:
@@ -199,21 +207,26 @@ def test_the_printed_certificate_names_its_slopes() -> None:
     assert proof.controller.slopes == SLOPES
 
 
-@pytest.mark.parametrize("system", [SYSTEM, control.StateSpace(A, B, C, D, 0.1)])
+FROM_CONTROL = control.StateSpace(A, B, C, D, 0.1)
+
+
+@pytest.mark.parametrize("system", [SYSTEM, FROM_CONTROL])
 def test_certify_takes_a_system_as_control_does(system: object) -> None:
     rates = []
     for matrices in ((system,), (A, B, C)):
         proof = st.certify(*matrices, K=K, L=L, slopes=SLOPES)
         assert proof.controller is not None
         assert proof.observer is not None
-        rates.append((proof.controller.rate, proof.observer.rate))
+        pair = (proof.controller.rate, proof.observer.rate)
+        rates.append(pair)
     assert rates[0] == rates[1]
 
 
 def test_certify_says_what_to_give_in_place_of_other_objects(design: Design) -> None:
     """A transfer function has no states that gains could act on; a design has its certificates."""
     transfer = control.TransferFunction([1.0], [1.0, -0.5], 0.1)
-    for other in (design, transfer, object.__new__(type("Plant", (), {}))):
+    plant = object.__new__(type("Plant", (), {}))
+    for other in (design, transfer, plant):
         with pytest.raises(BadRequest, match=r"give A, B, C \(for example P\.A, P\.B, P\.C\)"):
             st.certify(other, K=K)
 
@@ -234,8 +247,11 @@ def test_the_step_picture_shows_the_motion_ahead_of_the_step(design: Design) -> 
     first_s = inputs.get_xlim()[0]
     time_s, u = inputs.lines[0].get_data()
     before = u[np.asarray(time_s) <= first_s]
-    assert np.abs(before).max(initial=0.0) < 0.02 * np.abs(u).max()
-    assert "set point, known in advance" in [line.get_label() for line in output.lines]
+    ahead = np.abs(before).max(initial=0.0)
+    largest = np.abs(u).max()
+    labels = [line.get_label() for line in output.lines]
+    assert ahead < 0.02 * largest
+    assert "set point, known in advance" in labels
 
 
 def test_pictures_of_given_matrices_speak_of_no_identified_model(design: Design) -> None:
@@ -247,7 +263,9 @@ def test_pictures_of_given_matrices_speak_of_no_identified_model(design: Design)
 
 def test_gains_that_bring_every_state_to_rest_are_certified_close_to_rate_one() -> None:
     """All eigenvalues of the loop are zero: nothing is divided by their size."""
-    proof = st.certify([[1, 1], [0, 1]], [[0.0], [1.0]], K=[[-1.0, -2.0]])
+    double_integrator = [[1, 1], [0, 1]]
+    force = [[0.0], [1.0]]
+    proof = st.certify(double_integrator, force, K=[[-1.0, -2.0]])
     assert proof.controller is not None
     assert proof.controller.rate == pytest.approx(0.999)
     assert proof.certified
@@ -258,7 +276,8 @@ def test_a_printed_rate_is_never_more_than_what_is_proved(rate: float) -> None:
     for digits in (3, 6):
         printed = float(round_rate_down(rate, digits))
         assert printed <= rate
-        assert printed == pytest.approx(rate, rel=10.0 ** (1 - digits))
+        last_digit = 10.0 ** (1 - digits)
+        assert printed == pytest.approx(rate, rel=last_digit)
 
 
 def test_the_printed_rates_are_the_largest_that_the_gains_prove() -> None:
@@ -266,9 +285,12 @@ def test_the_printed_rates_are_the_largest_that_the_gains_prove() -> None:
     a = np.array([[0.9, 0.1, 0.0], [0.0, 0.8, 0.2], [0.0, 0.0, 0.95]])
     b = np.array([[0.0], [0.1], [1.0]])
     c = np.array([[1.0, 0.0, 0.0]])
-    design = st.control((a, b, c, np.zeros((1, 1)), 1.0), slopes=(0.8, 1.2))
+    d = np.zeros((1, 1))
+    design = st.control((a, b, c, d, 1.0), slopes=SLOPES)
     gains = design.certificate.gains
-    certification = st.certify(a, b, c, K=gains["k"], L=gains["l"], slopes=(0.8, 1.2))
-    assert certification.controller is not None
-    largest = round_rate_down(certification.controller.rate)
+
+    proof = st.certify(a, b, c, K=gains["k"], L=gains["l"], slopes=SLOPES)
+
+    assert proof.controller is not None
+    largest = round_rate_down(proof.controller.rate)
     assert f"rate {largest} (asked 0.05)" in repr(design)

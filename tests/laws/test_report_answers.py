@@ -43,7 +43,8 @@ def test_a_log_has_no_question_about_a_plant() -> None:
     table = pd.DataFrame([on_model])
     questions = [answer.question for answer in question_answers(table)]
     assert not any("prediction" in question for question in questions), "it has no plant to ask"
-    on_plant = question_answers(pd.DataFrame([row(loop_on="plant", predicted_stable=True)]))
+    run_on_plant = row(loop_on="plant", predicted_stable=True)
+    on_plant = question_answers(pd.DataFrame([run_on_plant]))
     assert "Does the prediction hold on the plant?" in [answer.question for answer in on_plant]
 
 
@@ -70,12 +71,15 @@ def test_what_a_study_can_show_of_the_prediction_is_counted_by_model() -> None:
     runs[7]["stable_fraction"] = runs[8]["stable_fraction"] = 0.5
     table = pd.DataFrame(runs)
     text = said(table, "prediction hold")
-    bound = float(text.split("below ")[1].rstrip("."))
+    words = text.split("below ")[1]
+    bound = float(words.rstrip("."))
     assert "of 20 models 1 had" in text
-    assert scipy.stats.binom.cdf(1, 20, bound) == pytest.approx(0.05, abs=0.01)
+    probability = scipy.stats.binom.cdf(1, 20, bound)
+    assert probability == pytest.approx(0.05, abs=0.01)
     table = pd.DataFrame(runs[10:20])
     assert "confidence" not in said(table, "prediction hold")  # one model shows nothing
-    two = said(pd.DataFrame(runs[10:30]), "prediction hold")
+    two_models = pd.DataFrame(runs[10:30])
+    two = said(two_models, "prediction hold")
     assert two.endswith("2 models are too few to say how often a prediction fails.")
 
 
@@ -93,7 +97,8 @@ def test_an_answer_stands_once_with_its_plot_or_in_words_where_it_has_none() -> 
     assert sorted(with_plot + alone) == sorted(everything)
     assert with_plot
     alike = table.assign(fit_test_percent=90.0)
-    left = [answer.question for answer in unplotted_answers(alike, question_answers(alike))]
+    unplotted = unplotted_answers(alike, question_answers(alike))
+    left = [answer.question for answer in unplotted]
     assert "Does a better fit mean a better loop?" in left
     one = table.head(1)
     assert unplotted_answers(one, question_answers(one)) == question_answers(one), (
@@ -102,7 +107,8 @@ def test_an_answer_stands_once_with_its_plot_or_in_words_where_it_has_none() -> 
 
 
 def test_numbers_in_total_leave_the_page_where_one_by_frequency_decides() -> None:
-    table = report_tables.table(40).assign(coverage=1.1, certified_tolerance=0.05)
+    runs = report_tables.table(40)
+    table = runs.assign(coverage=1.1, certified_tolerance=0.05)
     weaker = {"mismatch_margin", "mismatch_gain", "certified_tolerance"}
     assert weaker.isdisjoint(listed_columns(table))
     assert "resolved_margin" in listed_columns(table)
@@ -111,7 +117,9 @@ def test_numbers_in_total_leave_the_page_where_one_by_frequency_decides() -> Non
 
 
 def test_plants_are_answered_one_by_one_since_their_seconds_do_not_compare() -> None:
-    runs = [row(run="m", plant="DCMotor"), row(run="t", plant="CascadedTanks")]
+    motor_run = row(run="m", plant="DCMotor")
+    tanks_run = row(run="t", plant="CascadedTanks")
+    runs = [motor_run, tanks_run]
     table = pd.DataFrame(runs)
     text = said(table, "better fit")
     assert "DC motor: This study" in text
@@ -125,7 +133,8 @@ def test_requests_beyond_the_frontier_and_those_a_method_missed_are_told_apart()
     text = said(table, "feasibility")
     assert "1 of 3 requests lie beyond it, and none of those was certified" in text
     assert "certified for is 0.3 per sample" in text
-    table = pd.DataFrame([row(), beyond, missed | {"controller_rate_limit": 0.25}])
+    within_limit = missed | {"controller_rate_limit": 0.25}
+    table = pd.DataFrame([row(), beyond, within_limit])
     two = said(table, "feasibility")
     assert "certified for is from 0.25 to 0.3 per sample" in two
     assert "Inside it, 1 got no certificate" in text
@@ -151,7 +160,8 @@ def test_the_prediction_is_scored_on_both_sides() -> None:
     missed = [
         row(mismatch_margin=2.0, predicted_stable=False, stable_fraction=share) for share in shares
     ]
-    table = pd.DataFrame([row(mismatch_margin=0.5, predicted_stable=True), *missed])
+    at_the_edge = row(mismatch_margin=0.5, predicted_stable=True)
+    table = pd.DataFrame([at_the_edge, *missed])
     text = said(table, "prediction hold")
     assert text.startswith(
         "Where the loop was predicted to stay stable, every start settles in 1 of 1 runs. Where it"
@@ -160,10 +170,12 @@ def test_the_prediction_is_scored_on_both_sides() -> None:
 
 
 def test_what_differs_between_runs_is_named_with_its_values() -> None:
-    table = pd.DataFrame([row(order=4, seed=0), row(order=8, seed=0)])
+    rows = [row(order=4, seed=0), row(order=8, seed=0)]
+    table = pd.DataFrame(rows)
     assert swept_settings(table) == ["order"]
     assert parameters_line(table) == "Swept: model order (4, 8)."
-    many = pd.DataFrame([row(seed=k) for k in range(3, 12)])
+    seeds = [row(seed=k) for k in range(3, 12)]
+    many = pd.DataFrame(seeds)
     assert parameters_line(many) == "Swept: seed (9 values, 3 to 11)."
 
 

@@ -22,7 +22,8 @@ def designs(count: int = 60) -> pd.DataFrame:
     controller_radius = rng.uniform(0.5, 1.3, count)
     noise_peak = rng.uniform(0.0, 1.3, count)
     kind = np.where(settled, "settled", "lost")
-    relative_time = np.where(rng.uniform(size=count) < 0.2, np.nan, rng.uniform(0.2, 2, count))
+    is_unstable = rng.uniform(size=count) < 0.2
+    relative_time = np.where(is_unstable, np.nan, rng.uniform(0.2, 2, count))
     return pd.DataFrame(
         {
             "plant": plant,
@@ -41,10 +42,13 @@ def test_the_area_is_the_chance_that_a_good_design_scores_higher():
     good = table["kind"].eq("settled").to_numpy(float)
     score = table["mismatch_margin"].to_numpy()
     false, true = loop_margin_figures.roc_points(score, good)
-    difference = score[good == 1][:, None] - score[good == 0][None, :]
+    good_scores = score[good == 1][:, None]
+    bad_scores = score[good == 0][None, :]
+    difference = good_scores - bad_scores
     pairs = np.sign(difference)
     expected = (0.5 + 0.5 * pairs).mean()
-    assert np.trapezoid(true, false) == pytest.approx(expected, rel=1e-12)
+    area = np.trapezoid(true, false)
+    assert area == pytest.approx(expected, rel=1e-12)
     assert false[-1] == 1.0
     assert true[-1] == 1.0
 
@@ -52,14 +56,16 @@ def test_the_area_is_the_chance_that_a_good_design_scores_higher():
 def test_the_score_puts_what_nothing_else_refuses_first_and_then_the_larger_margin():
     table = designs()
     score = loop_margin_figures.prediction_score(table)
-    stable = (table.controller_radius < 1) & (table.noise_peak < 1)
+    is_contracting = table.controller_radius < 1
+    stable = (is_contracting) & (table.noise_peak < 1)
     expected = stable & (table.resolved_margin > 1)
     assert ((score > 0.5) == expected).all()
     smallest = score[stable].min()
     largest = score[~stable].max()
     assert smallest >= largest
     order = np.argsort(score[stable], kind="stable")
-    expected = np.argsort(table.resolved_margin[stable], kind="stable")
+    margins = table.resolved_margin[stable]
+    expected = np.argsort(margins, kind="stable")
     assert (order == expected).all()
 
 
@@ -74,7 +80,8 @@ def test_every_design_is_in_the_scatter_and_every_plant_in_the_curve():
     legend = roc.axes[0].get_legend()
     texts = legend.get_texts()
     expected = ["cascaded tanks", "DC motor"]
-    assert [text.get_text().split(",")[0] for text in texts] == expected
+    first_words = [text.get_text().split(",")[0] for text in texts]
+    assert first_words == expected
 
 
 def test_a_plant_on_which_all_settle_has_no_curve_but_its_dots():

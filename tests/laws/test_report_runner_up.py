@@ -24,7 +24,8 @@ BEST = run(0.08, 1.36, 33.0)
 def test_the_fastest_run_with_twice_the_margin_is_named_with_its_numbers() -> None:
     less_gain = run(0.099, 1.83, 4.2)
     robust = run(0.103, 3.83, 5.9)
-    named = found(BEST, less_gain, robust, run(0.117, 4.06, 3.5))
+    balanced = run(0.117, 4.06, 3.5)
+    named = found(BEST, less_gain, robust, balanced)
     words = "settles in 0.103 s, with stability margin 3.83 (best run: 1.36) and gain 5.9 (33)"
     assert named == RunnerUp(place=2, text=words)
     second = found(BEST, less_gain)
@@ -34,11 +35,18 @@ def test_the_fastest_run_with_twice_the_margin_is_named_with_its_numbers() -> No
 
 def test_a_run_that_is_no_real_alternative_is_not_named() -> None:
     assert found(BEST) is None
-    assert found(BEST, run(0.09, 1.5, 30.0)) is None, "hardly more robust"
-    assert found(BEST, run(0.17, 4.0, 5.0)) is None, "more than twice as slow"
-    assert found(BEST, run(0.1, 4.0, 5.0, plant="Drive")) is None, "another plant's seconds"
-    assert found(BEST, run(0.1, 4.0, 5.0, predicted_stable=False)) is None
-    assert found(BEST, run(0.1, 4.0, 5.0, verdict="infeasible")) is None
-    assert found(BEST, run(0.1, 4.0, float("nan"))) is None, "no number to compare"
-    assert found(BEST | {"verdict": "infeasible"}, run(0.1, 4.0, 5.0)) is None
+    hardly_more_robust = run(0.09, 1.5, 30.0)
+    assert found(BEST, hardly_more_robust) is None, "hardly more robust"
+    slow = run(0.17, 4.0, 5.0)
+    assert found(BEST, slow) is None, "more than twice as slow"
+    of_another_plant = run(0.1, 4.0, 5.0, plant="Drive")
+    assert found(BEST, of_another_plant) is None, "another plant's seconds"
+    unstable = run(0.1, 4.0, 5.0, predicted_stable=False)
+    assert found(BEST, unstable) is None
+    infeasible = run(0.1, 4.0, 5.0, verdict="infeasible")
+    assert found(BEST, infeasible) is None
+    without_gain = run(0.1, 4.0, float("nan"))
+    assert found(BEST, without_gain) is None, "no number to compare"
+    best_without_verdict = BEST | {"verdict": "infeasible"}
+    assert found(best_without_verdict, run(0.1, 4.0, 5.0)) is None
     assert choose_runner_up(pd.DataFrame()) is None

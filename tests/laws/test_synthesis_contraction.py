@@ -25,7 +25,8 @@ SEEDS = st.integers(0, 10**6)
 
 
 def kinked(rng: np.random.Generator, channels: int, lower: float) -> MonotoneScaffold:
-    breakpoints = np.sort(rng.normal(size=(channels, 6)), axis=1)
+    drawn_points = rng.normal(size=(channels, 6))
+    breakpoints = np.sort(drawn_points, axis=1)
     slopes = rng.uniform(lower, 1, size=(channels, 7))
     return MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
 
@@ -39,7 +40,8 @@ def random_ssm(seed: int, channels: int = 1, output_floor: float = 0.6) -> SSM:
     b = rng.normal(size=(4, channels))
     c = rng.normal(size=(channels, 4))
     d = rng.normal(size=(channels, channels))
-    linear = StateSpace(a=a / spectral_radius, b=b, c=c, d=d)
+    scaled = a / spectral_radius
+    linear = StateSpace(a=scaled, b=b, c=c, d=d)
     scaffold_in = kinked(rng, channels, 0.3)
     scaffold_out = kinked(rng, channels, output_floor)
     scale = Scale.identity(channels, channels)
@@ -55,9 +57,8 @@ def certified_design(model: SSM, method: type = RiccatiSynthesis) -> Design:
     system = dual_system(model.linear)
     frontier = controller_frontier(system, balls.output)
     observer = frontier.rate_limit
-    design = method(rate_controller=0.5 * controller, rate_observer=0.5 * observer).design(
-        model, balls
-    )
+    synthesis = method(rate_controller=0.5 * controller, rate_observer=0.5 * observer)
+    design = synthesis.design(model, balls)
     assert design.certified, design
     return design
 
@@ -85,8 +86,11 @@ def closed_loop(
     return np.stack(states, axis=1), np.stack(estimates, axis=1)
 
 
+METHODS = st.sampled_from([RiccatiSynthesis, ClosedFormSynthesis])
+
+
 @settings(max_examples=15)
-@given(SEEDS, st.integers(1, 2), st.sampled_from([RiccatiSynthesis, ClosedFormSynthesis]))
+@given(SEEDS, st.integers(1, 2), METHODS)
 def test_the_separation_bound_holds_on_the_model(seed: int, channels: int, method: type) -> None:
     """Nonlinear S_y and D != 0 included; and the observer's error shrinks by its own rate."""
     model = random_ssm(seed, channels)
@@ -97,7 +101,9 @@ def test_the_separation_bound_holds_on_the_model(seed: int, channels: int, metho
     assert count_bound_violations(x, xh, design.state_feedback, design.observer) == 0
     _, error = metric_distances(x, xh, design.state_feedback, design.observer)
     contraction = design.observer.contraction
-    upper_limit = contraction * error[:, :-1] * (1 + 1e-9) + 1e-12 * error[:, :1]
+    contracted = contraction * error[:, :-1]
+    rounding = 1e-12 * error[:, :1]
+    upper_limit = contracted * (1 + 1e-9) + rounding
     assert (error[:, 1:] <= upper_limit).all()
 
 
@@ -108,7 +114,9 @@ def test_a_rate_that_is_not_certified_breaks_the_bound() -> None:
     x, xh = closed_loop(model, design, 3)
     assert isinstance(design.state_feedback, StateFeedback)
     assert isinstance(design.observer, Observer)
-    bold = replace(design.state_feedback, rate=0.95), replace(design.observer, rate=0.999)
+    controller = replace(design.state_feedback, rate=0.95)
+    observer = replace(design.observer, rate=0.999)
+    bold = (controller, observer)
     assert count_bound_violations(x, xh, *bold) > 0
 
 
@@ -136,8 +144,11 @@ def steps_in(metric: np.ndarray, part: StateFeedback, count: int = 400) -> np.nd
     ratios = []
     for _ in range(count):
         v = rng.normal(size=len(metric))
-        slope = part.alpha + part.beta * rng.choice([-1, 1])
-        norm = np.linalg.norm(root @ (part.a @ v + slope * part.b @ (part.k @ v)))
+        sign = rng.choice([-1, 1])
+        slope = part.alpha + part.beta * sign
+        driven = slope * part.b @ (part.k @ v)
+        step = root @ (part.a @ v + driven)
+        norm = np.linalg.norm(step)
         ratios.append(norm / np.linalg.norm(root @ v))
     return np.array(ratios)
 
@@ -156,7 +167,8 @@ def test_distances_shrink_by_the_root_of_one_minus_the_rate(seed: int) -> None:
 def test_the_metric_is_the_inverse_of_p_and_not_p() -> None:
     """The printed proof contracts `delta^T P delta`; for this certificate that grows. The LMI is
     the dual form."""
-    worst = max(steps_in(part.p, part).max() / part.contraction for part in _feedbacks())
+    ratios = [steps_in(part.p, part).max() / part.contraction for part in _feedbacks()]
+    worst = max(ratios)
     assert worst > 1.05
 
 
@@ -198,8 +210,10 @@ def test_singular_values_are_not_enough() -> None:
 def assert_between(along: np.ndarray, linear: np.ndarray, ball: JacobianBall) -> None:
     """The Gramian lies between the linear one times the squares of smallest and largest slope."""
     slack = 1e-9 * np.abs(linear).max()
-    above_lower = np.linalg.eigvalsh(along - ball.lower**2 * linear)
-    below_upper = np.linalg.eigvalsh(ball.upper**2 * linear - along)
+    lower_bound = ball.lower**2 * linear
+    above_lower = np.linalg.eigvalsh(along - lower_bound)
+    upper_bound = ball.upper**2 * linear
+    below_upper = np.linalg.eigvalsh(upper_bound - along)
     assert above_lower[0] >= -slack
     assert below_upper[0] >= -slack
 
@@ -227,7 +241,8 @@ def test_gramians_along_trajectories_stay_between_their_bounds(seed: int, channe
     b = model.linear.b
     c = model.linear.c
     assert_between(w, controllability_gramian(a, b, steps), balls.input)
-    assert_between(o, controllability_gramian(a.T, c.T, steps), balls.output)
+    gramian = controllability_gramian(a.T, c.T, steps)
+    assert_between(o, gramian, balls.output)
     local = bound_local_controllability(a, b, balls.input)
     assert local.holds
     eigenvalues = np.linalg.eigvalsh(w)
@@ -238,16 +253,18 @@ def test_gramians_along_trajectories_stay_between_their_bounds(seed: int, channe
     assert bound_local_controllability(a.T, c.T, balls.output).holds
 
 
-@pytest.mark.parametrize(
-    ("slopes", "b"), [((0.0, 1.0), 1.0), ((-0.5, 1.0), 1.0), ((0.5, 1.0), 0.0)]
-)
+WITHOUT_AUTHORITY = [((0.0, 1.0), 1.0), ((-0.5, 1.0), 1.0), ((0.5, 1.0), 0.0)]
+
+
+@pytest.mark.parametrize(("slopes", "b"), WITHOUT_AUTHORITY)
 def test_local_controllability_is_not_claimed_without_authority(
     slopes: tuple[float, float], b: float
 ) -> None:
     a = np.diag([0.9, 0.5])
     c = np.ones((1, 2))
     d = np.zeros((1, 1))
-    linear = StateSpace(a=a, b=np.array([[b], [1.0]]), c=c, d=d)
+    gains = np.array([[b], [1.0]])
+    linear = StateSpace(a=a, b=gains, c=c, d=d)
     ball = JacobianBall.from_slopes(*slopes)
     local = bound_local_controllability(linear.a, linear.b, ball)
     assert not local.holds

@@ -65,7 +65,9 @@ def analysis_gap(core: RecurrenceMatrices, multipliers: np.ndarray, rate: float)
     stands there."""
     n = len(core.a)
     lam = np.diag(multipliers)
-    sector = np.block([[rate**2 * np.eye(n), -core.f.T @ lam], [-lam @ core.f, 2.0 * lam]])
+    coupling = -core.f.T @ lam
+    contraction = rate**2 * np.eye(n)
+    sector = np.block([[contraction, coupling], [-lam @ core.f, 2.0 * lam]])
     moved = np.hstack([core.a, core.e])
     difference = sector - moved.T @ moved
     eigenvalues = np.linalg.eigvalsh(difference)
@@ -84,7 +86,8 @@ def test_whatever_the_parameters_the_lmi_holds_and_they_are_found_again(
     d = np.exp(free.log_d)
     e = core.e * d
     f = core.f / d[:, None]
-    back = parameters_from_matrices(RecurrenceMatrices(core.a, e, f), rate)
+    core_found = RecurrenceMatrices(core.a, e, f)
+    back = parameters_from_matrices(core_found, rate)
     np.testing.assert_allclose(back.x_e, free.x_e, atol=1e-7, rtol=1e-7)
     np.testing.assert_allclose(back.x_g, free.x_g, atol=1e-7, rtol=1e-7)
 
@@ -126,7 +129,8 @@ def test_the_projection_ends_at_what_the_neurons_did_on_average() -> None:
     f = 4 * rng.normal(size=(2, 2))
     core = RecurrenceMatrices(a, e, f)
     slope = np.array([0.2, 0.3])
-    eigenvalues = np.linalg.eigvals(core.a + (core.e * slope) @ core.f)
+    loop = core.a + (core.e * slope) @ core.f
+    eigenvalues = np.linalg.eigvals(loop)
     spectral_radius = np.abs(eigenvalues).max()
     e = core.e * 0.6 / spectral_radius
     scaled = core._replace(e=e)
@@ -134,11 +138,13 @@ def test_the_projection_ends_at_what_the_neurons_did_on_average() -> None:
     found = contracting.core
     largest = np.abs(found.e).max()
     assert largest < np.abs(scaled.e).max()
-    average = scaled.a + scaled.e @ np.diag(slope) @ scaled.f
+    mean_slope = np.diag(slope)
+    average = scaled.a + scaled.e @ mean_slope @ scaled.f
     eigenvalues = np.linalg.eigvals(average)
     spectral_radius = np.abs(eigenvalues).max()
     average *= min(1.0, 0.99 * 0.9 / spectral_radius)
-    actual = found.a + found.e @ np.diag(slope) @ found.f
+    mean_slope = np.diag(slope)
+    actual = found.a + found.e @ mean_slope @ found.f
     np.testing.assert_allclose(actual, average, atol=1e-12)
 
 
@@ -146,17 +152,22 @@ def test_a_model_that_contracts_already_is_left_as_it_is() -> None:
     free = free_core(1, 3, 2)
     x_e = 0.2 * free.x_e
     x_g = 0.3 * free.x_g
-    core = matrices_from_parameters(free._replace(x_e=x_e, x_g=x_g), 0.9)
+    parameters = free._replace(x_e=x_e, x_g=x_g)
+    core = matrices_from_parameters(parameters, 0.9)
     assert find_contraction_metric(core, 0.9) is not None
     slope = np.full(2, 0.5)
     contracting = project_to_contracting(core, slope, 0.9)
     actual = contracting.core.f
     np.testing.assert_allclose(actual, core.f)
     f = 0.0 * core.f
-    assert find_contraction_metric(core._replace(f=f), 0.9) is not None  # neurons that see nothing
+    blind_core = core._replace(f=f)
+    metric = find_contraction_metric(blind_core, 0.9)
+    assert metric is not None  # neurons that see nothing
     e = core.e[:, :0]
     f = core.f[:0]
-    assert find_contraction_metric(RecurrenceMatrices(core.a, e, f), 0.9) is not None  # no neurons
+    linear_core = RecurrenceMatrices(core.a, e, f)
+    metric = find_contraction_metric(linear_core, 0.9)
+    assert metric is not None  # no neurons
     eigenvalues = np.linalg.eigvals(core.a)
     spectral_radius = np.abs(eigenvalues).max()
     factor = 1.5 / spectral_radius
@@ -178,22 +189,18 @@ def problem(
     lift = TrainablePieces(m, 4, 0.1, 1.5)
     knots = 0 if integrating_output else 3
     read = TrainablePieces(p, knots, 0.3, 1.0)
-    b = (n, m)
-    c = (p, n)
-    d = (p, m)
-    g = (q, m)
-    h = (p, q)
-    shapes = {"b": b, "c": c, "d": d, "g": g, "h": h, "bias": (q,)}
+    shapes = {"b": (n, m), "c": (p, n), "d": (p, m)}
+    shapes |= {"g": (q, m), "h": (p, q), "bias": (q,)}
     theta = {name: 0.5 * rng.normal(size=shape) for name, shape in shapes.items()}
-    theta |= (
-        free_core(seed, n, q)._asdict()
-        if rate
-        else matrices_from_parameters(free_core(seed, n, q), 0.9)._asdict()
-    )
-    scaffold_in = 0.6 * rng.normal(size=len(lift.parameter_channels))
-    scaffold_out = 0.6 * rng.normal(size=len(read.parameter_channels))
+    core = free_core(seed, n, q)
+    theta |= core._asdict() if rate else matrices_from_parameters(core, 0.9)._asdict()
+    input_parameters = len(lift.parameter_channels)
+    scaffold_in = 0.6 * rng.normal(size=input_parameters)
+    output_parameters = len(read.parameter_channels)
+    scaffold_out = 0.6 * rng.normal(size=output_parameters)
     theta |= {"scaffold_in": scaffold_in, "scaffold_out": scaffold_out}
-    theta["x0"] = rng.normal(size=(2, n + p * integrating_output))
+    states = n + p * integrating_output
+    theta["x0"] = rng.normal(size=(2, states))
     records = RecordBatch.from_pairs(pairs)
     one = SimulationProblem(
         records=records,
@@ -212,7 +219,8 @@ def test_the_jacobian_is_that_of_differences(rate: float | None, integrating_out
     """The Jacobian is checked for all blocks at once: the core through its parametrisation, both
     scaffoldings, unequal records, their starts."""
     one, theta = problem(3, rate, integrating_output)
-    free = (*(FREE_CORE if rate else CORE), *"bcdgh", "bias", "scaffold_in", "scaffold_out", "x0")
+    recurrence = FREE_CORE if rate else CORE
+    free = (*recurrence, *"bcdgh", "bias", "scaffold_in", "scaffold_out", "x0")
     flat = pack_parameters(theta, free)
     r, j, turn = one.residual_and_jacobian(theta, free)
     expected = one.weighted_error(theta)
@@ -239,7 +247,8 @@ def test_the_gradient_is_that_of_the_adjoint() -> None:
     r, j, _ = one.residual_and_jacobian(theta, free)
     by_adjoint = stepped_gradient(one, theta)
     actual = 2 * j.T @ r
-    expected = np.concatenate([by_adjoint[name].ravel() for name in free])
+    gradients = [by_adjoint[name].ravel() for name in free]
+    expected = np.concatenate(gradients)
     np.testing.assert_allclose(actual, expected, rtol=1e-9)
 
 
@@ -247,9 +256,9 @@ def test_the_ridge_weighs_the_squares_of_the_parameters_that_are_moved() -> None
     one, theta = problem(0, None)
     free = ("a", "b", "bias", "x0")
     bare = regularised_loss(one, theta, ())
-    squares = float(
-        np.square(theta["b"]).sum() + np.square(theta["bias"]).sum()
-    )  # coordinates and starts are free
+    of_input_matrix = np.square(theta["b"]).sum()
+    of_bias = np.square(theta["bias"]).sum()
+    squares = float(of_input_matrix + of_bias)  # coordinates and starts are free
     weighed = replace(one, ridge=0.3)
     assert regularised_loss(one, theta, free) == pytest.approx(bare)
     expected = bare + 0.3 * squares
@@ -268,7 +277,8 @@ def test_a_step_whose_damped_matrix_overflows_has_failed_and_ends_nothing() -> N
     lift = TrainablePieces(1, 0, 0.1, 1.0)
     read = TrainablePieces(1, 0, 0.1, 1.0)
     maps = {"lift": lift, "read": read}
-    pairs = [(np.ones((900, 1)), np.arange(900.0)[:, None])]
+    ramp = np.arange(900.0)[:, None]
+    pairs = [(np.ones((900, 1)), ramp)]
     records = RecordBatch.from_pairs(pairs)
     one = SimulationProblem(records=records, neurons=(), **maps)  # type: ignore[arg-type]
     rng = np.random.default_rng(0)
@@ -277,7 +287,8 @@ def test_a_step_whose_damped_matrix_overflows_has_failed_and_ends_nothing() -> N
     begun = theta | {"a": a}
     descent_loss = regularised_loss(one, begun, ())
     at = Descent(theta=begun, loss=descent_loss, damping=1e6)
-    normal = np.square(one.residual_and_jacobian(begun, ("a",))[1]).sum()
+    jacobian = one.residual_and_jacobian(begun, ("a",))[1]
+    normal = np.square(jacobian).sum()
     assert np.isfinite(at.loss)
     assert np.isfinite(normal)
     with np.errstate(over="ignore"):
@@ -291,7 +302,9 @@ def test_a_refused_step_does_not_end_the_linear_fit_of_a_start() -> None:
     """Records of the motor: a step that suits the largest balanced state overturns one of a six
     hundredth."""
     made = from_yaml("data", "simulated", "validation_samples=20", "test_samples=20")
-    recording = made.build(from_yaml("plant", "dc_motor"), from_yaml("excitation", "aprbs"), 8)
+    plant = from_yaml("plant", "dc_motor")
+    excitation = from_yaml("excitation", "aprbs")
+    recording = made.build(plant, excitation, 8)
     lift = TrainablePieces(1, 16, 0.1, 1.0)
     read = TrainablePieces(1, 0, 0.1, 1.0)
     maps = {"lift": lift, "read": read}
@@ -301,7 +314,8 @@ def test_a_refused_step_does_not_end_the_linear_fit_of_a_start() -> None:
     rng = np.random.default_rng(8)
     begun = fit_initial_linear_model(one, 5, False, rng)
     assert regularised_loss(one, begun, ()) > 0.05
-    assert minimise_simulation_error(one, begun, ("a", "b", "c"), 15).loss < 0.0055
+    minimised = minimise_simulation_error(one, begun, ("a", "b", "c"), 15)
+    assert minimised.loss < 0.0055
     assert not has_converged(1.0, 1.0, 1.0)
     assert has_converged(1.0, 1.0, DAMPING_RANGE[1])
 
@@ -315,7 +329,9 @@ def test_slow_modes_are_found_where_the_next_sample_hardly_depends_on_the_input(
     y = []
     for v in u:
         y.append([x[0] + rng.normal()])
-        x = np.array([0.975 * x[0] + 0.05 * x[1], 0.96 * x[1] + v[0]])
+        slow_mode = 0.975 * x[0] + 0.05 * x[1]
+        driven_mode = 0.96 * x[1] + v[0]
+        x = np.array([slow_mode, driven_mode])
     standard_deviation = np.std(y)
     y = np.array(y) / standard_deviation
     lift = TrainablePieces(1, 0, 0.1, 1.0)
@@ -329,7 +345,8 @@ def test_slow_modes_are_found_where_the_next_sample_hardly_depends_on_the_input(
     assert regularised_loss(one, begun, ()) > 0.5
     assert regularised_loss(one, found, ()) < 0.1
     eigenvalues = np.linalg.eigvals(found["a"])
-    for mode, true in zip(sorted(np.abs(eigenvalues)), (0.96, 0.975), strict=True):
+    moduli = sorted(np.abs(eigenvalues))
+    for mode, true in zip(moduli, (0.96, 0.975), strict=True):
         assert mode == pytest.approx(true, abs=0.03)
 
 
@@ -357,7 +374,8 @@ def test_the_projection_leaves_slow_modes_slow() -> None:
 def test_lambda_is_balanced_whatever_stands_on_the_diagonal() -> None:
     """Osborne: off the diagonal, rows and columns of `diag(1/d) G diag(d)` are equally long."""
     rng = np.random.default_rng(0)
-    gains = rng.uniform(0.1, 10.0, (5, 5)) * np.geomspace(1, 100, 5)[:, None]
+    scales = np.geomspace(1, 100, 5)
+    gains = rng.uniform(0.1, 10.0, (5, 5)) * scales[:, None]
     d = _balancing_scales(gains + 50.0 * np.eye(5))
     assert d == pytest.approx(_balancing_scales(gains))
     scaled = gains / d[:, None] * d
@@ -376,4 +394,5 @@ def testrandom_poles_decay_over_one_to_the_longest_count_of_samples() -> None:
         upper_limit = LONGEST * (1 + 1e-9)
         assert (samples < upper_limit).all()
         upper_limit = 0.5 * np.pi
-        assert (np.abs(np.angle(poles)) <= upper_limit).all()
+        angles = np.abs(np.angle(poles))
+        assert (angles <= upper_limit).all()

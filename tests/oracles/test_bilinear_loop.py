@@ -25,7 +25,9 @@ from ssm_study.study.verify import verify
 from ssm_study.synthesis.bilinear_design import BilinearSynthesis
 from ssm_study.synthesis.bilinear_gains import input_columns
 
-CHANNELS = (Channel(name="u", unit="V"), Channel(name="y", unit="m"))
+INPUT_CHANNEL = Channel(name="u", unit="V")
+OUTPUT_CHANNEL = Channel(name="y", unit="m")
+CHANNELS = (INPUT_CHANNEL, OUTPUT_CHANNEL)
 CASES = 400
 
 
@@ -64,7 +66,8 @@ def random_starts(part: BilinearLoop | BilinearEverywhere, size: float) -> tuple
     rng = np.random.default_rng(0)
     x = rng.standard_normal((CASES, 2))
     error = rng.standard_normal((CASES, 2))
-    norm = norms(x, part.p) + part.weight * norms(error, part.m)
+    of_error = part.weight * norms(error, part.m)
+    norm = norms(x, part.p) + of_error
     share = (size / norm)[:, None]
     return share * x, share * error
 
@@ -82,7 +85,8 @@ def test_the_loop_comes_to_rest_as_certified(
         unlimited = estimate @ certificates.k.T
         x, estimate, scaled = loop_step(controller, x, estimate)
         np.testing.assert_allclose(scaled, unlimited, atol=1e-12)
-        after = norms(x, part.p) + part.weight * norms(estimate - x, part.m)
+        of_error = part.weight * norms(estimate - x, part.m)
+        after = norms(x, part.p) + of_error
         assert (after <= part.factor * norm + 1e-12).all()
         norm = after
 
@@ -99,8 +103,10 @@ def test_from_far_away_the_cut_loop_comes_to_rest_as_certified(
     for _ in range(60):
         unlimited = estimate @ certificates.k.T
         x, estimate, scaled = loop_step(controller, x, estimate)
-        cut += int((np.abs(scaled - unlimited) > 0.1).sum())
-        after = norms(x, part.p) + part.weight * norms(estimate - x, part.m)
+        is_cut = np.abs(scaled - unlimited) > 0.1
+        cut += int(is_cut.sum())
+        of_error = part.weight * norms(estimate - x, part.m)
+        after = norms(x, part.p) + of_error
         assert (after <= part.factor * norm + 1e-12).all()
         norm = after
     assert cut > CASES
@@ -117,7 +123,8 @@ def test_two_motions_approach_each_other_inside_the_set_as_certified(
     drawn = rng.standard_normal((2, CASES, 2))
     pair = []
     for x in drawn:
-        share = part.radius * rng.uniform(0.0, 1.0, CASES) / norms(x, part.p)
+        shares = rng.uniform(0.0, 1.0, CASES)
+        share = part.radius * shares / norms(x, part.p)
         pair.append(share[:, None] * x)
     before = norms(pair[0] - pair[1], part.p)
     moved = [advance_states(model, x, x @ certificates.k.T) for x in pair]
@@ -127,12 +134,13 @@ def test_two_motions_approach_each_other_inside_the_set_as_certified(
 
 def test_contraction_fails_far_from_rest() -> None:
     """Both vertices contract at 0.9, the loop's slope is -1.5."""
+    scale_of_one = Scale.identity(1, 1)
     model = Bilinear(
         nodes=np.array([-4.0, 0.0, 4.0]),
         a=np.array([[[0.9]], [[0.9]], [[-0.9]]]),
         b=np.zeros((3, 1)),
         c=np.ones((1, 1)),
-        scale=Scale.identity(1, 1),
+        scale=scale_of_one,
         step_s=0.1,
     )
     numbers = {
@@ -150,7 +158,8 @@ def test_contraction_fails_far_from_rest() -> None:
     assert not BilinearContraction.holds(**numbers, radius=10.0)
     x = np.array([[-9.0], [-9.1]])
     after = advance_states(model, x, -0.3 * x)
-    assert abs(after[1, 0] - after[0, 0]) > 0.12  # before: 0.1
+    distance_after = abs(after[1, 0] - after[0, 0])
+    assert distance_after > 0.12  # before: 0.1
 
 
 def test_the_vertices_hold_between_the_nodes(certificates: RestCertificates) -> None:
@@ -163,7 +172,8 @@ def test_the_vertices_hold_between_the_nodes(certificates: RestCertificates) -> 
     for v in np.linspace(-1, 1, 41):
         if v == 0.0:
             continue
-        hats = model.hats(np.array([[v]]))[0]
+        at_the_input = np.array([[v]])
+        hats = model.hats(at_the_input)[0]
         a = np.einsum("q,qij->ij", hats, model.a)
         b = hats @ model.b / v
         closed = a + np.outer(b, certificates.k)
@@ -203,7 +213,8 @@ def test_a_stored_design_is_verified_and_a_lie_is_named(
     content["bilinear_loop"]["radius"] *= 2
     lie = json.dumps(content)
     path.write_text(lie)
-    failing = [finding.found for finding in verify(folder) if not finding.holds]
+    failed = [finding for finding in verify(folder) if not finding.holds]
+    failing = [finding.found for finding in failed]
     assert any("in exact arithmetic the inequality fails" in words for words in failing)
     with pytest.raises(BadRequest, match="in exact arithmetic the inequality fails"):
         RestDesign.load(folder)
@@ -233,17 +244,21 @@ def test_a_certificate_of_another_model_or_gain_is_refused(certificates: RestCer
     other = replace(model, a=0.99 * model.a)
     (first, *_) = failed_rest_checks(content, other)
     assert "a_nodes: differs from what the model" in first
-    deployed = content | {"k": (1.1 * certificates.k).tolist()}
+    larger_gain = 1.1 * certificates.k
+    deployed = content | {"k": (larger_gain).tolist()}
     assert any(
         "not the one that is deployed" in words for words in failed_rest_checks(deployed, model)
     )
-    (missing,) = failed_rest_checks({"k": content["k"]}, model)
+    gain_alone = {"k": content["k"]}
+    (missing,) = failed_rest_checks(gain_alone, model)
     assert "certificate.l_nodes" in missing
 
 
 def test_a_model_that_no_gain_steadies_is_told() -> None:
     model = known_model()
-    unsteady = replace(model, a=2.0 * model.a, b=0.0 * model.b)
+    unstable_a = 2.0 * model.a
+    no_input = 0.0 * model.b
+    unsteady = replace(model, a=unstable_a, b=no_input)
     certificates = BilinearSynthesis().design(unsteady)
     assert not certificates.certified
     design = RestDesign(model=unsteady, certificates=certificates, channels=CHANNELS)
@@ -269,7 +284,8 @@ def test_the_loop_settles_sooner_than_the_model_alone(certificates: RestCertific
     assert len(table) == 60
     last = table[table.time_s > 2.85]
     assert last.y.abs().max() < 0.01
-    radii = [np.abs(np.linalg.eigvals(a)).max() for a in known_model().a]
+    moduli = [np.abs(np.linalg.eigvals(a)) for a in known_model().a]
+    radii = [of_node.max() for of_node in moduli]
     part = certificates.parts["bilinear_loop"]
     assert isinstance(part, BilinearLoop)
     assert part.factor_controller < max(radii)
@@ -288,7 +304,8 @@ def test_the_named_starts_from_rest_are_in_the_set(certificates: RestCertificate
     x = equilibrium_state(model, highest)
     np.testing.assert_allclose(model.c @ x, y[-1], atol=1e-9)
     norm = np.sqrt(x @ part.p @ x)
-    norm += part.weight * np.sqrt(x @ part.m @ x)
+    norm_of_error = np.sqrt(x @ part.m @ x)
+    norm += part.weight * norm_of_error
     assert 0.9 * part.radius < norm <= part.radius
 
 

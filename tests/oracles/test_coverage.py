@@ -57,7 +57,8 @@ def records(
     one = period(rng) if shape is None else shape
     found = []
     for amplitude in amplitudes:
-        u = amplitude * np.concatenate([one, one, one, np.zeros((PERIOD, 1))])
+        at_rest = np.zeros((PERIOD, 1))
+        u = amplitude * np.concatenate([one, one, one, at_rest])
         y = answer(u) + noise * rng.standard_normal(u.shape)
         trajectory = Trajectory(u=u, y=y, step_s=0.01, name=f"at {amplitude}")
         found.append(trajectory)
@@ -94,7 +95,8 @@ def design(linear_model: StateSpace = MODEL, input_weight: float = 0.3) -> Desig
 def covered(answer, **options) -> dict:
     known = premise(answer, **options)
     model = SSM.from_linear(MODEL, 0.01)
-    return coverage_columns(add_coverage_certificate(design(), model, BALLS, known), model, known)
+    certified = add_coverage_certificate(design(), model, BALLS, known)
+    return coverage_columns(certified, model, known)
 
 
 @pytest.mark.parametrize("share", [0.3, -0.4])
@@ -111,7 +113,8 @@ def test_a_gain_that_is_wrong_needs_as_much_in_every_item(share: float, centre: 
 
 def test_every_line_but_the_mean_is_in_one_band() -> None:
     amplitudes = (0.1, 1.0)
-    items = premise(scaled_model(0.3), amplitudes=amplitudes).requirements(0.0)
+    measured = premise(scaled_model(0.3), amplitudes=amplitudes)
+    items = measured.requirements(0.0)
     record = items[0].record
     bands = [item for item in items if item.is_band and item.record == record]
     lines = np.concatenate([band.angles for band in bands])
@@ -134,10 +137,11 @@ def test_an_offset_that_friction_leaves_is_no_mismatch_of_the_disc() -> None:
 
 def test_noise_is_told_from_mismatch_where_an_input_repeats() -> None:
     noisy = premise(scaled_model(0.3), noise=0.02)
-    totals = [item for item in noisy.requirements(0.0) if item.where.endswith("in total")]
+    requirements = noisy.requirements(0.0)
+    totals = [item for item in requirements if item.where.endswith("in total")]
     output_alone = OUTPUT_ALONE.largest_required_radius(totals[1:])
     assert output_alone[0] == pytest.approx(0.3, rel=0.1)
-    small = [item for item in noisy.requirements(0.0) if item.where.startswith("input of rms 0.0")]
+    small = [item for item in requirements if item.where.startswith("input of rms 0.0")]
     highest = [item for item in small if "around 3.14" in item.where]
     assert highest[0].seen == 0.0
 
@@ -177,7 +181,8 @@ def test_running_sums_grow_over_a_period_by_what_the_lines_say() -> None:
     response = plant.simulate(u)
     e = response[0] - m
     sums = running_constraint_sum(weights, centre, kappa, u, m, e)
-    growth = sums[3 * PERIOD - 1] - sums[2 * PERIOD - 1]
+    third_period = sums[3 * PERIOD - 1]
+    growth = third_period - sums[2 * PERIOD - 1]
     made = premise(linear(plant), amplitudes=(1.0,), shape=one)
     total = next(item for item in made.requirements(centre) if item.where.endswith("in total"))
     powers = weights.output_weight(total.angles)
@@ -201,7 +206,8 @@ def resonance(size: float) -> StateSpace:
     radius = 0.995
     cosine = np.cos(angle)
     sine = np.sin(angle)
-    turn = radius * np.array([[cosine, -sine], [np.sin(angle), np.cos(angle)]])
+    second_row = [np.sin(angle), np.cos(angle)]
+    turn = radius * np.array([[cosine, -sine], second_row])
     b = np.array([[size], [0.0]])
     c = np.array([[1.0, 0.5]])
     return StateSpace(a=turn, b=b, c=c, d=ZERO)
@@ -213,11 +219,10 @@ def radius_on(mode: StateSpace) -> float:
     drive = MODEL.b @ gains["k"]
     none = np.zeros((2, 2))
     estimate = MODEL.a + drive + gains["l"] @ MODEL.c
-    rows = [
-        [MODEL.a, none, drive],
-        [none, mode.a, mode.b @ gains["k"]],
-        [-gains["l"] @ MODEL.c, -gains["l"] @ mode.c, estimate],
-    ]
+    plant_row = [MODEL.a, none, drive]
+    mode_row = [none, mode.a, mode.b @ gains["k"]]
+    observer_row = [-gains["l"] @ MODEL.c, -gains["l"] @ mode.c, estimate]
+    rows = [plant_row, mode_row, observer_row]
     block_matrix = np.block(rows)
     eigenvalues = np.linalg.eigvals(block_matrix)
     spectral_radius = np.abs(eigenvalues).max()
@@ -286,7 +291,8 @@ def test_the_table_of_bands_is_the_premise_beside_the_proof() -> None:
         assert row.measured / row.proved_radius == pytest.approx(expected)
     assert sum(row.decides for row in rows) >= 1
     largest = max(row.need for row in rows)
-    upper_limit = weights.largest_required_radius(known.requirements(part.centre))[0]
+    required = weights.largest_required_radius(known.requirements(part.centre))
+    upper_limit = required[0]
     assert largest <= upper_limit
     assert max(row.need for row in rows) < part.kappa
 
@@ -361,7 +367,8 @@ def test_stored_weights_are_not_trusted() -> None:
     honest = coverage_columns(made, model, known)
     coverage = coverage_columns(forged, model, known)["coverage"]
     assert coverage == pytest.approx(honest["coverage"])
-    emptied = coverage_columns(made, model, Premise(repeating=(), averaged=()))
+    no_records = Premise(repeating=(), averaged=())
+    emptied = coverage_columns(made, model, no_records)
     expected = {"coverage": None, "coverage_reason": EMPTY}
     assert emptied == expected
 
@@ -371,7 +378,8 @@ def test_a_certificate_reads_back_to_the_same_numbers() -> None:
     model = SSM.from_linear(MODEL, 0.01)
     made = add_coverage_certificate(design(), model, BALLS, known)
     again = Design.from_json(made.to_json())
-    assert coverage_columns(again, model, known) == coverage_columns(made, model, known)
+    columns_of_again = coverage_columns(again, model, known)
+    assert columns_of_again == coverage_columns(made, model, known)
     assert again.to_json() == made.to_json()
 
 
@@ -382,18 +390,10 @@ def test_a_short_period_has_bands_without_lines() -> None:
     model = rng.normal(size=(2, lines, 1)) + 1j * rng.normal(size=(2, lines, 1))
     angles = np.linspace(0, np.pi, lines)
     sides = np.concatenate([[1.0], np.full(lines - 2, 2.0), [1.0]])
-    input_power = np.ones(lines)
-    noise = np.zeros(lines)
-    record = MismatchSpectrum(
-        name="short",
-        amplitude=1.0,
-        angles=angles,
-        sides=sides,
-        model=model,
-        error=0.1 * model,
-        input_power=input_power,
-        noise=noise,
-    )
+    answers = {"model": model, "error": 0.1 * model}
+    powers = {"input_power": np.ones(lines), "noise": np.zeros(lines)}
+    grid = {"angles": angles, "sides": sides}
+    record = MismatchSpectrum(name="short", amplitude=1.0, **grid, **answers, **powers)
     items = requirements_from_periods(record, 0.0, sure=True)
     assert all(len(item.angles) > 0 for item in items)
     assert all(np.isfinite(item.seen) and not item.dark for item in items)

@@ -13,7 +13,8 @@ from ssm_study.refusal import BadRequest
 
 TIMES = 0.01 * np.arange(200)
 U = np.repeat([0.0, 1.0, -1.0, 0.5], 50)
-Y = np.convolve(U, 0.2 * 0.8 ** np.arange(40))[:200]
+IMPULSE_RESPONSE = 0.2 * 0.8 ** np.arange(40)
+Y = np.convolve(U, IMPULSE_RESPONSE)[:200]
 
 
 def hdf5_log(folder: Path) -> Path:
@@ -30,11 +31,16 @@ def hdf5_log(folder: Path) -> Path:
                 data.attrs[title] = value
 
         put("t", TIMES[:, None], "double")
-        put("u", U[:, None].astype(np.float32), "single")
-        put("data", np.stack([U, Y], axis=1), "double")
-        put("note", np.array([[72, 105]], dtype=np.uint16), "char", MATLAB_int_decode=2)
-        put("stamp", np.zeros((1, 6), dtype=np.uint32), "datetime", MATLAB_object_decode=3)
-        put("nothing", np.zeros((1, 2), dtype=np.uint64), "double", MATLAB_empty=1)
+        single = U[:, None].astype(np.float32)
+        put("u", single, "single")
+        both = np.stack([U, Y], axis=1)
+        put("data", both, "double")
+        characters = np.array([[72, 105]], dtype=np.uint16)
+        put("note", characters, "char", MATLAB_int_decode=2)
+        no_date = np.zeros((1, 6), dtype=np.uint32)
+        put("stamp", no_date, "datetime", MATLAB_object_decode=3)
+        empty = np.zeros((1, 2), dtype=np.uint64)
+        put("nothing", empty, "double", MATLAB_empty=1)
         parts = np.zeros((200, 1), dtype=[("real", "f8"), ("imag", "f8")])
         put("z", parts, "double")
         file.create_group("log").attrs["MATLAB_class"] = np.bytes_("struct")
@@ -55,7 +61,8 @@ def test_a_file_of_version_7_3_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(actual, U)
     actual = piece.y[:, 0]
     np.testing.assert_array_equal(actual, Y)
-    columns = MatReader().read(path, ["data:1", "data:2"]).columns
+    table = MatReader().read(path, ["data:1", "data:2"])
+    columns = table.columns
     np.testing.assert_array_equal(columns["data:2"], Y)
     skipped = MatReader().read_all_columns(path).skipped
     expected = {

@@ -14,6 +14,7 @@ from ssm_study.data.look import look
 from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence.metrics import judge_reading
 from ssm_study.refusal import BadRequest
+from ssm_study.signals import Trajectory
 
 ROWS = 300
 RNG = np.random.default_rng(3)
@@ -140,65 +141,86 @@ READ["groups by spaces"] = (
 READ["date beside time"] = (DATE_AND_TIME, 300.0)
 
 
-def written(folder: Path, content: str | bytes) -> Path:
+def write_log(folder: Path, content: str | bytes) -> Path:
     path = folder / "log.csv"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     return path
 
 
+def read_log(path: Path, input: str = "u", output: str = "y") -> tuple[Trajectory, str]:
+    """The only piece of a log, and what the reader remarks on it."""
+    source = RecordedData(path=str(path), input=input, output=output)
+    (piece,), remark = source.read_pieces(path)
+    return piece, remark
+
+
+def assert_same_but_for_scale(values: np.ndarray, truth: np.ndarray) -> None:
+    """Some of the files hold multiples of the signal, or rounded numbers."""
+    straight_line = np.polyfit(truth, values, 1)
+    fitted = np.polyval(straight_line, truth)
+    np.testing.assert_allclose(values, fitted, atol=1)
+    assert np.corrcoef(values, truth)[0, 1] > 0.9999
+
+
 @pytest.mark.parametrize("kind", READ)
 def test_the_right_step_and_numbers(tmp_path: Path, kind: str) -> None:
     content, step_s = READ[kind]
-    path = written(tmp_path, content)
-    (piece,), _ = RecordedData(path=str(path), input="u", output="y").read_pieces(path)
+    path = write_log(tmp_path, content)
+    piece, _ = read_log(path)
+    overview = look(path, input="u", output="y")
+
     assert piece.step_s == pytest.approx(step_s, rel=1e-3)
+    assert overview.records[0].step_s == piece.step_s
     assert len(piece) == ROWS
-    for values, truth in ((piece.u[:, 0], U), (piece.y[:, 0], Y)):
-        np.testing.assert_allclose(values, np.polyval(np.polyfit(truth, values, 1), truth), atol=1)
-        assert np.corrcoef(values, truth)[0, 1] > 0.9999
-    seen = look(path, input="u", output="y")
-    assert seen.records[0].step_s == piece.step_s
+    assert_same_but_for_scale(piece.u[:, 0], U)
+    assert_same_but_for_scale(piece.y[:, 0], Y)
 
 
 def test_a_switch_is_one_or_zero(tmp_path: Path) -> None:
     text = table(lambda k: [f"{0.1 * k:.1f}", "ON" if U[k] > 0 else "off", number(Y[k])])
-    path = written(tmp_path, text)
-    (piece,), _ = RecordedData(path=str(path), input="u", output="y").read_pieces(path)
-    np.testing.assert_array_equal(piece.u[:, 0], (U > 0).astype(float))
+    piece, _ = read_log(write_log(tmp_path, text))
+    is_on = (U > 0).astype(float)
+    np.testing.assert_array_equal(piece.u[:, 0], is_on)
 
 
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        (gzip.compress(PLAIN.encode()), r"is packed \(gzip\); unpack it first"),
-        (PLAIN + f"Mean,0,{Y.mean():.3f}\n", "column time: no number in line 302: Mean"),
-        (
-            table(lambda k: [comma(0.1 * k), comma(U[k]), f"{1000 * Y[k]:,.0f}".replace(",", ".")],
-                  ";"),
-            "may stand between thousands, or before decimals",
-        ),
-        ("\n".join([*LINES[:100], *LINES[99:]]), "row 99 of the file repeats the one before"),
-    ],
-    ids=["packed", "footer", "thousands or decimals", "row twice"],
-)  # fmt: skip
+THOUSANDS_OR_DECIMALS = table(
+    lambda k: [comma(0.1 * k), comma(U[k]), f"{1000 * Y[k]:,.0f}".replace(",", ".")], ";"
+)
+AMBIGUOUS = {
+    "packed": (gzip.compress(PLAIN.encode()), r"is packed \(gzip\); unpack it first"),
+    "footer": (PLAIN + f"Mean,0,{Y.mean():.3f}\n", "column time: no number in line 302: Mean"),
+    "thousands or decimals": (
+        THOUSANDS_OR_DECIMALS,
+        "may stand between thousands, or before decimals",
+    ),
+    "row twice": (
+        "\n".join([*LINES[:100], *LINES[99:]]),
+        "row 99 of the file repeats the one before",
+    ),
+}
+
+
+@pytest.mark.parametrize(("content", "says"), AMBIGUOUS.values(), ids=AMBIGUOUS)
 def test_what_is_ambiguous_is_refused(tmp_path: Path, content: str | bytes, says: str) -> None:
-    path = written(tmp_path, content)
+    path = write_log(tmp_path, content)
     with pytest.raises(BadRequest, match=says):
-        RecordedData(path=str(path), input="u", output="y").read_pieces(path)
+        read_log(path)
+
+
+LAST_OUTPUT = LINES[200].rsplit(",")[-1]
 
 
 @pytest.mark.parametrize(
     ("content", "says"),
     [
         (READ["days, by another name"][0], "taken for days, as a spreadsheet counts them, though"),
-        (PLAIN.replace(LINES[200].rsplit(",")[-1], "-9999"), "y is -9999 in 1 row: a number that"),
+        (PLAIN.replace(LAST_OUTPUT, "-9999"), "y is -9999 in 1 row: a number that"),
         (PLAIN, ""),
         (READ["days of a spreadsheet"][0], ""),
     ],
 )
 def test_what_was_guessed_is_doubted(tmp_path: Path, content: str, says: str) -> None:
-    path = written(tmp_path, content)
-    _, remark = RecordedData(path=str(path), input="u", output="y").read_pieces(path)
+    _, remark = read_log(write_log(tmp_path, content))
     sentences = [finding.sentence for finding in judge_reading(remark)]
     assert len(sentences) == bool(says)
     assert says in " ".join(sentences)
@@ -206,8 +228,9 @@ def test_what_was_guessed_is_doubted(tmp_path: Path, content: str, says: str) ->
 
 def test_a_fast_clock_in_the_range_of_days_stays_in_seconds(tmp_path: Path) -> None:
     """Twelve hours after a machine was switched on its clock may read 46086 s."""
-    path = written(tmp_path, with_clock(lambda k: f"{46086.4 + 0.01 * k:.3f}"))
-    (piece,), remark = RecordedData(path=str(path), input="u", output="y").read_pieces(path)
+    twelve_hours = with_clock(lambda k: f"{46086.4 + 0.01 * k:.3f}")
+    piece, remark = read_log(write_log(tmp_path, twelve_hours))
+
     assert piece.step_s == pytest.approx(0.01)
     assert "(no unit: seconds)" in remark
 
@@ -223,14 +246,16 @@ def test_a_fast_clock_in_the_range_of_days_stays_in_seconds(tmp_path: Path) -> N
     ],
 )
 def test_names_in_a_code_page_are_spelled(tmp_path: Path, page: str, names: str) -> None:
-    path = written(tmp_path, PLAIN.replace("time,u,y", names).encode(page))
     _, u, y = names.split(",")
+    log = PLAIN.replace("time,u,y", names).encode(page)
+    path = write_log(tmp_path, log)
     source = RecordedData(path=str(path), input=u, output=y)
     (piece,), remark = source.read_pieces(path)
+
     assert f"encoding {page}" in remark
-    assert (len(piece), piece.step_s) == (ROWS, pytest.approx(0.1))
-    channels = [*source.inputs, *source.outputs]
-    stored = [channel.name for channel in channels]
+    assert len(piece) == ROWS
+    assert piece.step_s == pytest.approx(0.1)
+    stored = [channel.name for channel in (*source.inputs, *source.outputs)]
     assert stored[0] != stored[1]
     assert all(map(str.isidentifier, stored))
     assert all(map(str.isascii, stored))
@@ -239,10 +264,10 @@ def test_names_in_a_code_page_are_spelled(tmp_path: Path, page: str, names: str)
 def test_an_ambiguous_code_page_is_read_by_number(tmp_path: Path) -> None:
     """Korean syllables are Chinese characters in another page: the names stay unread."""
     korean = PLAIN.replace("time,u,y", "시간,전압,속도")
-    path = written(tmp_path, korean.encode("euc_kr"))
-    by_name = RecordedData(path=str(path), input="전압", output="속도")
+    path = write_log(tmp_path, korean.encode("euc_kr"))
     with pytest.raises(BadRequest, match="the header has"):
-        by_name.read_pieces(path)
+        read_log(path, input="전압", output="속도")
+
     by_number = RecordedData(path=str(path), input="1", output="2", time="0")
     (piece,), remark = by_number.read_pieces(path)
     assert len(piece) == ROWS
@@ -258,26 +283,24 @@ def test_an_ambiguous_code_page_is_read_by_number(tmp_path: Path) -> None:
     ],
 )
 def test_prose_below_the_rows_is_no_row(tmp_path: Path, below: str, lines: int) -> None:
-    path = written(tmp_path, PLAIN + below)
-    source = RecordedData(path=str(path), input="u", output="y")
-    (piece,), remark = source.read_pieces(path)
-    assert len(piece) == ROWS
+    piece, remark = read_log(write_log(tmp_path, PLAIN + below))
     noun = "line" if lines == 1 else "lines"
+
+    assert len(piece) == ROWS
     assert f"{lines} {noun} of prose below" in remark
 
 
 def test_values_that_are_never_together_are_counted(tmp_path: Path) -> None:
     """A logger that writes the input only where it changes."""
     rows = table(lambda k: [number(0.1 * k), "" if k % 10 else number(U[k]), number(Y[k])])
-    path = written(tmp_path, rows)
+    path = write_log(tmp_path, rows)
     with pytest.raises(BadRequest, match=r"missing: u 90%, y 0%; fill in what is held"):
-        RecordedData(path=str(path), input="u", output="y").read_pieces(path)
+        read_log(path)
 
 
 @pytest.mark.parametrize("below", ["30.0,0.3\n", "Sum,0.3,20.1\n"])
 def test_numbers_below_the_rows_are_refused(tmp_path: Path, below: str) -> None:
     """A row cut short, or one of sums, may be a damaged sample."""
-    path = written(tmp_path, PLAIN + below)
-    source = RecordedData(path=str(path), input="u", output="y")
+    path = write_log(tmp_path, PLAIN + below)
     with pytest.raises(BadRequest, match=r"does not fit|no number in line 302"):
-        source.read_pieces(path)
+        read_log(path)

@@ -79,11 +79,13 @@ def test_the_loop_reckons_with_the_dead_time_and_without_it_does_not_settle() ->
     balls = Balls(input=jacobian_ball, output=output)
     wanted = RiccatiSynthesis(rate_controller=0.08, rate_observer=0.1, input_weight=0.1)
     loop = Loop(horizon_s=20.0, measurement_noise_variance=0.0)
-    told, untold = (wanted.design(known, balls) for known in (model.with_dead_time(LATE), model))
+    late_model = model.with_dead_time(LATE)
+    told, untold = (wanted.design(known, balls) for known in (late_model, model))
     assert told.certified
     assert untold.certified
-    assert failed_checks(told.to_json(), model.with_dead_time(LATE).linear, balls) == []
-    aware = loop.run_design(plant, model.with_dead_time(LATE), told, seed=0)
+    late_linear = late_model.linear
+    assert failed_checks(told.to_json(), late_linear, balls) == []
+    aware = loop.run_design(plant, late_model, told, seed=0)
     assert behaviour_columns(aware)["stable_count"] == 10
     certified_bound_violations = certificate_columns(aware, told)["certified_bound_violations"]
     assert certified_bound_violations == 0

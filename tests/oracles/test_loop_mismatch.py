@@ -32,16 +32,20 @@ from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
 
 # A mode of radius 0.999 is 0.001 wide: half a step of 0.0004 beside its peak, the gain is 2 %
 # lower.
-ANGLES = np.concatenate([np.linspace(0, np.pi, 8001), np.geomspace(1e-5, np.pi, 2000)])
+EVEN_ANGLES = np.linspace(0, np.pi, 8001)
+LOW_ANGLES = np.geomspace(1e-5, np.pi, 2000)
+ANGLES = np.concatenate([EVEN_ANGLES, LOW_ANGLES])
+
+
+def one_mode(pole: float) -> StateSpace:
+    """`x+ = pole x + u`, `y = x`."""
+    one = np.ones((1, 1))
+    return StateSpace(a=pole * one, b=one, c=one, d=0.0 * one)
 
 
 @given(st.floats(-0.999, 0.999))
 def test_first_order_peak_is_known(pole):
-    a = np.array([[pole]])
-    b = np.ones((1, 1))
-    c = np.ones((1, 1))
-    d = np.zeros((1, 1))
-    system = StateSpace(a=a, b=b, c=c, d=d)
+    system = one_mode(pole)
     expected = 1 / (1 - abs(pole))
     assert hinf_norm(system) == pytest.approx(expected, rel=1e-7)
 
@@ -50,13 +54,16 @@ def test_first_order_peak_is_known(pole):
 def test_resonance_is_found(radius, angle):
     cosine = np.cos(angle)
     sine = np.sin(angle)
-    turn = radius * np.array([[cosine, sine], [-np.sin(angle), np.cos(angle)]])
+    second_row = [-np.sin(angle), np.cos(angle)]
+    turn = radius * np.array([[cosine, sine], second_row])
     b = np.array([[1.0], [0.3]])
     c = np.array([[0.5, 1.0]])
     d = np.zeros((1, 1))
     system = StateSpace(a=turn, b=b, c=c, d=d)
-    near = angle + np.linspace(-1, 1, 20001) * 20 * (1 - radius)
-    reference = largest_gains(system, np.concatenate([near, ANGLES])).max()
+    around = np.linspace(-1, 1, 20001)
+    near = angle + around * 20 * (1 - radius)
+    angles = np.concatenate([near, ANGLES])
+    reference = largest_gains(system, angles).max()
     assert hinf_norm(system) == pytest.approx(reference, rel=1e-6)
 
 
@@ -68,7 +75,8 @@ def test_no_frequency_exceeds_the_norm(seed, n, m, p, feedthrough):
     a = rng.standard_normal((n, n))
     eigenvalues = np.linalg.eigvals(a)
     spectral_radius = np.abs(eigenvalues).max()
-    a *= rng.choice([0.3, 0.9, 0.99, 0.999]) / spectral_radius
+    radius = rng.choice([0.3, 0.9, 0.99, 0.999])
+    a *= radius / spectral_radius
     b = rng.standard_normal((n, m))
     c = rng.standard_normal((p, n))
     d = rng.standard_normal((p, m)) if feedthrough else np.zeros((p, m))
@@ -89,18 +97,15 @@ def test_the_norm_agrees_with_python_control():
         a *= 0.95 / spectral_radius
         b = rng.standard_normal((5, 2))
         c = rng.standard_normal((2, 5))
-        theirs = control.system_norm(control.ss(a, b, c, np.zeros((2, 2)), True), "inf", tol=1e-8)
+        system_of_control = control.ss(a, b, c, np.zeros((2, 2)), True)
+        theirs = control.system_norm(system_of_control, "inf", tol=1e-8)
         d = np.zeros((2, 2))
         system = StateSpace(a=a, b=b, c=c, d=d)
         assert hinf_norm(system) == pytest.approx(theirs, rel=1e-5)
 
 
 def test_an_unstable_system_has_no_finite_norm():
-    a = np.array([[1.01]])
-    b = np.ones((1, 1))
-    c = np.ones((1, 1))
-    d = np.zeros((1, 1))
-    system = StateSpace(a=a, b=b, c=c, d=d)
+    system = one_mode(1.01)
     assert hinf_norm(system) == np.inf
 
 
@@ -111,8 +116,10 @@ def test_the_peak_by_state_space_and_by_factors():
     gain = design.observer.l
     pair = Gains(k=k, l=gain)
     exact = sensitivity_peak(model.linear, pair, BALLS)
-    angles = np.concatenate([ANGLES[1:], np.linspace(1e-4, np.pi, 5000)])
-    grid = peaks_on_grid(model.linear, k[None], gain[None], BALLS, angles)[0, 0]
+    even_angles = np.linspace(1e-4, np.pi, 5000)
+    angles = np.concatenate([ANGLES[1:], even_angles])
+    peaks = peaks_on_grid(model.linear, k[None], gain[None], BALLS, angles)
+    grid = peaks[0, 0]
     assert grid <= exact * (1 + 1e-9)
     assert grid == pytest.approx(exact, rel=1e-4)
 
@@ -135,14 +142,15 @@ def test_the_factors_agree_with_the_state_space_for_several_channels():
     output = JacobianBall.from_slopes(0.8, 1.1)
     balls = Balls(input=jacobian_ball, output=output)
     angles = np.linspace(0.01, np.pi, 50)
-    by_space = max(
-        largest_gains(error_to_input_response(linear, Gains(k=k, l=gain), i, o), angles).max()
+    pair = Gains(k=k, l=gain)
+    norms = [
+        largest_gains(error_to_input_response(linear, pair, i, o), angles).max()
         for i in (0.4, 0.7, 1.0)
         for o in (0.8, 0.95, 1.1)
-    )
-    assert peaks_on_grid(linear, k[None], gain[None], balls, angles)[0, 0] == pytest.approx(
-        by_space, rel=1e-9
-    )
+    ]
+    by_space = max(norms)
+    peaks = peaks_on_grid(linear, k[None], gain[None], balls, angles)
+    assert peaks[0, 0] == pytest.approx(by_space, rel=1e-9)
 
 
 def test_the_sensitivity_is_the_loops_own_response_to_output_error():
@@ -164,13 +172,18 @@ def test_the_sensitivity_is_the_loops_own_response_to_output_error():
         u.append(float((k @ x_hat)[0]))
         sine = np.sin(angle * sample)
         y = c @ x + sine
-        x = a @ x + b[:, 0] * slope * u[-1]
+        applied = b[:, 0] * slope * u[-1]
+        x = a @ x + applied
         difference = c @ x_hat - y
-        x_hat = a @ x_hat + b[:, 0] * slope * u[-1] + gain @ difference
-    amplitude = np.abs(np.array(u[-1500:]) @ np.exp(-1j * angle * np.arange(1500))) * 2 / 1500
+        applied = b[:, 0] * slope * u[-1]
+        x_hat = a @ x_hat + applied + gain @ difference
+    rotation = np.exp(-1j * angle * np.arange(1500))
+    component = np.array(u[-1500:]) @ rotation
+    amplitude = np.abs(component) * 2 / 1500
     pair = Gains(k=k, l=gain)
     state_space = error_to_input_response(model.linear, pair, slope, 1.0)
-    expected = largest_gains(state_space, np.array([angle]))[0]
+    angles = np.array([angle])
+    expected = largest_gains(state_space, angles)[0]
     assert amplitude == pytest.approx(expected, rel=0.01)
 
 
@@ -203,7 +216,8 @@ def test_a_loop_that_is_unstable_at_one_slope_has_no_margin():
     shown = measure_mismatch(model, (motor_record(),))
     k = 50 * design.state_feedback.k
     observer_l = design.observer.l
-    found = predict_margins(model, Gains(k=k, l=observer_l), BALLS, shown)
+    pair = Gains(k=k, l=observer_l)
+    found = predict_margins(model, pair, BALLS, shown)
     assert found.mismatch_margin == 0.0
     assert found.resolved_margin == 0.0
     own = predict_margins(model, design.pair, BALLS, shown)
@@ -254,7 +268,8 @@ def test_a_mismatch_that_hangs_on_the_frequency_is_resolved(records):
     np.testing.assert_allclose(shown.by_frequency, expected, atol=0.06)
     between = (BANDS[3] + BANDS[4]) / 2
     expected = shown.by_frequency[3:5].mean()
-    assert shown.gain_at(np.array([between]))[0] == pytest.approx(expected)
+    gain_between = shown.gain_at(np.array([between]))
+    assert gain_between[0] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("period", [64.0731, 2000 / 31], ids=["once", "repeated"])
@@ -289,7 +304,8 @@ def test_samples_that_start_the_state_do_not_count():
     model = motor_model()
     rng = np.random.default_rng(0)
     u = rng.standard_normal((400, 1))
-    still = np.where(np.arange(400)[:, None] < 40, u, 0.0)
+    is_at_rest = np.arange(400)[:, None] < 40
+    still = np.where(is_at_rest, u, 0.0)
     y = model.simulate(still)
     trajectory = Trajectory(u=still, y=y, step_s=0.01)
     with pytest.raises(BadRequest, match="validation"):
@@ -349,16 +365,16 @@ def test_the_controller_alone_is_the_equation_written_out():
     ]
     actual = controller_spectral_radius(linear, pairs, balls)
     np.testing.assert_allclose(actual, expected)
-    wider = Gains(k=np.concatenate([pairs.k, np.ones((3, 2, 2))], axis=2), l=pairs.l)
+    with_integrators = np.concatenate([pairs.k, np.ones((3, 2, 2))], axis=2)
+    wider = Gains(k=with_integrators, l=pairs.l)
     actual = controller_spectral_radius(linear, wider, balls)
     np.testing.assert_allclose(actual, expected)
     known = JacobianBall(alpha=0.7, beta=0.0)
     narrow = Balls(input=known, output=known)
     wide = Balls(input=balls.input, output=known)
-    assert (
-        controller_spectral_radius(linear, pairs, narrow)
-        <= controller_spectral_radius(linear, pairs, wide)
-    ).all()
+    of_narrow = controller_spectral_radius(linear, pairs, narrow)
+    of_wide = controller_spectral_radius(linear, pairs, wide)
+    assert (of_narrow <= of_wide).all()
 
 
 def test_the_norm_of_constants_and_of_nothing():
@@ -377,9 +393,5 @@ def test_the_norm_of_constants_and_of_nothing():
 
 
 def test_a_system_on_the_circle_has_no_finite_norm():
-    a = np.eye(1)
-    b = np.ones((1, 1))
-    c = np.ones((1, 1))
-    d = np.zeros((1, 1))
-    system = StateSpace(a=a, b=b, c=c, d=d)
+    system = one_mode(1.0)
     assert hinf_norm(system) == np.inf

@@ -87,25 +87,24 @@ def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest():
     n = model.order
     m = model.b.shape[1]
     points = 1e-6 * np.eye(n + m)
-    difference = model.advance(points[:, :n], points[:, n:]) - model.advance(
-        -points[:, :n], -points[:, n:]
-    )
+    ahead = model.advance(points[:, :n], points[:, n:])
+    behind = model.advance(-points[:, :n], -points[:, n:])
+    difference = ahead - behind
     moved = difference.T / 2e-6
     seen = known.linear_model.linear
-    assert np.hstack([seen.a, seen.b]) == pytest.approx(moved, abs=1e-8)
+    linearised = np.hstack([seen.a, seen.b])
+    assert linearised == pytest.approx(moved, abs=1e-8)
     built, _ = build_compared_controller("lqg", motor(), known)
-    without = build_compared_controller(
-        "lqg",
-        motor(),
-        Identified(model=known.linear_model, balls=BALLS, validation=(motor_record(),)),
+    without_neurons = Identified(
+        model=known.linear_model, balls=BALLS, validation=(motor_record(),)
     )
+    without = build_compared_controller("lqg", motor(), without_neurons)
     gains_k = built.gains.k
     expected = without[0].gains.k
     assert gains_k == pytest.approx(expected)
     plain = replace(known.linear_model, linear=model.linear)
-    blind = build_compared_controller(
-        "lqg", motor(), Identified(model=plain, balls=BALLS, validation=(motor_record(),))
-    )
+    plain_identified = Identified(model=plain, balls=BALLS, validation=(motor_record(),))
+    blind = build_compared_controller("lqg", motor(), plain_identified)
     gains_k = built.gains.k
     expected = blind[0].gains.k
     assert gains_k != pytest.approx(expected, rel=1e-3)
@@ -122,10 +121,14 @@ def test_lqg_is_optimal_for_the_linear_part():
     scaffold_in = law.model.scaffold_in
     b = linear_b @ scaffold_in.jacobian(np.zeros(1))
     linear_c = model.linear.c
-    q = linear_c.T @ linear_c + weights.state_weight * np.eye(4)
+    state_weight = weights.state_weight * np.eye(4)
+    q = linear_c.T @ linear_c + state_weight
     gains_k = law.gains.k
-    cost = scipy.linalg.solve_discrete_lyapunov((a + b @ gains_k).T, q + 0.3 * gains_k.T @ gains_k)
-    greedy = -np.linalg.solve(0.3 * np.eye(1) + b.T @ cost @ b, b.T @ cost @ a)
+    closed_loop = a + b @ gains_k
+    stage_cost = q + 0.3 * gains_k.T @ gains_k
+    cost = scipy.linalg.solve_discrete_lyapunov(closed_loop.T, stage_cost)
+    input_cost = 0.3 * np.eye(1) + b.T @ cost @ b
+    greedy = -np.linalg.solve(input_cost, b.T @ cost @ a)
     actual = law.gains.k
     np.testing.assert_allclose(actual, greedy, rtol=1e-8)
 
@@ -135,11 +138,15 @@ def test_a_grid_of_gains_is_its_designs_one_by_one():
     model = motor_model()
     k = design.pair.k
     l_ = design.pair.l
-    gains = Gains(k=np.stack([k, 0.5 * k]), l=np.stack([l_, 0.7 * l_]))
+    ks = np.stack([k, 0.5 * k])
+    ls = np.stack([l_, 0.7 * l_])
+    gains = Gains(k=ks, l=ls)
     y0, noise = SHORT.draw_starts_and_noise(motor(), seed=2)
     observer_feedback_gains = gains.select_pairs(np.repeat([0, 1], 3))
     grid = ObserverFeedback(model=model, gains=observer_feedback_gains)
-    together = SHORT.simulate(motor(), grid, np.tile(y0, (2, 1)), np.tile(noise, (2, 1, 1)))
+    repeated_starts = np.tile(y0, (2, 1))
+    repeated_noise = np.tile(noise, (2, 1, 1))
+    together = SHORT.simulate(motor(), grid, repeated_starts, repeated_noise)
     for i in range(2):
         observer_feedback_gains = Gains(k=gains.k[i], l=gains.l[i])
         observer_feedback = ObserverFeedback(model=model, gains=observer_feedback_gains)
@@ -162,7 +169,8 @@ def test_the_design_grid_reports_each_designs_own_margin():
         for l_ in candidates.ls
     ]
     for row in rows[1:]:
-        assert np.isclose(margins, row["mismatch_margin"], rtol=1e-6).any()
+        is_own_margin = np.isclose(margins, row["mismatch_margin"], rtol=1e-6)
+        assert is_own_margin.any()
         assert all(isinstance(value, str | None) or np.isfinite(value) for value in row.values())
 
 
@@ -185,7 +193,8 @@ def test_every_controller_has_a_row_in_every_situation():
     )
     rows = table.rows(motor(), KNOWN, SHORT, seed=0)
     expected = [(n, s) for s in SITUATIONS for n in names]
-    assert [(r["controller"], r["situation"]) for r in rows] == expected
+    cases = [(r["controller"], r["situation"]) for r in rows]
+    assert cases == expected
     spread = [r for r in rows if r["situation"] == "spread"]
     initial_conditions = {r["initial_conditions"] for r in spread}
     assert initial_conditions == {6}
@@ -199,9 +208,12 @@ def test_the_spread_fills_its_range():
     table = Comparison(spread_fields=spread_fields, spread_plants=10)
     plants = table.perturbed_plants(motor(), seed=0)
     for name in table.spread_fields:
-        factors = np.array([getattr(p, name) for p in plants]) / getattr(motor(), name)
+        drawn_values = np.array([getattr(p, name) for p in plants])
+        nominal = getattr(motor(), name)
+        factors = drawn_values / nominal
         expected = np.arange(10)
-        assert (np.floor((np.sort(factors) - 0.8) / 0.04) == expected).all()  # one in each tenth
+        tenths = np.floor((np.sort(factors) - 0.8) / 0.04)
+        assert (tenths == expected).all()  # one in each tenth
 
 
 def test_the_plants_own_pi_is_a_row_of_its_own():
@@ -228,7 +240,8 @@ class Undisturbed(Wrapper):
     disturbances = ()
 
     def advance(self, x, u, d):  # noqa: ARG002
-        return self.plant.advance(x, u, np.zeros((len(x), 1)))
+        no_disturbance = np.zeros((len(x), 1))
+        return self.plant.advance(x, u, no_disturbance)
 
 
 def test_a_plant_without_disturbance_has_no_load_rows():
@@ -249,18 +262,18 @@ def test_what_cannot_be_built_says_why():
     assert "tuning rule needs one input and one output" in said["reason"]
 
 
-@pytest.mark.parametrize(
-    ("values", "names"),
-    [
-        ({"controllers": ("best",)}, "controllers"),
-        ({"situations": ("rain",)}, "situations"),
-        ({"rate": 1.0}, "rate"),
-        ({"spread_share": 1.0}, "spread_share"),
-        ({"spread_plants": 0}, "spread_plants"),
-        ({"own_pi": (0.5, 0.0)}, "own_pi"),
-        ({"own_pi": (0.5,)}, "own_pi"),
-    ],
-)
+REFUSED_COMPARISONS = [
+    ({"controllers": ("best",)}, "controllers"),
+    ({"situations": ("rain",)}, "situations"),
+    ({"rate": 1.0}, "rate"),
+    ({"spread_share": 1.0}, "spread_share"),
+    ({"spread_plants": 0}, "spread_plants"),
+    ({"own_pi": (0.5, 0.0)}, "own_pi"),
+    ({"own_pi": (0.5,)}, "own_pi"),
+]
+
+
+@pytest.mark.parametrize(("values", "names"), REFUSED_COMPARISONS)
 def test_values_out_of_range(values, names):
     with pytest.raises(BadRequest, match=names):
         Comparison(**values)

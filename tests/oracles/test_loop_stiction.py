@@ -18,7 +18,8 @@ from ssm_study.signals import Scale
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
-ONES = Balls(input=JacobianBall(alpha=1.0, beta=0.0), output=JacobianBall(alpha=1.0, beta=0.0))
+UNIT_SLOPE = JacobianBall(alpha=1.0, beta=0.0)
+ONES = Balls(input=UNIT_SLOPE, output=UNIT_SLOPE)
 
 
 def drive() -> StribeckDrive:
@@ -70,8 +71,12 @@ def test_a_plant_with_stiction_comes_to_rest_only_under_a_stable_controller(stab
     radius = controller_spectral_radius(model.linear, law.gains, ONES)
     assert (radius < 1) == stable
     loop = Loop(initial_conditions=1, horizon_s=6.0)
-    run = loop.simulate(plant, law, np.full((1, 1), 1e-6), np.zeros((1, 600, 1)))
-    largest = np.abs(run.u[0, -100:]).max()
+    start = np.full((1, 1), 1e-6)
+    no_noise = np.zeros((1, 600, 1))
+    run = loop.simulate(plant, law, start, no_noise)
+    last_inputs = np.abs(run.u[0, -100:])
+    largest = last_inputs.max()
     assert (largest < 1e-12) == stable
-    largest = np.abs(run.y[0, 300:]).max()
+    later_outputs = np.abs(run.y[0, 300:])
+    largest = later_outputs.max()
     assert (largest == 0.0) == stable

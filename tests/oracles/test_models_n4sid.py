@@ -22,7 +22,8 @@ def test_the_input_matrix_is_recovered_from_records_with_unknown_starts() -> Non
     records = []
     for length in (60, 90):
         u = RNG.normal(size=(length, 2))
-        response = TRUE.simulate(u, RNG.normal(size=2))
+        x0 = RNG.normal(size=2)
+        response = TRUE.simulate(u, x0)
         records.append((u, response[0]))
     actual = estimate_input_matrix(TRUE.a, TRUE.c, records)
     np.testing.assert_allclose(actual, TRUE.b, atol=1e-10)
@@ -37,10 +38,12 @@ def test_a_system_without_feedthrough_is_identified_without_it() -> None:
     for name in ("training", "validation", "test"):
         u = RNG.normal(size=(400, 1))
         y = system.simulate(u)[0]
-        trajectory = Trajectory(u=u, y=y + 0.02 * RNG.normal(size=y.shape), step_s=0.1, name=name)
+        white_noise = RNG.normal(size=y.shape)
+        trajectory = Trajectory(u=u, y=y + 0.02 * white_noise, step_s=0.1, name=name)
         records.append((trajectory,))
     channel = Channel(name="u", unit="V")
-    channels = (channel,), (Channel(name="y", unit="m"),)
+    output_channel = Channel(name="y", unit="m")
+    channels = (channel,), (output_channel,)
     parts = (records[0], records[1], records[2])
     rest = (np.zeros(1), np.zeros(1))
     data = assemble_dataset(parts, rest, channels, 0)

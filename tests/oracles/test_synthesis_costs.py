@@ -26,9 +26,11 @@ SEEDS = st.integers(0, 10**6)
 def test_doubling_solves_what_scipy_solves(seed: int, order: int, kappa: float) -> None:
     rng = np.random.default_rng(seed)
     linear = random_model(rng, order, "unstable", mixed=True)
-    q = linear.c.T @ linear.c + 0.1 * np.eye(order)
+    state_weight = 0.1 * np.eye(order)
+    q = linear.c.T @ linear.c + state_weight
     s = solve_riccati(linear.a, linear.b, q, kappa)
-    expected = scipy.linalg.solve_discrete_are(linear.a, linear.b, q, np.eye(1) / kappa)
+    input_weight = np.eye(1) / kappa
+    expected = scipy.linalg.solve_discrete_are(linear.a, linear.b, q, input_weight)
     largest = np.abs(expected).max()
     atol = 1e-5 * largest
     np.testing.assert_allclose(s, expected, rtol=1e-5, atol=atol)
@@ -48,7 +50,8 @@ def test_what_doubling_leaves_unsolved_is_solved_by_scipy(monkeypatch: pytest.Mo
     q = np.eye(4)
     expected = solve_riccati(linear.a, linear.b, q, 2.0)
     largest = np.abs(expected).max()
-    for spoilt in (None, expected + 1e-4 * largest * np.eye(4)):
+    shift = 1e-4 * largest * np.eye(4)
+    for spoilt in (None, expected + shift):
         monkeypatch.setattr(
             "ssm_study.certificates.riccati.solve_riccati_by_doubling", lambda *_, s=spoilt: s
         )
@@ -80,8 +83,11 @@ def test_the_guaranteed_cost_bounds_the_cost_of_every_slope() -> None:
         discount = 1.0
         for _ in range(300):
             u = solution.k @ x
-            cost += discount * float(x @ problem.state_weight @ x + problem.input_weight * u @ u)
-            x = problem.a @ x + problem.b @ (rng.choice([0.4, 1.0]) * u)
+            state_cost = x @ problem.state_weight @ x
+            input_cost = problem.input_weight * u @ u
+            cost += discount * float(state_cost + input_cost)
+            slope = rng.choice([0.4, 1.0])
+            x = problem.a @ x + problem.b @ (slope * u)
             discount /= problem.contraction**2
         upper_limit = float(x0 @ s @ x0) * (1 + 1e-5)
         assert cost <= upper_limit
@@ -92,7 +98,8 @@ def test_the_tau_search_finds_the_cheapest_admissible_tau() -> None:
     best = np.inf
     for tau in np.geomspace(1e-2, 1e6, 400):
         point = solve_at_tau(problem, tau)
-        best = min(best, np.inf if point is None else point.cost)
+        cost = np.inf if point is None else point.cost
+        best = min(best, cost)
     status = guaranteed_cost(problem).status
     tau = float(status.split()[1])
     found = solve_at_tau(problem, tau)

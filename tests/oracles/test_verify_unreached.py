@@ -10,10 +10,9 @@ from ssm_study.bounds.network import Network
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.study.unreached_numbers import cancelled_biases, unreached_ranges
 
-MAP = MonotoneScaffold(
-    breakpoints=np.array([[-2.0, -1.5, -0.6, 0.4, 0.7, 1.3, 2.2]]),
-    slopes=np.array([[0.2, 0.9, 0.3, 0.8, 0.4, 0.7, 0.5, 1.0]]),
-)
+BREAKPOINTS = np.array([[-2.0, -1.5, -0.6, 0.4, 0.7, 1.3, 2.2]])
+SLOPES = np.array([[0.2, 0.9, 0.3, 0.8, 0.4, 0.7, 0.5, 1.0]])
+MAP = MonotoneScaffold(breakpoints=BREAKPOINTS, slopes=SLOPES)
 
 
 @pytest.mark.parametrize("ends", [(-1.0, 1.0), (-3.0, 3.0), (0.5, 0.6), (-1.6, -0.1)])
@@ -25,10 +24,12 @@ def test_a_number_is_listed_exactly_if_no_signal_changes_with_it(ends: tuple[flo
         listed += [f"{row}.{number}" for number in numbers.split(", ")]
     without_effect = []
     for field in ("breakpoints", "slopes"):
-        for number in range(getattr(MAP, field).shape[1]):
+        count = getattr(MAP, field).shape[1]
+        for number in range(count):
             values = getattr(MAP, field).copy()
             values[0, number] += 1e-3
-            if np.array_equal(replace(MAP, **{field: values})(signal), MAP(signal)):
+            changed_map = replace(MAP, **{field: values})
+            if np.array_equal(changed_map(signal), MAP(signal)):
                 without_effect.append(f"model.json scaffold_in.{field}.0.{number}")
     assert listed == without_effect
 
@@ -42,7 +43,8 @@ def test_a_bias_is_listed_exactly_if_no_signal_changes_with_it() -> None:
     upper = tuple(np.where(np.arange(len(row)) % 3 == 0, row, 1.0) for row in slopes)
     biases = tuple(2.0 * rng.standard_normal(size) for size in sizes[1:-1])
     network = Network(weights=weights, biases=biases, negative_slopes=slopes, positive_slopes=upper)
-    signal = np.linspace(-0.7, 0.4, 801)[:, None]
+    even_points = np.linspace(-0.7, 0.4, 801)
+    signal = even_points[:, None]
     listed = set()
     for place in cancelled_biases("scaffold_in", network, signal):
         row, _, numbers = place.partition(": ")

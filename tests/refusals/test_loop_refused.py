@@ -32,14 +32,16 @@ LOOP = Loop(horizon_s=1.0, measurement_noise_variance=0.0)
     ],
 )
 def test_values_out_of_range(values, names):
+    settings = {"horizon_s": 1.0, "measurement_noise_variance": 0.02} | values
     with pytest.raises(BadRequest, match=names):
-        Loop(**({"horizon_s": 1.0, "measurement_noise_variance": 0.02} | values))
+        Loop(**(settings))
 
 
 def test_a_controller_for_other_dimensions():
     model = random_model(0, inputs=2, outputs=1)
     k = np.zeros((2, 4))
-    gains = Gains(k=k, l=np.zeros((4, 1)))
+    no_injection = np.zeros((4, 1))
+    gains = Gains(k=k, l=no_injection)
     controller = ObserverFeedback(model=model, gains=gains)
     with pytest.raises(BadRequest, match="controller inputs, outputs"):
         LOOP.run_on_plant(motor(), controller, seed=0)
@@ -55,11 +57,13 @@ def test_a_controller_for_another_sampling_time():
 
 def test_gains_of_another_model():
     k = np.zeros((1, 5))
-    gains = Gains(k=k, l=np.zeros((5, 1)))
+    no_injection = np.zeros((5, 1))
+    gains = Gains(k=k, l=no_injection)
     with pytest.raises(BadRequest, match=r"k = .*shape"):
         ObserverFeedback(model=motor_model(), gains=gains)
     k = np.zeros((1, 2))
-    gains = Gains(k=k, l=np.zeros((2, 2)))
+    no_injection = np.zeros((2, 2))
+    gains = Gains(k=k, l=no_injection)
     with pytest.raises(BadRequest, match=r"l = .*shape"):
         ObserverFeedback(model=motor_model(), gains=gains)
 
@@ -69,12 +73,10 @@ def test_an_infeasible_design_closes_no_loop():
     system = motor_model().linear
     ball = JacobianBall.from_slopes(0.01, 1.0)
     infeasible = riccati_synthesis.state_feedback(system, ball)
+    observer = motor_design().observer
     with pytest.raises(BadRequest, match="state_feedback"):
         LOOP.run_design(
-            motor(),
-            motor_model(),
-            Design(state_feedback=infeasible, observer=motor_design().observer),
-            seed=0,
+            motor(), motor_model(), Design(state_feedback=infeasible, observer=observer), seed=0
         )
 
 
@@ -112,9 +114,11 @@ def test_a_diverging_loop_is_stopped_and_labelled():
     assert columns["settling_time_mean_s"] is None
     assert columns["settling_time_worst_s"] is None
     assert columns["unsettled_as"] == "10 lost"
-    assert all(isinstance(value, str | None) or np.isfinite(value) for value in columns.values())
+    finite = [isinstance(value, str | None) or np.isfinite(value) for value in columns.values()]
+    assert all(finite)
     run = result.controlled
-    assert (np.abs(run.y) <= run.bound).all()
+    magnitudes = np.abs(run.y)
+    assert (magnitudes <= run.bound).all()
     for case, at in enumerate(run.left_at_sample):
         expected = run.y[case, at - 1]
         assert (run.y[case, at:] == expected).all()
@@ -140,9 +144,10 @@ def test_references_out_of_order():
         PeriodicDisturbance(amplitude=1.0, frequency_hz=0.0)
 
 
-@pytest.mark.parametrize(
-    "content", ["", "1,2,3\n", "0,1\n0,2\n", "0,1\n1,nan\n", "time,offset\n0,1\n"]
-)
+CONTENTS = ["", "1,2,3\n", "0,1\n0,2\n", "0,1\n1,nan\n", "time,offset\n0,1\n"]
+
+
+@pytest.mark.parametrize("content", CONTENTS)
 def test_a_malformed_reference_file(tmp_path, content):
     path = tmp_path / "reference.csv"
     path.write_text(content)
@@ -174,7 +179,8 @@ def test_a_reference_that_needs_more_than_the_limits_allow():
 def test_a_horizon_shorter_than_a_sample_has_two() -> None:
     horizons = (1e-6, 0.02, 0.031)
     expected = [2, 2, 3]
-    assert [Loop(horizon_s=horizon).horizon_samples(0.01) for horizon in horizons] == expected
+    samples = [Loop(horizon_s=horizon).horizon_samples(0.01) for horizon in horizons]
+    assert samples == expected
 
 
 def test_a_withdrawn_controller_is_refused_with_the_line_of_the_changelog():

@@ -362,6 +362,8 @@ def test_slopes_in_the_wrong_order() -> None:
     with pytest.raises(BadRequest, match="slopes"):
         JacobianBall.from_slopes(1.0, 0.5)
 
+
+def test_exact_arithmetic_takes_no_nan() -> None:
     matrix = np.array([[np.nan]])
     with pytest.raises((ValueError, OverflowError)):
         Exact.from_floats(matrix)
