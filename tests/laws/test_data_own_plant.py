@@ -52,12 +52,18 @@ def test_the_signal(
     u = record.signal()
     smallest = u.min()
     assert lower <= smallest < u.max() <= upper
-    assert (u[-2 * samples :] == rest).all()
-    assert (u[: 2 * samples] == rest).all()
-    period = (len(u) - 2 * samples * (len(AMPLITUDES) + 1)) // (PERIODS * len(AMPLITUDES))
+    last_samples = u[-2 * samples :]
+    assert (last_samples == rest).all()
+    first_samples = u[: 2 * samples]
+    assert (first_samples == rest).all()
+    parts = len(AMPLITUDES)
+    at_rest = 2 * samples * (parts + 1)
+    signal_samples = len(u) - at_rest
+    period = signal_samples // (PERIODS * parts)
     reaches = []
     for part in range(len(AMPLITUDES)):
-        start = 2 * samples * (part + 1) + part * PERIODS * period
+        samples_at_rest = 2 * samples * (part + 1)
+        start = samples_at_rest + part * PERIODS * period
         first = u[start : start + period]
         again = u[start + period : start + 2 * period]
         assert np.array_equal(first, again)
@@ -72,9 +78,13 @@ def test_the_signal(
 def log_of(folder: Path, *more: float) -> DataSet:
     """The log of a lag driven by the record, with noise; `more` inputs follow before the last
     rest."""
+
     own = OwnPlantRecord(lower=-1.0, upper=3.0, rest=1.0, step_s=0.1, settle_s=3.0)
-    u = np.concatenate([own.signal(), np.repeat(more, 10), np.full(60 * bool(more), 1.0)])
-    filtered_signal = scipy.signal.lfilter([0, 0.2], [1, -0.8], u - 1)
+    added_levels = np.repeat(more, 10)
+    added_rest = np.full(60 * bool(more), 1.0)
+    u = np.concatenate([own.signal(), added_levels, added_rest])
+    deviation = u - 1
+    filtered_signal = scipy.signal.lfilter([0, 0.2], [1, -0.8], deviation)
     rng = np.random.default_rng(0)
     white_noise = rng.standard_normal(len(u))
     y = filtered_signal + 0.05 * white_noise
@@ -120,14 +130,21 @@ def log_with_sines(folder: Path, hidden: float) -> DataSet:
     by the record with sines at both."""
     own = OwnPlantRecord(lower=-1.0, upper=3.0, rest=1.0, step_s=0.1, settle_s=3.0, sines=HIDDEN)
     moved = own.signal() - 1
-    resonant = scipy.signal.iirpeak(HIDDEN[0] / np.pi, 30)
-    moved = moved + hidden * scipy.signal.lfilter(*resonant, moved)
+    frequency = HIDDEN[0] / np.pi
+    resonant = scipy.signal.iirpeak(frequency, 30)
+    resonance = scipy.signal.lfilter(*resonant, moved)
+    moved = moved + hidden * resonance
     y = scipy.signal.lfilter([0, 0.2], [1, -0.8], moved)
-    y += 0.002 * np.random.default_rng(0).standard_normal(len(y))
-    pd.DataFrame({"u": own.signal(), "y": y}).to_csv(folder / "log.csv", index=False)
-    read = {"path": str(folder / "log.csv"), "input": "u", "output": "y", "step_s": 0.1}
+    white_noise = np.random.default_rng(0).standard_normal(len(y))
+    y += 0.002 * white_noise
+    u = own.signal()
+    log = pd.DataFrame({"u": u, "y": y})
+    log.to_csv(folder / "log.csv", index=False)
+    path = str(folder / "log.csv")
+    read = {"path": path, "input": "u", "output": "y", "step_s": 0.1}
     read["start_up_samples"] = 20
-    return RecordedData(**read, input_equilibrium=[1.0], output_equilibrium=[0.0]).build(0)
+    source = RecordedData(**read, input_equilibrium=[1.0], output_equilibrium=[0.0])
+    return source.build(0)
 
 
 @pytest.mark.parametrize("hidden", [0.0, 1.0])
@@ -137,27 +154,38 @@ def test_its_sines_raise_the_mismatch_at_their_frequency_alone(
     """A narrow resonance that random levels average over: the sine there meets all of it, in the
     mismatch and in the premise of the coverage."""
     data = log_with_sines(tmp_path, hidden)
-    linear = StateSpace(a=np.array([[0.8]]), b=np.array([[0.2]]), c=np.eye(1), d=np.zeros((1, 1)))
-    model = SSM.from_linear(
-        linear, 0.1, replace(Scale.identity(1, 1), input_equilibrium=np.ones(1))
-    )
+    pole = np.array([[0.8]])
+    gain = np.array([[0.2]])
+    no_feedthrough = np.zeros((1, 1))
+    output = np.eye(1)
+    linear = StateSpace(a=pole, b=gain, c=output, d=no_feedthrough)
+    unit_scale = Scale.identity(1, 1)
+    scale = replace(unit_scale, input_equilibrium=np.ones(1))
+    model = SSM.from_linear(linear, 0.1, scale)
     records = data.validation, data.start_up_samples, data.mismatch_records
     shown = measure_mismatch(model, *records)
-    lag = np.abs(0.2 / (np.exp(1j * HIDDEN[0]) - 0.8))
-    near = round(HIDDEN[0] / np.pi * (len(shown.views[0].by_frequency) - 1))
-    largest = max(view.by_frequency[near] for view in shown.views)
+    point = np.exp(1j * HIDDEN[0])
+    lag = np.abs(0.2 / (point - 0.8))
+    last_line = len(shown.views[0].by_frequency) - 1
+    near = round(HIDDEN[0] / np.pi * last_line)
+    near_the_sine = [view.by_frequency[near] for view in shown.views]
+    largest = max(near_the_sine)
     assert (largest > 0.9 * lag) == bool(hidden)
     assert len(shown.views) == len(AMPLITUDES) + 1  # the smallest sines are below all levels
     premise = measure_premise(
         model, data.validation, shown, data.start_up_samples, data.mismatch_records
     )
     assert len(premise.repeating) == len(AMPLITUDES)
-    assert len(premise.sines) == len(HIDDEN) * len(SINE_AMPLITUDES)
+    number_of_sines = len(HIDDEN) * len(SINE_AMPLITUDES)
+    assert len(premise.sines) == number_of_sines
     seen = {}
     for item in premise.requirements(0.0):
-        if item.place.startswith("one sine") and item.model_power.sum() > 0:
-            ratio = np.sqrt(item.seen / item.model_power.sum())
-            seen[item.place] = max(seen.get(item.place, 0.0), ratio)
+        is_sine = item.place.startswith("one sine")
+        if is_sine and item.model_power.sum() > 0:
+            model_power = item.model_power.sum()
+            ratio = np.sqrt(item.seen / model_power)
+            largest_so_far = seen.get(item.place, 0.0)
+            seen[item.place] = max(largest_so_far, ratio)
     assert seen["one sine at 0.90 rad/sample"] < 0.1
     assert (seen["one sine at 0.30 rad/sample"] > 0.5) == bool(hidden)
 
@@ -200,17 +228,23 @@ def test_a_first_log_gives_what_is_not_given(smoke_run: Path, tmp_path: Path) ->
     assert main(["excite", "--to", str(file), "--after", str(smoke_run)]) == 0
     table = pd.read_csv(file)
     smallest = table["input"].min()
-    assert known["lower"] <= smallest < known["rest"] < table["input"].max() <= known["upper"]
+    largest = table["input"].max()
+    assert known["lower"] <= smallest < known["rest"] < largest <= known["upper"]
     differences = np.diff(table["time_s"])
     assert np.allclose(differences, known["step_s"])
-    settlings = 2 + len(AMPLITUDES) * (PERIODS * PERIOD_IN_SETTLINGS + 2)
-    of_levels = settlings * round(known["settle_s"] / known["step_s"])
+    settlings_per_amplitude = PERIODS * PERIOD_IN_SETTLINGS + 2
+    settlings = 2 + len(AMPLITUDES) * settlings_per_amplitude
+    samples_per_settling = round(known["settle_s"] / known["step_s"])
+    of_levels = settlings * samples_per_settling
     angles = run_files.sine_angles
     assert 1 <= len(angles) <= 2
-    last = table["input"].to_numpy()[of_levels:] - known["rest"]
+    signal = table["input"].to_numpy()
+    last = signal[of_levels:] - known["rest"]
     spectrum = np.abs(np.fft.rfft(last))
-    loudest = 2 * np.pi * np.argmax(spectrum) / len(last)
-    assert min(abs(loudest / angle - 1) for angle in angles) < 0.15
+    loudest_line = np.argmax(spectrum)
+    loudest = 2 * np.pi * loudest_line / len(last)
+    deviations = [abs(loudest / angle - 1) for angle in angles]
+    assert min(deviations) < 0.15
     assert main(["excite", "--to", str(file), "--after", str(smoke_run), "--upper", "1"]) == 0
     largest = pd.read_csv(file)["input"].max()
     assert largest <= 1
@@ -220,26 +254,24 @@ def test_without_a_log_each_number_is_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     input_path = str(tmp_path / "input.csv")
-    assert main(["excite", "--to", input_path, "--lower", "0", "--rest", "1"]) == 2
+    words = ["excite", "--to", input_path, "--lower", "0", "--rest", "1"]
+    assert main(words) == 2
     assert (
         "--upper = not given: it is needed when no earlier run is named; give it, or --after RUN"
         in capsys.readouterr().err
     )
 
 
-@pytest.mark.parametrize(
-    ("changed", "said"),
-    [
-        ({"rest": 5.0}, "rest must lie strictly between"),
-        ({"upper": math.inf}, "rest must lie strictly between"),
-        ({"settle_s": math.inf}, "settle_s = inf: must be positive and finite"),
-        ({"step_s": 0.0}, "must be positive"),
-        (
-            {"settle_s": 1.9},
-            "fewer than twenty samples, too few to see its dynamics; sample faster",
-        ),
-    ],
-)
+REFUSED_SIGNALS = [
+    ({"rest": 5.0}, "rest must lie strictly between"),
+    ({"upper": math.inf}, "rest must lie strictly between"),
+    ({"settle_s": math.inf}, "settle_s = inf: must be positive and finite"),
+    ({"step_s": 0.0}, "must be positive"),
+    ({"settle_s": 1.9}, "fewer than twenty samples, too few to see its dynamics; sample faster"),
+]
+
+
+@pytest.mark.parametrize(("changed", "said"), REFUSED_SIGNALS)
 def test_refusals(changed: dict[str, float], said: str) -> None:
     sound = {"lower": -1.0, "upper": 1.0, "rest": 0.0, "step_s": 0.1, "settle_s": 5.0}
     with pytest.raises(BadRequest, match=said):

@@ -13,7 +13,8 @@ SETTINGS = [*ROOT.glob("conf/**/*.yaml"), ROOT / "mkdocs.yml", ROOT / "Makefile"
 FOLDERS = (
     "ssm_study|hydra_plugins|benchmarks|conf|docs|examples|experiments|tests|results/reference"
 )
-ROOMS = "|".join(sorted(path.name for path in (ROOT / "ssm_study").iterdir() if path.is_dir()))
+ROOM_NAMES = [path.name for path in (ROOT / "ssm_study").iterdir() if path.is_dir()]
+ROOMS = "|".join(sorted(ROOM_NAMES))
 FILE = re.compile(rf"(?<![\w./-])((?:{FOLDERS}|{ROOMS})/[\w./*-]*\w)")
 MODULE = re.compile(r"(?<![\w./-])ssm_study((?:\.\w+)+)")
 TEST = re.compile(r"(test_\w+\.py)?(?:::(test_\w+))")
@@ -59,10 +60,10 @@ def defined(dotted: str) -> bool:
             else base / "__init__.py"
         )
         if module.exists():
-            return (
-                length == len(parts)
-                or re.search(rf"\b{parts[length]}\b", module.read_text()) is not None
-            )
+            if length == len(parts):
+                return True
+            name = rf"\b{parts[length]}\b"
+            return re.search(name, module.read_text()) is not None
     return False
 
 
@@ -70,9 +71,11 @@ def defined(dotted: str) -> bool:
 def test_what_a_page_names_is_there(page: Path) -> None:
     text = page.read_text()
     names = sorted(named_files(text))
-    assert [name for name in names if not exists(name)] == []
+    missing = [name for name in names if not exists(name)]
+    assert missing == []
     names = sorted(named_modules(text))
-    assert [f"ssm_study{name}" for name in names if not defined(name)] == []
+    undefined = [f"ssm_study{name}" for name in names if not defined(name)]
+    assert undefined == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
@@ -112,4 +115,5 @@ def test_every_benchmark_stands_in_their_index() -> None:
     index = readme_path.read_text()
     paths = (ROOT / "benchmarks").glob("*.[ps][yh]")
     scripts = {path.name for path in paths}
-    assert {name for name in scripts if f"`{name}`" not in index} == set()
+    unnamed = {name for name in scripts if f"`{name}`" not in index}
+    assert unnamed == set()

@@ -32,7 +32,8 @@ def built(path: Path) -> Trainable:
     return spec
 
 
-FROM_YAML = {path.stem: built(path) for path in sorted((CONF / "scaffold").glob("*.yaml"))}
+SCAFFOLD_FILES = sorted((CONF / "scaffold").glob("*.yaml"))
+FROM_YAML = {path.stem: built(path) for path in SCAFFOLD_FILES}
 SPECS = FROM_YAML | {
     "mlp fixed": Mlp(depth=1, train_slopes=False, certified=True),
     "mlp deep": Mlp(depth=3, train_slopes=True, certified=True),
@@ -48,6 +49,11 @@ def test_every_yaml_is_under_the_laws() -> None:
     assert {"linear", "mlp", "mlp_free", "monotone", "residual"} <= set(FROM_YAML)
 
 
+def draw_normal(rng: np.random.Generator, *shape: int) -> torch.Tensor:
+    """Independent standard normal numbers in double precision."""
+    return torch.from_numpy(rng.normal(size=shape))
+
+
 def shaken(spec: Trainable, seed: int, channels: int) -> TorchScaffold:
     """A scaffolding far from where it starts: the certificate must not depend on training."""
     rng = np.random.default_rng(seed)
@@ -57,7 +63,7 @@ def shaken(spec: Trainable, seed: int, channels: int) -> TorchScaffold:
     scaffold = spec.build(frame, rng)
     with torch.no_grad():
         for parameter in scaffold.parameters():
-            parameter += torch.from_numpy(rng.normal(size=tuple(parameter.shape)))
+            parameter += draw_normal(rng, *parameter.shape)
     return scaffold
 
 
@@ -69,20 +75,27 @@ def test_roughness_is_the_variation_of_the_slope_over_its_largest(name: str, see
     scaffold = shaken(SPECS[name], seed, 1)
     pieces = scaffold.pieces()
     assert pieces is not None
-    kinks = np.sort(pieces[0].detach().numpy().ravel())
-    inside = np.concatenate([[kinks[0] - 1], (kinks[1:] + kinks[:-1]) / 2, [kinks[-1] + 1]])
-    differences = np.diff(np.concatenate([[-np.inf], kinks, [np.inf]]))
+    first_kinks = pieces[0].detach().numpy()
+    kinks = np.sort(first_kinks.ravel())
+    midpoints = (kinks[1:] + kinks[:-1]) / 2
+    inside = np.concatenate([[kinks[0] - 1], midpoints, [kinks[-1] + 1]])
+    bounds = np.concatenate([[-np.inf], kinks, [np.inf]])
+    differences = np.diff(bounds)
     steps = np.minimum(1e-3, differences / 4)
-    at = torch.from_numpy(np.stack([inside - steps, inside + steps])[..., None])
-    values = scaffold(at).detach().numpy()[..., 0]
+    both_sides = np.stack([inside - steps, inside + steps])
+    at = torch.from_numpy(both_sides[..., None])
+    output = scaffold(at).detach().numpy()
+    values = output[..., 0]
     kept = steps > 1e-7  # pieces that floats can tell apart
     difference = values[1] - values[0]
-    slopes = (difference / np.where(kept, 2 * steps, 1.0))[kept]
+    widths = np.where(kept, 2 * steps, 1.0)
+    slopes = (difference / widths)[kept]
     differences = np.diff(slopes)
     largest = slopes.max()
     variation = np.abs(differences).sum() / largest
     difference = variation - 0.01 * len(kinks)
-    assert difference - 1e-3 <= float(scaffold.roughness().detach()) <= variation + 1e-3
+    roughness = float(scaffold.roughness().detach())
+    assert difference - 1e-3 <= roughness <= variation + 1e-3
 
 
 @pytest.mark.parametrize("name", SPECS)
@@ -109,8 +122,10 @@ def test_every_neuron_of_the_first_layer_starts_with_its_kink_among_the_samples(
     scaffold = spec.build(frame, rng)
     parts = scaffold.explicit_parameters()[0]
     w, b, *_ = (part.detach().numpy() for part in parts)
-    below = (samples @ w.T + b < 0).mean(axis=0)
-    assert ((below > 0) & (below < 1)).all()
+    is_below = samples @ w.T + b < 0
+    below = is_below.mean(axis=0)
+    is_among_the_samples = (below > 0) & (below < 1)
+    assert (is_among_the_samples).all()
 
 
 def test_neighbouring_kinks_of_one_input_start_with_opposite_bends() -> None:
@@ -119,7 +134,8 @@ def test_neighbouring_kinks_of_one_input_start_with_opposite_bends() -> None:
     samples = rng.normal(size=(50, 1))
     frame = MapContext(width=6, slopes=slopes, samples=samples)
     mlp = Mlp(depth=1, train_slopes=True, certified=False)
-    w, b, *_ = (p.detach() for p in mlp.build(frame, rng).explicit_parameters()[0])
+    layer = mlp.build(frame, rng).explicit_parameters()[0]
+    w, b, *_ = (p.detach() for p in layer)
     order = torch.argsort(-b / w[:, 0])
     bends = torch.sign(w[order, 0])
     expected = -bends[:-1]
@@ -132,7 +148,9 @@ def test_zero_maps_to_zero_exactly(name: str, seed: int, channels: int) -> None:
     scaffold = shaken(SPECS[name], seed, channels)
     v = torch.zeros(1, 3, channels, dtype=torch.float64)
     assert (scaffold(v) == 0).all()
-    assert (scaffold.float()(v.float()) == 0).all()
+    single_precision = scaffold.float()
+    output_at_zero = single_precision(v.float())
+    assert (output_at_zero == 0).all()
 
 
 @pytest.mark.parametrize("name", CERTIFIED)
@@ -168,7 +186,9 @@ def test_every_kind_answers_every_question(name: str, seed: int, channels: int) 
     bound = interval_bound(scaffold.network) if scaffold.kind == "mlp" else jacobian_ball(scaffold)
     direction = rng.normal(size=channels)
     for at in v:
-        difference = scaffold(at + step * direction) - scaffold(at - step * direction)
+        ahead = scaffold(at + step * direction)
+        behind = scaffold(at - step * direction)
+        difference = ahead - behind
         slope = difference / (2 * step)
         actual = scaffold.jacobian(at) @ direction
         np.testing.assert_allclose(actual, slope, atol=1e-4, rtol=1e-4)
@@ -203,12 +223,15 @@ def test_what_the_linear_part_takes_is_given_up(name: str) -> None:
 @given(seed=st.integers(0, 10_000))
 def test_sampled_secants_lie_in_the_certified_sector(seed: int) -> None:
     """The loop feels secants, not derivatives: `mu <= (S(v) - S(w)) / (v - w) <= nu`."""
-    v = np.linspace(-5, 5, 301)[:, None]
+    even_points = np.linspace(-5, 5, 301)
+    v = even_points[:, None]
     for name in CERTIFIED:
-        values = shaken(SPECS[name], seed, 1).freeze()(v)[:, 0]
+        frozen = shaken(SPECS[name], seed, 1).freeze()
+        values = frozen(v)[:, 0]
         for stride in (1, 17):
             difference = values[stride:] - values[:-stride]
-            secant = difference / (v[stride:, 0] - v[:-stride, 0])
+            widths = v[stride:, 0] - v[:-stride, 0]
+            secant = difference / widths
             smallest = secant.min()
             assert smallest >= LOWER * (1 - 1e-9)
             largest = secant.max()
@@ -218,9 +241,10 @@ def test_sampled_secants_lie_in_the_certified_sector(seed: int) -> None:
 def test_the_free_perceptron_leaves_the_sector() -> None:
     """Negative control: the paper's perceptron, unconstrained, has negative slopes for some
     parameters."""
+    cases = itertools.product(range(5), (-2.0, 0.5, 2.0))
     slopes = [
         shaken(SPECS["mlp_free deep"], seed, 1).freeze().jacobian(np.array([v]))[0, 0]
-        for seed, v in itertools.product(range(5), (-2.0, 0.5, 2.0))
+        for seed, v in cases
     ]
     assert min(slopes) < 0
 
@@ -230,26 +254,28 @@ def test_the_free_perceptron_leaves_the_sector() -> None:
 def test_gradients_agree_with_finite_differences(name: str, channels: int) -> None:
     scaffold = shaken(SPECS[name], 5, channels)
     rng = np.random.default_rng(6)
-    v = torch.from_numpy(rng.normal(size=(7, channels)))
+    v = draw_normal(rng, 7, channels)
     rng = np.random.default_rng(7)
-    weight = torch.from_numpy(rng.normal(size=(7, channels)))
+    weight = draw_normal(rng, 7, channels)
     (scaffold(v) * weight).sum().backward()
     for parameter in scaffold.parameters():
         if not parameter.requires_grad:
             continue
         rng = np.random.default_rng(8)
-        direction = torch.from_numpy(rng.normal(size=tuple(parameter.shape)))
+        direction = draw_normal(rng, *parameter.shape)
         values = []
         with torch.no_grad():
             for step in (1e-6, -2e-6):
                 parameter += step * direction
-                item = (scaffold(v) * weight).sum().item()
+                weighted_output = scaffold(v) * weight
+                item = weighted_output.sum().item()
                 values.append(item)
             parameter += 1e-6 * direction
         difference = values[0] - values[1]
         expected = difference / 2e-6
         assert parameter.grad is not None
-        item = (parameter.grad * direction).sum().item()
+        directional = parameter.grad * direction
+        item = directional.sum().item()
         assert item == pytest.approx(expected, rel=1e-5, abs=1e-7)
 
 
@@ -266,7 +292,8 @@ def test_layer_sectors_compose_to_the_sector_asked(depth: int, channels: int, ra
         expected = (1 + ratio) / 2
         assert centre**depth == pytest.approx(expected)
         expected = (1 - ratio) / 2
-        assert centre**depth * ((1 + relative) ** depth - 1) == pytest.approx(expected)
+        radius_of_a_layer = (1 + relative) ** depth - 1
+        assert centre**depth * radius_of_a_layer == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("name", SPECS)
@@ -275,18 +302,18 @@ def test_prepared_inputs_pass_as_they_are(name: str, distinct: int) -> None:
     """Once per level, sorted into runs, or directly: the same values and the same gradients."""
     scaffold = shaken(SPECS[name], 11, 1)
     rng = np.random.default_rng(1)
-    u = torch.from_numpy(rng.integers(-distinct, distinct, size=(3, 200, 1)) * (2.0 / distinct))
+    levels = rng.integers(-distinct, distinct, size=(3, 200, 1))
+    u = torch.from_numpy(levels * (2.0 / distinct))
     rng = np.random.default_rng(2)
-    weight = torch.from_numpy(rng.normal(size=(3, 200, 1)))
+    weight = draw_normal(rng, 3, 200, 1)
     gradients = []
-    for evaluate in (lambda: InputMapping(u)(scaffold), lambda: scaffold(u)):
+    evaluations = (lambda: InputMapping(u)(scaffold), lambda: scaffold(u))
+    for evaluate in evaluations:
         scaffold.zero_grad()
         values = evaluate()
         if values.requires_grad:
             (values * weight).sum().backward()
-        gradients.append(
-            [values.detach()]
-            + [p.grad.clone() for p in scaffold.parameters() if p.grad is not None]
-        )
+        of_parameters = [p.grad.clone() for p in scaffold.parameters() if p.grad is not None]
+        gradients.append([values.detach(), *of_parameters])
     for prepared, plain in zip(*gradients, strict=True):
         torch.testing.assert_close(prepared, plain, rtol=1e-9, atol=1e-9)

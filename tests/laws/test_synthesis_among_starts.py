@@ -27,7 +27,8 @@ def slower(of: StructuredSSM) -> StructuredSSM:
     b = of.b.copy()
     a[0], a[:, 0], b[0] = 0.0, 0.0, 0.0
     a[0, 0] = 0.99
-    e = np.vstack([0.0 * of.e[:1], of.e[1:]])
+    without_first = 0.0 * of.e[:1]
+    e = np.vstack([without_first, of.e[1:]])
     return replace(of, a=a, b=b, e=e)
 
 
@@ -35,7 +36,8 @@ def test_nearly_equal_fits_leave_the_choice_to_the_rate_and_a_better_fit_does_no
     fast = model()
     slow = slower(model())
     rule = LargestCertifiableRate(within_percent=0.3)
-    found = [trained(slow, 98.0), trained(fast, 97.8), trained(fast, 97.6)]
+    slow_trained = trained(slow, 98.0)
+    found = [slow_trained, trained(fast, 97.8), trained(fast, 97.6)]
     assert rule(found) is found[1]
     assert rule([trained(slow, 98.0), trained(fast, 97.6)]).model is slow
     assert LargestCertifiableRate(within_percent=0.0)(found) is found[0]
@@ -62,6 +64,7 @@ def test_every_other_start_has_half_the_states_and_the_last_no_neurons() -> None
     sizes = [
         (one.order, one.neurons) for one in map(spec.for_training_run, range(spec.training_count))
     ]
+
     expected = [(5, 4), (3, 4), (5, 4), (3, 0)]
     assert sizes == expected
     best = replace(spec, among_starts=None)
@@ -91,11 +94,12 @@ def test_of_those_that_are_fast_enough_the_best_fit_is_kept() -> None:
     ]
     assert limits[0] < limits[1]
     found = [best, first, second]
-    assert LargestCertifiableRate(rate_enough=0.5 * sum(limits))(found) is second
-    assert LargestCertifiableRate(rate_enough=0.9 * limits[0])(found) is best
-    assert (
-        LargestCertifiableRate(rate_enough=0.5 * (1 + limits[1]))(found) is first
-    )  # none is: the fastest
+    half_of_the_sum = LargestCertifiableRate(rate_enough=0.5 * sum(limits))
+    assert half_of_the_sum(found) is second
+    nearly_the_first = LargestCertifiableRate(rate_enough=0.9 * limits[0])
+    assert nearly_the_first(found) is best
+    beyond_both = LargestCertifiableRate(rate_enough=0.5 * (1 + limits[1]))
+    assert beyond_both(found) is first  # none is: the fastest
 
 
 @pytest.mark.parametrize(

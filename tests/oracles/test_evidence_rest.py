@@ -24,18 +24,16 @@ from ssm_study.robustness.return_to_rest import (
 )
 from ssm_study.signals import Scale, Trajectory
 
-THEN_REST = np.concatenate([LEVELS[:5400], np.zeros(600)])
+RESTING = np.zeros(600)
+THEN_REST = np.concatenate([LEVELS[:5400], RESTING])
 
 
 def said(u: np.ndarray, y: np.ndarray) -> list[str]:
     log = case(u, y)
     validation = log.data.validation
     shown: Mismatch = measure_mismatch(log.model, validation)
-    return [
-        found.sentence
-        for found in judge_records(log, shown)
-        if "scales off at rest input" in found.sentence
-    ]
+    findings = judge_records(log, shown)
+    return [found.sentence for found in findings if "scales off at rest input" in found.sentence]
 
 
 @pytest.mark.parametrize("stick", [0.0, 0.3])
@@ -51,14 +49,18 @@ def test_an_output_that_stays_off_after_the_last_motion_is_a_doubt(stick):
         difference = abs(pushed - stem)
         stem = pushed if difference > stick else stem
         out[k] = stem
-    assert bool(said(u, answer(out))) == (stick > 0)
+    doubts = said(u, answer(out))
+    assert bool(doubts) == (stick > 0)
     log = case(u, answer(out))
-    y = np.linspace(-1.5, 0, 600)[:, None] ** 3
-    rest = Trajectory(u=np.zeros((600, 1)), y=y, step_s=0.1)
+    ramp = np.linspace(-1.5, 0, 600)[:, None]
+    y = ramp**3
+    zero_input = np.zeros((600, 1))
+    rest = Trajectory(u=zero_input, y=y, step_s=0.1)
     validation = log.data.validation
     test = log.data.test
     shown = measure_mismatch(log.model, validation, 0, (*test, rest))
-    expected = (0.25 / log.model.scale.output_scale[0],) if stick else ()
+    output_scale = log.model.scale.output_scale[0]
+    expected = (0.25 / output_scale,) if stick else ()
     assert shown.stuck == pytest.approx(expected, abs=0.01)
     output_scale = log.model.scale.output_scale
     expected = 1.5**3 / output_scale[0]
@@ -67,11 +69,13 @@ def test_an_output_that_stays_off_after_the_last_motion_is_a_doubt(stick):
 
 
 def test_a_record_that_ends_before_the_answer_does_says_nothing():
-    u = np.concatenate([LEVELS[:5980], np.zeros(20)])
+    resting = np.zeros(20)
+    u = np.concatenate([LEVELS[:5980], resting])
     assert said(u, answer(u)) == []
 
 
-EXCITED = OwnPlantRecord(lower=-1.2, upper=1.0, rest=0.1, step_s=0.1, settle_s=4.5).signal()
+EXCITED_RECORD = OwnPlantRecord(lower=-1.2, upper=1.0, rest=0.1, step_s=0.1, settle_s=4.5)
+EXCITED = EXCITED_RECORD.signal()
 UNKNOWN = "whether the output rests by itself is unknown"
 
 
@@ -80,16 +84,16 @@ def fitted_log(
 ) -> tuple[Case, Mismatch, str]:
     """The log as a user fits it: cut, about its mean, with the lag for its model; and what is said
     of its rests."""
-    np.savetxt(
-        folder / "log.csv", np.column_stack([u, y]), delimiter=",", header="u,y", comments=""
-    )
+    columns = np.column_stack([u, y])
+    np.savetxt(folder / "log.csv", columns, delimiter=",", header="u,y", comments="")
     path = str(folder / "log.csv")
     recorded_data = RecordedData(path=path, input="u", output="y", step_s=0.1, start_up_samples=20)
     data = recorded_data.build(0)
     known = case(LEVELS, answer(LEVELS), slow).model
     model = replace(known, scale=data.scale)
-    names = ("validation", "test")
-    parts = {name: Simulation.simulate_records(model, getattr(data, name), 20) for name in names}
+    validation = Simulation.simulate_records(model, data.validation, 20)
+    test = Simulation.simulate_records(model, data.test, 20)
+    parts = {"validation": validation, "test": test}
     log = Case(data=data, model=model, **parts)
     shown = measure_mismatch(model, data.validation, 20, data.mismatch_records)
     told = [found.sentence for found in judge_records(log, shown)]
@@ -104,7 +108,8 @@ def test_the_log_made_for_the_purpose_shows_that_the_output_rests(tmp_path, slow
     log, shown, told = fitted_log(tmp_path, EXCITED, answer(EXCITED), slow)
     scale = log.data.scale
     u = np.array([0.1])
-    assert np.any(np.abs(scale.scaled_input(u)) > 1e-3)
+    scaled_input = scale.scaled_input(u)
+    assert np.any(np.abs(scaled_input) > 1e-3)
     assert shown.left_at_rest is not None
     assert shown.left_at_rest < AT_REST
     assert shown.stuck == ()
@@ -113,30 +118,29 @@ def test_the_log_made_for_the_purpose_shows_that_the_output_rests(tmp_path, slow
 
 def test_a_log_that_ends_moving_or_rests_once_is_told_so(tmp_path):
     moving = EXCITED[:-90]
-    once = np.concatenate([EXCITED[90:1890] + 0.01, np.full(90, 0.1)])
+    moving = EXCITED[90:1890] + 0.01
+    resting = np.full(90, 0.1)
+    once = np.concatenate([moving, resting])
     for u in (moving, once):
         _, shown, told = fitted_log(tmp_path, u, answer(u))
         assert shown.left_at_rest is None
         assert UNKNOWN in told
 
 
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        (
-            lambda u: answer(u) + 0.3 * np.sin(0.2 * np.arange(len(u))),
-            "does not come to rest by itself",
-        ),
-        (
-            lambda u: (
-                answer(u) + 0.05 * np.cumsum(np.random.default_rng(3).standard_normal(len(u)))
-            ),
-            "rest",
-        ),
-        (lambda u: answer(u) + 0.01 * np.cumsum(u - 0.1), "scales off at rest input"),
-    ],
-    ids=["swings", "drifts", "integrates"],
-)
+NOT_AT_REST = [
+    (
+        lambda u: answer(u) + 0.3 * np.sin(0.2 * np.arange(len(u))),
+        "does not come to rest by itself",
+    ),
+    (
+        lambda u: answer(u) + 0.05 * np.cumsum(np.random.default_rng(3).standard_normal(len(u))),
+        "rest",
+    ),
+    (lambda u: answer(u) + 0.01 * np.cumsum(u - 0.1), "scales off at rest input"),
+]
+
+
+@pytest.mark.parametrize(("wrong", "said"), NOT_AT_REST, ids=["swings", "drifts", "integrates"])
 def test_a_plant_that_does_not_return_is_told_so_by_the_same_log(tmp_path, wrong, said):
     _, shown, told = fitted_log(tmp_path, EXCITED, wrong(EXCITED))
     assert said in told
@@ -160,7 +164,8 @@ def test_a_faint_swing_is_a_doubt_and_no_refusal(hunts):
     shown = measure_mismatch(log.model, validation, 0, (trajectory,))
     assert shown.plant_comes_to_rest
     assert shown.left_at_rest == pytest.approx(hunts, rel=0.1, abs=1e-3)
-    told = " ".join(found.sentence for found in judge_records(log, shown))
+    sentences = [found.sentence for found in judge_records(log, shown)]
+    told = " ".join(sentences)
     assert ("a small limit cycle, or a slow decay" in told) == (hunts > 0)
 
 
@@ -173,12 +178,15 @@ def test_a_faint_swing_that_motion_sets_off_counts(hunts):
     k = np.arange(len(last))[:, None]
     output_scale = log.model.scale.output_scale
     sine = np.sin(0.9 * k)
-    y = last.y + output_scale * (last.u == 0) * hunts * sine
+    swing = output_scale * (last.u == 0) * hunts * sine
+    y = last.y + swing
     u = np.zeros((600, 1))
-    decay = Trajectory(u=u, y=np.exp(-np.arange(600) / 20)[:, None], step_s=0.1)
+    decaying = np.exp(-np.arange(600) / 20)
+    decay = Trajectory(u=u, y=decaying[:, None], step_s=0.1)
     validation = log.data.validation
     changed_last = replace(last, y=y)
-    shown = measure_mismatch(log.model, (*validation, changed_last), 0, (decay,))
+    records = (*validation, changed_last)
+    shown = measure_mismatch(log.model, records, 0, (decay,))
     assert shown.left_at_rest == pytest.approx(hunts, rel=0.1, abs=1e-3)
 
 
@@ -207,7 +215,8 @@ def test_a_short_return_shows_a_rest_where_it_comes_from_far(start, said):
 @pytest.mark.parametrize(("start", "said"), [(0.0, [0.0, 0.0]), (1.0, [])])
 def test_what_counts_as_far_is_counted_from_where_the_return_ends(start, said):
     """Two short returns at another input than the equilibrium's, where the output rests at one."""
-    y = np.where(np.arange(41) < 2, start, 1.0)[:, None]
+    begins = np.arange(41) < 2
+    y = np.where(begins, start, 1.0)[:, None]
     u = 1.0 + np.eye(41, 1)
     record = Trajectory(u=u, y=y, step_s=0.1)
     scale = Scale.identity(1, 1)
@@ -227,7 +236,8 @@ def test_short_returns_that_end_apart_and_move_no_more_are_a_doubt(tmp_path, sti
         difference = abs(pushed - stem)
         stem = pushed if difference > stick else stem
         out[k] = stem
-    _, shown, told = fitted_log(tmp_path, EXCITED, answer(out), slow=0.995)
+    log_of_stick = answer(out)
+    _, shown, told = fitted_log(tmp_path, EXCITED, log_of_stick, slow=0.995)
     assert (shown.left_at_rest is None) == (stick > 0)
     assert ("scales apart, where none seems to move: friction, play or a slow mode" in told) == (
         stick > 0
@@ -259,7 +269,8 @@ def test_a_loop_that_starts_beyond_what_training_reached_is_told_how_far(times):
     farthest = np.full((60, 1), times * largest)
     u = np.zeros((60, 1))
     trial = Trajectory(u=u, y=farthest, step_s=0.1)
-    begun = replace(log, data=replace(log.data, mismatch_records=(trial,)))
+    data = replace(log.data, mismatch_records=(trial,))
+    begun = replace(log, data=data)
     validation = log.data.validation
     mismatch = measure_mismatch(log.model, validation)
     told = [found.sentence for found in judge_records(begun, mismatch)]
@@ -277,9 +288,12 @@ def test_noise_is_taken_off_a_return_and_off_the_mean_of_the_others(count):
     levels = rng.uniform(-1, 1, count)
     outputs = [level + noise for level in levels]
     tail, variance = _last_quarter(outputs[0])
-    means = np.array([_last_quarter(y)[0].mean() for y in outputs])
-    others = np.array([np.delete(means, i).mean() for i in range(count)])
-    doubt = SURE * np.sqrt(float(variance[0]) / len(tail) * (1 + 1 / (count - 1)))
+    last_means = [_last_quarter(y)[0].mean() for y in outputs]
+    means = np.array(last_means)
+    means_of_others = [np.delete(means, i).mean() for i in range(count)]
+    others = np.array(means_of_others)
+    variance_of_mean = float(variance[0]) / len(tail)
+    doubt = SURE * np.sqrt(variance_of_mean * (1 + 1 / (count - 1)))
     difference = np.abs(means - others)
     expected = difference - doubt
     assert _distances_from_rest(outputs, centred=False) == pytest.approx(expected)
