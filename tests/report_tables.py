@@ -1,12 +1,13 @@
 """Schema-true tables and run folders with made-up numbers, for testing what draws and reads them.
 Never a result."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+
+from ssm_study.engine.records import write_record
 
 SCHEMA = """
 study run status seed order hidden_width slope_lower slope_upper scaffold_in excitation
@@ -116,9 +117,9 @@ def _loop_columns(fit: float, rate: float, rng: np.random.Generator) -> dict[str
 def write_study(folder: Path, frame: pd.DataFrame) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     frame.to_parquet(folder / "runs.parquet")
-    for record in json.loads(frame.to_json(orient="records")):
-        run = folder / record["run"]
+    for row in frame.astype(object).where(frame.notna(), None).to_dict("records"):
+        run = folder / str(row["run"])
         run.mkdir(exist_ok=True)
-        text = json.dumps(record)
-        (run / "record.json").write_text(text)
+        record = {str(name): value for name, value in row.items()}
+        write_record(run, record, durable=False)
     return folder

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
+import ssm_study as st
 from ssm_study.certificates.certificate import certificate_digest
 from ssm_study.data.mcap import read_mcap, write_mcap
 from ssm_study.engine.records import read_record, write_record
@@ -15,6 +17,7 @@ from ssm_study.engine.runs import seal_run
 from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.models.metrics import Simulation, fit_columns
 from ssm_study.models.warm_start import PAST, choose_initial_state_source, initial_state_columns
+from ssm_study.refusal import BadRequest
 from ssm_study.study.loop_recordings import read_experiment
 from ssm_study.study.recordings import read_simulation, states_to_text
 from ssm_study.study.run_files import RunFiles
@@ -239,3 +242,21 @@ def lie_about_start(run: Path) -> None:
         fitted.append(made)
     fits = fit_columns(*fitted)
     sealed_anew(run, **fits, **initial_state_columns(files.model, files.data, fitted[1]))
+
+
+def check_seal_of_saved_model(saved: Path) -> None:
+    """A test record nearer to zero than it was measured is refused; a model as a version without
+    seals would have saved it is read with a warning."""
+    arrays = dict(np.load(saved / "records.npz"))
+    arrays["test/0/y"] = arrays["test/0/y"] * 0.99
+    np.savez_compressed(saved / "records.npz", **arrays)
+    with pytest.raises(BadRequest, match=r"changed since it was saved: records\.npz"):
+        st.load(saved)
+
+    def take_seal_off(content: dict[str, Any]) -> None:
+        del content["files"]
+        del content["sha256"]
+
+    edited(saved / "identification.json", take_seal_off)
+    with pytest.warns(UserWarning, match="has no seal"):
+        st.load(saved)

@@ -1,6 +1,8 @@
 """Files of a saved model: the model itself, its records, and how it was identified."""
 
+import hashlib
 import json
+import warnings
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -8,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from ssm_study.api.scratch import copy_temporary_logs
+from ssm_study.durable import sha256_of_file
 from ssm_study.models.stored import read_model_json
-from ssm_study.refusal import BadRequest
+from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.training.metrics import Identification
 
@@ -57,9 +60,47 @@ def write_model_files(model: Any, folder: Path) -> None:
     }
     model_content = model.simulator.to_json()
     write_json(folder / MODEL_FILE, model_content)
-    write_json(folder / HISTORY_FILE, content)
     samples = signal_arrays(model.data)
     np.savez_compressed(folder / RECORDS_FILE, **samples)
+    content["files"] = file_digests(folder)
+    write_json(folder / HISTORY_FILE, content | {"sha256": content_digest(content)})
+
+
+def file_digests(folder: Path) -> dict[str, str]:
+    """SHA-256 digest of each file of a saved model but `identification.json`, which holds them."""
+    paths = [folder / MODEL_FILE, folder / RECORDS_FILE, *sorted((folder / LOGS).rglob("*"))]
+    files = [path for path in paths if path.is_file()]
+    return {path.relative_to(folder).as_posix(): sha256_of_file(path) for path in files}
+
+
+def content_digest(content: dict[str, Any]) -> str:
+    """SHA-256 digest of the content of `identification.json`, without the digest itself.
+
+    A training curve may hold NaN, so the text is not that of a run's record.
+    """
+    body = {name: value for name, value in content.items() if name != "sha256"}
+    text = json.dumps(body, sort_keys=True, default=np.generic.item)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def check_seal(folder: Path, content: dict[str, Any]) -> None:
+    """Check that the files of a saved model are as they were written.
+
+    A model without seal, saved by an earlier version, is read with a warning. Raises `BadRequest`
+    for a file that was altered.
+    """
+    if "sha256" not in content and "files" not in content:
+        message = f"{folder} has no seal (saved by an earlier version), so nobody would notice "
+        warnings.warn(f"{message}an altered file; save the model again.", UserWarning, 5)
+        return
+    changed = [] if content.get("sha256") == content_digest(content) else [HISTORY_FILE]
+    stored = content.get("files")
+    sealed = stored if isinstance(stored, dict) else {}
+    present = file_digests(folder)
+    names = sorted({*sealed, *present})
+    changed += [name for name in names if sealed.get(name) != present.get(name)]
+    problem = f"changed since it was saved: {', '.join(changed)}"
+    require(not changed, "folder", folder, problem, "fit and save the model again")
 
 
 def read_model_fields(folder: Path) -> dict[str, Any]:
@@ -72,6 +113,7 @@ def read_model_fields(folder: Path) -> dict[str, Any]:
         simulator = read_model_json(json.loads(model_text))
         history_text = (folder / HISTORY_FILE).read_text(encoding="utf-8")
         content = json.loads(history_text)
+        check_seal(folder, content)
         with np.load(folder / RECORDS_FILE, allow_pickle=False) as arrays:
             signals = dict(arrays)
             data = read_data(content["data"], signals)

@@ -168,6 +168,7 @@ class RestDesign:
     @classmethod
     def load(cls, folder: Path) -> "RestDesign":
         """Load a saved design. Raises `BadRequest` where its claims do not hold."""
+        refuse_foreign_files(folder)
         model = read_model_json(read_json(folder / MODEL))
         content = read_json(folder / CERTIFICATE)
         broken = failed_rest_checks(content, model)
@@ -266,6 +267,23 @@ def holds_rest_design(folder: Path) -> bool:
     """Whether a folder holds a saved design for a bilinear model."""
     files = (MODEL, CERTIFICATE, CHANNELS)
     return all((folder / name).is_file() for name in files)
+
+
+def foreign_files(folder: Path) -> list[str]:
+    """Names of the files in a saved design's folder that neither `save` nor `to_c` wrote there.
+
+    A record of another run beside the design would be taken for the design's.
+    """
+    names = [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()]
+    own = {MODEL, CERTIFICATE, CHANNELS}
+    return sorted(name for name in names if name not in own and not name.endswith((".c", ".h")))
+
+
+def refuse_foreign_files(folder: Path) -> None:
+    """Raise `BadRequest` where other files lie beside a saved design."""
+    names = foreign_files(folder)
+    problem = f"{', '.join(names[:3])} belongs to no saved bilinear design"
+    require(not names, "design", folder, problem, "take it out, or save the design again")
 
 
 def read_json(path: Path) -> Any:

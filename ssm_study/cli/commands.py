@@ -104,10 +104,13 @@ def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
 
 def gather_study(options: argparse.Namespace) -> None:
     """Build the table of a study anew from its runs."""
+    from ssm_study.table.doubts import study_doubts
     from ssm_study.table.gather import gather
 
-    count = len(gather(options.study, anew=True))
-    print(f"{count} runs in {options.study / 'runs.parquet'}")
+    table = gather(options.study, anew=True)
+    print(f"{len(table)} runs in {options.study / 'runs.parquet'}")
+    for line in study_doubts(options.study, table):
+        print(line)
 
 
 def show_study_or_run(options: argparse.Namespace) -> None:

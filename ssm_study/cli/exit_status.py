@@ -14,7 +14,7 @@ REMEDIES = {
 }
 
 
-def storage_error(field: str, error: OSError, otherwise: str = "not named") -> BadRequest:
+def storage_error(field: str, error: OSError, otherwise: str) -> BadRequest:
     """Error message for a full disk or a folder without write permission. `field` names the setting
     that requested it."""
     problem = error.strerror or type(error).__name__
@@ -28,7 +28,7 @@ def describe_error(error: Exception, arguments: list[str]) -> BadRequest:
     if isinstance(error, BadRequest):
         return error
     if isinstance(error, OSError) and error.filename is not None:
-        return storage_error("file", error)
+        return storage_error("file", error, "unknown")
     if isinstance(error, OSError):  # the error of a write does not know its file
         return storage_error("command", error, command)
     cause = f"{type(error).__name__}: {str(error)[:300]}"

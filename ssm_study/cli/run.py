@@ -90,9 +90,16 @@ def run(overrides: list[str]) -> int:
     except OSError as error:
         if isinstance(error, BrokenPipeError):
             raise
-        raise storage_error("results_dir", error) from error
+        raise storage_error("results_dir", error, results_folder(overrides)) from error
     finally:
         clear_hydra_state()
+
+
+def results_folder(overrides: list[str]) -> str:
+    """Folder of the results that a command line names; that of the configuration by default."""
+    words = (word.partition("=") for word in overrides)
+    named = [value for name, _, value in words if name == "results_dir"]
+    return named[-1] if named else "results"
 
 
 def answer_request(overrides: list[str], opens: bool) -> int:

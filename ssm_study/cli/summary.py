@@ -99,7 +99,7 @@ def _outcome_text(
     from ssm_study.report.run_facts import RunFacts
     from ssm_study.table.gather import gather
 
-    gather(study)
+    gather(study, must_write=False)  # the run is through, whatever the disk holds
     printed_figures = figures if record.get("status") == OK else []
     if printed_figures:
         draw_figures(drawn, study, run=record["run"])
@@ -120,10 +120,15 @@ def _outcome_text(
 def print_sweep_summary(config: DictConfig) -> bool:
     """Gather the study and print its table. True if any run failed."""
     from ssm_study.evidence.finding import CANNOT_JUDGE
-    from ssm_study.table.show import show_table
+    from ssm_study.table.doubts import list_of_names
+    from ssm_study.table.show import short_run_names, show_table
 
     table = show_table(study_folder(config))
     withheld = config.strict and "evidence" in table and (table["evidence"] == CANNOT_JUDGE).any()
     if (table["status"] == FAILED).any():
         print(RETRY)
-    return bool(table["status"].isin([FAILED, LOST, CORRUPT]).any() or withheld)
+    is_unfinished = table["status"].isin([FAILED, LOST, CORRUPT])
+    if is_unfinished.any():
+        names = list_of_names(short_run_names(table["run"])[is_unfinished])
+        print(f"exit status 1 because of {names}: every run of the study counts, older ones, too")
+    return bool(is_unfinished.any() or withheld)

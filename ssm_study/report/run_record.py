@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ssm_study.api.rest_design import holds_rest_design, refuse_foreign_files
 from ssm_study.engine.records import read_record
 from ssm_study.report.outcome import WIDTH, print_outcome
 from ssm_study.report.run_facts import RunFacts
@@ -17,7 +18,10 @@ from ssm_study.table.columns import group_by_part
 
 
 def print_run(run_folder: Path, console: Console) -> None:
-    """Print a run's outcome, and below it the whole record."""
+    """Print a run's outcome, and below it the whole record. Raises `BadRequest` where the record
+    lies beside a saved bilinear design, which has none."""
+    if holds_rest_design(run_folder):
+        refuse_foreign_files(run_folder)
     record = read_record(run_folder) or {}
     print_outcome(record, (), console, RunFacts.read(run_folder))
     console.print()

@@ -27,6 +27,7 @@ from ssm_study.stored_yaml import read_stored_yaml
 from ssm_study.study.recordings import RecordedCases, read_mismatch_records
 from ssm_study.systems import Gains
 from ssm_study.table.columns import text_column
+from ssm_study.table.gather import contradicts_records, gather, record_marks
 from ssm_study.table.rank import sort_best_first
 
 
@@ -236,8 +237,8 @@ class StudyFolder:
 
 
 def gather_table(folder: Path) -> pd.DataFrame:
-    """Gather and return the table of a study. Raises `BadRequest` for a folder without runs or with
-    a damaged table."""
+    """Gather and return the table of a study, made anew from the records of its runs where it
+    contradicts them. Raises `BadRequest` for a folder without a table or with a damaged one."""
     path = folder / "runs.parquet"
     require(
         path.is_file(),
@@ -247,8 +248,13 @@ def gather_table(folder: Path) -> pd.DataFrame:
         "run `ssm-study gather` on it first",
     )
     try:
-        return pd.read_parquet(path)
+        table = pd.read_parquet(path)
     except ValueError as error:  # what Arrow raises
         raise BadRequest(
             "study", path, "the table is damaged", "run `ssm-study gather` on the study"
         ) from error
+    names = set(record_marks(folder))  # none where the table alone was kept
+    is_stale = bool(names) and names != set(table["run"])
+    if is_stale or (names and contradicts_records(folder, table)):
+        return gather(folder, anew=True, must_write=False)
+    return table

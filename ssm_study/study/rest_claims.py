@@ -3,18 +3,22 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from ssm_study.api.rest_design import CERTIFICATE, MODEL, read_json
+from ssm_study.api.rest_design import CERTIFICATE, CHANNELS, MODEL, foreign_files, read_json
 from ssm_study.certificates.bilinear_certificates import RestCertificates, failed_rest_checks
 from ssm_study.models.bilinear import Bilinear
 from ssm_study.models.stored import read_model_json
 from ssm_study.refusal import BadRequest
 from ssm_study.study.findings import Checked
 
+LABELS = {CHANNELS: "names and units, which decide nothing"}
 NO_FILES = (BadRequest, ValueError, KeyError, TypeError)
 
 
 def check_rest_design(folder: Path) -> Iterator[Checked]:
-    """Check every certificate of a saved bilinear design again in exact arithmetic."""
+    """Check every certificate of a saved bilinear design again in exact arithmetic, and that
+    nothing else lies in its folder."""
+    for name in foreign_files(folder):
+        yield Checked(claim=name, holds=False, found="belongs to no saved bilinear design")
     try:
         model = read_model_json(read_json(folder / MODEL))
         content = read_json(folder / CERTIFICATE)

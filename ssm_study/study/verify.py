@@ -18,6 +18,7 @@ from ssm_study.engine.records import (
     CORRUPT,
     FAILED,
     INFEASIBLE,
+    LOST,
     OK,
     RECORD,
     read_record,
@@ -27,7 +28,7 @@ from ssm_study.refusal import escape_control_characters, require
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS
 from ssm_study.study.findings import Checked, Claims, Derived, NotChecked
 from ssm_study.study.form import check_form
-from ssm_study.study.rest_claims import check_rest_design
+from ssm_study.study.rest_claims import LABELS, check_rest_design
 from ssm_study.study.run_files import RunFiles, error_text
 from ssm_study.table.columns import find_declaration
 from ssm_study.withdrawn import WITHDRAWN_COLUMNS
@@ -131,17 +132,21 @@ def verify(run: Path) -> Verification:
     here.
     """
     if holds_rest_design(run):
-        return Verification(findings=tuple(check_rest_design(run)), unchecked={})
+        return Verification(findings=tuple(check_rest_design(run)), unchecked=dict(LABELS))
     record = read_record(run) or {}
     require(bool(record), "run", run, f"there is no {RECORD}", "give the folder of one run")
     status = record.get("status")
     problem = "the run failed and claims nothing"
-    require(status != FAILED, "run", run, problem, f"see {run / 'traceback.txt'}")
+    trace = run / "traceback.txt"
+    remedy = f"see {trace}" if trace.is_file() else f"see error_message in {run / RECORD}"
+    require(status != FAILED, "run", run, problem, remedy)
     if status == CORRUPT:
         damaged = Checked(claim=RECORD, holds=False, found="is not as it was written")
         return Verification(findings=(damaged,), unchecked={})
     problem = f"its status is {status}, so it claims nothing yet"
     remedy = "give a run that is ok or infeasible"
+    if status == LOST:
+        remedy = "the command that began it runs it again"
     require(status in (OK, INFEASIBLE), "run", run, problem, remedy)
     return verify_files(RunFiles(path=run.absolute(), record=record))
 

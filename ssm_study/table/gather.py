@@ -42,13 +42,14 @@ NO_RUNS = pd.DataFrame({"run": [], "status": []})
 FORMULA = r"^[=+\-@\t\r]"  # how a text begins that a spreadsheet would run instead of showing it
 
 
-def gather(study: Path, anew: bool = False) -> pd.DataFrame:
+def gather(study: Path, anew: bool = False, must_write: bool = True) -> pd.DataFrame:
     """Bring `runs.parquet` and `runs.csv` of a study up to date with its runs.
 
     Returns the table. The declared columns come first, typed; whatever else the records hold
     follows by name. Runs are sorted by name, so that equal studies give equal tables. Only records
     that have changed since the last time are read again; all of them `anew`, whatever the last
-    table says. Raises `BadRequest` for a folder without runs.
+    table says. Raises `BadRequest` for a folder without runs, and `OSError` for one that cannot be
+    written to, unless the table need not be written (`must_write`).
     """
     remedy = "give the folder that holds the run folders"
     is_folder = study.is_dir()
@@ -75,7 +76,11 @@ def gather(study: Path, anew: bool = False) -> pd.DataFrame:
             identity = {"study": study_name, "run": name}
             records.append(record | identity)
     table = table_from_records(records)
-    _write_table(study, table, marks)
+    try:
+        _write_table(study, table, marks)
+    except OSError:
+        if must_write:
+            raise
     return table
 
 

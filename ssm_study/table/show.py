@@ -22,6 +22,7 @@ from ssm_study.table.columns import (
     setting_path,
     text_column,
 )
+from ssm_study.table.doubts import study_doubts
 from ssm_study.table.filters import filter_rows as filtered
 from ssm_study.table.gather import contradicts_records, gather
 from ssm_study.table.over_seeds import seed_statistics_lines
@@ -74,7 +75,7 @@ def show_table(
     for line in seed_statistics_lines(rows):
         print(line)
     shown_count = len(rows)
-    for line in summary_lines(table, shown=shown_count):
+    for line in [*summary_lines(table, shown=shown_count), *study_doubts(study, table)]:
         print(SUMMARY_LINES.fill(line))
     return table
 
@@ -101,7 +102,7 @@ def gather_rows(
     A table whose first rows contradict the runs' records is made anew: its seal vouches for its
     bytes, not for who wrote them.
     """
-    table = gather(study, anew)
+    table = gather(study, anew, must_write=False)  # a full disk can be looked at, too
     selected = filtered(table, where) if where else table
     rows = rank_runs(selected, by)
     if not anew and contradicts_records(study, rows.head(COMPARED)):

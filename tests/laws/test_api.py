@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 from hydra.core.hydra_config import HydraConfig
 from matplotlib.figure import Figure
+from verify_lies import check_seal_of_saved_model
 
 import ssm_study as st
 from ssm_study.api import parts
@@ -380,6 +381,7 @@ def test_a_saved_model_loads_and_simulates_to_the_last_digit(
     u = log[["valve's voltage"]]
     pd.testing.assert_frame_equal(st.simulate(loaded, u), st.simulate(model, u), check_exact=True)
     assert str(loaded) == str(model)
+    check_seal_of_saved_model(saved)
     assert st.control(loaded, *GIVEN).record["resolved_margin"] == design.record["resolved_margin"]
     (saved / "records.npz").write_bytes(b"damaged")
     with pytest.raises(BadRequest, match=r"cannot be read .*; save the model again"):

@@ -17,6 +17,7 @@ from ssm_study.certificates.theorems.bilinear_contraction import BilinearContrac
 from ssm_study.certificates.theorems.bilinear_everywhere import BilinearEverywhere
 from ssm_study.certificates.theorems.bilinear_loop import BilinearLoop
 from ssm_study.cli.main import main
+from ssm_study.engine.records import write_record
 from ssm_study.loop.bilinear_feedback import BilinearFeedback, advance_states
 from ssm_study.models.bilinear import Bilinear
 from ssm_study.refusal import BadRequest
@@ -217,6 +218,25 @@ def test_a_stored_design_is_verified_and_a_lie_is_named(
     failing = [finding.found for finding in failed]
     assert any("in exact arithmetic the inequality fails" in words for words in failing)
     with pytest.raises(BadRequest, match="in exact arithmetic the inequality fails"):
+        RestDesign.load(folder)
+
+
+def test_a_record_beside_a_saved_design_is_named_and_not_shown(
+    certificates: RestCertificates, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Any run folder would be verified by the certificates of a design that lies in it."""
+    design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
+    folder = design.save(tmp_path / "design")
+    assert "channels.json" in verify(folder).unchecked
+    write_record(folder, {"status": "ok", "fit_test_percent": 99.9, "coverage": 9.0})
+    (folder / "proof.txt").write_text("settled on hardware")
+    failing = {finding.claim for finding in verify(folder) if not finding.holds}
+    assert failing == {"record.json", "proof.txt"}
+    assert main(["show", str(folder)]) == 2
+    printed = capsys.readouterr()
+    assert "99.9" not in printed.out
+    assert "belongs to no saved bilinear design" in printed.err
+    with pytest.raises(BadRequest, match="belongs to no saved bilinear design"):
         RestDesign.load(folder)
 
 

@@ -15,6 +15,7 @@ from ssm_study.report.page.chart_looks import LOOK
 from ssm_study.report.page.compared import comparison_json
 from ssm_study.report.page.failures import MOST_REASONS, MOST_RUNS, failure_groups
 from ssm_study.report.page.first_screen import (
+    Remark,
     best_run_rule,
     outcome_cards,
     outcome_remarks,
@@ -47,6 +48,7 @@ from ssm_study.table.columns import (
     swept_settings,
     text_column,
 )
+from ssm_study.table.doubts import study_doubts
 from ssm_study.table.rank import sort_best_first
 
 MOST_TRAJECTORIES = 200  # best runs whose trajectories are embedded: about 10 kB each
@@ -202,8 +204,15 @@ def page_texts(
         parts["cards"] = outcome_cards(
             first, loop_facts(study, first), noise_free_test=is_test_noise_free(study)
         )
-        parts["remarks"] = list(outcome_remarks(first))
+        parts["remarks"] = [*table_remarks(study, table), *outcome_remarks(first)]
     return parts
+
+
+def table_remarks(study: StudyFolder, table: pd.DataFrame) -> list[Remark]:
+    """Remark on runs of a study that count twice or are missing; empty if there are none."""
+    sentences = [] if study.others else study_doubts(study.folder, table)
+    text = " ".join(sentences)
+    return [Remark(title="Runs", text=text, is_warning=True)] if sentences else []
 
 
 def loop_facts(study: StudyFolder, record: dict[str, Any]) -> ShownLoop | None:
