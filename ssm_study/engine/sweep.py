@@ -27,6 +27,7 @@ def swept_numbers(study: Path) -> dict[str, list[float]]:
             if not override.is_sweep_override():
                 continue
             values = list(override.sweep_iterator())
-            if all(isinstance(value, int | float) for value in values):
-                swept[override.key_or_group.lstrip("+")] = values
+            numbers = [value for value in values if isinstance(value, int | float)]
+            if len(numbers) == len(values):
+                swept[override.key_or_group.lstrip("+")] = numbers
     return swept
