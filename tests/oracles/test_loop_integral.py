@@ -47,7 +47,8 @@ def integral(rate: float = 0.02) -> RiccatiSynthesis:
 
 @pytest.fixture(scope="module")
 def design() -> Design:
-    return replace(integral(), integral_weight=1e-3).design(motor_model(), BALLS)
+    with_weight = replace(integral(), integral_weight=1e-3)
+    return with_weight.design(motor_model(), BALLS)
 
 
 def test_the_augmented_pair_is_the_equations_written_out():
@@ -57,7 +58,8 @@ def test_the_augmented_pair_is_the_equations_written_out():
     x = rng.standard_normal(4)
     z = rng.standard_normal(2)
     v = rng.standard_normal(2)
-    after = system.a @ np.concatenate([x, z]) + system.b @ v
+    augmented = np.concatenate([x, z])
+    after = system.a @ augmented + system.b @ v
     actual = after[:4]
     linear_a = model.linear.a
     linear_b = model.linear.b
@@ -169,7 +171,8 @@ def test_a_step_that_needs_the_limit_for_a_while_is_followed(design):
     step = StepReference(before=0.0, after=8.0, at_s=1.0)
     free = Loop(initial_conditions=3, horizon_s=5.0, measurement_noise_variance=0.0, reference=step)
     y = np.array([8.0])
-    held = float(scaled_equilibrium(motor_model(), y)[1][0]) * motor_model().scale.input_scale[0]
+    rest_input = scaled_equilibrium(motor_model(), y)[1][0]
+    held = float(rest_input) * motor_model().scale.input_scale[0]
     limited = replace(free, input_lower=-1.2 * held, input_upper=1.2 * held)
     loops = (limited, free)
     run, other = (
@@ -177,7 +180,8 @@ def test_a_step_that_needs_the_limit_for_a_while_is_followed(design):
     )
     largest = other.u.max()
     assert largest > 1.3 * held
-    assert (run.u[:, 100:] == 1.2 * held).sum() > 3
+    at_the_limit = run.u[:, 100:] == 1.2 * held
+    assert (at_the_limit).sum() > 3
     largest = run.u.max()
     assert largest == 1.2 * held
     difference = np.abs(run.y - run.reference)
@@ -203,7 +207,8 @@ def test_the_margin_with_integrators_by_two_routes(design):
         ).max()
         for i in (INPUT_BALL.lower, INPUT_BALL.alpha, INPUT_BALL.upper)
     )
-    by_factors = peaks_on_grid(model.linear, k[None], gain[None], BALLS, angles)[0, 0]
+    peaks = peaks_on_grid(model.linear, k[None], gain[None], BALLS, angles)
+    by_factors = peaks[0, 0]
     assert by_factors == pytest.approx(by_space, rel=1e-9)
 
 
@@ -225,7 +230,8 @@ def test_auto_chooses_with_integral_action():
     state_feedback_k = chosen.state_feedback.k
     assert state_feedback_k.shape == (1, 3)
     shown = measure_mismatch(motor_model(), (motor_record(),))
-    assert predict_margins(motor_model(), chosen.pair, BALLS, shown).predicts_stability()
+    prediction = predict_margins(motor_model(), chosen.pair, BALLS, shown)
+    assert prediction.predicts_stability()
     loop = LOADED.run_design(motor(), motor_model(), chosen, seed=0)
     columns = behaviour_columns(loop)
     assert columns["final_error_worst"] < 1e-2
@@ -239,7 +245,8 @@ def test_more_outputs_than_inputs_are_refused():
 
 def test_a_gain_of_the_wrong_width_is_refused():
     k = np.zeros((1, 4))
-    observer_feedback_gains = Gains(k=k, l=np.zeros((2, 1)))
+    no_injection = np.zeros((2, 1))
+    observer_feedback_gains = Gains(k=k, l=no_injection)
     with pytest.raises(BadRequest, match="k = "):
         ObserverFeedback(model=motor_model(), gains=observer_feedback_gains)
 
@@ -257,10 +264,13 @@ def test_the_weight_is_the_cost_of_the_integrators_beside_the_output():
     x = rng.standard_normal(4)
     z = rng.standard_normal(2)
     system = append_internal_model(model, weight=0.09)
-    cost = (system.c @ np.concatenate([x, z])) ** 2
+    augmented = np.concatenate([x, z])
+    cost = (system.c @ augmented) ** 2
     ubar = np.zeros(2)
     scaled = model.scaled_output_at(x, ubar)
-    expected = (scaled**2).sum() + 0.09 * (z**2).sum()
+    of_output = (scaled**2).sum()
+    of_integrators = 0.09 * (z**2).sum()
+    expected = of_output + of_integrators
     assert cost.sum() == pytest.approx(expected)
     integral_weight = inner().integral_weight
     weights = (1e-5, integral_weight, 1e-1)

@@ -26,7 +26,9 @@ from ssm_study.signals import Channel, DataSet, Trajectory
 from ssm_study.training.metrics import records_fit_percent
 
 KNOWN = {1001: 1.2, 1002: -0.5, 2001: 0.3}  # y[k] = 1.2 y[k-1] - 0.5 y[k-2] + 0.3 u[k-1]
-CHANNELS = (Channel(name="u", unit="V"),), (Channel(name="y", unit="m"),)
+INPUT = Channel(name="u", unit="V")
+OUTPUT = Channel(name="y", unit="m")
+CHANNELS = (INPUT,), (OUTPUT,)
 
 
 def record(samples: int, seed: int, noise: float = 0.0, product: float = 0.0) -> Trajectory:
@@ -35,7 +37,8 @@ def record(samples: int, seed: int, noise: float = 0.0, product: float = 0.0) ->
     u = rng.normal(size=samples)
     y = 3.0 * rng.normal(size=samples)
     for k in range(2, samples):
-        y[k] = KNOWN[1001] * y[k - 1] + KNOWN[1002] * y[k - 2] + KNOWN[2001] * u[k - 1]
+        from_outputs = KNOWN[1001] * y[k - 1] + KNOWN[1002] * y[k - 2]
+        y[k] = from_outputs + KNOWN[2001] * u[k - 1]
         y[k] += product * u[k - 1] * y[k - 1]
     y = y + noise * rng.normal(size=samples)
     return Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)
@@ -43,15 +46,20 @@ def record(samples: int, seed: int, noise: float = 0.0, product: float = 0.0) ->
 
 def records(start_up: int = 0, **how: float) -> DataSet:
     short = record(12 + start_up, 1, **how)
-    parts = (record(600, 0, **how), short), (record(200, 2, **how),)
+    training = (record(600, 0, **how), short)
+    validation = (record(200, 2, **how),)
+    parts = training, validation
     zero = np.zeros(1)
     rest = (zero, zero)
-    return assemble_dataset((*parts, (record(200, 3, **how),)), rest, CHANNELS, start_up)
+    test = (record(200, 3, **how),)
+    return assemble_dataset((*parts, test), rest, CHANNELS, start_up)
 
 
 def test_no_row_reaches_across_two_records() -> None:
-    first = (np.arange(4.0)[:, None], 10.0 + np.arange(4.0)[:, None])
-    second = (100.0 + np.arange(3.0)[:, None], 200.0 + np.arange(3.0)[:, None])
+    ramp = np.arange(4.0)[:, None]
+    first = (ramp, 10.0 + ramp)
+    short_ramp = np.arange(3.0)[:, None]
+    second = (100.0 + short_ramp, 200.0 + short_ramp)
     codes = [1001, 2002]
     rows, target = regression_arrays([first, second], codes)
     expected = [[11, 0], [12, 1], [201, 100]]
@@ -68,8 +76,10 @@ def test_the_system_is_found_from_records_that_do_not_join(terms: int | None) ->
     input_scale = data.scale.input_scale
     output_scale = data.scale.output_scale
     gain = float(input_scale[0] / output_scale[0])
-    theta = {int(code): value for (code,), value in zip(found.codes, found.theta, strict=True)}
-    for code, value in (KNOWN | {2001: KNOWN[2001] * gain}).items():
+    coefficients = zip(found.codes, found.theta, strict=True)
+    theta = {int(code): value for (code,), value in coefficients}
+    expected = KNOWN | {2001: KNOWN[2001] * gain}
+    for code, value in expected.items():
         assert theta[code] == pytest.approx(value, abs=1e-3)
 
 

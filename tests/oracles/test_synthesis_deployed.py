@@ -24,7 +24,7 @@ from ssm_study.synthesis.deployed import add_gain_certificates, certificate_at_l
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_search import INPUT_ALONE, largest_kappa
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
 
 SEEDS = st.integers(0, 10**6)
 
@@ -38,7 +38,8 @@ def loop(seed: int, inputs: int = 1, order: int = 3) -> tuple[StateSpace, Balls,
     b = rng.normal(size=(order, inputs))
     c = rng.normal(size=(inputs, order))
     d = np.zeros((inputs, inputs))
-    linear = StateSpace(a=0.95 * a / spectral_radius, b=b, c=c, d=d)
+    scaled = 0.95 * a / spectral_radius
+    linear = StateSpace(a=scaled, b=b, c=c, d=d)
     jacobian_ball = JacobianBall.from_slopes(0.4, 1.0)
     output = JacobianBall(alpha=0.8, beta=0.0)
     balls = Balls(input=jacobian_ball, output=output)
@@ -60,18 +61,17 @@ def feasible(part: StateFeedback, rate: float) -> bool:
     n, m = part.b.shape
     p = cp.Variable((n, n), symmetric=True)
     t = cp.Variable()
-    coupling = (part.a + part.alpha * part.b @ part.k) @ p
+    closed_loop = part.a + part.alpha * part.b @ part.k
+    coupling = closed_loop @ p
     zero = np.zeros((n, m))
     difference = (1 - rate) * p - part.b @ part.b.T
-    lmi = cp.bmat(
-        [
-            [difference, coupling, zero],
-            [coupling.T, p, part.beta * p @ part.k.T],
-            [zero.T, part.beta * part.k @ p, np.eye(m)],
-        ]
-    )
+    first_row = [difference, coupling, zero]
+    second_row = [coupling.T, p, part.beta * p @ part.k.T]
+    third_row = [zero.T, part.beta * part.k @ p, np.eye(m)]
+    lmi = cp.bmat([first_row, second_row, third_row])
     a = cp.Maximize(t)
-    b = [lmi >> t * np.eye(2 * n + m), t <= 1]
+    size = 2 * n + m
+    b = [lmi >> t * np.eye(size), t <= 1]
     problem = cp.Problem(a, b)
     problem.solve(solver="CLARABEL")
     return problem.status in ("optimal", "optimal_inaccurate") and float(t.value) > 0
@@ -107,15 +107,18 @@ def test_sampled_slopes_never_contract_slower_than_proved(seed: int, inputs: int
         root = np.linalg.cholesky(metric).T
         worst = 0.0
         for _ in range(60):
-            turn = np.linalg.qr(rng.normal(size=(inputs, inputs)))[0] * rng.choice([-1, 1])
-            jacobian = part.alpha * np.eye(inputs) + part.beta * turn
+            rotation = np.linalg.qr(rng.normal(size=(inputs, inputs)))[0]
+            turn = rotation * rng.choice([-1, 1])
+            centre = part.alpha * np.eye(inputs)
+            jacobian = centre + part.beta * turn
             moved = (
                 part.b @ jacobian @ part.k
                 if isinstance(part, StateFeedback)
                 else part.l @ jacobian @ part.c
             )
             inverse = np.linalg.inv(root)
-            norm = np.linalg.norm(root @ (part.a + moved) @ inverse, 2)
+            step = root @ (part.a + moved) @ inverse
+            norm = np.linalg.norm(step, 2)
             worst = max(worst, norm)
         upper_limit = again.contraction * (1 + 1e-9)
         assert worst <= upper_limit
@@ -128,12 +131,14 @@ def test_a_rate_beyond_the_largest_is_not_proved_and_a_gain_without_ball_reaches
     part = design.state_feedback
     assert isinstance(part, StateFeedback)
     ball = JacobianBall(alpha=part.alpha, beta=part.beta)
-    closed = part.a + ball.alpha * part.b @ part.k
+    centre_gain = ball.alpha * part.b @ part.k
+    closed = part.a + centre_gain
     jacobian_ball = JacobianBall(alpha=ball.alpha, beta=0.0)
     eigenvalues = np.linalg.eigvals(closed)
     spectral_radius = np.abs(eigenvalues).max()
     expected = 1 - spectral_radius**2
-    assert largest_rate(part.a, part.b, part.k, jacobian_ball) == pytest.approx(expected, rel=1e-12)
+    found_rate = largest_rate(part.a, part.b, part.k, jacobian_ball)
+    assert found_rate == pytest.approx(expected, rel=1e-12)
     again = certificate_at_largest_rate(part)
     assert again is not None
     rate = again.rate + 0.01 * (1 - again.rate)
@@ -180,7 +185,8 @@ def test_a_solver_finds_the_same_tolerance(seed: int, order: int) -> None:
     """The block matrix written out anew, one semidefinite program in coordinates of the loop's
     Gramian."""
     linear, balls, design = loop(seed, order=2)
-    weight = np.array([[0.5, 1.0], [0.2, 1.0]]) if order else np.eye(1)
+    first_order = np.array([[0.5, 1.0], [0.2, 1.0]])
+    weight = first_order if order else np.eye(1)
     context = known(linear, balls, design)
     found = largest_kappa(context, replace(INPUT_ALONE, input=weight))
     assert found is not None
@@ -188,46 +194,59 @@ def test_a_solver_finds_the_same_tolerance(seed: int, order: int) -> None:
     assert found.kappa == pytest.approx(expected, rel=5e-3)
 
 
-def tolerance_of_a_solver(linear: StateSpace, proved: MeasuredDiscs, weight: np.ndarray) -> float:
-    """Largest tolerance of the proof's gains and ball by one semidefinite program."""
+def loop_with_weight(
+    linear: StateSpace, proved: MeasuredDiscs, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """State, observer error and weight as one system, `a, b` and what map and weight see of it."""
     k = proved.k
     l = proved.l  # noqa: E741
     alpha = proved.alpha
-    beta = proved.beta
     order = len(weight) - 1
     n = 2
-    rest = np.zeros((1, order))
     a_w = weight[:order, :order]
     b_w = weight[:order, order:]
     c_w = weight[order:, :order]
     d_w = weight[order:, order:]
-    a = block_diag(linear.a + alpha * linear.b @ k, linear.a + 0.8 * l @ linear.c, a_w)
-    a[:n, n : 2 * n] = alpha * linear.b @ k
-    a[2 * n :, : 2 * n] = np.hstack([b_w @ k, b_w @ k])
-    b = np.block([[linear.b, np.zeros((n, 1))], [np.zeros((n, 1)), -l], [np.zeros((order, 2))]])
-    c_u = np.hstack([k, k, rest])
-    c_w = np.hstack([d_w @ k, d_w @ k, c_w])
+    controlled = alpha * linear.b @ k
+    observer_loop = linear.a + 0.8 * l @ linear.c
+    a = block_diag(linear.a + controlled, observer_loop, a_w)
+    a[:n, n : 2 * n] = controlled
+    weighted_input = b_w @ k
+    a[2 * n :, : 2 * n] = np.hstack([weighted_input, weighted_input])
+    plant_rows = [linear.b, np.zeros((n, 1))]
+    observer_rows = [np.zeros((n, 1)), -l]
+    weight_rows = [np.zeros((order, 2))]
+    b = np.block([plant_rows, observer_rows, weight_rows])
+    rest = np.zeros((1, order))
+    seen_by_map = np.hstack([k, k, rest])
+    weighted_output = d_w @ k
+    seen_by_weight = np.hstack([weighted_output, weighted_output, c_w])
+    return a, b, seen_by_map, seen_by_weight
+
+
+def tolerance_of_a_solver(linear: StateSpace, proved: MeasuredDiscs, weight: np.ndarray) -> float:
+    """Largest tolerance of the proof's gains and ball by one semidefinite program."""
+    a, b, c_u, c_w = loop_with_weight(linear, proved, weight)
     gramian = solve_discrete_lyapunov(a, b @ b.T)
-    t = np.linalg.cholesky(gramian + 1e-9 * np.eye(len(a)))
-    solution = np.linalg.solve(t, a @ t)
-    ab = np.hstack([solution, np.linalg.solve(t, b)])
+    regularised = gramian + 1e-9 * np.eye(len(a))
+    t = np.linalg.cholesky(regularised)
+    balanced_state = np.linalg.solve(t, a @ t)
+    balanced_input = np.linalg.solve(t, b)
+    ab = np.hstack([balanced_state, balanced_input])
     p = cp.Variable((len(a), len(a)), symmetric=True)
     mu = cp.Variable(nonneg=True)
     lam = cp.Variable(nonneg=True)
-    difference = p - lam * beta**2 * (c_u @ t).T @ (c_u @ t)
-    storage = difference - mu * (c_w @ t).T @ (c_w @ t)
+    seen_by_map = c_u @ t
+    seen_by_weight = c_w @ t
+    of_map = lam * proved.beta**2 * seen_by_map.T @ seen_by_map
+    of_weight = mu * seen_by_weight.T @ seen_by_weight
+    storage = p - of_map - of_weight
     zero = np.zeros((len(a), 1))
     one = np.ones((1, 1))
-    supply = cp.bmat(
-        [
-            [storage, zero, zero],
-            [zero.T, cp.reshape(lam, (1, 1), "C"), 0 * one],
-            [zero.T, 0 * one, one],
-        ]
-    )
-    maximize = cp.Maximize(mu)
-    difference = supply - ab.T @ p @ ab
-    problem = cp.Problem(maximize, [difference >> 0, p >> 0])
+    map_row = [zero.T, cp.reshape(lam, (1, 1), "C"), 0 * one]
+    supply = cp.bmat([[storage, zero, zero], map_row, [zero.T, 0 * one, one]])
+    dissipated = supply - ab.T @ p @ ab
+    problem = cp.Problem(cp.Maximize(mu), [dissipated >> 0, p >> 0])
     problem.solve(solver="CLARABEL")
     return float(np.sqrt(mu.value))
 
@@ -253,14 +272,17 @@ def test_slopes_and_mismatch_that_vary_at_will_never_diverge_below_the_tolerance
     energies = []
     for _ in range(100):
         energies.append(xi @ found.p @ xi)
-        u = k @ (xi[:3] + xi[3:])
+        estimate = xi[:3] + xi[3:]
+        u = k @ (estimate)
         options = []
         difference = found.alpha - found.beta
         for slope in (difference, found.alpha, found.alpha + found.beta):
             for sign in (-1, 0, 1):
                 e = sign * found.kappa * u
-                x = linear.a @ xi[:3] + slope * b @ u
-                eps = linear.a @ xi[3:] + 0.8 * l @ (linear.c @ xi[3:]) - l @ e
+                applied = slope * b @ u
+                x = linear.a @ xi[:3] + applied
+                output_error = 0.8 * l @ (linear.c @ xi[3:])
+                eps = linear.a @ xi[3:] + output_error - l @ e
                 options.append(np.concatenate([x, eps]))
         xi = max(options, key=lambda after: after @ found.p @ after)
     energies = np.array(energies)
@@ -283,7 +305,25 @@ def test_far_above_the_tolerance_such_a_mismatch_diverges_and_is_not_proved() ->
         found.kappa * max(peaks) <= 1
     )  # what holds for slopes that vary is no more than what holds for constant ones
     kappa = 1.001 / max(peaks)
-    assert not MeasuredDiscs.holds(**(found.variables | {"kappa": kappa}))
+    changed = found.variables | {"kappa": kappa}
+    assert not MeasuredDiscs.holds(**changed)
+
+
+def loop_with_noise(
+    linear: StateSpace, pair: Gains, balls: Balls
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Closed loop in `(x, x_hat)`: its matrix, where noise enters, and its output."""
+    b = linear.b
+    c = 0.8 * linear.c
+    k = pair.k
+    l = pair.l  # noqa: E741
+    driven = balls.input.alpha * b @ k
+    closed_rows = [linear.a, driven]
+    observer_rows = [-l @ c, linear.a + l @ c + driven]
+    closed = np.block([closed_rows, observer_rows])
+    no_input = np.zeros_like(l)
+    no_output = np.zeros_like(c)
+    return closed, np.vstack([no_input, -l]), np.hstack([c, no_output])
 
 
 @given(SEEDS)
@@ -295,18 +335,12 @@ def test_a_sine_of_the_worst_frequency_moves_the_output_by_the_noise_gain(seed: 
     jacobian_ball = JacobianBall(alpha=alpha, beta=0.0)
     balls = replace(balls, input=jacobian_ball)
     gain = noise_gain(linear, design.pair, balls)
-    a = linear.a
-    b = linear.b
-    c = 0.8 * linear.c
-    k = design.pair.k
-    l = design.pair.l  # noqa: E741
-    driven = balls.input.alpha * b @ k
-    closed = np.block([[a, driven], [-l @ c, a + l @ c + driven]])
-    noise_input = np.vstack([np.zeros_like(l), -l])
-    output = np.hstack([c, np.zeros_like(c)])
+    closed, noise_input, output = loop_with_noise(linear, design.pair, balls)
     angles = np.linspace(0, np.pi, 20001)
-    shifted = np.exp(1j * angles)[:, None, None] * np.eye(len(closed)) - closed
-    solution = np.linalg.solve(shifted, np.broadcast_to(noise_input, (20001, *noise_input.shape)))
+    points = np.exp(1j * angles)[:, None, None]
+    shifted = points * np.eye(len(closed)) - closed
+    repeated_input = np.broadcast_to(noise_input, (20001, *noise_input.shape))
+    solution = np.linalg.solve(shifted, repeated_input)
     size = np.abs(output @ solution)[:, 0, 0]
     largest = size.max()
     assert largest <= gain * (1 + 1e-9)
@@ -322,7 +356,8 @@ def test_a_sine_of_the_worst_frequency_moves_the_output_by_the_noise_gain(seed: 
         outputs.append(item)
         x = closed @ x + noise_input[:, 0] * noise
     mean = np.mean(np.square(outputs[3000:]))
-    steady = np.sqrt(mean / np.mean(np.square(sine[3000:])))
+    mean_of_sine = np.mean(np.square(sine[3000:]))
+    steady = np.sqrt(mean / mean_of_sine)
     assert steady == pytest.approx(gain, rel=0.02)
 
 

@@ -28,17 +28,20 @@ SWINGS = 0.1  # of the output's scale, without noise, after the transient
 def least_squares_model(plant: Titration) -> SSM:
     """ARX model of a broadband record, in observer form and scaled to unit deviations."""
     rng = np.random.default_rng(0)
-    held = np.repeat(rng.uniform(-1, 1, 800), rng.integers(1, 12, 800))[:3000, None]
+    heights = rng.uniform(-1, 1, 800)
+    durations = rng.integers(1, 12, 800)
+    held = np.repeat(heights, durations)[:3000, None]
     response = plant.simulate(held[None])
     y = response[1][0]
     standard_deviation = held.std()
     input_scale, output_scale = standard_deviation, y.std()
     u, y = held / input_scale, y / output_scale
     past = range(1, ORDER + 1)
-    columns = [y[ORDER - lag : -lag, 0] for lag in past] + [
-        u[ORDER - lag : -lag, 0] for lag in past
-    ]
-    least_squares = np.linalg.lstsq(np.column_stack(columns), y[ORDER:, 0], rcond=None)
+    past_outputs = [y[ORDER - lag : -lag, 0] for lag in past]
+    past_inputs = [u[ORDER - lag : -lag, 0] for lag in past]
+    columns = past_outputs + past_inputs
+    regressors = np.column_stack(columns)
+    least_squares = np.linalg.lstsq(regressors, y[ORDER:, 0], rcond=None)
     weights = least_squares[0]
     a = np.eye(ORDER, k=1)
     a[:, 0] = weights[:ORDER]
@@ -63,15 +66,18 @@ def least_squares_model(plant: Titration) -> SSM:
 def swing_of(plant: Titration, model: SSM, design: Design) -> float:
     """Largest output, scaled, in the last part of three loops without noise."""
     gains, linear = design.pair, model.linear
-    x = plant.equilibrium_states(np.array([[0.5], [-1.0], [0.05]]))
+    start_outputs = np.array([[0.5], [-1.0], [0.05]])
+    x = plant.equilibrium_states(start_outputs)
     x_hat = np.zeros((3, ORDER))
     sizes = []
     for _ in range(400):
         y = model.scale.scaled_output(plant.output(x))
         u = x_hat @ gains.k.T
         innovation = x_hat @ linear.c.T - y
-        x_hat = x_hat @ linear.a.T + u @ linear.b.T + innovation @ gains.l.T
-        x = plant.advance(x, model.scale.physical_input(u), np.zeros((3, 0)))
+        correction = innovation @ gains.l.T
+        x_hat = x_hat @ linear.a.T + u @ linear.b.T + correction
+        physical_input = model.scale.physical_input(u)
+        x = plant.advance(x, physical_input, np.zeros((3, 0)))
         largest = np.abs(y).max()
         sizes.append(largest)
     largest = max(sizes[-80:])
