@@ -34,15 +34,9 @@ SMALL = [
 ]
 SMALL += ["synthesis=reserved", "model.order=2", "~loop.comparison", "progress=false"]
 SMALL += ["loop.initial_conditions=2"]
-# The command where the package is installed, but for the two figures that a run draws.
-UNDRAWN = """
-import sys
-sys.path.insert(0, PLACE)
-from ssm_study.cli import summary
-from ssm_study.cli.main import main
-summary.RUN_FIGURES = ()
-sys.exit(main(WORDS))
-"""
+# The command, but for the two figures that a run draws.
+UNDRAWN = "import sys; from ssm_study.cli import summary; from ssm_study.cli.main import main; "
+UNDRAWN += "summary.RUN_FIGURES = (); sys.exit(main(sys.argv[1:]))"
 
 
 @pytest.fixture
@@ -152,8 +146,9 @@ def test_an_installed_package_goes_the_whole_way(
     asked = ["run", "experiment=tclab", *SMALL, f"results_dir={tmp_path}"]
     assert main(asked) == 2
     assert "there is no experiment/tclab" in capsys.readouterr().err
-    program = UNDRAWN.replace("PLACE", repr(str(installed))).replace("WORDS", repr(asked))
-    done = start_program(program, tmp_path / "program").wait(timeout_s=250)
+    command = [sys.executable, "-c", UNDRAWN, *asked]
+    environment = os.environ | {"PYTHONPATH": str(installed)}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     (path,) = tmp_path.glob("tclab/*/record.json")
     text = path.read_text()
