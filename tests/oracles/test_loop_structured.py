@@ -23,9 +23,11 @@ from ssm_study.systems import Gains
 def test_the_rest_point_is_where_a_constant_input_takes_the_model(y: float) -> None:
     stand = model()
     x, u = scaled_equilibrium(stand, np.array([y]))
-    held = stand.simulate(np.tile(stand.scale.physical_input(u), (400, 1)))
+    constant_input = np.tile(stand.scale.physical_input(u), (400, 1))
+    held = stand.simulate(constant_input)
     assert held[-1, 0] == pytest.approx(y, abs=1e-8)
-    difference = np.abs(stand.advance(x, stand.scaffold_in(u[None])[0]) - x)
+    drive = stand.scaffold_in(u[None])[0]
+    difference = np.abs(stand.advance(x, drive) - x)
     largest_difference = difference.max()
     assert largest_difference < 1e-9
 
@@ -45,13 +47,17 @@ def test_an_output_that_saturation_forbids_is_refused() -> None:
 def test_a_plan_is_the_models_own_trajectory_and_ends_at_the_set_point() -> None:
     stand = model()
     k = 0.1 * np.ones((1, 3))
-    reference = np.repeat([[1.0], [1.8], [0.7]], 200, axis=0)
+    levels = [[1.0], [1.8], [0.7]]
+    reference = np.repeat(levels, 200, axis=0)
     plan = feedback_trajectory(stand, k, reference)
-    replayed = stand.simulate(stand.scale.physical_input(plan[:, 3:]))
-    planned = stand.output_at(plan[:, :3], stand.scaffold_in(plan[:, 3:]))
+    planned_input = stand.scale.physical_input(plan[:, 3:])
+    replayed = stand.simulate(planned_input)
+    planned_drive = stand.scaffold_in(plan[:, 3:])
+    planned = stand.output_at(plan[:, :3], planned_drive)
     np.testing.assert_allclose(replayed, planned, atol=1e-10)
     assert planned[399, 0] == pytest.approx(1.8, abs=1e-6)
-    assert not feedback_trajectory(stand, k, np.ones((5, 1))).any()
+    resting_reference = np.ones((5, 1))
+    assert not feedback_trajectory(stand, k, resting_reference).any()
 
 
 @pytest.mark.parametrize("undone", [False, True])
@@ -78,12 +84,14 @@ def test_set_points_are_reached_without_error_under_a_constant_load(undone: bool
     plant = IdentifiedPlant.from_model(stand)
     runs = loop.run_design(plant, stand, design, 0)
     controlled_y = runs.controlled.y
-    assert controlled_y[:, -1, 0] == pytest.approx(1.6, abs=1e-4)
+    last_outputs = controlled_y[:, -1, 0]
+    assert last_outputs == pytest.approx(1.6, abs=1e-4)
     changed_loop = replace(loop, disturbance=NoDisturbance())
     identified_plant = IdentifiedPlant.from_model(stand)
     without = changed_loop.run_design(identified_plant, stand, design, 0)
     controlled_u = without.controlled.u
-    difference = np.abs(controlled_u[:, -1] - runs.controlled.u[:, -1])
+    last_inputs = runs.controlled.u[:, -1]
+    difference = np.abs(controlled_u[:, -1] - last_inputs)
     largest_difference = difference.max()
     assert largest_difference > 0.1, "the load asks for an input"
 
@@ -103,9 +111,16 @@ def test_the_observer_injects_inside_the_neurons(injects: bool) -> None:
     y = np.array([[1.3]])
     v = stand.scaffold_in((u - 0.5) / 2.0)
     error = x_hat @ stand.c.T - (y - 1.0) / 3.0
-    z = x_hat @ stand.f.T + v @ stand.g.T + stand.bias + (error @ l_z.T if injects else 0.0)
-    w = np.stack([np.tanh(z[:, 0]), np.logaddexp(0, z[:, 1])], axis=1)
-    w -= np.array([np.tanh(stand.bias[0]), np.logaddexp(0, stand.bias[1])])
-    expected = x_hat @ stand.a.T + v @ stand.b.T + w @ stand.e.T + error @ l_.T
-    actual = law.advance(x_hat, u, y, np.zeros(5))
+    injected = error @ l_z.T if injects else 0.0
+    z = x_hat @ stand.f.T + v @ stand.g.T + stand.bias + injected
+    of_tanh = np.tanh(z[:, 0])
+    of_softplus = np.logaddexp(0, z[:, 1])
+    w = np.stack([of_tanh, of_softplus], axis=1)
+    tanh_at_rest = np.tanh(stand.bias[0])
+    softplus_at_rest = np.logaddexp(0, stand.bias[1])
+    w -= np.array([tanh_at_rest, softplus_at_rest])
+    without_correction = x_hat @ stand.a.T + v @ stand.b.T + w @ stand.e.T
+    expected = without_correction + error @ l_.T
+    no_memory = np.zeros(5)
+    actual = law.advance(x_hat, u, y, no_memory)
     np.testing.assert_allclose(actual, expected, atol=1e-12)
