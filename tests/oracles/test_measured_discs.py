@@ -25,8 +25,11 @@ from ssm_study.synthesis.measured_discs_search import (
 from ssm_study.systems import Balls, JacobianBall, StateSpace, StructuredSystem
 
 ZERO = np.zeros((1, 1))
-BALLS = Balls(input=JacobianBall.from_slopes(0.6, 1.0), output=JacobianBall(alpha=0.8, beta=0.0))
-BENT = replace(BALLS, output=JacobianBall(alpha=0.9, beta=0.1))
+INPUT_BALL = JacobianBall.from_slopes(0.6, 1.0)
+OUTPUT_BALL = JacobianBall(alpha=0.8, beta=0.0)
+BALLS = Balls(input=INPUT_BALL, output=OUTPUT_BALL)
+BENT_OUTPUT = JacobianBall(alpha=0.9, beta=0.1)
+BENT = replace(BALLS, output=BENT_OUTPUT)
 ASKED = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1, input_weight=1.0)
 
 
@@ -34,7 +37,10 @@ class _Model:
     def __init__(self, system: StateSpace | StructuredSystem) -> None:
         self.system = system
         neurons = isinstance(system, StructuredSystem)
-        self.linear = system.linearise_at_slopes(np.zeros(system.neurons)) if neurons else system
+        self.linear = system
+        if neurons:
+            no_slopes = np.zeros(system.neurons)
+            self.linear = system.linearise_at_slopes(no_slopes)
 
 
 def one_layer(seed: int, order: int = 3) -> StateSpace:
@@ -44,7 +50,8 @@ def one_layer(seed: int, order: int = 3) -> StateSpace:
     spectral_radius = np.abs(eigenvalues).max()
     b = rng.normal(size=(order, 1))
     c = rng.normal(size=(1, order))
-    return StateSpace(a=0.9 * a / spectral_radius, b=b, c=c, d=ZERO)
+    scaled = 0.9 * a / spectral_radius
+    return StateSpace(a=scaled, b=b, c=c, d=ZERO)
 
 
 def context(system: StateSpace | StructuredSystem, balls: Balls = BALLS) -> VerificationContext:
@@ -60,13 +67,15 @@ def input_responses(known: VerificationContext) -> Complex[np.ndarray, "F 2"]:
     l = known.gains["l"]  # noqa: E741
     driven = 0.8 * system.b @ k
     none = np.zeros_like(system.a)
+    observer_loop = system.a + 0.8 * l @ system.c
     loop = StateSpace(
-        a=np.block([[system.a + driven, driven], [none, system.a + 0.8 * l @ system.c]]),
+        a=np.block([[system.a + driven, driven], [none, observer_loop]]),
         b=np.block([[system.b, np.zeros_like(l)], [np.zeros_like(system.b), -l]]),
         c=np.hstack([k, k]),
         d=np.zeros((1, 2)),
     )
-    return frequency_response(loop, np.linspace(0, np.pi, 40001))[:, 0]
+    angles = np.linspace(0, np.pi, 40001)
+    return frequency_response(loop, angles)[:, 0]
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -77,18 +86,22 @@ def test_an_input_disc_around_zero_has_a_closed_form_to_seven_digits(seed: int) 
     nu, _ = optimum_for_weights(MeasuredDiscs, known, INPUT_ALONE, 0.0)
     proof = largest_kappa(known)
     assert proof is not None
-    from_p, from_e = (np.abs(input_responses(known)) ** 2).T
+    magnitudes = np.abs(input_responses(known))
+    from_p, from_e = (magnitudes**2).T
 
     def missing(log_multiplier: float) -> float:
         multiplier = np.exp(log_multiplier)
-        room = 1 / (from_p / multiplier + from_e) - multiplier * known.balls.input.beta**2
+        beta = known.balls.input.beta
+        weighted = 1 / (from_p / multiplier + from_e)
+        room = weighted - multiplier * beta**2
         return -float(room.min())
 
     near = float(np.log(proof.lambda_p))
     bounds = (near - 0.3, near + 0.3)
     best = minimize_scalar(missing, bounds=bounds, method="bounded", options={"xatol": 1e-12})
     assert nu == pytest.approx(-best.fun, rel=4e-7)
-    assert proof.kappa == pytest.approx(np.sqrt(nu), rel=2e-3)
+    kappa = np.sqrt(nu)
+    assert proof.kappa == pytest.approx(kappa, rel=2e-3)
 
 
 @pytest.mark.parametrize("balls", [BALLS, BENT])
@@ -114,7 +127,8 @@ def solvable(known: VerificationContext, weights: Weights, centre: float, kappa:
     numbers |= {"centre": centre, "kappa": kappa, "floor": weights.floor, "lambda_p": 1.0}
     numbers |= {"weight_output": weights.output, "weight_input": weights.input}
     numbers["lambda_out"] = np.ones(3) if bent else np.zeros(0)
-    of = SimpleNamespace(**{name: np.atleast_2d(value) for name, value in numbers.items()})
+    matrices = {name: np.atleast_2d(value) for name, value in numbers.items()}
+    of = SimpleNamespace(**matrices)
     rows = MeasuredDiscs.signal_matrices(of)
     measured_discs = MeasuredDiscs.static_map_constraints(of, rows)
     forms = [form for _, form in measured_discs]
@@ -122,11 +136,15 @@ def solvable(known: VerificationContext, weights: Weights, centre: float, kappa:
     p = cp.Variable((order, order), symmetric=True)
     margin = cp.Variable()
     multipliers = cp.Variable(len(forms), nonneg=True)
-    difference = rows.xi.T @ p @ rows.xi - rows.step.T @ p @ rows.step
+    energy = rows.xi.T @ p @ rows.xi
+    energy_after = rows.step.T @ p @ rows.step
+    difference = energy - energy_after
     measured_discs = MeasuredDiscs.disc_constraint(of, rows)
     form = difference + measured_discs
-    form = form + sum(multipliers[i] * forms[i] for i in range(len(forms)))
-    limits = [form >> margin * np.eye(rows.xi.shape[1]), margin <= 1]
+    weighted_forms = [multipliers[i] * forms[i] for i in range(len(forms))]
+    form = form + sum(weighted_forms)
+    identity = np.eye(rows.xi.shape[1])
+    limits = [form >> margin * identity, margin <= 1]
     a = cp.Maximize(margin)
     problem = cp.Problem(a, limits)
     problem.solve(solver="CLARABEL")
@@ -183,31 +201,41 @@ def test_a_plant_that_answers_a_sample_before_its_model_is_covered_by_sums_over_
     outputs = []
     errors = []
     for k in range(4000):
-        u = known.gains["k"] @ xh if k < 3000 else np.zeros(1)
+        stabilising_input = known.gains["k"] @ xh
+        u = stabilising_input if k < 3000 else np.zeros(1)
         drive = (0.6 if k % 7 else 1.0) * u
         m = alpha_out * system.c @ x
-        e = r * (ahead @ x + alpha_out * system.c @ system.b @ drive)
+        drive_ahead = alpha_out * system.c @ system.b @ drive
+        e = r * (ahead @ x + drive_ahead)
         difference = alpha_out * system.c @ xh - m
         injected = difference - e
         x = system.a @ x + system.b @ drive
-        xh = system.a @ xh + system.b @ drive + known.gains["l"] @ injected
+        correction = known.gains["l"] @ injected
+        xh = system.a @ xh + system.b @ drive + correction
         outputs.append(float(m[0]))
         errors.append(float(e[0]))
     largest = np.abs(outputs[-200:]).max()
     upper_limit = 1e-6 * np.abs(outputs).max()
     assert largest < upper_limit
-    # From rest, an impulse of the input: the sum up to the sample before m moves exceeds the
-    # disc's.
+    excess = excess_after_an_impulse(system, proof, weights)
+    assert excess.max() > 0
+    assert excess[-1] < 0
+
+
+def excess_after_an_impulse(
+    system: StateSpace, proof: MeasuredDiscs, weights: Weights
+) -> np.ndarray:
+    """Running sums by which the error exceeds the disc, from rest: they do up to the sample before
+    m moves."""
     drive = np.zeros((300, 1))
     drive[0] = 1.0
     y, _ = system.simulate(drive)
-    m = alpha_out * y[:, 0]
+    m = BALLS.output.alpha * y[:, 0]
     differences = np.diff(m)
-    e = r * np.append(differences, 0.0)
-    difference = e**2 - proof.kappa**2 * weights.floor**2 * m**2
-    excess = np.cumsum(difference)
-    assert excess.max() > 0
-    assert excess[-1] < 0
+    e = proof.kappa * np.append(differences, 0.0)
+    disc = proof.kappa**2 * weights.floor**2
+    difference = e**2 - disc * m**2
+    return np.cumsum(difference)
 
 
 def test_neurons_without_effect_leave_the_disc_of_one_layer() -> None:
@@ -255,9 +283,11 @@ def test_loops_with_neurons_come_to_rest_on_plants_at_the_edge() -> None:
             difference = alpha_out * system.c @ xh - m
             injected = difference - e
             w = phi(system.f @ x + system.g @ drive)
-            wh = phi(system.f @ xh + system.g @ drive + gains["l_z"] @ injected)
+            injected_input = gains["l_z"] @ injected
+            wh = phi(system.f @ xh + system.g @ drive + injected_input)
             x = system.a @ x + system.b @ drive + system.e @ w
-            xh = system.a @ xh + system.b @ drive + system.e @ wh + gains["l"] @ injected
+            correction = gains["l"] @ injected
+            xh = system.a @ xh + system.b @ drive + system.e @ wh + correction
             delta = plant.a @ delta + plant.b @ entering
             sizes.append(float(np.abs(u[0])))
         largest = max(sizes[-200:])
