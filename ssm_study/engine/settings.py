@@ -135,8 +135,13 @@ def run_name(config: DictConfig | Settings, *shown: str) -> str:
         word, _, path = pair.partition(":")
         value = value_at_path(identity, path)
         if isinstance(value, int | float | str):
-            words.append(re.sub(r"[^A-Za-z0-9.]+", "_", f"{word}{value}")[:LONGEST_WORD])
+            words.append(shown_setting(word, value))
     return "-".join([*words, digest_of_value(identity)[:NAME_DIGITS]])
+
+
+def shown_setting(word: str, value: int | float | str) -> str:
+    """Part of a run's name that shows a setting, such as `seed0`."""
+    return re.sub(r"[^A-Za-z0-9.]+", "_", f"{word}{value}")[:LONGEST_WORD]
 
 
 def value_at_path(settings: Any, path: str) -> Any:

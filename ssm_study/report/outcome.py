@@ -14,6 +14,7 @@ from rich.text import Text
 
 from ssm_study.certificates.decay_time import decay_time_words
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, evidence_words
+from ssm_study.report.earlier_version import unstated_rows
 from ssm_study.report.run_facts import RunFacts
 from ssm_study.report.speed_up import unproved_speed_up_text
 from ssm_study.report.words import NO_FASTER, SETTLED, prediction_text, verdict_per_run
@@ -251,6 +252,7 @@ def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
         until = "rest is proved up to {}" if record.get("neurons") else "{} is proved"
         value = until.format(format_column(record, "certified_tolerance"))
         yield "certified_tolerance", "Mismatch tolerated", f"{value}, as a gain on the input"
+        yield from unstated_rows(record, label)
     elif coverage is None:
         reason = str(record.get("coverage_reason"))
         words = reason if reason.startswith(WITHHELD) else f"not covered: {reason}"
@@ -305,8 +307,7 @@ def prediction_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Rows on the behaviour that model and records predict before the controller is tried on the
     plant."""
     level = str(record.get("evidence"))
-    reasons_words = evidence_words(level, record.get("evidence_reasons"), NOTES)
-    yield "evidence", "Evidence", reasons_words
+    yield "evidence", "Evidence", evidence_words(level, record.get("evidence_reasons"), NOTES)
     label = "Prediction for the plant" if _is_on_plant(record) else "Prediction"
     if record.get("evidence") == CANNOT_JUDGE:
         yield "evidence", label, "none: the evidence allows no judgement"
@@ -324,6 +325,8 @@ def prediction_rows(record: Mapping[str, Any]) -> Iterator[Row]:
         grounds = f"single sines show more than the other records (margin {margin})"
     words = f"{word}: {grounds}{refit_text(record)}" if grounds else word
     yield "predicted_stable", label, words
+    if sine_margin is None and _is_on_plant(record):
+        yield from unstated_rows(record, "Single sines")
 
 
 def closed_loop_rows(record: Mapping[str, Any]) -> Iterator[Row]:

@@ -7,19 +7,15 @@ run, with the reason).
 """
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from ssm_study.bounds.metrics import model_bound_columns
 from ssm_study.columns import ITERATED, ONE_FORMULA
 from ssm_study.data import metrics as data_metrics
-from ssm_study.durable import read_limited_bytes, read_sealed_json
-from ssm_study.engine.records import INFEASIBLE, OK, RECORD
-from ssm_study.engine.settings import plain_settings, run_name
-from ssm_study.engine.stages import Stage
-from ssm_study.engine.store import MANIFEST, damaged_files
+from ssm_study.engine.records import INFEASIBLE, OK
+from ssm_study.engine.settings import plain_settings
 from ssm_study.evidence import metrics as evidence_metrics
 from ssm_study.evidence.metrics import evidence_columns
 from ssm_study.loop.controller import ObserverFeedback
@@ -31,13 +27,14 @@ from ssm_study.models.members import NAMES, member_columns
 from ssm_study.models.metrics import Simulation, fit_columns, size_columns
 from ssm_study.models.warm_start import choose_initial_state_source, initial_state_columns
 from ssm_study.signals import DataSet
-from ssm_study.study import trials
 from ssm_study.study.design_claims import check_certificate
+from ssm_study.study.file_claims import NOT_CHOSEN_AGAIN, NOT_REPEATED, check_files
 from ssm_study.study.findings import (
     Checked,
     Claims,
     Derived,
     NotChecked,
+    Repeated,
     check_agreement,
     check_entries,
 )
@@ -48,88 +45,29 @@ from ssm_study.study.loop_recordings import (
     loop_signal_pairs,
     read_experiment,
 )
+from ssm_study.study.name_claims import check_folder_name, expected_run_name
 from ssm_study.study.recording_labels import find_wrong_labels
 from ssm_study.study.recordings import TRIALS, record_signal_pairs
-from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles
-from ssm_study.study.stages.catalogue import STAGES
-from ssm_study.study.stages.dataset import DATASET
+from ssm_study.study.run_files import RunFiles
 from ssm_study.study.stages.evidence import read_judgement
-from ssm_study.study.stages.free_run import SCORE
 from ssm_study.study.stages.loop import LOOPS
-from ssm_study.study.stages.model import MODEL, read_averaged_models
+from ssm_study.study.stages.model import read_averaged_models
 from ssm_study.study.unreached_numbers import unverifiable_numbers
 from ssm_study.table.columns import BY_NAME, FURTHER, setting_path
-from ssm_study.table.gather import PARQUET
 from ssm_study.training.metrics import records_fit_percent
 
-READ = frozenset({".csv", ".json", ".mcap"})  # the kinds of file that somebody reads as a run's
-STAGES_OF_A_BASELINE = (DATASET, MODEL, SCORE)
-MADE_OF_RUNS = "made from runs; ssm-study gather, report and export make them anew"
-NOT_REPEATED = "training is not repeated (see ssm-study reproduce)"
-
-
-def check_files(run: RunFiles) -> Claims:
-    """Check that every file of the run exists, is sealed and is unchanged."""
-    path = run.path / MANIFEST
-    manifest = read_sealed_json(read_limited_bytes(path)) if path.is_file() else None
-    damaged = damaged_files(run.path, manifest) if manifest else [MANIFEST]
-    changed = f"changed since: {', '.join(damaged)}"
-    observation = changed if damaged else "as they were written"
-    yield Checked(claim="files", holds=not damaged, found=observation)
-    if not (run.path / CONFIGURATION).is_file():
-        yield Checked(claim=CONFIGURATION, holds=False, found="is absent")
-        return
-    sealed_names = set(manifest["files"]) if manifest else set()
-    yield from find_foreign_or_absent_files(run, sealed_names)
-    yield from list_files_not_checked(run)
-
-
-def find_foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Checked]:
-    """Findings on files of the run that are missing, not sealed, or written by no stage."""
-    needed = {CONFIGURATION, "model.json", "validation.mcap", "test.mcap", "excitation.mcap"}
-    stages: tuple[Stage[Any], ...] = STAGES_OF_A_BASELINE
-    if run.claims_certificate:
-        needed |= {"certificate.json", "evidence.json"}
-        stages = (*STAGES, trials.TRIALS)
-    present = {path.name for path in run.path.iterdir() if path.suffix in READ}
-    present = {CONFIGURATION, *present} - {MANIFEST, RECORD}
-    written = {CONFIGURATION, OVERRIDES}
-    for stage in stages:
-        written.update(stage.files)
-    if run.specification.loop.comparison is None:
-        written.discard("comparison.csv")
-    absent = {name for name in needed if not (run.path / name).is_file()}
-    wrong = {
-        "is absent": absent,
-        "is not sealed": present - sealed,
-        "no stage of such a run writes it": sealed - written,
-    }
-    for observation, names in wrong.items():
-        for name in sorted(names):
-            yield Checked(claim=name, holds=False, found=observation)
-
-
-def list_files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
-    """Files and entries that no check recomputes, each with the reason."""
-    yield NotChecked({"runs.parquet, runs.csv, report.html, figures and exports": MADE_OF_RUNS})
-    repeated = ("training_curve.json, choice.json", "certificate.json seconds, solver_status")
-    reasons = dict.fromkeys(repeated, NOT_REPEATED)
-    yield NotChecked(reasons | {OVERRIDES: "the configuration alone says what ran"})
-    if run.specification.loop.comparison is not None:
-        yield NotChecked({"comparison.csv": "its loops are not kept"})
-    if isinstance(run.specification.refine, int):
-        reason = "its loops are made again; that these designs were chosen is not"
-        yield NotChecked({trials.TRIED: reason})
+# Settings that no other file of the run would contradict, by their reason.
+UNSUPPORTED = {
+    NOT_REPEATED: ("training.", "model.starts", "model.draws"),
+    NOT_CHOSEN_AGAIN: ("synthesis.",),
+}
 
 
 def check_settings(run: RunFiles) -> Claims:
     """Check that the recorded settings are those of the configuration, and that the run's name
     contains their hash."""
-    name = str(run.config.run)
-    hashed = run_name(run.config)  # what a name shows before its hash is the user's choice
-    expected = name if name.endswith(hashed) else f"...-{hashed}"
-    yield Derived({"study": str(run.config.study), "run": expected})
-    yield check_folder_name(run.path.absolute(), name)
+    yield Derived({"study": str(run.config.study), "run": expected_run_name(run)})
+    yield check_folder_name(run.path.absolute(), str(run.config.run))
     # As it was stored: a record names the parts by what they were called then.
     configuration = plain_settings(run.config)
     specification = replace(run.specification, configuration=configuration)
@@ -142,7 +80,7 @@ def check_settings(run: RunFiles) -> Claims:
     # The record holds the rates of the design, which the theorem may have chosen itself.
     rates = ("rate_controller", "rate_observer") if run.claims_certificate else ()
     columns = {name: value for name, value in settings.items() if name not in rates}
-    yield Derived(columns)
+    yield from separate_unsupported_settings(columns)
     for rate in rates:
         value = settings.get(rate)
         if value is not None:
@@ -150,15 +88,15 @@ def check_settings(run: RunFiles) -> Claims:
             yield Checked(claim=f"synthesis.{rate}", holds=is_same, found=f"{value} was requested")
 
 
-def check_folder_name(folder: Path, name: str) -> Checked:
-    """Check that the run's folder has the name in its record, so that each run counts once in its
-    study."""
-    study = folder.parent
-    is_in_a_study = (study / PARQUET).exists() or (study / name).exists()
-    if folder.name == name or not is_in_a_study:
-        return Checked(claim="folder", holds=True, found=f"{folder.name} stands once")
-    problem = f"counts as one more run of its study: delete it, or name it {name}"
-    return Checked(claim="folder", holds=False, found=f"{folder.name} {problem}")
+def separate_unsupported_settings(columns: Mapping[str, Any]) -> Iterator[Derived | Repeated]:
+    """Columns of settings, those apart that only the run's own word supports: no result of it would
+    contradict another value."""
+    remaining = dict(columns)
+    for reason, prefixes in UNSUPPORTED.items():
+        names = [name for name in remaining if (setting_path(name) or name).startswith(prefixes)]
+        repeated = {name: remaining.pop(name) for name in names}
+        yield Repeated(repeated, reason)
+    yield Derived(remaining)
 
 
 def check_status(run: RunFiles) -> Claims:

@@ -27,6 +27,7 @@ from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
 from ssm_study.certificates.withdrawn_parts import TOLERANCE
 from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA
 from ssm_study.data.simulated import SimulatedData
+from ssm_study.engine.records import VERSION
 from ssm_study.evidence.metrics import withhold_predictions
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.coverage import Premise, measure_premise
@@ -46,6 +47,8 @@ from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.expected_response import faster_response_column
 from ssm_study.synthesis.input_inversion import mismatch_behind_map
 from ssm_study.synthesis.measured_discs_run import (
+    UNPROVED,
+    add_coverage_certificate,
     coverage_columns,
     fresh_data_column,
     fresh_data_needs,
@@ -54,6 +57,8 @@ from ssm_study.synthesis.metrics import design_columns
 from ssm_study.synthesis.sine_judgement import simulated_sines, sine_columns, sine_coverage_columns
 from ssm_study.synthesis.withheld_coverage import withhold_coverage
 from ssm_study.systems import Balls, System
+
+COVERAGE_COLUMNS = ("coverage", "coverage_reason", "coverage_reference", "coverage_needed")
 
 
 def check_certificate(run: RunFiles) -> Claims:
@@ -78,11 +83,52 @@ def check_certificate(run: RunFiles) -> Claims:
     mismatch = remeasure_mismatch(run)
     facts = design_columns(design, run.model, balls, mismatch)
     facts |= recompute_coverage_columns(run)
-    if "predicted_faster" in run.record:
+    if not run.may_lack("predicted_faster"):
         records = run.simulated.validation.records, run.mismatch_records
         facts |= faster_response_column(design, run.model, mismatch, *records)
     facts |= recompute_sine_columns(run, balls, mismatch, facts.get("coverage"))
     yield Derived(withhold_predictions(facts, run.record.get("evidence")))
+    yield NotChecked(columns_of_later_versions(run) | unrepeated_search(run))
+
+
+def columns_of_later_versions(run: RunFiles) -> dict[str, str]:
+    """Columns that the record lacks and, by its version, may lack, each with the reason.
+
+    So a column that somebody took out of an older record is named among what is not checked.
+    """
+    design = run.design
+    if not design.feasible:
+        return {}
+    columns = list[str]()
+    if not design.inverts_input_map:
+        columns.append("predicted_faster")
+    if run.specification.has_sine_trials and not design.inverts_input_map:
+        columns.append("sine_margin")
+        if run.record.get("coverage") is not None:
+            columns.append("sine_coverage")
+    reason = f"a record of version {run.record_version} need not have it"
+    absent = [name for name in columns if run.may_lack(name)]
+    if lacks_coverage(run):
+        absent += [name for name in COVERAGE_COLUMNS if run.record.get(name) is None]
+    return dict.fromkeys(absent, reason)
+
+
+def unrepeated_search(run: RunFiles) -> dict[str, str]:
+    """Claim that no proof of coverage was found, with the reason why it is not checked; empty where
+    the search is repeated, or something else is claimed."""
+    is_unproved = run.record.get("coverage_reason") == UNPROVED
+    if not is_unproved or is_search_repeated(run):
+        return {}
+    reason = "it is not repeated: it takes a minute and more, or is of an earlier version"
+    return {"search for a proof of coverage": reason}
+
+
+def lacks_coverage(run: RunFiles) -> bool:
+    """Whether the record is of a version that need not state the coverage, and neither record nor
+    certificate states it."""
+    is_claimed = any(run.record.get(name) is not None for name in COVERAGE_COLUMNS[:2])
+    is_old = run.record_version < VERSION
+    return is_old and not is_claimed and MeasuredDiscs.part not in run.design.extra_certificates
 
 
 def check_stored_certificate(
@@ -161,9 +207,7 @@ def remeasure_mismatch(run: RunFiles) -> Any:
 def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
     """Recompute, from the run's recordings, the columns that say how much model error the
     certificate covers."""
-    columns = ("coverage", "coverage_reason")
-    is_claimed = any(run.record.get(name) is not None for name in columns)
-    if not is_claimed and MeasuredDiscs.part not in run.design.extra_certificates:
+    if lacks_coverage(run):
         return {}  # a run of before these columns claims nothing of them
     validation = run.simulated.validation
     start_up = validation.start_up_samples
@@ -175,11 +219,25 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
     if run.specification.plant is None:
         test = run.simulated.test
         fresh = measure_premise(run.model, test.records, mismatch, test.start_up_samples)
-    facts = coverage_columns(run.design, run.model, premise, fresh)
+    design = run.design
+    if is_search_repeated(run):
+        # No word is believed: what the search finds is compared with what the record states.
+        design = add_coverage_certificate(design, run.model, certified_balls(run.model), premise)
+    facts = coverage_columns(design, run.model, premise, fresh)
     facts |= recompute_fresh_data_column(run, premise, mismatch)
-    if run.record.get("coverage") is not None or not run.design.feasible:
+    is_old = run.record_version < VERSION
+    if not design.feasible or (is_old and run.record.get("coverage") is not None):
         return facts  # true of the proof; a run of before such numbers were withheld has them
-    return withhold_coverage(facts, run.model, run.design.pair)
+    return withhold_coverage(facts, run.model, design.pair)
+
+
+def is_search_repeated(run: RunFiles) -> bool:
+    """Whether the record says that no proof of coverage was found, and the search takes seconds.
+
+    With neurons it takes a minute and more; another version may have searched less.
+    """
+    is_unproved = run.record.get("coverage_reason") == UNPROVED
+    return is_unproved and isinstance(run.model, SSM) and run.record_version == VERSION
 
 
 def recompute_fresh_data_column(
@@ -205,7 +263,7 @@ def recompute_sine_columns(
     empty for a run made before such tests existed; `coverage` is that over the run's records, which
     earlier runs did not compare with the sines."""
     specification = run.specification
-    if "sine_margin" not in run.record or not specification.has_sine_trials:
+    if run.may_lack("sine_margin") or not specification.has_sine_trials:
         return {}
     sines = simulated_sines(
         run.design,
@@ -215,10 +273,10 @@ def recompute_sine_columns(
         specification.data,
         specification.plant,
         specification.seed,
-        only_peaks="sine_coverage" not in run.record,
+        only_peaks=run.may_lack("sine_coverage"),
     )
     facts = sine_columns(run.design, run.model, balls, mismatch, sines)
-    if "sine_coverage" in run.record:
+    if not run.may_lack("sine_coverage"):
         facts |= sine_coverage_columns(run.design, sines, coverage)
     return facts
 

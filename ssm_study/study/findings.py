@@ -30,13 +30,22 @@ class Derived:
 
 
 @dataclass(frozen=True)
+class Repeated:
+    """Columns that repeat a setting of the configuration which no result supports: they fail where
+    they differ from it, and are not checked where they agree, for the reason."""
+
+    columns: Mapping[str, Any]
+    reason: str
+
+
+@dataclass(frozen=True)
 class NotChecked:
     """Columns or files that cannot be checked, each with the reason."""
 
     reasons: Mapping[str, str]
 
 
-Claims = Iterator[Checked | Derived | NotChecked]
+Claims = Iterator[Checked | Derived | Repeated | NotChecked]
 
 
 def check_agreement(

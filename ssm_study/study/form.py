@@ -11,6 +11,7 @@ from ssm_study.durable import open_regular_file
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.study.findings import Checked, Claims, NotChecked
 from ssm_study.study.loop_recordings import NOISE_FREE
+from ssm_study.study.recording_labels import TOPICS_BY_FILE, find_foreign_contents
 from ssm_study.study.recordings import RecordedCases
 from ssm_study.study.run_files import RunFiles
 from ssm_study.table.columns import find_declaration
@@ -32,6 +33,7 @@ def check_form(run: RunFiles) -> Claims:
     """Check the form of the run's files: types of recorded values, unknown entries, links."""
     yield from _report_links(run.path)
     yield from _report_byte_order_marks(run.path)
+    yield from _report_foreign_contents(run.path)
     for name in ERRORS:
         if run.record.get(name) is not None:
             observation = "stands in the record of a run that did not fail"
@@ -78,6 +80,17 @@ def _report_byte_order_marks(folder: Path) -> Iterator[Checked]:
         if begins.startswith((codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             name = path.relative_to(folder).as_posix()
             yield Checked(claim=name, holds=False, found="begins with a byte order mark")
+
+
+def _report_foreign_contents(folder: Path) -> Iterator[Checked]:
+    """Failed findings on recordings that hold what no run writes there, one for each file."""
+    for path in sorted(folder.glob("*.mcap")):
+        if path.name not in TOPICS_BY_FILE or path.is_symlink():
+            continue  # another file is a failed claim by its name
+        foreign = find_foreign_contents(path)
+        if foreign:
+            observation = f"no run writes there: {', '.join(foreign[:5])}"
+            yield Checked(claim=f"{path.name} contents", holds=False, found=observation)
 
 
 def _check_unreduced_fit(run: RunFiles) -> Iterator[Checked]:

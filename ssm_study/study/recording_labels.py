@@ -3,13 +3,15 @@ descriptions."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from ssm_study.data.mcap_contents import list_foreign_contents
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import Channel, DataSet
-from ssm_study.study.loop_recordings import NOISE_FREE, ON_MODEL, ON_PLANT, loop_place_label
+from ssm_study.study.loop_recordings import NOISE_FREE, ON_MODEL, ON_PLANT, TOPICS, loop_place_label
 from ssm_study.study.recordings import LOOPS, TRIALS, RecordedCases
 from ssm_study.study.run_files import RunFiles
 
@@ -26,6 +28,20 @@ NUMBERS = frozenset(
     }
 )
 NANOSECOND = 1e-9  # to which a recording keeps its times
+
+RECORDED = ("input", "disturbance", "measured")
+CLOSED_LOOP = ("reference", *TOPICS.values())
+# Signals of each case of a recording.
+TOPICS_BY_FILE = {
+    "excitation.mcap": ("input", "disturbance"),
+    "validation.mcap": (*RECORDED, "simulated"),
+    "test.mcap": (*RECORDED, "simulated"),
+    TRIALS: RECORDED,
+    LOOPS: RECORDED,
+    ON_PLANT: (*CLOSED_LOOP, "uncontrolled"),
+    NOISE_FREE: CLOSED_LOOP,
+    ON_MODEL: CLOSED_LOOP,
+}
 
 Channels = Mapping[str, tuple[Channel, ...]]
 
@@ -99,3 +115,17 @@ def find_wrong_labels(run: RunFiles, data: DataSet) -> Iterator[tuple[str, list[
                 if group.channels != labels.channels.get(name, group.channels):
                     wrong.add(f"channels of {name}")
         yield labels.file, sorted(wrong)
+
+
+def find_foreign_contents(path: Path) -> list[str]:
+    """Names of the topics, attachments and metadata records in a run's recording that no run writes
+    into a file of that name."""
+    topics = TOPICS_BY_FILE[path.name]
+    cases = RecordedCases.from_file(path).cases
+    kind = "case" if path.name in (ON_PLANT, ON_MODEL, NOISE_FREE) else "record"
+    expected = [f"/{kind}_{number}" for number in range(len(cases))]
+    foreign = list_foreign_contents(path)
+    for prefix, case in cases.items():
+        names = [name for name in case if prefix not in expected or name not in topics]
+        foreign += [f"topic {prefix}/{name}" for name in names]
+    return foreign

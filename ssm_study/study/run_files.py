@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.durable import read_limited_bytes
+from ssm_study.engine.records import VERSION
 from ssm_study.evidence.metrics import Judgement, collect_findings
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthrough
 from ssm_study.plants.plant import Plant
@@ -139,6 +140,16 @@ class RunFiles:
             self.model, data.validation, data.start_up_samples, data.mismatch_records
         )
         return collect_findings(data, self.model, runs.validation, runs.test, mismatch)
+
+    @property
+    def record_version(self) -> int:
+        """Version of the run's record; the present one where no record was read."""
+        return int(self.record.get("record_version", VERSION))
+
+    def may_lack(self, *columns: str) -> bool:
+        """Whether the record lacks all of the given columns, and was written by a version that did
+        not have to state them."""
+        return self.record_version < VERSION and not any(name in self.record for name in columns)
 
     def read_stored_object(self, name: str) -> dict[str, Any]:
         """Object in a JSON file of the run. Raises `BadRequest` for a file that repeats a key."""

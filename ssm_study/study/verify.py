@@ -26,7 +26,7 @@ from ssm_study.engine.records import (
 )
 from ssm_study.refusal import escape_control_characters, require
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS
-from ssm_study.study.findings import Checked, Claims, Derived, NotChecked
+from ssm_study.study.findings import Checked, Claims, Derived, NotChecked, Repeated
 from ssm_study.study.form import check_form
 from ssm_study.study.rest_claims import LABELS, check_rest_design
 from ssm_study.study.run_files import RunFiles, error_text
@@ -155,19 +155,33 @@ def verify_files(run: RunFiles) -> Verification:
     """Check every claim of a finished run whose folder has been opened."""
     findings: list[Checked] = []
     derived: dict[str, Any] = {}
+    repeated: dict[str, str] = {}
     unchecked: dict[str, str] = {}
     for result in _findings_of_sections(run):
         if isinstance(result, Checked):
             findings.append(result)
         elif isinstance(result, Derived):
             derived |= result.columns
+        elif isinstance(result, Repeated):
+            derived |= result.columns
+            repeated |= dict.fromkeys(result.columns, result.reason)
+        elif isinstance(result, Repeated):
+            for name, value in result.columns.items():
+                finding = compare_column(name, run.record.get(name), value)
+                if finding.holds:
+                    unchecked[name] = result.reason
+                else:
+                    findings.append(finding)
+                    repeated_wrong.add(name)
         else:
             unchecked |= result.reasons
     cut_short = any(finding.found.startswith(NOT_DERIVED) for finding in findings)
     # Also what the record lacks although its files give it.
     for name in dict.fromkeys((*derived, *run.record)):
         judgement = judge_column(name, run.record, derived, unchecked)
-        if isinstance(judgement, Checked):
+        if isinstance(judgement, Checked) and judgement.holds and name in repeated:
+            unchecked[name] = repeated[name]
+        elif isinstance(judgement, Checked):
             if cut_short and judgement.found.endswith(UNGIVEN):
                 unchecked[name] = UNREACHED
             else:
@@ -177,7 +191,7 @@ def verify_files(run: RunFiles) -> Verification:
     return Verification(findings=tuple(findings), unchecked=unchecked)
 
 
-def _findings_of_sections(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
+def _findings_of_sections(run: RunFiles) -> Iterator[Checked | Derived | Repeated | NotChecked]:
     """Findings of all sections of the verification of a run. An error in a section becomes a failed
     claim."""
     for section in (check_form, *_applicable_sections(run)):

@@ -220,7 +220,7 @@ def test_a_renamed_column_has_both_names_in_a_record(tmp_path: Path) -> None:
     assert record is not None
     assert record["peak_v"] == 1.5
     assert record["peak"] == 1.5
-    assert record["record_version"] == 2
+    assert record["record_version"] == 3
     content = written(tmp_path, {"record_version": 1, "status": "ok", "peak_v": 2.5})
     old = parse_record(content)
     assert old["peak_v"] == 2.5
@@ -233,7 +233,7 @@ def written(folder: Path, record: dict[str, object]) -> bytes:
     return read_limited_bytes(folder / "other.json")
 
 
-@pytest.mark.parametrize("version", [0, 3, "2", True, None, 1.0])
+@pytest.mark.parametrize("version", [0, 4, "2", True, None, 1.0])
 def test_a_record_of_an_unknown_version_is_corrupt(tmp_path: Path, version: object) -> None:
     stored = written(tmp_path, {"record_version": version, "status": "ok"})
     assert read_sealed_json(stored) is not None

@@ -18,7 +18,7 @@ from ssm_study.cli.main import main
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.study.claims import SECTIONS
-from ssm_study.study.findings import Checked, Derived
+from ssm_study.study.findings import Checked, Derived, Repeated
 from ssm_study.study.recordings import read_simulation
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import _short_text, compare_column, judge_column, verify
@@ -134,7 +134,7 @@ MEMBERS = {"members", "fit_validation_members_percent", "fit_test_members_percen
 REQUESTED = ("study", "run", "status", "seed", "fresh_sets", "order", "hidden_width", "slope_lower",
              "slope_upper", "model",
              "scaffold_in", "scaffold_out", "plant", "excitation", "synthesis_method",
-             "rates_chosen", "data_source",
+             "data_source",
              "loop_on", "evidence", "evidence_reasons")  # fmt: skip
 FILES = (
     *(
@@ -178,9 +178,9 @@ pytestmark = pytest.mark.usefixtures("made_once")
 def derived(smoke_run: Path, record: dict[str, Any]) -> dict[str, Any]:
     """Columns derived from the files of the run."""
     run = RunFiles(path=smoke_run, record=record)
-    found = [
-        item.columns for section in SECTIONS for item in section(run) if isinstance(item, Derived)
-    ]
+    found = []
+    for section in SECTIONS:
+        found += [item.columns for item in section(run) if isinstance(item, Derived | Repeated)]
     return {name: value for columns in found for name, value in columns.items()}
 
 

@@ -99,7 +99,7 @@ def test_the_unaltered_run_is_accepted(honest: Path, tmp_path: Path) -> None:
     text = (honest / "record.json").read_text()
     content = json.loads(text)
     record_version = content["record_version"]
-    assert record_version == 2
+    assert record_version == 3
 
 
 def test_an_infeasible_design_with_an_internal_model_is_accepted(

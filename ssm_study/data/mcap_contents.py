@@ -1,0 +1,36 @@
+"""Contents of MCAP recordings that no reader of this project reads, and a viewer shows."""
+
+from collections import Counter
+from pathlib import Path
+
+from mcap import records
+
+from ssm_study.data.mcap import METADATA_NAME, iterate_records, read_mcap
+
+
+def list_foreign_contents(path: Path) -> list[str]:
+    """Names of what a recording holds although `read_mcap` reads nothing of it.
+
+    Attachments, further metadata records, topics without numbers, a topic that stands twice:
+    a viewer shows them as the recording's own.
+    """
+    groups, _ = read_mcap(path)
+    topics = {group.topic for group in groups}
+    topics |= {topic.rpartition("/")[0] for topic in topics}
+    foreign = list[str]()
+    channels = dict[int, str]()
+    metadata = list[str]()
+    for record in iterate_records(path):
+        if isinstance(record, records.Attachment):
+            foreign.append(f"attachment {record.name}")
+        elif isinstance(record, records.Metadata):
+            metadata.append(record.name)
+        elif isinstance(record, records.Channel):
+            channels[record.id] = record.topic
+    unread = [topic for topic in channels.values() if topic not in topics]
+    repeated = [topic for topic, count in Counter(channels.values()).items() if count > 1]
+    foreign += [f"topic {topic}" for topic in (*unread, *repeated)]
+    if METADATA_NAME in metadata:
+        metadata.remove(METADATA_NAME)
+    foreign += [f"metadata {name}" for name in metadata]
+    return sorted(set(foreign))

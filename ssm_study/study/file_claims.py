@@ -1,0 +1,98 @@
+"""Checks of the files in a run's folder: all there, all sealed, unchanged, and no others."""
+
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from ssm_study.durable import read_limited_bytes, read_sealed_json
+from ssm_study.engine.records import RECORD
+from ssm_study.engine.stages import Stage
+from ssm_study.engine.store import MANIFEST, damaged_files
+from ssm_study.study import trials
+from ssm_study.study.findings import Checked, Claims, NotChecked
+from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles
+from ssm_study.study.stages.catalogue import STAGES
+from ssm_study.study.stages.dataset import DATASET
+from ssm_study.study.stages.free_run import SCORE
+from ssm_study.study.stages.model import MODEL
+
+BESIDES = (".hydra/", "attempts/")
+LOGS_OF_A_RUN = ("traceback.txt",)
+PICTURES_AND_LOGS = frozenset({".log", ".png", ".pdf", ".svg", ".out", ".err"})
+STAGES_OF_A_BASELINE = (DATASET, MODEL, SCORE)
+MADE_OF_RUNS = "made from runs; ssm-study gather, report and export make them anew"
+NOT_REPEATED = "training is not repeated (see ssm-study reproduce)"
+NOT_CHOSEN_AGAIN = "the gains are checked; that these settings chose them is not"
+
+
+def check_files(run: RunFiles) -> Claims:
+    """Check that every file of the run exists, is sealed and is unchanged."""
+    path = run.path / MANIFEST
+    manifest = read_sealed_json(read_limited_bytes(path)) if path.is_file() else None
+    damaged = damaged_files(run.path, manifest) if manifest else [MANIFEST]
+    changed = f"changed since: {', '.join(damaged)}"
+    observation = changed if damaged else "as they were written"
+    yield Checked(claim="files", holds=not damaged, found=observation)
+    if not (run.path / CONFIGURATION).is_file():
+        yield Checked(claim=CONFIGURATION, holds=False, found="is absent")
+        return
+    sealed_names = set(manifest["files"]) if manifest else set()
+    yield from find_foreign_or_absent_files(run, sealed_names)
+    yield from list_files_not_checked(run)
+
+
+def find_foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Checked]:
+    """Findings on files of the run that are missing, not sealed, or written by no stage."""
+    needed = {CONFIGURATION, "model.json", "validation.mcap", "test.mcap", "excitation.mcap"}
+    stages: tuple[Stage[Any], ...] = STAGES_OF_A_BASELINE
+    if run.claims_certificate:
+        needed |= {"certificate.json", "evidence.json"}
+        stages = (*STAGES, trials.TRIALS)
+    present = {CONFIGURATION, *present_files(run.path)} - {MANIFEST, RECORD}
+    written = {CONFIGURATION, OVERRIDES}
+    for stage in stages:
+        written.update(stage.files)
+    if run.specification.loop.comparison is None:
+        written.discard("comparison.csv")
+    absent = {name for name in needed if not (run.path / name).is_file()}
+    wrong = {
+        "is absent": absent,
+        "is not sealed": present - sealed,
+        "no stage of such a run writes it": sealed - written,
+    }
+    for observation, names in wrong.items():
+        for name in sorted(names):
+            yield Checked(claim=name, holds=False, found=observation)
+
+
+def present_files(folder: Path) -> set[str]:
+    """Names of the files in a run folder that somebody may take for the run's results."""
+    paths = [path for path in folder.rglob("*") if path.is_file()]
+    names = [path.relative_to(folder).as_posix() for path in paths]
+    return {name for name in names if not is_kept_beside_results(name)}
+
+
+def is_kept_beside_results(name: str) -> bool:
+    """Whether a file in a run folder is no result: a log, a trace, a figure, Hydra's, of an earlier
+    attempt, or one that begins with a dot."""
+    path = PurePosixPath(name)
+    if path.name.startswith(".") or name.startswith(BESIDES):
+        return True
+    is_log_of_arrays = name.startswith("logs/") and path.suffix == ".parquet"
+    return is_log_of_arrays or path.suffix in PICTURES_AND_LOGS or path.name in LOGS_OF_A_RUN
+
+
+def list_files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
+    """Files and entries that no check recomputes, each with the reason."""
+    yield NotChecked({"runs.parquet, runs.csv, report.html, figures and exports": MADE_OF_RUNS})
+    repeated = ("training_curve.json, choice.json", "certificate.json seconds, solver_status")
+    reasons = dict.fromkeys(repeated, NOT_REPEATED)
+    yield NotChecked(reasons | {OVERRIDES: "the configuration alone says what ran"})
+    yield NotChecked({f"{CONFIGURATION} training, model.starts, model.draws": NOT_REPEATED})
+    if run.claims_certificate:
+        yield NotChecked({f"{CONFIGURATION} synthesis, but its method and rates": NOT_CHOSEN_AGAIN})
+    if run.specification.loop.comparison is not None:
+        yield NotChecked({"comparison.csv": "its loops are not kept"})
+    if isinstance(run.specification.refine, int):
+        reason = "its loops are made again; that these designs were chosen is not"
+        yield NotChecked({trials.TRIED: reason})

@@ -1,0 +1,66 @@
+"""Checks that a run is called what its settings give: its folder, the settings that its name shows,
+and the hash of all of them."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ssm_study.engine.settings import (
+    NOT_IDENTITY,
+    plain_settings,
+    run_name,
+    shown_setting,
+    walk_nodes,
+)
+from ssm_study.study.findings import Checked
+from ssm_study.study.run_files import RunFiles
+from ssm_study.table.gather import PARQUET
+
+SHOWN = re.compile(r"([A-Za-z_]+)(_?[0-9].*)")
+
+
+def expected_run_name(run: RunFiles) -> str:
+    """Name that a run's settings give it: the hash of all, after those that its name shows.
+
+    Which settings a name shows is the user's choice, so a word that is no setting stays.
+    """
+    name = str(run.config.run)
+    hashed = run_name(run.config)
+    shown, _, stored_hash = name.rpartition("-")
+    if stored_hash != hashed and not name.endswith(hashed):
+        return f"...-{hashed}"
+    settings = plain_settings(run.config, NOT_IDENTITY)
+    parts = shown.split("-") if shown else []
+    words = [expected_part(part, settings) for part in parts]
+    return "-".join([*words, stored_hash])
+
+
+def expected_part(part: str, settings: Mapping[str, Any]) -> str:
+    """Part of a run's name that shows a setting, such as `seed0`, with the value of the settings;
+    the part itself where no setting is called so."""
+    match = SHOWN.fullmatch(part)
+    if match is None:
+        return part
+    word = match[1].strip("_")
+    scalars: dict[str, list[Any]] = {}
+    for _, key, value in walk_nodes(settings):
+        if isinstance(value, int | float | str):
+            scalars.setdefault(key, []).append(value)
+    values = scalars.get(word, [])
+    if not values:
+        longer = [key for key in scalars if key.endswith(f"_{word}")]
+        values = [value for key in longer for value in scalars[key]]
+    expected = [shown_setting(word, value) for value in values]
+    return part if part in expected or not expected else expected[0]
+
+
+def check_folder_name(folder: Path, name: str) -> Checked:
+    """Check that the run's folder has the name in its record, so that each run counts once in its
+    study."""
+    study = folder.parent
+    is_in_a_study = (study / PARQUET).exists() or (study / name).exists()
+    if folder.name == name or not is_in_a_study:
+        return Checked(claim="folder", holds=True, found=f"{folder.name} stands once")
+    problem = f"counts as one more run of its study: delete it, or name it {name}"
+    return Checked(claim="folder", holds=False, found=f"{folder.name} {problem}")
