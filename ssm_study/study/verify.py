@@ -165,14 +165,6 @@ def verify_files(run: RunFiles) -> Verification:
         elif isinstance(result, Repeated):
             derived |= result.columns
             repeated |= dict.fromkeys(result.columns, result.reason)
-        elif isinstance(result, Repeated):
-            for name, value in result.columns.items():
-                finding = compare_column(name, run.record.get(name), value)
-                if finding.holds:
-                    unchecked[name] = result.reason
-                else:
-                    findings.append(finding)
-                    repeated_wrong.add(name)
         else:
             unchecked |= result.reasons
     cut_short = any(finding.found.startswith(NOT_DERIVED) for finding in findings)
