@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -175,6 +176,7 @@ def test_without_its_log_a_run_claims_no_prediction() -> None:
     class Elsewhere:
         specification = SimpleNamespace(plant=None)
         record = dict[str, Any]()  # noqa: RUF012
+        missing_log_reason = cached_property(RunFiles.missing_log_reason.func)
 
         @property
         def data(self) -> Any:
