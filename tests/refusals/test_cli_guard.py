@@ -203,7 +203,10 @@ def test_a_folder_that_may_only_be_read(
 ) -> None:
     run = run_of(read_only)
     out_path = str(read_only / "out")
-    for words in (["gather"], ["show"], ["report"], ["export", "--to", out_path]):
+    status = main(["show", str(read_only)])
+    assert status == 0, "a table can be looked at without being written"
+    capsys.readouterr()
+    for words in (["gather"], ["report"], ["export", "--to", out_path]):
         of = run if words[0] == "export" else read_only
         assert (
             "ead-only" in one_sentence([words[0], str(of), *words[1:]], capsys)
