@@ -168,7 +168,7 @@ def test_the_figures_after_a_run_are_its_own_and_not_the_bests(
     run = folder / record["run"]
     write_recordings(run, seed=1)
     others = figures.draw_figures(names, folder)[0].read_bytes()
-    monkeypatch.setattr("ssm_study.table.gather.gather", lambda _: runs)
+    monkeypatch.setattr("ssm_study.table.gather.gather", lambda *_, **__: runs)
     kinds = ("png", "pdf")
     pictures = [folder / "figures" / f"{names[0]}.{kind}" for kind in kinds]
     told = folder / "told.json"
