@@ -38,19 +38,16 @@ def expected_run_name(run: RunFiles) -> str:
 
 def expected_part(part: str, settings: Mapping[str, Any]) -> str:
     """Part of a run's name that shows a setting, such as `seed0`, with the value of the settings;
-    the part itself where no setting is called so."""
+    the part itself where no setting is called so. `width` may be that of the model or a plant's."""
     match = SHOWN.fullmatch(part)
     if match is None:
         return part
     word = match[1].strip("_")
-    scalars: dict[str, list[Any]] = {}
+    values = []
     for _, key, value in walk_nodes(settings):
-        if isinstance(value, int | float | str):
-            scalars.setdefault(key, []).append(value)
-    values = scalars.get(word, [])
-    if not values:
-        longer = [key for key in scalars if key.endswith(f"_{word}")]
-        values = [value for key in longer for value in scalars[key]]
+        is_called_so = str(key) == word or str(key).endswith(f"_{word}")
+        if is_called_so and isinstance(value, int | float | str):
+            values.append(value)
     expected = [shown_setting(word, value) for value in values]
     return part if part in expected or not expected else expected[0]
 
