@@ -43,8 +43,8 @@ def expected_part(part: str, settings: Mapping[str, Any]) -> str:
     if match is None:
         return part
     word = match[1].strip("_")
-    values = []
-    for _, key, value in walk_nodes(settings):
+    values = [settings[word]] if word in settings else []  # `seed` is the study's, no loop's
+    for _, key, value in () if values else walk_nodes(settings):
         is_called_so = str(key) == word or str(key).endswith(f"_{word}")
         if is_called_so and isinstance(value, int | float | str):
             values.append(value)

@@ -103,6 +103,8 @@ def test_a_name_shows_the_settings_that_it_names() -> None:
     assert expected_part("seed3", settings) == "seed3"
     assert expected_part("seed7", settings) == "seed3"
     assert expected_part("width9", settings) == "width8"
+    settings["plant"] = {"width": 0.01}
+    assert expected_part("width8", settings) == "width8", "the plant's width is another"
     for words in ("mine", "trial2", "v1.2"):
         assert expected_part(words, settings) == words
     assert run_name(plain_settings(settings), "seed:seed").startswith("seed3-")  # type: ignore[arg-type]
