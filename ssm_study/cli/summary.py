@@ -60,9 +60,10 @@ def print_run_summary(config: DictConfig) -> bool:
         stored_text_path, study, [*figures, study / "runs.parquet", study / "runs.csv"]
     )
     if stored_text[:-1] != about or record.get("status") != OK:
+        with suppress(OSError):  # first, because it changes the time of the study's folder
+            stored_text_path.parent.mkdir(exist_ok=True)
         stored_text = [*about, _outcome_text(study, record, drawn, figures, width)]
         with suppress(OSError, BadRequest):  # a study that may only be read
-            stored_text_path.parent.mkdir(exist_ok=True)
             refuse_symbolic_link(stored_text_path.parent)
             # Last: it vouches for tables and figures.
             write_atomically(stored_text_path, json.dumps(stored_text).encode(), durable=False)
