@@ -77,7 +77,7 @@ def test_a_full_disk_is_one_sentence(
     assert main(["gather", str(study)]) == 2
     assert "No space left on device" in capsys.readouterr().err
     assert main(["show", str(study)]) == 0, "a table can be looked at without being written"
-    assert "runs" in capsys.readouterr().out
+    assert "1 run: 1 ok" in capsys.readouterr().out
     monkeypatch.setattr(gather, "write_atomically", nameless)
     assert main(["gather", str(study)]) == 2
     assert f"command = gather {str(study)[:40]}" in capsys.readouterr().err
