@@ -8,6 +8,7 @@ docs/theory.md, "The verdict".
 
 import importlib
 import importlib.util
+import inspect
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -165,7 +166,7 @@ class Theorem(ABC):
     @classmethod
     def _refuse_undeclared_products(cls) -> None:
         """Raise `TypeError` for a product that is no field of the class or is formed of none."""
-        declared = {name for kind in cls.__mro__ for name in vars(kind).get("__annotations__", {})}
+        declared = {name for kind in cls.__mro__ for name in inspect.get_annotations(kind)}
         for product, factors in cls.products.items():
             for name in (product, *factors):
                 if name not in declared:
@@ -246,9 +247,10 @@ class Theorem(ABC):
         """Construct a certificate from its numbers and decide it in exact arithmetic.
 
         `numbers` are what `conditions` uses; products are computed exactly and rounded to floats.
-        `status` says where the numbers come from (a solver's word, or "given"), and `information`
-        are the fields beside the proof: `method`, and `rate_limit` where the class has it (`nan` if
-        no limit is known). The seconds since `started`, a time of `time.perf_counter`, are stored.
+        `status` says where the numbers come from (a solver's word, or "given"). `information` are
+        the fields beside the proof: `method`, and `rate_limit` where the class has it (if no limit
+        is known, 1.0, which no rate reaches). The seconds since `started`, a time of
+        `time.perf_counter`, are stored.
         """
         started = time.perf_counter() if started is None else started
         certified = cls.holds(**numbers)

@@ -8,6 +8,7 @@ import importlib
 import json
 import re
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -19,6 +20,7 @@ from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.theorem import find_theorem
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.synthesis.design import DesignAttempt, failed_checks
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 FOLDER = Path(__file__).resolve().parents[2] / "ssm_study" / "certificates" / "theorems"
@@ -156,6 +158,35 @@ def test_a_hypothesis_on_a_number_is_a_condition_too(inputs: int, holds: bool) -
     assert OfOneInput.holds(**numbers) is holds
     in_floats = OfOneInput.as_floats(**numbers)
     assert in_floats["one input"].shape == (1, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivenGain(Answered):
+    """A certificate whose numbers are given, as the theorem template says."""
+
+
+@pytest.mark.parametrize(("limit", "is_stored"), [(1.0, True), (float("nan"), False)])
+def test_a_certificate_of_given_numbers_is_stored(
+    limit: float, is_stored: bool, tmp_path: Path
+) -> None:
+    """The template recommends one where no limit is known: JSON has no number for none."""
+    one = np.eye(1)
+    numbers = {"a": one, "b": one, "p": one, "k": one, "alpha": 1.0, "beta": 0.0, "rate": 0.5}
+    made = GivenGain.from_numbers(numbers, status="given", method="given", rate_limit=limit)
+    assert made.certified
+    system = StateSpace(a=0.5 * one, b=one, c=one, d=0 * one)
+    by_riccati = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
+    observer = by_riccati.observer(system, JacobianBall(alpha=1.0, beta=0.0))
+    design = Design(state_feedback=made, observer=observer)
+    file = tmp_path / "certificate.json"
+    if is_stored:
+        design.save(file)
+        stored = json.loads(file.read_text())
+        assert stored["state_feedback"]["theorem"] == GivenGain.name()
+    else:
+        with pytest.raises(ValueError, match="JSON compliant"):
+            design.save(file)
+    assert "rate_limit=1.0" in (FOLDER / "_template.py").read_text()
 
 
 def test_only_the_paper_theorems_are_refused_beyond_the_papers_frontier() -> None:

@@ -26,10 +26,10 @@ derives again; `model_data` and `products` are what a tampered file is held agai
 searched, add a `Synthesis`, with `feedback_theorem` (`observer_theorem`) set to the class, whose
 `solve` returns what `certificate_numbers` stores, and one yaml in `conf/synthesis/` with its
 `_target_`; for gains that are given, call `NameOfTheTheorem.from_numbers({...}, status="given",
-method="given", rate_limit=float("nan"))`. A hypothesis that is no matrix inequality is a condition
-on a number: `"one input": [[2 - of.b.shape[1]]]` holds for one input alone, and a certificate for
-two is false. A field that Python reserves is written with an underscore (`lambda_`) and stored
-without. A multiplier that must stay diagonal is a vector, `Float[np.ndarray, "q"]`, and enters as
+method="given", rate_limit=1.0)`. A hypothesis that is no matrix inequality is a condition on a
+number: `"one input": [[2 - of.b.shape[1]]]` holds for one input alone, and a certificate for two is
+false. A field that Python reserves is written with an underscore (`lambda_`) and stored without. A
+multiplier that must stay diagonal is a vector, `Float[np.ndarray, "q"]`, and enters as
 `theorem.multiplier_matrix(of.lambda_)`. A theorem for models with neurons has their matrix `e` as a
 field: without it `verify` takes it for one that knows none.
 """
