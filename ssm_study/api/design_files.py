@@ -1,6 +1,5 @@
 """Files in the folder of a saved design: recorded signals for its export, and what is read back."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,9 +8,6 @@ from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.durable import read_sealed_json
 from ssm_study.export import targets
-from ssm_study.models.identified import SSM
-from ssm_study.models.stored import read_model_json
-from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import require
 from ssm_study.signals import DataSet
 
@@ -26,9 +22,8 @@ def read_stored_design(folder: Path) -> dict[str, Any]:
     Every certificate is decided again for the model, in exact arithmetic. Raises `BadRequest` where
     a claim does not hold, or where the record is not as it was written.
     """
-    targets.load_controller(folder)
-    model = read_model_json(json.loads((folder / "model.json").read_text(encoding="utf-8")))
-    assert isinstance(model, SSM | StructuredSSM)  # `load_controller` refuses others
+    targets.load_controller(folder)  # refuses a folder without one
+    model = targets.load_model(folder)
     certificate = Certificates.load(folder / "certificate.json")
     failed = targets.failed_certificate_claims(folder, model, certificate)
     require(not failed, "design", folder, "; ".join(failed), NAMES_EVERY_CLAIM)

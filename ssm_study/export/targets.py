@@ -95,7 +95,7 @@ def render_controller(
             *_describe_limits(run, design, device),
             *_describe_rounding_error(run, device),
         ),
-        monitor=Monitor.for_design(_load_model(run), design),
+        monitor=Monitor.for_design(load_model(run), design),
     )
 
 
@@ -110,7 +110,7 @@ def find_input_limits(run: Path) -> tuple[Range, Range]:
     if visited is None:
         return np.array([-np.inf]), np.array([np.inf])
     loop = _read_loop_settings(run)
-    scale = _load_model(run).scale
+    scale = load_model(run).scale
     inputs = [np.stack(visited[1:])]
     around_rest = scale.append_equilibrium_input(inputs)
     return input_limits(loop.get("input_lower"), loop.get("input_upper"), around_rest)
@@ -174,7 +174,7 @@ def _describe_limits(run: Path, design: Design, device: Device) -> tuple[str, ..
     upper = np.asarray(device.upper, dtype=float)
     if max(-lower.min(), upper.max()) >= UNLIMITED:
         return ()
-    model = _load_model(run)
+    model = load_model(run)
     if not isinstance(model, SSM):
         unproved = "Within the limits nothing is proved: the theorems on them know no neurons."
         return (unproved, *_describe_set_point_error(device))
@@ -231,10 +231,10 @@ def load_controller(run: Path) -> PortableController:
         is_there = (run / name).is_file()
         remedy = "name the folder of a run that reached the controller"
         require(is_there, "run", run, f"it has no {name}", remedy)
-    return convert_controller(_load_model(run), Design.load(run / "certificate.json"))
+    return convert_controller(load_model(run), Design.load(run / "certificate.json"))
 
 
-def _load_model(run: Path) -> Model:
+def load_model(run: Path) -> Model:
     """Load the stored model of a run."""
     model = read_model_json(json.loads((run / "model.json").read_text()))
     kind = type(model).__name__
@@ -249,7 +249,7 @@ def describe_origin(run: Path, name: str = "") -> str:
 
     `name` names a design that has no run folder.
     """
-    model = _load_model(run)
+    model = load_model(run)
     design = Design.load(run / "certificate.json")
     reason = _first_failed_claim(run, model, design)
     verdict = f"NOT certified: {reason}"
@@ -298,7 +298,7 @@ def _describe_rounding_error(run: Path, device: Device) -> tuple[str, ...]:
     lower = device.lower.astype(float)
     upper = device.upper.astype(float)
     exact = Device.from_controller(load_controller(run), "double", lower, upper)
-    model = _load_model(run)
+    model = load_model(run)
     output_equilibrium = model.scale.output_equilibrium
     output_scale = model.scale.output_scale
     start = exact.equilibrium_state(output_equilibrium + output_scale)

@@ -54,15 +54,14 @@ class RunFacts:
 
 def read_own_theorems(run: Path) -> dict[str, str]:
     """Names of the theorems of a run's controller and observer that lie outside this package."""
-    with suppress(OSError, ValueError):
+    own_theorems = {}
+    with suppress(OSError, ValueError, AttributeError):  # a damaged file names none
         parts = json.loads((run / "certificate.json").read_text(encoding="utf-8"))
-        own_theorems = {}
         for side, part in CERTIFICATE_PARTS.items():
             name = str(parts.get(part, {}).get("theorem", part))
             if name.isidentifier() and find_spec(f"{FOLDER}.{name}") is None:
                 own_theorems[side] = name
-        return own_theorems
-    return {}
+    return own_theorems
 
 
 def unit_words(channels: Sequence[Channel]) -> str:

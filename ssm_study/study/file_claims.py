@@ -16,9 +16,13 @@ from ssm_study.study.stages.dataset import DATASET
 from ssm_study.study.stages.free_run import SCORE
 from ssm_study.study.stages.model import MODEL
 
-BESIDES = (".hydra/", "attempts/")
+BESIDES = (".hydra/", "attempts/", "csv/", "tensorboard/")  # the last two: logs of the training
 LOGS_OF_A_RUN = ("traceback.txt",)
-PICTURES_AND_LOGS = frozenset({".log", ".png", ".pdf", ".svg", ".out", ".err"})
+PICTURES_AND_LOGS = frozenset({".log", ".png", ".pdf", ".svg", ".out", ".err", ".ckpt"})
+CODE = frozenset(
+    {".c", ".h", ".onnx"}
+)  # of an export, which holds these two in a folder of its own
+BESIDE_CODE = frozenset({".json", ".py"})
 STAGES_OF_A_BASELINE = (DATASET, MODEL, SCORE)
 MADE_OF_RUNS = "made from runs; ssm-study gather, report and export make them anew"
 NOT_REPEATED = "training is not repeated (see ssm-study reproduce)"
@@ -73,13 +77,15 @@ def present_files(folder: Path) -> set[str]:
 
 
 def is_kept_beside_results(name: str) -> bool:
-    """Whether a file in a run folder is no result: a log, a trace, a figure, Hydra's, of an earlier
-    attempt, or one that begins with a dot."""
+    """Whether a file in a run folder is no result: a log, a trace, a checkpoint, a figure, exported
+    code, Hydra's, of an earlier attempt, or one that begins with a dot."""
     path = PurePosixPath(name)
     if path.name.startswith(".") or name.startswith(BESIDES):
         return True
     is_log_of_arrays = name.startswith("logs/") and path.suffix == ".parquet"
-    return is_log_of_arrays or path.suffix in PICTURES_AND_LOGS or path.name in LOGS_OF_A_RUN
+    is_exported = path.suffix in CODE or ("/" in name and path.suffix in BESIDE_CODE)
+    is_picture_or_log = path.suffix in PICTURES_AND_LOGS or path.name in LOGS_OF_A_RUN
+    return is_log_of_arrays or is_exported or is_picture_or_log
 
 
 def list_files_not_checked(run: RunFiles) -> Iterator[NotChecked]:

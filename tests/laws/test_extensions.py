@@ -73,6 +73,9 @@ def test_a_theorem_in_a_package_of_ones_own_is_found_by_the_name_of_its_file(
     stored = {"state_feedback": {"theorem": "vertex_feedback"}, "observer": {}}
     (tmp_path / "certificate.json").write_text(json.dumps(stored))
     assert read_own_theorems(tmp_path) == {"controller": "vertex_feedback"}
+    for damaged in ("[1]", '{"state_feedback": null}', '{"state_feedback": 1', ""):
+        (tmp_path / "certificate.json").write_text(damaged)
+        assert read_own_theorems(tmp_path) == {}
 
 
 @pytest.fixture(scope="module")

@@ -162,7 +162,11 @@ def test_what_no_run_writes_into_a_recording_is_named(copied_run: Path) -> None:
 
 
 def test_a_page_or_a_text_beside_the_run_is_named_and_its_logs_are_not(copied_run: Path) -> None:
-    for name in ("run.log", "traceback.txt", "figure.png", ".hidden"):
+    """Logs and checkpoints may stand beside a run, and an export in a folder of its own."""
+    beside = ("run.log", "traceback.txt", "figure.png", ".hidden", "last.ckpt", "csv/metrics.csv")
+    exported = ("controller/controller.h", "controller/controller.json", "controller/usage.py")
+    for name in (*beside, *exported):
+        (copied_run / name).parent.mkdir(exist_ok=True)
         (copied_run / name).write_text("0")
     assert failing(copied_run) == set()
     for name in ("proof.txt", "report.html", "notes/proof.md"):
