@@ -262,8 +262,8 @@ def summary(path: Path) -> pd.DataFrame:
     table["covered"] = table.coverage >= 1
     table["settles"] = table.stable_count == 10
     table["covered_lost"] = table.covered & ~table.settles
-    has_fresh_sets = table.fresh_sets > 0
-    table["fresh_within"] = has_fresh_sets & (table.fresh_sets_covered == table.fresh_sets)
+    simulates_fresh_data = table.fresh_sets > 0
+    table["fresh_within"] = simulates_fresh_data & (table.fresh_sets_covered == table.fresh_sets)
     table["cheap"] = table.covered & (table.ratio <= 1.15)
     groups = table.groupby(["plant", "model", "cover"], dropna=False, sort=False)
     counts = ["covered", "cheap", "settles", "covered_lost", "fresh_within"]

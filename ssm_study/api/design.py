@@ -17,7 +17,7 @@ from ssm_study.api.design_files import read_stored_design, write_records
 from ssm_study.api.known_maps import name_unknown_maps, refuse_unknown_maps, warn_of_unknown_maps
 from ssm_study.api.loop_of_both import add_loop_verdict
 from ssm_study.api.model import Model, draw_or_refuse
-from ssm_study.api.scope_of_proof import refuse_without_records
+from ssm_study.api.scope_of_proof import refuse_picture_without_records
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.summaries import html_table, render_text_table, summarise_design
 from ssm_study.api.systems import read_channel_values, read_folder, read_number
@@ -157,8 +157,8 @@ class Design:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """All columns on data, model, design and loop. A loaded design has the columns of its run;
-        the design of a bare system has those of `facts`."""
+        """Columns that the table of results has for this design. A loaded design has those of its
+        run; the design of a bare system has those of `facts`."""
         if self.origin is None:
             return dict(self.facts)
         facts = self.origin.facts
@@ -388,6 +388,6 @@ class Design:
 
     def _model_with_records(self) -> Model:
         """Identified model of the design; raises `BadRequest` if it has no records."""
-        refuse_without_records(self.origin, self.run_folder)
+        refuse_picture_without_records(self.origin, self.run_folder)
         assert self.origin is not None
         return self.origin

@@ -187,7 +187,7 @@ def read_data(content: dict[str, Any], arrays: dict[str, Any]) -> DataSet:
     fields: dict[str, Any] = {}
     for part in PARTS:
         descriptions = content["records"][part]
-        fields[part] = read_records(part, descriptions, arrays)
+        fields[part] = rebuild_records(part, descriptions, arrays)
     for side in CHANNELS:
         channels = content["channels"][side]
         fields[side] = tuple(Channel(**description) for description in channels)
@@ -198,7 +198,7 @@ def read_data(content: dict[str, Any], arrays: dict[str, Any]) -> DataSet:
     )
 
 
-def read_records(
+def rebuild_records(
     part: str, descriptions: list[dict[str, Any]], arrays: dict[str, Any]
 ) -> tuple[Trajectory, ...]:
     """Rebuild the records of one part of a data set, such as the training records."""

@@ -24,8 +24,8 @@ SETTINGS = {"state_feedback": "rate_controller", "observer": "rate_observer"}
 
 
 def requested_rate(design: "Design", side: str) -> float | None:
-    """Contraction rate that was asked of one side of a design; None where it was chosen from the
-    records."""
+    """Contraction rate that was requested for the controller or the observer of a design; None
+    where it was chosen from the records."""
     settings = _read_synthesis_settings(design)
     if settings is None:
         part: Any = design.certificate.certificates_by_name[side]
@@ -152,7 +152,7 @@ def describe_unproved(design: "Design") -> str:
     return f"{words}; amplitudes, frequencies and starts that no record visits"
 
 
-def refuse_without_records(origin: "Model | None", folder: "Path | None") -> None:
+def refuse_picture_without_records(origin: "Model | None", folder: "Path | None") -> None:
     """Refuse a picture that compares the proof with records, for a design that has none: one that
     was loaded, or one of given matrices."""
     problem = "comes without its model's records, with which the picture compares the proof"

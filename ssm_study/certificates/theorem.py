@@ -192,8 +192,8 @@ class Theorem(ABC):
     @classmethod
     @abstractmethod
     def largest_provable_rate(cls, context: VerificationContext) -> float | None:
-        """Largest rate that the theorem can prove for a model with any gain; None where no formula
-        is known."""
+        """Largest rate that the theorem can prove for a model by the best gain; None where no
+        formula is known."""
 
     @classmethod
     def name(cls) -> str:

@@ -93,8 +93,8 @@ def _read_cached_list(told: Path, study: Path, files: Sequence[Path]) -> list[An
 def _outcome_text(
     study: Path, record: dict[str, Any], drawn: Sequence[str], figures: list[Path], width: int
 ) -> str:
-    """Gather a study, draw its figures, and return the text on the outcome of the run. It is
-    coloured for a terminal of the given width."""
+    """Text on the outcome of a run, coloured for a terminal of the given width. The table and the
+    figures of its study are brought up to date first."""
     from ssm_study.report.figures import draw_figures  # here: a sweep and its jobs draw nothing
     from ssm_study.report.outcome import print_outcome
     from ssm_study.report.run_facts import RunFacts

@@ -62,7 +62,7 @@ class TextSettings:
             require_one_of((".", ","), "data.decimal", self.decimal)
 
     @property
-    def separator_mark(self) -> str | None:
+    def separator_character(self) -> str | None:
         """Separator of the cells as a character."""
         return BY_WORD.get(self.separator or "", self.separator)
 
@@ -239,7 +239,9 @@ def sample_lines(lines: list[str]) -> list[str]:
 def find_separators(lines: list[str], settings: TextSettings) -> tuple[str, str]:
     """Find the separator and the decimal mark with which the lines form the best table of
     values."""
-    separators = SEPARATORS if settings.separator_mark is None else (settings.separator_mark,)
+    separators = (
+        SEPARATORS if settings.separator_character is None else (settings.separator_character,)
+    )
     decimals = (".", ",") if settings.decimal is None else (settings.decimal,)
     rows = sample_lines(lines)
     is_quoted = any('"' in row for row in rows)  # then a comma may stand in and between numbers

@@ -49,8 +49,7 @@ class Stage(Generic[T]):
 
 @dataclass(frozen=True, kw_only=True)
 class StageResult:
-    """Folder of a finished stage, with how long computing it took and whether it was computed
-    before. `seconds` and `reused`."""
+    """Folder of a finished stage, its computing time, and whether a stored result was reused."""
 
     path: Path
     key: str

@@ -62,7 +62,7 @@ class Case:
         scale = self.data.scale
         return scale.scaled_input(record.u), scale.scaled_output(record.y)
 
-    def scale_with_disturbances(self, record: Trajectory) -> ScaledRecord:
+    def scale_record_with_disturbances(self, record: Trajectory) -> ScaledRecord:
         """Input and output of a record in scaled units, with measured disturbances as further
         inputs."""
         scale = self.data.scale.with_disturbances_as_inputs()

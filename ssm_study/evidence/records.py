@@ -11,7 +11,7 @@ from ssm_study.data.log_dynamics import FOLLOWS, input_shares, largest_explained
 from ssm_study.evidence.feedback import ROUNDING, integrator_share
 from ssm_study.evidence.finding import Case, Finding, ScaledRecord, make_doubt, make_note
 from ssm_study.evidence.response import INTEGRATES, slowest_mode_remainder
-from ssm_study.evidence.rests import judge_rest
+from ssm_study.evidence.rests import judge_return_to_rest
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.models.warm_start import join_log_stretches
 from ssm_study.robustness.mismatch import Mismatch
@@ -50,7 +50,7 @@ def judge_records(case: Case, mismatch: Mismatch) -> list[Finding]:
         _judge_spectrum,
     )
     doubts = [make_doubt(sentence) for look in looks for sentence in look(case)]
-    return [*doubts, *_judge_saturation(case), *judge_rest(case, mismatch)]
+    return [*doubts, *_judge_saturation(case), *judge_return_to_rest(case, mismatch)]
 
 
 def _join_scaled_records(case: Case, records: tuple[Trajectory, ...]) -> ScaledRecord:

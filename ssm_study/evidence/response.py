@@ -57,7 +57,7 @@ def slowest_mode_remainder(case: Case) -> float:
 def _judge_coherence(case: Case) -> Iterator[Finding]:
     """Doubt about records in which input and output have a low coherence in the controller's
     frequency band."""
-    parts = [case.scale_with_disturbances(record) for record in case.data.training]
+    parts = [case.scale_record_with_disturbances(record) for record in case.data.training]
     segment = int(np.clip(sum(len(u) for u, _ in parts) // AVERAGES, *SEGMENTS))
     parts = [(u, y) for u, y in parts if len(u) >= segment]
     linear = case.model.linear

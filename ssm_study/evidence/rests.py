@@ -18,7 +18,7 @@ from ssm_study.robustness.return_to_rest import (
 )
 
 
-def judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
+def judge_return_to_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
     """Findings on a plant that does not come to rest, or whose records do not show whether it does.
     A plant that does not come to rest is not judged; records that leave it open give a note."""
     offset = max((*mismatch.stuck, *_test_offsets(case)), default=0.0)
@@ -56,7 +56,7 @@ def _test_offsets(case: Case) -> list[float]:
     response = case.model.linear.impulse_response_length()
     offsets = []
     for record in case.data.test:
-        inputs, output = case.scale_with_disturbances(record)
+        inputs, output = case.scale_record_with_disturbances(record)
         rest = output_after_motion(inputs, output, response)
         if len(rest):
             offsets.append(remaining_offset(rest))

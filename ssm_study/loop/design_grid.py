@@ -50,7 +50,8 @@ class DesignGrid(ComparisonTable):
         require_at_least(1, "loop.comparison.designs", self.designs, "use 150")
 
     def rows(self, plant: Plant, identified: Identified, loop: Loop, seed: int) -> list[Row]:
-        """Rows of the table, one for each randomly chosen design."""
+        """Rows of the comparison table, one for each design drawn at random: its rates, what is
+        predicted of it, and how its closed loop behaved."""
         candidates = self.auto.candidates(identified.model, identified.balls)
         if candidates is None:
             return []

@@ -160,12 +160,13 @@ def overshoots(rollouts: Rollouts, band: float) -> PerCase:
 
 
 def measured_contraction_rate(rollouts: Rollouts, band: float) -> float | None:
-    """Measured contraction rate `1 - r^2` of the closed loop, median over pairs of cases.
+    """Contraction rate of the closed loop as it is measured, the median over pairs of cases.
 
-    r is the mean shrink per sample of `|y_i - y_j|` from the start until it is within the band.
-    Pairs count that start more than twice the band apart; the rate is in the convention of
-    `rate_controller` (distances shrink by `sqrt(1 - rate)`), so the two compare. Pairs that
-    never come within the band are taken to the end of the horizon. None without such pairs.
+    It is `1 - r^2`, where r is the mean shrink per sample of `|y_i - y_j|` from the start until it
+    is within the band. Pairs count that start more than twice the band apart; the rate is in the
+    convention of `rate_controller` (distances shrink by `sqrt(1 - rate)`), so the two compare.
+    Pairs that never come within the band are taken to the end of the horizon. None without such
+    pairs.
     """
     case_count = len(rollouts.y)
     i, j = np.triu_indices(case_count, k=1)  # each pair of cases once

@@ -52,8 +52,7 @@ def softplus_slope(z: Values) -> Values:
 
 
 def clipped_cubic(z: Values) -> Values:
-    """Cubic function that continues as a straight line of slope one beyond -1 and 1. `z^3 / 3`
-    inside."""
+    """Cubic function `z^3 / 3` between -1 and 1, continued by straight lines of slope one."""
     inside = z**3 / 3.0
     edge = np.copysign(2.0 / 3.0, z)
     beyond = z - edge

@@ -16,7 +16,7 @@ FEWEST = 2
 
 
 def compare_free_runs(folders: Sequence[Path]) -> ModelComparison:
-    """Compare the stored free runs of several runs, sorted by fit, best first.
+    """Compare how the models of several runs simulate the test record, the best fit first.
 
     Raises `BadRequest` for fewer than two runs, a run without a test record, and a test record that
     is not that of the first run.

@@ -1,5 +1,5 @@
-"""Spectra of the model error in one record, from two periods where the input repeats, else by
-Welch's averages.
+"""Spectra of the model error in one record: from two periods if its input repeats, otherwise by
+Welch's method.
 
 `m` is the model's output for the record's input, `e = y - m` what it misses, all scaled. Source:
 docs/theory.md, "Measured discs".

@@ -140,8 +140,8 @@ def output_after_motion(u: InputSignal, y: OutputSignal, response: int) -> Final
 
 
 def remaining_offset(y: OutputSignal) -> float:
-    """Larger of offset and oscillation of an output in the last quarter of a record at constant
-    input, with noise removed."""
+    """Offset that an output still has at the end of a record at constant input, or the amplitude of
+    its oscillation where that is larger. The last quarter counts, with noise removed."""
     tail, noise = _last_quarter(y)
     standard_error = np.sqrt(noise / len(tail))
     offset = np.abs(tail.mean(axis=0)) - SURE * standard_error

@@ -245,7 +245,7 @@ def recompute_fresh_data_column(
 ) -> dict[str, Any]:
     """Recompute the column on fresh data sets by simulating them again."""
     specification = run.specification
-    if not specification.has_fresh_sets:
+    if not specification.simulates_fresh_data:
         return {}
     assert isinstance(specification.data, SimulatedData)
     assert specification.plant is not None

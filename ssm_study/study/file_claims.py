@@ -19,9 +19,8 @@ from ssm_study.study.stages.model import MODEL
 BESIDES = (".hydra/", "attempts/", "csv/", "tensorboard/")  # the last two: logs of the training
 LOGS_OF_A_RUN = ("traceback.txt",)
 PICTURES_AND_LOGS = frozenset({".log", ".png", ".pdf", ".svg", ".out", ".err", ".ckpt"})
-CODE = frozenset(
-    {".c", ".h", ".onnx"}
-)  # of an export, which holds these two in a folder of its own
+# Of an export; the latter two kinds only in a folder of its own.
+CODE = frozenset({".c", ".h", ".onnx"})
 BESIDE_CODE = frozenset({".json", ".py"})
 STAGES_OF_A_BASELINE = (DATASET, MODEL, SCORE)
 MADE_OF_RUNS = "made from runs; ssm-study gather, report and export make them anew"

@@ -134,7 +134,7 @@ class Study(Task["Specification"]):
             )
         if isinstance(request.refine, list):
             records = stages.run_stage(LOGS, *request.stage_settings("refine", "data"), data)
-        with_fresh_data = request.has_fresh_sets
+        with_fresh_data = request.simulates_fresh_data
         self.design_and_close_loop(
             request, stages, records, bounded, with_fresh_data=with_fresh_data
         )

@@ -204,7 +204,7 @@ class Specification:
         return simulated and self.plant is not None and not self.plant.real
 
     @property
-    def has_fresh_sets(self) -> bool:
+    def simulates_fresh_data(self) -> bool:
         """Whether fresh data sets of the plant are to be simulated."""
         simulated = isinstance(self.data, SimulatedData) and self.data.fresh_sets > 0
         return simulated and self.plant is not None and not self.plant.real

@@ -107,7 +107,7 @@ class LoopVertices:
 
     @property
     def floor(self) -> Matrix:
-        """Smallest metric that is allowed; in it the input is at most the norm of the state."""
+        """Smallest metric P that is allowed, `K^T K`: `|K x|^2 <= x^T P x`."""
         squared_gain = self.k.T @ self.k
         identity = np.eye(self.model.order)
         return squared_gain + ROUNDING * identity

@@ -154,8 +154,8 @@ def certify_input_limits(
 
 
 def equilibrium_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
-    """Equilibrium states with outputs at the corners of a box, one of each mirrored pair; None if
-    there is no such box.
+    """Equilibrium states whose outputs are the corners of a box; None if there is no such box. Of
+    two corners opposite to each other one is returned.
 
     Their hull with the mirror images holds every rest point whose outputs lie in the box. With
     outputs that answer at once (D), several rest points of one output, or outputs that a nonlinear

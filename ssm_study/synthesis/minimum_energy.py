@@ -123,7 +123,7 @@ def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:
         attempt = partial(minimum_energy_solution, problem, share)
         attempts.append(attempt)
     for scale, share in product(SCALES, WHOLE_SHARES):
-        attempt_with_metric = partial(solution_with_full_metric, problem, share, scale)
+        attempt_with_metric = partial(solution_with_whole_model_metric, problem, share, scale)
         attempts.append(attempt_with_metric)
     return attempts
 
@@ -142,8 +142,12 @@ def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solut
     return Solution(p=p, y=p, k=fast.k, sigma=1.0, status=status)
 
 
-def solution_with_full_metric(problem: Problem, share: float, scale: float) -> Solution:
-    """Minimum-energy gain with a scaled copy of its smallest metric for the whole model."""
+def solution_with_whole_model_metric(problem: Problem, share: float, scale: float) -> Solution:
+    """Minimum-energy gain and, as its metric, a multiple of the smallest one of the whole model.
+
+    `share` places the rate between the requested and the largest provable one, `scale` is the
+    multiple.
+    """
     modes, fast, faster = _gain_between_rates(problem, share)
     smallest_metric = full_metric(problem, modes, fast, faster)
     p = scale * smallest_metric

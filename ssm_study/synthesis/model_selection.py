@@ -106,7 +106,7 @@ def has_certified_observer(model: Any) -> bool:
 
 
 def largest_certifiable_rate(system: System, ball: JacobianBall) -> float:
-    """Largest contraction rate that can be certified for a system with any state feedback."""
+    """Largest contraction rate that can be certified for a system by the best state feedback."""
     if isinstance(system, StateSpace):
         return controller_frontier(system, ball).rate_limit
     from ssm_study.synthesis.structured_lmi import (

@@ -26,7 +26,7 @@ from ssm_study.synthesis.minimum_energy import (
     ClosedFormSynthesis,
     minimum_energy_gain,
     minimum_energy_solution,
-    solution_with_full_metric,
+    solution_with_whole_model_metric,
 )
 from ssm_study.synthesis.modes import split_modes
 from ssm_study.systems import JacobianBall, StateSpace
@@ -83,7 +83,7 @@ def asked(case: Instance) -> Problem:
 @given(SEEDS, st.integers(1, 2))
 def test_the_metric_of_the_whole_model_holds_at_one_percent(seed: int, inputs: int) -> None:
     problem = asked(instance(seed, 0.01, inputs=inputs))
-    solution = solution_with_full_metric(problem, 0.5, 1.0)
+    solution = solution_with_whole_model_metric(problem, 0.5, 1.0)
     assert holds(problem, solution)
 
 
@@ -104,7 +104,10 @@ def test_the_gain_is_built_between_the_asked_rate_and_the_frontier(radius: float
     problem = cost_problem(ball=ball)
     limit = contraction_frontier(problem.a, problem.b, problem.ball).rate_limit
     said = []
-    for found in (minimum_energy_solution(problem), solution_with_full_metric(problem, 0.5, 1.0)):
+    for found in (
+        minimum_energy_solution(problem),
+        solution_with_whole_model_metric(problem, 0.5, 1.0),
+    ):
         assert holds(problem, found)
         said.append(found.status.split("at rate ")[1].split(",")[0])
     assert said[0] == said[1]
@@ -120,7 +123,7 @@ def test_the_metric_of_the_whole_model_needs_fewer_digits_than_the_block_diagona
     ]
     assert missed, "every model is easy: this test has nothing to show"
     for problem in missed:
-        whole = solution_with_full_metric(problem, 0.5, 1.0)
+        whole = solution_with_whole_model_metric(problem, 0.5, 1.0)
         apart = minimum_energy_solution(problem)
         assert scaled_condition_number(whole.p) < scaled_condition_number(apart.p) / 100
         method = ClosedFormSynthesis(rate_controller=problem.rate, rate_observer=0.5)
@@ -136,7 +139,7 @@ def test_a_slow_mode_out_of_reach_joins_the_metric_and_one_on_the_circle_does_no
     b = np.array([[1.0], [0.0]])
     state_weight = np.eye(2)
     problem = Problem(a=a, b=b, ball=ball, rate=0.2, state_weight=state_weight, input_weight=1.0)
-    solution = solution_with_full_metric(problem, 0.5, 1.0)
+    solution = solution_with_whole_model_metric(problem, 0.5, 1.0)
     assert holds(problem, solution)
     a = np.diag([1.1, problem.contraction])
     on = replace(problem, a=a)
@@ -150,7 +153,7 @@ def test_a_slow_mode_out_of_reach_joins_the_metric_and_one_on_the_circle_does_no
 def test_without_fast_modes_there_is_nothing_to_couple() -> None:
     problem = replace(cost_problem(), a=0.1 * np.eye(len(cost_problem().a)))
     with pytest.raises(NoSolution, match="no fast modes"):
-        solution_with_full_metric(problem, 0.5, 1.0)
+        solution_with_whole_model_metric(problem, 0.5, 1.0)
     for found in (
         minimum_energy_solution(problem),
         solve_on_fast_modes(problem, 0.5, "feasibility", "SCS"),

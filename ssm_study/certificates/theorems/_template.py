@@ -69,8 +69,8 @@ class NameOfTheTheorem(StateFeedback, abstract=True):
 
     @classmethod
     def largest_provable_rate(cls, context: VerificationContext) -> float | None:  # noqa: ARG003
-        """Largest rate that the theorem can prove for a model with any gain; None where no formula
-        is known."""
+        """Largest rate that the theorem can prove for a model by the best gain; None where no
+        formula is known."""
         return None
 
     @staticmethod

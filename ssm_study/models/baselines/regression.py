@@ -98,7 +98,7 @@ def _input_factor_product(codes: Codes, v: Float[np.ndarray, "*batch T m"]) -> n
 
 
 def regressor_codes(lags: int, delay: int, inputs: int) -> list[int]:
-    """Integer codes of the past outputs and inputs that are regressors of a polynomial model."""
+    """Integer codes, one for each past output or input on which a polynomial model may depend."""
     output_lags = range(1, lags + 1)
     outputs = [OUTPUT + lag for lag in output_lags]
     channels = range(inputs)

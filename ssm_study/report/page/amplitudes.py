@@ -47,8 +47,8 @@ def physical_reference(text: str, run: RunFolder | None, unit: str) -> str:
 
 
 def stored_scale(run: RunFolder) -> tuple[float | None, float | None]:
-    """Scale of a single input, and sampling time, from the file of a run's model; None where they
-    are not there."""
+    """Input scale and sampling time from the model file of a run with one input. Each is None if
+    the file lacks it."""
     with suppress(OSError, ValueError, KeyError):
         content = json.loads((run.path / "model.json").read_text(encoding="utf-8"))
         scales = content["input_scale"]

@@ -126,7 +126,7 @@ def slider_settings(table: pd.DataFrame) -> dict[str, Any] | None:
         if name == "seed" or not pd.api.types.is_numeric_dtype(table[name]):
             continue
         others = [other for other in settings if other != name]
-        numbers = swept_numbers(table[runs_like_the_best(table, others)], name)
+        numbers = requested_numbers(table[runs_like_the_best(table, others)], name)
         if len(numbers) > 1:
             title = printed_column_name(name).partition(" (")[0]
             runs = numbers.index.tolist()
@@ -165,8 +165,8 @@ def runs_like_the_best(table: pd.DataFrame, settings: list[str]) -> "pd.Series[b
     return alike
 
 
-def swept_numbers(table: pd.DataFrame, name: str) -> pd.Series:
-    """Requested numbers of a column in ascending order, each only once."""
+def requested_numbers(table: pd.DataFrame, name: str) -> pd.Series:
+    """Values of a swept setting in ascending order, each only once."""
     requested = requested_values(table, name)
     numbers = pd.to_numeric(requested, errors="coerce").dropna()
     is_repeated = numbers.duplicated()

@@ -20,7 +20,7 @@ from ssm_study.report.page.proof_card import (
     ShownLoop,
     certified_rates_card,
     exceeded_limits_text,
-    goes_beyond_limits,
+    input_leaves_proved_range,
 )
 from ssm_study.report.words import (
     SETTLED,
@@ -149,7 +149,7 @@ def closed_loop_card(record: Record, loop: ShownLoop | None = None) -> Card | No
     if count is None:
         return None
     text = "starts settle"
-    if goes_beyond_limits(record, loop):
+    if input_leaves_proved_range(record, loop):
         text += " without input limits"
     mean_s = record.get("settling_time_mean_s")
     if mean_s is not None:

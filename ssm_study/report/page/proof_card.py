@@ -243,7 +243,7 @@ def exceeded_limits_text(record: Record, loop: ShownLoop | None) -> str:
         return ""
     low, high = loop.input_range
     reach = f"{low:.3g} to {high:.3g}{f' {loop.input_unit}'.rstrip()}"
-    if not goes_beyond_limits(record, loop):
+    if not input_leaves_proved_range(record, loop):
         return f"The input, {reach}, stayed within the limits of the proof"
     return (
         f"The input, {reach}, went beyond the limits of the proof: the times shown are without "
@@ -251,7 +251,7 @@ def exceeded_limits_text(record: Record, loop: ShownLoop | None) -> str:
     )
 
 
-def goes_beyond_limits(record: Record, loop: ShownLoop | None) -> bool:
+def input_leaves_proved_range(record: Record, loop: ShownLoop | None) -> bool:
     """Whether the shown input left the range for which the limited proof was made."""
     if loop is None or record.get("limit_lower") is None:
         return False

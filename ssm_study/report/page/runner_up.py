@@ -32,7 +32,7 @@ def choose_runner_up(table: pd.DataFrame) -> RunnerUp | None:
         return None
     margin = numeric_column(table, "resolved_margin")
     gain = numeric_column(table, "controller_gain_norm")
-    eligible = eligible_runs(table) & margin.notna() & gain.notna()
+    eligible = eligible_run_mask(table) & margin.notna() & gain.notna()
     for is_robust in (margin >= MUCH * margin.iloc[0], MUCH * gain <= gain.iloc[0]):
         places = table.index[eligible & is_robust]
         if len(places):
@@ -41,7 +41,7 @@ def choose_runner_up(table: pd.DataFrame) -> RunnerUp | None:
     return None
 
 
-def eligible_runs(table: pd.DataFrame) -> "pd.Series[bool]":
+def eligible_run_mask(table: pd.DataFrame) -> "pd.Series[bool]":
     """Certified runs that may replace the best one: on the same plant, predicted stable, and at
     least half as fast."""
     time_s = numeric_column(table, "settling_time_mean_s")
