@@ -30,8 +30,7 @@ COLUMNS = ("gap", "index", "order", "kind", "status", "certified", "seconds")
 COUNT = 1000
 BLOCK = 50
 # Small orders first: two thirds of the time go to the last band. Within a band a block of models
-# goes through every
-# gap, so that an unfinished band is still a fair sample of its orders.
+# goes through every gap, so that an unfinished band is still a fair sample of its orders.
 BANDS = ((1, 8), (9, 16), (17, 20), (21, 26), (27, 32))
 LIMIT_S = 120.0
 

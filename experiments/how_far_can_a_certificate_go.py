@@ -52,10 +52,8 @@ linear = run.model.linear
 # ## The frontier, and the solver-free verdict on both sides of it
 #
 # For each slope ratio μ/ν the line is the exact limit. Controllers are requested 1, 10 and 20 %
-# below it, and as much
-# above it. Below, the closed-form gain is checked in exact rational arithmetic; above, the request
-# is refused with the
-# number that decides.
+# below it, and as much above it. Below, the closed-form gain is checked in exact rational
+# arithmetic; above, the request is refused with the number that decides.
 
 # %%
 ratios = np.geomspace(0.02, 0.95, 12)
@@ -96,8 +94,7 @@ with style.paper_style():
 # ## What does a rate cost?
 #
 # The gain, on this run's own model and slopes, as the rate approaches its limit. A certificate is a
-# statement about
-# the *model*: it does not say how large a gain the plant bears.
+# statement about the *model*: it does not say how large a gain the plant bears.
 
 # %%
 ball = certified_balls(run.model).input

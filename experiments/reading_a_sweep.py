@@ -9,9 +9,8 @@
 # # Reading a sweep
 #
 # One run is an anecdote. This notebook sweeps the slope floor and the controller rate, then asks
-# the table the
-# questions a study is made for: which run is best, where feasibility ends, whether the prediction
-# holds.
+# the table the questions a study is made for: which run is best, where feasibility ends, whether
+# the prediction holds.
 
 # %%
 import os
@@ -44,8 +43,8 @@ _ = main(["run", "-m", f"experiment={EXPERIMENT}", *WHERE, *SWEEP])
 
 # %% [markdown]
 # Four runs, but only two trainings: a rate is requested for a model that exists already. The table
-# has a row per run,
-# **failed and infeasible ones included**. A number that a run does not have is missing, never zero.
+# has a row per run, **failed and infeasible ones included**. A number that a run does not have is
+# missing, never zero.
 
 # %%
 study = StudyFolder(folder=RESULTS / STUDY)
@@ -66,9 +65,8 @@ for answer in question_answers(study.table):
 # ## Where feasibility ends
 #
 # Each model has its own exact limit (the bar), which follows from the eigenvalues of A and the
-# ratio of its smallest
-# to its largest slope. A larger slope floor raises it. What lies above its bar is infeasible
-# *whatever* the solver.
+# ratio of its smallest to its largest slope. A larger slope floor raises it. What lies above its
+# bar is infeasible *whatever* the solver.
 
 # %%
 figures.captioned_figure("feasibility_map", study)

@@ -9,12 +9,10 @@
 # # The paper in one notebook
 #
 # *Controller Design for Structured State-space Models via Contraction Theory* (Zakwan, Gupta,
-# Karimi, Balta,
-# Ferrari-Trecate; arXiv 2604.07069): a nonlinear motor is identified from data as a structured
-# state-space model
-# `x⁺ = A x + B S_u(u)`, `y = S_y(C x)`; a state feedback and an observer are designed for the model
-# with a
-# certificate of contraction; both are then put on the *simulated* motor.
+# Karimi, Balta, Ferrari-Trecate; arXiv 2604.07069): a nonlinear motor is identified from data as a
+# structured state-space model `x⁺ = A x + B S_u(u)`, `y = S_y(C x)`; a state feedback and an
+# observer are designed for the model with a certificate of contraction; both are then put on the
+# *simulated* motor.
 #
 # Everything below is the command `ssm-study run experiment=paper` and a look at what it leaves.
 
@@ -57,10 +55,8 @@ figures.captioned_figure("validation_trajectory", study)
 
 # %% [markdown]
 # What did the network learn of the motor? Its input map, scaled to volts, over the true dead-zone.
-# The certificate
-# needs its slopes away from zero, so it cannot follow the flat part to the end: the **slope floor**
-# is the price of
-# being able to certify anything.
+# The certificate needs its slopes away from zero, so it cannot follow the flat part to the end: the
+# **slope floor** is the price of being able to certify anything.
 
 # %%
 figures.captioned_figure("learned_dead_zone", study)

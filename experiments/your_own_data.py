@@ -9,14 +9,11 @@
 # # Your own data: a log that cannot be trusted, and one that can
 #
 # You have a log: a column with what you applied, a column with what you measured, a sampling time.
-# A model can be
-# fitted to any log, and a controller with a certificate can be designed for any such model. Whether
-# the controller
-# works on the machine is another question, and the log decides it. This notebook takes two logs of
-# one heater: one
-# from ordinary operation, and one that was recorded for the purpose. The first gets no prediction,
-# with the reasons
-# and what to record instead. The second gets one, and it turns out right.
+# A model can be fitted to any log, and a controller with a certificate can be designed for any such
+# model. Whether the controller works on the machine is another question, and the log decides it.
+# This notebook takes two logs of one heater: one from ordinary operation, and one that was recorded
+# for the purpose. The first gets no prediction, with the reasons and what to record instead. The
+# second gets one, and it turns out right.
 
 # %%
 import os
@@ -41,9 +38,8 @@ SETTINGS = {"model": "ssm", "order": 2, "slopes": (0.3, 1.0)}
 # ## The heater
 #
 # It stands in for your machine: it cools by itself, its gain is twice as large around rest as far
-# from it, and its
-# sensor is noisy. Nothing below looks inside it; replace `power` and `temperature` by the columns
-# of your own file.
+# from it, and its sensor is noisy. Nothing below looks inside it; replace `power` and `temperature`
+# by the columns of your own file.
 
 
 # %%
@@ -59,8 +55,7 @@ noise = 0.02 * np.random.default_rng(1).standard_normal((2, 20_000))  # of the s
 # ## The log from ordinary operation
 #
 # Two minutes of ordinary operation: a thermostat switches the power between two levels, and the
-# room warms and cools
-# meanwhile, which nobody recorded.
+# room warms and cools meanwhile, which nobody recorded.
 
 # %%
 room = 0.5 * np.random.default_rng(0).standard_normal(1200).cumsum()
@@ -90,16 +85,14 @@ print(reasons.replace("doubt: ", "\ndoubt: ").replace("note: ", "\nnote: "))
 
 # %% [markdown]
 # The certificate holds, for a model that has nothing to do with the heater. The prediction is
-# withheld, and every
-# reason says what to do about it: the record is short, the output moves by something that is not in
-# the log, the
-# input says nothing beyond its two levels.
+# withheld, and every reason says what to do about it: the record is short, the output moves by
+# something that is not in the log, the input says nothing beyond its two levels.
 #
 # ## The log that was made for the purpose
 #
 # `ssm-study excite` writes an input to apply: random levels over the whole range at three
-# amplitudes, every period
-# twice, and rest at both ends. Here it runs on the stand-in, in a room of constant temperature.
+# amplitudes, every period twice, and rest at both ends. Here it runs on the stand-in, in a room of
+# constant temperature.
 
 # %%
 asked = "--lower -3 --upper 3 --rest 0 --step-s 0.1 --settle-s 5"  # what you know of your machine
@@ -128,8 +121,7 @@ good.margin_plot()
 # ## Was the verdict right?
 #
 # Both controllers now run on the heater itself, in a room of constant temperature, from the same
-# five temperatures,
-# within the heater's limits of ±3. With your own machine, this step is yours.
+# five temperatures, within the heater's limits of ±3. With your own machine, this step is yours.
 
 
 # %%
@@ -158,14 +150,12 @@ with style.paper_style():
 
 # %% [markdown]
 # Both controllers carry a certificate, and each aims at the equilibrium of its own records. The
-# verdict on the evidence
-# told them apart before either was tried.
+# verdict on the evidence told them apart before either was tried.
 #
 # ## Export the controller
 #
 # Dependency-free C; `ssm-study export` also writes an ONNX cell and a python-control system, each
-# computing what the
-# certified loop computes, and the certificate beside them.
+# computing what the certified loop computes, and the certificate beside them.
 
 # %%
 header = good.to_c(RESULTS / "controller.h").read_text()

@@ -37,8 +37,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 # Whole runs, verified again and again: a shape checked at each of a million steps is four fifths of
-# their time, and the
-# tests of each room check the same functions.
+# their time, and the tests of each room check the same functions.
 WHOLE_RUNS = {
     "test_api",
     "test_api_imports",

@@ -19,8 +19,8 @@ FILE = re.compile(r'^( *)```\w+ (?:file|title)="([^"]+)"\n(.*?)^\1```', re.M | r
 PAGE = re.compile(r"\]\((docs/[a-z_]+\.md)\)")
 
 # What a guide promises: how many files, and which laws judge them under which name. A theorem, a
-# figure and a column
-# have tests of their own (test_docs_commands, test_synthesis_theorems, test_table_columns).
+# figure and a column have tests of their own (test_docs_commands, test_synthesis_theorems,
+# test_table_columns).
 PROMISED = {"plant": 2, "excitation": 2, "reader": 1, "model": 2, "scaffolding": 2, "peer": 1}
 PROMISED |= {"figure": 1, "theorem": 2, "column": 0}
 LAWS = {

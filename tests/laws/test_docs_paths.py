@@ -19,8 +19,7 @@ FILE = re.compile(rf"(?<![\w./-])((?:{FOLDERS}|{ROOMS})/[\w./*-]*\w)")
 MODULE = re.compile(r"(?<![\w./-])ssm_study((?:\.\w+)+)")
 TEST = re.compile(r"(test_\w+\.py)?(?:::(test_\w+))")
 # A page may tell its reader to write a file: those it shows with a title, and their classes. One
-# page
-# may name what another shows.
+# page may name what another shows.
 TO_WRITE = re.compile(r'(?:title|file)="([^"]+)"|# (conf/\S+\.yaml):')
 
 

@@ -240,9 +240,8 @@ def test_a_name_that_is_no_theorem_is_refused() -> None:
 
 
 # One file with matrices of its own: `|M^{1/2} (A + J B K) v| <= r |M^{1/2} v|` for every `J` of the
-# ball of one input,
-# from its two ends: convex in J. Two metrics-to-be stand for two matrices that no other theorem
-# has.
+# ball of one input, from its two ends: convex in J. Two metrics-to-be stand for two matrices that
+# no other theorem has.
 BOTH_ENDS = '''
 """A state feedback for one input, from both ends of its slopes.
 
