@@ -95,7 +95,8 @@ def __dir__() -> list[str]:
 
 
 def limit_threads() -> None:
-    """Set torch and BLAS to one thread each, unless environment variables already set their number.
+    """Set torch and BLAS to one thread each, unless environment variables already set the number of
+    threads.
 
     Before torch is imported: several processes with as many threads as cores are 20 times slower.
     """

@@ -43,7 +43,8 @@ ADDED_COLUMNS = frozenset(
 
 @dataclass(frozen=True)
 class Column:
-    """Definition of one column of the table, in the `metrics` module of the room that computes it.
+    """Definition of one column of the results table: its name, type, unit, printed name and the
+    direction in which it improves.
 
     `better` is `high`, `low`, or empty where no direction is better; `word` is what print calls it
     (in `unit`), `head` a heading for narrow tables; a `shown` column is among those that `show`
@@ -68,24 +69,28 @@ class Column:
 
     @property
     def label(self) -> str:
-        """Label of a column in printed tables: name and unit. `Mean settling time (s)`."""
+        """Printed name of a table column with its unit, such as `Mean settling time (s)`."""
         word = self.word or self.name.replace("_", " ")
         return f"{word} ({self.unit})" if self.unit else word
 
     @property
     def is_pattern(self) -> bool:
-        """Whether the name contains a wildcard, so that the definition describes several
+        """Whether the name in a column definition contains a wildcard, so that it describes several
         columns."""
         return "*" in self.name
 
     def matches_name(self, name: str) -> bool:
-        """Whether this definition describes the column of the given name."""
+        """Whether a column definition describes the table column of a given name."""
         return fnmatchcase(name, self.name)
 
 
 def iterated_column(
-    name: str, better: Literal["high", "low", ""], word: str, unit: str = "", head: str = ""
+    name: str,
+    better: Literal["high", "low", ""],
+    printed_name: str,
+    unit: str = "",
+    heading: str = "",
 ) -> Column:
-    """Definition of a column whose number results from an iteration, such as a norm or an
-    eigenvalue."""
-    return Column(name, "Float64", better, head, word, unit, ITERATED)
+    """Definition of a table column that is computed by an iterative method, such as a norm or an
+    eigenvalue, and therefore compared with a wider tolerance."""
+    return Column(name, "Float64", better, heading, printed_name, unit, ITERATED)

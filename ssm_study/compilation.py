@@ -10,8 +10,8 @@ from numba import njit
 
 
 class NoCompiledCode(UserWarning):
-    """Warning that Numba's machine code cannot be stored on disk, so that every process compiles
-    its own."""
+    """Warning that the machine code compiled by Numba cannot be stored on disk, so that every
+    process compiles its own."""
 
 
 def compile_with_numba(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -33,7 +33,7 @@ def compile_with_numba(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @cache
 def _warn_of_missing_cache() -> None:
-    """Warn, once in each process, that compiled code cannot be stored on disk."""
+    """Warn, once in each process, that machine code compiled by Numba cannot be stored on disk."""
     problem = "compiled code cannot be kept, so each process compiles for some seconds"
     remedy = "set NUMBA_CACHE_DIR to a folder that may be written to"
     warnings.warn(f"{problem}; {remedy}", NoCompiledCode, stacklevel=3)

@@ -33,8 +33,8 @@ INTEGERS_ARE_NUMBERS = BeartypeConf(is_pep484_tower=True)
 
 
 def construct_part(name: str, settings: Mapping[str, Any]) -> Any:
-    """Construct the object that one configuration group describes; equal settings give the same
-    object.
+    """Construct the object that one group of the configuration describes; equal settings give the
+    same object.
 
     Raises `BadRequest` for fields that its constructor does not take or refuses.
     """
@@ -52,8 +52,8 @@ def construct_part(name: str, settings: Mapping[str, Any]) -> Any:
 
 
 def construct(path: str, node: Any) -> Any:
-    """Construct objects from nested settings, the inner ones first. Each class that is named by
-    `_target_` is called with its fields.
+    """Construct Python objects from nested settings, the inner ones first. Each class that is named
+    by `_target_` is called with its fields.
 
     `path` names the tree in errors. Raises `BadRequest` for unknown or mistyped fields. A whole
     number given where any number is wanted becomes a float.
@@ -82,21 +82,22 @@ def import_target(target: str) -> Any:
 
 @cache
 def constructor_fields(kind: type) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Types of a constructor's parameters by name, and the parameter names in order."""
+    """Types of the parameters of a class's constructor by name, and the parameter names in
+    order."""
     hints = get_type_hints(kind.__init__)  # type: ignore[misc] # of a class
     return hints, tuple(signature(kind).parameters)
 
 
 def _check_argument(path: str, kind: type, key: str, value: Any) -> Any:
-    """Check a setting against the type of its constructor parameter, and return the value to
-    pass."""
+    """Check a setting against the type of the constructor parameter that receives it, and return
+    the value to pass."""
     hints, names = constructor_fields(kind)
     field = f"{path}.{key}"
     remedy = f"its fields are {', '.join(names)}"
     require(key in names, field, value, f"{kind.__name__} has no such field", remedy)
     if isinstance(value, dict | list):
         problem = f"is not {_type_description(hints[key])}" if key in hints else ""
-        require(not _is_single_value(hints.get(key)), field, value, problem, "give one value")
+        require(not _allows_only_scalars(hints.get(key)), field, value, problem, "give one value")
         return construct(field, value)
     if key not in hints:
         return value
@@ -114,7 +115,7 @@ def _check_argument(path: str, kind: type, key: str, value: Any) -> Any:
     return argument
 
 
-def _is_single_value(hint: Any) -> bool:
+def _allows_only_scalars(hint: Any) -> bool:
     """Whether a type hint allows only numbers, texts and truth values."""
     is_union = get_origin(hint) in (Union, UnionType)
     types = get_args(hint) if is_union else (hint,)
@@ -129,7 +130,7 @@ def _type_description(hint: Any) -> str:
 
 
 def _single_type_description(kind: Any) -> str:
-    """Plain-English description of a type hint that is not a union."""
+    """Plain-English description of a type hint that names a single type."""
     if kind in TYPE_WORDS:
         return TYPE_WORDS[kind]
     return PART if isinstance(kind, type) else str(kind).replace("typing.", "")

@@ -83,7 +83,8 @@ def link_or_copy(source: Path, target: Path) -> None:
 
 
 def json_bytes(value: Any) -> bytes:
-    """Serialise a value as canonical JSON, the only form of files that are sealed with a digest."""
+    """Serialise a value as strict, indented JSON text in UTF-8, the form in which files with a
+    digest are written."""
     strict: dict[str, Any] = {"allow_nan": False, "ensure_ascii": False}
     if isinstance(value, dict) and value and CONTAINERS.isdisjoint(map(type, value.values())):
         # The same text five times as fast: with an indent Python's encoder works, without one that
@@ -96,8 +97,8 @@ def json_bytes(value: Any) -> bytes:
 
 
 def flush_to_disk(path: Path) -> None:
-    """Flush a file or folder to disk with `fsync`. For a folder, renames in it become durable if
-    its file system supports that."""
+    """Force the content of a file or folder to disk with `fsync`. For a folder, renames in it
+    become durable if its file system supports that."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -118,12 +119,12 @@ def open_regular_file(path: Path) -> io.BufferedReader:
     return os.fdopen(descriptor, "rb")
 
 
-def read_limited_bytes(path: Path, most: int = LARGEST) -> bytes:
+def read_limited_bytes(path: Path, max_bytes: int = LARGEST) -> bytes:
     """Read a whole file as bytes; raises `OSError` for a pipe, a device, or a file larger than
-    `most` bytes."""
+    `max_bytes` bytes."""
     with open_regular_file(path) as stream:
-        if os.fstat(stream.fileno()).st_size > most:
-            raise OSError(errno.EFBIG, f"is larger than {most >> 20} MiB", str(path))
+        if os.fstat(stream.fileno()).st_size > max_bytes:
+            raise OSError(errno.EFBIG, f"is larger than {max_bytes >> 20} MiB", str(path))
         return stream.read()
 
 
@@ -134,8 +135,8 @@ def sha256_of_file(path: Path) -> str:
 
 
 def add_digest(body: dict[str, Any]) -> dict[str, Any]:
-    """Add to a JSON object its own SHA-256 digest, under the key `sha256`. `read_sealed_json` then
-    notices a flipped bit in the text."""
+    """Copy of a JSON object with its own SHA-256 digest added under the key `sha256`.
+    `read_sealed_json` then notices a flipped bit in the text."""
     return {**body, "sha256": _sha256_of_body(body)}
 
 
@@ -152,7 +153,7 @@ def read_sealed_json(content: bytes) -> dict[str, Any] | None:
 
 
 def _sha256_of_body(body: dict[str, Any]) -> str:
-    """SHA-256 digest of the canonical JSON text of an object."""
+    """SHA-256 digest of the JSON text of an object, in hexadecimal digits."""
     text = json.dumps(
         body, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False
     )
@@ -161,7 +162,7 @@ def _sha256_of_body(body: dict[str, Any]) -> str:
 
 @contextmanager
 def file_lock(path: Path, patience_s: float = math.inf) -> Iterator[bool]:
-    """Context that tries to hold an exclusive lock on a file. It yields whether the lock was
+    """Context manager that tries to hold an exclusive lock on a file, and yields whether it was
     obtained in time.
 
     The system releases it when the process dies. It is a flock; on a file system that knows none
@@ -172,8 +173,8 @@ def file_lock(path: Path, patience_s: float = math.inf) -> Iterator[bool]:
     # not inherit it.
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
     try:
-        with ExitStack() as held_name:
-            yield _acquire_lock(descriptor, patience_s, held_name)
+        with ExitStack() as exit_stack:
+            yield _acquire_lock(descriptor, patience_s, exit_stack)
     finally:
         # Releases the flock; the file stays: who removes it may remove a lock that another holds.
         os.close(descriptor)
@@ -193,28 +194,28 @@ def is_locked(path: Path) -> bool:
         if isinstance(error, BlockingIOError):
             return True
         _raise_unless_locks_unsupported(error)
-        with ExitStack() as held_name:
-            return not _acquire_socket_lock(descriptor, held_name)
+        with ExitStack() as exit_stack:
+            return not _acquire_socket_lock(descriptor, exit_stack)
     finally:
         os.close(descriptor)
 
 
-def _acquire_lock(descriptor: int, patience_s: float, held_name: ExitStack) -> bool:
-    """Lock an open file within a time limit, and return whether that succeeded. A name that stands
-    for the lock is released with `held_name`."""
+def _acquire_lock(descriptor: int, patience_s: float, exit_stack: ExitStack) -> bool:
+    """Lock an open file within a time limit, and return whether that succeeded. A socket name that
+    stands for the lock is released when `exit_stack` closes."""
     try:
         if math.isinf(patience_s):
             fcntl.flock(descriptor, fcntl.LOCK_EX)  # waits in the kernel, without polling
             return True
-        return _retry_until(lambda: _try_flock(descriptor), patience_s)
+        return _retry_until_deadline(lambda: _try_flock(descriptor), patience_s)
     except OSError as error:
         _raise_unless_locks_unsupported(error)
-    return _retry_until(lambda: _acquire_socket_lock(descriptor, held_name), patience_s)
+    return _retry_until_deadline(lambda: _acquire_socket_lock(descriptor, exit_stack), patience_s)
 
 
-def _retry_until(attempt: Callable[[], bool], patience_s: float) -> bool:
-    """Repeat an attempt until it succeeds or the time limit has passed; return whether it
-    succeeded."""
+def _retry_until_deadline(attempt: Callable[[], bool], patience_s: float) -> bool:
+    """Call a function repeatedly until it returns true or a time limit has passed; return whether
+    it succeeded."""
     deadline = time.monotonic() + patience_s
     while not attempt():
         if time.monotonic() >= deadline:
@@ -233,14 +234,15 @@ def _try_flock(descriptor: int) -> bool:
 
 
 def _raise_unless_locks_unsupported(error: OSError) -> None:
-    """Raise the error again unless it says that the file system does not support locks."""
+    """Raise an error of the operating system again unless it says that the file system does not
+    support locks."""
     if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
         raise error
 
 
-def _acquire_socket_lock(descriptor: int, held_name: ExitStack) -> bool:
-    """Lock a file through an abstract socket name, for file systems that do not support locks.
-    Returns whether that succeeded.
+def _acquire_socket_lock(descriptor: int, exit_stack: ExitStack) -> bool:
+    """Lock a file through an abstract socket name, for file systems that do not support locks, and
+    return whether that succeeded.
 
     The name is an address of Linux' abstract sockets: it lies in no file system and goes when its
     process dies. On another system nobody can have it.
@@ -256,7 +258,7 @@ def _acquire_socket_lock(descriptor: int, held_name: ExitStack) -> bool:
         if error.errno == errno.EADDRINUSE:
             return False
         raise
-    held_name.callback(name.close)
+    exit_stack.callback(name.close)
     return True
 
 

@@ -21,7 +21,7 @@ BITS = (
 
 
 class Exact:
-    """Matrix of exact rational numbers, with the arithmetic of NumPy arrays.
+    """Matrix of exact rational numbers, with arithmetic written as for NumPy arrays.
 
     `+, -, @, .T, [:, :]` as NumPy has them, with arrays and floats too; `*` scales by a number.
     """
@@ -44,7 +44,7 @@ class Exact:
 
     @classmethod
     def block(cls, rows: list[list[Any]]) -> "Exact":
-        """Exact matrix assembled from nested rows of blocks, like `np.block`. Raises `ValueError`
+        """Assemble an exact matrix from nested rows of blocks, like `np.block`. Raises `ValueError`
         if the blocks do not fit together."""
         return cls._from_entries(
             np.block([[cls.from_floats(block)._entries() for block in row] for row in rows])
@@ -61,19 +61,19 @@ class Exact:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Number of rows and of columns."""
+        """Number of rows and number of columns of the matrix."""
         return self.rational.nrows(), self.rational.ncols()
 
     @property
     def T(self) -> "Exact":
-        """Transposed matrix."""
+        """Transpose of the matrix."""
         return Exact(self.rational.transpose())
 
     def __getitem__(self, index: tuple[slice, slice]) -> "Exact":
         return Exact._from_entries(self._entries()[index])
 
     def diagonal_matrix(self) -> "Exact":
-        """Diagonal matrix with the entries of this one-row matrix on its diagonal."""
+        """Diagonal matrix whose diagonal has the entries of a matrix with one row."""
         return Exact._from_entries(np.diagflat(self._entries()[0]))
 
     def to_floats(self) -> Float[np.ndarray, "r c"]:
@@ -133,8 +133,8 @@ def is_positive_definite(matrix: Exact) -> bool:
 def _is_definite_in_intervals(
     matrix: arb_mat,
 ) -> bool | None:  # What these balls prove; None where one of them leaves it open
-    """Whether every matrix within the intervals is positive definite; None if interval arithmetic
-    cannot decide it."""
+    """Whether all matrices whose entries lie in given intervals are positive definite; None if
+    interval arithmetic cannot decide it."""
     rows = matrix.tolist()
     half = matrix.nrows() // 2
     if not half:
@@ -153,9 +153,9 @@ def _is_definite_in_intervals(
         return None
 
 
-def has_positive_leading_minors(integer: fmpz_mat) -> bool:
+def has_positive_leading_minors(matrix: fmpz_mat) -> bool:
     """Whether all leading principal minors of an integer matrix are positive (Sylvester's
     criterion)."""
-    eliminated, _, order, _ = integer._fflu()
-    size = integer.nrows()
+    eliminated, _, order, _ = matrix._fflu()
+    size = matrix.nrows()
     return order == list(range(size)) and all(eliminated[i, i] > 0 for i in range(size))

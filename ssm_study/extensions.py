@@ -77,13 +77,13 @@ def extension_configuration_folders() -> list[Path]:
     return [folder / "conf" for folder in trusted_packages().values() if (folder / "conf").is_dir()]
 
 
-def extension_modules(room: str) -> dict[str, str]:
-    """Names and dotted modules of all files in one subfolder, such as `figures`, of the trusted
-    extension packages."""
+def extension_modules(subfolder: str) -> dict[str, str]:
+    """Names and dotted import paths of all modules in one subfolder, such as `figures`, of the
+    trusted extension packages."""
     return {
-        module.name: f"{package}.{room}.{module.name}"
+        module.name: f"{package}.{subfolder}.{module.name}"
         for package, folder in trusted_packages().items()
-        for module in iter_modules([str(folder / room)])
+        for module in iter_modules([str(folder / subfolder)])
         if not module.name.startswith("_")
     }
 
@@ -94,9 +94,8 @@ def import_trusted_packages() -> None:
         import_module(name)
 
 
-def import_trusted_module(name: str) -> None:
-    """Import the modules of this name that lie anywhere in the trusted extension packages, which
-    themselves are imported first."""
+def import_trusted_modules(name: str) -> None:
+    """Import every module of a given name that lies in a trusted extension package."""
     import_trusted_packages()
     for package, folder in trusted_packages().items():
         for file in sorted(folder.rglob(f"{name}.py")):

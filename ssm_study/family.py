@@ -11,8 +11,9 @@ from ssm_study.extensions import import_trusted_packages
 
 
 class Family(ABC):
-    """Base class that registers its subclasses by name. `class Reader(Family)`, then `class
-    Csv(Reader, names=(".csv",))` in a file of the family's room.
+    """Base class of a set of interchangeable classes, which registers each of its subclasses by
+    name. `class Reader(Family)`, then `class Csv(Reader, names=(".csv",))` in a file of the
+    family's room.
 
     A member that leaves a question of its family open is refused where it is defined (`TypeError`).
     Members outside the room count from when their module is imported. Its one name is a member's
@@ -39,10 +40,9 @@ class Family(ABC):
             cls.kind = names[0]
 
     @classmethod
-    def members(cls, room: ModuleType) -> dict[str, type[Any]]:
-        """Members of a family of classes by name, from every file of their folder and from trusted
-        extension packages."""
+    def members(cls, package: ModuleType) -> dict[str, type[Any]]:
+        """Registered subclasses by name, after the import of every file that may define one."""
         import_trusted_packages()
-        for module in pkgutil.iter_modules(room.__path__):
-            import_module(f"{room.__name__}.{module.name}")
+        for module in pkgutil.iter_modules(package.__path__):
+            import_module(f"{package.__name__}.{module.name}")
         return cls.known

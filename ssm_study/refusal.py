@@ -57,13 +57,13 @@ def require_positive(field: str, value: Any, remedy: str) -> None:
     require(good, field, value, "must be positive and finite", remedy)
 
 
-def require_at_least(least: float | int, field: str, value: Any, remedy: str) -> None:
+def require_at_least(minimum: float | int, field: str, value: Any, remedy: str) -> None:
     """Raise `BadRequest` unless a number is finite and not below a minimum. None is accepted."""
-    problem = "must not be negative" if least == 0 else f"must be at least {least:g}"
-    require(value is None or least <= value < math.inf, field, value, problem, remedy)
+    problem = "must not be negative" if minimum == 0 else f"must be at least {minimum:g}"
+    require(value is None or minimum <= value < math.inf, field, value, problem, remedy)
 
 
-def require_one_of(known: Iterable[Any], field: str, value: Any) -> None:
+def require_one_of(allowed: Iterable[Any], field: str, value: Any) -> None:
     """Raise `BadRequest` unless a value is among the allowed ones, which the message lists."""
-    *others, last = map(str, names := tuple(known))
+    *others, last = map(str, names := tuple(allowed))
     require(value in names, field, value, "unknown", f"use {', '.join(others)} or {last}")

@@ -67,8 +67,8 @@ class Trajectory:
 
     @property
     def inputs_and_disturbances(self) -> Float[np.ndarray, "T j"]:
-        """Inputs and measured disturbances side by side; the inputs alone if no disturbance is
-        measured."""
+        """Inputs and measured disturbances of a record side by side; the inputs alone if no
+        disturbance is measured."""
         return self.u if self.d is None else np.hstack([self.u, self.d])
 
     @classmethod
@@ -88,7 +88,7 @@ class Trajectory:
 
     @property
     def time_s(self) -> Float[np.ndarray, "T"]:
-        """Time of each sample in seconds, from zero."""
+        """Time of each sample of a record in seconds, from zero."""
         return np.arange(len(self.u)) * self.step_s
 
 
@@ -98,8 +98,9 @@ SHORTEST_PERIOD = (
 
 
 def find_repetition(u: Float[np.ndarray, "T m"]) -> tuple[int, int] | None:
-    """Start and period of the last segment in which the input repeats itself; None if it does not.
-    `(start, period)`: two equal pieces of that length follow each other from `start` on.
+    """Find the last segment in which an input signal repeats itself, and return its start and
+    period; None if the signal never repeats. `(start, period)`: two equal pieces of that length
+    follow each other from `start` on.
 
     The inputs must be equal, as commanded ones are; a piece that does not move does not count.
     """
@@ -118,8 +119,8 @@ def find_repetition(u: Float[np.ndarray, "T m"]) -> tuple[int, int] | None:
 
 
 def lagged_inputs(u: Float[np.ndarray, "T m"], lags: int) -> Float[np.ndarray, "K d"]:
-    """Regression matrix of present and past inputs, with a column of ones. Rows `(u[k], ..., u[k -
-    lags], 1)` from sample `lags` on."""
+    """Regression matrix of present and past inputs, with a column of ones for a constant term. Rows
+    `(u[k], ..., u[k - lags], 1)` from sample `lags` on."""
     columns = [u[lags - lag : len(u) - lag] for lag in range(lags + 1)]
     return np.concatenate([*columns, np.ones((len(u) - lags, 1))], axis=1)
 
@@ -167,12 +168,12 @@ class Scale:
 
     @property
     def inputs(self) -> int:
-        """Number of inputs."""
+        """Number of inputs of the scaled system."""
         return len(self.input_scale)
 
     @property
     def outputs(self) -> int:
-        """Number of outputs."""
+        """Number of outputs of the scaled system."""
         return len(self.output_scale)
 
     def scaled_input(self, u: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch m"]:
@@ -189,7 +190,7 @@ class Scale:
 
     @property
     def disturbances(self) -> int:
-        """Number of measured disturbances."""
+        """Number of measured disturbances of the scaled system."""
         return len(self.disturbance_scale)
 
     def scaled_disturbance(self, d: Float[np.ndarray, "*batch k"]) -> Float[np.ndarray, "*batch k"]:
@@ -197,7 +198,7 @@ class Scale:
         return (d - self.disturbance_equilibrium) / self.disturbance_scale
 
     def with_disturbances_as_inputs(self) -> "Scale":
-        """Scale in which the measured disturbances count as further inputs."""
+        """Scale of signals in which the measured disturbances count as further inputs."""
         return replace(
             self,
             input_scale=np.concatenate([self.input_scale, self.disturbance_scale]),
@@ -265,12 +266,13 @@ class DataSet:
 
     @property
     def training_inputs(self) -> list[Float[np.ndarray, "_ m"]]:
-        """Inputs of the training records, with the equilibrium input appended."""
+        """Inputs of the training records, with the equilibrium input appended as a further
+        record."""
         return self.scale.append_equilibrium_input(record.u for record in self.training)
 
     @property
     def step_s(self) -> float:
-        """Sampling period in seconds."""
+        """Sampling period of the records in seconds."""
         return self.training[0].step_s
 
     def with_disturbances_as_inputs(self) -> "DataSet":
@@ -298,7 +300,8 @@ class DataSet:
         require(samples < shortest, "model.dead_time", samples, problem, remedy)
 
         def shift_outputs(records: Trajectories) -> Trajectories:
-            """Records in which each output is paired with the earlier input that it responds to."""
+            """Copy of records in which each output is paired with the input that it responds to, a
+            dead time earlier."""
             return tuple(
                 replace(one[samples:], u=one.u[: len(one) - samples], first=one.first)
                 for one in records
@@ -322,10 +325,10 @@ def fit_percent(
     return fit_from_relative_error(np.linalg.norm(y - y_hat) / np.linalg.norm(y - y.mean(axis=0)))
 
 
-def fit_from_relative_error(share: float | np.floating) -> float:
+def fit_from_relative_error(relative_error: float | np.floating) -> float:
     """Convert a relative error to a fit in percent, `100 (1 - relative error)`. The error is
     relative to the output's deviation from its mean."""
-    return float(100.0 * (1.0 - share))
+    return float(100.0 * (1.0 - relative_error))
 
 
 def rmse(

@@ -83,14 +83,14 @@ def paper_style(width: Width = "page") -> Iterator[None]:
 
 
 def new_figure(width_in: float = COLUMN_IN, height_in: float = 2.3) -> "Figure":
-    """Empty Matplotlib figure, independent of pyplot's global state. It can be drawn anywhere and
-    is freed; a notebook displays it whether or not pyplot is loaded."""
+    """Create an empty Matplotlib figure of a given size, independent of pyplot's global state. It
+    can be drawn anywhere and is freed; a notebook displays it whether or not pyplot is loaded."""
     return _figure_class()(figsize=(width_in, height_in), layout="constrained")
 
 
 @cache
 def _figure_class() -> "type[Figure]":
-    """Class of figures that a notebook displays in the project's style."""
+    """Class of Matplotlib figures that a notebook displays in the project's style."""
     from matplotlib.figure import Figure
 
     class NotebookFigure(Figure):

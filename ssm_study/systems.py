@@ -14,7 +14,7 @@ from ssm_study.refusal import BadRequest, require
 AGAIN = "write model.json again"
 
 
-class _Recurrence:
+class _SystemMatrices:
     """Base class of state-space systems, which checks that all matrices are finite."""
 
     a: Float[np.ndarray, "n n"]
@@ -36,7 +36,7 @@ class _Recurrence:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StateSpace(_Recurrence):
+class StateSpace(_SystemMatrices):
     """Linear discrete-time state-space system. `x+ = a x + b u, y = c x + d u`.
 
     Shapes: `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, real. Raises `BadRequest` for entries
@@ -62,8 +62,8 @@ class StateSpace(_Recurrence):
     def equilibrium_basis(
         self,
     ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "m r"], Float[np.ndarray, "p r"]]:
-        """Basis of all equilibria: states, inputs and outputs that stay constant. `X = A X + B V`
-        and `C X + D V`.
+        """Basis of all equilibria of a linear system: the states, inputs and outputs that can stay
+        constant. `X = A X + B V` and `C X + D V`.
 
         `V = I` and `r = m`, one for each constant input, but of a model that integrates.
         """
@@ -93,21 +93,23 @@ class StateSpace(_Recurrence):
             x = x @ turn + forced[..., k, :]
         return states @ self.c.T + u @ self.d.T, x
 
-    def impulse_response_length(self, most: int = 4000, remainder: float = 0.1) -> int:
-        """Number of samples after which only a given share of the impulse response remains. At most
-        `most` samples; the share is `remainder` of `sum |C A^k B|`.
+    def impulse_response_length(
+        self, max_samples: int = 4000, remaining_fraction: float = 0.1
+    ) -> int:
+        """Number of samples after which only a given fraction of the impulse response remains. At
+        most `max_samples` samples; the share is `remaining_fraction` of `sum |C A^k B|`.
 
         By default the bulk of it, not the tail of a mode that no record filled. One run for each
         input, since the answers to several at once may cancel.
         """
-        impulses = np.eye(most, 1) * np.eye(self.b.shape[1])[:, None, :]
+        impulses = np.eye(max_samples, 1) * np.eye(self.b.shape[1])[:, None, :]
         size = np.abs(self.simulate(impulses)[0]).sum(axis=(0, 2))
         left = 1 - np.cumsum(size) / max(float(size.sum()), np.finfo(float).tiny)
-        return int(np.argmax(left <= remainder)) + 1
+        return int(np.argmax(left <= remaining_fraction)) + 1
 
 
 @dataclass(frozen=True, kw_only=True)
-class StructuredSystem(_Recurrence):
+class StructuredSystem(_SystemMatrices):
     """State-space system with neurons inside its recurrence. `x+ = a x + b v + e w,  y = c x + d v
     + h w,  w = phi(f x + g v + bias) - phi(bias)`, slopes of phi in [0, 1].
 
@@ -128,14 +130,14 @@ class StructuredSystem(_Recurrence):
 
     @property
     def neurons(self) -> int:
-        """Number of neurons."""
+        """Number of neurons inside the recurrence of the system."""
         return self.e.shape[1]
 
-    def slope_corners(self, most: int = 10) -> Float[np.ndarray, "k q"]:
-        """Corners of the cube of neuron slopes: all combinations of zero and one, or a few if there
-        are many neurons. With up to `most` neurons all, one per row."""
+    def slope_corners(self, max_neurons: int = 10) -> Float[np.ndarray, "k q"]:
+        """Extreme combinations of neuron slopes: all combinations of zero and one, or a few if
+        there are many neurons. With up to `max_neurons` neurons all, one per row."""
         q = self.neurons
-        if q <= most:
+        if q <= max_neurons:
             return np.array(list(product((0.0, 1.0), repeat=q))).reshape(-1, q)
         return np.vstack([np.zeros(q), np.ones(q), np.eye(q), 1 - np.eye(q)])
 
@@ -185,24 +187,24 @@ class JacobianBall:
 
     @property
     def lower(self) -> float:
-        """Smallest slope of a scalar map whose slopes the ball contains."""
+        """Smallest slope that the ball allows for a scalar static map."""
         return self.alpha - self.beta
 
     @property
     def upper(self) -> float:
-        """Largest slope of a scalar map whose slopes the ball contains."""
+        """Largest slope that the ball allows for a scalar static map."""
         return self.alpha + self.beta
 
     @property
     def relative_radius(self) -> float:
-        """Radius of the ball divided by the size of its centre."""
+        """Radius of the ball of Jacobians, divided by the size of its centre."""
         return float("inf") if self.alpha == 0 else self.beta / abs(self.alpha)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Balls:
-    """Balls of Jacobians of a model's input map and output map. `input` contains the Jacobians of
-    `S_u`, `output` those of `S_y`."""
+    """Two balls of matrices that contain all Jacobians of a model's input map and of its output
+    map. `input` contains the Jacobians of `S_u`, `output` those of `S_y`."""
 
     input: JacobianBall
     output: JacobianBall
@@ -226,15 +228,15 @@ class Gains:
 
     @property
     def modes(self) -> Float[np.ndarray, "z z"]:
-        """State matrix of the controller's internal model, of size zero if it has none."""
+        """State matrix of the internal model in the controller, of size zero if there is none."""
         return (
             np.eye(self.k.shape[-1] - self.l.shape[-2]) if self.internal is None else self.internal
         )
 
-    def select_pairs(self, which: int | Int[np.ndarray, "N"]) -> "Gains":
-        """Select one pair of controller and observer, or several, from a stack of gains."""
-        l_z = None if self.l_z is None else self.l_z[which]
-        return Gains(k=self.k[which], l=self.l[which], l_z=l_z, internal=self.internal)
+    def select_pairs(self, indices: int | Int[np.ndarray, "N"]) -> "Gains":
+        """Select one controller with its observer, or several, from a stack of gains."""
+        l_z = None if self.l_z is None else self.l_z[indices]
+        return Gains(k=self.k[indices], l=self.l[indices], l_z=l_z, internal=self.internal)
 
 
 def error_input_matrix(modes: Float[np.ndarray, "z z"], outputs: int) -> Float[np.ndarray, "z p"]:
@@ -244,8 +246,9 @@ def error_input_matrix(modes: Float[np.ndarray, "z z"], outputs: int) -> Float[n
 
 
 def frozen_modes(modes: Float[np.ndarray, "z z"]) -> Float[np.ndarray, "z z"]:
-    """State matrix of the controller's internal model while an input limit holds its integrators.
-    Integrators (ones on the diagonal) hold their state, oscillators go on."""
+    """State matrix of the controller's internal model while its integrators are stopped because an
+    input limit is active. Integrators (ones on the diagonal) hold their state, oscillators go
+    on."""
     return np.where(np.diagonal(modes)[:, None] == 1, np.eye(len(modes)), modes)
 
 

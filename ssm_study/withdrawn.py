@@ -11,7 +11,7 @@ from typing import Any
 
 @dataclass(frozen=True, kw_only=True)
 class Withdrawn:
-    """Description of a removed setting or class: the version that removed it, and what to use
+    """Notice about a removed setting or class: the version that removed it, and what to use
     instead. `neutral` is a value of a setting that changed nothing; a stored configuration with it
     is read without it."""
 

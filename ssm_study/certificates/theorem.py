@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.exact import Exact, is_positive_definite
-from ssm_study.extensions import import_trusted_module
+from ssm_study.extensions import import_trusted_modules
 from ssm_study.refusal import require
 from ssm_study.systems import Balls, JacobianBall, StructuredSystem
 
@@ -322,7 +322,7 @@ def find_theorem(name: str) -> type[Theorem]:
     if may_be_a_file and importlib.util.find_spec(module) is not None:
         importlib.import_module(module)
     elif may_be_a_file:
-        import_trusted_module(name)
+        import_trusted_modules(name)
     kinds: list[Any] = [Theorem]
     for kind in kinds:  # grows while it is read: subclasses of subclasses
         kinds += kind.__subclasses__()

@@ -197,7 +197,9 @@ class RunFiles:
         require(self.model.scale.inputs == 1, "--after", self.path, problem, remedy)
         (lower,), (upper,) = input_limits(None, None, self.training_inputs)
         model = self.model
-        impulse_response_length = model.linear.impulse_response_length(remainder=LEFT_AT_REST)
+        impulse_response_length = model.linear.impulse_response_length(
+            remaining_fraction=LEFT_AT_REST
+        )
         rest = float(model.scale.input_equilibrium[0])
         settle_s = float(impulse_response_length * model.step_s)
         return {
