@@ -16,11 +16,15 @@ from jaxtyping import Float
 from ssm_study.api.arguments import Slopes
 from ssm_study.api.controlling import slope_ball
 from ssm_study.api.design import Design
-from ssm_study.api.known_maps import describe_range
-from ssm_study.api.loop_of_both import add_loop_verdict, describe_loop_of_both, unstable_example
+from ssm_study.api.known_maps import describe_slope_range
+from ssm_study.api.loop_of_both import (
+    add_loop_verdict,
+    describe_closed_loop_verdict,
+    describe_unstable_example,
+)
 from ssm_study.api.missing_rate import (
     describe_missing_rate,
-    describe_mode_out_of_reach,
+    describe_uncontrollable_mode,
     spectral_radius,
 )
 from ssm_study.api.summaries import html_table, render_text_table, round_rate_down
@@ -47,8 +51,8 @@ SMALLEST_RATE = 1e-9  # what is asked of the problem while its gain is analysed
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class GainCertificate:
-    """Result of certifying one gain: the proved rate with its certificate, or the reason why no
-    rate is proved.
+    """Result of certifying one gain: the proved contraction rate with its certificate, or the
+    reason why no rate is proved.
 
     For every slope s in `slopes`, with `P = certificate.p` of a state feedback and `Q =
     certificate.q` of an observer (other letters of the certificate: [Z26], (11) and (15)),
@@ -84,13 +88,13 @@ class GainCertificate:
 
     @property
     def certified(self) -> bool:
-        """Whether a contraction rate is proved in exact arithmetic."""
+        """Whether a contraction rate is proved in exact arithmetic for the gain."""
         return self.certificate is not None and self.certificate.certified
 
     @property
     def metric(self) -> Float[np.ndarray, "n n"] | None:
-        """Metric M in which distances contract: the inverse of the certificate's `p`, or its `q`.
-        None without a certificate."""
+        """Metric matrix in whose norm distances between trajectories contract; None without a
+        certificate. It is the inverse of the certificate's `p`, or its `q`."""
         if self.certificate is None:
             return None
         metric_name = self.certificate.metric_matrix
@@ -100,21 +104,21 @@ class GainCertificate:
 
     @property
     def observes(self) -> bool:
-        """Whether the gain is that of an observer."""
+        """Whether the certified gain is that of an observer."""
         return self.certificate is not None and self.certificate.observes
 
     @property
     def overshoot(self) -> float | None:
-        """Bound on the growth of a Euclidean distance, at any time: the square root of the metric's
-        condition number. None without a certificate."""
+        """Largest possible growth of a Euclidean distance between trajectories: the square root of
+        the condition number of the certificate's metric. None without a certificate."""
         metric = self.metric
         return None if metric is None else float(np.sqrt(np.linalg.cond(metric)))
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Certification:
-    """Certificates of a state feedback, an observer, or both. None stands for a gain that was not
-    given.
+    """Certificates of a given state-feedback gain, of a given observer gain, or of both. None
+    stands for a gain that was not given.
 
     `unknown_maps` are the static maps of which only a range of slopes was given, and
     `unstable_example` is a loop within these slopes that is not stable, if one was found: of an
@@ -128,14 +132,14 @@ class Certification:
 
     @property
     def certified(self) -> bool:
-        """Whether all `verdicts` hold: those on the given gains and, where both are given, on their
-        loop."""
+        """Whether every gain that was given is certified and, where controller and observer were
+        given, also their closed loop."""
         return bool(self.verdicts) and all(self.verdicts.values())
 
     @property
     def verdicts(self) -> dict[str, bool]:
-        """Verdicts of exact arithmetic by name: on each given gain and, where controller and
-        observer are given, on their loop `u = K xh`.
+        """Verdicts of exact arithmetic, by name, on each given gain and on the closed loop of
+        controller and observer. `u = K xh`; the loop is judged where both gains are given.
 
         The loop is certified where both gains are and the observer computes the plant's own maps;
         it cannot where `unknown_maps` has an entry.
@@ -147,13 +151,14 @@ class Certification:
         return add_loop_verdict(verdicts, self.unknown_maps)
 
     def summary(self) -> pd.Series:
-        """Table with rate, limit and reason of each gain, and the verdict on their common loop."""
+        """Table of the certified gains: proved rate, largest possible rate and reason of each, and
+        the verdict on the closed loop."""
         lines: dict[str, str] = {}
         for name, gain in (("controller", self.controller), ("observer", self.observer)):
             if gain is not None:
                 lines |= gain_lines(name, gain)
         if "loop" in self.verdicts:
-            lines["loop of both"] = describe_loop_of_both(
+            lines["loop of both"] = describe_closed_loop_verdict(
                 self.verdicts, self.unknown_maps, self.unstable_example
             )
         return pd.Series(lines, name="certification", dtype=object)
@@ -167,8 +172,8 @@ class Certification:
 
 
 def gain_lines(name: str, gain: GainCertificate) -> dict[str, str]:
-    """Rows of a table on one gain: its rate, slopes, overshoot and limits. `name` is controller or
-    observer."""
+    """Rows of a printed table on one certified gain: its rate, slopes, overshoot and limits. `name`
+    is controller or observer."""
     lines = {name: f"nothing is proved: {gain.reason}"}
     if gain.rate is not None:
         rate = f"rate {round_rate_down(gain.rate, 6)} per sample"
@@ -193,7 +198,7 @@ def _describe_rate_limit(rate: float) -> str:
 
 
 def _describe_slopes(name: str, slopes: tuple[float, float]) -> str:
-    """Text that names a static map and the range of slopes for which a certificate holds."""
+    """Text with the name of a static map and the range of slopes for which a certificate holds."""
     lowest, highest = (f"{slope:.6g}" for slope in slopes)
     is_one_slope = slopes[0] == slopes[1]
     between = lowest if is_one_slope else f"{lowest} to {highest}"
@@ -272,15 +277,17 @@ def certify(
         return result
     ranges = {"slopes": controller.slopes, "output_slopes": observer.slopes}
     unknown = {
-        name: describe_range(name, *ends) for name, ends in ranges.items() if ends[0] < ends[1]
+        name: describe_slope_range(name, *ends)
+        for name, ends in ranges.items()
+        if ends[0] < ends[1]
     }
-    example = unstable_example(a, b @ k, gain @ c, controller.slopes, observer.slopes)
+    example = describe_unstable_example(a, b @ k, gain @ c, controller.slopes, observer.slopes)
     shown_example = example if unknown else None
     return replace(result, unknown_maps=unknown, unstable_example=shown_example)
 
 
 def read_system_to_certify(system: Any) -> tuple[Any, Any, Any]:
-    """Matrices A, B and C of the system to certify; B and C are None where only a state matrix is
+    """Read matrices A, B and C of a linear system; B and C are None where only a state matrix is
     given.
 
     Raises `BadRequest` for a transfer function, whose states are not known, and for a design or
@@ -309,7 +316,8 @@ def certify_gain(
     ball: JacobianBall,
     theorem: type[Side],
 ) -> GainCertificate:
-    """Find the largest contraction rate of one gain and prove it in exact arithmetic.
+    """Find the largest contraction rate that a given gain achieves, and prove it in exact
+    arithmetic.
 
     For an observer the matrices are transposed: `a = A^T, b = C^T, k = L^T`.
     """
@@ -329,7 +337,7 @@ def certify_gain(
         slopes=(ball.lower, ball.upper),
     )
     if supremum <= 0:
-        reason = describe_mode_out_of_reach(frontier, theorem.observes)
+        reason = describe_uncontrollable_mode(frontier, theorem.observes)
         reason = reason or describe_missing_rate(a, b @ k, ball)
         return result(rate=None, certificate=None, reason=reason)
     problem_rate = max(SMALLEST_RATE, 0.5 * supremum)
@@ -356,8 +364,8 @@ def _prove_rate(
     limit: float,
     theorem: type[Side],
 ) -> Side | None:
-    """Certificate that a gain contracts at the problem's rate; None where no metric is found in
-    floats."""
+    """Certificate that a gain gives a required contraction rate; None where no quadratic metric is
+    found numerically."""
     started = time.perf_counter()
     remaining_rate = 1 - problem.rate
     factor = float(((1 - supremum) * remaining_rate) ** 0.25)  # between the two, in log r
@@ -379,8 +387,8 @@ def _prove_rate(
 def _conditioned_coordinates(
     problem: Problem, k: Float[np.ndarray, "m n"], factor: float
 ) -> Float[np.ndarray, "n n"]:
-    """State coordinates in which the certification of a gain is numerically well conditioned. They
-    are a Cholesky factor of the loop's own Gramian at the mean slope."""
+    """State coordinates in which the matrices of a certificate for a given gain are well
+    conditioned. They are a Cholesky factor of the loop's own Gramian at the mean slope."""
     alpha = problem.ball.alpha
     closed_loop = problem.a + alpha * problem.b @ k
     closed = closed_loop / factor

@@ -12,7 +12,7 @@ from typing_extensions import TypeAliasType
 
 from ssm_study.api.arguments import Values
 from ssm_study.api.model import Model
-from ssm_study.api.scoring import require_motion, simulate_given_record
+from ssm_study.api.scoring import require_varying_outputs, simulate_given_record
 from ssm_study.refusal import require
 from ssm_study.signals import fit_percent, rmse
 
@@ -24,7 +24,7 @@ Models = TypeAliasType("Models", Sequence[Model] | Mapping[str, Model])
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class ModelComparison:
-    """Free runs of several models on one record, with their scores, as `st.compare` returns them.
+    """Free runs of several models on one record, with the fit and the error of each.
 
     `print(comparison)` shows the table, `comparison.plot()` draws the runs with their residuals.
     `table` has one row per model: fit in percent of each output and in total, root mean square
@@ -48,8 +48,8 @@ class ModelComparison:
         return text
 
     def plot(self) -> Any:
-        """Draw measured and simulated outputs, with the residuals below. Returns the Matplotlib
-        figure."""
+        """Draw the measured and simulated outputs of a model comparison, with the residuals below.
+        Returns the Matplotlib figure."""
         from ssm_study.api.pictures.drawing import draw_picture
         from ssm_study.api.pictures.free_run import free_run_picture
 
@@ -72,7 +72,8 @@ def compare(
     *,
     start_up_samples: int | None = None,
 ) -> ModelComparison:
-    """Simulate several models on one record and score them, as `Model.score` does.
+    """Simulate several models on one record and compare their fits. The scores are those of
+    `Model.score`.
 
     `models` is a list, or a mapping from names to models. Best fit first. A measured disturbance is
     given to the models that have a path for it. Raises `BadRequest` for no models, and where a
@@ -96,7 +97,7 @@ def compare(
     for name, model in named.items():
         own_disturbance = disturbance if model.disturbance_names else None
         run = simulate_given_record(model, u, y, own_disturbance, start_up_samples, name)
-        require_motion(run)
+        require_varying_outputs(run)
         simulations[name] = run
     states = {name: getattr(model.simulator, "order", None) for name, model in named.items()}
     first_simulation = next(iter(simulations.values()))
@@ -145,8 +146,8 @@ def compare_simulations(
     start_up_samples: int = 0,
     record_words: str = "the test record",
 ) -> ModelComparison:
-    """Score simulations of the same records by several models, and sort them by fit, best first.
-    The longest record is drawn.
+    """Compare simulations of the same records by several models in a table, sorted by fit, best
+    first. The longest record is drawn.
 
     The first `start_up_samples` of each record are not scored: they tell the initial state.
     """
@@ -179,7 +180,7 @@ def compare_simulations(
 
 
 def _name_models(models: Sequence[Model]) -> dict[str, Model]:
-    """Name each model by its kind, with a number if several share one."""
+    """Name models by their kind, such as `ssm`, with a number where several are of one kind."""
     kinds = [kind_of_model(model) for model in models]
     names = []
     for i, kind in enumerate(kinds):
@@ -192,7 +193,7 @@ def _name_models(models: Sequence[Model]) -> dict[str, Model]:
 def _score_row(
     measured: Outputs, simulated: Outputs, output_names: Sequence[str]
 ) -> dict[str, Any]:
-    """Scores of one model on a record."""
+    """Table row with the fit and the errors of one model's simulation of a record."""
     fit_of_all = fit_percent(measured, simulated)
     row: dict[str, Any] = {"fit_percent": fit_of_all}
     if measured.shape[1] > 1:
@@ -208,7 +209,7 @@ def _score_row(
 
 
 def kind_of_model(model: Model) -> str:
-    """Kind of a model, as `st.fit(model=...)` takes it, or else the name of its class."""
+    """Kind of an identified model, such as `structured`, or else the name of its class."""
     for word in model.overrides:
         name, _, value = word.partition("=")
         if name == "model":

@@ -8,7 +8,7 @@ import numpy as np
 from ssm_study.api.arguments import Slopes
 from ssm_study.api.design import Design
 from ssm_study.api.model import Model
-from ssm_study.api.parts import Parts, part_name
+from ssm_study.api.parts import Parts, part_of_setting
 from ssm_study.api.rest_design import RestDesign
 from ssm_study.api.steps import design_controller
 from ssm_study.api.systems import (
@@ -88,7 +88,7 @@ def control(
         given: dict[str, Any] = {"rate": rate, "observer_rate": observer_rate, "method": method}
         given |= {"slopes": slopes, "output_slopes": output_slopes}
         given |= {"overrides": overrides or None}
-        return design_to_rest(model, given, input_limits, settings)
+        return design_bilinear_controller(model, given, input_limits, settings)
     check_input_limits(input_limits)
     rate_setting = ("rate", rate)
     observer_rate_setting = ("observer_rate", observer_rate)
@@ -120,21 +120,21 @@ def control(
     return _design_for_system(model, parts, slopes, output_slopes, overrides)
 
 
-def design_to_rest(
-    model: Model, given: dict[str, Any], limits: tuple[Any, Any], settings: dict[str, Any]
+def design_bilinear_controller(
+    model: Model, other_arguments: dict[str, Any], limits: tuple[Any, Any], settings: dict[str, Any]
 ) -> RestDesign:
-    """Design a controller for a model with products of input and state. Raises `BadRequest` for
-    arguments that it has no use for."""
+    """Design a controller for a bilinear model, and prove that the closed loop comes to rest.
+    Raises `BadRequest` for arguments that such a design has no use for."""
     from ssm_study.synthesis.bilinear_design import BilinearSynthesis  # loads CVXPY
 
     check_input_limits(limits)
     is_unlimited = all(limit is None for limit in limits)
     input_limits = None if is_unlimited else limits
-    given = given | {"input_limits": input_limits}
+    other_arguments = other_arguments | {"input_limits": input_limits}
     problem = (
         "is for other models; of products of input and state it is proved that they come to rest"
     )
-    for name, value in given.items():
+    for name, value in other_arguments.items():
         require(value is None, name, value, problem, "leave it out")
     settings_of_synthesis = fields(BilinearSynthesis)
     known = [part.name for part in settings_of_synthesis]
@@ -149,7 +149,7 @@ def design_to_rest(
 
 
 def check_input_limits(limits: Any) -> None:
-    """Raise `BadRequest` unless a value is a pair of lowest and highest input, each None or
+    """Raise `BadRequest` unless input limits are a pair of lowest and highest input, each None or
     numbers."""
     is_sequence = isinstance(limits, tuple | list)
     is_pair = is_sequence and len(limits) == 2
@@ -163,7 +163,7 @@ def check_input_limits(limits: Any) -> None:
 def refuse_model_settings(overrides: tuple[str, ...]) -> None:
     """Refuse settings of a control design that would change the model."""
     for word in overrides:
-        part = part_name(word)
+        part = part_of_setting(word)
         remedy = "give it to st.fit"
         may_change = part not in OF_THE_MODEL
         require(may_change, "overrides", word, f"changes {part}, and with it the model", remedy)
@@ -172,8 +172,8 @@ def refuse_model_settings(overrides: tuple[str, ...]) -> None:
 def _rates_without_records(
     parts: Parts, rate: float | None, observer_rate: float | None
 ) -> tuple[float | None, float | None]:
-    """Contraction rates for the design of a linear system that comes without records. Raises
-    `BadRequest` where records would be needed to choose them."""
+    """Contraction rates of controller and observer for a linear system that comes without recorded
+    data. Raises `BadRequest` where records would be needed to choose them."""
     choice = parts.choices["synthesis"]
     problem = "needs a validation record to choose by, and there is none"
     remedy = "use method='riccati' with rate and observer_rate"
@@ -183,7 +183,7 @@ def _rates_without_records(
 
 
 def _design_for_model(model: Model, parts: Parts, limits: tuple[Any, Any]) -> Design:
-    """Design a controller for an identified model with records."""
+    """Design a controller for an identified model that was fitted to records."""
     lower, upper = limits
     parts.set_fields("loop", input_lower=lower, input_upper=upper)
     loop = parts.build("loop")
@@ -231,7 +231,7 @@ def _design_for_system(
         balls = replace(balls, output=outer)
     synthesis = parts.build("synthesis")
     certificate = synthesis.design(model, balls)
-    certificate = add_largest_rates(replace_study_remedies(certificate))
+    certificate = add_largest_rates(replace_setting_names_in_advice(certificate))
     return Design(certificate=certificate, model=model, overrides=overrides)
 
 
@@ -242,9 +242,9 @@ def _linear_map(ball: JacobianBall, channels: int) -> LinearScaffold:
     return LinearScaffold(gain=gain)
 
 
-def replace_study_remedies(certificate: Certificates) -> Certificates:
-    """Replace advice that names settings of a study, because a system given as matrices has no such
-    settings."""
+def replace_setting_names_in_advice(certificate: Certificates) -> Certificates:
+    """Replace the names of study settings in a certificate's advice, because a system given as
+    matrices has no such settings."""
     sides = {}
     for side in SIDES:
         part = certificate.certificates_by_name[side]

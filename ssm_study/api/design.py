@@ -77,11 +77,12 @@ class Design:
 
     @cached_property
     def folder(self) -> Path:
-        """Folder with the files of the design, from which the controller is exported."""
+        """Folder that holds the files of a design, from which its controller is exported."""
         return self.run_folder or self._write_files(make_scratch_folder())
 
     def _write_files(self, folder: Path) -> Path:
-        """Write the model, the certificates and the signal ranges of the records into a folder."""
+        """Write the model, the certificates and the signal ranges of the records of a design into a
+        folder."""
         content = json.dumps(self.model.to_json(), indent=1, allow_nan=False)
         (folder / "model.json").write_text(content + "\n", encoding="utf-8")
         self.certificate.save(folder / "certificate.json")
@@ -92,7 +93,7 @@ class Design:
     @property
     def certified(self) -> bool:
         """Whether exact arithmetic confirms the certificates of controller, observer and closed
-        loop."""
+        loop of a design."""
         return all(self.verdicts.values())
 
     @property
@@ -110,7 +111,8 @@ class Design:
 
     @cached_property
     def unknown_maps(self) -> dict[str, str]:
-        """Static maps of which only the slope range was given to `control`, not the map itself."""
+        """Static maps, such as an input nonlinearity, of which only the range of slopes was given,
+        not the map itself."""
         is_identified = self.origin is not None or bool(self.stored_record)
         if is_identified or self.certificate.inverts_input_map:
             return {}
@@ -118,7 +120,8 @@ class Design:
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        """Columns that describe the design: rates, limits, gains and predictions.
+        """Numbers that describe a design by the names of the results table's columns: rates,
+        limits, gains and predictions.
 
         A bare system has no records, hence no predictions; a loaded design has its run's columns.
         """
@@ -144,7 +147,8 @@ class Design:
         return facts
 
     def _coverage_columns(self) -> dict[str, Any]:
-        """Columns on how far the proof covers the model error in the records."""
+        """Columns of the results table that say how far the proof covers the model error in the
+        records."""
         from ssm_study.api.steps import measure_coverage_premise
         from ssm_study.robustness.coverage import measure_premise
 
@@ -157,7 +161,7 @@ class Design:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Columns that the table of results has for this design. A loaded design has those of its
+        """Values of all columns of the results table for a design. A loaded design has those of its
         run; the design of a bare system has those of `facts`."""
         if self.origin is None:
             return dict(self.facts)
@@ -165,7 +169,8 @@ class Design:
         return facts | self.facts | self._loop_columns()
 
     def _loop_columns(self) -> dict[str, Any]:
-        """Columns on the loop that is closed on the identified model."""
+        """Columns of the results table that describe the closed loop simulated on the identified
+        model."""
         from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 
         assert self.origin is not None
@@ -182,7 +187,8 @@ class Design:
         )
 
     def eigenvalues(self) -> dict[str, Complex[np.ndarray, "n"]]:
-        """Eigenvalues at the equilibrium: of model, controlled model and estimation error.
+        """Eigenvalues, at the equilibrium, of the model, of the controlled model and of the
+        estimation error.
 
         Per sample, with the slopes of the maps and of the neurons at rest.
         """
@@ -190,7 +196,7 @@ class Design:
         return eigenvalue_groups(self.model, gains)
 
     def within_limits(self, lower: Values, upper: Values) -> WithinLimits:
-        """Guarantee of the design under input limits, in physical units.
+        """Guarantee of a design under given input limits, in physical units.
 
         Raises `BadRequest` for a model with neurons, about which nothing is proved within limits.
         """
@@ -203,8 +209,8 @@ class Design:
         return limits_proof(self.model, self.certificate, *ends)
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
-        """Write the controller as C99: header `path`, and beside it the source and a replay
-        program.
+        """Write the designed controller as C99 source code with a header and a program that replays
+        it. The header is `path`.
 
         `real` is "double" or "float". Raises `BadRequest` where there is no controller, and where
         the observer cannot compute the plant's maps (`unknown_maps`).
@@ -218,7 +224,8 @@ class Design:
         return path
 
     def to_control(self) -> "python_control.NonlinearIOSystem":
-        """Controller as a python-control system from measured outputs to inputs, which clamps none.
+        """Controller as a python-control system from measured outputs to inputs, without input
+        limits.
 
         Raises `BadRequest` as `to_c` does.
         """
@@ -226,7 +233,8 @@ class Design:
         return targets.as_python_control(self.folder)
 
     def save(self, folder: str | Path) -> Path:
-        """Save the design as a run folder that `ssm-study verify`, `export` and `load` read.
+        """Save a design as a run folder, which can be verified, exported and loaded. `ssm-study
+        verify`, `export` and `st.load` read it.
 
         Raises `BadRequest` for a folder that exists, and as `to_c` does for a design with
         `unknown_maps`.
@@ -280,7 +288,8 @@ class Design:
         return draw_picture(picture)
 
     def step(self, size: float | None = None, *, plant: "Plant | None" = None) -> Any:
-        """Draw the closed loop's response to a step of the set point by `size`.
+        """Draw the closed loop's response to a step of the set point. The step has the given
+        `size`.
 
         The step is known in advance: of a linear model the input moves before it does. In the
         output's unit; by default half the output's scale, or less where the recorded inputs
@@ -346,7 +355,8 @@ class Design:
         )
 
     def nyquist(self) -> Any:
-        """Draw the loop's Nyquist curve, with a disc of the measured model error in each band.
+        """Draw the Nyquist curve of the control loop, with discs that show the measured model
+        error.
 
         Returns the Matplotlib figure. Raises `BadRequest` for several inputs or outputs.
         """
@@ -374,7 +384,7 @@ class Design:
 
     @property
     def _recorded_inputs(self) -> list[Float[np.ndarray, "T m"]]:
-        """Inputs of the training records, if the design has any."""
+        """Inputs of the training records of a design's model, empty where there are none."""
         return [] if self.origin is None else [record.u for record in self.origin.data.training]
 
     def _describe_loop_plant(self, plant: "Plant | None") -> str:

@@ -16,8 +16,8 @@ NAMES_EVERY_CLAIM = "`ssm-study verify` names every claim that does not hold"
 
 
 def read_stored_design(folder: Path) -> dict[str, Any]:
-    """Read certificates, model and record of a run or of a saved design, as keyword arguments of
-    `Design`.
+    """Read certificates, model and record from the folder of a run or of a saved design. They are
+    keyword arguments of `Design`.
 
     Every certificate is decided again for the model, in exact arithmetic. Raises `BadRequest` where
     a claim does not hold, or where the record is not as it was written.

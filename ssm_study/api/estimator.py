@@ -47,8 +47,8 @@ class Estimator:
     model_: Model = field(init=False, repr=False)
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002
-        """Settings of the estimator by name, as scikit-learn reads them. `deep` changes nothing,
-        since no setting has settings of its own."""
+        """Settings of the estimator by name, in the form that scikit-learn requires. `deep` changes
+        nothing, since no setting has settings of its own."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.init}
 
     def set_params(self, **parameters: Any) -> "Estimator":
@@ -86,7 +86,8 @@ class Estimator:
         return self
 
     def predict(self, u: Values, disturbance: Values | None = None) -> Values:
-        """Simulate the identified model from its equilibrium. Raises `BadRequest` before `fit`."""
+        """Simulate the outputs of the identified model from its equilibrium. Raises `BadRequest`
+        before `fit`."""
         model = self._require_model()
         return model.predict(u, disturbance)
 
@@ -101,13 +102,13 @@ class Estimator:
         return model.score(u, y, disturbance, start_up_samples=self.start_up_samples)
 
     def _require_model(self) -> Model:
-        """Identified model of the estimator. Raises `BadRequest` before `fit`."""
+        """Identified model of a fitted estimator. Raises `BadRequest` before `fit`."""
         if not hasattr(self, "model_"):
             raise BadRequest("estimator", "Estimator", "is not fitted", "call fit(u, y) first")
         return self.model_
 
     def __sklearn_tags__(self) -> Any:
-        """Tags of the estimator that scikit-learn reads. scikit-learn is imported only here."""
+        """Tags by which scikit-learn recognises the estimator's abilities."""
         from sklearn.utils import InputTags, RegressorTags, Tags, TargetTags
 
         target_tags = TargetTags(required=True, multi_output=True)

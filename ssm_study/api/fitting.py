@@ -93,7 +93,7 @@ def fit(
     >>> model.score(u, y[:800]) > 95
     True
     """
-    step_s = stated_or_index_period_s(step_s, u)
+    step_s = find_sampling_time_s(step_s, u)
     choices = CHOICES | {"model": model}
     parts = Parts(choices, overrides)
     parts.set_fields("model", order=order, neurons=neurons, feedthrough=feedthrough, **settings)
@@ -137,7 +137,8 @@ def fit(
 def build_data_set(
     parts: Parts, u: Signals, y: Signals, step_s: float, disturbance: Signals | None, folder: Path
 ) -> DataSet:
-    """Write signals as log files into a folder, and read them as `ssm-study run` reads a log."""
+    """Build a data set from signals in arrays, which are written to log files and read again.
+    `ssm-study run` reads a log in the same way."""
     seconds = float(step_s)
     log = write_log_files(u, y, folder, seconds, disturbance)
     parts.set_fields("data", path=log.paths, input=log.inputs, output=log.outputs, step_s=step_s)
@@ -148,9 +149,9 @@ def build_data_set(
     return data
 
 
-def stated_or_index_period_s(step_s: Any, u: Any) -> float:
-    """Sampling time in seconds, as stated or else from the time index of the inputs. Raises
-    `BadRequest` where neither gives one."""
+def find_sampling_time_s(step_s: Any, u: Any) -> float:
+    """Find the sampling time in seconds, from the given value or else from the time index of the
+    inputs. Raises `BadRequest` where neither gives one."""
     if step_s is None:
         step_s = index_period_s(u)
     remedy = "give it in seconds, as in st.fit(u, y, 0.1)"

@@ -21,13 +21,13 @@ MAPS = {"slopes": "input map", "output_slopes": "output map"}
 
 
 class UnknownMap(UserWarning):
-    """Warning that a simulation uses a single gain for a static map of which only the slopes are
-    known."""
+    """Warning that a simulation uses a constant gain in place of a static map of which only the
+    slopes are known."""
 
 
 def name_unknown_maps(model: Any, certificate: Certificates) -> dict[str, str]:
-    """Static maps that are given by a range of slopes alone, each with that range as text. Keyed by
-    the argument of `control` that gives the range."""
+    """Static maps of a design that are given by a range of slopes alone, each with that range as
+    text. Keyed by the argument of `control` that gives the range."""
     balls = certified_balls(model)
     computed = {"state_feedback": balls.input, "observer": balls.output}
     unknown = {}
@@ -41,19 +41,18 @@ def name_unknown_maps(model: Any, certificate: Certificates) -> dict[str, str]:
             argument = ARGUMENTS[side]
             lower = part.alpha - part.beta
             upper = part.alpha + part.beta
-            unknown[argument] = describe_range(argument, lower, upper)
+            unknown[argument] = describe_slope_range(argument, lower, upper)
     return unknown
 
 
-def describe_range(argument: str, lower: float, upper: float) -> str:
-    """Text on a static map of which only the range of slopes is given, by the argument that gives
-    it."""
+def describe_slope_range(argument: str, lower: float, upper: float) -> str:
+    """Text that names a static map together with its range of slopes."""
     return f"{MAPS[argument]} with slopes {lower:.4g} to {upper:.4g}"
 
 
 def refuse_unknown_maps(unknown: dict[str, str]) -> None:
-    """Refuse the export of a controller whose observer would compute another map than the plant
-    has."""
+    """Raise `BadRequest` for the export of a controller whose observer would compute another static
+    map than the plant has."""
     maps = " and ".join(unknown.values())
     problem = (
         f"the observer has to compute the {maps}, of which only the slopes are given; with another "

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 
 def import_python_control(function: str) -> Any:
-    """Import python-control. Raises `BadRequest` where it is not installed."""
+    """Import the package python-control, which is optional. Raises `BadRequest` where it is not
+    installed."""
     try:
         import control
     except ImportError as error:
@@ -76,8 +77,8 @@ def convert_to_continuous(discrete: "python_control.StateSpace") -> "python_cont
 def tabulate_frequency_response(
     system: "python_control.StateSpace", inputs: list[str], outputs: list[str], points: int
 ) -> pd.DataFrame:
-    """Table of the frequency response from each input to each output, up to half the sampling
-    rate."""
+    """Table of a linear system's frequency response from each input to each output, up to half the
+    sampling rate."""
     is_integer = isinstance(points, Integral)
     is_count = is_integer and not isinstance(points, bool) and points >= 1
     require(is_count, "points", points, "is no number of frequencies", "use 200")

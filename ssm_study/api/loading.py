@@ -10,7 +10,7 @@ from ssm_study.api.systems import read_folder
 
 
 def load(folder: str | Path) -> Design | RestDesign | Model:
-    """Load a saved design, a saved model, or the controller of any run folder.
+    """Load a saved design, a saved model, or the controller of a study's run from its folder.
 
     What `design.save(folder)` or a run wrote becomes a `Design`, what `model.save(folder)` wrote a
     `Model` with its records, ready for `st.simulate` and `st.control`. Raises `BadRequest` where

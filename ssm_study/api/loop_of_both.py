@@ -18,17 +18,17 @@ HOLDS = "comes to rest, certified (no rate of its own)"
 Pair = tuple[float, float]
 
 
-def describe_loop_of_both(
+def describe_closed_loop_verdict(
     verdicts: Mapping[str, bool], unknown_maps: Mapping[str, str], example: str | None = None
 ) -> str:
-    """Text of the verdict on the loop of controller and observer, with the reason where it is not
-    certified. `example` is a loop within the slopes that is not stable."""
+    """Text of the verdict on the closed loop of controller and observer, with the reason where it
+    is not certified. `example` is a loop within the slopes that is not stable."""
     if verdicts["loop"]:
         return HOLDS
     failed = [name for name in ("controller", "observer") if not verdicts[name]]
     if failed:
         return f"not certified: the {' and the '.join(failed)} is not"
-    maps = name_maps(unknown_maps)
+    maps = list_unknown_maps(unknown_maps)
     words = f"not certified: this proof needs an observer that computes the plant's own {maps}"
     return words if example is None else f"{words}; {example}"
 
@@ -36,21 +36,22 @@ def describe_loop_of_both(
 def add_loop_verdict(
     gain_verdicts: Mapping[str, bool], unknown_maps: Mapping[str, str]
 ) -> dict[str, bool]:
-    """Verdicts on controller, observer and the loop of both, where the last follows from the first
-    two. It is certified where both are and the observer computes the plant's own maps."""
+    """Verdicts on controller, on observer and on their closed loop, where the last follows from the
+    first two. It is certified where both are and the observer computes the plant's own maps."""
     holds_for_gains = all(gain_verdicts.values())
     is_certified = holds_for_gains and not unknown_maps
     return {**gain_verdicts, "loop": is_certified}
 
 
-def name_maps(unknown_maps: Mapping[str, str]) -> str:
-    """Static maps that an observer would have to compute, each with its range, as one text."""
+def list_unknown_maps(unknown_maps: Mapping[str, str]) -> str:
+    """Text that lists the static maps which an observer would have to compute, each with its range
+    of slopes."""
     return " and ".join(unknown_maps.values())
 
 
 def find_unstable_example(certificates: Certificates) -> str | None:
-    """Text on a plant that the two certificates of a design, whose slopes leave a map open, would
-    lose together; None if none is found or a certificate is missing."""
+    """Find a plant, within the slopes of two certificates, whose closed loop with observer is
+    unstable, and describe it as text; None if none is found."""
     feedback = certificates.state_feedback
     observer = certificates.observer
     if not isinstance(feedback, StateFeedback) or not isinstance(observer, Observer):
@@ -60,31 +61,31 @@ def find_unstable_example(certificates: Certificates) -> str | None:
     ends = [(part.alpha - part.beta, part.alpha + part.beta) for part in (feedback, observer)]
     driven = feedback.b @ feedback.k
     corrected = observer.l @ observer.c
-    return unstable_example(feedback.a, driven, corrected, *ends)
+    return describe_unstable_example(feedback.a, driven, corrected, *ends)
 
 
-def unstable_example(
+def describe_unstable_example(
     a: Float[np.ndarray, "n n"],
-    driven: Float[np.ndarray, "n n"],
-    corrected: Float[np.ndarray, "n n"],
+    input_feedback: Float[np.ndarray, "n n"],
+    output_correction: Float[np.ndarray, "n n"],
     slopes: Pair,
     output_slopes: Pair,
 ) -> str | None:
-    """Text on the plant with slopes at the ends of their ranges whose estimate diverges fastest
-    where the observer assumes the mean slopes; None if no such estimate diverges.
+    """Text on the plant with extreme slopes whose closed loop is least stable when the observer
+    assumes the mean slopes; None if all such loops are stable.
 
-    `driven` is B K, `corrected` is L C.
+    `input_feedback` is B K, `output_correction` is L C.
     """
     mean_input_slope = sum(slopes) / 2
     mean_output_slope = sum(output_slopes) / 2
     mean = (mean_input_slope, mean_output_slope)
     radii = {}
     for inner, outer in product(slopes, output_slopes):
-        plant_rows = [a, inner * driven]
+        plant_rows = [a, inner * input_feedback]
         plant = np.hstack(plant_rows)
-        error_motion = a + mean[0] * driven
-        own = error_motion + mean[1] * corrected
-        correction = -outer * corrected
+        error_motion = a + mean[0] * input_feedback
+        own = error_motion + mean[1] * output_correction
+        correction = -outer * output_correction
         observer_rows = [correction, own]
         observer = np.hstack(observer_rows)
         loop_of_both = np.vstack([plant, observer])

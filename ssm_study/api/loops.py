@@ -22,7 +22,8 @@ LOOP = {"loop": "regulation"}
 
 
 def make_identified_plant(design: "Design") -> IdentifiedPlant:
-    """Make a simulated plant from the identified model, with the channel names of its records."""
+    """Make a simulated plant from the identified model of a design, with the channel names of the
+    records."""
     if design.origin is None:
         return IdentifiedPlant.from_model(design.model)
     data = design.origin.data
@@ -30,7 +31,7 @@ def make_identified_plant(design: "Design") -> IdentifiedPlant:
 
 
 def choose_plant(design: "Design", plant: Any) -> Plant | IdentifiedPlant:
-    """Plant on which a loop is closed: the given one, else the identified model in its place.
+    """Plant on which a loop is closed: the given plant, or the identified model if none is given.
     Raises `BadRequest` for what is no plant."""
     if plant is None:
         return make_identified_plant(design)
@@ -73,7 +74,8 @@ def simulate_loop(
 
 
 def _disturbance_names(design: "Design") -> list[str]:
-    """Names of the measured disturbances of a design, numbered where its records are not known."""
+    """Names of the measured disturbances of a design, or numbers where its records are not
+    known."""
     if design.origin is None:
         disturbances = design.model.scale.disturbances
         return [f"d_{k + 1}" for k in range(disturbances)]

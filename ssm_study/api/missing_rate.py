@@ -11,31 +11,32 @@ OF_CONTROLLER = "the input does not reach it, so no gain stabilises it; use anot
 OF_OBSERVER = "the output does not show it, so no gain stabilises it; use another sensor"
 
 
-def describe_mode_out_of_reach(frontier: Frontier, observes: bool) -> str:
-    """Text on an unstable mode that no gain reaches; empty where there is none."""
+def describe_uncontrollable_mode(frontier: Frontier, is_observer: bool) -> str:
+    """Text on an unstable mode that no gain can stabilise; empty where there is none."""
     if frontier.rate_limit > 0 or frontier.decided_by != OUT_OF_REACH:
         return ""
-    cause = OF_OBSERVER if observes else OF_CONTROLLER
+    cause = OF_OBSERVER if is_observer else OF_CONTROLLER
     return f"a mode of modulus {frontier.contraction_limit:.4g} is not stable and {cause}"
 
 
 def describe_missing_rate(
-    a: Float[np.ndarray, "n n"], fed_back: Float[np.ndarray, "n n"], ball: JacobianBall
+    a: Float[np.ndarray, "n n"], feedback_matrix: Float[np.ndarray, "n n"], ball: JacobianBall
 ) -> str:
-    """Text that explains why no rate can be certified for a gain, from the eigenvalues of `A + s B
-    K` at the mean slope s and at the two extreme ones.
+    """Text that explains, from closed-loop eigenvalues at extreme and mean slopes, why no
+    contraction rate can be certified for a gain. The eigenvalues are those of `A + s B K` at the
+    slopes s.
 
-    `fed_back` is `B K`, or `(L C)^T` of an observer.
+    `feedback_matrix` is `B K`, or `(L C)^T` of an observer.
     """
-    opposite = spectral_radius(a - ball.alpha * fed_back)
-    mean = spectral_radius(a + ball.alpha * fed_back)
+    opposite = spectral_radius(a - ball.alpha * feedback_matrix)
+    mean = spectral_radius(a + ball.alpha * feedback_matrix)
     if mean >= 1:
         words = f"not stable at the mean slope (spectral radius {mean:.4g})"
         if opposite < 1:
             words += "; stable with the opposite sign: gains enter as u = K x and L (yh - y)"
         return words
     for slope in (ball.lower, ball.upper):
-        radius = spectral_radius(a + slope * fed_back)
+        radius = spectral_radius(a + slope * feedback_matrix)
         if radius >= 1:
             return f"not stable at slope {slope:.4g} (spectral radius {radius:.4g})"
     return (

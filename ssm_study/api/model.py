@@ -17,7 +17,7 @@ from ssm_study.api.linearisation import (
     tabulate_frequency_response,
 )
 from ssm_study.api.model_files import holds_saved_model, read_model_fields, write_model_files
-from ssm_study.api.scoring import require_motion, simulate_given_record
+from ssm_study.api.scoring import require_varying_outputs, simulate_given_record
 from ssm_study.api.steps import judge_evidence, measure_mismatch
 from ssm_study.api.summaries import html_table, render_text_table, summarise_model
 from ssm_study.api.systems import read_folder
@@ -46,8 +46,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Model:
-    """Identified model for use from Python, with the records that it was identified from. `y =
-    simulate(u)`.
+    """Identified model with its training data, for use from Python. `y = simulate(u)`.
 
     `simulator` holds the numbers: a `StructuredSSM`, an `SSM`, or a baseline. `data` are the
     records with their parts. `facts` are a run's columns up to the model (`fit_test_percent`, ...).
@@ -63,7 +62,7 @@ class Model:
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        """Columns that describe data and model."""
+        """Numbers that describe data and model, by the names of the results table's columns."""
         data = self.data
         validation, test = simulate_validation_and_test(self.simulator, data)
         training = self.identification
@@ -81,17 +80,17 @@ class Model:
 
     @cached_property
     def mismatch(self) -> Mismatch:
-        """Error of the model that the records show, at each frequency and amplitude."""
+        """Model error that the records show, at each frequency and amplitude."""
         return measure_mismatch(self.ssm, self.data)
 
     @cached_property
     def evidence(self) -> Judgement:
-        """Judgement of which statements about the plant the records support."""
+        """Judgement of which statements about the plant the recorded data support."""
         return judge_evidence(self.ssm, self.data, self.mismatch)
 
     @property
     def ssm(self) -> SSM | StructuredSSM:
-        """State-space model that can be certified; raises `BadRequest` for a baseline model."""
+        """State-space form of an identified model, for which a controller can be certified."""
         if isinstance(self.simulator, SSM | StructuredSSM):
             return self.simulator
         kind = type(self.simulator).__name__
@@ -121,7 +120,8 @@ class Model:
         return [channel.name for channel in channels]
 
     def predict(self, u: Values, disturbance: Values | None = None) -> Values:
-        """Simulate the model's outputs `(T, p)` from its equilibrium for inputs `(T, m)` or `(T,)`.
+        """Simulate the model's outputs from its equilibrium for given inputs. Inputs `(T, m)` or
+        `(T,)`, outputs `(T, p)`.
 
         With `model.members` the mean of the members' outputs; control stays with `simulator`.
         A frame or series in gives a frame out, with its index. Measured disturbances of the same
@@ -149,8 +149,8 @@ class Model:
         *,
         start_up_samples: int | None = None,
     ) -> float:
-        """Fit of a free run in percent, `100 (1 - ||y - y_hat|| / ||y - mean||)`, as
-        `facts["fit_test_percent"]` is measured.
+        """Fit of the model's free run to measured outputs, in percent. `100 (1 - ||y - y_hat|| /
+        ||y - mean||)`, as `facts["fit_test_percent"]` is measured.
 
         The record may begin in motion: its first `start_up_samples` (20, or what the data say) tell
         the initial state and are not scored. With 0 the run starts from equilibrium and all of it
@@ -158,7 +158,7 @@ class Model:
         start.
         """
         simulation = simulate_given_record(self, u, y, disturbance, start_up_samples)
-        require_motion(simulation)
+        require_varying_outputs(simulation)
         return simulation.fit_percent
 
     def simulation_errors(
@@ -275,7 +275,7 @@ class Model:
         return draw_picture(picture)
 
     def poles(self) -> Any:
-        """Draw the model's eigenvalues at the equilibrium in the unit circle.
+        """Draw the eigenvalues of the model at the equilibrium, together with the unit circle.
 
         Returns the Matplotlib figure. The numbers: `eigenvalues`.
         """
@@ -314,7 +314,7 @@ class Model:
 
     @classmethod
     def load(cls, folder: str | Path) -> "Model":
-        """Load a model that `save` wrote; its numbers are exactly the same.
+        """Load a model from the folder in which it was saved; its numbers are exactly the same.
 
         Raises `BadRequest` where there is none.
         """
@@ -326,13 +326,13 @@ class Model:
         return cls(**read_model_fields(folder))
 
 
-def draw_or_refuse(name: str, make: Callable[[], "Picture"]) -> Any:
-    """Draw a picture, or raise `BadRequest` with the reason where it would be empty."""
+def draw_or_refuse(name: str, make_picture: Callable[[], "Picture"]) -> Any:
+    """Draw a picture, or raise `BadRequest` with the reason where the picture would be empty."""
     from ssm_study.api.pictures.drawing import draw_picture
     from ssm_study.api.pictures.picture import NothingToShow
 
     try:
-        picture = make()
+        picture = make_picture()
     except NothingToShow as reason:
         remedy = "look at the other pictures"
         problem = str(reason).rstrip(".")

@@ -33,7 +33,7 @@ def holds_saved_model(folder: Path) -> bool:
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write a value as JSON, with all digits of its numbers.
+    """Write a value into a file as JSON, with all digits of its numbers.
 
     A training curve may hold NaN, where an epoch had no fit.
     """
@@ -42,7 +42,8 @@ def write_json(path: Path, content: object) -> None:
 
 
 def write_model_files(model: Any, folder: Path) -> None:
-    """Write a `Model` into a folder: `model.json`, `identification.json` and `records.npz`."""
+    """Write an identified model with its records into a folder, as JSON and NumPy files. The files
+    are `model.json`, `identification.json` and `records.npz`."""
     identification: Identification = model.identification
     facts = {name: getattr(identification, name) for name in NUMBERS}
     members = [member.to_json() for member in identification.members]
@@ -67,14 +68,15 @@ def write_model_files(model: Any, folder: Path) -> None:
 
 
 def file_digests(folder: Path) -> dict[str, str]:
-    """SHA-256 digest of each file of a saved model but `identification.json`, which holds them."""
+    """SHA-256 digest of each file of a saved model, by file name. `identification.json`, which
+    holds the digests, is left out."""
     paths = [folder / MODEL_FILE, folder / RECORDS_FILE, *sorted((folder / LOGS).rglob("*"))]
     files = [path for path in paths if path.is_file()]
     return {path.relative_to(folder).as_posix(): sha256_of_file(path) for path in files}
 
 
 def content_digest(content: dict[str, Any]) -> str:
-    """SHA-256 digest of the content of `identification.json`, without the digest itself.
+    """SHA-256 digest of the description of a saved model, without the stored digest itself.
 
     A training curve may hold NaN, so the text is not that of a run's record.
     """
@@ -84,7 +86,7 @@ def content_digest(content: dict[str, Any]) -> str:
 
 
 def check_seal(folder: Path, content: dict[str, Any]) -> None:
-    """Check that the files of a saved model are as they were written.
+    """Raise `BadRequest` if a file of a saved model was changed since it was written.
 
     A model without seal, saved by an earlier version, is read with a warning. Raises `BadRequest`
     for a file that was altered.
@@ -104,7 +106,8 @@ def check_seal(folder: Path, content: dict[str, Any]) -> None:
 
 
 def read_model_fields(folder: Path) -> dict[str, Any]:
-    """Read the fields of a `Model` from a folder that `write_model_files` wrote.
+    """Read the fields of an identified model from the folder in which it was saved.
+    `write_model_files` wrote it.
 
     Raises `BadRequest` for a damaged file.
     """
@@ -141,7 +144,7 @@ def read_model_fields(folder: Path) -> dict[str, Any]:
 
 
 def describe_data(data: DataSet) -> dict[str, Any]:
-    """Channels, scale and names of a data set's records, without their samples."""
+    """Description of a data set without its samples: channels, scale and names of the records."""
     scale_fields = asdict(data.scale)
     scale = {name: list(values) for name, values in scale_fields.items()}
     records = {part: list(map(describe_record, getattr(data, part))) for part in PARTS}
@@ -156,7 +159,7 @@ def describe_data(data: DataSet) -> dict[str, Any]:
 
 
 def describe_record(record: Trajectory) -> dict[str, Any]:
-    """Fields of a record without its samples."""
+    """Description of one record without its samples, such as its sampling time."""
     closed_loop = bool(record.closed_loop)
     return {
         "step_s": record.step_s,
@@ -168,7 +171,8 @@ def describe_record(record: Trajectory) -> dict[str, Any]:
 
 
 def signal_arrays(data: DataSet) -> dict[str, Any]:
-    """Samples of all records by name, `<part of the data set>/<record number>/<signal>`."""
+    """Arrays with the samples of all records of a data set, by name. The name is `<part of the data
+    set>/<record number>/<signal>`."""
     arrays = {}
     for part in PARTS:
         records = getattr(data, part)
@@ -181,7 +185,7 @@ def signal_arrays(data: DataSet) -> dict[str, Any]:
 
 
 def read_data(content: dict[str, Any], arrays: dict[str, Any]) -> DataSet:
-    """Rebuild a data set from its description and its samples."""
+    """Rebuild a data set from its stored description and its arrays of samples."""
     scale_fields = content["scale"]
     scale = {name: np.asarray(values, dtype=float) for name, values in scale_fields.items()}
     fields: dict[str, Any] = {}

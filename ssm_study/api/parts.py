@@ -42,7 +42,8 @@ REMEDY = "write key=value, as in model.order=4; sweeps and experiments are for s
 
 
 def configuration_folders() -> list[Path]:
-    """Folders of configuration files, the project's own first, then those of trusted packages."""
+    """Folders with configuration files, the project's own first, then those of trusted extension
+    packages."""
     module_file = Path(ssm_study.__file__).resolve()
     package = module_file.parent
     installed = package / "conf"
@@ -82,7 +83,7 @@ def load_choice(group: str, choice: str) -> Tree:
 
 
 def _load_default(group: str, entry: Any) -> Tree:
-    """Load the settings that one entry of a defaults list names."""
+    """Load the settings that one entry of a Hydra defaults list names."""
     if isinstance(entry, str):
         return load_choice(group, entry)
     ((name, choice),) = entry.items()
@@ -102,7 +103,7 @@ def _load_default(group: str, entry: Any) -> Tree:
 
 
 class Replacement(dict[str, Any]):
-    """Tree of settings that replaces another tree as a whole instead of being merged with it."""
+    """Tree of settings that is put in place of another tree instead of being merged with it."""
 
 
 def merge_trees(tree: Tree, other: Mapping[str, Any]) -> None:
@@ -132,7 +133,8 @@ def assign_value(tree: Tree, path: str, value: Any) -> None:
 
 
 def assign_nested(tree: Tree, path: str, value: Any) -> None:
-    """Assign a value at a dotted path of a settings tree, and create missing subtrees."""
+    """Assign a value at a dotted path of a settings tree, creating subtrees that do not exist
+    yet."""
     *parents, last = path.split(".")
     for name in parents:
         tree = tree.setdefault(name, {})
@@ -148,7 +150,8 @@ def parse_value(text: str) -> Any:
 
 
 def _parse_numbers(value: Any) -> Any:
-    """Convert texts such as 1e-3 to numbers, in lists item by item, as YAML reads them as texts."""
+    """Convert texts such as `1e-3`, which YAML does not read as numbers, to numbers, also within
+    lists."""
     if isinstance(value, list):
         return [_parse_numbers(item) for item in value]
     if not isinstance(value, str):
@@ -159,11 +162,11 @@ def _parse_numbers(value: Any) -> Any:
         return value
 
 
-def split_settings(words: Iterable[str]) -> list[tuple[str, str]]:
-    """Split settings written as `model.order=4` into keys and values. Raises `BadRequest` for words
-    of another form."""
+def split_settings(settings: Iterable[str]) -> list[tuple[str, str]]:
+    """Split settings such as `model.order=4` into pairs of key and value. Raises `BadRequest` for
+    texts of another form."""
     pairs = []
-    for word in words:
+    for word in settings:
         key, equals, value = str(word).partition("=")
         has_sign = bool(equals)
         usable = has_sign and bool(key) and not key.startswith(("-", "~", "hydra"))
@@ -173,9 +176,10 @@ def split_settings(words: Iterable[str]) -> list[tuple[str, str]]:
     return pairs
 
 
-def part_name(word: str) -> str:
-    """Name of the part of a study that a setting such as `model.order=4` belongs to."""
-    signed_key = str(word).partition("=")[0]
+def part_of_setting(setting: str) -> str:
+    """Name of the part of a study, such as `model`, to which a setting such as `model.order=4`
+    belongs."""
+    signed_key = str(setting).partition("=")[0]
     setting_path = signed_key.lstrip("+")
     key = setting_path.rpartition("@")[2]
     dotted_key = key.replace("/", ".")
@@ -183,15 +187,16 @@ def part_name(word: str) -> str:
 
 
 class Parts:
-    """Choices and settings of a study's parts, from which the parts are built.
+    """Configuration of the parts of a study (data, model, training, ...), from which their objects
+    are built.
 
-    `words` are the command's: `model=ssm`, `model.order=4`, `training/optimiser=adam`,
-    `reference@loop.reference=step`. A value given twice is the later one. Raises `BadRequest` for
-    what is none of them.
+    `overrides` are those of the command line: `model=ssm`, `model.order=4`,
+    `training/optimiser=adam`, `reference@loop.reference=step`. A value given twice is the later
+    one. Raises `BadRequest` for what is none of them.
     """
 
-    def __init__(self, choices: Mapping[str, str], words: Iterable[str] = ()) -> None:
-        self.given = tuple(words)
+    def __init__(self, choices: Mapping[str, str], overrides: Iterable[str] = ()) -> None:
+        self.given = tuple(overrides)
         pairs = split_settings(self.given)
         self.numbers: dict[str, Any] = {"seed": 0, "loop_seed": 0}
         self.choices = dict(choices)
@@ -209,7 +214,7 @@ class Parts:
                 self._set_field(key, value)
 
     def _choose_option(self, key: str, choice: str) -> None:
-        """Choose an option inside a part, such as `training/optimiser=adam`."""
+        """Choose a named option inside one part of a study, such as `training/optimiser=adam`."""
         group, _, place = key.partition("@")
         place = place or group.replace("/", ".")
         part = place.partition(".")[0]
@@ -220,7 +225,7 @@ class Parts:
         assign_value(self.trees, place, tree)
 
     def _set_field(self, key: str, text: str) -> None:
-        """Set one number or field of a part."""
+        """Set one setting of a part of a study, given by its dotted path."""
         value = parse_value(text)
         if key in NUMBERS:
             kind = type(value)
@@ -235,14 +240,14 @@ class Parts:
         assign_value(self.trees, key, value)
 
     def _override_sign(self, path: str) -> str:
-        """Sign that the command line needs before an override: `++` for a field that the yaml files
-        lack, otherwise none."""
+        """Prefix of a command-line override: `++` for a setting that the configuration files lack,
+        otherwise empty."""
         if not self._has_setting(path):
             self.added.add(path)
         return "++" if path in self.added else ""
 
     def _has_setting(self, path: str) -> bool:
-        """Whether the configuration files have a value at a dotted path."""
+        """Whether the configuration files have a setting at a dotted path."""
         place: Any = self.trees
         for name in path.split("."):
             is_part = isinstance(place, dict)
@@ -252,7 +257,8 @@ class Parts:
         return True
 
     def set_fields(self, part: str, **settings: Any) -> None:
-        """Set the given fields of a part; a field whose new value is None stays unchanged."""
+        """Set several settings of one part of a study; a setting whose new value is None stays
+        unchanged."""
         for name, value in settings.items():
             if value is not None:
                 sign = self._override_sign(f"{part}.{name}")
@@ -261,8 +267,8 @@ class Parts:
                 self.details.append(f"{sign}{part}.{name}={format_value(value)}")
 
     def build(self, part: str) -> Any:
-        """Build the object that the settings of one part describe. Raises `BadRequest` for missing,
-        unknown or unusable settings."""
+        """Build the object that the settings of one part of a study describe. Raises `BadRequest`
+        for missing, unknown or unusable settings."""
         tree = self.trees[part]
         texts = {key: value for key, value in tree.items() if isinstance(value, str)}
         missing = next((key for key, value in texts.items() if value == MISSING), None)
@@ -273,8 +279,8 @@ class Parts:
             raise self._name_argument(error) from error.__cause__
 
     def _name_argument(self, error: BadRequest) -> BadRequest:
-        """The same error under the name of the function argument that gave the value, in place of
-        the setting's."""
+        """Copy of an error about a setting that names the function argument from which the value
+        came."""
         field = error.field.partition(",")[0]
         argument = self.arguments.get(field)
         if argument is None:
@@ -284,11 +290,11 @@ class Parts:
         return BadRequest(argument, error.value, error.problem, remedy)
 
     def overrides_for_parts(self, *names: str) -> tuple[str, ...]:
-        """Command-line overrides that set the named parts of a study or the seeds."""
-        return tuple(word for word in self.given if part_name(word) in names)
+        """Command-line overrides that set given parts of a study, such as `model` or `seed`."""
+        return tuple(word for word in self.given if part_of_setting(word) in names)
 
     def command_overrides(self) -> tuple[str, ...]:
-        """Choices and settings as overrides for the command line `ssm-study run`."""
+        """Overrides for the command `ssm-study run` that reproduce all choices and settings."""
         chosen = [f"{name}={choice}" for name, choice in self.choices.items()]
         numbers = [f"{name}={value}" for name, value in self.numbers.items()]
         return (*chosen, *self.details, *numbers)

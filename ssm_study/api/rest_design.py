@@ -46,8 +46,8 @@ MODEL_WORDS = {
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class RestDesign:
-    """Controller with its observer for a bilinear model, whose loop is proved to come to rest. `v =
-    K xh`, cut at the ends of the recorded inputs.
+    """Controller with observer for a bilinear model, whose closed loop is proved to come to rest.
+    `v = K xh`, cut at the ends of the recorded inputs.
 
     `certificates` has the gains and what is proved; `channels` are the model's input and outputs.
     """
@@ -58,14 +58,14 @@ class RestDesign:
 
     @property
     def certified(self) -> bool:
-        """Whether the loop is proved, in exact arithmetic, to come to rest from a stated set of
-        initial states or from all."""
+        """Whether exact arithmetic proves that the closed loop comes to rest, from all initial
+        states or from a stated set."""
         return self.certificates.certified
 
     @property
     def controller(self) -> BilinearFeedback:
-        """Controller that is simulated and exported: state feedback with observer and limited
-        input. Raises `BadRequest` with the reason where no gains were found."""
+        """State feedback with observer and limited input, in the form that is simulated and
+        exported. Raises `BadRequest` with the reason where no gains were found."""
         reasons = self.certificates.reasons
         reason = reasons.get("gains", "")
         require(not reason, "design", "no gains", reason, "fit another model")
@@ -74,7 +74,8 @@ class RestDesign:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Numbers that are proved for the closed loop, by the names of the certificates' fields."""
+        """Numbers that are proved for the closed loop of a bilinear model, by the names of the
+        certificates' fields."""
         facts: dict[str, Any] = {"certified": self.certified}
         for label, part in self.certificates.parts.items():
             for name, value in vars(part).items():
@@ -85,8 +86,8 @@ class RestDesign:
     def simulate(
         self, y0: Values, horizon_s: float | None = None, plant: Plant | None = None
     ) -> pd.DataFrame:
-        """Simulate the closed loop without noise from initial outputs `(N, p)` or `(N,)`, on the
-        model or on a plant. The estimate starts at rest.
+        """Simulate the closed loop without noise from given initial outputs, on the model or on a
+        plant. Outputs `(N, p)` or `(N,)`; the estimate starts at rest.
 
         One row per case and sample: `case, time_s`, inputs and outputs by name. Raises `BadRequest`
         for other channels.
@@ -125,8 +126,8 @@ class RestDesign:
 
     @property
     def _default_samples(self) -> int:
-        """Default number of samples of a simulation: until the proved factor leaves one percent of
-        the start."""
+        """Number of samples that a simulation lasts by default: until the proved factor leaves one
+        percent of the initial distance."""
         factors = [value for name, value in self.facts.items() if name.endswith("_factor")]
         slowest = max(factors, default=DECAYED)
         decay_a_sample = np.log(slowest)
@@ -136,7 +137,8 @@ class RestDesign:
         return int(limited_samples)
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
-        """Write the controller as C99: header `path` and beside it a program that replays it.
+        """Write the controller as C99 source code with a header and a program that replays it. The
+        header is `path`.
 
         `real` is "double" or "float". Raises `BadRequest` where no gains were found.
         """
@@ -167,7 +169,8 @@ class RestDesign:
 
     @classmethod
     def load(cls, folder: Path) -> "RestDesign":
-        """Load a saved design. Raises `BadRequest` where its claims do not hold."""
+        """Load a saved design for a bilinear model. Raises `BadRequest` where its claims do not
+        hold."""
         refuse_foreign_files(folder)
         model = read_model_json(read_json(folder / MODEL))
         content = read_json(folder / CERTIFICATE)
@@ -219,8 +222,8 @@ class RestDesign:
 
 
 def equilibrium_input_range(model: Bilinear, part: Any) -> tuple[float, float]:
-    """Range of scaled inputs at whose equilibria a loop may start according to a certificate. The
-    starts are in the set of its certificate; the observer's estimate starts at zero."""
+    """Range of constant scaled inputs whose equilibria lie in the set of initial states that a
+    certificate covers. The observer's estimate starts at zero."""
     ends = []
     for end in model.nodes[[0, -1]]:
         reached = 0.0
@@ -235,8 +238,8 @@ def equilibrium_input_range(model: Bilinear, part: Any) -> tuple[float, float]:
 
 
 def equilibrium_state(model: Bilinear, v: float) -> Float[np.ndarray, "n"] | None:
-    """Equilibrium state of a bilinear model under a constant scaled input; None if there is none to
-    which it returns."""
+    """Equilibrium state of a bilinear model under a constant scaled input; None if the model has no
+    stable one."""
     level = np.array([v])
     weights = hat_functions(model.nodes, level)
     hats = weights[0]
@@ -252,8 +255,7 @@ def equilibrium_state(model: Bilinear, v: float) -> Float[np.ndarray, "n"] | Non
 
 
 def certified_norm(part: Any, x: Float[np.ndarray, "n"]) -> float:
-    """Norm of a state by which a certificate describes its set of initial states, with the estimate
-    at zero."""
+    """Norm of an initial state by which a certificate decides whether the state lies in its set."""
     squared_state_norm = x @ part.p @ x
     norm = float(np.sqrt(squared_state_norm))
     if not hasattr(part, "m"):
@@ -270,7 +272,7 @@ def holds_rest_design(folder: Path) -> bool:
 
 
 def foreign_files(folder: Path) -> list[str]:
-    """Names of the files in a saved design's folder that neither `save` nor `to_c` wrote there.
+    """Names of files in the folder of a saved design that the design itself did not write.
 
     A record of another run beside the design would be taken for the design's.
     """
@@ -280,7 +282,8 @@ def foreign_files(folder: Path) -> list[str]:
 
 
 def refuse_foreign_files(folder: Path) -> None:
-    """Raise `BadRequest` where other files lie beside a saved design."""
+    """Raise `BadRequest` where the folder of a saved design holds files that the design did not
+    write."""
     names = foreign_files(folder)
     problem = f"{', '.join(names[:3])} belongs to no saved bilinear design"
     require(not names, "design", folder, problem, "take it out, or save the design again")

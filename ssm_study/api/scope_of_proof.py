@@ -39,7 +39,8 @@ def requested_rate(design: "Design", side: str) -> float | None:
 
 
 def _read_synthesis_settings(design: "Design") -> dict[str, Any] | None:
-    """Settings of the synthesis, of which some may be auto; None where all rates were asked for."""
+    """Settings with which the gains of a design were computed; None where all rates were given as
+    numbers."""
     if design.run_folder is not None:
         configuration = design.run_folder / ".hydra" / "config.yaml"
         is_study_run = configuration.is_file()
@@ -53,8 +54,8 @@ def _read_synthesis_settings(design: "Design") -> dict[str, Any] | None:
 
 
 def _read_stored_settings(configuration: "Path") -> dict[str, Any]:
-    """Settings of the synthesis in a stored configuration; none from one that cannot be read, as it
-    only adds to what is printed."""
+    """Settings of the gain computation in a stored configuration file; empty if the file cannot be
+    read."""
     try:
         settings = yaml.safe_load(read_stored_yaml(configuration))
         return dict(settings["synthesis"])
@@ -63,8 +64,8 @@ def _read_stored_settings(configuration: "Path") -> dict[str, Any]:
 
 
 def describe_deciding_band(design: "Design") -> str:
-    """Text on the frequency that decides the coverage, and on the input power of the records there.
-    Empty where no band decides."""
+    """Text on the frequency band that decides how much model error the proof covers. It also tells
+    of missing input power there; empty where no band decides."""
     facts = design.facts
     stored_reference = facts.get("coverage_reference") or ""
     reference = str(stored_reference)
@@ -78,8 +79,8 @@ def describe_deciding_band(design: "Design") -> str:
 
 
 def describe_frequency(reference: str, step_s: float) -> str:
-    """Text in Hz on the frequency range in the name of a coverage requirement; empty where it names
-    none."""
+    """Text in Hz on the frequency range that stands in the name of a coverage requirement; empty
+    where none does."""
     angles = ANGLE.search(reference)
     if angles is None:
         return ""
@@ -91,8 +92,9 @@ def describe_frequency(reference: str, step_s: float) -> str:
 
 
 def describe_input_power(design: "Design", reference: str) -> str:
-    """Text on the missing input power of the record that decides the coverage, in its band. Of a
-    loaded design its evidence is quoted, if the band lies above the first that is not excited."""
+    """Text that says whether the record which decides the coverage has too little input power in
+    the deciding frequency band. Of a loaded design its evidence is quoted, if the band lies above
+    the first that is not excited."""
     from ssm_study.api.steps import measure_coverage_premise
     from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 
@@ -122,7 +124,7 @@ def describe_input_power(design: "Design", reference: str) -> str:
 
 
 def describe_simulated_loop(design: "Design") -> str:
-    """Text on the simulated loop of a design with records: how many starts settle, how soon, and
+    """Text on the simulated closed loop of a design: how many initial states settle, how soon, and
     how soon without control."""
     try:
         record = design.record
@@ -153,8 +155,8 @@ def describe_unproved(design: "Design") -> str:
 
 
 def refuse_picture_without_records(origin: "Model | None", folder: "Path | None") -> None:
-    """Refuse a picture that compares the proof with records, for a design that has none: one that
-    was loaded, or one of given matrices."""
+    """Raise `BadRequest` for a picture that compares the proof with records, where a design has no
+    records. A loaded design has none, nor has one of given matrices."""
     problem = "comes without its model's records, with which the picture compares the proof"
     remedy = "st.load the saved model, or st.fit it again, and give it to st.control"
     has_model = origin is not None

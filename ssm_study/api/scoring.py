@@ -58,9 +58,9 @@ def simulate_given_record(
 
 
 def read_start_up(start_up_samples: Any, default: int, samples: int) -> int:
-    """Number of samples that serve to estimate the initial state of a record; the default if it is
-    None. Raises `BadRequest` for what is no number of samples, and where nothing is left to
-    score."""
+    """Number of samples at the beginning of a record that serve to estimate the initial state; a
+    default if none is given. Raises `BadRequest` for what is no number of samples, and where
+    nothing is left to score."""
     if start_up_samples is None:
         start_up_samples = default
     remedy = "use 20, or 0 to start from equilibrium"
@@ -77,8 +77,8 @@ def read_start_up(start_up_samples: Any, default: int, samples: int) -> int:
     return int(start_up_samples)
 
 
-def require_motion(simulation: Simulation) -> None:
-    """Raise `BadRequest` for a record whose scored outputs are constant."""
+def require_varying_outputs(simulation: Simulation) -> None:
+    """Raise `BadRequest` for a record whose outputs are constant after the start-up samples."""
     start = simulation.start_up_samples
     moves = any(np.ptp(record.y[start:], axis=0).any() for record in simulation.records)
     problem = "is constant, and the score compares the error with its deviation from the mean"

@@ -24,8 +24,8 @@ def make_scratch_folder() -> Path:
 
 
 def copy_temporary_logs(override: str, folder: Path) -> str:
-    """Copy those log files of an override that are deleted when the program ends into a folder, and
-    name the copies instead."""
+    """Copy the temporary log files that a command-line override names into a folder, and return the
+    override with the new paths. The temporary files are deleted when the program ends."""
     scratch_name = str(scratch_folder())
     scratch = re.escape(scratch_name)
     for temporary in re.findall(rf"{scratch}/[^',\]]+\.parquet", override):

@@ -53,20 +53,22 @@ def identify_model(
 
 
 def measure_mismatch(model: Any, data: DataSet) -> Mismatch:
-    """Measure the model's error from the validation record and the mismatch records."""
+    """Measure the model error from the validation record and from the records made for that
+    purpose."""
     return measure_mismatch_of_records(
         model, data.validation, data.start_up_samples, data.mismatch_records
     )
 
 
 def judge_evidence(model: Any, data: DataSet, plant_mismatch: Mismatch) -> Judgement:
-    """Judge which statements about the plant the records and the model support."""
+    """Judge which statements about the plant the recorded data and the model support."""
     validation, test = simulate_validation_and_test(model, data)
     return collect_findings(data, model, validation, test, plant_mismatch)
 
 
 def measure_coverage_premise(model: StateSpaceModel, data: DataSet, mismatch: Mismatch) -> Premise:
-    """Measure the model error in each frequency band that a proof about the plant has to cover."""
+    """Measure the model error, in each frequency band, that a stability proof for the plant has to
+    cover."""
     records = data.mismatch_records
     return measure_premise(model, data.validation, mismatch, data.start_up_samples, records)
 
@@ -79,7 +81,8 @@ def design_controller(
     judgement: Judgement,
     limits: tuple[Limit, Limit],
 ) -> Certificates:
-    """Design controller and observer, and decide their certificates in exact arithmetic.
+    """Design controller and observer for a model, and decide their certificates in exact
+    arithmetic.
 
     `limits` of the input are physical; None is the range that the records visited. Where the
     evidence allows no judgement, `auto` takes the largest stability margin.

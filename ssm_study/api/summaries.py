@@ -9,7 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from ssm_study.api.loop_of_both import describe_loop_of_both, find_unstable_example, name_maps
+from ssm_study.api.loop_of_both import (
+    describe_closed_loop_verdict,
+    find_unstable_example,
+    list_unknown_maps,
+)
 from ssm_study.api.scope_of_proof import (
     describe_deciding_band,
     describe_simulated_loop,
@@ -44,7 +48,7 @@ STABILITY = {True: "stays stable", False: "may not stay stable", None: "no predi
 
 
 def summarise_model(model: "Model") -> pd.Series:
-    """Table of a model's properties: class, size, fits, poles, slopes, evidence."""
+    """Table of an identified model's properties: class, size, fits, poles, slopes and evidence."""
     facts = model.facts
     data = model.data
     model_class = type(model.simulator).__name__
@@ -70,14 +74,14 @@ def summarise_model(model: "Model") -> pd.Series:
             lines["mean that predicts"] = f"{facts['members']} models, {fit_words}"
     if model.identification.chosen:
         chosen_settings = model.identification.chosen
-        lines["chosen by the records"] = choice_text(chosen_settings)
+        lines["chosen by the records"] = chosen_settings_text(chosen_settings)
     if isinstance(model.simulator, SSM | StructuredSSM):
         lines |= summarise_state_space(model, model.simulator)
     return pd.Series(lines, name="model", dtype=object)
 
 
 def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dict[str, Any]:
-    """Lines of the summary that only a state-space model has: states, neurons, pole, slopes and
+    """Summary lines that only a state-space model has: states, neurons, slowest pole, slopes and
     evidence."""
     facts = model.facts
     moduli = np.abs(model.eigenvalues())
@@ -98,8 +102,8 @@ def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dic
     return lines
 
 
-def choice_text(chosen: str) -> str:
-    """Text on the model settings that were chosen from the records."""
+def chosen_settings_text(chosen: str) -> str:
+    """Text on the settings of a model that were chosen from the records."""
     for value, answer in (("none", "no"), ("free", "yes")):
         chosen = chosen.replace(f"input path {value}", f"input drives the neurons {answer}")
     return chosen
@@ -113,14 +117,14 @@ def chosen_sizes(chosen: str) -> dict[str, int]:
 
 
 def size_text(count: int, chosen: int | None) -> int | str:
-    """Number of states or neurons, with a note where training removed some of the chosen number."""
+    """Number of states or neurons of a model, with a note where training removed some."""
     if chosen is None or count >= chosen:
         return count
     return f"{count} (of the {chosen} chosen, the others were not needed)"
 
 
 def summarise_design(design: "Design") -> pd.Series:
-    """Table of what is proved and what is predicted of a design, with units."""
+    """Table of what is proved and what is predicted for a controller design, with units."""
     lines: dict[str, Any] = {}
     certificate = design.certificate
     for name, side in (("controller", "state_feedback"), ("observer", "observer")):
@@ -131,11 +135,15 @@ def summarise_design(design: "Design") -> pd.Series:
         rate = certificate.certified_rate(side)
         requested = requested_rate(design, side)
         step_s = design.model.step_s
-        lines |= summarise_side(name, part, rate, step_s, requested)
+        lines |= summarise_gain_certificate(name, part, rate, step_s, requested)
         if name == "observer" and part.certified and design.unknown_maps:
-            lines[name] += f", if it computes the plant's own {name_maps(design.unknown_maps)}"
+            lines[name] += (
+                f", if it computes the plant's own {list_unknown_maps(design.unknown_maps)}"
+            )
     example = find_unstable_example(certificate) if design.unknown_maps else None
-    lines["loop of both"] = describe_loop_of_both(design.verdicts, design.unknown_maps, example)
+    lines["loop of both"] = describe_closed_loop_verdict(
+        design.verdicts, design.unknown_maps, example
+    )
     lines["not proved"] = describe_unproved(design)
     if not certificate.feasible:
         return pd.Series(lines, name="design", dtype=object)
@@ -164,7 +172,8 @@ def summarise_design(design: "Design") -> pd.Series:
 
 
 def summarise_slowest_poles(slowest: dict[str, float]) -> dict[str, str]:
-    """Lines of the summary on the moduli of the slowest poles."""
+    """Summary lines with the moduli of the slowest poles of model, controlled model and
+    observer."""
     sides = {"open loop": "model", "controlled": "controlled", "observer": "estimate"}
     return {
         f"slowest pole, {name}": f"{slowest[key]:.4f} per sample" for name, key in sides.items()
@@ -172,16 +181,16 @@ def summarise_slowest_poles(slowest: dict[str, float]) -> dict[str, str]:
 
 
 def name_python_arguments(sentence: str) -> str:
-    """Sentence of a certificate with the arguments of Python functions in place of a study's
-    settings."""
+    """Sentence of a certificate in which the names of study settings are replaced by those of
+    Python arguments."""
     for setting, argument in PYTHON_ARGUMENTS.items():
         sentence = sentence.replace(setting, argument)
     return sentence
 
 
 def describe_open_loop(open_loop_rate: float, proved_rate: float | None) -> str:
-    """Text on the rates at which a model contracts without control, with a remark where the
-    controller's proved rate is no larger."""
+    """Text on the contraction rate of a model without control, with a remark where the controller's
+    proved rate is no larger."""
     if open_loop_rate <= 0:
         return "the model does not contract"
     words = f"the model contracts at rates below {round_rate_down(open_loop_rate)}"
@@ -190,7 +199,7 @@ def describe_open_loop(open_loop_rate: float, proved_rate: float | None) -> str:
 
 
 def summarise_input_limits(facts: dict[str, Any], open_loop_rate: float) -> dict[str, str]:
-    """Lines of the summary on what is proved where the input is limited to the recorded range."""
+    """Summary lines on what is proved where the input is limited to the recorded range."""
     rate = facts.get("limited_rate")
     lower = facts.get("limit_lower")
     upper = facts.get("limit_upper")
@@ -203,7 +212,7 @@ def summarise_input_limits(facts: dict[str, Any], open_loop_rate: float) -> dict
 
 
 def summarise_assumptions(certificate: Certificates) -> dict[str, str]:
-    """Lines of the summary on assumptions about the static maps of a system given as matrices."""
+    """Summary lines on the assumptions about the static maps of a system given as matrices."""
     feedback, observer = certificate.parts()
     assumed = {}
     for name, part in (("input map", feedback), ("output map", observer)):
@@ -225,8 +234,8 @@ def round_rate_down(rate: float, digits: int = 3) -> str:
     return text if float(text) <= rate else f"{float(text) - step:.{digits}g}"
 
 
-def summarise_side(
-    name: str, part: Any, rate: float | None, step_s: float, requested: float | None = None
+def summarise_gain_certificate(
+    name: str, certificate: Any, rate: float | None, step_s: float, requested: float | None = None
 ) -> dict[str, str]:
     """Summary lines on the certificate of a controller or observer, with the reason where exact
     arithmetic does not confirm it. `requested` is the rate that was asked for."""
@@ -236,31 +245,31 @@ def summarise_side(
         if requested is not None and round_rate_down(rate) != round_rate_down(requested):
             value += f" (asked {requested:g})"
         value += f" per sample ({decay_time_words(rate, step_s)})"
-    limit = f"any gain: below {round_rate_down(part.rate_limit)}"
-    lines = {name: f"{value}, {PROVED[part.certified]} ({limit})"}
-    if not part.certified:
-        lines[f"{name}, reason"] = name_python_arguments(part.solver_status)
-    lines[f"{name} gain"] = f"norm {part.gain_norm:.3g}"
+    limit = f"any gain: below {round_rate_down(certificate.rate_limit)}"
+    lines = {name: f"{value}, {PROVED[certificate.certified]} ({limit})"}
+    if not certificate.certified:
+        lines[f"{name}, reason"] = name_python_arguments(certificate.solver_status)
+    lines[f"{name} gain"] = f"norm {certificate.gain_norm:.3g}"
     return lines
 
 
 def summarise_prediction(
-    facts: dict[str, Any], acts: bool = True, decided: str = ""
+    facts: dict[str, Any], controller_acts: bool = True, deciding_band: str = ""
 ) -> dict[str, str]:
-    """Lines of the summary that predict how the plant behaves in closed loop. Of a controller that
-    hardly acts neither a margin nor a coverage is praised. `decided` says at which frequency the
+    """Summary lines that predict how the plant behaves in closed loop. Of a controller that hardly
+    acts neither a margin nor a coverage is praised. `deciding_band` says at which frequency the
     coverage is decided."""
     margin = facts.get("resolved_margin")
     judged = facts["evidence"] != CANNOT_JUDGE
     suffix = ""
-    if margin is not None and judged and acts:
+    if margin is not None and judged and controller_acts:
         suffix = f" (stability margin {margin:.3g})"
     coverage = facts.get("coverage")
     reason = str(facts.get("coverage_reason"))
     covered = reason if reason.startswith(WITHHELD) else "not covered"
     if coverage is not None and coverage >= 1:
-        covered = f"a model error {coverage:.3g} times as large as the records show{decided}"
-        if not acts:
+        covered = f"a model error {coverage:.3g} times as large as the records show{deciding_band}"
+        if not controller_acts:
             covered = IDLE
     if not judged and (coverage is not None or reason == NO_JUDGEMENT):
         covered = f"{WITHHELD}: the records do not show the model error"
@@ -287,7 +296,7 @@ def name_with_unit(channel: Any) -> str:
 
 
 def sample_counts_text(data: DataSet) -> str:
-    """Text with the numbers of samples for training, validation and test."""
+    """Text with the numbers of samples in the training, validation and test records."""
     counts = []
     for part in ("training", "validation", "test"):
         records = getattr(data, part)

@@ -71,8 +71,7 @@ def read_matrix(
 
 
 def read_columns(name: str, values: Any, shape: tuple[int, int | None]) -> Float[np.ndarray, "r c"]:
-    """Read a finite matrix of a given number of rows, as `read_matrix` does; a vector of that many
-    numbers is one column."""
+    """Read a finite matrix with a given number of rows; a vector is read as a single column."""
     numbers = read_numbers(name, values, "is no matrix of numbers")
     if numbers.shape == shape[:1]:
         numbers = numbers[:, None]
@@ -103,8 +102,8 @@ def read_numbers(
 
 
 def read_slopes(name: str, slopes: Any) -> tuple[float, float]:
-    """Read the smallest and the largest slope of a static map. Raises `BadRequest` unless they are
-    a pair of finite numbers."""
+    """Read the smallest and the largest slope of a static map from a pair of numbers. Raises
+    `BadRequest` unless they are a pair of finite numbers."""
     pair = read_numbers(name, slopes)
     usable = pair.shape == (2,) and bool(np.isfinite(pair).all())
     remedy = "give (lowest, highest), as in (0.8, 1.2)"
@@ -116,8 +115,8 @@ def read_slopes(name: str, slopes: Any) -> tuple[float, float]:
 
 
 def read_positive_slopes(name: str, slopes: Any) -> tuple[float, float]:
-    """Read a range of positive slopes. Raises `BadRequest` with the reason for any other: a
-    descending pair, and one that holds zero or negative slopes."""
+    """Read a range of positive slopes of a static map. Raises `BadRequest` with the reason for any
+    other: a descending pair, and one that holds zero or negative slopes."""
     lower, upper = read_slopes(name, slopes)
     swapped = f"give ({upper:g}, {lower:g})"
     require(lower <= upper, name, slopes, "are descending: the lowest comes first", swapped)
@@ -142,7 +141,8 @@ def read_number(name: str, value: Any) -> float:
 
 
 def read_channel_values(name: str, values: Any, channels: int) -> Float[np.ndarray, "m"]:
-    """Read one finite number for each channel. Raises `BadRequest` for anything else."""
+    """Read one finite number for each channel of a signal. Raises `BadRequest` for anything
+    else."""
     checked_numbers = read_numbers(name, values)
     numbers = checked_numbers.reshape(-1)
     fits = len(numbers) == channels and bool(np.isfinite(numbers).all())
@@ -162,7 +162,8 @@ def read_folder(name: str, folder: Any) -> Path:
 
 
 def _read_matrices(system: tuple[Any, ...]) -> tuple[StateSpace, float]:
-    """Read a linear system that is given as (A, B, C, D, step_s)."""
+    """Read a linear system that is given as a tuple of matrices and sampling time, `(A, B, C, D,
+    step_s)`."""
     require(len(system) == 5, "model", f"a tuple of {len(system)}", "is no linear system", FORMS)
     *matrices, step_s = system
     return _build_state_space(matrices), read_sampling_time(step_s)
@@ -205,7 +206,7 @@ def _realise_transfer_function(transfer_function: Any) -> Any:
 
 
 def has_complex_numbers(values: Any) -> bool:
-    """Whether any number of nested sequences and arrays is complex."""
+    """Whether nested sequences or arrays contain a complex number."""
     if isinstance(values, list | tuple):
         return any(map(has_complex_numbers, values))
     return np.iscomplexobj(values)

@@ -143,18 +143,18 @@ def test_an_idle_controller_is_not_praised() -> None:
     assert idle.summary()["effect of the controller"] == words
     facts = {"coverage": 2700.0, "resolved_margin": 3e8, "evidence": "sound"}
     facts |= {"predicted_stable": True}
-    lines = summarise_prediction(facts, acts=False)
+    lines = summarise_prediction(facts, controller_acts=False)
     text = " ".join(lines.values())
     assert "withheld: the controller hardly acts" in text
     assert "margin" not in text
-    praised = summarise_prediction(facts, acts=True)
+    praised = summarise_prediction(facts, controller_acts=True)
     assert "2.7e+03 times" in praised["covered by the proof"]
     gains = idle.certificate.pair
     covered = facts | {"coverage_reference": "input"}
     withheld = withhold_coverage(covered, idle.model, gains)
     assert withheld["coverage"] is None
     assert withheld["coverage_reason"] == IDLE
-    assert summarise_prediction(withheld, acts=False)["covered by the proof"] == IDLE
+    assert summarise_prediction(withheld, controller_acts=False)["covered by the proof"] == IDLE
     system_of_active = (A, B, C, NO_DIRECT_PATH, 0.1)
     active = st.control(system_of_active, rate=0.5)
     assert "effect of the controller" not in active.summary()

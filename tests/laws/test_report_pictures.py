@@ -10,7 +10,7 @@ from report_runs import random_model, random_run, write_recordings
 
 from ssm_study import style
 from ssm_study.api.pictures.bode import bode_picture, record_gain_ratio
-from ssm_study.api.pictures.coverage import requirement_text
+from ssm_study.api.pictures.coverage import coverage_requirement_text
 from ssm_study.api.pictures.drawing import draw_picture
 from ssm_study.api.pictures.margin import amplitude_text
 from ssm_study.api.pictures.picture import (
@@ -22,7 +22,7 @@ from ssm_study.api.pictures.picture import (
     PicturePanel,
     Series,
 )
-from ssm_study.api.pictures.poles import digits_below_one
+from ssm_study.api.pictures.poles import format_below_one
 from ssm_study.report.page.pictures import (
     MOST_POINTS,
     legend_entries,
@@ -108,11 +108,11 @@ def test_amplitudes_and_places_are_printed_in_physical_units() -> None:
     assert amplitude_text(0.5, None) == "input of rms 0.5 input scales"
     labels = {"input of rms 0.5": "input of rms 2 V"}
     step_s = 0.01
-    words = requirement_text("input of rms 0.5, 0.31 to 0.63 rad/sample", labels, step_s)
+    words = coverage_requirement_text("input of rms 0.5, 0.31 to 0.63 rad/sample", labels, step_s)
     assert words == "input of rms 2 V, 4.93 to 10 Hz"
-    words = requirement_text("input of rms 0.5, around 0.00 rad/sample", labels, step_s)
+    words = coverage_requirement_text("input of rms 0.5, around 0.00 rad/sample", labels, step_s)
     assert words == "input of rms 2 V, the lowest frequencies"
-    assert requirement_text("input of rms 0.5, in total", labels, step_s) == (
+    assert coverage_requirement_text("input of rms 0.5, in total", labels, step_s) == (
         "input of rms 2 V, in total"
     )
 
@@ -144,9 +144,9 @@ def test_the_line_at_the_records_gain_meets_what_the_record_shows(kind: str) -> 
 
 
 def test_a_proved_factor_is_never_printed_smaller_nor_as_one() -> None:
-    assert digits_below_one(0.89341) == "0.894"
-    assert digits_below_one(0.999817) == "0.9999"
-    assert digits_below_one(0.5) == "0.500"
+    assert format_below_one(0.89341) == "0.894"
+    assert format_below_one(0.999817) == "0.9999"
+    assert format_below_one(0.5) == "0.500"
 
 
 def test_a_picture_that_a_run_does_not_have_is_named_with_its_reason(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from ssm_study.api.scope_of_proof import (
     describe_unproved,
     requested_rate,
 )
-from ssm_study.api.summaries import summarise_side
+from ssm_study.api.summaries import summarise_gain_certificate
 
 LAG = (np.array([[0.9]]), np.array([[1.0]]), np.array([[0.1]]), np.array([[0.0]]), 1.0)
 UNEXCITED = "note: The input has no power in 3 of 33 bands, from 0.25 Hz: the mismatch is unknown."
@@ -79,7 +79,9 @@ def test_a_rate_other_than_the_requested_one_names_both(design: Design) -> None:
     assert requested_rate(asked, "state_feedback") == 0.4
     assert requested_rate(asked, "observer") is None
     part = design.certificate.state_feedback
-    line = summarise_side("controller", part, 0.48, 1.0, 0.4)["controller"]
+    line = summarise_gain_certificate("controller", part, 0.48, 1.0, 0.4)["controller"]
     assert line.startswith("rate 0.48 (asked 0.4) per sample (to 37 % in")
-    assert "asked" not in summarise_side("controller", part, 0.4, 1.0, 0.4)["controller"]
+    assert (
+        "asked" not in summarise_gain_certificate("controller", part, 0.4, 1.0, 0.4)["controller"]
+    )
     assert "any gain: below" in line

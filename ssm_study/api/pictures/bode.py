@@ -74,22 +74,22 @@ def bode_picture(
 
 
 def _estimated_dots(
-    hertz: Angles, estimate: Complex[np.ndarray, "F"], near: Angles
+    hertz: Angles, estimate: Complex[np.ndarray, "F"], model_phase: Angles
 ) -> tuple[Series, Series]:
-    """Gain and phase of an estimated response as dots; of all equal phases the one next to the
-    model's, `near`, is drawn."""
+    """Gain and phase of an estimated frequency response as dots, the phase within half a turn of
+    the model's. The model's phase is `model_phase`."""
     magnitude = np.abs(estimate)
     gain = Series(x=hertz, y=magnitude, mark="dots", colour=style.GREY, name="record")
-    model_turn = np.exp(-1j * near)
+    model_turn = np.exp(-1j * model_phase)
     apart = np.angle(estimate * model_turn)
-    degrees = np.rad2deg(near + apart)
+    degrees = np.rad2deg(model_phase + apart)
     phase = Series(x=hertz, y=degrees, mark="dots", colour=style.GREY)
     return gain, phase
 
 
 def record_gain_ratio(model: Model, record: Trajectory) -> float | None:
-    """Ratio of the input map's gain over a record to its slope at the equilibrium; None where they
-    nearly agree or there are several inputs.
+    """Ratio of the input map's gain over a record to its slope at the equilibrium; None where the
+    two nearly agree or there are several inputs.
 
     The gain of a static map that a cross spectrum shows is `E[S(u) u] / E[u^2]`, exactly so for
     Gaussian inputs. Source: Bussgang 1952.
@@ -112,7 +112,8 @@ def record_gain_ratio(model: Model, record: Trajectory) -> float | None:
 
 
 def _gain_unit(units: tuple[str, str]) -> str:
-    """Unit of a gain, output unit per input unit, in parentheses; empty where neither is known."""
+    """Unit of a gain as text, output unit per input unit, in parentheses; empty where neither is
+    known."""
     if not any(units):
         return ""
     return f" ({units[0] or '1'} per {units[1] or '1'})"
@@ -121,7 +122,8 @@ def _gain_unit(units: tuple[str, str]) -> str:
 def _gain_band(
     model: Model, slopes: JacobianBall | None, hertz: Angles, magnitude: Angles
 ) -> tuple[Band, ...]:
-    """Shaded range of the gain between the smallest and the largest slope of the input map."""
+    """Shaded range of the frequency response's gain between the smallest and the largest slope of
+    the input map."""
     if slopes is None or model.scaffold_in.inputs != 1:
         return ()
     jacobian = model.scaffold_in.jacobian(np.zeros(1))

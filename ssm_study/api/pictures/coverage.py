@@ -31,8 +31,8 @@ HIGHEST = 100.0  # a band that is covered so often says no more than "far"
 def coverage_picture(
     design: Design, premise: Premise, step_s: float, input_scale: InputScale | None = None
 ) -> Picture:
-    """Picture of a design's coverage: how many times the measured model error the proof tolerates
-    in each frequency band.
+    """Picture that shows how many times the measured model error the stability proof tolerates in
+    each frequency band.
 
     Bands in which the record shows no error are left out; crosses are bands without excitation,
     where noise counts as error. With `input_scale`, amplitudes are printed in physical units.
@@ -59,7 +59,7 @@ def coverage_picture(
         dot = _smallest_coverage_dot(band, part.kappa, step_s)
         series.append(dot)
     verdict = "covered" if coverage >= 1 else "not covered"
-    deciding = requirement_text(where, labels, step_s)
+    deciding = coverage_requirement_text(where, labels, step_s)
     title = f"Coverage {_format_coverage(coverage)}, {verdict}; decided by: {deciding}"
     guide_line = GuideLine(y=1.0, dashed=False, name="1: below, not covered")
     rules = (guide_line,)
@@ -87,9 +87,10 @@ def record_names(premise: Premise, input_scale: InputScale | None) -> dict[str, 
     }
 
 
-def requirement_text(where: str, labels: dict[str, str], step_s: float) -> str:
-    """Text on the deciding requirement, with amplitudes in physical units and frequencies in Hz."""
-    record, _, place = where.partition(", ")
+def coverage_requirement_text(requirement: str, labels: dict[str, str], step_s: float) -> str:
+    """Text that names the record and frequency band which decide the coverage, with amplitudes in
+    physical units and frequencies in Hz."""
+    record, _, place = requirement.partition(", ")
     turn_s = 2 * np.pi * step_s
     hertz_per_angle = 1 / turn_s
     in_hertz = ANGLE.sub(lambda angle: f"{float(angle[0]) * hertz_per_angle:.3g}", place)
@@ -101,7 +102,8 @@ def requirement_text(where: str, labels: dict[str, str], step_s: float) -> str:
 def _coverage_curves(
     rows: list[CoverageBand], kappa: float, step_s: float, labels: dict[str, str]
 ) -> list[Series]:
-    """Curves of the coverage over the frequency bands, one for each record, named by `labels`."""
+    """Curves that show, for each record, how many times the measured model error is tolerated over
+    the frequency bands."""
     records = list(dict.fromkeys(row.record for row in rows))
     series = []
     for i, record in enumerate(records):
@@ -118,7 +120,8 @@ def _coverage_curves(
 def _coverage_curve(
     rows: list[CoverageBand], kappa: float, step_s: float, name: str, look: dict[str, Any]
 ) -> list[Series]:
-    """Curve of the coverage over the frequency bands of one record."""
+    """Curve that shows how many times the measured model error of one record is tolerated over the
+    frequency bands."""
     frequencies = [row.frequency for row in rows]
     angles = np.array(frequencies)
     turn_s = 2 * np.pi * step_s
@@ -143,7 +146,7 @@ def _coverage_curve(
 
 
 def _smallest_coverage_dot(band: CoverageBand, kappa: float, step_s: float) -> Series:
-    """Dot at the frequency band with the smallest coverage."""
+    """Dot of a picture at the frequency band with the smallest coverage."""
     turn_s = 2 * np.pi * step_s
     hertz = band.frequency / turn_s
     coverage = [kappa / band.need]

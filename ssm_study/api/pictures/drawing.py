@@ -35,7 +35,8 @@ def draw_picture(picture: Picture) -> "Figure":
 
 
 def draw_unstyled(picture: Picture) -> "Figure":
-    """Draw a picture with the Matplotlib settings that are in force."""
+    """Draw a picture with the Matplotlib settings that are in force, instead of the project's
+    style."""
     row_starts = range(0, len(picture.panels), picture.columns)
     rows = [picture.panels[i : i + picture.columns] for i in row_starts]
     heights = [row[0].height for row in rows]
@@ -106,7 +107,7 @@ def _thin_minor_labels(axes: "Axes") -> None:
 
 
 def _is_wide(axes: "Axes") -> bool:
-    """Whether axes are as wide as a page rather than a column of text."""
+    """Whether Matplotlib axes are as wide as a page rather than a column of text."""
     figure = axes.figure
     columns = axes.get_subplotspec()
     assert columns is not None

@@ -21,7 +21,8 @@ def free_run_picture(
     start_up: int = 0,
     record_words: str = "the test record",
 ) -> Picture:
-    """Picture of free runs on a record: measured and simulated outputs, with errors below.
+    """Picture of free-run simulations beside the measured outputs of a record, with the errors
+    below.
 
     Of a longer record the first `LONGEST` samples are drawn; the fit is of the whole.
     """
@@ -64,7 +65,8 @@ def free_run_picture(
 
 
 def _error_panel(errors: list[Series], label: str) -> PicturePanel:
-    """Errors of the models on one output, with a line at zero."""
+    """Panel of a picture with the simulation errors of several models in one output, and a line at
+    zero."""
     zero = GuideLine(y=0.0, dashed=False)
     are_several = len(errors) > 1
     drawn_errors = tuple(errors) if are_several else _recolour_single_error(errors)
@@ -85,7 +87,7 @@ def _error_colour(i: int) -> str:
 
 
 def _recolour_single_error(errors: list[Series]) -> tuple[Series, ...]:
-    """Give the error of a single model a colour of its own."""
+    """Copy of error curves in the colour that is used where only a single model is drawn."""
     recoloured = (
         Series(x=series.x, y=series.y, colour=style.VERMILLION, thin=True) for series in errors
     )
@@ -93,7 +95,7 @@ def _recolour_single_error(errors: list[Series]) -> tuple[Series, ...]:
 
 
 def _label_unit(label: str) -> str:
-    """Unit of an axis label, with its parentheses."""
+    """Unit at the end of an axis label, with its parentheses."""
     return f" ({label.rpartition('(')[2]}" if "(" in label else ""
 
 

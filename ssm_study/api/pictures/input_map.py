@@ -14,8 +14,8 @@ LINEAR = 1e-9  # relative spread of the slope below which a map is called linear
 
 
 def input_map_picture(model: Model, slopes: JacobianBall, input_label: str) -> Picture:
-    """Picture of one input's learned static map and its slope, with the certified interval of
-    slopes.
+    """Picture of the learned static map of one input and of its slope, with the certified interval
+    of slopes.
 
     Raises `NothingToShow` for several inputs.
     """
@@ -56,22 +56,23 @@ def input_map_picture(model: Model, slopes: JacobianBall, input_label: str) -> P
     return Picture(title=title, panels=panels, columns=2)
 
 
-def _slope_axis(slopes: JacobianBall, local: np.ndarray) -> tuple[float, float]:
-    """Range of an axis that shows the certified interval of slopes and all learned slopes."""
+def _slope_axis(slopes: JacobianBall, learned_slopes: np.ndarray) -> tuple[float, float]:
+    """Range of a vertical axis that shows the certified interval of slopes and all learned
+    slopes."""
     interval = slopes.upper - slopes.lower
     room = ROOM * float(interval) or 1.0
-    smallest_slope = local.min()
+    smallest_slope = learned_slopes.min()
     lowest = min(slopes.lower, smallest_slope)
-    largest_slope = local.max()
+    largest_slope = learned_slopes.max()
     highest = max(slopes.upper, largest_slope)
     lower_end = float(lowest) - room
     upper_end = float(highest) + room
     return lower_end, upper_end
 
 
-def _slope_title(local: np.ndarray) -> str:
-    """Title that says how much the slope of the input map varies."""
-    flattest = np.abs(local).min()
-    steepest = np.abs(local).max()
+def _slope_title(learned_slopes: np.ndarray) -> str:
+    """Title of a picture that says how much the slope of the input map varies."""
+    flattest = np.abs(learned_slopes).min()
+    steepest = np.abs(learned_slopes).max()
     ratio = flattest / steepest
     return f"Learned input map: its smallest slope is {100 * ratio:.0f} % of its largest"

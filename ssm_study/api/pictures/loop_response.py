@@ -182,8 +182,9 @@ def _drawn_time_range(run: Rollouts, settling_time_s: float | None) -> tuple[flo
 
 
 def _first_motion_s(run: Rollouts) -> float:
-    """Time at which the input first moves. It is before the step where a trajectory is planned,
-    since the step is then known in advance (`loop.trajectory.feasible_trajectory`)."""
+    """Time in seconds at which the input of a step response first moves. It is before the step
+    where a trajectory is planned, since the step is then known in advance
+    (`loop.trajectory.feasible_trajectory`)."""
     motion = run.u[0] - run.u[0, :1]
     away = np.abs(motion).max(axis=1)
     moved = away > MOTION * away.max()
@@ -192,7 +193,7 @@ def _first_motion_s(run: Rollouts) -> float:
 
 
 def _first_output_motion_s(run: Rollouts) -> float:
-    """Time at which the output first leaves its place by a share of the way that it goes."""
+    """Time in seconds at which the output has covered a small fraction of its total change."""
     motion = run.y[0] - run.y[0, :1]
     away = np.abs(motion).max(axis=1)
     moved = away > OUTPUT_MOTION * away[-1]
@@ -201,7 +202,7 @@ def _first_output_motion_s(run: Rollouts) -> float:
 
 
 def _case_curves(runs: Rollouts, signal: str, j: int, name: str, colour: str) -> tuple[Series, ...]:
-    """Curves of one signal for all simulated cases; the legend names the first one only."""
+    """Curves of one signal for all simulated initial states; only the first has a legend entry."""
     values = getattr(runs, signal)
     mark: Any = "steps" if signal == "u" else "line"
     curves = (
@@ -240,7 +241,7 @@ def _input_panels(
 
 
 def _pad_panels(panels: list[PicturePanel], columns: int) -> list[PicturePanel]:
-    """Fill a row of panels with empty ones up to a number of columns."""
+    """Fill a row of panels with empty panels up to a number of columns."""
     empty = PicturePanel(x_label="", y_label="", series=())
     missing = columns - len(panels)
     return panels + [empty] * missing

@@ -80,7 +80,7 @@ def _margin_curve(
     number: int,
     input_scale: InputScale | None,
 ) -> Series:
-    """Curve of the margin at one recorded amplitude, at the visible frequencies."""
+    """Curve of the stability margin over frequency at one recorded amplitude."""
     drawn_margin = np.where(curve.margin < HIGHEST, curve.margin, np.nan)
     return Series(
         x=hertz[visible],
@@ -92,7 +92,7 @@ def _margin_curve(
 
 
 def _smallest_margin_dot(hertz: float, margin: float) -> Series:
-    """Dot at the frequency that decides the stability margin."""
+    """Dot of a picture at the frequency with the smallest stability margin."""
     at_hertz = np.array([hertz])
     at_margin = np.array([margin])
     return Series(
@@ -120,7 +120,8 @@ def physical_input_scale(model: Model, unit: str) -> InputScale | None:
 
 
 def amplitude_text(amplitude: float, input_scale: InputScale | None) -> str:
-    """Text of an input amplitude in physical units if they are known, otherwise in input scales."""
+    """Text of an input amplitude in physical units if the input's scale is known, otherwise as a
+    multiple of that scale."""
     if input_scale is None:
         return f"input of rms {amplitude:.2g} input scales"
     size, unit = input_scale

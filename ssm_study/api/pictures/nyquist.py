@@ -20,9 +20,9 @@ REACH = 2.2  # how far from the origin the curve is drawn: the point -1 decides
 SMALLEST_DISC = 0.01  # a smaller one is not seen
 
 
-def nyquist_picture(model: Model, pair: Gains, mismatch: Mismatch | None) -> Picture:
-    """Nyquist plot of the loop gain `-C P` at the equilibrium, with discs for the measured model
-    error.
+def nyquist_picture(model: Model, gains: Gains, mismatch: Mismatch | None) -> Picture:
+    """Nyquist plot of the loop gain at the equilibrium, with discs for the measured model error.
+    The loop gain is `-C P`.
 
     The plant at one amplitude is `P (1 + Q)` up to a gain `g_r` from input to output, so the curve
     is `L (1 + Q)` and its discs have the radius `|C| g_r`: the loop is stable at these slopes if
@@ -32,13 +32,13 @@ def nyquist_picture(model: Model, pair: Gains, mismatch: Mismatch | None) -> Pic
     inputs = model.scale.inputs
     if inputs != 1 or model.scale.outputs != 1:
         raise NothingToShow("A Nyquist curve is drawn for one input and one output.")
-    plant, controller = loop_responses(model, pair, FINE_ANGLES)
+    plant, controller = loop_responses(model, gains, FINE_ANGLES)
     loop = -plant * controller
     model_curve = _visible_curve(loop, "model", style.BLUE)
     series = [model_curve]
     title = "Nyquist curve of the loop at the equilibrium"
     if mismatch is not None:
-        discs, distance = _nearest_discs(model, pair, mismatch.views)
+        discs, distance = _nearest_discs(model, gains, mismatch.views)
         series.append(discs)
         title = (
             f"The point -1 lies {distance:.2g} outside the discs of the measured error"
@@ -66,15 +66,15 @@ def nyquist_picture(model: Model, pair: Gains, mismatch: Mismatch | None) -> Pic
 
 
 def loop_responses(
-    model: Model, pair: Gains, angles: Float[np.ndarray, "F"]
+    model: Model, gains: Gains, angles: Float[np.ndarray, "F"]
 ) -> tuple[Complex[np.ndarray, "F"], Complex[np.ndarray, "F"]]:
-    """Frequency responses of plant and controller in the loop. `C = T_ue / (1 + P T_ue)`."""
+    """Frequency responses of plant and controller in the closed loop. `C = T_ue / (1 + P T_ue)`."""
     linear = linearise_at_equilibrium(model)
     jacobian_in = model.scaffold_in.jacobian(np.zeros(1))
     slope_in = float(jacobian_in[0, 0])
     jacobian_out = model.scaffold_out.jacobian(np.zeros(1))
     slope_out = float(jacobian_out[0, 0])
-    state_space = error_to_input_response(linear, pair, slope_in, slope_out)
+    state_space = error_to_input_response(linear, gains, slope_in, slope_out)
     closed_loop = frequency_response(state_space, angles)
     closed = closed_loop[:, 0, 0]
     linear_response = frequency_response(linear, angles)[:, 0, 0]
@@ -82,21 +82,21 @@ def loop_responses(
     return plant, closed / (1 + plant * closed)
 
 
-def _nearest_discs(model: Model, pair: Gains, views: Sequence[View]) -> tuple[Series, float]:
-    """Discs of the measured model error at the recorded amplitude that comes nearest to the
-    critical point -1, and their distance from it.
+def _nearest_discs(model: Model, gains: Gains, views: Sequence[View]) -> tuple[Series, float]:
+    """Discs of model error at the recorded amplitude that comes nearest to the critical point -1 of
+    the Nyquist plot, and their distance from it.
 
     Of an amplitude's two descriptions, by size alone and with the phase of its linear part, the one
     that lies farther away counts: either is sufficient.
     """
     angles = np.maximum(ANGLES, 1e-4)
-    plant, controller = loop_responses(model, pair, angles)
+    plant, controller = loop_responses(model, gains, angles)
     nearest: tuple[Series, float] | None = None
     for view in views:
         linear_part = 0 * view.linear
         by_size = _nyquist_discs(plant, controller, linear_part, view.by_frequency)
         with_phase = _nyquist_discs(plant, controller, view.linear, view.rest)
-        farther = max(by_size, with_phase, key=lambda pair: pair[1])
+        farther = max(by_size, with_phase, key=lambda candidate: candidate[1])
         if nearest is None or farther[1] < nearest[1]:
             nearest = farther
     assert nearest is not None
@@ -119,7 +119,7 @@ def _nyquist_discs(
 
 
 def _visible_curve(values: Complex[np.ndarray, "F"], name: str, colour: str) -> Series:
-    """Part of a complex curve that lies within the picture."""
+    """Part of a Nyquist curve that lies within the picture's range."""
     near = np.abs(values) < 2 * REACH
     y = np.where(near, values.imag, np.nan)
     visible_real = np.where(near, values.real, np.nan)
@@ -127,7 +127,8 @@ def _visible_curve(values: Complex[np.ndarray, "F"], name: str, colour: str) -> 
 
 
 def _disc_outlines(centres: Complex[np.ndarray, "F"], radii: Float[np.ndarray, "F"]) -> Series:
-    """Outlines of all discs inside the visible range, joined to one line with gaps."""
+    """Outlines of all discs inside the visible range of a Nyquist plot, joined to one line with
+    gaps."""
     rims = []
     x, y = circle_points(points=25)
     for centre, radius in zip(centres, radii, strict=True):

@@ -55,8 +55,8 @@ class Band:
 
 @dataclass(frozen=True, kw_only=True)
 class PicturePanel:
-    """One pair of axes with its curves, guide lines and shaded areas. `equal` gives both axes the
-    same scale; a range limits what is drawn."""
+    """One panel of a picture: a pair of axes with its curves, guide lines and shaded areas. `equal`
+    gives both axes the same scale; a range limits what is drawn."""
 
     x_label: str
     y_label: str
@@ -74,7 +74,8 @@ class PicturePanel:
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """Panels of a picture, row by row, with a title."""
+    """Description of a picture, independent of how it is drawn: its panels, row by row, and a
+    title."""
 
     title: str
     panels: tuple[PicturePanel, ...]

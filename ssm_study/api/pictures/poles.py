@@ -17,8 +17,8 @@ Poles = Inexact[np.ndarray, "_"]
 
 
 def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Picture:
-    """Picture of eigenvalues in the unit circle, with the circle `sqrt(1 - rate)` of the certified
-    rate."""
+    """Picture of eigenvalues in the unit circle, with a circle for the certified contraction rate.
+    Its radius is `sqrt(1 - rate)`."""
     unit = circle_points()
     unit_circle = Series(x=unit[0], y=unit[1], colour=style.INK, thin=True, name="unit circle")
     series = [unit_circle]
@@ -26,7 +26,7 @@ def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Pic
     if rate is not None:
         factor = float(np.sqrt(1 - rate))
         x, y = circle_points(factor)
-        factor_words = digits_below_one(factor)
+        factor_words = format_below_one(factor)
         name = f"proved under control: {factor_words}"
         circle = Series(x=x, y=y, colour=style.GREY, dashes=DASHED, name=name)
         series.append(circle)
@@ -49,8 +49,9 @@ def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Pic
     return Picture(title=title, panels=(panel,))
 
 
-def digits_below_one(factor: float) -> str:
-    """Factor as text, rounded up, with enough digits that one below one is not printed as one."""
+def format_below_one(factor: float) -> str:
+    """Text of a factor, rounded up, with so many digits that a factor below one is not printed as
+    one."""
     for digits in range(3, 16):
         text = f"{math.ceil(factor * 10**digits) / 10**digits:.{digits}f}"
         if float(text) < 1:

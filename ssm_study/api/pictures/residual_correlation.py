@@ -24,10 +24,12 @@ def residual_correlation_picture(
     lags = min(MAX_LAG, shortest // 4)
     bound = SURE / np.sqrt(samples)
     own = correlate_signals(errors, errors, 0, 0, lags, one_sided=True)
-    panels = [_correlation_panel(own, bound, f"Error of {with_spaces(output_name)} with itself")]
+    panels = [
+        _correlation_panel(own, bound, f"Error of {replace_underscores(output_name)} with itself")
+    ]
     for j, name in enumerate(input_names):
         cross = correlate_signals(errors, inputs, 0, j, lags, one_sided=False)
-        picture_panel = _correlation_panel(cross, bound, f"Error with {with_spaces(name)}")
+        picture_panel = _correlation_panel(cross, bound, f"Error with {replace_underscores(name)}")
         panels.append(picture_panel)
     title = "Correlation of the free run's error on the test record"
     all_panels = tuple(panels)
@@ -35,16 +37,16 @@ def residual_correlation_picture(
     return Picture(title=title, panels=all_panels, columns=column_count)
 
 
-def with_spaces(name: str) -> str:
-    """Name of a channel with spaces for underscores."""
+def replace_underscores(name: str) -> str:
+    """Replace the underscores in the name of a channel by spaces."""
     return name.replace("_", " ")
 
 
 def _correlation_panel(
     correlation: tuple[Int[np.ndarray, "L"], Float[np.ndarray, "L"]], bound: float, title: str
 ) -> PicturePanel:
-    """Panel with one correlation as stems, and its confidence bounds. The title counts the lags
-    outside them, without lag zero of a signal with itself."""
+    """Panel of a picture with one correlation function as stems, and its confidence bounds. The
+    title counts the lags outside them, without lag zero of a signal with itself."""
     lags, values = correlation
     starts_at_zero = lags[0] == 0
     is_free = lags > 0 if starts_at_zero else np.full(len(lags), True)
@@ -72,7 +74,7 @@ def _correlation_panel(
 def correlate_signals(
     first: Signals, second: Signals, i: int, j: int, lags: int, *, one_sided: bool
 ) -> tuple[Int[np.ndarray, "L"], Float[np.ndarray, "L"]]:
-    """Correlation of two signals over a range of lags, computed from all records together.
+    """Correlation function of two signals over a range of lags, computed from all records together.
 
     Returns lags and coefficients; divided so that a signal with itself has one at lag zero.
     """

@@ -6,7 +6,7 @@ from contextlib import suppress
 
 import pandas as pd
 
-from ssm_study.api.pictures.coverage import AMPLITUDE, requirement_text
+from ssm_study.api.pictures.coverage import AMPLITUDE, coverage_requirement_text
 from ssm_study.api.pictures.margin import InputScale, amplitude_text
 from ssm_study.report.study_folder import RunFolder, StudyFolder
 
@@ -43,7 +43,7 @@ def physical_reference(text: str, run: RunFolder | None, unit: str) -> str:
     labels = {record: amplitude_text(float(number[0]), known_scale)}
     if step_s is None:
         return text.replace(record, labels[record], 1)
-    return requirement_text(text, labels, step_s)
+    return coverage_requirement_text(text, labels, step_s)
 
 
 def stored_scale(run: RunFolder) -> tuple[float | None, float | None]:
