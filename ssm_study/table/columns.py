@@ -42,7 +42,7 @@ PATTERNS = tuple(column for column in DECLARED if column.is_pattern)
 
 
 def find_declaration(name: str) -> Column | None:
-    """Declaration of the column with a given name; None for an undeclared column."""
+    """Find the declaration of the table column with a given name; None for an undeclared column."""
     if name in BY_NAME:
         return BY_NAME[name]
     matching = (column for column in PATTERNS if column.matches_name(name))
@@ -60,15 +60,15 @@ def column_label(name: str) -> str:
 
 
 def setting_path(name: str) -> str:
-    """Dotted path of the setting that a column holds, such as `plant.step_s`; empty if it holds
-    none."""
+    """Dotted path of the setting that a table column holds, such as `plant.step_s`; empty if the
+    column holds none."""
     if FURTHER.matches_name(name):
         return name.replace("__", ".")
     return BY_NAME[name].setting if name in BY_NAME else ""
 
 
 def setting_columns(table: pd.DataFrame) -> list[str]:
-    """Names of the columns that hold settings of the configuration."""
+    """Names of the columns of a results table that hold settings of the configuration."""
     declared_names = [column.name for column in SETTINGS]
     further_names = (name for name in map(str, table) if FURTHER.matches_name(name))
     further = sorted(further_names)
@@ -77,7 +77,8 @@ def setting_columns(table: pd.DataFrame) -> list[str]:
 
 
 def group_by_part(names: Iterable[str]) -> dict[str, list[str]]:
-    """Group names of columns by the part of the study that they describe.
+    """Group the names of table columns by the part of the study that they describe, such as model
+    or controller.
 
     Settings come first, what no part declares last.
     """
@@ -105,7 +106,8 @@ def suggest_column(name: str, names: Iterable[str]) -> str:
 
 
 def describe_columns(table: pd.DataFrame | None = None) -> Iterator[tuple[str, str, str, str]]:
-    """Description of each column: name, printed name, better direction, and how `verify` treats it.
+    """Description of each table column: name, printed name, direction in which it improves, and how
+    it is verified.
 
     All columns, or those that have values in the table.
     """
@@ -123,8 +125,8 @@ def describe_columns(table: pd.DataFrame | None = None) -> Iterator[tuple[str, s
 
 
 def requested_values(table: pd.DataFrame, name: str) -> pd.Series:
-    """Requested value of a setting in each run, which is `auto` for a rate that was chosen
-    automatically."""
+    """Values of a setting as they were requested for each run, which is `auto` for a rate that was
+    chosen automatically."""
     if not name.startswith("rate_"):
         return table[name]
     side = name.removeprefix("rate_")
@@ -135,7 +137,8 @@ def requested_values(table: pd.DataFrame, name: str) -> pd.Series:
 
 
 def swept_settings(table: pd.DataFrame) -> list[str]:
-    """Settings in which the runs differ, sorted by their number of values, with the seed last."""
+    """Settings in which the runs of a study differ, sorted by their number of values, with the seed
+    last."""
     settings = setting_columns(table)
     names = [name for name in ("study", *settings) if name in table]
     counts = {name: requested_values(table, name).nunique() for name in names}
@@ -144,7 +147,7 @@ def swept_settings(table: pd.DataFrame) -> list[str]:
 
 
 def numeric_column(table: pd.DataFrame, name: str) -> pd.Series:
-    """Column of a table as numbers, NaN where values are missing.
+    """Column of a results table as numbers, NaN where values are missing.
 
     So that a table of failures can be ranked and drawn too.
     """
@@ -155,13 +158,13 @@ def numeric_column(table: pd.DataFrame, name: str) -> pd.Series:
 
 
 def boolean_column(table: pd.DataFrame, name: str) -> pd.Series:
-    """Column of a table as truth values, false where values are missing."""
+    """Column of a results table as truth values, false where values are missing."""
     numbers = numeric_column(table, name)
     return numbers.fillna(0.0) > 0
 
 
 def text_column(table: pd.DataFrame, name: str) -> pd.Series:
-    """Column of a table as texts, empty where values are missing."""
+    """Column of a results table as texts, empty where values are missing."""
     if name not in table:
         return pd.Series("", index=table.index, name=name, dtype=str)
     texts = table[name].astype("string")

@@ -18,17 +18,18 @@ MANY = 4  # runs named in a sentence
 
 
 def study_doubts(study: Path, table: pd.DataFrame) -> list[str]:
-    """One sentence for each reason why the rows of a study's table may be too many or too few."""
+    """Sentences that say why the results table of a study may have too many or too few rows."""
     return [*repeated_run_sentences(table), *missing_run_sentences(study, table)]
 
 
 def repeated_run_sentences(table: pd.DataFrame) -> Iterator[str]:
-    """Sentences on runs that have the same hash, or the same model under different seeds."""
+    """Sentences on runs of a study that have the same hash, or the same model under different
+    seeds."""
     names = table["run"].astype("string")
     hashes = names.str.rsplit("-", n=1).str[-1]
     same_hash = hashes.duplicated(keep=False)
     if same_hash.any():
-        listed = list_of_names(names[same_hash])
+        listed = abbreviate_names(names[same_hash])
         yield f"The same settings stand under several names, so they are one run: {listed}."
     if not set(FITS) <= set(table) or "seed" not in table:
         return
@@ -36,26 +37,27 @@ def repeated_run_sentences(table: pd.DataFrame) -> Iterator[str]:
     fits = fits[fits.duplicated(list(FITS), keep=False)]
     for _, alike in fits.groupby(list(FITS), sort=False):
         if alike["seed"].nunique() > 1:
-            listed = list_of_names(alike["run"])
+            listed = abbreviate_names(alike["run"])
             yield f"Runs of different seeds have the same model, so they count once: {listed}."
 
 
-def list_of_names(names: pd.Series) -> str:
-    """First few names as text, with the number of the others."""
+def abbreviate_names(names: pd.Series) -> str:
+    """Text with the first few of several names, and the number of the others."""
     words = ", ".join(map(str, names[:MANY]))
     more = len(names) - MANY
     return f"{words} and {more} more" if more > 0 else words
 
 
 def missing_run_sentences(study: Path, table: pd.DataFrame) -> Iterator[str]:
-    """Sentence on the combinations of the study's last sweep of which no run is in the table."""
+    """Sentence on the combinations of settings in a study's last sweep for which the table has no
+    run."""
     swept = swept_values(study)
     columns = {path: column_of_setting(path) for path in swept}
     known = [path for path in swept if columns[path] in table]
     if not known:
         return
     combinations = set(product(*(swept[path] for path in known)))
-    cells = [table[columns[path]].map(setting_text) for path in known]
+    cells = [table[columns[path]].map(comparable_setting_text) for path in known]
     present = set(zip(*cells, strict=True))
     damaged = sum("<NA>" in values for values in present)  # a record that cannot be read
     missing = len(combinations - present) - damaged
@@ -66,21 +68,23 @@ def missing_run_sentences(study: Path, table: pd.DataFrame) -> Iterator[str]:
 
 
 def swept_values(study: Path) -> dict[str, list[str]]:
-    """Texts of the numbers that the study's last sweep varied, by their dotted path; empty without
-    a sweep that can be read, and for one of more than `MOST` combinations."""
+    """Values of each setting that a study's last sweep varied, as texts, by the dotted path of the
+    setting. Empty without a sweep that can be read, and for one of more than `MOST`
+    combinations."""
     numbers = swept_numbers(study)
-    swept = {path: list(map(setting_text, values)) for path, values in numbers.items()}
+    swept = {path: list(map(comparable_setting_text, values)) for path, values in numbers.items()}
     return swept if prod(map(len, swept.values())) <= MOST else {}
 
 
 def column_of_setting(path: str) -> str:
-    """Name of the column that holds the setting at a dotted path."""
+    """Name of the table column that holds the setting at a dotted path."""
     declared = (column.name for column in SETTINGS if column.setting == path)
     return next(declared, path.replace(".", "__"))
 
 
-def setting_text(value: Any) -> str:
-    """Text of a number by which those of a command line and of a table compare."""
+def comparable_setting_text(value: Any) -> str:
+    """Uniform text of a setting's value, so that values from the command line and from a table can
+    be compared."""
     text = str(value)
     if text in ("True", "False", "<NA>"):
         return text

@@ -24,8 +24,8 @@ TEXT = pd.StringDtype("python", na_value=np.nan)  # a comparison with what is mi
 
 
 def filter_rows(table: pd.DataFrame, expression: str) -> pd.DataFrame:
-    """Rows of a table for which an expression such as `order == 8` is true. A comparison with a
-    missing value is false.
+    """Rows of a results table for which an expression such as `order == 8` is true. A comparison
+    with a missing value is false.
 
     `null`, `true`, `false` and `inf` are constants; `x == null` selects what is missing. Raises
     `BadRequest` for what is no comparison of columns and for unknown columns.
@@ -35,7 +35,7 @@ def filter_rows(table: pd.DataFrame, expression: str) -> pd.DataFrame:
         tree = ast.parse(trimmed, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise BadRequest("where", expression, "not an expression", REMEDY) from None
-    preparation = _Prepared(table)
+    preparation = _FilterChecker(table)
     prepared = ast.unparse(preparation.visit(tree))
     missing = {f"{name}{IS_MISSING}": values.isna() for name, values in table.items()}
     try:
@@ -50,7 +50,7 @@ def filter_rows(table: pd.DataFrame, expression: str) -> pd.DataFrame:
 
 
 def _as_comparable(table: pd.DataFrame) -> pd.DataFrame:
-    """Copy of the table with NaN for missing numbers and texts, and false for missing truth
+    """Copy of a table with NaN for missing numbers and texts, and false for missing truth
     values."""
     columns: dict[Any, Any] = {}
     for name, values in table.items():
@@ -65,21 +65,24 @@ def _as_comparable(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(columns, index=table.index)
 
 
-class _Prepared(ast.NodeTransformer):
-    """Checker of filter expressions, which also rewrites what pandas would read differently."""
+class _FilterChecker(ast.NodeTransformer):
+    """Checker of filter expressions such as `order == 8`, which also rewrites what pandas would
+    read differently."""
 
     def __init__(self, table: pd.DataFrame) -> None:
         self.table = table
 
     def generic_visit(self, node: ast.AST) -> ast.AST:
-        """Raise `BadRequest` for every kind of syntax that is not allowed in a filter."""
+        """Raise `BadRequest` for every kind of syntax that is not allowed in a filter
+        expression."""
         if isinstance(node, REFUSED):
             syntax = ast.unparse(node)
             raise BadRequest("where", syntax, "not a comparison", REMEDY)
         return super().generic_visit(node)
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
-        """Replace the words for constants, and raise `BadRequest` for names that are no columns."""
+        """Replace words such as `null` by constants, and raise `BadRequest` for names that are no
+        columns."""
         if node.id.lower() in WORDS:
             word = node.id.lower()
             return ast.Constant(WORDS[word])
@@ -128,7 +131,7 @@ class _Prepared(ast.NodeTransformer):
         return ast.BoolOp(conjunction, operands)
 
     def _null_comparison(self, side: ast.expr, operator: ast.cmpop) -> ast.expr:
-        """Filter expression that takes the place of `x == null` or `x != null`."""
+        """Filter expression that replaces a comparison with null, such as `x == null`."""
         equalities = ast.Eq | ast.Is
         is_equality = isinstance(operator, equalities)
         is_comparison = is_equality or isinstance(operator, ast.NotEq | ast.IsNot)
@@ -151,7 +154,8 @@ class _Prepared(ast.NodeTransformer):
             raise BadRequest("where", operand, problem, REMEDY)
 
     def _operand_type(self, side: ast.expr) -> str:
-        """Type of an operand of a comparison: text, number, or empty if it is compound."""
+        """Type of an operand of a comparison: text or number, and empty if the operand is
+        compound."""
         if isinstance(side, ast.Constant):
             return "text" if isinstance(side.value, str) else "number"
         if isinstance(side, ast.Name) and side.id in self.table.columns:

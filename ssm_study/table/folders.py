@@ -10,7 +10,7 @@ MANY = 8  # names in a sentence
 
 
 def check_study_folder(path: Path) -> Path:
-    """Folder of a study, after a check that it may contain runs.
+    """Check that a folder may contain the runs of a study, and return the folder.
 
     Raises `BadRequest` that names the study nearby that may have been meant.
     """
@@ -24,12 +24,13 @@ def check_study_folder(path: Path) -> Path:
     is_study = is_gathered or bool(_run_names(path))
     if studies and not is_study:
         problem = "there is no run in it, but there are studies"
-        raise BadRequest("study", path, problem, f"name one: {_list_names(studies)}")
+        raise BadRequest("study", path, problem, f"name one: {_abbreviate_names(studies)}")
     return path
 
 
 def _suggest_existing_study(path: Path) -> str:
-    """Suggestion of an existing study: one below `results`, or one with a similar name."""
+    """Suggest an existing study for a wrong path: one below `results`, or one with a similar
+    name."""
     in_results = Path("results") / path
     if in_results.is_dir():
         return f"did you mean {in_results}?"
@@ -42,7 +43,7 @@ def _suggest_existing_study(path: Path) -> str:
 
 
 def find_study_or_run(path: Path) -> Path:
-    """Folder of the study or run that a path stands for.
+    """Find the folder of the study or run that a path stands for.
 
     Raises `BadRequest` where neither is there.
     """
@@ -52,8 +53,8 @@ def find_study_or_run(path: Path) -> Path:
 
 
 def find_run_folder(path: Path) -> Path:
-    """Folder of the single run that a path or a part of its name stands for. The part may be the
-    beginning or end of the name, or of the digits at its end.
+    """Find the folder of the single run that a path or a part of its name stands for. The part may
+    be the beginning or end of the name, or of the digits at its end.
 
     `results/paper/1a2b3c4d5e`, `results/paper/1a2b`, or `results/paper/order8-width32-seed3`. The
     study itself stands for its only run. Raises `BadRequest` where no run or several are meant.
@@ -71,7 +72,7 @@ def find_run_folder(path: Path) -> Path:
     remedy = "give the folder of one run"
     if names:
         which = "name one" if matches else "name one of its study"
-        remedy = f"{which}: {_list_names(matches or names)}"
+        remedy = f"{which}: {_abbreviate_names(matches or names)}"
     raise BadRequest("run", path, problem, remedy)
 
 
@@ -84,13 +85,13 @@ def _matching_names(names: list[str], part: str) -> list[str]:
 
 
 def _run_names(study: Path) -> list[str]:
-    """Names of the runs of a study that left a record."""
+    """Names of the runs of a study that have left a record."""
     records = study.glob(f"*/{RECORD}")
     return sorted(record.parent.name for record in records)
 
 
-def _list_names(names: list[str]) -> str:
-    """First few names as text, with the number of the others."""
+def _abbreviate_names(names: list[str]) -> str:
+    """Text with the first few of several names, and the number of the others."""
     words = ", ".join(names[:MANY])
     more = len(names) - MANY
     return f"{words} and {more} more" if more > 0 else words

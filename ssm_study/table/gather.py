@@ -43,7 +43,7 @@ FORMULA = r"^[=+\-@\t\r]"  # how a text begins that a spreadsheet would run inst
 
 
 def gather(study: Path, anew: bool = False, must_write: bool = True) -> pd.DataFrame:
-    """Bring `runs.parquet` and `runs.csv` of a study up to date with its runs.
+    """Bring the table files `runs.parquet` and `runs.csv` of a study up to date with its runs.
 
     Returns the table. The declared columns come first, typed; whatever else the records hold
     follows by name. Runs are sorted by name, so that equal studies give equal tables. Only records
@@ -85,7 +85,8 @@ def gather(study: Path, anew: bool = False, must_write: bool = True) -> pd.DataF
 
 
 def _write_table(study: Path, table: pd.DataFrame, marks: Marks) -> None:
-    """Write the table's files, and the file times that show whether they are up to date."""
+    """Write a study's table to its files, together with the file times by which a later change of a
+    record is noticed."""
     parquet = io.BytesIO()
     table.to_parquet(parquet, index=False)
     safe_table = _escape_formulas(table)
@@ -99,8 +100,7 @@ def _write_table(study: Path, table: pd.DataFrame, marks: Marks) -> None:
 
 
 def record_marks(study: Path) -> Marks:
-    """Modification time, size and inode of every record of a study, keyed by the name of the
-    run."""
+    """Modification time, size and inode of each run's record file, by the name of the run."""
     with os.scandir(study) as entries:
         visible = [entry for entry in entries if not entry.name.startswith(".")]
         names = [entry.name for entry in visible if entry.is_dir()]
@@ -115,8 +115,8 @@ def record_marks(study: Path) -> Marks:
 
 
 def _read_last_table(study: Path) -> tuple[pd.DataFrame, Marks]:
-    """Table as it was last gathered, and the file times of its records; empty if its files were
-    changed."""
+    """Read the results table as it was last gathered, with the file times of its records; empty if
+    its files were changed."""
     with suppress(OSError):
         index = read_sealed_json(read_limited_bytes(study / MARKS))
         if index is not None:
@@ -127,8 +127,9 @@ def _read_last_table(study: Path) -> tuple[pd.DataFrame, Marks]:
     return NO_RUNS, {}
 
 
-def contradicts_records(study: Path, rows: pd.DataFrame) -> bool:
-    """Whether any of the given rows differs from its run's record in a declared column."""
+def rows_differ_from_records(study: Path, rows: pd.DataFrame) -> bool:
+    """Whether any row of a results table differs from the record of its run. Declared columns are
+    compared."""
     records = _records_by_run(rows)
     for run, row in records.items():
         identity = {"study": row["study"], "run": run}
@@ -145,7 +146,8 @@ def contradicts_records(study: Path, rows: pd.DataFrame) -> bool:
 
 
 def _records_by_run(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
-    """Rows of a table as records, keyed by run, with None for missing values."""
+    """Rows of a results table as dictionaries, keyed by the name of the run, with None for missing
+    values."""
     columns = [values.astype(object).where(values.notna(), None) for _, values in rows.items()]
     names = [str(name) for name in rows]
     records = {}
@@ -169,7 +171,7 @@ def _escape_formulas(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def table_from_records(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    """Table with typed columns that allow missing values, from the records of runs.
+    """Build a table with typed columns that allow missing values from the records of runs.
 
     All declared columns, and the further ones that hold a value somewhere.
     """
@@ -185,8 +187,8 @@ def table_from_records(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def _typed_column(values: list[Any], column: Column | None) -> pd.Series:
-    """Values as a column of the declared type, or else of their own type, with room for missing
-    values."""
+    """Convert values to a table column of the declared type, or else of their own type, in which
+    values may be missing."""
     kind = column.kind if column else None
     if kind is None:
         present = [INFINITE.get(value, value) for value in values if value is not None]
@@ -202,7 +204,7 @@ def _typed_column(values: list[Any], column: Column | None) -> pd.Series:
 
 
 def _value_of_kind(value: Any, kind: Kind) -> Any:
-    """Value converted to the type of its table column; None if it is of another type.
+    """Convert a value to the type of its table column; None if the value is of another type.
 
     A text in a column of numbers is missing, not 0.
     """

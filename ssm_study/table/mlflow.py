@@ -20,7 +20,8 @@ MOST = 50_000  # runs MLflow gives in one call
 
 
 def export_mlflow(study: Path, store: str | None = None) -> int:
-    """Write the finished runs of a study into an MLflow store, except those that are there already.
+    """Write the finished runs of a study into an MLflow store, except those that are already
+    stored.
 
     Returns how many were written. `store` is a tracking address, by default
     `sqlite:///STUDY/mlflow.db`. Numbers with a better direction become metrics, everything else
@@ -50,7 +51,7 @@ def export_mlflow(study: Path, store: str | None = None) -> int:
 
 
 def _experiment_id(client: Any, study: Path) -> str:
-    """Identifier of the study's experiment in MLflow, which is created if it does not exist."""
+    """Identifier of a study's experiment in MLflow, which is created if it does not exist."""
     name = study.resolve().name
     experiment = client.get_experiment_by_name(name)
     if experiment:
@@ -61,7 +62,7 @@ def _experiment_id(client: Any, study: Path) -> str:
 
 
 def _write_run(client: Any, experiment: str, study: Path, row: dict[str, Any]) -> None:
-    """Write one run: its metrics, its parameters, its files."""
+    """Write one run of a study to MLflow: its metrics, parameters and files."""
     from mlflow.entities import Metric, Param
 
     start = _milliseconds(row.get("started_utc"))
@@ -88,7 +89,7 @@ def _write_run(client: Any, experiment: str, study: Path, row: dict[str, Any]) -
 
 
 def _is_metric(name: str) -> bool:
-    """Whether a column holds numbers that have a better direction."""
+    """Whether a table column holds numbers that have a better direction."""
     column = BY_NAME.get(name)
     return column is not None and bool(column.better) and column.kind != "string"
 

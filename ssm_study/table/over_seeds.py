@@ -12,7 +12,7 @@ FEWEST = 2  # seeds of one setting, below which there is no deviation
 
 
 def seed_statistics_lines(table: pd.DataFrame) -> list[str]:
-    """Text lines of a table with mean and standard deviation of each result over the seeds.
+    """Text lines of a table with the mean and standard deviation of each result over random seeds.
 
     Empty where no setting has two seeds. Seeds without a result are left out of its mean.
     """
@@ -31,7 +31,7 @@ def seed_statistics_lines(table: pd.DataFrame) -> list[str]:
     for label, runs in table.groupby(labels, sort=False):
         if runs["seed"].nunique() >= FEWEST:
             setting = str(label)
-            cells = row_cells(setting, runs)
+            cells = statistics_cells(setting, runs)
             rows.append(list(cells))
     if not rows:
         return []
@@ -44,7 +44,7 @@ def seed_statistics_lines(table: pd.DataFrame) -> list[str]:
 
 
 def align_columns(rows: list[list[str]]) -> list[str]:
-    """Text lines with the cells in aligned columns."""
+    """Format the rows of a text table as lines with aligned columns."""
     column_count = len(rows[0])
     widths = [max(len(row[k]) for row in rows) for k in range(column_count)]
     lines = []
@@ -64,8 +64,8 @@ def setting_heading(name: str) -> str:
     return column.head if column is not None and column.head else name
 
 
-def row_cells(label: str, runs: pd.DataFrame) -> Iterator[str]:
-    """Cells of a printed row for one combination of settings."""
+def statistics_cells(label: str, runs: pd.DataFrame) -> Iterator[str]:
+    """Cells of a printed table row with statistics over the runs of one combination of settings."""
     yield label
     yield str(runs["seed"].nunique())
     for name in MEASURED:

@@ -20,7 +20,7 @@ NO_FASTER = 0.995  # settling time over the uncontrolled one, from where it prin
 
 
 def outcome_class(table: pd.DataFrame) -> pd.Series:
-    """Class of each run's outcome, the best class first.
+    """Class of each run's outcome as a number, from 0 (certified and settles) to 6 (failed).
 
     0 certified and settles, 1 the same but no faster than without control, 2 certified only, 3 not
     certified, 4 a baseline, which has no controller, 5 infeasible, 6 failed, which any other status
@@ -52,7 +52,7 @@ def outcome_class(table: pd.DataFrame) -> pd.Series:
 
 
 def settling_ratio(table: pd.DataFrame) -> pd.Series:
-    """Mean settling time relative to that without control; NaN if either is unknown."""
+    """Mean settling time of each run relative to that without control; NaN if either is unknown."""
     open_loop_s = numeric_column(table, "settling_time_open_loop_s")
     settling_time_s = numeric_column(table, "settling_time_mean_s")
     moving_open_loop_s = open_loop_s.where(open_loop_s > 0)
@@ -68,7 +68,8 @@ def predicted_stable(table: pd.DataFrame) -> pd.Series:
 
 
 def sort_best_first(table: pd.DataFrame) -> pd.DataFrame:
-    """Table sorted by outcome class, then prediction of stability, then settling time, then fit.
+    """Results table sorted by outcome class, then prediction of stability, then settling time, then
+    fit.
 
     The first row is the best run: of the certified ones that settle, the fastest of those that one
     would have chosen without the plant. Settling times are relative to the plant left alone where
@@ -92,8 +93,7 @@ def sort_best_first(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def rank_runs(table: pd.DataFrame, by: str | None = None) -> pd.DataFrame:
-    """Table sorted from best to worst, or by one column in its better direction, missing values
-    last.
+    """Results table sorted from best to worst run, or by one column in its better direction.
 
     Raises `BadRequest` if the column is unknown.
     """

@@ -24,7 +24,7 @@ from ssm_study.table.columns import (
 )
 from ssm_study.table.doubts import study_doubts
 from ssm_study.table.filters import filter_rows as filtered
-from ssm_study.table.gather import contradicts_records, gather
+from ssm_study.table.gather import gather, rows_differ_from_records
 from ssm_study.table.over_seeds import seed_statistics_lines
 from ssm_study.table.rank import rank_runs
 
@@ -60,7 +60,8 @@ def show_table(
     cost: bool = False,
     columns: bool = False,
 ) -> pd.DataFrame:
-    """Gather a study and print its table, the best run first. The whole table is returned.
+    """Gather and print the results table of a study, the best run first. The whole table is
+    returned.
 
     `where` filters, `by` sorts. With `cost`: instead of it what was computed and what reused, stage
     by stage. With `columns`: which columns hold values, what they are called, which way is better
@@ -75,13 +76,13 @@ def show_table(
     for line in seed_statistics_lines(rows):
         print(line)
     shown_count = len(rows)
-    for line in [*summary_lines(table, shown=shown_count), *study_doubts(study, table)]:
+    for line in [*summary_lines(table, printed_count=shown_count), *study_doubts(study, table)]:
         print(SUMMARY_LINES.fill(line))
     return table
 
 
 def print_rows(rows: pd.DataFrame, by: str | None) -> None:
-    """Print the rows as a table, coloured by status in a terminal."""
+    """Print rows of a results table, coloured by status in a terminal."""
     console = Console(force_jupyter=False)
     width = max(WIDTH, console.width) if console.is_terminal else WIDTH
     text = render_table(rows, by, width)
@@ -97,7 +98,7 @@ def print_rows(rows: pd.DataFrame, by: str | None) -> None:
 def gather_rows(
     study: Path, by: str | None, where: str | None, anew: bool = False
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Table of a study, and the rows of it that are to be printed.
+    """Results table of a study, and the rows of the table that are to be printed.
 
     A table whose first rows contradict the runs' records is made anew: its seal vouches for its
     bytes, not for who wrote them.
@@ -105,13 +106,13 @@ def gather_rows(
     table = gather(study, anew, must_write=False)  # a full disk can be looked at, too
     selected = filtered(table, where) if where else table
     rows = rank_runs(selected, by)
-    if not anew and contradicts_records(study, rows.head(COMPARED)):
+    if not anew and rows_differ_from_records(study, rows.head(COMPARED)):
         return gather_rows(study, by, where, anew=True)
     return table, rows
 
 
 def column_lines(table: pd.DataFrame) -> list[str]:
-    """Text lines that describe the columns of the table which have values."""
+    """Text lines that describe those columns of a results table which have values."""
     head = ("column", "what it is (unit)", "better", "checked by verify unless said")
     rows = [head, *describe_columns(table)]
     widths = [max(len(row[i]) for row in rows) for i in range(3)]
@@ -124,7 +125,7 @@ def column_lines(table: pd.DataFrame) -> list[str]:
 
 
 def stage_costs(table: pd.DataFrame) -> pd.DataFrame:
-    """Computing time of each stage over all records, the longest first.
+    """Table of the computing time of each stage of a study, the longest first.
 
     Each distinct one counts once, here or in an earlier study: how many runs needed it, how many
     distinct ones, what these took, and what reuse saved.
@@ -151,7 +152,7 @@ def stage_costs(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def cost_lines(table: pd.DataFrame) -> list[str]:
-    """Text lines with the computing time of each stage.
+    """Text lines with the computing time of each stage of a study.
 
     Stage, runs, how many are distinct, how many reused, time of each, of all, time saved.
     """
@@ -170,7 +171,7 @@ def cost_lines(table: pd.DataFrame) -> list[str]:
 
 
 def short_run_names(names: pd.Series) -> pd.Series:
-    """Short name of each run: the digits at the end of its name if they are unique.
+    """Short name of each run of a study: the digits at the end of its name if they are unique.
 
     Every command takes them for the run.
     """
@@ -180,7 +181,7 @@ def short_run_names(names: pd.Series) -> pd.Series:
 
 
 def render_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) -> str:
-    """Fixed-width text of the table, with as many columns as fit.
+    """Text of a results table in columns of fixed width, with as many columns as fit the terminal.
 
     Run, status, `by`, the settings that vary (which row is which?), then the outcomes that are
     known; where the width is short, a setting that follows from those before it gives way to the
@@ -204,7 +205,7 @@ def render_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH)
     names_by_importance = [*first, *telling, *outcomes, *varied]
     by_importance = dict.fromkeys(names_by_importance)  # each name once
     for name in by_importance:
-        head = column_head(name)
+        head = short_column_heading(name)
         values_as_text = map(format_cell, table[name])
         cells = [head, *values_as_text]
         room = max(map(len, cells))
@@ -235,8 +236,8 @@ def certificate_words(table: pd.DataFrame) -> pd.Series:
     return certified.where(has_controller_verdict | has_observer_verdict)
 
 
-def column_head(name: str) -> str:
-    """Short heading of a column, which is the last word of a name such as `plant__step_s`."""
+def short_column_heading(name: str) -> str:
+    """Short heading of a table column: the last word of a name such as `plant__step_s`."""
     short = "cert" if name == "certified" else ""
     if name in BY_NAME:
         short = BY_NAME[name].head
@@ -244,7 +245,7 @@ def column_head(name: str) -> str:
 
 
 def prediction_words(table: pd.DataFrame) -> pd.Series:
-    """Prediction of each run as a word, marked where its evidence is doubtful."""
+    """Prediction of stability of each run as a word, marked where the evidence is doubtful."""
     words_of_verdicts = {True: "yes", False: "no"}
     words = table["predicted_stable"].map(words_of_verdicts).astype("string")
     evidence = text_column(table, "evidence")
@@ -254,8 +255,8 @@ def prediction_words(table: pd.DataFrame) -> pd.Series:
 
 
 def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
-    """Settings in which the runs differ, and those among them that are needed to tell the runs
-    apart."""
+    """Settings in which the runs of a table differ, and those of them that are needed to tell the
+    runs apart."""
     settings = setting_columns(table)
     values = {name: requested_values(table, name) for name in settings}
     varied = [name for name in values if values[name].nunique(dropna=False) > 1]
@@ -275,8 +276,8 @@ def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
 
 
 def format_cell(value: object) -> str:
-    """Text of a table's value: four digits for numbers, yes or no for truth values, `-` for a
-    missing value."""
+    """Text of a table cell: four digits for numbers, yes or no for truth values, `-` for a missing
+    value."""
     if value is None or value is pd.NA:
         return "-"
     truth_types = (bool, np.bool_)
@@ -285,7 +286,7 @@ def format_cell(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else escape_control_characters(str(value))
 
 
-def summary_lines(table: pd.DataFrame, shown: int) -> list[str]:
+def summary_lines(table: pd.DataFrame, printed_count: int) -> list[str]:
     """Text lines with the number of runs by status, and the reasons of failed and infeasible
     runs."""
     run = short_run_names(table["run"])
@@ -293,8 +294,8 @@ def summary_lines(table: pd.DataFrame, shown: int) -> list[str]:
     counts = table["status"].value_counts()
     words = [f"{counts[status]} {status}" for status in STATUSES if status in counts]
     total = "1 run" if len(table) == 1 else f"{len(table)} runs"
-    if shown < len(table):
-        total = f"{total} ({shown} shown)"
+    if printed_count < len(table):
+        total = f"{total} ({printed_count} shown)"
     uncertified = table[:0]
     if "uncertified_reason" in table:
         has_reason = table["uncertified_reason"].notna()
@@ -311,8 +312,8 @@ def summary_lines(table: pd.DataFrame, shown: int) -> list[str]:
 
 
 def fold_statistics_lines(table: pd.DataFrame) -> list[str]:
-    """Text lines with mean and standard deviation of the fit on held-out folds, for the settings of
-    each model."""
+    """Text lines with the mean and standard deviation of the fit over cross-validation folds, for
+    each combination of model settings."""
     if "fold" not in table or table["fold"].nunique() < 2:
         return []
     varied = []
@@ -366,8 +367,8 @@ def _reason_lines(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]
 
 
 def merge_with_ranges(sentences: list[str]) -> str:
-    """Merge sentences that differ only in numbers into one with ranges, such as `rate 0.4 to
-    0.9`."""
+    """Merge sentences that differ only in numbers into one sentence with ranges, such as `rate 0.4
+    to 0.9`."""
     numbers = [NUMBER.findall(sentence) for sentence in sentences]
     ranges = []
     for column in zip(*numbers, strict=True):

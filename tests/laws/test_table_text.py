@@ -124,11 +124,11 @@ def test_a_setting_that_follows_from_another_gives_way_to_the_outcomes() -> None
 
 
 def test_one_reason_is_told_once() -> None:
-    lines = summary_lines(sweep(20), shown=20)
+    lines = summary_lines(sweep(20), printed_count=20)
     assert lines[1] == "20 runs: 10 ok, 10 infeasible"
     told = [f"{i:010d}" for i in range(10, 15)]
     assert lines[2:] == [f"  infeasible {', '.join(told)} and 5 more: too fast"]
-    assert summary_lines(sweep(1), shown=1)[1] == "1 run: 1 ok"
+    assert summary_lines(sweep(1), printed_count=1)[1] == "1 run: 1 ok"
 
 
 def test_folds_are_told_with_their_mean_and_deviation() -> None:

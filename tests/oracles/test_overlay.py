@@ -12,7 +12,7 @@ from ssm_study.api.comparing import compare_simulations
 from ssm_study.cli.main import main
 from ssm_study.engine.records import write_record
 from ssm_study.refusal import BadRequest
-from ssm_study.report.overlay import compare_free_runs, short_run_names
+from ssm_study.report.overlay import compare_free_runs, distinguishing_run_names
 from ssm_study.report.study_folder import RunFolder
 from ssm_study.signals import fit_percent
 
@@ -89,7 +89,7 @@ def test_names_of_runs_in_two_studies_that_are_alike_say_their_study(runs: list[
     other_path = runs[0].parent / "other"
     other = other_path / runs[0].name
     shutil.copytree(runs[0], other)
-    names = short_run_names([runs[0], other])
+    names = distinguishing_run_names([runs[0], other])
     paths = (runs[0], other)
     expected = [f"{path.parent.name}/{path.name}" for path in paths]
     assert names == expected
