@@ -84,7 +84,7 @@ class Column:
         return fnmatchcase(name, self.name)
 
 
-def iterated_column(
+def iterative_result_column(
     name: str,
     better: Literal["high", "low", ""],
     printed_name: str,

@@ -5,7 +5,7 @@ from typing import Any
 
 from ssm_study.bounds.gramians import bound_local_controllability, hankel_singular_values
 from ssm_study.bounds.slopes import SlopeBound, jacobian_ball, spectral_norm_bound
-from ssm_study.columns import Column, iterated_column
+from ssm_study.columns import Column, iterative_result_column
 from ssm_study.systems import StructuredSystem
 
 NOT_KEPT = "the model before its reduction is not kept in the run's folder"
@@ -21,9 +21,9 @@ LINEAR_COLUMNS = (
         unchecked=NOT_KEPT,
     ),
     Column("states", "Int64", word="States of the certified model"),
-    iterated_column("hankel_largest", "", "Largest Hankel singular value"),
-    iterated_column("hankel_smallest", "", "Smallest Hankel singular value"),
-    iterated_column("spectral_radius", "low", "Spectral radius of A", "–"),
+    iterative_result_column("hankel_largest", "", "Largest Hankel singular value"),
+    iterative_result_column("hankel_smallest", "", "Smallest Hankel singular value"),
+    iterative_result_column("spectral_radius", "low", "Spectral radius of A", "–"),
 )
 
 SLOPE_COLUMNS = (
@@ -40,14 +40,16 @@ SLOPE_COLUMNS = (
 
 CONTROLLABILITY_COLUMNS = (
     Column("local_controllability", "boolean", "high", word="Locally controllable"),
-    iterated_column("controllability_gramian_lower", "", "Controllability Gramian, least"),
-    iterated_column("controllability_gramian_upper", "", "Controllability Gramian, largest"),
+    iterative_result_column("controllability_gramian_lower", "", "Controllability Gramian, least"),
+    iterative_result_column(
+        "controllability_gramian_upper", "", "Controllability Gramian, largest"
+    ),
 )
 
 OBSERVABILITY_COLUMNS = (
     Column("local_observability", "boolean", "high", word="Locally observable"),
-    iterated_column("observability_gramian_lower", "", "Observability Gramian, least"),
-    iterated_column("observability_gramian_upper", "", "Observability Gramian, largest"),
+    iterative_result_column("observability_gramian_lower", "", "Observability Gramian, least"),
+    iterative_result_column("observability_gramian_upper", "", "Observability Gramian, largest"),
 )
 
 COLUMNS = (*LINEAR_COLUMNS, *SLOPE_COLUMNS, *CONTROLLABILITY_COLUMNS, *OBSERVABILITY_COLUMNS)

@@ -12,7 +12,7 @@ def open_page(path: Path) -> None:
 
 
 def page_link(path: Path) -> str:
-    """Path of a page as text, which can be clicked on a terminal."""
+    """Path of a web page as text that a terminal shows as a link."""
     if not sys.stdout.isatty():
         return str(path)
     return f"\x1b]8;;{path.absolute().as_uri()}\x1b\\{path}\x1b]8;;\x1b\\"

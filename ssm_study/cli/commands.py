@@ -23,18 +23,21 @@ Command = Callable[[argparse.Namespace], int | None]
 EXPORTED = (".h", ".c", ".json", ".py", ".onnx")
 
 
-def run_command_on_folder(action: Command, subject: str, options: argparse.Namespace) -> int | None:
-    """Find the study folder or run folder that the options name, and call the command with it."""
+def run_command_on_folder(
+    action: Command, folder_kind: str, options: argparse.Namespace
+) -> int | None:
+    """Find the study folder or run folder that command-line options name, and call the command with
+    it."""
     from ssm_study.table import folders
 
     find_folder = {
         "study": folders.check_study_folder,
         "run": folders.find_run_folder,
         "study_or_run": folders.find_study_or_run,
-    }[subject]
-    path = getattr(options, subject)
+    }[folder_kind]
+    path = getattr(options, folder_kind)
     if not (action in OF_A_DESIGN and (path / DESIGN_CHANNELS).is_file()):
-        setattr(options, subject, find_folder(path))
+        setattr(options, folder_kind, find_folder(path))
     return action(options)
 
 
@@ -44,7 +47,7 @@ def write_new_study(options: argparse.Namespace) -> None:
 
 
 def look_at_log(options: argparse.Namespace) -> None:
-    """Print a description of a log file, and draw the log if it holds usable records."""
+    """Print a description of a log of measurements, and draw the log if its records can be used."""
     from ssm_study.data.look import look
     from ssm_study.data.text_layout import TextSettings
 
@@ -68,7 +71,8 @@ def look_at_log(options: argparse.Namespace) -> None:
 
 
 def write_excitation(options: argparse.Namespace) -> None:
-    """Write an excitation signal for the user's own plant to a file, and print the file's name."""
+    """Write an excitation signal, to be applied to the user's own plant, to a file and print the
+    file's name."""
     from ssm_study.data.excitations.user_excitation import OwnPlantRecord
 
     settings = {"sines": ()} | excitation_settings(options)
@@ -88,8 +92,8 @@ def write_excitation(options: argparse.Namespace) -> None:
 
 
 def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
-    """Settings of the excitation signal: those suggested by an earlier run of the plant, overridden
-    by the given options."""
+    """Settings of an excitation signal: those suggested by an earlier run of the plant, overridden
+    by command-line options."""
     settings: dict[str, Any] = {}
     if options.after is not None:
         from ssm_study.study.run_files import RunFiles
@@ -103,7 +107,7 @@ def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def gather_study(options: argparse.Namespace) -> None:
-    """Build the table of a study anew from its runs."""
+    """Build the table of a study again from the records of its runs."""
     from ssm_study.table.doubts import study_doubts
     from ssm_study.table.gather import gather
 
@@ -114,7 +118,7 @@ def gather_study(options: argparse.Namespace) -> None:
 
 
 def show_study_or_run(options: argparse.Namespace) -> None:
-    """Print the table of a study, or the whole record of a run."""
+    """Print the results table of a study, or the whole record of a single run."""
     from ssm_study.engine.records import RECORD
     from ssm_study.table.show import show_table
 
@@ -131,8 +135,8 @@ def show_study_or_run(options: argparse.Namespace) -> None:
 
 
 def show_run(options: argparse.Namespace) -> None:
-    """Print the outcome and the whole record of a run. Raises `BadRequest` for options that only
-    apply to tables."""
+    """Print the outcome and the whole record of a single run. Raises `BadRequest` for options that
+    only apply to tables."""
     from rich.console import Console
 
     from ssm_study.report.run_record import print_run
@@ -145,7 +149,7 @@ def show_run(options: argparse.Namespace) -> None:
 
 
 def verify_run(options: argparse.Namespace) -> int:
-    """Check the claims of a run again, and print the verdict."""
+    """Check all claims of a finished run again, and print the verdict."""
     from ssm_study.study.verify import verify
 
     verified = verify(options.run)
@@ -159,7 +163,7 @@ def verify_run(options: argparse.Namespace) -> int:
 
 
 def refine_run(options: argparse.Namespace) -> int:
-    """Refine a run's controller and print one line for each step."""
+    """Refine a run's controller by closed-loop trials, and print one line for each step."""
     from ssm_study.cli.summary import print_run_summary
     from ssm_study.study.refine import refine
 
@@ -173,7 +177,7 @@ def refine_run(options: argparse.Namespace) -> int:
 
 
 def reproduce_run(options: argparse.Namespace) -> int:
-    """Run a configuration again and print where the two records differ."""
+    """Run the configuration of a finished run again, and print where the two records differ."""
     from ssm_study.study import line as study
     from ssm_study.study.reproduce import reproduce
 
@@ -183,7 +187,8 @@ def reproduce_run(options: argparse.Namespace) -> int:
 
 
 def export_controller(options: argparse.Namespace) -> None:
-    """Verify a run, write its controller, and print the files."""
+    """Verify a run, write its controller as code for use elsewhere, and print the names of the
+    files."""
     from ssm_study.export.targets import write_controller
     from ssm_study.study.verify import verify
 
@@ -203,7 +208,7 @@ def export_controller(options: argparse.Namespace) -> None:
 
 
 def export_rest_design(options: argparse.Namespace) -> list[Path]:
-    """Write the controller of a saved design for a model with products of input and state."""
+    """Write the controller of a saved design for a bilinear model as code for use elsewhere."""
     from ssm_study.api.rest_design import RestDesign
 
     design = RestDesign.load(options.run)
@@ -218,7 +223,7 @@ DESIGN_CHANNELS = "channels.json"
 
 
 def export_warnings(run: Path, header_path: Path) -> list[str]:
-    """Sentences on what an exported controller cannot do, or what its run has not tried."""
+    """Warnings about an exported controller: what it cannot do, and what its run did not test."""
     warnings = []
     reason = re.search(r"No set points: (.*)\.", header_path.read_text(encoding="utf-8"))
     if reason is not None:
@@ -232,7 +237,7 @@ def export_warnings(run: Path, header_path: Path) -> list[str]:
 
 
 def may_overwrite(folder: Path) -> bool:
-    """Whether an earlier export may be replaced; asks the user on a terminal."""
+    """Whether the files of an earlier export may be replaced; asks the user on a terminal."""
     earlier = sorted(path.name for path in folder.glob("*") if path.suffix in EXPORTED)
     if not earlier or not sys.stdin.isatty():
         return True
@@ -243,14 +248,14 @@ def may_overwrite(folder: Path) -> bool:
 
 
 def export_recordings(options: argparse.Namespace) -> None:
-    """Write the closed loops of all runs into one recording and print the name of its file."""
+    """Write the closed-loop recordings of all runs of a study into one file and print its name."""
     from ssm_study.table.one_recording import export_mcap
 
     print(export_mcap(options.study))
 
 
 def export_to_mlflow(options: argparse.Namespace) -> None:
-    """Write a study to an MLflow store."""
+    """Write the runs of a study to an MLflow store."""
     from ssm_study.table.mlflow import export_mlflow
 
     count = export_mlflow(options.study, options.store)
@@ -258,7 +263,7 @@ def export_to_mlflow(options: argparse.Namespace) -> None:
 
 
 def report_study(options: argparse.Namespace) -> None:
-    """Write the page of a study and draw its figures."""
+    """Write the report page of a study and draw its figures."""
     from ssm_study.report.figures import draw_figures
     from ssm_study.report.page.writing import write_page
 
@@ -294,17 +299,17 @@ def figures_line(paths: list[Path], left_out: int) -> str:
 
 
 def announce_drawing() -> None:
-    """Print, on a terminal only, that drawing the figures takes a while."""
+    """Print, on a terminal only, that drawing the figures of a study takes a while."""
     if sys.stderr.isatty():
         print("drawing the figures, which takes up to a minute", file=sys.stderr, flush=True)
 
 
 def watch_study(options: argparse.Namespace) -> None:
-    """Serve the page of a study until the command is stopped."""
+    """Serve the report page of a study on a local port until the command is stopped."""
     from ssm_study.report.page.live import start_server
 
     def print_address(address: str) -> None:
-        """Print the address of the page."""
+        """Print the web address of the report page."""
         print(address, flush=True)
 
     with start_server(options.study, options.port, announce=print_address) as server:

@@ -14,16 +14,16 @@ REMEDIES = {
 }
 
 
-def storage_error(field: str, error: OSError, otherwise: str) -> BadRequest:
-    """Error message for a full disk or a folder without write permission. `field` names the setting
-    that requested it."""
+def storage_error(field: str, error: OSError, default_path: str) -> BadRequest:
+    """Error message about a full disk or a folder without write permission. `field` names the
+    setting that requested the file; `default_path` is the path where the error names none."""
     problem = error.strerror or type(error).__name__
     remedy = REMEDIES.get(error.errno or 0, "make room, or choose a folder that you may write to")
-    return BadRequest(field, error.filename or otherwise, problem, remedy)
+    return BadRequest(field, error.filename or default_path, problem, remedy)
 
 
 def describe_error(error: Exception, arguments: list[str]) -> BadRequest:
-    """Describe in one sentence the error that ended the command."""
+    """Describe in one sentence the error that ended a command."""
     command = " ".join(arguments)
     if isinstance(error, BadRequest):
         return error

@@ -26,7 +26,7 @@ OF_THE_PLACE = ("experiment=", "study=", "results_dir=")
 
 
 def compose_configuration(overrides: Sequence[str]) -> DictConfig:
-    """Compose the configuration that the command line would use for these overrides.
+    """Compose the configuration of a study that the command line would use for given overrides.
 
     Raises `BadRequest` as the command does.
     """
@@ -48,7 +48,7 @@ def compose_configuration(overrides: Sequence[str]) -> DictConfig:
 
 
 def study(*overrides: str) -> pd.DataFrame:
-    """Run a study from Python as `ssm-study run` does, and return its table.
+    """Run a study from Python as `ssm-study run` does, and return its results table.
 
     One row per run. Raises `BadRequest` for a wrong request; runs that failed are rows with status
     `failed`.
@@ -64,8 +64,7 @@ def study(*overrides: str) -> pd.DataFrame:
 
 
 def save_run(design: "Design", folder: Path) -> Path:
-    """Save a design as a run folder, with the files that the command would write for the same
-    settings.
+    """Save a controller design as a run folder, with the files that a study's run would have.
 
     Model and gains are computed again, with everything that a run's record says beside them.
     Raises `BadRequest` where the run's certificate differs from the design's.
@@ -85,7 +84,7 @@ def save_run(design: "Design", folder: Path) -> Path:
 
 
 def _read_gains(folder: Path) -> dict[str, Any]:
-    """Gain matrices of the certificate in a run folder, as nested lists."""
+    """Read the gain matrices from the certificate in a run folder, as nested lists."""
     from ssm_study.certificates.certificate import Design as Certificates
 
     gains = Certificates.load(folder / "certificate.json").gains

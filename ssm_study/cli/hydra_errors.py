@@ -18,7 +18,7 @@ UNKNOWN_CHOICE = re.compile(r"Could not find '(.+)/([^/']+)' Available options i
 
 
 def explain_hydra_error(error: BaseException, overrides: list[str], folder: Path) -> BadRequest:
-    """Plain message with a suggestion for an error that Hydra raised."""
+    """Explain an error that Hydra raised in plain words, with a suggestion."""
     message = first_error_line(error)
     if isinstance(error, OverrideParseException):  # its grammar's tokens say nothing to a reader
         problem = f"{error.override} cannot be read"
@@ -55,23 +55,23 @@ def explain_hydra_error(error: BaseException, overrides: list[str], folder: Path
 
 
 def suggest_choice(group: str, name: str, choices: list[str]) -> str:
-    """Suggestion for a name that is no choice of its group: the nearest choice, or all of them
-    where none is near."""
+    """Suggestion for a wrong choice of a configuration group: the nearest valid choice, or all of
+    them where none is similar."""
     near = get_close_matches(name, choices, n=1)
     return f"did you mean {group}={near[0]}?" if near else f"choose among {', '.join(choices)}"
 
 
-def suggest_package(key: str, at: list[str], overrides: list[str]) -> str:
-    """Suggestion for a configuration group that must be overridden with its package, such as
-    `reference@loop.reference`."""
+def suggest_package(key: str, packages: list[str], overrides: list[str]) -> str:
+    """Suggestion for a configuration group that must be overridden with its place in the
+    configuration, such as `reference@loop.reference`."""
     values = [word.partition("=")[2] for word in overrides if word.split("=")[0] == key]
     value = values[0] if values else "VALUE"
-    suggestions = " or ".join(f"{place}={value}" for place in at)
+    suggestions = " or ".join(f"{place}={value}" for place in packages)
     return f"did you mean {suggestions}?"
 
 
 def first_error_line(error: BaseException) -> str:
-    """First line of an error message from Hydra or OmegaConf."""
+    """First line of the message of an error from Hydra or OmegaConf."""
     text = str(error)
     for appendix in ("\n    full_key", "\nConfig search path", "\nSee https://", "\nTo append"):
         text = text.split(appendix)[0]
@@ -101,7 +101,7 @@ def refuse_dashes(overrides: list[str], folder: Path) -> None:
 
 
 def refuse_misspelt_option(word: str) -> None:
-    """Raise `BadRequest` for an option that resembles one of `ssm-study`'s own options."""
+    """Raise `BadRequest` for an option that resembles one of the options of `ssm-study`."""
     if word in OPTIONS or not word.startswith("--"):
         return
     near = get_close_matches(word, OPTIONS, n=1, cutoff=0.8)
@@ -111,8 +111,8 @@ def refuse_misspelt_option(word: str) -> None:
 
 
 def suggest_for_key(key: str, overrides: list[str], folder: Path) -> str:
-    """Suggestion for a configuration key that does not exist. It names the choice that has the key,
-    else the nearest keys or group; it is empty where nothing is near."""
+    """Suggestion for a configuration key that does not exist, such as a similar key. It names the
+    choice that has the key, else the nearest keys or group; it is empty where nothing is near."""
     if owners := choices_with_key(key, folder):
         verb = "have" if len(owners) > 1 else "has"
         return f"{' and '.join(owners)} {verb} it: add {owners[0]}"
@@ -123,13 +123,13 @@ def suggest_for_key(key: str, overrides: list[str], folder: Path) -> str:
     if not near and len(key) > 2:
         near = [group for group in groups if group.startswith(key)]
     if not near:
-        near = settings_named(key, keys)
+        near = similar_settings(key, keys)
     return f"did you mean {' or '.join(near[:MOST_SUGGESTED])}?" if near else ""
 
 
-def settings_named(key: str, keys: list[str]) -> list[str]:
-    """Settings whose names resemble the last part of a key, such as `synthesis.rate_controller` for
-    `rate`."""
+def similar_settings(key: str, keys: list[str]) -> list[str]:
+    """Settings whose last name resembles the last part of a key, such as
+    `synthesis.rate_controller` for `rate`."""
     last = key.rpartition(".")[2]
     named: dict[str, list[str]] = {}
     for path in keys:
@@ -140,8 +140,8 @@ def settings_named(key: str, keys: list[str]) -> list[str]:
 
 
 def compose_without_key(key: str, overrides: list[str], folder: Path) -> DictConfig:
-    """Compose the configuration without the overrides of a misspelt key. Only choices stay, and of
-    a sweep the first of each.
+    """Compose the configuration without the command-line overrides of a misspelt key. Only choices
+    stay, and of a sweep the first of each.
 
     What names no choice says nothing about what was meant.
     """
@@ -164,7 +164,8 @@ def compose_without_key(key: str, overrides: list[str], folder: Path) -> DictCon
 
 
 def groups_with_package(group: str, message: str, folder: Path) -> list[str]:
-    """Names of a configuration group with its package, such as `reference@loop.reference`."""
+    """Names of a configuration group together with its place in the configuration, such as
+    `reference@loop.reference`."""
     if match := re.search(r"Did you mean to override (?:one of )?(.+)\?", message):
         return match[1].split(", ")
     found_places: set[str] = set()
@@ -175,7 +176,7 @@ def groups_with_package(group: str, message: str, folder: Path) -> list[str]:
 
 
 def choices_with_key(key: str, folder: Path) -> list[str]:
-    """Choices of configuration groups that have a given key and are not selected at present."""
+    """Choices of configuration groups whose files have a given key."""
     parts = key.split(".")
     choices = []
     for cut in range(1, len(parts)):

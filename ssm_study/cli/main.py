@@ -22,7 +22,7 @@ INTERRUPTED = (
 def main(arguments: list[str] | None = None) -> int:
     """Run one `ssm-study` command and return its exit status."""
     limit_threads()  # first: the libraries read it once, when they are imported
-    _escape_foreign_letters()
+    _escape_unprintable_letters()
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
         arguments = pop_extension_option(arguments)
@@ -50,9 +50,9 @@ def main(arguments: list[str] | None = None) -> int:
         return WRONG_REQUEST
 
 
-def _escape_foreign_letters() -> None:
-    """Replace letters that the terminal cannot print by their numbers, because column names may be
-    in any script."""
+def _escape_unprintable_letters() -> None:
+    """Make standard output replace letters that the terminal cannot print by their numbers, because
+    column names may be in any script."""
     if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="backslashreplace")
 

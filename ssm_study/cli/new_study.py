@@ -10,7 +10,7 @@ TEMPLATE = Path(__file__).with_name("study_folder")
 
 
 def write_study(folder: Path) -> list[Path]:
-    """Write the folder of a new study from the template, and return its files.
+    """Write the folder of a new study from a template, and return the written files.
 
     The folder's name becomes the name of a Python package. Raises `BadRequest` for one that cannot,
     or is taken.

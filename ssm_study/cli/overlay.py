@@ -9,7 +9,7 @@ WORDS = "compare the free runs of several runs on the test record that they shar
 
 
 def add_overlay(commands: Any) -> None:
-    """Add the command `overlay RUN RUN ...` to the parser."""
+    """Add the command `overlay RUN RUN ...`, which compares runs, to the parser."""
     parser = commands.add_parser("overlay", help=WORDS, description=WORDS[0].upper() + WORDS[1:])
     run_help = "a run folder, or a study with the first or last letters of a run's name"
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help=run_help)
@@ -20,7 +20,7 @@ def add_overlay(commands: Any) -> None:
 
 
 def overlay_runs(options: argparse.Namespace) -> None:
-    """Print the table that compares the runs, and draw their free runs."""
+    """Print a table that compares several runs, and draw their free-run simulations."""
     from ssm_study.report.overlay import baseline_line, compare_free_runs
     from ssm_study.table.folders import find_run_folder
 

@@ -47,7 +47,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def add_command(subparsers: Subparsers, name: str, summary: str) -> argparse.ArgumentParser:
-    """Add a command whose help and description are the same sentence."""
+    """Add a command to the parser, whose help and description are the same sentence."""
     description = summary[0].upper() + summary[1:] + "."
     command: argparse.ArgumentParser = subparsers.add_parser(
         name, help=summary, description=description
@@ -56,7 +56,7 @@ def add_command(subparsers: Subparsers, name: str, summary: str) -> argparse.Arg
 
 
 def add_new(subparsers: Subparsers) -> None:
-    """Add the command `new FOLDER` to the parser."""
+    """Add the command `new FOLDER`, which writes the folder of a new study, to the parser."""
     summary = "write a study folder of your own: plant, theorem, figure, test, README"
     command = subparsers.add_parser("new", help=summary)
     folder_help = "a folder that does not exist yet"
@@ -65,7 +65,7 @@ def add_new(subparsers: Subparsers) -> None:
 
 
 def add_excite(subparsers: Subparsers) -> None:
-    """Add the command `excite` to the parser."""
+    """Add the command `excite`, which writes an excitation signal, to the parser."""
     summary = "write an input for your own plant: several amplitudes, each period twice, then rest"
     command = add_command(subparsers, "excite", summary)
     file_help = "the CSV file to write: time_s, input"
@@ -110,8 +110,8 @@ def add_look(subparsers: Subparsers) -> None:
 
 
 class Action(NamedTuple):
-    """Command on a study or on a run: its function, its help, and whether it needs a study or a
-    run."""
+    """Description of a command that acts on a study or on a run: its function, its help, and the
+    kind of folder it needs."""
 
     function: Command
     subject: str
@@ -120,8 +120,7 @@ class Action(NamedTuple):
 
 
 def add_action(subparsers: Subparsers, name: str, action: Action) -> None:
-    """Add a command that acts on a folder, which is found before the command's function is
-    called."""
+    """Add a command that acts on the folder of a study or of a run to the parser."""
     command = add_command(subparsers, name, action.summary)
     subject = action.subject
     metavar = subject.upper().replace("_OR_", "|")
@@ -133,7 +132,7 @@ def add_action(subparsers: Subparsers, name: str, action: Action) -> None:
 
 
 def add_show_options(command: argparse.ArgumentParser) -> None:
-    """Add the options of `show`."""
+    """Add the options of the command `show`, which prints a results table, to its parser."""
     by_help = "sort by this column, best value first"
     command.add_argument("--by", metavar="COLUMN", help=by_help)
     where_help = "show only runs for which this holds, e.g. 'order == 8 and seed < 5'"
@@ -145,7 +144,7 @@ def add_show_options(command: argparse.ArgumentParser) -> None:
 
 
 def add_verify_options(command: argparse.ArgumentParser) -> None:
-    """Add the options of `verify`."""
+    """Add the options of the command `verify`, which checks a run, to its parser."""
     json_help = "print JSON: every claim, and what was not checked"
     command.add_argument("--json", action="store_true", help=json_help)
     verbose_help = "list every claim with what was found, not those alone that fail"
@@ -153,7 +152,7 @@ def add_verify_options(command: argparse.ArgumentParser) -> None:
 
 
 def add_refine_options(command: argparse.ArgumentParser) -> None:
-    """Add the options of `refine`."""
+    """Add the options of the command `refine`, which improves a run's controller, to its parser."""
     record_help = "log of a trial, with the columns of the run's data"
     command.add_argument("--record", type=Path, metavar="LOG", help=record_help)
     times_help = "stop after N iterations, each a run (default: 4)"
@@ -161,7 +160,7 @@ def add_refine_options(command: argparse.ArgumentParser) -> None:
 
 
 def add_export_options(command: argparse.ArgumentParser) -> None:
-    """Add the options of `export`."""
+    """Add the options of the command `export`, which writes a controller as code, to its parser."""
     folder_help = "the folder to write into"
     command.add_argument("--to", type=Path, required=True, metavar="DIR", help=folder_help)
     real_help = "floats of the C code: double (default) or float"
@@ -173,7 +172,7 @@ def add_export_options(command: argparse.ArgumentParser) -> None:
 
 
 def add_report_options(command: argparse.ArgumentParser) -> None:
-    """Add the options of `report`."""
+    """Add the options of the command `report`, which writes a page and figures, to its parser."""
     others_help = "further studies to show on the same page"
     command.add_argument("others", nargs="*", type=Path, metavar="STUDY", help=others_help)
     only_help = f"draw only this figure (may be repeated): {', '.join(FIGURES)}"
@@ -186,13 +185,13 @@ def add_report_options(command: argparse.ArgumentParser) -> None:
 
 
 def add_watch_options(command: argparse.ArgumentParser) -> None:
-    """Add the options of `watch`."""
+    """Add the options of the command `watch`, which serves a live report page, to its parser."""
     port_help = "local port (0: any free one)"
     command.add_argument("--port", type=int, default=8420, metavar="PORT", help=port_help)
 
 
 def add_mlflow_options(command: argparse.ArgumentParser) -> None:
-    """Add the options of the export to MLflow."""
+    """Add the options of the export to MLflow to the parser of its command."""
     store_help = "address (default: sqlite:///STUDY/mlflow.db)"
     command.add_argument("--store", metavar="ADDRESS", help=store_help)
 

@@ -42,7 +42,8 @@ JUST_ASKING = (
 
 
 def translate_arguments(arguments: list[str]) -> list[str]:
-    """Translate the options of `ssm-study run` into Hydra's arguments. `-m` may stand anywhere."""
+    """Translate the options of `ssm-study run` into command-line arguments for Hydra. `-m` may
+    stand anywhere."""
     # Only a launcher can plan.
     many = any(word in ("-m", "--multirun", "--dry-run") for word in arguments)
     rest = [word for word in arguments if word not in ("-m", "--multirun")]
@@ -52,15 +53,15 @@ def translate_arguments(arguments: list[str]) -> list[str]:
     return ["--multirun"] * many + quote_sines(current_overrides(words))
 
 
-def quote_sines(words: Iterable[str]) -> list[str]:
-    """Put quotes around a word such as `sine(0.5Hz)`, which Hydra would otherwise read as a
-    function call."""
-    return [SINE.sub(r"'\1'", word) if "internal_model=" in word else word for word in words]
+def quote_sines(arguments: Iterable[str]) -> list[str]:
+    """Put quotes around command-line words such as `sine(0.5Hz)`, which Hydra would otherwise read
+    as a function call."""
+    return [SINE.sub(r"'\1'", word) if "internal_model=" in word else word for word in arguments]
 
 
 def compose_request(arguments: list[str], folder: Path, name: str) -> Command:
-    """Compose the configuration of a request, and raise `BadRequest` if it names a class outside
-    the allow list.
+    """Compose the configuration that a command line requests, and raise `BadRequest` if it names a
+    class outside the allow list.
 
     Hydra makes callbacks, launcher and sweeper before any code of ours is asked; so this comes
     first. Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
@@ -75,15 +76,15 @@ def compose_request(arguments: list[str], folder: Path, name: str) -> Command:
 
 
 def parse_overrides(request: Command) -> list[Override]:
-    """Parse the overrides of a request. Raises Hydra's error for an override that cannot be
-    parsed."""
+    """Parse the overrides of a requested configuration. Raises Hydra's error for an override that
+    cannot be parsed."""
     parser = OverridesParser.create(config_loader=request.config_loader)
     return parser.parse_overrides(list(request.asked.overrides))
 
 
 def refuse_missing_choices(request: Command) -> None:
-    """Raise `BadRequest` for a configuration group without the name of a choice, for which Hydra's
-    own error is unclear."""
+    """Raise `BadRequest` for a configuration group without a chosen value, such as `plant=`, for
+    which Hydra's own error is unclear."""
     assert isinstance(request.config_loader, Loader)
     for override in parse_overrides(request):
         key = str(override.key_or_group)
@@ -110,7 +111,7 @@ def refuse_empty_dictionaries(request: Command) -> None:
 
 @contextmanager
 def request_checks(request: Command) -> Iterator[None]:
-    """Context in which every job of a request is checked before Hydra starts. It also shows
+    """Context manager in which every job of a sweep is checked before Hydra starts. It also shows
     progress where the launcher reports none.
 
     The jobs that a search asks for are not known beforehand: a wrong one is a failed row.

@@ -35,8 +35,8 @@ PYTHONS_WARNING = warnings.formatwarning
 
 
 def refuse_more_threads_than_cores() -> None:
-    """Raise `BadRequest` if the environment sets a thread count that is no number or exceeds the
-    available cores."""
+    """Raise `BadRequest` if an environment variable sets a thread count that is no number or
+    exceeds the available cores."""
     limit_threads()  # a program that calls `run` has not
     cores = len(os.sched_getaffinity(0))
     for variable in THREADS:
@@ -53,21 +53,21 @@ def _warning_text(
     lineno: int,
     line: str | None = None,
 ) -> str:
-    """Text of a warning, without the line of code that raised it."""
+    """Text of a Python warning, without the line of code that raised it."""
     if category.__module__.startswith("ssm_study"):
         return f"ssm-study: {message}\n"
     return PYTHONS_WARNING(message, category, filename, lineno, line)
 
 
 def configuration_folder() -> Path:
-    """Folder of the configuration, inside the installed package or beside it in a clone."""
+    """Folder of the configuration files, inside the installed package or beside it in a clone."""
     package = Path(str(files("ssm_study")))
     return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
 
 
 def run(overrides: list[str]) -> int:
-    """Run one study, or with `-m` a sweep of several runs. Raises `BadRequest` for a wrong request.
-    Options and `--help` are Hydra's."""
+    """Run one study, or with `-m` a sweep of several runs, for given command-line arguments. Raises
+    `BadRequest` for a wrong request. Options and `--help` are Hydra's."""
     warnings.formatwarning = _warning_text
     refuse_more_threads_than_cores()
     refuse_dashes(overrides, configuration_folder())
@@ -96,14 +96,16 @@ def run(overrides: list[str]) -> int:
 
 
 def results_folder(overrides: list[str]) -> str:
-    """Folder of the results that a command line names; that of the configuration by default."""
+    """Folder of the results that a command line names, or else the default one of the
+    configuration."""
     words = (word.partition("=") for word in overrides)
     named = [value for name, _, value in words if name == "results_dir"]
     return named[-1] if named else "results"
 
 
-def answer_request(overrides: list[str], opens: bool) -> int:
-    """Print the help or Hydra's information, or run what is requested. Returns the exit status."""
+def answer_request(overrides: list[str], opens_page: bool) -> int:
+    """Do what a `run` command requests: print the help, print Hydra's information, or run the
+    study. Returns the exit status."""
     folder = configuration_folder()
     if any(word in ("--help", "-h") for word in overrides):
         Command(overrides, folder, "study").help()
@@ -120,13 +122,13 @@ def answer_request(overrides: list[str], opens: bool) -> int:
     if request.config.dry_run:
         return DONE
     failed = print_study_summary(request)
-    if opens:
+    if opens_page:
         write_and_open_page(request)
     return SOME_FAILED if failed else DONE
 
 
 def explain_invalid_choice(error: ValueError, overrides: list[str]) -> BadRequest | None:
-    """Error message for a number or null in place of a choice's name, which Hydra reports
+    """Error message for a number or null in place of the name of a choice, which Hydra reports
     unclearly. None for any other error."""
     message = str(error)
     if "integer string conversion" in message:
@@ -137,14 +139,14 @@ def explain_invalid_choice(error: ValueError, overrides: list[str]) -> BadReques
     return None
 
 
-def print_progress(what: str) -> None:
+def print_progress(activity: str) -> None:
     """Print a line of progress if the output is a terminal."""
     if sys.stderr.isatty():
-        print(f"ssm-study: {what} ...", file=sys.stderr, flush=True)
+        print(f"ssm-study: {activity} ...", file=sys.stderr, flush=True)
 
 
 def write_and_open_page(request: Command) -> None:
-    """Write the page of the study and open it in the browser."""
+    """Write the report page of a study and open it in the browser."""
     from ssm_study.report.page.writing import write_page
     from ssm_study.study.line import study_folder
 
@@ -154,8 +156,8 @@ def write_and_open_page(request: Command) -> None:
 
 
 def print_study_summary(request: Command) -> bool:
-    """Gather the runs of a study into its table and print the table. A single run is drawn. True if
-    a run failed."""
+    """Gather the results table of a study and print it; return whether a run failed. A single run
+    is drawn."""
     return (
         print_sweep_summary(request.config)
         if request.is_sweep
@@ -164,7 +166,7 @@ def print_study_summary(request: Command) -> bool:
 
 
 def _task_function() -> Callable[[DictConfig], Any]:
-    """Function that Hydra calls for each run."""
+    """Function that Hydra calls for each run of a sweep."""
     # It would look at five thousand modules again and again, and once more at the end: 3 s.
     gc.disable()
     from ssm_study.study import line as study

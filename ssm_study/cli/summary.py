@@ -40,8 +40,9 @@ WIDTH = 80  # of the outcome, where a terminal is not narrower
 
 
 def print_run_summary(config: DictConfig) -> bool:
-    """Gather the study, draw the figures of the run and print its outcome. True if the run failed,
-    is another process's or, with `strict`, cannot be judged."""
+    """Bring the study's table up to date, draw the figures of one run and print its outcome; return
+    whether it failed. A run of another process counts as failed, and with `strict` one that cannot
+    be judged."""
     study = study_folder(config)
     console = Console()
     record = read_record(study / str(config.run)) or {}
@@ -75,9 +76,9 @@ def print_run_summary(config: DictConfig) -> bool:
     )
 
 
-def _read_cached_list(told: Path, study: Path, files: Sequence[Path]) -> list[Any]:
-    """Cached JSON list; empty if its file is older than the study's records or than one of the
-    given files.
+def _read_cached_list(cache_file: Path, study: Path, files: Sequence[Path]) -> list[Any]:
+    """Read a cached JSON list; empty if the cache file is older than the study's records or than
+    one of the given files.
 
     Figures that are younger show another run of the study.
     """
@@ -85,15 +86,15 @@ def _read_cached_list(told: Path, study: Path, files: Sequence[Path]) -> list[An
         changed = max(
             path.stat().st_mtime_ns for path in (study, *study.glob(f"*/{RECORD}"), *files)
         )
-        if told.stat().st_mtime_ns > changed:
-            return list(json.loads(told.read_text(encoding="utf-8")))
+        if cache_file.stat().st_mtime_ns > changed:
+            return list(json.loads(cache_file.read_text(encoding="utf-8")))
     return []
 
 
 def _outcome_text(
     study: Path, record: dict[str, Any], drawn: Sequence[str], figures: list[Path], width: int
 ) -> str:
-    """Text on the outcome of a run, coloured for a terminal of the given width. The table and the
+    """Text on the outcome of a run, coloured for a terminal of a given width. The table and the
     figures of its study are brought up to date first."""
     from ssm_study.report.figures import draw_figures  # here: a sweep and its jobs draw nothing
     from ssm_study.report.outcome import print_outcome
@@ -119,9 +120,10 @@ def _outcome_text(
 
 
 def print_sweep_summary(config: DictConfig) -> bool:
-    """Gather the study and print its table. True if any run failed."""
+    """Bring the study's table up to date and print it after a sweep; return whether a run
+    failed."""
     from ssm_study.evidence.finding import CANNOT_JUDGE
-    from ssm_study.table.doubts import list_of_names
+    from ssm_study.table.doubts import abbreviate_names
     from ssm_study.table.show import short_run_names, show_table
 
     table = show_table(study_folder(config))
@@ -130,6 +132,6 @@ def print_sweep_summary(config: DictConfig) -> bool:
         print(RETRY)
     is_unfinished = table["status"].isin([FAILED, LOST, CORRUPT])
     if is_unfinished.any():
-        names = list_of_names(short_run_names(table["run"])[is_unfinished])
+        names = abbreviate_names(short_run_names(table["run"])[is_unfinished])
         print(f"exit status 1 because of {names}: every run of the study counts, older ones, too")
     return bool(is_unfinished.any() or withheld)

@@ -26,7 +26,7 @@ def compare_free_runs(folders: Sequence[Path]) -> ModelComparison:
     require(enough, "run", several, "is no comparison", "name two different runs or more")
     unlike = several == len(folders)
     require(unlike, "run", "one run twice", "a run cannot be compared with itself", "name it once")
-    names = short_run_names([folder.resolve() for folder in folders])
+    names = distinguishing_run_names([folder.resolve() for folder in folders])
     recordings = [_read_test_free_run(folder) for folder in folders]
     first = recordings[0]
     for folder, recording in zip(folders[1:], recordings[1:], strict=True):
@@ -69,7 +69,7 @@ def baseline_line(folders: Sequence[Path]) -> str:
     return f"best baseline on this record: {fit:.1f} %, {best.get('baseline')} (not drawn)"
 
 
-def short_run_names(folders: Sequence[Path]) -> list[str]:
+def distinguishing_run_names(folders: Sequence[Path]) -> list[str]:
     """Names of runs without the parts that all runs share, after their study where studies differ.
     Names that are still equal are whole."""
     parts = [folder.name.split("-") for folder in folders]

@@ -1,14 +1,14 @@
 """Columns of the coverage: how many times the measured model error the proof tolerates."""
 
-from ssm_study.columns import Column, iterated_column
+from ssm_study.columns import Column, iterative_result_column
 
 WITHHELD = "withheld"  # how the reason begins where a coverage is proved and says nothing
 COLUMNS = (
-    iterated_column(
+    iterative_result_column(
         "coverage", "high", "Model error covered by the proof, over what records show", "–"
     ),
     Column("coverage_reason", "string", word="Why nothing is covered"),
-    iterated_column("coverage_needed", "low", "Coverage that fresh data need", "–"),
-    iterated_column("sine_coverage", "high", "Model error of single sines covered", "–"),
+    iterative_result_column("coverage_needed", "low", "Coverage that fresh data need", "–"),
+    iterative_result_column("sine_coverage", "high", "Model error of single sines covered", "–"),
     Column("coverage_reference", "string", word="Record that decides the coverage"),
 )

@@ -14,7 +14,7 @@ from ssm_study.certificates.certificate import Design, Infeasible, Observer, Sta
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.certificates.withdrawn_parts import TOLERANCE
-from ssm_study.columns import EIGENVALUE, ITERATED, Column, iterated_column
+from ssm_study.columns import EIGENVALUE, ITERATED, Column, iterative_result_column
 from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage_columns import COLUMNS as COVERAGE_COLUMNS
 from ssm_study.robustness.mismatch import Mismatch
@@ -42,7 +42,7 @@ def _side_columns(side: str, short: str, gain: str) -> tuple[Column, ...]:
         Column(f"{side}_margin", "Float64", "high", "", margin, "", ITERATED, EIGENVALUE),
         _rate_column(f"{side}_rate_limit", f"{title} rate limit, ρ"),
         _rate_column(f"{side}_certified_rate", f"{title} rate proved"),
-        iterated_column(f"{side}_gain_norm", "low", norm, "scaled"),
+        iterative_result_column(f"{side}_gain_norm", "low", norm, "scaled"),
     )
 
 
@@ -71,41 +71,47 @@ PROOF_COLUMNS = (
         unit="s",
         unchecked="depends on when it ran",
     ),
-    iterated_column("certified_tolerance", "high", "Mismatch gain tolerated in total"),
+    iterative_result_column("certified_tolerance", "high", "Mismatch gain tolerated in total"),
     *COVERAGE_COLUMNS,
 )
 
 LIMIT_COLUMNS = (
-    iterated_column("limit_lower", "", "Input limited from", "unit of the input"),
-    iterated_column("limit_upper", "", "Input limited to", "unit of the input"),
-    iterated_column(
+    iterative_result_column("limit_lower", "", "Input limited from", "unit of the input"),
+    iterative_result_column("limit_upper", "", "Input limited to", "unit of the input"),
+    iterative_result_column(
         "limited_rate", "high", "Rate proved from everywhere, input limited", "1/sample"
     ),
-    iterated_column("unlimited_from", "low", "Outputs with the full rates, lowest", "output unit"),
-    iterated_column("unlimited_to", "high", "Outputs with the full rates, highest", "output unit"),
+    iterative_result_column(
+        "unlimited_from", "low", "Outputs with the full rates, lowest", "output unit"
+    ),
+    iterative_result_column(
+        "unlimited_to", "high", "Outputs with the full rates, highest", "output unit"
+    ),
 )
 
 MISMATCH_COLUMNS = (
-    iterated_column(
+    iterative_result_column(
         "noise_gain_model", "low", "Sensor noise on the model's output", "share of the noise"
     ),
-    iterated_column("mismatch_gain", "low", "Model mismatch gain in total"),
-    iterated_column("mismatch_seen", "low", "Largest mismatch gain of any record"),
-    iterated_column("mismatch_in_loop", "low", "Mismatch gain of trials in closed loop"),
-    iterated_column("mismatch_spread", "low", "Uncertainty of the mismatch"),
+    iterative_result_column("mismatch_gain", "low", "Model mismatch gain in total"),
+    iterative_result_column("mismatch_seen", "low", "Largest mismatch gain of any record"),
+    iterative_result_column("mismatch_in_loop", "low", "Mismatch gain of trials in closed loop"),
+    iterative_result_column("mismatch_spread", "low", "Uncertainty of the mismatch"),
 )
 
-STABILITY_MARGIN = iterated_column("resolved_margin", "high", "Stability margin", "–", "margin")
+STABILITY_MARGIN = iterative_result_column(
+    "resolved_margin", "high", "Stability margin", "–", "margin"
+)
 PREDICTION_COLUMNS = (
-    iterated_column("mismatch_margin", "high", "Mismatch margin in total", "–", "in total"),
+    iterative_result_column("mismatch_margin", "high", "Mismatch margin in total", "–", "in total"),
     replace(STABILITY_MARGIN, shown=True),
-    iterated_column(
+    iterative_result_column(
         "sine_margin", "high", "Stability margin with single sines after the choice", "–"
     ),
-    iterated_column(
+    iterative_result_column(
         "controller_radius", "low", "Spectral radius of the controller", "–", "ctl radius"
     ),
-    iterated_column("noise_peak", "low", "Sensor noise at rest, its peak", "bands"),
+    iterative_result_column("noise_peak", "low", "Sensor noise at rest, its peak", "bands"),
     Column(
         "predicted_stable", "boolean", "high", "predicted", "Plant predicted stable", shown=True
     ),
