@@ -17,11 +17,7 @@ from ssm_study.api.arguments import Slopes
 from ssm_study.api.controlling import slope_ball
 from ssm_study.api.design import Design
 from ssm_study.api.known_maps import describe_slope_range
-from ssm_study.api.loop_of_both import (
-    add_loop_verdict,
-    describe_closed_loop_verdict,
-    describe_unstable_example,
-)
+from ssm_study.api.loop_of_both import add_loop_verdict, describe_loop_verdict, unstable_loop_text
 from ssm_study.api.missing_rate import (
     describe_missing_rate,
     describe_uncontrollable_mode,
@@ -93,7 +89,7 @@ class GainCertificate:
 
     @property
     def metric(self) -> Float[np.ndarray, "n n"] | None:
-        """Metric matrix in whose norm distances between trajectories contract; None without a
+        """Metric in which distances between trajectories contract, as a matrix; None without a
         certificate. It is the inverse of the certificate's `p`, or its `q`."""
         if self.certificate is None:
             return None
@@ -132,8 +128,7 @@ class Certification:
 
     @property
     def certified(self) -> bool:
-        """Whether every gain that was given is certified and, where controller and observer were
-        given, also their closed loop."""
+        """Whether all given gains, and their closed loop where both were given, are certified."""
         return bool(self.verdicts) and all(self.verdicts.values())
 
     @property
@@ -151,14 +146,14 @@ class Certification:
         return add_loop_verdict(verdicts, self.unknown_maps)
 
     def summary(self) -> pd.Series:
-        """Table of the certified gains: proved rate, largest possible rate and reason of each, and
-        the verdict on the closed loop."""
+        """Table with proved rate, largest possible rate and reason of each gain, and the loop's
+        verdict."""
         lines: dict[str, str] = {}
         for name, gain in (("controller", self.controller), ("observer", self.observer)):
             if gain is not None:
                 lines |= gain_lines(name, gain)
         if "loop" in self.verdicts:
-            lines["loop of both"] = describe_closed_loop_verdict(
+            lines["loop of both"] = describe_loop_verdict(
                 self.verdicts, self.unknown_maps, self.unstable_example
             )
         return pd.Series(lines, name="certification", dtype=object)
@@ -281,7 +276,7 @@ def certify(
         for name, ends in ranges.items()
         if ends[0] < ends[1]
     }
-    example = describe_unstable_example(a, b @ k, gain @ c, controller.slopes, observer.slopes)
+    example = unstable_loop_text(a, b @ k, gain @ c, controller.slopes, observer.slopes)
     shown_example = example if unknown else None
     return replace(result, unknown_maps=unknown, unstable_example=shown_example)
 

@@ -81,8 +81,7 @@ class Design:
         return self.run_folder or self._write_files(make_scratch_folder())
 
     def _write_files(self, folder: Path) -> Path:
-        """Write the model, the certificates and the signal ranges of the records of a design into a
-        folder."""
+        """Write model, certificates and signal ranges of a design into a folder."""
         content = json.dumps(self.model.to_json(), indent=1, allow_nan=False)
         (folder / "model.json").write_text(content + "\n", encoding="utf-8")
         self.certificate.save(folder / "certificate.json")
@@ -169,8 +168,7 @@ class Design:
         return facts | self.facts | self._loop_columns()
 
     def _loop_columns(self) -> dict[str, Any]:
-        """Columns of the results table that describe the closed loop simulated on the identified
-        model."""
+        """Columns of the results table on the closed loop with the identified model."""
         from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 
         assert self.origin is not None
@@ -209,8 +207,8 @@ class Design:
         return limits_proof(self.model, self.certificate, *ends)
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
-        """Write the designed controller as C99 source code with a header and a program that replays
-        it. The header is `path`.
+        """Write the controller as C99 source code with a header and a replay program. The header is
+        `path`. The header is `path`.
 
         `real` is "double" or "float". Raises `BadRequest` where there is no controller, and where
         the observer cannot compute the plant's maps (`unknown_maps`).
@@ -355,8 +353,7 @@ class Design:
         )
 
     def nyquist(self) -> Any:
-        """Draw the Nyquist curve of the control loop, with discs that show the measured model
-        error.
+        """Draw the Nyquist curve of the control loop, with discs for the measured model error.
 
         Returns the Matplotlib figure. Raises `BadRequest` for several inputs or outputs.
         """

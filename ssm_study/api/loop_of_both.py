@@ -18,7 +18,7 @@ HOLDS = "comes to rest, certified (no rate of its own)"
 Pair = tuple[float, float]
 
 
-def describe_closed_loop_verdict(
+def describe_loop_verdict(
     verdicts: Mapping[str, bool], unknown_maps: Mapping[str, str], example: str | None = None
 ) -> str:
     """Text of the verdict on the closed loop of controller and observer, with the reason where it
@@ -28,7 +28,7 @@ def describe_closed_loop_verdict(
     failed = [name for name in ("controller", "observer") if not verdicts[name]]
     if failed:
         return f"not certified: the {' and the '.join(failed)} is not"
-    maps = list_unknown_maps(unknown_maps)
+    maps = list_maps(unknown_maps)
     words = f"not certified: this proof needs an observer that computes the plant's own {maps}"
     return words if example is None else f"{words}; {example}"
 
@@ -43,7 +43,7 @@ def add_loop_verdict(
     return {**gain_verdicts, "loop": is_certified}
 
 
-def list_unknown_maps(unknown_maps: Mapping[str, str]) -> str:
+def list_maps(unknown_maps: Mapping[str, str]) -> str:
     """Text that lists the static maps which an observer would have to compute, each with its range
     of slopes."""
     return " and ".join(unknown_maps.values())
@@ -61,10 +61,10 @@ def find_unstable_example(certificates: Certificates) -> str | None:
     ends = [(part.alpha - part.beta, part.alpha + part.beta) for part in (feedback, observer)]
     driven = feedback.b @ feedback.k
     corrected = observer.l @ observer.c
-    return describe_unstable_example(feedback.a, driven, corrected, *ends)
+    return unstable_loop_text(feedback.a, driven, corrected, *ends)
 
 
-def describe_unstable_example(
+def unstable_loop_text(
     a: Float[np.ndarray, "n n"],
     input_feedback: Float[np.ndarray, "n n"],
     output_correction: Float[np.ndarray, "n n"],

@@ -9,11 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from ssm_study.api.loop_of_both import (
-    describe_closed_loop_verdict,
-    find_unstable_example,
-    list_unknown_maps,
-)
+from ssm_study.api.loop_of_both import describe_loop_verdict, find_unstable_example, list_maps
 from ssm_study.api.scope_of_proof import (
     describe_deciding_band,
     describe_simulated_loop,
@@ -74,7 +70,7 @@ def summarise_model(model: "Model") -> pd.Series:
             lines["mean that predicts"] = f"{facts['members']} models, {fit_words}"
     if model.identification.chosen:
         chosen_settings = model.identification.chosen
-        lines["chosen by the records"] = chosen_settings_text(chosen_settings)
+        lines["chosen by the records"] = choice_text(chosen_settings)
     if isinstance(model.simulator, SSM | StructuredSSM):
         lines |= summarise_state_space(model, model.simulator)
     return pd.Series(lines, name="model", dtype=object)
@@ -102,7 +98,7 @@ def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dic
     return lines
 
 
-def chosen_settings_text(chosen: str) -> str:
+def choice_text(chosen: str) -> str:
     """Text on the settings of a model that were chosen from the records."""
     for value, answer in (("none", "no"), ("free", "yes")):
         chosen = chosen.replace(f"input path {value}", f"input drives the neurons {answer}")
@@ -137,13 +133,9 @@ def summarise_design(design: "Design") -> pd.Series:
         step_s = design.model.step_s
         lines |= summarise_gain_certificate(name, part, rate, step_s, requested)
         if name == "observer" and part.certified and design.unknown_maps:
-            lines[name] += (
-                f", if it computes the plant's own {list_unknown_maps(design.unknown_maps)}"
-            )
+            lines[name] += f", if it computes the plant's own {list_maps(design.unknown_maps)}"
     example = find_unstable_example(certificate) if design.unknown_maps else None
-    lines["loop of both"] = describe_closed_loop_verdict(
-        design.verdicts, design.unknown_maps, example
-    )
+    lines["loop of both"] = describe_loop_verdict(design.verdicts, design.unknown_maps, example)
     lines["not proved"] = describe_unproved(design)
     if not certificate.feasible:
         return pd.Series(lines, name="design", dtype=object)
