@@ -47,8 +47,8 @@ NAME = re.compile(r"\$\{run_name:([^${}]*)\}")
 
 
 class Loader(ConfigLoaderImpl):
-    """Hydra's configuration loader with a faster list of a group's choices. It does not copy the
-    files that it has read (`--help` lists a hundred groups)."""
+    """Hydra's configuration loader with a faster list of the choices that a configuration group
+    offers. It does not copy the files that it has read (`--help` lists a hundred groups)."""
 
     defaults: Mapping[str, Any] = MappingProxyType({})  # by group, to be marked
 
@@ -67,8 +67,8 @@ class Loader(ConfigLoaderImpl):
 
 
 class Command(Hydra):
-    """Command line of a Hydra application, over one folder of configuration files. It does with the
-    arguments what `hydra.main` does.
+    """Command line of a Hydra application whose configuration files lie in one folder. It does with
+    the arguments what `hydra.main` does.
 
     `config` is composed when first asked for, and is what `do` then runs: it can be checked before
     Hydra makes the callbacks, the launcher and the sweeper that it names.
@@ -89,8 +89,8 @@ class Command(Hydra):
 
     @cached_property
     def config(self) -> DictConfig:
-        """Composed configuration of the request. Raises Hydra's error for a request that cannot be
-        composed."""
+        """Composed configuration that the command line requests. Raises Hydra's error for a request
+        that cannot be composed."""
         mode = RunMode.MULTIRUN if self.asked.multirun else RunMode.RUN
         words = list(self.asked.overrides)
         if not any(word.startswith("hydra.mode=") for word in words):
@@ -100,18 +100,19 @@ class Command(Hydra):
         return config
 
     def help(self) -> None:
-        """Print the help, with the defaults marked by a star."""
+        """Print the help of the command line, with the default choices marked by a star."""
         assert isinstance(self.config_loader, Loader)
         self.config_loader.defaults = dict(self.config.hydra.runtime.choices)
         self.app_help(self.name, get_args_parser(), self.asked)
 
     @property
     def is_sweep(self) -> bool:
-        """Whether the command line requests a sweep of several jobs."""
+        """Whether the command line requests a sweep, that is, several jobs with different
+        settings."""
         return bool(self.config.hydra.mode == RunMode.MULTIRUN)
 
     def execute(self, task: TaskFunction) -> None:
-        """Run the task once, or for every job of the sweep."""
+        """Run a task once, or once for every job of a sweep."""
         run = self.multirun if self.is_sweep else self.run
         run(self.name, task, self.asked.overrides)
 
@@ -125,8 +126,8 @@ class Command(Hydra):
 
 
 def set_hydra_config(config: DictConfig) -> None:
-    """Set the configuration from which Hydra resolves `${hydra:...}`. Hydra's own `set_config`
-    would first copy its whole section (5 ms)."""
+    """Set the configuration from which Hydra resolves interpolations such as `${hydra:job.num}`.
+    Hydra's own `set_config` would first copy its whole section (5 ms)."""
     HydraConfig.instance().cfg = config  # type: ignore[assignment]  # Hydra's type is that of the section alone
 
 
@@ -149,8 +150,8 @@ def grid_combinations(config: DictConfig) -> list[list[str]]:
 
 @dataclass
 class ComposedChoices:
-    """Configuration composed from one set of choices, to which the plain values of each job are
-    added."""
+    """Composed configuration that several jobs of a sweep share, and into which the own values of
+    each job are put."""
 
     config: DictConfig
     held: dict[str, bool] = field(default_factory=dict)
@@ -158,8 +159,8 @@ class ComposedChoices:
 
     @cached_property
     def settings_tree(self) -> Settings:
-        """Configuration as plain containers, without Hydra's section and with unresolved
-        interpolations."""
+        """Composed configuration as plain containers, with interpolations left unresolved and
+        without Hydra's own section."""
         tree = OmegaConf.to_container(self.config, resolve=False)
         assert isinstance(tree, dict)
         return Settings(
@@ -168,7 +169,7 @@ class ComposedChoices:
 
     @cached_property
     def settings_in_run_name(self) -> tuple[str, ...] | None:
-        """Settings that appear in the run's name; None if the name depends on more than plain
+        """Settings that appear in the name of a run; None if the name depends on more than plain
         settings. OmegaConf has to resolve such a name, which is slow."""
         interpolation = NAME.fullmatch(str(self.settings_tree.get("run", "")))
         others = [value for key, value in self.settings_tree.items() if key != "run"]
@@ -188,8 +189,8 @@ class ComposedChoices:
         return self.held[path]
 
     def settings(self, values: dict[str, Any]) -> Settings:
-        """Settings of one job, made by putting values at dotted paths of the shared composition.
-        Unchanged sections are shared between jobs."""
+        """Settings of one job of a sweep, made by putting the job's values into the shared
+        configuration. Unchanged sections are shared between jobs."""
         assert self.settings_in_run_name is not None
         settings = Settings(self.settings_tree)
         by_section: dict[str, dict[str, Any]] = {}
@@ -203,8 +204,7 @@ class ComposedChoices:
         return Settings(settings | {"run": run_name(settings, *self.settings_in_run_name)})
 
     def job_section(self, name: str, values: dict[str, Any]) -> Any:
-        """One section of a job's settings, with the job's own values put in; equal sections are the
-        same object."""
+        """One section of the settings of a job, with the job's own values put in."""
         typed = [(path, type(value), value) for path, value in values.items()]
         key = (name, *typed)
         if key not in self.sections:
@@ -224,27 +224,30 @@ def replace_at_path(tree: Any, path: list[str], value: Any) -> Any:
 
 
 class Composer:
-    """Composer of the configurations of a sweep's jobs. It gives what Hydra's `load_sweep_config`
-    gives, but does not read the files again for every job.
+    """Composer of the configurations of a sweep's jobs, which reads the configuration files only
+    once. It gives what Hydra's `load_sweep_config` gives.
 
-    `refuse` is asked about every composition.
+    `check_configuration` is called for every composition.
     """
 
     def __init__(
-        self, loader: ConfigLoader, sweep: DictConfig, refuse: Callable[[DictConfig], None]
+        self,
+        loader: ConfigLoader,
+        sweep: DictConfig,
+        check_configuration: Callable[[DictConfig], None],
     ) -> None:
         assert isinstance(loader, ConfigLoaderImpl)
         self.loader = loader
         self.sweep = sweep
-        self.refuse = refuse
+        self.refuse = check_configuration
         self.parser = OverridesParser.create(config_loader=loader)
         # Every word, and whether it is a plain value.
         self.parsed: dict[str, tuple[Override, bool]] = {}
         self.composed: dict[tuple[str, ...], ComposedChoices] = {}
 
     def compose(self, overrides: list[str], number: int | None = None) -> DictConfig:
-        """Whole configuration of one job, including Hydra's section. The next call may return the
-        same object with other values."""
+        """Compose the whole configuration of one job of a sweep, including Hydra's section. The
+        next call may return the same object with other values."""
         chosen, values = self._split_overrides(overrides)
         config = chosen.config
         parsed = [self._parse_override(word)[0] for word in overrides]
@@ -265,8 +268,8 @@ class Composer:
         return config
 
     def settings(self, overrides: list[str], number: int) -> Settings:
-        """Settings of one job without Hydra's section. A value that OmegaConf has to resolve costs
-        ten times as much."""
+        """Compose the settings of one job of a sweep, without Hydra's section. A value that
+        OmegaConf has to resolve costs ten times as much."""
         chosen, values = self._split_overrides(overrides)
         if chosen.settings_in_run_name is not None:
             by_path = {str(override.key_or_group): override.value() for override in values}
@@ -276,8 +279,8 @@ class Composer:
         return plain_settings(config)
 
     def _split_overrides(self, overrides: list[str]) -> tuple[ComposedChoices, list[Override]]:
-        """Separate a job's overrides into a composition that other jobs share and the job's own
-        plain values."""
+        """Split the overrides of one job into a configuration that other jobs share and the job's
+        own plain values."""
         parsed = [self._parse_override(word) for word in overrides]
         chosen = self._shared_composition(parsed)
         marked = []
@@ -289,8 +292,8 @@ class Composer:
         return chosen, [override for override, is_own in marked if is_own]
 
     def _shared_composition(self, parsed: list[tuple[Override, bool]]) -> ComposedChoices:
-        """Configuration composed from parsed overrides, which Hydra loads when it is first
-        needed."""
+        """Configuration composed from parsed overrides that several jobs share, loaded when it is
+        first needed."""
         choices = [str(override.input_line) for override, is_plain in parsed if not is_plain]
         # The paths, too: values are put into the composition itself, so all its jobs must give the
         # same.
@@ -303,7 +306,7 @@ class Composer:
         return self.composed[key]
 
     def _parse_override(self, word: str) -> tuple[Override, bool]:
-        """Parse one override, and say whether it sets a plain value."""
+        """Parse one command-line override, and say whether it only sets a plain value."""
         if word not in self.parsed:
             override = self.parser.parse_override(word)
             refuse_nonfinite_settings({str(override.key_or_group): override.value()})
@@ -312,8 +315,9 @@ class Composer:
 
 
 def is_plain_value(override: Override, repository: IConfigRepository) -> bool:
-    """Whether an override only sets a plain value, such as `a.b=1`. It then chooses no group, adds,
-    deletes, interpolates and instantiates nothing, and changes nothing of Hydra's own."""
+    """Whether a command-line override only sets a plain value, such as `a.b=1`. Such an override
+    chooses no group, adds, deletes, interpolates and instantiates nothing, and changes nothing of
+    Hydra's own."""
     path = str(override.key_or_group)
     value = override.value()
     if override.type is not OverrideType.CHANGE or override.package is not None:

@@ -43,7 +43,8 @@ FORM = f"1 {sys.version}"  # syntax trees differ from one Python to the next
 
 
 class Part(NamedTuple):
-    """Statements that define one name, with their digest and the names that they use."""
+    """Statements of a source file that define one name, summed up by their digest and the names
+    that they use."""
 
     digest: str
     names: list[str]
@@ -56,20 +57,20 @@ NOTHING = Part("", [], [])
 @dataclass
 class Module:
     """Content of one scanned source file: the statements that define each name, and the imported
-    symbols."""
+    names."""
 
     parts: dict[str, Part] = field(default_factory=dict)
     imported: dict[str, list[Symbol]] = field(default_factory=dict)
 
     @property
     def bound_names(self) -> set[str]:
-        """Names that the statements of the module bind."""
+        """Names that the statements of a source file define."""
         return set(self.parts) - {LOOSE}
 
 
 @dataclass(frozen=True)
 class Code:
-    """Reader of source code that finds everything on which given functions and classes depend.
+    """Reader of source code that finds all code on which given functions and classes depend.
     Sources are read where they are imported from, or in `folders` (name: folder)."""
 
     folders: Mapping[str, Path] = field(default_factory=dict)
@@ -78,8 +79,7 @@ class Code:
     steps: dict[Symbol, frozenset[Symbol]] = field(default_factory=dict)
 
     def code_digest(self, *roots: Symbol) -> str:
-        """SHA-256 of all source code on which the given symbols depend; equal digests mean equal
-        results."""
+        """SHA-256 of all source code on which given functions and classes depend."""
         for module, name in roots:
             symbol = f"{module}.{name}"
             is_defined = self._is_defined(module, name)
@@ -90,7 +90,7 @@ class Code:
         return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()
 
     def _is_defined(self, module: str, name: str) -> bool:
-        """Whether a module defines a name; a library may define any name."""
+        """Whether a module defines a name; a module of a library may define any name."""
         if not self._is_followed(module.split(".")[0]):
             return True
         read = self._read_module(module)
@@ -101,16 +101,15 @@ class Code:
         )
 
     def dependency_closure(self, roots: Iterable[Symbol]) -> set[Symbol]:
-        """All symbols that given symbols depend on, directly or through others, except
-        libraries."""
+        """All functions, classes and constants on which given ones depend, libraries excepted."""
         visited = set[Symbol]()
-        waiting = {self._followed_symbol(symbol) for symbol in roots}
+        waiting = {self._symbol_to_read(symbol) for symbol in roots}
         while waiting:
             symbol = waiting.pop()
             visited.add(symbol)
             if symbol not in self.steps:
                 self.steps[symbol] = frozenset(
-                    map(self._followed_symbol, self._symbols_used(*symbol))
+                    map(self._symbol_to_read, self._symbols_used(*symbol))
                 )
             waiting |= self.steps[symbol] - visited
         return visited
@@ -122,15 +121,16 @@ class Code:
             if module.split(".")[0] == OURS:
                 self._read_module(module)
 
-    def _followed_symbol(self, symbol: Symbol) -> Symbol:
-        """Symbol whose source is read, which is a whole library or a present name."""
+    def _symbol_to_read(self, symbol: Symbol) -> Symbol:
+        """Module and name whose source is read for a given symbol: for a library the whole library,
+        for an old name the current one."""
         top = symbol[0].split(".")[0]
         if not self._is_followed(top):
             return (top, LIBRARY)
-        return self._present_symbol(symbol) if top == OURS else symbol
+        return self._current_symbol(symbol) if top == OURS else symbol
 
-    def _present_symbol(self, symbol: Symbol) -> Symbol:
-        """Present module and name of a symbol that other code may import by an old name."""
+    def _current_symbol(self, symbol: Symbol) -> Symbol:
+        """Current module and name of a function or class that may be imported by an old name."""
         module, name = symbol
         if name in (WHOLE, LIBRARY):
             return (
@@ -150,7 +150,7 @@ class Code:
         return self.followed[top]
 
     def _symbols_used(self, module: str, name: str) -> Iterator[Symbol]:
-        """Symbols that one symbol uses directly."""
+        """Functions, classes and constants that a given one uses directly."""
         read = None if name == LIBRARY else self._read_module(module)
         if read is None:
             return
@@ -168,7 +168,7 @@ class Code:
             yield from self._symbols_in_module(module, read)
 
     def _symbols_in_module(self, module: str, read: Module) -> Iterator[Symbol]:
-        """All symbols of a module; an `__init__.py` also has those of the package's files."""
+        """All functions, classes and constants of a module, including files of a package."""
         for bound in read.bound_names:
             yield module, bound
         for symbols in read.imported.values():
@@ -181,7 +181,7 @@ class Code:
                 yield f"{module}.{file.stem}", WHOLE
 
     def _digest(self, module: str, name: str) -> str:
-        """Digest of the statements that define one symbol; for a library, its version."""
+        """Digest of the statements that define a symbol; for a library, its version."""
         if name == LIBRARY:
             return library_version(module)
         parts = (self._read_module(module) or Module()).parts
@@ -221,8 +221,8 @@ CODE = Code()
 
 
 def _is_installed(path: Path) -> bool:
-    """Whether a source file belongs to an installed library. One in a folder of its own (`pip
-    install --target`) has its `.dist-info` beside the package."""
+    """Whether a source file belongs to an installed library. A package in a folder of its own (`pip
+    install --target`) has its `.dist-info` beside it."""
     if not INSTALLED.isdisjoint(path.parts):
         return True
     package = path.parent if path.name == "__init__.py" else path
@@ -258,7 +258,7 @@ def find_symbol(root: Callable[..., Any] | type | str) -> Symbol:
 
 @cache
 def library_version(library: str) -> str:
-    """Version of the distribution that provides an import name; empty for Python's own."""
+    """Installed version of the library with a given import name; empty for Python's own."""
     if library in sys.stdlib_module_names:
         return ""
     with suppress(metadata.PackageNotFoundError):
@@ -270,7 +270,7 @@ def library_version(library: str) -> str:
 
 @cache
 def _distributions_with_files() -> list[tuple[metadata.Distribution, str]]:
-    """Every installed distribution, with the text that lists its files."""
+    """All installed distributions, each with the text that lists its files."""
     listed = []
     for owner in metadata.distributions():
         files = owner.read_text("RECORD") or owner.read_text("top_level.txt") or ""
@@ -306,7 +306,7 @@ def _module_from_json(cached: Mapping[str, Any]) -> Module:
 
 
 def _symbols_from_pairs(pairs: Iterable[Iterable[str]]) -> list[Symbol]:
-    """Symbols from pairs of module and name, as JSON stores them."""
+    """Convert pairs of module and name from a JSON list to tuples."""
     return [(module, name) for module, name in pairs]
 
 
@@ -337,7 +337,7 @@ def _drop_docstrings(tree: ast.Module) -> None:
 
 
 def _scan_statements(statements: list[ast.stmt], package: str) -> Part:
-    """Digest and dependencies of the statements that define one name."""
+    """Digest the statements that define one name, and find the names on which they depend."""
     text = "\n".join(map(ast.dump, statements))
     names: set[str] = set()
     imports: set[Symbol] = set()
@@ -350,8 +350,8 @@ def _scan_statements(statements: list[ast.stmt], package: str) -> Part:
 
 
 def _top_level_statements(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
-    """Top-level statements with those inside `if`, `try` and `with` blocks. Statements that only
-    type checkers see are left out."""
+    """Iterate over the top-level statements of a module, including those inside `if`, `try` and
+    `with` blocks. Statements that only type checkers see are left out."""
     for statement in body:
         if isinstance(statement, ast.If) and ast.unparse(statement.test) in NOT_AT_IMPORT:
             continue
@@ -374,7 +374,7 @@ def _bound_names(statement: ast.stmt) -> set[str]:
 
 
 def _names_read(node: ast.AST) -> Iterator[str]:
-    """Names that are read when a statement runs or is called; names in annotations are left out."""
+    """Names that are read when a statement runs or when what it defines is called."""
     if isinstance(node, ast.Name):
         yield node.id
     for label, value in ast.iter_fields(node):
@@ -386,7 +386,7 @@ def _names_read(node: ast.AST) -> Iterator[str]:
 def _import_bindings(
     node: ast.Import | ast.ImportFrom, package: str
 ) -> Iterator[tuple[str, Symbol]]:
-    """Names that an import binds, each with the symbol that it stands for."""
+    """Names that an import statement binds, each with the module and name for which it stands."""
     if isinstance(node, ast.Import):
         for alias in node.names:
             yield alias.asname or alias.name.split(".")[0], (alias.name, WHOLE)

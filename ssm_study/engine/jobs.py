@@ -40,7 +40,7 @@ FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP")
 
 @dataclass(kw_only=True)
 class Job:
-    """One configuration of a sweep and, once started, its process."""
+    """One job of a sweep: its settings and, once started, its process."""
 
     overrides: list[str]
     settings: Settings
@@ -51,15 +51,15 @@ class Job:
     started: float = 0.0
 
     def as_hydra_outcome(self, outcome: Outcome | None) -> JobReturn:
-        """Outcome of the job in the form that Hydra expects."""
+        """Convert the outcome of a run to the form that Hydra expects."""
         ended = JobReturn(self.overrides, working_dir=str(Path.cwd()), task_name=self.folder.name)
         ended.status = JobStatus.COMPLETED
         ended.return_value = outcome
         return ended
 
     def check_settings(self, task: Task[Any]) -> None:
-        """Check the settings of this job. Raises the task's `BadRequest` with the name of the run
-        added."""
+        """Check the settings of one job of a sweep before any job is started. Raises the task's
+        `BadRequest` with the name of the run added."""
         try:
             task.request(self.settings)
         except BadRequest as refusal:
@@ -85,7 +85,8 @@ def create_jobs(
 
 
 def run_job(job: Job, composer: Composer, task: Task[Any], hydra_context: HydraContext) -> None:
-    """Run a job in the present process, and write all its output to `folder/run.log`.
+    """Run a job in the present process, and write all its output to the log file `run.log` of its
+    folder.
 
     What Hydra's `run_job` does in a process that goes on to other jobs, without the copies it needs
     to undo it.
@@ -131,8 +132,8 @@ def _redirect_output(folder: Path) -> None:
 
 
 def ended_job_outcome(job: Job) -> Outcome:
-    """Outcome of a job whose process has ended, from its record or, without one, from how the
-    process died."""
+    """Outcome of a job whose process has ended, read from its record or, without one, from the way
+    the process died."""
     assert job.process is not None
     job.process.join()
     kill_job(job)  # what the job started and left behind
@@ -146,8 +147,8 @@ def ended_job_outcome(job: Job) -> Outcome:
 def record_death(
     folder: Path, death: Mapping[str, Any], text: str, pid: int | None = None
 ) -> Outcome:
-    """Record that a run's process died, unless the run has a final record, and return the run's
-    outcome. A failure with `text` as traceback is recorded if no process works on the run.
+    """Record that the process of a run died, unless the run has a final record, and return the
+    run's outcome. A failure with `text` as traceback is recorded if no process works on the run.
 
     Not where another process than `pid` began the run: a sweep that was killed meanwhile left it,
     and it is only lost.
@@ -169,7 +170,7 @@ def record_death(
 
 
 def _cause_of_death(job: Job) -> dict[str, Any]:
-    """Error columns of a process that was ended by a signal, or exited without leaving a record."""
+    """Record columns on the error of a process that was ended by a signal or left no record."""
     code = job.process.exitcode if job.process else None
     if code is None or code == SERVER_DIED:
         message = "the process that jobs are forked from was killed"
@@ -184,15 +185,15 @@ def _cause_of_death(job: Job) -> dict[str, Any]:
     return _death_columns(name, message, transient=name in FROM_OUTSIDE)
 
 
-def _death_columns(kind: str, message: str, transient: bool) -> dict[str, Any]:
-    """Error columns of a job that ended without a record: type, message, and whether a retry may
-    succeed."""
-    return {"error_type": kind, "error_message": message, "failure_transient": transient}
+def _death_columns(error_type: str, message: str, transient: bool) -> dict[str, Any]:
+    """Record columns on the error of a job that ended without a record: type, message, and whether
+    a retry may succeed."""
+    return {"error_type": error_type, "error_message": message, "failure_transient": transient}
 
 
 def stop_overdue_job(job: Job) -> None:
-    """Stop a job that exceeds its time limit. Its traceback is requested (faulthandler writes it to
-    the log on SIGABRT), then its whole process group is killed."""
+    """Stop a job that exceeds its time limit, after its traceback has been written to its log.
+    Faulthandler writes it on SIGABRT; then the whole process group is killed."""
     assert job.process is not None
     seconds = time.monotonic() - job.started
     message = f"no result after {seconds:.0f} s, the limit of hydra.launcher.timeout_s"

@@ -36,7 +36,8 @@ from ssm_study.refusal import require
 
 @runtime_checkable
 class Sweep(Protocol):
-    """Objects that Hydra gives to a launcher when a sweep begins."""
+    """Objects that Hydra hands to a launcher when a sweep begins, such as configuration and
+    task."""
 
     hydra_context: HydraContext
     task_function: TaskFunction
@@ -50,15 +51,15 @@ class Launcher(ABC):
 
     @abstractmethod
     def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:
-        """Run the unfinished jobs of a sweep and fill in their outcomes. Afterwards each job has
+        """Run the unfinished jobs of a sweep and note the outcome of each. Afterwards each job has
         its `outcome`, even if its process failed."""
 
 
 def launch_sweep(
     launcher: Launcher, sweep: Sweep, overrides: Sequence[list[str]], first_number: int
 ) -> list[JobReturn]:
-    """Compose the configurations of all jobs, check the unfinished ones, then run or plan them.
-    Returns one `JobReturn` for each."""
+    """Compose the configurations of all jobs of a sweep, check the unfinished ones, then run or
+    plan them. Returns one `JobReturn` for each."""
     setup_globals()
     task = find_task(sweep.task_function)
     task.refuse_configuration(sweep.config)
@@ -83,8 +84,8 @@ def launch_sweep(
 
 @dataclass(frozen=True, kw_only=True)
 class Processes(Launcher):
-    """Launcher with one fresh process per job. A job may raise, exit, crash, hang or be killed
-    without any effect on the others.
+    """Launcher that runs each job of a sweep in a fresh process, so that a crash cannot affect
+    other jobs. A job may raise, exit, crash, hang or be killed.
 
     `n_jobs` processes at a time with `threads` each; raises `BadRequest` if that is more than the
     cores. With `fail_fast` none is begun after the first failure.
@@ -125,7 +126,7 @@ class Processes(Launcher):
 
     @property
     def parallel_jobs(self) -> int:  # type: ignore[override]
-        """Number of jobs that run at the same time."""
+        """Number of jobs of a sweep that run at the same time."""
         if self.n_jobs is not None:
             return self.n_jobs
         return max(1, len(os.sched_getaffinity(0)) // self.threads)
@@ -162,8 +163,8 @@ class Processes(Launcher):
     def _wait_for_ended_jobs(
         self, server: Server, running: list[Job], progress: Progress
     ) -> list[Job]:
-        """Wait a moment, and return the jobs that have ended by themselves or were stopped at the
-        time limit."""
+        """Wait a moment, and return the jobs of a sweep that have ended or exceeded the time
+        limit."""
         server.wait_for_job_end(0.5)
         ended = [job for job in running if job.process and job.process.exitcode is not None]
         progress.update_running_jobs(running=len(running))
@@ -178,8 +179,8 @@ class Processes(Launcher):
 
 
 def preload_for_jobs(task: Task[Any], jobs: list[Job]) -> None:
-    """Import everything that the jobs of a sweep need, and read the code on which their keys
-    depend."""
+    """Import, before any job of a sweep starts, everything that the jobs need, and read the code on
+    which their results depend."""
     planned = KeyedStages(shared_store(jobs[0].settings))
     for job in jobs:
         with contextlib.suppress(Exception):  # the job itself says what is wrong with it
@@ -191,8 +192,8 @@ def preload_for_jobs(task: Task[Any], jobs: list[Job]) -> None:
 
 @contextlib.contextmanager
 def _sweep_ending_signals(running: list[Job], server: Server) -> Iterator[None]:
-    """Context in which Ctrl-C and SIGTERM end the sweep and kill its jobs at once. Their runs count
-    as `lost` and run again next time."""
+    """Context manager in which Ctrl-C and SIGTERM end a sweep and kill its jobs at once. Their runs
+    count as `lost` and run again next time."""
 
     def raise_sweep_end(number: int, _: FrameType | None) -> None:
         """Raise the exception that ends the sweep; later signals are ignored meanwhile."""

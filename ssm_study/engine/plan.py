@@ -15,14 +15,14 @@ from ssm_study.engine.store import MANIFEST, Store
 
 @dataclass(frozen=True)
 class PlannedStages(Stages):
-    """Stages of a run that are only planned. Each is noted with its key and whether the store has
-    it."""
+    """Store of stages for a dry run: notes which stages of a run are needed and which are already
+    stored, and computes none."""
 
     store: Store
     noted: dict[str, StageResult] = field(default_factory=dict)
 
     def stage_result(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
-        """Record that a run needs a stage and whether the store has it, without computing it."""
+        """Note that a run needs a stage and whether it is stored already, without computing it."""
         if key in self.noted:  # many runs share a stage: its folder is looked for once
             return self.noted[key]
         folder = self.store.stage_folder(name, key)
@@ -34,29 +34,30 @@ class PlannedStages(Stages):
 
 
 class KeyedStages(PlannedStages):
-    """Planned stages that also know the keys of their columns. For this, all code on which the
-    columns depend is read."""
+    """Store of stages for a dry run that also determines the keys under which the columns of each
+    stage are stored. For this, all code on which the columns depend is read."""
 
     def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
-        """Key under which the columns of a stage are stored, without computing the columns."""
+        """Determine the key under which the columns of a stage are stored, without computing the
+        columns."""
         columns_key(output, before)
         return {}
 
 
 def plan_lines(
     store: Store,
-    walks: Sequence[Callable[[Stages], object]],
-    runs: int,
-    finished: int,
+    runners: Sequence[Callable[[Stages], object]],
+    run_count: int,
+    finished_count: int,
     jobs_at_once: int = 1,
 ) -> list[str]:
-    """Text with the plan of a sweep: how many runs and stages are missing, and how long they will
-    take. It says `at least` if a missing stage was never timed.
+    """Text lines with the plan of a sweep: how many runs and stages are missing, and how long
+    computing them will take. It says `at least` if a missing stage was never timed.
 
-    `walks` take the stages of each unfinished run down the line.
+    `runners` take the stages of each unfinished run down the line.
     """
     planned = PlannedStages(store)
-    for walk in walks:
+    for walk in runners:
         walk(planned)
     needed = Counter(result.name for result in planned.noted.values())
     there = Counter(result.name for result in planned.noted.values() if result.reused)
@@ -71,7 +72,7 @@ def plan_lines(
         seconds += missing * (seconds_each or 0.0) / jobs_at_once
         bound = "at least" if missing and seconds_each is None else bound
     return [
-        f"{runs} runs: {finished} finished, {runs - finished} to do",
+        f"{run_count} runs: {finished_count} finished, {run_count - finished_count} to do",
         "",
         f"{'stage':<14}{'needed':>8}{'there':>8}{'compute':>9}{'each':>10}",
         *lines,
@@ -81,7 +82,7 @@ def plan_lines(
 
 
 def mean_stage_seconds(store: Store, stage: str) -> float | None:
-    """Mean computing time of one stage in the store, in seconds."""
+    """Mean computing time of one stage in seconds, from earlier results in the store."""
     seconds = []
     for manifest in store.root.glob(f"{stage}/[!.]*/{MANIFEST}"):
         with suppress(OSError, ValueError, KeyError, TypeError):

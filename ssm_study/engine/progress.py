@@ -17,8 +17,8 @@ QUIET_S = 30.0  # without a terminal: a line at most this often, and one at the 
 
 
 class Progress:
-    """Counter of a sweep's outcomes, which prints progress on stderr. It updates one line on a
-    terminal, and prints a new line now and then elsewhere."""
+    """Counter of the outcomes of a sweep's runs, which prints the progress on stderr. It updates
+    one line on a terminal, and prints a new line now and then elsewhere."""
 
     def __init__(self, total: int) -> None:
         self.total = total
@@ -42,19 +42,19 @@ class Progress:
         print(self.line(), file=sys.stderr, flush=True)
 
     def count_outcome(self, status: str, reused: bool = False) -> None:
-        """Count the outcome of a finished run and print the progress."""
+        """Count the outcome of one finished run of a sweep and print the progress."""
         self.counts[status] += 1
         self.reused += reused
         self._show_line()
 
     def update_running_jobs(self, running: int) -> None:
-        """Set the number of running jobs and print the progress."""
+        """Set the number of running jobs of a sweep and print the progress."""
         self.running = running
         self._show_line()
 
     def line(self) -> str:
-        """Progress in one line: `12/60 runs: 10 ok, 1 infeasible, 1 failed; 8 there before; 2
-        running; 3:20 left`."""
+        """Progress of a sweep in one line: `12/60 runs: 10 ok, 1 infeasible, 1 failed; 8 there
+        before; 2 running; 3:20 left`."""
         statuses = (*FINAL, *sorted(set(self.counts) - set(FINAL)))
         counts = [f"{self.counts[status]} {status}" for status in statuses]
         parts = [f"{self.counts.total()}/{self.total} runs: {', '.join(counts)}"]
@@ -68,8 +68,8 @@ class Progress:
         return "; ".join(parts)
 
     def seconds_left(self) -> float | None:
-        """Seconds left, estimated from the mean time of the runs done in this sweep; None before
-        the first."""
+        """Estimate of the seconds until a sweep is finished, from the mean time of its finished
+        runs; None before the first."""
         fresh = self.counts.total() - self.reused  # runs there before took no time now
         remaining = self.total - self.counts.total()
         if not fresh or not remaining:
@@ -77,7 +77,7 @@ class Progress:
         return (time.monotonic() - self.started) / fresh * remaining
 
     def _show_line(self) -> None:
-        """Update the progress line on a terminal; elsewhere print it if the last one is old
+        """Update the progress line on a terminal; elsewhere print a new line if the last one is old
         enough."""
         if self.live:
             self.live.update(Text(self.line()), refresh=True)
@@ -87,8 +87,8 @@ class Progress:
 
 
 class Watch(Thread):
-    """Thread that prints the progress of a sweep from its run folders, for launchers that do not
-    report it (basic, Slurm, Ray)."""
+    """Thread that prints the progress of a sweep whose launcher does not report it, by reading the
+    run folders."""
 
     def __init__(self, folders: Sequence[Path], every_s: float = 2.0) -> None:
         super().__init__(daemon=True)
@@ -102,12 +102,12 @@ class Watch(Thread):
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Read the run folders once more, print the last line, and stop."""
+        """Read the run folders a last time, print the last progress line, and stop."""
         self.over.set()
         self.join(timeout=30)  # a dead network file system must not hold up the end
 
     def run(self) -> None:
-        """Show the progress every few seconds until the sweep is over."""
+        """Print the progress every few seconds until the sweep is over."""
         with Progress(total=len(self.folders)) as progress:
             progress.reused = self.there_before
             # Sleeps, yet wakes at once when the sweep is over.
@@ -116,7 +116,7 @@ class Watch(Thread):
             self._read_folders(progress)  # the last line is of how it ended
 
     def _read_folders(self, progress: Progress) -> None:
-        """Count the statuses in the run folders and print the progress."""
+        """Count the statuses in the run folders of a sweep and print the progress."""
         statuses = self._run_statuses()
         progress.counts = Counter(status for status in statuses if status in FINAL)
         progress.update_running_jobs(running=statuses.count(RUNNING))

@@ -12,8 +12,8 @@ from typing import Any
 
 @cache
 def provenance(libraries: tuple[str, ...], source: Path) -> dict[str, Any]:
-    """Columns of a record that say where a number comes from: commit, versions, machine and
-    threads. `git_commit` and `git_dirty` are None where no repository tracks the file `source`."""
+    """Columns of a record that say how a result was made: commit, versions, machine and threads.
+    `git_commit` and `git_dirty` are None where no repository tracks the file `source`."""
     source = source.resolve()
     commit = _git_output(source, "rev-parse", "HEAD")
     changes = _git_output(source, "status", "--porcelain", "--untracked-files=no")
@@ -34,12 +34,12 @@ def provenance(libraries: tuple[str, ...], source: Path) -> dict[str, Any]:
     return facts
 
 
-def _git_output(here: Path, *question: str) -> str | None:
+def _git_output(path: Path, *git_arguments: str) -> str | None:
     """Output of a git command in the repository that tracks a file; None if no repository tracks
     it."""
     with suppress(OSError, subprocess.SubprocessError):
-        for arguments in (("ls-files", "--error-unmatch", here.name), question):
-            command = ["git", "-C", str(here.parent), *arguments]
+        for arguments in (("ls-files", "--error-unmatch", path.name), git_arguments):
+            command = ["git", "-C", str(path.parent), *arguments]
             answer = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
         return answer.stdout.strip()
     return None

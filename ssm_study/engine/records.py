@@ -37,8 +37,8 @@ FINAL = (OK, INFEASIBLE, FAILED)  # no process is at work on it, nor was one sto
 
 
 def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) -> None:
-    """Write the record of a run folder atomically. NaN becomes null, infinities become the texts
-    `inf` and `-inf`."""
+    """Write the record of a run into its folder in one step, so that no reader sees half of it. NaN
+    becomes null, infinities become the texts `inf` and `-inf`."""
     columns = {str(name): value for name, value in record.items() if name not in OF_THE_FILE}
     flat = {name: storable_value(name, value) for name, value in columns.items()}
     body = {"record_version": VERSION} | add_renamed_columns(flat)
@@ -46,8 +46,8 @@ def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) 
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
-    """Record of a run folder with the run's present `status` (`lost` and `corrupt` included); None
-    if there is none."""
+    """Read the record of a run, with the run's present status; None if there is none. The status
+    may be `lost` or `corrupt`."""
     try:
         content = read_limited_bytes(folder / RECORD, LARGEST)
     except (FileNotFoundError, NotADirectoryError):
@@ -63,8 +63,8 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 
 
 def parse_record(content: bytes) -> dict[str, Any]:
-    """Parse a record from bytes. Bytes that are not exactly a sealed record give only `status =
-    corrupt`."""
+    """Parse the record of a run from the bytes of its file. Bytes that are not exactly a sealed
+    record give only `status = corrupt`."""
     record = read_sealed_json(content)
     version = None if record is None else record.get("record_version")
     if type(version) is not int or version not in READABLE:
@@ -79,14 +79,15 @@ def parse_record(content: bytes) -> dict[str, Any]:
 
 
 def _fit_in_64_bits(*values: Any) -> bool:
-    """Whether every whole number among the values has at most 64 bits, as tables require."""
+    """Whether all whole numbers among given values have at most 64 bits, as table columns
+    require."""
     whole = [value for value in values if type(value) is int]
     return all(-(1 << 63) < value < 1 << 63 for value in whole)
 
 
 def storable_value(key: str, value: Any) -> bool | int | float | str | None:
-    """Convert a value to the form in which a record stores it. Raises `BadRequest` for anything but
-    a single number, text or truth value."""
+    """Convert a value to the form in which the record of a run stores it. Raises `BadRequest` for
+    anything but a single number, text or truth value."""
     if isinstance(value, np.generic):  # a scalar of NumPy is written as Python's
         value = value.item()
     if isinstance(value, float) and math.isnan(value):

@@ -30,9 +30,9 @@ FINISHED = frozenset({OK, INFEASIBLE})
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Outcome of a run: its status and whether it was executed. `did` is one of `ran`, `found`
-    (finished before), `left` (failed before and not to be retried), `elsewhere` (another process
-    works on it)."""
+    """Outcome of a run: its status, and whether it was executed now or found finished. `did` is one
+    of `ran`, `found` (finished before), `left` (failed before and not to be retried), `elsewhere`
+    (another process works on it)."""
 
     folder: Path
     status: str
@@ -42,21 +42,21 @@ class Outcome:
 
 @dataclass
 class Run:
-    """Run folder that this process has claimed. The work writes its files into `path` and its
-    numbers through `add_columns`."""
+    """Folder of a run that is being executed by this process, and the facts recorded so far. The
+    work writes its files into `path` and its numbers through `add_columns`."""
 
     path: Path
     facts: dict[str, Any] = field(default_factory=dict)
     stage_folders: list[Path] = field(default_factory=list)  # that the work has taken so far
 
     def add_columns(self, **facts: Any) -> None:
-        """Add columns to the run's record, which stay even if the work fails later."""
+        """Add values to the record of a run, which stay even if the run fails later."""
         self.facts.update(facts)
 
     def record_stage(
         self, stage: StageResult, files: Iterable[str], facts: Mapping[str, Any]
     ) -> None:
-        """Record a finished stage and copy its files into the run folder."""
+        """Record a finished stage of a run and copy its files into the run folder."""
         about = {"key": stage.key, "seconds": stage.seconds, "reused": stage.reused}
         self.add_columns(
             **facts, **{f"stage_{stage.name}_{name}": value for name, value in about.items()}
@@ -96,7 +96,7 @@ def execute_run(
             message = "another process is at this run"
             return Outcome(folder=folder, status=RUNNING, did="elsewhere", message=message)
         # Under the lock: another process may have done the run in the meantime.
-        before = run_status(folder, mine=True)
+        before = run_status(folder, holds_lock=True)
         if not needs_run(before, retry_failed):
             return existing_outcome(folder, before)
         _archive_attempt(folder, before)
@@ -107,9 +107,9 @@ def execute_run(
         return _execute_work(folder, opening, work)
 
 
-def _starting_columns(folder: Path, before: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Columns that are recorded when a run begins, with the number of attempts."""
-    attempts = int((before or {}).get("attempt") or 0)
+def _starting_columns(folder: Path, earlier_record: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Columns of a run's record that are known when the run begins, with the number of attempts."""
+    attempts = int((earlier_record or {}).get("attempt") or 0)
     return {
         "study": folder.parent.name,
         "run": folder.name,
@@ -121,48 +121,50 @@ def _starting_columns(folder: Path, before: Mapping[str, Any] | None) -> dict[st
     }
 
 
-def run_status(folder: Path, mine: bool = False) -> dict[str, Any] | None:
-    """Status of a run from its record. It is `corrupt` also for a finished run with a changed file.
+def run_status(folder: Path, holds_lock: bool = False) -> dict[str, Any] | None:
+    """Record of a run with its present status; None if there is no record. The status is `corrupt`
+    also for a finished run with a changed file.
 
-    `mine` is for the holder of the lock: a run that says `running` is then nobody's.
+    `holds_lock` is for the holder of the lock: a run that says `running` is then nobody's.
     """
     record = records.read_record(folder)
-    if record is not None and record["status"] == RUNNING and mine:
+    if record is not None and record["status"] == RUNNING and holds_lock:
         record["status"] = LOST
     if record is not None and record["status"] in FINISHED and intact_manifest(folder) is None:
         record["status"] = CORRUPT
     return record
 
 
-def needs_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
-    """Whether a run has to be executed, given the earlier status in its folder. Finished runs need
-    not; failed ones only with `retry_failed`, or if the machine was at fault (disk, signal)."""
-    if before is None:
+def needs_run(earlier_record: Mapping[str, Any] | None, retry_failed: bool) -> bool:
+    """Whether a run has to be executed, given the record of an earlier execution. Finished runs
+    need not; failed ones only with `retry_failed`, or if the machine was at fault (disk,
+    signal)."""
+    if earlier_record is None:
         return not retry_failed
-    status = before["status"]
+    status = earlier_record["status"]
     if status == FAILED:
-        return retry_failed or bool(before.get("failure_transient"))
+        return retry_failed or bool(earlier_record.get("failure_transient"))
     return status in (LOST, CORRUPT)
 
 
-def existing_outcome(folder: Path, before: Mapping[str, Any] | None) -> Outcome:
-    """Outcome of a run that needs no execution, taken from the record in its folder."""
-    if before is None:
+def existing_outcome(folder: Path, earlier_record: Mapping[str, Any] | None) -> Outcome:
+    """Outcome of a run that needs no execution, taken from its earlier record."""
+    if earlier_record is None:
         message = "never ran; only failed runs are retried"
         return Outcome(folder=folder, status="absent", did="left", message=message)
-    did = "found" if before["status"] in FINISHED else "left"
-    message = str(before.get("error_message") or "")
-    return Outcome(folder=folder, status=before["status"], did=did, message=message)
+    did = "found" if earlier_record["status"] in FINISHED else "left"
+    message = str(earlier_record.get("error_message") or "")
+    return Outcome(folder=folder, status=earlier_record["status"], did=did, message=message)
 
 
 def _execute_work(
-    folder: Path, opening: dict[str, Any], work: Callable[[Run], Mapping[str, Any] | None]
+    folder: Path, opening_columns: dict[str, Any], work: Callable[[Run], Mapping[str, Any] | None]
 ) -> Outcome:
-    """Do the work of a run and write its record, even if the work fails."""
+    """Execute the work of a run and write its record, even if the work fails."""
     run = Run(path=folder)
     started = time.perf_counter()
     # Until the end only the lock says that the run is under way.
-    records.write_record(folder, opening, durable=False)
+    records.write_record(folder, opening_columns, durable=False)
     try:
         run.add_columns(**(work(run) or {}))
         status = run.facts.get("status", OK)
@@ -172,36 +174,36 @@ def _execute_work(
         closing = {"status": status, "ended_utc": _utc_now(), "seconds": seconds}
         # Before the record: that one makes the run count, so its files must already be durable.
         seal_run(folder)
-        records.write_record(folder, opening | run.facts | closing)
+        records.write_record(folder, opening_columns | run.facts | closing)
     except (Exception, SystemExit) as error:
         if _is_scheduler_stop(error):
             raise
         death = error_columns(error, folder)
         if run.is_missing_a_stage():  # its reader may say so in any words
             death["failure_transient"] = True
-        write_failure(folder, opening | run.facts, death, text=traceback.format_exc())
+        write_failure(folder, opening_columns | run.facts, death, text=traceback.format_exc())
         return Outcome(folder=folder, status=FAILED, did="ran", message=death["error_message"])
     return Outcome(folder=folder, status=str(status), did="ran")
 
 
 def _is_scheduler_stop(error: BaseException) -> bool:
-    """Whether an error was raised because the scheduler announced the end of the job's time. The
-    job is queued again, or its last attempt is over; the run is `lost`, so that the next attempt or
-    the same command repeats it."""
+    """Whether an error was raised because the cluster's scheduler announced the end of the job's
+    time. The job is queued again, or its last attempt is over; the run is `lost`, so that the next
+    attempt or the same command repeats it."""
     *_, (innermost, _) = traceback.walk_tb(error.__traceback__)
     return str(innermost.f_globals.get("__name__")).startswith("submitit.")
 
 
 def seal_run(folder: Path) -> None:
-    """Write `manifest.json` with the checksums of all files of the run, including its
+    """Write a manifest file with the checksums of all files of a run, including its
     configuration."""
     changing = frozenset({LOCK, ATTEMPTS, RECORD, "run.log"})
     seal_folder(folder, {"run": folder.name}, leave_out=changing)
 
 
 def error_columns(error: BaseException, folder: Path) -> dict[str, Any]:
-    """Columns that describe a failure: type, message, and whether a retry may succeed. A transient
-    failure (disk or memory of the machine) is retried by the same command."""
+    """Columns of a record that describe a failure: type, message, and whether a retry may succeed.
+    A transient failure (disk or memory of the machine) is retried by the same command."""
     text = str(error) or type(error).__name__
     if isinstance(error, SystemExit):
         text = f"exited with status {error.code}"
@@ -216,7 +218,7 @@ def error_columns(error: BaseException, folder: Path) -> dict[str, Any]:
 
 
 def _exception_chain(error: BaseException) -> Iterator[BaseException]:
-    """Exception, followed by all exceptions that it was raised from or while handling."""
+    """Iterate over an exception and all exceptions that it was raised from or while handling."""
     cause: BaseException | None = error
     while cause is not None:
         yield cause
@@ -255,8 +257,8 @@ def _is_fault_of_machine(error: BaseException, folder: Path) -> bool:
 def write_failure(
     folder: Path, facts: Mapping[str, Any], error: Mapping[str, Any], text: str
 ) -> None:
-    """Write the traceback of a failed run, then its record. On a full disk the run stays `running`
-    without a lock and counts as lost."""
+    """Write the traceback of a failed run, then its record, into the run's folder. On a full disk
+    the run stays `running` without a lock and counts as lost."""
     with suppress(OSError):
         write_atomically(folder / TRACEBACK, text.encode(errors="replace"))
         storable_facts = {}
@@ -267,10 +269,10 @@ def write_failure(
         records.write_record(folder, storable_facts | closing)
 
 
-def _archive_attempt(folder: Path, before: Mapping[str, Any] | None) -> None:
-    """Move the files of an earlier attempt into `attempts/<n>/`, so that files of two attempts
+def _archive_attempt(folder: Path, earlier_record: Mapping[str, Any] | None) -> None:
+    """Move the files of an earlier attempt at a run into a subfolder, so that files of two attempts
     never mix."""
-    if before is None and not (folder / RECORD).exists():
+    if earlier_record is None and not (folder / RECORD).exists():
         for path in folder.glob(".*.tmp"):  # of writes that were killed
             path.unlink()
         return
@@ -286,5 +288,5 @@ def _archive_attempt(folder: Path, before: Mapping[str, Any] | None) -> None:
 
 
 def _utc_now() -> str:
-    """Present time in UTC as text."""
+    """Present time in UTC as text in ISO format."""
     return datetime.now(UTC).isoformat(timespec="seconds")

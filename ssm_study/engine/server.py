@@ -35,15 +35,15 @@ UNBORN = 0
 
 @dataclass
 class Child:
-    """Process of one job. `exitcode` is None while it runs, and minus the number of the signal if
-    one killed it."""
+    """Process of one job of a sweep, with its exit status once it has ended. `exitcode` is None
+    while it runs, and minus the number of the signal if one killed it."""
 
     pid: int
     wait_for_job_end: Callable[[float | None], object]
     exitcode: int | None = None
 
     def join(self, timeout: float | None = None) -> None:
-        """Wait until the process has ended, `timeout` seconds at most."""
+        """Wait until the process of a job has ended, or until a time limit has passed."""
         deadline = None if timeout is None else time.monotonic() + timeout
         while self.exitcode is None and (deadline is None or time.monotonic() < deadline):
             self.wait_for_job_end(
@@ -53,8 +53,8 @@ class Child:
 
 @dataclass
 class Server:
-    """Server process from which the jobs of a sweep are forked. `preload` imports for all of them;
-    each uses `threads` threads."""
+    """Server process with preloaded libraries, from which the processes of a sweep's jobs are
+    forked. `preload` imports for all of them; each uses `threads` threads."""
 
     tasks: Sequence[Callable[[], object]]
     preload: Callable[[], object]
@@ -64,8 +64,8 @@ class Server:
     pid: int = 0
 
     def fork_job(self, number: int) -> Child:
-        """Fork a new process that does the task with this number. Raises `BadRequest` if `preload`
-        fails."""
+        """Fork a new process that runs the job with a given number. Raises `BadRequest` if
+        `preload` fails."""
         if self.line is None:
             self._start_server()
         assert self.line is not None
@@ -82,20 +82,19 @@ class Server:
         return born
 
     def wait_for_job_end(self, timeout: float | None) -> None:
-        """Wait, up to a time limit, until a job ends, and note its exit status."""
+        """Wait, up to a time limit, until some job ends, and note its exit status."""
         if self.line is not None and self.line.poll(timeout):
             self._read_message()
 
     def close(self) -> None:
-        """Stop the server and all jobs that are still running."""
+        """Stop the server process and all jobs that are still running."""
         if self.line is not None:
             self.line.close()
             os.waitpid(self.pid, 0)  # else it stays as a zombie until the sweep ends
             self.line = None
 
     def _read_message(self) -> Child | None:
-        """Read one message of the server: the new process if one was started, None if one has
-        ended."""
+        """Read one message of the server process: a job's process was started, or one has ended."""
         assert self.line is not None
         try:
             pid, exitcode = self.line.recv()  # a birth has no exit code, an end has
@@ -109,14 +108,14 @@ class Server:
         return None
 
     def _mark_jobs_dead(self) -> None:
-        """Mark all jobs as ended because the server has died; the next job starts a new server."""
+        """Mark all jobs as ended because the server process has died."""
         self.close()
         for child in self.children.values():
             child.exitcode = SERVER_DIED
         self.children.clear()
 
     def _start_server(self) -> None:
-        """Preload the libraries and fork the server process."""
+        """Preload the libraries and fork the server process of a sweep."""
         with _temporary_environment(thread_limits(self.threads)):
             try:
                 self.preload()
@@ -141,8 +140,8 @@ class Server:
 
 
 def _run_server(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: int) -> NoReturn:
-    """Main loop of the server process, which forks jobs on request and reports their ends. When the
-    process of the sweep has gone, it kills all jobs."""
+    """Main loop of the server process, which forks a process for each requested job and reports the
+    ends of jobs. When the process of the sweep has gone, it kills all jobs."""
     os.setsid()  # Ctrl-C on the terminal reaches the sweep alone, which then ends the rest in order
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
@@ -168,7 +167,7 @@ def _run_server(sweep: Connection, tasks: Sequence[Callable[[], object]], thread
 
 
 def _fork_job(sweep: Connection, task: Callable[[], object]) -> int:
-    """Fork a process that does one task, and return its process id."""
+    """Fork a process that executes one task, and return its process id."""
     server = os.getpid()
     pid = os.fork()
     if pid:
@@ -202,14 +201,15 @@ def kill_with_children(pid: int) -> None:
 
 
 def thread_limits(threads: int) -> dict[str, str]:
-    """Environment variables that limit the threads of torch, MKL and OpenBLAS, which read them when
-    first imported."""
+    """Environment variables that limit the threads of torch, MKL and OpenBLAS in a job's
+    process."""
     names = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     return dict.fromkeys(names, str(threads)) | {"OMP_WAIT_POLICY": "passive"}
 
 
 def _apply_memory_and_threads(threads: int) -> None:
-    """Apply the settings of memory and threads to libraries that the process has loaded already."""
+    """Apply the memory settings and thread limits to libraries that a job's process has loaded
+    already."""
     with contextlib.suppress(AttributeError):  # another C library
         for parameter, value in ALLOCATOR:
             ctypes.CDLL(None).mallopt(parameter, value)
@@ -235,7 +235,7 @@ def _collapse_into_large_pages() -> None:
 
 @contextlib.contextmanager
 def _temporary_environment(variables: dict[str, str]) -> Iterator[None]:
-    """Context in which environment variables have the given values."""
+    """Context manager in which environment variables have given values."""
     before = {name: os.environ[name] for name in variables if name in os.environ}
     os.environ.update(variables)
     try:

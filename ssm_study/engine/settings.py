@@ -26,7 +26,8 @@ NOT_IDENTITY = frozenset(
 
 
 class Settings(dict[str, Any]):
-    """Read-only dictionary of settings. `settings.seed` is `settings["seed"]`, at any depth."""
+    """Read-only dictionary of settings whose entries can also be read as attributes.
+    `settings.seed` is `settings["seed"]`, at any depth."""
 
     def __getattr__(self, name: str) -> Any:
         try:
@@ -52,8 +53,8 @@ def as_settings(value: Any) -> Any:
 def plain_settings(
     config: DictConfig | Settings, without: Set[str] = frozenset({"hydra"})
 ) -> Settings:
-    """Configuration as plain `Settings`, with interpolations resolved and the sections named in
-    `without` left out."""
+    """Convert a configuration to plain settings, with interpolations resolved and named sections
+    left out."""
     if isinstance(config, Settings):
         if without.isdisjoint(config):
             return config
@@ -63,8 +64,8 @@ def plain_settings(
 
 
 def resolve_node(node: Any) -> Any:
-    """Node of a configuration as plain containers, with interpolations resolved; any other value is
-    returned unchanged."""
+    """Convert a node of a configuration to plain containers, with interpolations resolved; any
+    other value is returned unchanged."""
     return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
 
 
@@ -82,8 +83,7 @@ def walk_nodes(tree: Any, prefix: str = "") -> Iterator[tuple[str, str, Any]]:
 
 
 def refuse_nonfinite_settings(tree: Any) -> None:
-    """Raise `BadRequest` for NaN and infinity in the settings, which Hydra accepts but no run can
-    be named by."""
+    """Raise `BadRequest` for NaN and infinity among the settings of a run."""
     for path, _, value in walk_nodes(tree):
         is_finite = not isinstance(value, float) or math.isfinite(value)
         remedy = "leave it out, or give a finite value"
@@ -106,7 +106,7 @@ def canonical_json(value: Any) -> str:
 
 
 def _normalise_numbers(value: Any) -> Any:
-    """Plain containers with whole floats as integers and tuples as lists."""
+    """Copy of plain containers with whole floats as integers and tuples as lists."""
     if isinstance(value, Mapping):
         return {str(key): _normalise_numbers(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -117,30 +117,30 @@ def _normalise_numbers(value: Any) -> Any:
 
 
 def digest_of_value(value: Any) -> str:
-    """SHA-256 of the canonical JSON text of a value, as 64 hexadecimal digits."""
+    """SHA-256 digest of the canonical JSON text of a value, as 64 hexadecimal digits."""
     return hashlib.sha256(canonical_json(value).encode()).hexdigest()
 
 
-def run_name(config: DictConfig | Settings, *shown: str) -> str:
+def run_name(config: DictConfig | Settings, *labelled_paths: str) -> str:
     """Name of a run: selected settings, followed by ten digits of a hash of all settings.
 
-    `shown` are pairs `word:key`, e.g. `width:model.hidden_width`; a key that is not there is left
-    out, and so is a part of the settings that is null: it adds nothing to what a run is. Ten
-    hexadecimal digits: among 10,000 runs two share a name with probability 5e-5.
+    `labelled_paths` are pairs `word:key`, e.g. `width:model.hidden_width`; a key that is not there
+    is left out, and so is a part of the settings that is null: it adds nothing to what a run is.
+    Ten hexadecimal digits: among 10,000 runs two share a name with probability 5e-5.
     """
     settings = plain_settings(config, NOT_IDENTITY)
     identity = {key: value for key, value in settings.items() if value is not None}
     words = []
-    for pair in shown:
+    for pair in labelled_paths:
         word, _, path = pair.partition(":")
         value = value_at_path(identity, path)
         if isinstance(value, int | float | str):
-            words.append(shown_setting(word, value))
+            words.append(run_name_part(word, value))
     return "-".join([*words, digest_of_value(identity)[:NAME_DIGITS]])
 
 
-def shown_setting(word: str, value: int | float | str) -> str:
-    """Part of a run's name that shows a setting, such as `seed0`."""
+def run_name_part(word: str, value: int | float | str) -> str:
+    """Part of a run's name that states the value of a setting, such as `seed0`."""
     return re.sub(r"[^A-Za-z0-9.]+", "_", f"{word}{value}")[:LONGEST_WORD]
 
 
@@ -151,8 +151,8 @@ def value_at_path(settings: Any, path: str) -> Any:
     return settings
 
 
-class _Dumper(yaml.CSafeDumper):
-    """PyYAML's fast dumper, which quotes texts that OmegaConf, unlike YAML, would read as a number
+class _QuotingDumper(yaml.CSafeDumper):
+    """Fast YAML writer that quotes texts which OmegaConf, unlike YAML, would read as a number
     (`1e5`, `nan`)."""
 
     def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002
@@ -161,7 +161,7 @@ class _Dumper(yaml.CSafeDumper):
 
 
 def _represent_text(dumper: yaml.CSafeDumper, text: str) -> yaml.ScalarNode:
-    """Represent a text, in quotes where OmegaConf would read it as a number."""
+    """Represent a text in YAML, in quotes where OmegaConf would read it as a number."""
     try:
         float(text)
     except ValueError:
@@ -169,14 +169,14 @@ def _represent_text(dumper: yaml.CSafeDumper, text: str) -> yaml.ScalarNode:
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style="'")
 
 
-_Dumper.add_representer(str, _represent_text)
-_Dumper.add_representer(Settings, yaml.CSafeDumper.represent_dict)
+_QuotingDumper.add_representer(str, _represent_text)
+_QuotingDumper.add_representer(Settings, yaml.CSafeDumper.represent_dict)
 
 
 def yaml_text(value: Any) -> str:
-    """YAML text from which `OmegaConf.load` reads the same plain containers. It is written five
+    """Text in YAML from which `OmegaConf.load` reads the same plain containers. It is written five
     times as fast as by OmegaConf."""
-    return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True))
+    return str(yaml.dump(value, Dumper=_QuotingDumper, sort_keys=False, allow_unicode=True))
 
 
 # Makes `${run_name:word:key,...}` usable in configurations.

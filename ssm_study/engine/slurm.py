@@ -27,17 +27,17 @@ FORGOTTEN_S = 30.0
 
 @dataclass(frozen=True)
 class Slurm(Launcher):
-    """Launcher that submits the jobs to Slurm through Hydra's submitit plug-in."""
+    """Launcher that submits the jobs of a sweep to the cluster scheduler Slurm."""
 
     launcher: Any
 
     @property
     def parallel_jobs(self) -> int:  # type: ignore[override]
-        """Number of jobs that Slurm may run at the same time."""
+        """Number of jobs of a sweep that Slurm may run at the same time."""
         return int(self.launcher.params["array_parallelism"])
 
     def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:  # noqa: ARG002
-        """Submit every unfinished job and wait for all of them."""
+        """Submit every unfinished job of a sweep to Slurm and wait for all of them."""
         to_do = [job for job in jobs if job.outcome is None]
         Path(str(sweep.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
         state = Singleton.get_state()  # what Hydra on the node needs of this process
@@ -52,7 +52,8 @@ class Slurm(Launcher):
 
 
 def submitit_executor(params: dict[str, Any]) -> submitit.AutoExecutor:
-    """Executor of submitit with the settings of `hydra.launcher`."""
+    """Executor that submits jobs to Slurm by the library submitit, with the settings of the
+    launcher."""
     settings = dict(params)
     slurm = submitit.AutoExecutor(
         cluster="slurm",
@@ -68,8 +69,8 @@ def submitit_executor(params: dict[str, Any]) -> submitit.AutoExecutor:
 
 
 def wait_for_outcome(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) -> Outcome:
-    """Outcome of a job that was submitted to Slurm, once it has ended. A job that Slurm ended
-    becomes a failed run that the same command repeats."""
+    """Wait until a job that was submitted to Slurm has ended, and return the outcome of its run. A
+    job that Slurm ended becomes a failed run that the same command repeats."""
     state = wait_for_end(submitted, patience_s)
     try:
         if state != FORGOTTEN:
@@ -91,8 +92,8 @@ def wait_for_outcome(job: Job, submitted: submitit.Job, patience_s: float = FORG
 
 
 def wait_for_end(submitted: submitit.Job, patience_s: float) -> str:
-    """Wait until a job that was submitted to Slurm has ended, and return its state. Without
-    accounting, a job cancelled in the queue is `FORGOTTEN`."""
+    """Wait until a job that was submitted to Slurm has ended, and return its state in Slurm's
+    words. Without accounting, a job cancelled in the queue is `FORGOTTEN`."""
     asked_at = time.monotonic()
     unheard = 0
     while not submitted.done():

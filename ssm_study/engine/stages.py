@@ -21,14 +21,15 @@ Compute = Callable[[Path], None]
 
 
 def no_columns(*_: Any) -> Any:
-    """Return no columns, for a stage that only writes files."""
+    """Empty set of table columns, for a stage that only writes files."""
     return {}
 
 
 @dataclass(frozen=True)
 class Stage(Generic[T]):
-    """One step of a run. `compute(folder, *before, **parts)` writes files, `read(folder)` returns
-    the value in them.
+    """Description of one step of a run, such as training: how the step is computed, read back and
+    described by table columns. `compute(folder, *before, **parts)` writes files, `read(folder)`
+    returns the value in them.
 
     `measure(value, *before)` gives columns of the record; it has a key of its own, so a new column
     computes nothing again. `before` are the values of earlier stages. `compute` may return the
@@ -60,7 +61,8 @@ class StageResult:
 
 @dataclass(frozen=True)
 class StageOutput(Generic[T]):
-    """Output of a finished stage, whose value is read from its folder when it is first needed."""
+    """Output of a finished stage of a run, whose value is read from its folder when it is first
+    needed."""
 
     stage: Stage[T]
     result: StageResult
@@ -69,13 +71,13 @@ class StageOutput(Generic[T]):
 
     @cached_property
     def value(self) -> T:
-        """Value of the stage, read from its folder when it is first needed."""
+        """Value that a stage of a run computed, read from its folder when it is first needed."""
         return self.computed[0] if self.computed else self.stage.read(self.result.path)
 
     @cached_property
     def value_key(self) -> str:
-        """Key by which later stages identify this value. It is the key of the stage, or a checksum
-        of its files, and the version of its reader."""
+        """Key by which later stages identify the value of a stage. It is the key of the stage, or a
+        checksum of its files, and the version of its reader."""
         origin: Any = self.result.key
         files = [self.result.path / name for name in self.stage.files]
         if self.stage.known_by_content and all(path.is_file() for path in files):
@@ -84,8 +86,8 @@ class StageOutput(Generic[T]):
 
 
 class Stages(ABC):
-    """Interface of stores of stages. `Store` computes and stores them, `PlannedStages` only notes
-    which would be computed."""
+    """Interface of stores of stages, which compute the stages of a run or only plan them. `Store`
+    computes and stores them, `PlannedStages` only notes which would be computed."""
 
     def run_stage(
         self,
@@ -94,8 +96,8 @@ class Stages(ABC):
         parts: Mapping[str, Any] | None = None,
         *before: StageOutput[Any],
     ) -> StageOutput[T]:
-        """Output of a stage for given settings. `compute` receives them as `parts` (the settings
-        themselves where that is None).
+        """Compute one stage of a run, or read it from the store, for given settings. `compute`
+        receives them as `parts` (the settings themselves where that is None).
 
         Of the two the key depends on `settings` alone: what changes no result stands in `parts`. A
         plan has no files, so values may be asked for only inside the functions of a stage.
@@ -104,7 +106,8 @@ class Stages(ABC):
         computed: list[T] = []
 
         def compute(folder: Path) -> None:
-            """Compute the stage from the values of the stages before it."""
+            """Compute a stage from the values of the stages before it, and write its files into a
+            folder."""
             values = [output.value for output in before]
             value = stage.compute(folder, *values, **arguments)
             if value is not None:
@@ -123,19 +126,19 @@ class Stages(ABC):
 
     @abstractmethod
     def stage_result(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:
-        """Result of the stage with a given key, which is computed if it is not stored yet. `note`
-        says from what the key was made."""
+        """Result of the stage with a given key, computed if it is not stored yet. `note` says from
+        what the key was made."""
 
     def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:  # noqa: ARG002
-        """Columns that describe a finished stage; empty in a plan."""
+        """Table columns that describe a finished stage; empty where stages are only planned."""
         return {}
 
     def unrecorded_store(self) -> "Stages":
-        """The same store of stages, which does not note them in the run's record."""
+        """Copy of a store of stages that does not note its stages in the run's record."""
         return self
 
 
 def columns_key(output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> str:
-    """Key under which the columns of a stage are stored."""
+    """Key under which the table columns of a stage are stored."""
     earlier_keys = [earlier.value_key for earlier in before]
     return digest_of_value([output.value_key, earlier_keys, code_version(output.stage.measure)])

@@ -37,8 +37,8 @@ CHECKPOINT = "last.ckpt"
 
 @dataclass(frozen=True)
 class Store(Stages):
-    """Folder of stored stages. `root/<stage>/<key>/` holds the files of one stage and
-    `manifest.json` with the SHA-256 digest of each.
+    """Folder of stored stages, in which equal stages are computed only once. `root/<stage>/<key>/`
+    holds the files of one stage and `manifest.json` with the SHA-256 digest of each.
 
     A folder under its final name is complete: it was written as `.tmp-*` beside, synchronised, and
     renamed. Only one process computes a key at a time (flock). Where the lock does not reach from
@@ -70,8 +70,8 @@ class Store(Stages):
     def stage_result(
         self, name: str, key: str, note: dict[str, Any], compute: Compute
     ) -> StageResult:
-        """Result of the stage with a given key. It is computed by `compute(folder)` if it is
-        missing or damaged.
+        """Result of the stage with a given key, computed if it is missing or damaged in the store.
+        `compute(folder)` computes it.
 
         Whatever `compute` raises is raised; nothing half-written is ever seen under the final name.
         """
@@ -90,7 +90,7 @@ class Store(Stages):
             return self._compute_stage(name, key, note, compute)
 
     def find_stage(self, name: str, key: str) -> StageResult | None:
-        """Stored stage with a given key; None if it is missing or damaged."""
+        """Find the stored stage with a given key; None if it is missing or damaged."""
         folder = self.stage_folder(name, key)
         manifest = intact_manifest(folder)
         # The name holds 32 of its 64 digits only.
@@ -176,7 +176,8 @@ def _clear_leftovers(temporary: Path, final: Path) -> None:
 def seal_folder(
     folder: Path, note: dict[str, Any], leave_out: frozenset[str] = frozenset()
 ) -> None:
-    """Write the manifest of a folder, with sizes and SHA-256 digests, and flush the folder to disk.
+    """Write a manifest of a folder, with the sizes and SHA-256 digests of its files, and flush the
+    folder to disk.
 
     `leave_out` names entries directly in `folder` that may change later; they are synchronised, not
     sealed. A manifest that was cut short seals nothing, so it needs no replacing; what makes the
@@ -200,7 +201,7 @@ def seal_folder(
 
 
 def intact_manifest(folder: Path) -> dict[str, Any] | None:
-    """Manifest of a folder; None if the manifest or a file that it lists was changed."""
+    """Read the manifest of a folder; None if the manifest or a file that it lists was changed."""
     try:
         manifest = read_sealed_json(read_limited_bytes(folder / MANIFEST))
     except OSError:
@@ -211,10 +212,10 @@ def intact_manifest(folder: Path) -> dict[str, Any] | None:
 
 
 def damaged_files(folder: Path, manifest: dict[str, Any]) -> list[str]:
-    """Names of files in the manifest that are missing, or differ from it in size or content."""
+    """Names of files that a manifest lists and that are missing or differ in size or content."""
 
     def is_same(path: Path, facts: dict[str, Any]) -> bool:
-        """Whether a file still has the size and checksum that the manifest lists."""
+        """Whether a file still has the size and checksum that its manifest states."""
         with suppress(OSError):
             if path.stat().st_size != facts["bytes"]:  # the cheap one first
                 return False

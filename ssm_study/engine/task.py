@@ -31,7 +31,7 @@ _CHECKED: dict[Path, Any] = {}
 
 
 class Task(ABC, Generic[R]):
-    """Base class of a program's task, which checks a configuration, computes its stages, and
+    """Base class of a program's task: checks a configuration, runs the stages of a run, and
     completes the record.
 
     Hydra calls `job`. The settings have the keys `study`, `results_dir`, `run` (`${run_name:...}`),
@@ -43,34 +43,33 @@ class Task(ABC, Generic[R]):
 
     @abstractmethod
     def build_request(self, settings: Settings) -> R:
-        """Build the request that the settings describe. Raises `BadRequest` for every mistake that
-        can be seen before long work."""
+        """Build the objects that the settings of a run describe. Raises `BadRequest` for every
+        mistake that can be seen before long work."""
 
     @abstractmethod
     def stages(self, request: R, stages: Stages) -> None:
-        """Run or plan every stage of the request, depending on the given store of stages."""
+        """Run, or only plan, every stage of a run, depending on the given store of stages."""
 
     def run(self, request: R, run: Run) -> Facts:  # noqa: ARG002
-        """Compute the columns of a run's record that need the results of all its stages.
-        `run.facts` holds the stages' columns, `status` may be `infeasible`."""
+        """Compute those columns of a run's record that need the results of all stages. `run.facts`
+        holds the stages' columns, `status` may be `infeasible`."""
         return {}
 
     def parameters(self, request: R) -> Facts:  # noqa: ARG002
-        """Parameters of the request, which are columns of the record from the beginning."""
+        """Parameters of a run, which are columns of its record from the beginning."""
         return {}
 
     def command_line_columns(self, request: R, overrides: Sequence[str]) -> Facts:  # noqa: ARG002
-        """Columns of the record that depend only on the command line; a run made from Python lacks
-        them."""
+        """Columns of a run's record that depend only on the command line."""
         return {}
 
     def refuse_configuration(self, config: DictConfig) -> None:
-        """Raise `BadRequest` for a configuration with forbidden content, before anything in it is
-        resolved or instantiated."""
+        """Raise `BadRequest` for a configuration with forbidden content, before anything in the
+        configuration is resolved or instantiated."""
 
     def input_files(self, settings: Settings) -> list[Path]:  # noqa: ARG002
-        """Files that the request reads. A finished run is out of date once their content
-        changes."""
+        """Files on whose content the results of a run depend. A finished run is out of date once
+        their content changes."""
         return []
 
     def preload_modules(self, again: Set[str]) -> None:
@@ -82,11 +81,11 @@ class Task(ABC, Generic[R]):
         """
 
     def provenance(self) -> Facts:
-        """Commit, versions and machine, determined once in a process."""
+        """Columns that say how results were made: commit, versions and machine."""
         return provenance(self.libraries, Path(inspect.getfile(type(self))))
 
     def settings(self, config: DictConfig | Settings) -> Settings:
-        """Plain settings of a configuration, after a check for forbidden content. Raises
+        """Convert a configuration to plain settings, after a check for forbidden content. Raises
         `BadRequest` for such content."""
         if not isinstance(config, Settings):
             self.refuse_configuration(config)
@@ -98,7 +97,8 @@ class Task(ABC, Generic[R]):
         return settings
 
     def request(self, config: DictConfig | Settings) -> R:
-        """Checked request of a configuration, built only once in each run and process."""
+        """Checked objects that the configuration of a run describes, built only once in each run
+        and process."""
         settings = self.settings(config)
         folder = run_folder(settings).absolute()
         if folder not in _CHECKED:
@@ -107,7 +107,7 @@ class Task(ABC, Generic[R]):
         return checked_request
 
     def run_job(self, config: DictConfig | Settings) -> Outcome:
-        """Execute the run that a configuration describes, unless it is finished, and leave its
+        """Execute the run that a configuration describes, unless the run is finished, and leave its
         record."""
         settings = self.settings(config)
         # Before anything is built: a finished run costs next to nothing.
@@ -118,7 +118,9 @@ class Task(ABC, Generic[R]):
                 walks = []
             print(
                 "\n".join(
-                    plan_lines(shared_store(settings), walks, runs=1, finished=1 - len(walks))
+                    plan_lines(
+                        shared_store(settings), walks, run_count=1, finished_count=1 - len(walks)
+                    )
                 )
             )
             return outcome or Outcome(folder=run_folder(settings), status="absent", did="planned")
@@ -127,7 +129,7 @@ class Task(ABC, Generic[R]):
         request = self.request(settings)
 
         def run_stages(run: Run) -> Facts:
-            """Run every stage, and return the columns that complete the record."""
+            """Run every stage of a run, and return the columns that complete its record."""
             announces = settings.get("progress") is True and sys.stderr.isatty()
             self.stages(request, RunStages(shared_store(settings).root, run, announces))
             return self.run(request, run)
@@ -172,8 +174,8 @@ class Task(ABC, Generic[R]):
 
 @dataclass(frozen=True)
 class RunStages(Store):
-    """Stages of one run, each noted in the record. Their files are copied, so that the run stays
-    complete when the store is removed."""
+    """Store of stages that notes each stage in the record of a run and copies its files into the
+    run folder. So the run stays complete when the store is removed."""
 
     run: Run
     announces: bool = False
@@ -181,7 +183,8 @@ class RunStages(Store):
     def stage_result(
         self, name: str, key: str, note: dict[str, Any], compute: Compute
     ) -> StageResult:
-        """Result of a stage, read from the store or else computed after its name is printed."""
+        """Result of a stage of a run, read from the store or else computed after the stage's name
+        is printed."""
 
         def compute_announced_stage(folder: Path) -> None:
             """Print the name of the stage and compute it."""
@@ -194,7 +197,7 @@ class RunStages(Store):
         return result
 
     def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
-        """Columns of a stage from the store, noted in the record of the run."""
+        """Table columns of a stage from the store, noted in the record of the run."""
         facts = super().stage_columns(output, before)
         self.run.record_stage(
             output.result, output.stage.files, facts
@@ -202,7 +205,7 @@ class RunStages(Store):
         return facts
 
     def unrecorded_store(self) -> Store:
-        """The store itself, which does not note its stages in the run's record."""
+        """Plain store of stages, which does not note its stages in the run's record."""
         return Store(self.root)
 
 
@@ -211,8 +214,8 @@ CHARACTERS_OF_A_NAME = "use letters, digits, '.', '_' and '-', at most 200 of th
 
 
 def run_folder(settings: Mapping[str, Any]) -> Path:
-    """Folder of a run, `results_dir/study/run`. Raises `BadRequest` for names that lead out of the
-    results folder."""
+    """Folder of a run, given by its settings: `results_dir/study/run`. Raises `BadRequest` for
+    names that lead out of the results folder."""
     names = {key: settings[key] for key in ("results_dir", "study", "run")}
     for key, name in names.items():
         require(isinstance(name, str) and name != "", key, name, "is no name", "give a text")
@@ -223,7 +226,7 @@ def run_folder(settings: Mapping[str, Any]) -> Path:
 
 
 def files_checksum(files: list[Path]) -> str:
-    """Checksum of the content of several files, in this order."""
+    """Joint checksum of the content of several files in a given order."""
     return digest_of_value([sha256_of_file(path) if path.is_file() else None for path in files])
 
 
@@ -233,7 +236,7 @@ def shared_store(config: DictConfig | Settings) -> Store:
 
 
 def find_task(task_function: Any) -> Task[Any]:
-    """Task object behind the function that was given to Hydra."""
+    """Find the task object behind the function that was given to Hydra."""
     task = getattr(task_function, "__self__", None)
     assert isinstance(task, Task), "Hydra calls the method `job` of a Task"
     return task

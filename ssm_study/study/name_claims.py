@@ -10,7 +10,7 @@ from ssm_study.engine.settings import (
     NOT_IDENTITY,
     plain_settings,
     run_name,
-    shown_setting,
+    run_name_part,
     walk_nodes,
 )
 from ssm_study.study.findings import Checked
@@ -48,7 +48,7 @@ def expected_part(part: str, settings: Mapping[str, Any]) -> str:
         is_called_so = str(key) == word or str(key).endswith(f"_{word}")
         if is_called_so and isinstance(value, int | float | str):
             values.append(value)
-    expected = [shown_setting(word, value) for value in values]
+    expected = [run_name_part(word, value) for value in values]
     return part if part in expected or not expected else expected[0]
 
 

@@ -326,7 +326,7 @@ def test_shared_compositions_are_hydras_own() -> None:
         sweep_config = loader.load_configuration("study", overrides=[], run_mode=RunMode.MULTIRUN)
         hydra_config = HydraConfig.instance()
         hydra_config.set_config(sweep_config)
-        composer = Composer(loader, sweep_config, refuse=lambda _: None)
+        composer = Composer(loader, sweep_config, check_configuration=lambda _: None)
         for overrides in JOBS * 2:
             settings = composer.settings(overrides, 0)
             theirs = loader.load_sweep_config(sweep_config, overrides)
