@@ -72,10 +72,10 @@ def launch_sweep(
     for job in to_do:  # all of them before the first is begun: a typo is not found after an hour
         job.check_settings(task)
     if sweep.config.get("dry_run"):
-        walks = [partial(task.stages, task.request(job.settings)) for job in to_do]
+        runners = [partial(task.stages, task.request(job.settings)) for job in to_do]
         finished = len(unique) - len(to_do)
         store = shared_store(sweep.config)
-        print("\n".join(plan_lines(store, walks, len(unique), finished, launcher.parallel_jobs)))
+        print("\n".join(plan_lines(store, runners, len(unique), finished, launcher.parallel_jobs)))
     else:
         launcher.run(sweep, unique, composer)
     ends = {job.folder: job.outcome for job in unique}

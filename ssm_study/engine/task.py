@@ -113,16 +113,12 @@ class Task(ABC, Generic[R]):
         # Before anything is built: a finished run costs next to nothing.
         outcome = self.outcome_without_running(settings)
         if settings.get("dry_run"):
-            walks = [lambda stages: self.stages(self.request(settings), stages)]
+            runners = [lambda stages: self.stages(self.request(settings), stages)]
             if outcome is not None:
-                walks = []
-            print(
-                "\n".join(
-                    plan_lines(
-                        shared_store(settings), walks, run_count=1, finished_count=1 - len(walks)
-                    )
-                )
-            )
+                runners = []
+            store = shared_store(settings)
+            lines = plan_lines(store, runners, run_count=1, finished_count=1 - len(runners))
+            print("\n".join(lines))
             return outcome or Outcome(folder=run_folder(settings), status="absent", did="planned")
         if outcome is not None:
             return outcome
