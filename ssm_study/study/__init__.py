@@ -8,11 +8,11 @@ from typing import Any
 
 
 class _Room(ModuleType):
-    """Module type whose instances can be called as a function, so that `st.study(...)` works
+    """Module type whose instances can be called like a function, so that `st.study(...)` works
     although `st.study` is a package."""
 
     def __call__(self, *overrides: str) -> Any:
-        """Run a study with these overrides, as `cli.from_python.study` does."""
+        """Run a study with given command-line overrides, as `cli.from_python.study` does."""
         return import_module("ssm_study.cli.from_python").study(*overrides)
 
 

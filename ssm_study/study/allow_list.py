@@ -70,7 +70,7 @@ def refuse_foreign_targets(config: DictConfig) -> None:
 
 
 def _refuse_in_task(tree: Any) -> None:
-    """Raise `BadRequest` for a forbidden class in the settings of the task."""
+    """Raise `BadRequest` for a forbidden class in the settings of a study."""
     problem = "this interpolation reads the environment or builds configuration from text"
     for path, key, value in walk_nodes(tree):
         if key == "_target_" and (gone := withdrawn_target(value)):
@@ -87,7 +87,7 @@ def _refuse_in_task(tree: Any) -> None:
 
 
 def has_only_allowed_interpolations(allowed: re.Pattern[str], value: Any) -> bool:
-    """Whether a value contains only interpolations of an allowed form."""
+    """Whether a configuration value contains only `${...}` interpolations of an allowed form."""
     return not isinstance(value, str) or value.count("${") == len(allowed.findall(value))
 
 
@@ -131,7 +131,7 @@ def _refuse_in_hydra(path: str, key: str, value: Any) -> None:
 
 
 def is_allowed_target(target: Any) -> bool:
-    """Whether a dotted name stands for a class that configurations may construct."""
+    """Whether a dotted name stands for a class that a configuration file may construct."""
     if not isinstance(target, str):
         return False
     trusted = "|".join([rf"ssm_study\.({'|'.join(ROOMS)})", *map(re.escape, trusted_packages())])

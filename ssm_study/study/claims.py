@@ -2,8 +2,8 @@
 and its configuration.
 
 Each section is a function of the run that yields `Checked` (a claim that holds or does not),
-`Derived` (columns of the record, to be compared) and `NotChecked` (what cannot be derived of this
-run, with the reason).
+`DerivedColumns` (columns of the record, to be compared) and `NotChecked` (what cannot be derived of
+this run, with the reason).
 """
 
 import warnings
@@ -32,9 +32,9 @@ from ssm_study.study.file_claims import NOT_CHOSEN_AGAIN, NOT_REPEATED, check_fi
 from ssm_study.study.findings import (
     Checked,
     Claims,
-    Derived,
+    DerivedColumns,
     NotChecked,
-    Repeated,
+    RepeatedSettings,
     check_agreement,
     check_entries,
 )
@@ -64,9 +64,9 @@ UNSUPPORTED = {
 
 
 def check_settings(run: RunFiles) -> Claims:
-    """Check that the recorded settings are those of the configuration, and that the run's name
-    contains their hash."""
-    yield Derived({"study": str(run.config.study), "run": expected_run_name(run)})
+    """Check that the recorded settings of a run are those of its configuration, and that the run's
+    name contains their hash."""
+    yield DerivedColumns({"study": str(run.config.study), "run": expected_run_name(run)})
     yield check_folder_name(run.path.absolute(), str(run.config.run))
     # As it was stored: a record names the parts by what they were called then.
     configuration = plain_settings(run.config)
@@ -80,7 +80,7 @@ def check_settings(run: RunFiles) -> Claims:
     # The record holds the rates of the design, which the theorem may have chosen itself.
     rates = ("rate_controller", "rate_observer") if run.claims_certificate else ()
     columns = {name: value for name, value in settings.items() if name not in rates}
-    yield from separate_unsupported_settings(columns)
+    yield from split_confirmable_settings(columns)
     for rate in rates:
         value = settings.get(rate)
         if value is not None:
@@ -88,26 +88,29 @@ def check_settings(run: RunFiles) -> Claims:
             yield Checked(claim=f"synthesis.{rate}", holds=is_same, found=f"{value} was requested")
 
 
-def separate_unsupported_settings(columns: Mapping[str, Any]) -> Iterator[Derived | Repeated]:
-    """Columns of settings, those apart that only the run's own word supports: no result of it would
-    contradict another value."""
+def split_confirmable_settings(
+    columns: Mapping[str, Any],
+) -> Iterator[DerivedColumns | RepeatedSettings]:
+    """Split the recorded settings of a run into those that its results can confirm and those that
+    no result depends on."""
     remaining = dict(columns)
     for reason, prefixes in UNSUPPORTED.items():
         names = [name for name in remaining if (setting_path(name) or name).startswith(prefixes)]
         repeated = {name: remaining.pop(name) for name in names}
-        yield Repeated(repeated, reason)
-    yield Derived(remaining)
+        yield RepeatedSettings(repeated, reason)
+    yield DerivedColumns(remaining)
 
 
 def check_status(run: RunFiles) -> Claims:
-    """Check that the run is recorded as infeasible exactly if its design lacks a controller or
+    """Check that a run is recorded as infeasible exactly if its design lacks a controller or
     observer."""
     is_feasible = not run.claims_certificate or run.design.feasible
-    yield Derived({"status": OK if is_feasible else INFEASIBLE})
+    yield DerivedColumns({"status": OK if is_feasible else INFEASIBLE})
 
 
 def check_records(run: RunFiles) -> Claims:
-    """Check that the records are those of the configuration, by simulating or reading them again.
+    """Check a run's measured or simulated data against its configuration, by simulating or reading
+    the data again.
 
     A recording of somebody else's may be elsewhere by now: then what follows from it is not
     checked.
@@ -127,10 +130,12 @@ def check_records(run: RunFiles) -> Claims:
 
 
 def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
-    """Check the columns and recordings that are computed from the records of the data set."""
+    """Check the recorded values and recordings that are computed from the data set of a run."""
     with warnings.catch_warnings(action="ignore"):  # the warning is a column
-        yield Derived(data_metrics.data_columns(records))
-    yield Derived({"fit_train_percent": records_fit_percent(run.model, records.training, records)})
+        yield DerivedColumns(data_metrics.data_columns(records))
+    yield DerivedColumns(
+        {"fit_train_percent": records_fit_percent(run.model, records.training, records)}
+    )
     for split in ("validation", "test"):
         stored = getattr(run.simulated, split)
         pairs = record_signal_pairs(stored.records, getattr(records, split))
@@ -139,8 +144,8 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
             f"{split}.mcap records", pairs, ITERATED, "the configuration gives them"
         )
         yield from check_start_states(run, records, split)
-    yield Derived(initial_state_columns(run.model, records, run.simulated.test))
-    yield Derived(member_columns(read_averaged_models(run.path), records))
+    yield DerivedColumns(initial_state_columns(run.model, records, run.simulated.test))
+    yield DerivedColumns(member_columns(read_averaged_models(run.path), records))
     if records.mismatch_records or run.mismatch_records:
         pairs = record_signal_pairs(run.mismatch_records, records.mismatch_records)
         yield check_agreement(f"{TRIALS} records", pairs, ITERATED, "made again alike")
@@ -149,10 +154,10 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
         stated = evidence_columns(read_judgement(run.path))
         observation = f"records and model give {judged['evidence']}"
         yield Checked(claim="evidence.json", holds=stated == judged, found=observation)
-        yield Derived(judged)
+        yield DerivedColumns(judged)
     if "benchmark" in records.metadata:
         scores_again = data_metrics.benchmark_rmse(records, run.simulated.test.simulated)
-        yield Derived({f"score_test_{i + 1}": score for i, score in enumerate(scores_again)})
+        yield DerivedColumns({f"score_test_{i + 1}": score for i, score in enumerate(scores_again)})
     excitation = excitation_pairs(run, records)
     yield check_agreement("excitation.mcap", excitation, ITERATED, "the configuration gives it")
     for file, wrong in find_wrong_labels(run, records):
@@ -163,8 +168,8 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
 
 
 def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, Any]]:
-    """Stored inputs and disturbances of the training records, each paired with the recomputed
-    one."""
+    """Stored inputs and disturbances of the training records, each paired with the one simulated or
+    read again."""
     inputs = [record.u for record in records.training]
     pairs = label_pairs(run.inputs, inputs, "u ")
     recomputed = [record.d for record in records.training if record.d is not None]
@@ -175,15 +180,16 @@ def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, An
 
 
 def label_pairs(
-    stored: Sequence[Any], made: Sequence[Any], word: str = ""
+    stored: Sequence[Any], recomputed: Sequence[Any], prefix: str = ""
 ) -> dict[str, tuple[Any, Any]]:
-    """Name each pair of a stored and a recomputed value by a common word and a running number."""
-    pairs = zip(stored, made, strict=True)
-    return {f"{word}{number}": pair for number, pair in enumerate(pairs)}
+    """Give each pair of a stored and a recomputed value a name that ends with a running number."""
+    pairs = zip(stored, recomputed, strict=True)
+    return {f"{prefix}{number}": pair for number, pair in enumerate(pairs)}
 
 
 def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checked]:
-    """Check that the free runs begin with the kind of initial state that the record names.
+    """Check that the free runs of a model begin with the kind of initial state that the record
+    names.
 
     Records of 0.1 know no choice: they begin with the first samples.
     """
@@ -206,10 +212,9 @@ def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[
 
 
 def check_model(run: RunFiles) -> Claims:
-    """Check the proved properties of the stored model, and that its sampling time agrees with the
-    records."""
+    """Check the proved properties of the stored model of a run, and its sampling time."""
     if run.claims_certificate:
-        yield Derived(model_bound_columns(run.model) | size_columns(run.model))
+        yield DerivedColumns(model_bound_columns(run.model) | size_columns(run.model))
         steps = run.model.step_s, run.simulated.validation.records[0].step_s
         yield check_agreement(
             "model.json step_s", {"step_s": steps}, ONE_FORMULA, "that of the records"
@@ -219,7 +224,8 @@ def check_model(run: RunFiles) -> Claims:
 
 
 def check_fits(run: RunFiles) -> Claims:
-    """Check that the stored model reproduces the stored simulations and the recorded errors."""
+    """Check that the stored model of a run reproduces the stored simulations and the recorded
+    errors."""
     replayed: dict[str, Simulation] = {}
     for split in ("validation", "test"):
         stored = getattr(run.simulated, split)
@@ -230,11 +236,12 @@ def check_fits(run: RunFiles) -> Claims:
             f"{split}.mcap /simulated", pairs, ONE_FORMULA, "model.json replays it"
         )
         replayed[split] = replay
-    yield Derived(fit_columns(replayed["validation"], replayed["test"]))
+    yield DerivedColumns(fit_columns(replayed["validation"], replayed["test"]))
 
 
 def check_loops(run: RunFiles) -> Claims:
-    """Check that the recorded closed loops and their columns follow from model, gains and plant."""
+    """Check that the recorded closed loops of a run and the values computed from them follow from
+    model, gains and plant."""
     yield from check_loop_files(run)
     if not run.closes_loop:
         return
@@ -255,7 +262,7 @@ def check_loops(run: RunFiles) -> Claims:
         yield check_loop_on_plant(stored, again)
         pairs[NOISE_FREE] = stored.noise_free, again.noise_free
         measured = replace(stored, quiet=again.quiet)  # no recording holds the run without noise
-    yield Derived(
+    yield DerivedColumns(
         {"loop_on": loop_on} | behaviour_columns(measured) | certificate_columns(stored, run.design)
     )
     for name, pair in pairs.items():
@@ -266,17 +273,17 @@ def check_loops(run: RunFiles) -> Claims:
 
 
 def check_textbook_pi(run: RunFiles) -> Claims:
-    """Check the columns of the textbook PI controller by simulating it again on the configured
-    plant."""
+    """Check the recorded results of a textbook PI controller by simulating it again on the
+    configured plant."""
     specification = run.specification
     fitted = specification.loop.with_default_horizon(run.model)
-    yield Derived(
+    yield DerivedColumns(
         textbook_pi_columns(specification.plant, run.model, fitted, specification.loop_seed)
     )
 
 
 def check_loop_files(run: RunFiles) -> Iterator[Checked]:
-    """Check that recordings of closed loops exist if and only if a loop was closed."""
+    """Check that a run has recordings of closed loops if and only if a loop was closed."""
     present = {name for name in LOOPS if (run.path / name).is_file()}
     if not run.closes_loop:
         for name in sorted(present):
@@ -292,8 +299,8 @@ def check_loop_files(run: RunFiles) -> Iterator[Checked]:
 def check_loop_signals(
     run: RunFiles, controller: ObserverFeedback, stored: LoopRuns, loop_on: str
 ) -> Iterator[Checked]:
-    """Check that the controller computes the recorded input from the recorded output. What the loop
-    was closed on is checked, too."""
+    """Check that the controller, fed with the recorded output of a closed loop, computes the
+    recorded input. What the loop was closed on is checked, too."""
     error = replay_error(controller, stored.controlled, run.loop.limits)
     observation = f"the certified gains give it from the measured output to {error:.1e}"
     yield Checked(claim="closed_loop.mcap input", holds=error <= ITERATED, found=observation)

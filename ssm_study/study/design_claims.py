@@ -36,7 +36,7 @@ from ssm_study.signals import input_limits
 from ssm_study.study.findings import (
     Checked,
     Claims,
-    Derived,
+    DerivedColumns,
     NotChecked,
     check_agreement,
     check_entries,
@@ -62,8 +62,8 @@ COVERAGE_COLUMNS = ("coverage", "coverage_reason", "coverage_reference", "covera
 
 
 def check_certificate(run: RunFiles) -> Claims:
-    """Check every certificate of the run in exact arithmetic, and the columns computed from
-    them."""
+    """Check every certificate of a run in exact arithmetic, and the recorded values computed from
+    the certificates."""
     design = run.design
     balls = certified_balls(run.model)
     sentences = failed_checks(run.certificate, run.model.system, balls, requested_system(run))
@@ -87,12 +87,12 @@ def check_certificate(run: RunFiles) -> Claims:
         records = run.simulated.validation.records, run.mismatch_records
         facts |= faster_response_column(design, run.model, mismatch, *records)
     facts |= recompute_sine_columns(run, balls, mismatch, facts.get("coverage"))
-    yield Derived(withhold_predictions(facts, run.record.get("evidence")))
-    yield NotChecked(columns_of_later_versions(run) | unrepeated_search(run))
+    yield DerivedColumns(withhold_predictions(facts, run.record.get("evidence")))
+    yield NotChecked(columns_of_later_versions(run) | unrepeated_coverage_search(run))
 
 
 def columns_of_later_versions(run: RunFiles) -> dict[str, str]:
-    """Columns that the record lacks and, by its version, may lack, each with the reason.
+    """Values that a run's record lacks because an earlier version wrote it, each with the reason.
 
     So a column that somebody took out of an older record is named among what is not checked.
     """
@@ -113,9 +113,9 @@ def columns_of_later_versions(run: RunFiles) -> dict[str, str]:
     return dict.fromkeys(absent, reason)
 
 
-def unrepeated_search(run: RunFiles) -> dict[str, str]:
-    """Claim that no proof of coverage was found, with the reason why it is not checked; empty where
-    the search is repeated, or something else is claimed."""
+def unrepeated_coverage_search(run: RunFiles) -> dict[str, str]:
+    """Claim that no proof of coverage was found, where the search for one is too slow to be
+    repeated, with the reason; otherwise empty."""
     is_unproved = run.record.get("coverage_reason") == UNPROVED
     if not is_unproved or is_search_repeated(run):
         return {}
@@ -124,8 +124,8 @@ def unrepeated_search(run: RunFiles) -> dict[str, str]:
 
 
 def lacks_coverage(run: RunFiles) -> bool:
-    """Whether the record is of a version that need not state the coverage, and neither record nor
-    certificate states it."""
+    """Whether a run's record is of an earlier version and neither the record nor the certificate
+    states a coverage."""
     is_claimed = any(run.record.get(name) is not None for name in COVERAGE_COLUMNS[:2])
     is_old = run.record_version < VERSION
     return is_old and not is_claimed and MeasuredDiscs.part not in run.design.extra_certificates
@@ -134,7 +134,7 @@ def lacks_coverage(run: RunFiles) -> bool:
 def check_stored_certificate(
     run: RunFiles, label: str, part: Theorem | Infeasible, sentences: list[str]
 ) -> Checked:
-    """Check one certificate in exact arithmetic, and that the requested method made it."""
+    """Check one stored certificate in exact arithmetic, and that the requested method made it."""
     wrong = [sentence for sentence in sentences if re.match(rf"{label}\b", sentence)]
     wrong += stored_number_errors(part)
     if label in SIDES and part.method != run.record.get("synthesis_method"):
@@ -147,7 +147,7 @@ def check_stored_certificate(
 
 
 def check_internal_model(run: RunFiles) -> Iterator[Checked]:
-    """Check that the internal model in the state feedback is the requested one."""
+    """Check that the internal model in the state feedback of a run is the requested one."""
     words = getattr(run.specification.synthesis, "modes", ())
     feedback = run.design.state_feedback
     if not words or not isinstance(feedback, StateFeedback):
@@ -160,7 +160,7 @@ def check_internal_model(run: RunFiles) -> Iterator[Checked]:
 
 
 def check_input_limits(run: RunFiles) -> Iterator[Checked]:
-    """Check that the certificates use the input limits of the loop or of the records."""
+    """Check that the certificates of a run use the input limits of its loop or of its records."""
     loop = run.specification.loop
     physical = np.stack(input_limits(loop.input_lower, loop.input_upper, run.training_inputs))
     limits = run.model.scale.scaled_input(physical).T
@@ -174,8 +174,8 @@ def check_input_limits(run: RunFiles) -> Iterator[Checked]:
 
 
 def check_unlimited_starts(run: RunFiles) -> Iterator[Checked]:
-    """Check that the stored initial states are equilibria with outputs at the corners of a box,
-    from which no input limit is reached."""
+    """Check the stored initial states from which a closed loop is proved to reach no input
+    limit."""
     model = run.model
     for part in run.design.extra_certificates.values():
         if isinstance(part, UnlimitedStart) and isinstance(model, SSM):
@@ -183,7 +183,7 @@ def check_unlimited_starts(run: RunFiles) -> Iterator[Checked]:
 
 
 def check_stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None) -> Checked:
-    """Check that the initial states in one certificate are those computed from the model."""
+    """Check that the initial states stored in a certificate are those computed from the model."""
     claim = "certificate starts"
     if starts is None or starts.shape != part.starts.shape:
         observation = "the outputs at rest do not tell the states of this model"
@@ -198,14 +198,14 @@ def check_stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] |
 
 
 def remeasure_mismatch(run: RunFiles) -> Any:
-    """Measure the model error again from the run's own recordings."""
+    """Measure the model error again from the recordings of a run."""
     validation = run.simulated.validation
     measure = mismatch_behind_map if run.design.inverts_input_map else measure_mismatch
     return measure(run.model, validation.records, validation.start_up_samples, run.mismatch_records)
 
 
 def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
-    """Recompute, from the run's recordings, the columns that say how much model error the
+    """Recompute, from a run's recordings, the recorded values on how much model error the
     certificate covers."""
     if lacks_coverage(run):
         return {}  # a run of before these columns claims nothing of them
@@ -232,7 +232,8 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
 
 
 def is_search_repeated(run: RunFiles) -> bool:
-    """Whether the record says that no proof of coverage was found, and the search takes seconds.
+    """Whether a run records that no proof of coverage was found, and the search is fast enough to
+    be repeated.
 
     With neurons it takes a minute and more; another version may have searched less.
     """
@@ -243,7 +244,7 @@ def is_search_repeated(run: RunFiles) -> bool:
 def recompute_fresh_data_column(
     run: RunFiles, premise: Premise, mismatch: Mismatch
 ) -> dict[str, Any]:
-    """Recompute the column on fresh data sets by simulating them again."""
+    """Recompute, by simulating fresh data sets again, the recorded disc radius that they need."""
     specification = run.specification
     if not specification.simulates_fresh_data:
         return {}
@@ -259,9 +260,9 @@ def recompute_fresh_data_column(
 def recompute_sine_columns(
     run: RunFiles, balls: Balls, mismatch: Mismatch, coverage: float | None
 ) -> dict[str, Any]:
-    """Recompute the columns of the single-sine tests by simulating the tests again. The result is
-    empty for a run made before such tests existed; `coverage` is that over the run's records, which
-    earlier runs did not compare with the sines."""
+    """Recompute the recorded results of single-sine tests by simulating the tests again. Empty for
+    a run made before such tests existed; `coverage` is that over the run's records, which earlier
+    runs did not compare with the sines."""
     specification = run.specification
     if run.may_lack("sine_margin") or not specification.has_sine_trials:
         return {}
@@ -282,8 +283,8 @@ def recompute_sine_columns(
 
 
 def requested_system(run: RunFiles) -> System:
-    """System for which the state feedback is to be certified: the model, joined with its internal
-    model if it has one.
+    """System for which a state feedback is to be certified: the model, joined with its internal
+    model if there is one.
 
     A design without a state feedback states none, so the one that was requested counts.
     """
@@ -298,8 +299,8 @@ def requested_system(run: RunFiles) -> System:
 
 
 def stored_number_errors(part: Theorem | Infeasible) -> list[str]:
-    """Sentences on wrong numbers that a certificate stores beside its proof, such as margin and
-    condition number."""
+    """Sentences on wrong numbers, such as margin and condition number, that a certificate stores
+    beside its proof."""
     if isinstance(part, Infeasible):
         return []
     again = smallest_eigenvalue(next(iter(part.as_floats(**part.variables).values())))

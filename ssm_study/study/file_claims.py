@@ -29,7 +29,7 @@ NOT_CHOSEN_AGAIN = "the gains are checked; that these settings chose them is not
 
 
 def check_files(run: RunFiles) -> Claims:
-    """Check that every file of the run exists, is sealed and is unchanged."""
+    """Check that every file of a run exists, has a stored checksum and is unchanged."""
     path = run.path / MANIFEST
     manifest = read_sealed_json(read_limited_bytes(path)) if path.is_file() else None
     damaged = damaged_files(run.path, manifest) if manifest else [MANIFEST]
@@ -45,13 +45,14 @@ def check_files(run: RunFiles) -> Claims:
 
 
 def find_foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Checked]:
-    """Findings on files of the run that are missing, not sealed, or written by no stage."""
+    """Failed findings on files of a run that are missing, have no checksum, or should not be
+    there."""
     needed = {CONFIGURATION, "model.json", "validation.mcap", "test.mcap", "excitation.mcap"}
     stages: tuple[Stage[Any], ...] = STAGES_OF_A_BASELINE
     if run.claims_certificate:
         needed |= {"certificate.json", "evidence.json"}
         stages = (*STAGES, trials.TRIALS)
-    present = {CONFIGURATION, *present_files(run.path)} - {MANIFEST, RECORD}
+    present = {CONFIGURATION, *result_file_names(run.path)} - {MANIFEST, RECORD}
     written = {CONFIGURATION, OVERRIDES}
     for stage in stages:
         written.update(stage.files)
@@ -68,16 +69,17 @@ def find_foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Ch
             yield Checked(claim=name, holds=False, found=observation)
 
 
-def present_files(folder: Path) -> set[str]:
-    """Names of the files in a run folder that somebody may take for the run's results."""
+def result_file_names(folder: Path) -> set[str]:
+    """Names of the files in a run folder that count as results of the run."""
     paths = [path for path in folder.rglob("*") if path.is_file()]
     names = [path.relative_to(folder).as_posix() for path in paths]
     return {name for name in names if not is_kept_beside_results(name)}
 
 
 def is_kept_beside_results(name: str) -> bool:
-    """Whether a file in a run folder is no result: a log, a trace, a checkpoint, a figure, exported
-    code, Hydra's, of an earlier attempt, or one that begins with a dot."""
+    """Whether a file in a run folder is no result of the run, such as a log, a checkpoint or a
+    figure. Also a trace, exported code, Hydra's files, files of an earlier attempt, and names that
+    begin with a dot."""
     path = PurePosixPath(name)
     if path.name.startswith(".") or name.startswith(BESIDES):
         return True
@@ -88,7 +90,8 @@ def is_kept_beside_results(name: str) -> bool:
 
 
 def list_files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
-    """Files and entries that no check recomputes, each with the reason."""
+    """List the files of a run, and the entries in them, that no check recomputes, each with the
+    reason."""
     yield NotChecked({"runs.parquet, runs.csv, report.html, figures and exports": MADE_OF_RUNS})
     repeated = ("training_curve.json, choice.json", "certificate.json seconds, solver_status")
     reasons = dict.fromkeys(repeated, NOT_REPEATED)

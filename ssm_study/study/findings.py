@@ -11,28 +11,28 @@ from ssm_study.study.run_files import RunFiles, find_unknown_entries
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """Claim that was checked, with its verdict and the observation."""
+    """Claim of a run that was checked, with its verdict and the observation."""
 
     claim: str
     holds: bool
     found: str
 
     def __str__(self) -> str:
-        """Verdict, claim and observation in one line."""
+        """Verdict, claim and observation of a check in one line."""
         return f"{'holds' if self.holds else 'FAILS'}  {self.claim}: {self.found}"
 
 
 @dataclass(frozen=True)
-class Derived:
-    """Columns of the record, with the values recomputed from the run's files."""
+class DerivedColumns:
+    """Values of a run's record as recomputed from the run's files, by column."""
 
     columns: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Repeated:
-    """Columns that repeat a setting of the configuration which no result supports: they fail where
-    they differ from it, and are not checked where they agree, for the reason."""
+class RepeatedSettings:
+    """Recorded settings that no result of a run depends on, compared with the configuration alone.
+    They fail where they differ from it, and are not checked where they agree, for the reason."""
 
     columns: Mapping[str, Any]
     reason: str
@@ -40,18 +40,18 @@ class Repeated:
 
 @dataclass(frozen=True)
 class NotChecked:
-    """Columns or files that cannot be checked, each with the reason."""
+    """Recorded values or files of a run that cannot be checked, each with the reason."""
 
     reasons: Mapping[str, str]
 
 
-Claims = Iterator[Checked | Derived | Repeated | NotChecked]
+Claims = Iterator[Checked | DerivedColumns | RepeatedSettings | NotChecked]
 
 
 def check_agreement(
     claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, source: str
 ) -> Checked:
-    """Finding on whether stored values equal recomputed ones up to a tolerance.
+    """Check whether stored values equal recomputed ones up to a tolerance.
 
     `source` says in words what gives the value.
     """
@@ -67,7 +67,7 @@ def check_agreement(
 
 
 def check_entries(run: RunFiles, file: str, read: Any) -> Checked:
-    """Finding on whether a file contains only entries that its reader uses."""
+    """Check whether a file of a run contains only entries that the reader of the file uses."""
     extra = find_unknown_entries(run.read_stored_object(file), read.to_json())
     observation = f"unknown: {', '.join(extra)}" if extra else "known"
     return Checked(claim=f"{file} entries", holds=not extra, found=observation)

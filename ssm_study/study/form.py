@@ -30,7 +30,7 @@ TYPES: dict[str, tuple[type, ...]] = {
 
 
 def check_form(run: RunFiles) -> Claims:
-    """Check the form of the run's files: types of recorded values, unknown entries, links."""
+    """Check the form of a run's files: types of recorded values, unknown entries, links."""
     yield from _report_links(run.path)
     yield from _report_byte_order_marks(run.path)
     yield from _report_foreign_contents(run.path)
@@ -53,7 +53,7 @@ def check_form(run: RunFiles) -> Claims:
 
 
 def has_declared_kind(column: Column, value: Any) -> bool:
-    """Whether a value of a record is null or of the type that its column declares."""
+    """Whether a recorded value is null or of the type that its table column declares."""
     if value is None or column.kind is None:
         return True
     if column.kind == "Float64" and value in INFINITIES:
@@ -63,7 +63,7 @@ def has_declared_kind(column: Column, value: Any) -> bool:
 
 
 def _report_links(folder: Path) -> Iterator[Checked]:
-    """Failed findings on symbolic links in the run folder, one for each."""
+    """Failed findings on symbolic links in a run folder, one for each link."""
     links = [path for path in sorted(folder.rglob("*")) if path.is_symlink()]
     for path in links:
         name = path.relative_to(folder).as_posix()
@@ -71,7 +71,8 @@ def _report_links(folder: Path) -> Iterator[Checked]:
 
 
 def _report_byte_order_marks(folder: Path) -> Iterator[Checked]:
-    """Failed findings on text files of the run that begin with a byte order mark, one for each."""
+    """Failed findings on text files of a run that begin with a byte order mark, one for each
+    file."""
     for path in sorted(folder.rglob("*")):
         if path.suffix not in TEXTS or path.is_symlink() or not path.is_file():
             continue
@@ -83,7 +84,8 @@ def _report_byte_order_marks(folder: Path) -> Iterator[Checked]:
 
 
 def _report_foreign_contents(folder: Path) -> Iterator[Checked]:
-    """Failed findings on recordings that hold what no run writes there, one for each file."""
+    """Failed findings on recordings with signals or attachments that no run writes, one for each
+    file."""
     for path in sorted(folder.glob("*.mcap")):
         if path.name not in TOPICS_BY_FILE or path.is_symlink():
             continue  # another file is a failed claim by its name
@@ -94,7 +96,7 @@ def _report_foreign_contents(folder: Path) -> Iterator[Checked]:
 
 
 def _check_unreduced_fit(run: RunFiles) -> Iterator[Checked]:
-    """Check that the fits before and after model reduction are equal where no state was dropped."""
+    """Check that the fits before and after model reduction are equal where no state was removed."""
     before = run.record.get(BEFORE)
     requested = run.specification.configuration["model"].get("order")
     if not run.claims_certificate or run.model.order != requested or before is None:
@@ -107,7 +109,7 @@ def _check_unreduced_fit(run: RunFiles) -> Iterator[Checked]:
 
 
 def _check_reasons(run: RunFiles) -> Claims:
-    """Check that the reason for a missing certificate is a single short line."""
+    """Check that the recorded reason for a missing certificate is a single short line."""
     for label, part in run.design.certificates_by_name.items():
         if not isinstance(part, Infeasible):
             continue
@@ -120,7 +122,7 @@ def _check_reasons(run: RunFiles) -> Claims:
 
 
 def _check_settling_bands(run: RunFiles) -> Claims:
-    """Check that each recording of a loop has the settling band of its plant."""
+    """Check that each recording of a closed loop states the settling band of its plant."""
     if run.missing_log_reason:
         claim = "closed_loop_model.mcap settling_band"
         yield NotChecked({claim: run.missing_log_reason})

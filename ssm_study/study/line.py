@@ -33,7 +33,7 @@ LOCAL = ("ProcessesLauncher", "BasicLauncher", "JoblibLauncher")  # these run jo
 
 
 class Study(Task["Specification"]):
-    """Task that computes one run of a study, from data to closed loop."""
+    """Task that computes one run of a study, from measured or simulated data to the closed loop."""
 
     libraries = (
         "torch",
@@ -48,6 +48,7 @@ class Study(Task["Specification"]):
     )
 
     def refuse_configuration(self, config: DictConfig) -> None:
+        """Raise `BadRequest` for a configuration with forbidden classes or unknown parts."""
         rename_old_settings(config)
         refuse_foreign_targets(config)
         known_keys = {*KEYS, *PARTS}
@@ -57,6 +58,7 @@ class Study(Task["Specification"]):
 
     def input_files(self, settings: Settings) -> list[Path]:
         # By its name: building the data to ask them would import what a finished run does without.
+        """Files, such as logs of measurements, on whose content the results of a run depend."""
         simulated = str(settings["data"].get("_target_", "")).endswith(".SimulatedData")
         if simulated and "'path'" not in str(settings):
             return []
@@ -65,8 +67,8 @@ class Study(Task["Specification"]):
         return input_files(settings)
 
     def build_request(self, settings: Settings) -> "Specification":
-        """Build the specification of a run from its settings. Raises `BadRequest` for every mistake
-        that can be seen before work begins.
+        """Build the objects of a run, such as plant, model and training, from its settings. Raises
+        `BadRequest` for every mistake that can be seen before work begins.
 
         Recorded data are read for it.
         """
@@ -97,7 +99,7 @@ class Study(Task["Specification"]):
         return specification
 
     def trains_on_accelerator(self, request: "Specification", settings: Settings) -> bool:
-        """Whether this machine will train the model of the request on an accelerator.
+        """Whether the model of a run will be trained on an accelerator (GPU) of this machine.
 
         False for a plan, for jobs that a cluster gets, and where the model is in the store.
         """
@@ -112,14 +114,14 @@ class Study(Task["Specification"]):
         return any(stage.name == "model" and not stage.reused for stage in planned.noted.values())
 
     def stages(self, request: "Specification", stages: Stages) -> None:
-        """Run, or plan, all stages of a run in their order.
+        """Run, or only plan, all stages of a run in their order.
 
         A baseline is scored, and there it ends. With `refine` the design is tried before it is
         chosen again.
         """
         from ssm_study.study.trials import LOGS, TRIALS  # a refusal does without
 
-        data, _, bounded = self.identify_model(request, stages)
+        data, _, model_run = self.identify_model(request, stages)
         if not request.model.gives_ssm:
             return
         records = data
@@ -127,7 +129,7 @@ class Study(Task["Specification"]):
         unrecorded_store = stages.unrecorded_store()
         iterations = request.refine if isinstance(request.refine, int) else 0
         for iteration in range(1, iterations + 1):
-            tried += self.design_and_close_loop(request, unrecorded_store, records, bounded)
+            tried += self.design_and_close_loop(request, unrecorded_store, records, model_run)
             is_last = iteration == iterations
             records = (stages if is_last else unrecorded_store).run_stage(
                 TRIALS, {}, {}, data, *tried
@@ -136,7 +138,7 @@ class Study(Task["Specification"]):
             records = stages.run_stage(LOGS, *request.stage_settings("refine", "data"), data)
         with_fresh_data = request.simulates_fresh_data
         self.design_and_close_loop(
-            request, stages, records, bounded, with_fresh_data=with_fresh_data
+            request, stages, records, model_run, with_fresh_data=with_fresh_data
         )
 
     def design_and_close_loop(
@@ -144,11 +146,11 @@ class Study(Task["Specification"]):
         request: "Specification",
         stages: Stages,
         data: StageOutput["DataSet"],
-        bounded: StageOutput["ModelRun"],
+        model_run: StageOutput["ModelRun"],
         *,
         with_fresh_data: bool = False,
     ) -> tuple[StageOutput["Design"], StageOutput[Any]]:
-        """Run the stages that design controller and observer and close the loop with them."""
+        """Run the stages that design controller and observer and that simulate the closed loop."""
         from ssm_study.study.stages.evidence import EVIDENCE
         from ssm_study.study.stages.fresh_data import FRESH_DATA
         from ssm_study.study.stages.loop import LOOP
@@ -161,9 +163,9 @@ class Study(Task["Specification"]):
         plant = ("plant",) if request.plant else ()
         loop_inputs = request.stage_settings("loop", "loop_seed", *plant)
         if request.plant is not None and not request.plant.real:
-            stages.run_stage(TEXTBOOK_PI, *loop_inputs, bounded)
-        mismatch = stages.run_stage(MISMATCH, {}, {}, data, bounded)
-        judgement = stages.run_stage(EVIDENCE, {}, {}, data, bounded, mismatch)
+            stages.run_stage(TEXTBOOK_PI, *loop_inputs, model_run)
+        mismatch = stages.run_stage(MISMATCH, {}, {}, data, model_run)
+        judgement = stages.run_stage(EVIDENCE, {}, {}, data, model_run, mismatch)
         has_limits = loop.input_lower is not None or loop.input_upper is not None
         stays_within_records = request.plant is None or request.synthesis.invert_input
         limits = {
@@ -172,20 +174,21 @@ class Study(Task["Specification"]):
             "applied": stays_within_records or has_limits,
         }
         inputs = request.stage_settings("synthesis", computed={"limits": limits})
-        design = stages.run_stage(SYNTHESIS, *inputs, data, bounded, mismatch, judgement)
+        design = stages.run_stage(SYNTHESIS, *inputs, data, model_run, mismatch, judgement)
         if request.has_sine_trials:
             inputs = request.sine_stage_settings()
-            stages.run_stage(SINE_TRIALS, *inputs, data, bounded, mismatch, judgement, design)
+            stages.run_stage(SINE_TRIALS, *inputs, data, model_run, mismatch, judgement, design)
         if with_fresh_data:
             inputs = request.stage_settings("data", "seed", *plant)
-            stages.run_stage(FRESH_DATA, *inputs, data, bounded, mismatch, design)
-        closed = stages.run_stage(LOOP, *loop_inputs, data, bounded, design)
+            stages.run_stage(FRESH_DATA, *inputs, data, model_run, mismatch, design)
+        closed = stages.run_stage(LOOP, *loop_inputs, data, model_run, design)
         return design, closed
 
     def identify_model(
         self, request: "Specification", stages: Stages
     ) -> tuple[StageOutput["DataSet"], StageOutput["Trained"], StageOutput["ModelRun"]]:
-        """Run the stages from the records to the identified model and its free runs."""
+        """Run the stages that lead from the recorded data to the identified model and its free
+        runs."""
         from ssm_study.study.stages.bounds import BOUNDS
         from ssm_study.study.stages.dataset import DATASET
         from ssm_study.study.stages.free_run import SCORE
@@ -197,14 +200,14 @@ class Study(Task["Specification"]):
         inputs = request.stage_settings("model", "training", "seed", unkeyed=unkeyed)
         model = stages.run_stage(MODEL, *inputs, data)
         if request.model.gives_ssm:
-            bounded = stages.run_stage(BOUNDS, *request.stage_settings("reduction"), data, model)
+            model_run = stages.run_stage(BOUNDS, *request.stage_settings("reduction"), data, model)
         else:
-            bounded = stages.run_stage(SCORE, {}, {}, data, model)
-        return data, model, bounded
+            model_run = stages.run_stage(SCORE, {}, {}, data, model)
+        return data, model, model_run
 
     def run(self, request: "Specification", run: Run) -> Facts:
-        """Final columns of a run, with the status `infeasible` if controller or observer is
-        missing."""
+        """Final columns of a run's record, with the status `infeasible` if controller or observer
+        is missing."""
         del request
         sides = ("controller_feasible", "observer_feasible")
         is_infeasible = any(run.facts.get(name) is False for name in sides)
@@ -213,7 +216,8 @@ class Study(Task["Specification"]):
         return facts | {"status": INFEASIBLE if is_infeasible else OK}
 
     def parameters(self, request: "Specification") -> Facts:
-        """Parameters of a run as columns: numbers of the configuration, and the kinds of its parts.
+        """Parameters of a run as columns of its record: numbers of the configuration, and the kinds
+        of its parts.
 
         A number stands where the configuration has it (`Column.setting`).
         """
@@ -233,17 +237,17 @@ class Study(Task["Specification"]):
             "excitation": request.excitation.kind if request.plant else None,
             "synthesis_method": type(request.synthesis).method,
             **lineage_columns(configuration),
-            "rates_chosen": sides_with_automatic_rate(values),
+            "rates_chosen": gains_with_automatic_rate(values),
         }
 
     def command_line_columns(self, request: "Specification", overrides: Sequence[str]) -> Facts:
+        """Columns of a run's record for the numbers that only the command line declares."""
         return undeclared_number_columns(
             request.configuration, {word.partition("=")[0] for word in overrides}
         )
 
     def preload_modules(self, again: Set[str]) -> None:
-        """Import modules that all jobs of a sweep use, except those that only the given stages
-        need."""
+        """Import, before the jobs of a sweep are forked, the modules that all of them use."""
         from ssm_study.study.preload import preload_modules
 
         preload_modules(again)
@@ -253,7 +257,7 @@ STUDY = Study()
 
 
 def study_folder(config: DictConfig) -> Path:
-    """Folder of a study, `results_dir/study`.
+    """Folder of a study, given by its configuration: `results_dir/study`.
 
     Raises `BadRequest` for a name that leaves the results folder.
     """
@@ -262,7 +266,8 @@ def study_folder(config: DictConfig) -> Path:
 
 
 def refuse_retry_without_runs(config: DictConfig, run: str = "*") -> None:
-    """Raise `BadRequest` if failed runs are to be repeated in a study that has no runs yet."""
+    """Raise `BadRequest` if failed runs are to be executed again in a study that has no runs
+    yet."""
     study = study_folder(config)
     has_runs = any(study.glob(f"{run}/{RECORD}"))
     problem = f"there is nothing in {study} to run again"
@@ -272,7 +277,7 @@ def refuse_retry_without_runs(config: DictConfig, run: str = "*") -> None:
 
 
 def undeclared_number_columns(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
-    """Columns for the numbers of the configuration that have no declared column.
+    """Columns of a run's record for the numbers of the configuration that have no declared column.
 
     A part, as `training/optimiser` or `peer@loop.peer`, is named by its kind.
     """
@@ -290,12 +295,13 @@ def undeclared_number_columns(configuration: Mapping[str, Any], keys: Iterable[s
 
 
 def is_number_or_none(value: Any) -> bool:
-    """Whether a value of the configuration is a number, a truth value or null."""
+    """Whether a value of a configuration is a number, a truth value or null."""
     return isinstance(value, int | float | None)
 
 
-def sides_with_automatic_rate(values: Mapping[str, Any]) -> str:
-    """Text that names the gains, controller or observer, whose rate is chosen automatically."""
+def gains_with_automatic_rate(values: Mapping[str, Any]) -> str:
+    """Text that names the gains, of controller or observer, whose contraction rate is chosen
+    automatically."""
     if values["rates_chosen"] != "auto":
         return "neither"
     sides = [side for side in ("controller", "observer") if values[f"rate_{side}"] == "auto"]
@@ -303,7 +309,7 @@ def sides_with_automatic_rate(values: Mapping[str, Any]) -> str:
 
 
 def kind_of_part(part: Any) -> str | None:
-    """Short name of the class of a configured object, such as `monotone` for
+    """Short name of the class that a configuration names, such as `monotone` for
     `...scaffolds.monotone.Monotone`."""
     target = str(part.get("_target_", "")) if isinstance(part, dict) else ""
     return target.rsplit(".", 1)[-1].lower() or None

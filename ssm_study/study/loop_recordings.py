@@ -30,40 +30,44 @@ TOPICS = {
 
 
 def write_rollouts(
-    path: Path, run: Rollouts, alone: Rollouts | None, plant: Plant, about: dict[str, str]
+    path: Path,
+    controlled: Rollouts,
+    uncontrolled: Rollouts | None,
+    plant: Plant,
+    metadata: dict[str, str],
 ) -> None:
-    """Write simulations of a closed loop, and those without control, into a recording.
+    """Write simulations of a closed loop, and those without control, into a recording file.
 
     Topics `/case_<i>/` reference, input, output (true), measured, estimate (scaled), states and
     uncontrolled.
     """
-    numbers = range(1, run.estimate.shape[2] + 1)
+    numbers = range(1, controlled.estimate.shape[2] + 1)
     estimates = tuple(Channel(name=f"x{i}", unit="1") for i in numbers)
     channels = {"u": plant.inputs, "estimate": estimates, "states": plant.states}
     written: list[SignalGroup] = []
-    for case in range(len(run.y)):
-        signals = {"reference": (plant.outputs, run.reference)}
+    for case in range(len(controlled.y)):
+        signals = {"reference": (plant.outputs, controlled.reference)}
         for field, topic in TOPICS.items():
-            values = getattr(run, field)[case]
+            values = getattr(controlled, field)[case]
             signals[topic] = (channels.get(field, plant.outputs), values)
-        if alone is not None:
-            signals["uncontrolled"] = (plant.outputs, alone.y[case])
-        written += signal_groups(f"/case_{case}", run.time_s, signals)
+        if uncontrolled is not None:
+            signals["uncontrolled"] = (plant.outputs, uncontrolled.y[case])
+        written += signal_groups(f"/case_{case}", controlled.time_s, signals)
     input_equilibrium = json.dumps(plant.equilibrium().u.tolist())
-    left_at_sample = json.dumps(run.left_at_sample.tolist())
-    bound = json.dumps(run.bound.tolist())
+    left_at_sample = json.dumps(controlled.left_at_sample.tolist())
+    bound = json.dumps(controlled.bound.tolist())
     facts = {
-        "step_s": repr(run.step_s),
+        "step_s": repr(controlled.step_s),
         "settling_band": repr(plant.settling_band),
         "input_equilibrium": input_equilibrium,
         "left_at_sample": left_at_sample,
         "bound": bound,
     }
-    write_mcap(path, tuple(written), about | facts)
+    write_mcap(path, tuple(written), metadata | facts)
 
 
 def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
-    """Read the simulations of a closed loop from a recording.
+    """Read the simulations of a closed loop from a recording file.
 
     Raises `BadRequest` if the file lacks a topic, or if its cases do not share one reference.
     """
@@ -95,23 +99,23 @@ def loop_place_label(plant: Plant | None) -> str:
 
 
 def write_experiment(
-    folder: Path, closed: LoopRuns, on: Plant, twin: Plant, about: dict[str, str]
+    folder: Path, runs: LoopRuns, plant: Plant, identified_plant: Plant, metadata: dict[str, str]
 ) -> None:
     """Write all closed-loop simulations of a run into its folder.
 
-    `on` is the plant, `twin` the identified model.
+    `plant` is the plant, `identified_plant` the identified model.
     """
-    about = about | {"plant": type(on).__name__}
-    write_rollouts(folder / ON_PLANT, closed.controlled, closed.uncontrolled, on, about)
-    if closed.noise_free is not None:
-        write_rollouts(folder / NOISE_FREE, closed.noise_free, None, on, about)
-    if closed.on_model is not None:
-        write_rollouts(folder / ON_MODEL, closed.on_model, None, twin, about)
+    metadata = metadata | {"plant": type(plant).__name__}
+    write_rollouts(folder / ON_PLANT, runs.controlled, runs.uncontrolled, plant, metadata)
+    if runs.noise_free is not None:
+        write_rollouts(folder / NOISE_FREE, runs.noise_free, None, plant, metadata)
+    if runs.on_model is not None:
+        write_rollouts(folder / ON_MODEL, runs.on_model, None, identified_plant, metadata)
 
 
 def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
-    """Read all closed-loop simulations of a run, and whether they are of a plant or of the
-    identified model.
+    """Read all closed-loop simulations of a run, and whether a plant or the identified model was
+    simulated.
 
     Raises `BadRequest` if a file lacks a topic.
     """
@@ -133,15 +137,17 @@ def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
 
 
 def _read_existing_rollouts(path: Path) -> Rollouts | None:
-    """Closed-loop simulations of a recording; None if there is no such file."""
+    """Read the closed-loop simulations of a recording file; None if there is no such file."""
     return read_rollouts(path)[0] if path.is_file() else None
 
 
-def loop_signal_pairs(stored: Rollouts | None, made: Rollouts | None) -> dict[str, tuple[Any, Any]]:
-    """Signals of stored closed-loop simulations, each paired with the recomputed one.
+def loop_signal_pairs(
+    stored: Rollouts | None, recomputed: Rollouts | None
+) -> dict[str, tuple[Any, Any]]:
+    """Signals of stored closed-loop simulations, each paired with the one simulated again.
 
     Those that left their bound count up to there.
     """
-    if stored is None or made is None:
-        return {"recording": (stored is not None, made is not None)}
-    return {name: (values, getattr(made, name)) for name, values in vars(stored).items()}
+    if stored is None or recomputed is None:
+        return {"recording": (stored is not None, recomputed is not None)}
+    return {name: (values, getattr(recomputed, name)) for name, values in vars(stored).items()}

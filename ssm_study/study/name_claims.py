@@ -21,7 +21,8 @@ SHOWN = re.compile(r"([A-Za-z_]+)(_?[0-9].*)")
 
 
 def expected_run_name(run: RunFiles) -> str:
-    """Name that a run's settings give it: the hash of all, after those that its name shows.
+    """Name that a run should have by its settings: the values of some settings, then a hash of all
+    settings.
 
     Which settings a name shows is the user's choice, so a word that is no setting stays.
     """
@@ -32,13 +33,13 @@ def expected_run_name(run: RunFiles) -> str:
         return f"...-{hashed}"
     settings = plain_settings(run.config, NOT_IDENTITY)
     parts = shown.split("-") if shown else []
-    words = [expected_part(part, settings) for part in parts]
+    words = [expected_name_part(part, settings) for part in parts]
     return "-".join([*words, stored_hash])
 
 
-def expected_part(part: str, settings: Mapping[str, Any]) -> str:
-    """Part of a run's name that shows a setting, such as `seed0`, with the value of the settings;
-    the part itself where no setting is called so. `width` may be that of the model or a plant's."""
+def expected_name_part(part: str, settings: Mapping[str, Any]) -> str:
+    """Part of a run's name, such as `seed0`, with the value that the settings have; the part itself
+    where no setting has that name. `width` may be that of the model or a plant's."""
     match = SHOWN.fullmatch(part)
     if match is None:
         return part
@@ -53,8 +54,8 @@ def expected_part(part: str, settings: Mapping[str, Any]) -> str:
 
 
 def check_folder_name(folder: Path, name: str) -> Checked:
-    """Check that the run's folder has the name in its record, so that each run counts once in its
-    study."""
+    """Check that a run's folder has the name in the run's record, so that each run counts once in
+    its study."""
     study = folder.parent
     is_in_a_study = (study / PARQUET).exists() or (study / name).exists()
     if folder.name == name or not is_in_a_study:

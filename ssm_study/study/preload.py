@@ -31,7 +31,7 @@ HEAVY = {
 
 
 def modules_to_preload(again: Set[str]) -> Iterator[str]:
-    """Names of the modules that jobs of a sweep will import."""
+    """Names of the Python modules that the jobs of a sweep will import."""
     left = [modules for stage, modules in HEAVY.items() if stage not in again]
     for room in ROOMS:
         package = importlib.import_module(f"{ssm_study.__name__}.{room}")
@@ -41,8 +41,8 @@ def modules_to_preload(again: Set[str]) -> Iterator[str]:
 
 
 def preload_modules(again: Set[str]) -> None:
-    """Import the modules that all jobs of a sweep use, in the process from which the jobs are
-    forked. `again` is as in `Task.preload_modules`."""
+    """Import the Python modules that all jobs of a sweep use, in the process from which the jobs
+    are forked. `again` is as in `Task.preload_modules`."""
     for name in modules_to_preload(again):
         with suppress(
             Exception

@@ -22,7 +22,7 @@ _DATA_SETS: "OrderedDict[Key, DataSet]" = OrderedDict()
 
 
 def read_data_set(source: "RecordedSource", seed: int) -> "DataSet":
-    """Data set of a recorded source, read again only if a file has changed."""
+    """Read the data set from recorded logs; read them again only if a file has changed."""
     key = (repr(source), seed, *_file_checksums(source.data_files()))
     if key not in _DATA_SETS:
         _DATA_SETS[key] = source.build(seed)
@@ -33,5 +33,5 @@ def read_data_set(source: "RecordedSource", seed: int) -> "DataSet":
 
 
 def _file_checksums(paths: tuple[Path, ...]) -> list[tuple[str, str]]:
-    """Absolute path and checksum of each file."""
+    """Absolute path and checksum of each of several files."""
     return [(str(path.absolute()), sha256_of_file(path)) for path in paths]

@@ -48,7 +48,7 @@ Channels = Mapping[str, tuple[Channel, ...]]
 
 @dataclass(frozen=True, kw_only=True)
 class Labels:
-    """Expected channels, units and descriptions of one recording of a run."""
+    """Channel names, units and descriptions that one recording of a run should have."""
 
     file: str
     channels: Channels
@@ -56,7 +56,8 @@ class Labels:
 
 
 def expected_labels(run: RunFiles, data: DataSet) -> Iterator[Labels]:
-    """Labels that the recordings in a run's folder should have, from its data and plants."""
+    """Channel names, units and descriptions that the recordings of a run should have, from its data
+    and plants."""
     expected = record_labels(data)
     if run.closes_loop:
         expected += loop_labels(run, data)
@@ -66,7 +67,8 @@ def expected_labels(run: RunFiles, data: DataSet) -> Iterator[Labels]:
 
 
 def record_labels(data: DataSet) -> list[Labels]:
-    """Expected labels of the recorded measurements and of the model's simulations."""
+    """Channel names and units that recordings of measurements and of model simulations should
+    have."""
     files = ("excitation.mcap", "validation.mcap", "test.mcap", TRIALS, LOOPS)
     channels = {"input": data.inputs, "measured": data.outputs, "simulated": data.outputs}
     channels["disturbance"] = data.disturbances
@@ -74,7 +76,7 @@ def record_labels(data: DataSet) -> list[Labels]:
 
 
 def loop_labels(run: RunFiles, data: DataSet) -> list[Labels]:
-    """Expected labels of the recordings of closed loops."""
+    """Channel names and units that the recordings of closed loops should have."""
     spec = run.specification
     twin = IdentifiedPlant.from_model(run.model, data.inputs, data.outputs)
     plant = spec.plant or twin
@@ -90,7 +92,7 @@ def loop_labels(run: RunFiles, data: DataSet) -> list[Labels]:
 
 
 def loop_channels(plant: Plant) -> Channels:
-    """Channels of a closed loop's signals, with names and units."""
+    """Channels, with names and units, of the signals of a closed loop."""
     channels = {"input": plant.inputs, "states": plant.states}
     for signal in ("reference", "output", "measured", "uncontrolled"):
         channels[signal] = plant.outputs
@@ -98,8 +100,8 @@ def loop_channels(plant: Plant) -> Channels:
 
 
 def find_wrong_labels(run: RunFiles, data: DataSet) -> Iterator[tuple[str, list[str]]]:
-    """Recordings with labels that contradict the run's data and plants, each with its wrong
-    labels."""
+    """Find recordings whose channel names or units contradict the run's data and plants, each with
+    its wrong labels."""
     for labels in expected_labels(run, data):
         recording = RecordedCases.from_file(run.path / labels.file)
         about = recording.about
@@ -118,8 +120,8 @@ def find_wrong_labels(run: RunFiles, data: DataSet) -> Iterator[tuple[str, list[
 
 
 def find_foreign_contents(path: Path) -> list[str]:
-    """Names of the topics, attachments and metadata records in a run's recording that no run writes
-    into a file of that name."""
+    """Names of the contents of a recording that no run writes into a file of that name: topics,
+    attachments and metadata records."""
     topics = TOPICS_BY_FILE[path.name]
     cases = RecordedCases.from_file(path).cases
     kind = "case" if path.name in (ON_PLANT, ON_MODEL, NOISE_FREE) else "record"

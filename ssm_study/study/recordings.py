@@ -29,8 +29,8 @@ Pairs = dict[str, tuple[Any, Any]]
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedCases:
-    """Signals of a recording by name, each for all cases. `loop["output"]` is `(N, T, c)` for N
-    cases.
+    """Signals of a recording by name, each for all simulated or measured cases. `loop["output"]` is
+    `(N, T, c)` for N cases.
 
     `about` is its metadata. Cases are named by what stands before the last `/` of their topics, in
     the order of its number: `/case_3/output` is the signal `output` of the case `/case_3`; `/input`
@@ -45,7 +45,8 @@ class RecordedCases:
 
     @classmethod
     def from_file(cls, path: Path) -> "RecordedCases":
-        """Read the signals of a recording from its file. Raises `BadRequest` for a damaged file."""
+        """Read the signals of a recording from an MCAP file. Raises `BadRequest` for a damaged
+        file."""
         groups, about = read_mcap(path)
         cases: dict[str, Case] = defaultdict(dict)
         for group in groups:
@@ -56,31 +57,31 @@ class RecordedCases:
         return cls(path=path, cases={name: cases[name] for name in prefixes}, about=about)
 
     def signals(self, name: str) -> list[SignalGroup]:
-        """Recorded signal of a given name in all cases."""
+        """Signal of a given name in all cases of a recording."""
         is_there = all(name in case for case in self.cases.values())
         require(is_there, "topic", name, f"{self.path.name} lacks it", "run the study again")
         return [case[name] for case in self.cases.values()]
 
     def __getitem__(self, name: str) -> Float[np.ndarray, "N T c"]:
-        """One signal of all cases as an array; the cases must have the same length."""
+        """Signal of all cases of a recording as one array; the cases must have the same length."""
         return np.stack([signal.values for signal in self.signals(name)])
 
     def time_s(self, name: str) -> Float[np.ndarray, "T"]:
-        """Times of a signal's samples, in seconds."""
+        """Times of the samples of a recorded signal, in seconds."""
         return self.signals(name)[0].time_s
 
     def step_s(self, name: str) -> float:
-        """Sampling time of a signal, in seconds."""
+        """Sampling time of a recorded signal, in seconds."""
         times = self.time_s(name)
         return float(times[1] - times[0])
 
     def label(self, name: str) -> str:
-        """Label of a signal's first channel with its unit: `load_speed`, `rad/s` -> `Load speed
-        (rad/s)`."""
+        """Printed name of a recorded signal's first channel with its unit: `load_speed`, `rad/s` ->
+        `Load speed (rad/s)`."""
         return self.labels(name)[0]
 
     def labels(self, name: str) -> list[str]:
-        """Labels of all channels of a signal, with units."""
+        """Printed names of all channels of a recorded signal, with units."""
         labels = []
         for channel in self.signals(name)[0].channels:
             words = channel.name.replace("_", " ").capitalize()
@@ -88,17 +89,18 @@ class RecordedCases:
         return labels
 
     def unit(self, name: str) -> str:
-        """Unit of a signal's first channel."""
+        """Unit of the first channel of a recorded signal."""
         return self.signals(name)[0].channels[0].unit
 
     @property
     def settling_band(self) -> float:
-        """Band within which a closed loop counts as settled, in the output's unit."""
+        """Half width of the band, in the output's unit, within which a recorded closed loop counts
+        as settled."""
         return float(self.about["settling_band"])
 
     @property
     def settled_time_s(self) -> float:
-        """Time shortly after the last case of a closed loop has settled, in seconds.
+        """Time in seconds shortly after the last recorded case of a closed loop has settled.
 
         The whole horizon where one does not.
         """
@@ -112,7 +114,7 @@ class RecordedCases:
 
     @property
     def records(self) -> Trajectories:
-        """Input, measured output and measured disturbances of every case."""
+        """Input, measured output and measured disturbances of every recorded case."""
         step_s = float(self.about["step_s"])
         names = [prefix or self.path.stem for prefix in self.cases]
         records = []
@@ -127,7 +129,7 @@ class RecordedCases:
 
 
 def _case_number(prefix: str) -> int:
-    """Number at the end of a case's name; 0 if it has none."""
+    """Number at the end of the name of a recorded case; 0 if there is none."""
     number = NUMBER_AT_END.search(prefix)
     return int(number[0]) if number else 0
 
@@ -135,7 +137,7 @@ def _case_number(prefix: str) -> int:
 def signal_groups(
     prefix: str, time_s: Float[np.ndarray, "T"], signals: Signals
 ) -> list[SignalGroup]:
-    """Groups of signals that share their times, each under its own topic of a recording."""
+    """Group signals that share their sample times, each under its own topic of a recording."""
     groups = []
     for name, (channels, values) in signals.items():
         topic = f"{prefix}/{name}"
@@ -152,7 +154,7 @@ def write_records(
     simulated: Outputs = (),
     **about: str,
 ) -> None:
-    """Write records into a recording, in physical units.
+    """Write records of inputs and outputs into a recording file, in physical units.
 
     Topics `/record_<i>/` input, measured disturbances, measured output where `outputs`, and the
     model's free run where there is one.
@@ -172,8 +174,8 @@ def write_records(
 
 
 def read_mismatch_records(folder: Path) -> Trajectories:
-    """Records that only serve to measure the model error, open loop first; empty if the run has no
-    such file."""
+    """Read the records that only serve to measure the model error, open loop first; empty if the
+    run has no such file."""
     records: list[Trajectory] = []
     for path in (folder / TRIALS, folder / LOOPS):
         if path.is_file():
@@ -184,7 +186,7 @@ def read_mismatch_records(folder: Path) -> Trajectories:
 
 
 def read_simulation(path: Path) -> Simulation:
-    """Read a model's free runs and the measured records.
+    """Read a model's free runs and the measured records from a recording file.
 
     Raises `BadRequest` if the file lacks a topic.
     """
@@ -201,13 +203,14 @@ def read_simulation(path: Path) -> Simulation:
 
 
 def states_to_text(states: Sequence[Any]) -> str:
-    """Write initial states as a JSON text. Null stands for a record whose initial state is
-    estimated from its first samples."""
+    """Write the initial states of several records as a JSON text. Null stands for a record whose
+    initial state is estimated from its first samples."""
     return json.dumps([None if state is None else np.asarray(state).tolist() for state in states])
 
 
 def states_from_text(text: str, records: int) -> tuple[Any, ...]:
-    """Read initial states from a JSON text. An empty text gives None for each record.
+    """Read the initial states of several records from a JSON text. An empty text gives None for
+    each record.
 
     Raises `BadRequest` for what is no list of them.
     """
@@ -225,25 +228,26 @@ def states_from_text(text: str, records: int) -> tuple[Any, ...]:
     return tuple(states)
 
 
-def record_signal_pairs(stored: Trajectories, made: Trajectories) -> Pairs:
+def record_signal_pairs(stored: Trajectories, recomputed: Trajectories) -> Pairs:
     """Signals and sampling times of stored records, each paired with the recomputed one."""
-    pairs: Pairs = {"records": (len(stored), len(made))}
-    for i, (before, now) in enumerate(zip(stored, made, strict=False)):
+    pairs: Pairs = {"records": (len(stored), len(recomputed))}
+    for i, (before, now) in enumerate(zip(stored, recomputed, strict=False)):
         for name in ("u", "y", "d", "step_s", "closed_loop"):
             pairs[f"{name} {i}"] = (getattr(before, name), getattr(now, name))
     return pairs
 
 
-def relative_distance(stored: Any, made: Any) -> float:
-    """Largest difference between two arrays, relative to the largest entry of the recomputed one.
+def relative_distance(stored: Any, recomputed: Any) -> float:
+    """Largest difference between a stored and a recomputed array, relative to the largest
+    recomputed entry.
 
     Infinite for another shape or a missing side; NaN where a number is none, which agrees with
     nothing.
     """
-    if stored is None or made is None:
-        return 0.0 if stored is made else float("inf")
+    if stored is None or recomputed is None:
+        return 0.0 if stored is recomputed else float("inf")
     before = np.asarray(stored, dtype=float)
-    now = np.asarray(made, dtype=float)
+    now = np.asarray(recomputed, dtype=float)
     if before.shape != now.shape:
         return float("inf")
     difference = float(np.abs(before - now).max(initial=0.0))

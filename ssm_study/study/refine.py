@@ -31,47 +31,48 @@ TIMES = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step:
-    """One iteration of the refinement, or its end: a sentence, with the configuration of the new
-    run if there is one."""
+class RefinementStep:
+    """One iteration of a run's refinement, or its end: a sentence, and the configuration of the
+    next run if there is one."""
 
     said: str
     config: DictConfig | None = None
 
 
-def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[Step]:
-    """Refine a run repeatedly, and yield a sentence on each new run and on the end.
+def refine(run: Path, log: Path | None = None, iterations: int = TIMES) -> Iterator[RefinementStep]:
+    """Improve the controller of a run repeatedly by closed-loop trials, and yield a sentence on
+    each new run and on the end.
 
     `log` is the record of a trial of the run's controller: one iteration. Without it the trials are
     the closed loops on the run's own plant. Raises `BadRequest` for a run that is not ok, has no
     controller or no plant, or for its log.
     """
     files = _check_refinable_run(run, log)
-    for _ in range(1 if log else times):
+    for _ in range(1 if log else iterations):
         trial = _measure_trial(files, log)
         if trial.ends_refinement:
-            yield Step(said=trial.end_sentence)
+            yield RefinementStep(said=trial.end_sentence)
             return
         config = _next_configuration(files, log)
         outcome: Outcome = STUDY.run_job(config)
         child = RunFiles(path=outcome.folder, record=read_record(outcome.folder) or {})
         sentence = _outcome_sentence(child, trial, outcome)
-        yield Step(said=sentence, config=config)
+        yield RefinementStep(said=sentence, config=config)
         if outcome.status == FAILED:
             return
         if _has_same_gains(files, child):
             reason = "the choice no longer changes, although the proof does not cover the loop"
-            yield Step(said=f"Stopped: {reason}.")
+            yield RefinementStep(said=f"Stopped: {reason}.")
             return
         files = child
     if log:
-        yield Step(said="Try the new design and refine with its log.")
+        yield RefinementStep(said="Try the new design and refine with its log.")
     else:
-        yield Step(said=f"Stopped after {times} iterations.")
+        yield RefinementStep(said=f"Stopped after {iterations} iterations.")
 
 
 def _has_same_gains(files: RunFiles, child: RunFiles) -> bool:
-    """Whether two runs have exactly the same gains."""
+    """Whether two runs have exactly the same controller and observer gains."""
     before = files.design.gains
     after = child.design.gains
     if before.keys() != after.keys():
@@ -80,8 +81,8 @@ def _has_same_gains(files: RunFiles, child: RunFiles) -> bool:
 
 
 def _check_refinable_run(run: Path, log: Path | None) -> RunFiles:
-    """Files of a run, after a check that the run can be refined. Raises `BadRequest` for any other
-    run."""
+    """Open the files of a run, after a check that its controller can be refined by closed-loop
+    trials. Raises `BadRequest` for any other run."""
     files = RunFiles(path=run, record=read_record(run) or {})
     status = files.record.get("status")
     remedy = "give the folder of a run in its study"
@@ -114,22 +115,22 @@ def _check_refinable_run(run: Path, log: Path | None) -> RunFiles:
 
 @dataclass(frozen=True, kw_only=True)
 class TrialMismatch:
-    """Largest gain from input to model error in a closed-loop trial; zero if the loop comes to
-    rest. With it goes the coverage of records and trial together by the run's own proof (None
-    without one)."""
+    """Largest gain from input to model error in a closed-loop trial, and the coverage of that error
+    by the run's proof. The gain is zero if the loop comes to rest; the coverage of records and
+    trial together is None without a proof."""
 
     gain: float
     coverage: float | None
 
     @property
     def ends_refinement(self) -> bool:
-        """Whether the refinement ends because the loop comes to rest or the proof covers the
-        trial's model error."""
+        """Whether refinement ends because the loop comes to rest or the proof covers the model
+        error of the trial."""
         return self.gain == 0 or (self.coverage is not None and self.coverage >= 1)
 
     @property
     def end_sentence(self) -> str:
-        """Sentence on why the refinement ends."""
+        """Sentence that says why the refinement of a controller ends."""
         if self.gain and self.coverage is not None:
             times = math.floor(100 * self.coverage) / 100
             return (
@@ -141,7 +142,7 @@ class TrialMismatch:
 
 
 def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
-    """Measure the model error in the closed-loop trial, with the noise estimated from the run's
+    """Measure the model error in a closed-loop trial, with the noise estimated from the run's
     records."""
     if log is None:
         closed, _ = read_experiment(files.path)
@@ -176,7 +177,7 @@ def _next_configuration(files: RunFiles, log: Path | None) -> DictConfig:
 
 
 def _outcome_sentence(child: RunFiles, trial: TrialMismatch, outcome: Outcome) -> str:
-    """Sentence on one iteration of the refinement: its reason and its result."""
+    """Sentence on one iteration of a controller's refinement: its reason and its result."""
     name = child.path.name
     if outcome.status == FAILED:
         return f"{name}: failed: {outcome.message}"

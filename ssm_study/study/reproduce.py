@@ -43,7 +43,8 @@ def reproduce(run: Path, job: Callable[[DictConfig], object]) -> tuple[list[str]
 
 
 def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str], bool]:
-    """Findings on the differences between two records of the same configuration.
+    """Sentences on the differences between two records of the same configuration, and whether the
+    records agree.
 
     Returns lines with every column of the line that differs and what was different around them,
     and whether all columns agree.
@@ -70,7 +71,7 @@ def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[li
 
 
 def _is_equal_to_rounding(then: Any, now: Any) -> bool:
-    """Whether two values are equal, or are numbers that differ only by rounding between
+    """Whether two recorded values are equal, or are numbers that differ only by rounding between
     machines."""
     if then == now:
         return True

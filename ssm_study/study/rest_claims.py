@@ -15,8 +15,7 @@ NO_FILES = (BadRequest, ValueError, KeyError, TypeError)
 
 
 def check_rest_design(folder: Path) -> Iterator[Checked]:
-    """Check every certificate of a saved bilinear design again in exact arithmetic, and that
-    nothing else lies in its folder."""
+    """Check every certificate of a saved design for a bilinear model again in exact arithmetic."""
     for name in foreign_files(folder):
         yield Checked(claim=name, holds=False, found="belongs to no saved bilinear design")
     try:

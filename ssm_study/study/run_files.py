@@ -39,7 +39,7 @@ OVERRIDES = ".hydra/overrides.yaml"
 
 @dataclass(frozen=True, kw_only=True)
 class RunFiles:
-    """Run folder whose files are read when they are first needed.
+    """Files of a finished run, each read when it is first needed.
 
     A damaged or absent file raises then, whatever its reader raises.
     """
@@ -62,8 +62,8 @@ class RunFiles:
 
     @cached_property
     def specification(self) -> Specification:
-        """Objects of a run (plant, model, training, ...), built from its configuration. Raises
-        `BadRequest` for classes that are not allowed; old names are understood."""
+        """Objects of a run (plant, model, training, ...), built from its stored configuration.
+        Raises `BadRequest` for classes that are not allowed; old names are understood."""
         config = self.config.copy()
         rename_old_settings(config)
         refuse_foreign_targets(config)
@@ -81,8 +81,8 @@ class RunFiles:
 
     @cached_property
     def missing_log_reason(self) -> str:
-        """Why the log of the run cannot be read here; empty where it can, and for records that are
-        simulated again, whose errors are raised."""
+        """Reason why the log of a run cannot be read on this machine; empty if it can. Also empty
+        for records that are simulated again, whose errors are raised."""
         try:
             self.data  # noqa: B018  # read once, and kept
         except (BadRequest, OSError) as error:
@@ -94,15 +94,15 @@ class RunFiles:
 
     @property
     def working_folder(self) -> Path:
-        """Folder to which relative paths in the run's configuration refer. It is the present folder
-        if the run has been moved."""
+        """Folder from which relative paths in the run's configuration are resolved. It is the
+        present folder if the run has been moved."""
         results_dir = str(self.config.results_dir)
         below = Path(results_dir, str(self.config.study), str(self.config.run))
         whole, _, after = str(self.path.absolute()).rpartition(f"/{below}")
         return Path(whole) if whole and not after else Path()
 
     def _data(self) -> DataSet:
-        """Data set of the run, simulated or read again, with the closed-loop trials of its
+        """Simulate or read again the data set of a run, with the closed-loop trials of its
         refinement. Raises `BadRequest` for a real device."""
         spec = self.specification
         real = getattr(self.specification.plant, "real", False)
@@ -118,7 +118,7 @@ class RunFiles:
 
     @cached_property
     def simulated(self) -> ModelRun:
-        """Stored model with its stored free runs, each read when it is first needed."""
+        """Stored model of a run with its stored free runs, each read when it is first needed."""
         return ModelRun(self.path)
 
     @property
@@ -128,12 +128,12 @@ class RunFiles:
 
     @cached_property
     def mismatch_records(self) -> Trajectories:
-        """Records that only serve to measure the model error."""
+        """Records of a run that only serve to measure the model error."""
         return read_mismatch_records(self.path)
 
     @cached_property
     def judgement(self) -> Judgement:
-        """Judgement of the evidence, made again from data and model."""
+        """Judgement of the evidence for a run's predictions, made again from data and model."""
         data = self.data
         runs = self.simulated
         mismatch = measure_mismatch(
@@ -143,16 +143,17 @@ class RunFiles:
 
     @property
     def record_version(self) -> int:
-        """Version of the run's record; the present one where no record was read."""
+        """Version of the format of a run's record."""
         return int(self.record.get("record_version", VERSION))
 
     def may_lack(self, *columns: str) -> bool:
-        """Whether the record lacks all of the given columns, and was written by a version that did
-        not have to state them."""
+        """Whether a run's record lacks all of the given columns, and was written by a version that
+        did not have to state them."""
         return self.record_version < VERSION and not any(name in self.record for name in columns)
 
     def read_stored_object(self, name: str) -> dict[str, Any]:
-        """Object in a JSON file of the run. Raises `BadRequest` for a file that repeats a key."""
+        """Read the JSON object in a file of the run. Raises `BadRequest` for a file that repeats a
+        key."""
         as_object = partial(refuse_repeated_keys, name)
         content = json.loads(read_limited_bytes(self.path / name), object_pairs_hook=as_object)
         is_object = isinstance(content, dict)
@@ -167,31 +168,32 @@ class RunFiles:
 
     @cached_property
     def design(self) -> Design:
-        """Stored controller and observer with their certificates."""
+        """Stored controller and observer of a run with their certificates."""
         return Design.from_json(self.certificate)
 
     @cached_property
     def inputs(self) -> list[Float[np.ndarray, "_ m"]]:
-        """Inputs of the training records, as stored in `excitation.mcap`."""
+        """Inputs of the training records of a run, as stored in `excitation.mcap`."""
         recording = RecordedCases.from_file(self.path / "excitation.mcap")
         return [signal.values for signal in recording.signals("input")]
 
     @cached_property
     def disturbances(self) -> list[Float[np.ndarray, "_ k"]]:
-        """Measured disturbances of the training records, as stored in `excitation.mcap`; empty if
-        there are none."""
+        """Measured disturbances of a run's training records, as stored in `excitation.mcap`; empty
+        if there are none."""
         cases = RecordedCases.from_file(self.path / "excitation.mcap").cases.values()
         return [case["disturbance"].values for case in cases if "disturbance" in case]
 
     @property
     def training_inputs(self) -> list[Float[np.ndarray, "_ m"]]:
-        """Inputs of the training records with the equilibrium input, from the files of the run."""
+        """Inputs of the training records of a run, with the equilibrium input appended."""
         return self.model.scale.append_equilibrium_input(self.inputs)
 
     @property
     def excitation(self) -> dict[str, float]:
-        """Settings of a next excitation signal for the plant (`OwnPlantRecord`), from this run's
-        input range, equilibrium input, sampling time and response time."""
+        """Settings for the next excitation signal of the same plant, from a run's input range and
+        response time. They are those of `OwnPlantRecord`, with equilibrium input and sampling
+        time."""
         problem = "has several inputs"
         remedy = "give --lower and the others for each"
         require(self.model.scale.inputs == 1, "--after", self.path, problem, remedy)
@@ -212,8 +214,8 @@ class RunFiles:
 
     @property
     def sine_angles(self) -> tuple[float, ...]:
-        """Frequencies (rad/sample) of single sines at which this run's loop is most sensitive to
-        model errors. Empty without a design, or behind an inverted input map."""
+        """Frequencies (rad/sample) of single sines at which a run's closed loop is most sensitive
+        to model errors. Empty without a design, or behind an inverted input map."""
         from ssm_study.robustness.sine_trials import PEAKS, peak_frequencies
 
         if not self.claims_certificate:
@@ -225,8 +227,8 @@ class RunFiles:
 
     @property
     def loop(self) -> Loop:
-        """Closed-loop experiment of the run. Without a plant, its input limits are the input range
-        of the log."""
+        """Settings of the closed-loop experiment of a run. Without a plant, its input limits are
+        the input range of the log."""
         loop = self.specification.loop
         if self.specification.plant and not self.design.inverts_input_map:
             return loop
@@ -234,17 +236,17 @@ class RunFiles:
 
     @property
     def plant(self) -> Plant:
-        """Plant, or identified model, on which the loop was closed."""
+        """Plant, or identified model, on which the loop of a run was closed."""
         return self.specification.plant or IdentifiedPlant.from_model(self.model)
 
     @property
     def claims_certificate(self) -> bool:
-        """Whether the run has a design, because its model can be certified."""
+        """Whether a run has a certified design, which needs a model that can be certified."""
         return self.specification.model.gives_ssm
 
     @property
     def closes_loop(self) -> bool:
-        """Whether the run has a controller, an observer, and a plant or model to close the loop
+        """Whether a run has a controller, an observer, and a plant or model to close the loop
         on."""
         if not self.claims_certificate or not self.design.feasible:
             return False
@@ -252,7 +254,8 @@ class RunFiles:
 
 
 def refuse_repeated_keys(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Dictionary from the keys and values of a JSON object. Raises `BadRequest` for a repeated key.
+    """Build a dictionary from the keys and values of a JSON object, and raise `BadRequest` for a
+    repeated key.
 
     Raises `BadRequest` where a key stands twice, for one reader takes the first and another the
     last.
@@ -264,7 +267,8 @@ def refuse_repeated_keys(file: str, pairs: list[tuple[str, Any]]) -> dict[str, A
 
 
 def find_unknown_entries(stored: Any, written: Any, at: str = "") -> list[str]:
-    """Dotted paths of entries in a stored JSON object that its reader does not use.
+    """Find dotted paths of entries in a stored JSON object that the reader of the file does not
+    use.
 
     Nobody checks them.
     """
@@ -283,6 +287,6 @@ def find_unknown_entries(stored: Any, written: Any, at: str = "") -> list[str]:
 
 
 def error_text(error: BaseException) -> str:
-    """Text of an error in a single line of at most 300 characters."""
+    """Text of an error in a single line of limited length."""
     text = " ".join(str(error).split())
     return (text or type(error).__name__)[:300]

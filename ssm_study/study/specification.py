@@ -85,8 +85,8 @@ class Specification:
         return specification
 
     def refuse_feedthrough(self) -> None:
-        """Raise `BadRequest` for a model with direct feedthrough, with which no loop on a plant can
-        be closed.
+        """Raise `BadRequest` for a model with direct feedthrough from input to output, with which
+        no loop on a plant can be closed.
 
         This is said before the model is trained. Without a plant it is scored and certified, and no
         loop is closed.
@@ -99,7 +99,8 @@ class Specification:
         require(not is_refused, "model.feedthrough", feedthrough, problem, remedy)
 
     def refuse_fast_modes(self) -> None:
-        """Raise `BadRequest` for an internal model with frequencies beyond half the sampling rate.
+        """Raise `BadRequest` for an internal model of reference or disturbance with frequencies
+        beyond half the sampling rate.
 
         Only where the sampling rate is known beforehand.
         """
@@ -138,24 +139,26 @@ class Specification:
         for field, count in counts.items():
             require(count <= LARGEST_NUMBER, field, count, problem, "use fewer")
 
-    def refuse_unfitting_limits(self, rest: Float[np.ndarray, "m"]) -> None:
-        """Raise `BadRequest` for input limits that do not fit plant or log.
+    def refuse_unfitting_limits(self, equilibrium_input: Float[np.ndarray, "m"]) -> None:
+        """Raise `BadRequest` for input limits whose number or range does not fit the plant or the
+        log.
 
-        They have to number as many as the inputs, and to enclose the equilibrium `rest`; the loop
-        of a log whose reference begins elsewhere need not hold its equilibrium.
+        They have to number as many as the inputs, and to enclose the equilibrium
+        `equilibrium_input`; the loop of a log whose reference begins elsewhere need not hold its
+        equilibrium.
         """
         lower, upper = (np.asarray(end) for end in self.loop.limits)
         names = "loop.input_lower, loop.input_upper"
         values = (lower.tolist(), upper.tolist())
-        shapes = ((), rest.shape)
+        shapes = ((), equilibrium_input.shape)
         fits = lower.shape in shapes and upper.shape in shapes
         owner = "plant" if self.plant else "log"
-        problem = f"the {owner}'s inputs number {len(rest)}"
+        problem = f"the {owner}'s inputs number {len(equilibrium_input)}"
         require(fits, names, values, problem, "give one number, or one for each")
-        is_inside = bool(np.all((lower <= rest) & (rest <= upper)))
+        is_inside = bool(np.all((lower <= equilibrium_input) & (equilibrium_input <= upper)))
         first_reference = self.loop.reference.signal(np.zeros(1)) if self.plant is None else None
         begins_elsewhere = first_reference is not None and bool(first_reference.any())
-        inputs = ", ".join(f"{u:g}" for u in rest)
+        inputs = ", ".join(f"{u:g}" for u in equilibrium_input)
         problem = f"the {owner} rests at the input {inputs}"
         fits = is_inside or begins_elsewhere
         require(fits, names, values, problem, "choose limits around it")
@@ -163,8 +166,8 @@ class Specification:
     def stage_settings(
         self, *names: str, computed: Mapping[str, Any] = NONE, unkeyed: Mapping[str, Any] = NONE
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings that form a stage's cache key, and the arguments of its call, built from one
-        list so that they agree.
+        """Settings that form the cache key of a stage, and the arguments with which the stage is
+        computed.
 
         The settings, of which its key is made, are those of the named parts and the `computed`
         values; the arguments the parts themselves, the same values, and those that are `unkeyed`.
@@ -182,7 +185,7 @@ class Specification:
         return self._stage_settings_with_data("seed", *plant)
 
     def sine_stage_settings(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings and call arguments of the stage that tests a design with single sines on a
+        """Settings and call arguments of the stage that tests a controller with single sines on a
         simulated plant."""
         return self._stage_settings_with_data("seed", "plant")
 
@@ -198,20 +201,21 @@ class Specification:
 
     @property
     def has_sine_trials(self) -> bool:
-        """Whether a chosen design is tested with single sines, which needs a simulated plant and
-        trials."""
+        """Whether the designed controller is tested with single sines, which needs a simulated
+        plant."""
         simulated = isinstance(self.data, SimulatedData) and self.data.trials
         return simulated and self.plant is not None and not self.plant.real
 
     @property
     def simulates_fresh_data(self) -> bool:
-        """Whether fresh data sets of the plant are to be simulated."""
+        """Whether further data sets of the plant are to be simulated, to test the model on data
+        that it was not made from."""
         simulated = isinstance(self.data, SimulatedData) and self.data.fresh_sets > 0
         return simulated and self.plant is not None and not self.plant.real
 
 
 def input_files(settings: Mapping[str, Any]) -> list[Path]:
-    """Files that the settings name and on whose content the results depend.
+    """Files that the settings of a run name and on whose content the results depend.
 
     Raises `BadRequest` for data that cannot be described.
     """
@@ -229,7 +233,8 @@ def input_files(settings: Mapping[str, Any]) -> list[Path]:
 
 
 def _check_refine_setting(requested: Any, is_recorded: bool) -> int | list[str] | None:
-    """Checked value of the setting `refine`: a list of trial logs, or a number of iterations."""
+    """Check the setting `refine`, and return it: a list of trial logs, or a number of
+    iterations."""
     if is_recorded and requested is not None:
         logs = [requested] if isinstance(requested, str) else requested
         is_list = isinstance(logs, list) and bool(logs)

@@ -37,16 +37,16 @@ FEWEST = 30  # samples of a trial: a third of them tell its initial state
 
 
 def compute_dataset_with_trials(
-    folder: Path, data: DataSet, *tried: "Design | Experiment | None"
+    folder: Path, data: DataSet, *designs_and_loops: "Design | Experiment | None"
 ) -> None:
-    """Write the data set together with the records of all closed-loop trials.
+    """Write the data set of a run together with the records of all closed-loop trials.
 
-    `tried` is a design, its loops, the next design, its loops, ...
+    `designs_and_loops` is a design, its loops, the next design, its loops, ...
     """
-    designs = [design.to_json() for design in tried[::2] if isinstance(design, Design)]
+    designs = [design.to_json() for design in designs_and_loops[::2] if isinstance(design, Design)]
     write_json(folder / TRIED, designs)
     trials: list[Trajectory] = []
-    for experiment in tried[1::2]:
+    for experiment in designs_and_loops[1::2]:
         if isinstance(experiment, tuple):
             closed, _ = experiment
             trials += records_from_loops(closed.controlled)
@@ -56,14 +56,14 @@ def compute_dataset_with_trials(
 def compute_dataset_with_logged_trials(
     folder: Path, records: DataSet, *, refine: list[str], data: "RecordedSource"
 ) -> None:
-    """Write the data set together with the user's logs of closed-loop trials."""
+    """Write the data set of a run together with the user's logs of closed-loop trials."""
     trials = read_logs(refine, data, records.step_s)
     _write_data_and_trials(folder, records, trials)
 
 
 def _write_data_and_trials(folder: Path, data: DataSet, trials: Trajectories) -> None:
-    """Write the data set with closed-loop trials as further mismatch records, and write the trials
-    as a recording."""
+    """Write a data set with closed-loop trials as further records of the model error, and write the
+    trials as a recording."""
     mismatch_records = (*data.mismatch_records, *trials)
     write_dataset(folder, replace(data, mismatch_records=mismatch_records))
     write_records(folder / LOOPS, data, trials)
@@ -88,7 +88,7 @@ def records_from_loops(run: Rollouts) -> Trajectories:
 
 
 def read_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Trajectories:
-    """Read the user's logs of closed-loop trials with the same columns and units as the run's data.
+    """Read the user's logs of closed-loop trials with the column names and units of the run's data.
 
     Raises `BadRequest` as they do, and for another sampling time.
     """
@@ -107,8 +107,8 @@ def read_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Tr
 
 
 def _check_trial(record: Trajectory, path: str, step_s: float) -> None:
-    """Raise `BadRequest` for a trial that is too short, has another sampling time, or has a
-    constant input."""
+    """Raise `BadRequest` for the log of a trial that is too short, has another sampling time, or
+    has a constant input."""
     is_in_step = abs(record.step_s - step_s) <= AGREEMENT * step_s
     problem = f"the model's sampling time is {step_s:g} s"
     remedy = "log the trial at that sampling time"
@@ -121,7 +121,7 @@ def _check_trial(record: Trajectory, path: str, step_s: float) -> None:
 
 
 def repeat_trials(request: "Specification", run: Path) -> Trajectories:
-    """Closed-loop trials of a finished run, read again from its logs or simulated again."""
+    """Read the closed-loop trials of a finished run again from its logs, or simulate them again."""
     if request.refine is None:
         return ()
     model = read_model(run)
@@ -140,7 +140,8 @@ def repeat_trials(request: "Specification", run: Path) -> Trajectories:
 
 
 def lineage_columns(settings: Any) -> Facts:
-    """Columns on the refinement of a run: the number of refinements, and the run that was refined.
+    """Table columns on the refinement of a run: the number of refinements, and the run that was
+    refined.
 
     That is the same run with one iteration, or one log, less.
     """
@@ -157,8 +158,8 @@ def lineage_columns(settings: Any) -> Facts:
 
 
 def refined_run_name(settings: Any, refine: int | list[str] | None) -> str:
-    """Name of the run with the same settings except another value of `refine`. The part before the
-    hash stays the same."""
+    """Name of the run with the same settings except another number of refinements. The part before
+    the hash stays the same."""
     prefix = str(settings["run"]).removesuffix(run_name(settings))
     changed = type(settings)({**settings, "refine": refine})
     return prefix + run_name(changed)

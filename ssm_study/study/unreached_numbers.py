@@ -16,7 +16,8 @@ UNREACHED = "no record reaches this part of the map, and training is not repeate
 
 
 def unverifiable_numbers(run: RunFiles) -> dict[str, str]:
-    """Entries of `model.json` that the run's records cannot verify, each with the reason.
+    """Find entries of the file `model.json` that the run's records cannot verify, each with the
+    reason.
 
     A monotone map is written by break points and slopes. Beyond the inputs (or outputs) of all
     records they change no signal; what is proved holds for every break point, and the smallest and
@@ -51,7 +52,8 @@ def unverifiable_numbers(run: RunFiles) -> dict[str, str]:
 def cancelled_biases(
     name: str, network: Network, signal: Float[np.ndarray, "T m"] | None
 ) -> dict[str, str]:
-    """Biases of a network that have no effect on the recorded signal, each with the reason.
+    """Find biases of a neural network that have no effect on a recorded signal, each with the
+    reason.
 
     They are those of neurons with one slope on both sides and, where the signal is known, of
     neurons that bend at no value between zero and those of the signal.
@@ -79,18 +81,19 @@ def leaky_rectifier(
     negative: Float[np.ndarray, "h"],
     positive: Float[np.ndarray, "h"],
 ) -> Float[np.ndarray, "*batch h"]:
-    """Leaky rectifier, piecewise linear with two slopes for each neuron."""
+    """Leaky rectifier (leaky ReLU) of a neural network, with two slopes for each neuron."""
     return np.where(z < 0, negative * z, positive * z)
 
 
 def unreached_ranges(
-    name: str, bends: Float[np.ndarray, "m h"], signal: Float[np.ndarray, "T m"]
+    name: str, breakpoint_rows: Float[np.ndarray, "m h"], signal: Float[np.ndarray, "T m"]
 ) -> Iterator[str]:
-    """Texts on the parts of a piecewise-linear map that a recorded signal does not reach.
+    """Texts on the breakpoints and slopes of a piecewise-linear map that a recorded signal does not
+    reach.
 
     Of each row of numbers one place: `model.json scaffold_in.slopes.0: 0, 1, 16`.
     """
-    for channel, points in enumerate(bends):
+    for channel, points in enumerate(breakpoint_rows):
         lowest = float(signal[:, channel].min(initial=0.0))  # the map is summed up from zero
         highest = float(signal[:, channel].max(initial=0.0))
         ends = [-np.inf, *points, np.inf]

@@ -26,7 +26,7 @@ from ssm_study.engine.records import (
 )
 from ssm_study.refusal import escape_control_characters, require
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS
-from ssm_study.study.findings import Checked, Claims, Derived, NotChecked, Repeated
+from ssm_study.study.findings import Checked, Claims, DerivedColumns, NotChecked, RepeatedSettings
 from ssm_study.study.form import check_form
 from ssm_study.study.rest_claims import LABELS, check_rest_design
 from ssm_study.study.run_files import RunFiles, error_text
@@ -41,26 +41,26 @@ UNREACHED = "rests on what cannot be derived"
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """Result of checking every claim of a run, with its findings."""
+    """Result of checking every claim of a run, with one finding for each claim."""
 
     findings: tuple[Checked, ...]
     unchecked: Mapping[str, str]
 
     def __iter__(self) -> Iterator[Checked]:
-        """Iterate over the findings."""
+        """Iterate over the findings of the verification of a run."""
         return iter(self.findings)
 
     def __len__(self) -> int:
-        """Number of findings."""
+        """Number of findings of the verification of a run."""
         return len(self.findings)
 
     @property
     def holds(self) -> bool:
-        """Whether no claim fails."""
+        """Whether no claim of a run was found wrong."""
         return all(finding.holds for finding in self.findings)
 
     def require_valid(self, field: str, value: Any) -> None:
-        """Raise `BadRequest` that lists the failed claims, if there are any."""
+        """Raise `BadRequest` that lists the failed claims of a run, if there are any."""
         wrong = [finding for finding in self.findings if not finding.holds]
         causes = "; ".join(finding_lines(wrong))[:300]
         problem = f"{len(wrong)} of {len(self.findings)} claims do not hold: {causes}"
@@ -68,7 +68,7 @@ class Verification:
         require(not wrong, field, value, problem, remedy)
 
     def summary(self) -> str:
-        """Verdict in one line: `54 of 54 claims hold; 3 not checked: ...`."""
+        """Verdict on a run in one line: `54 of 54 claims hold; 3 not checked: ...`."""
         counts = Counter(self.unchecked.values()).most_common()
         reasons = ", ".join(f"{reason} ({count})" for reason, count in counts)
         holding = sum(finding.holds for finding in self.findings)
@@ -78,8 +78,8 @@ class Verification:
         return f"{holding} of {len(self.findings)} claims hold; {unchecked}"
 
     def lines(self, *, every_claim: bool = True) -> list[str]:
-        """Text lines, one for each claim, each cause of a failure, and each reason for not
-        checking.
+        """Text lines of the verification of a run: each claim, each cause of a failure, and each
+        reason for not checking.
 
         The summary comes last.
         """
@@ -95,7 +95,7 @@ class Verification:
         return [*finding_lines(self.findings), *skipped, self.summary()]
 
     def to_json(self) -> str:
-        """Verdict as a text of JSON with the keys `holds`, `claims` and `not_checked`."""
+        """Verdict on a run as a text of JSON with the keys `holds`, `claims` and `not_checked`."""
         claims = [asdict(finding) for finding in self.findings]
         verdict = {"holds": self.holds, "claims": claims, "not_checked": dict(self.unchecked)}
         return json.dumps(verdict, indent=1)
@@ -120,13 +120,13 @@ def finding_lines(findings: Sequence[Checked]) -> list[str]:
 
 
 def _finding_text(finding: Checked) -> str:
-    """Reason that a failed finding states, by which failures are grouped. If no file determines the
-    column, the stored value is left out."""
+    """Reason for a failed check, by which failures are grouped. If no file determines the column,
+    the stored value is left out."""
     return UNGIVEN if finding.found.endswith(UNGIVEN) else finding.found
 
 
 def verify(run: Path) -> Verification:
-    """Check every claim of a run again from its files.
+    """Check every claim of a run again from the files in its folder.
 
     Raises `BadRequest` if `run` is no finished run folder, or is made of parts that are not trusted
     here.
@@ -152,7 +152,7 @@ def verify(run: Path) -> Verification:
 
 
 def verify_files(run: RunFiles) -> Verification:
-    """Check every claim of a finished run whose folder has been opened."""
+    """Check every claim of a finished run whose files have been opened."""
     findings: list[Checked] = []
     derived: dict[str, Any] = {}
     repeated: dict[str, str] = {}
@@ -160,9 +160,9 @@ def verify_files(run: RunFiles) -> Verification:
     for result in _findings_of_sections(run):
         if isinstance(result, Checked):
             findings.append(result)
-        elif isinstance(result, Derived):
+        elif isinstance(result, DerivedColumns):
             derived |= result.columns
-        elif isinstance(result, Repeated):
+        elif isinstance(result, RepeatedSettings):
             derived |= result.columns
             repeated |= dict.fromkeys(result.columns, result.reason)
         else:
@@ -183,9 +183,10 @@ def verify_files(run: RunFiles) -> Verification:
     return Verification(findings=tuple(findings), unchecked=unchecked)
 
 
-def _findings_of_sections(run: RunFiles) -> Iterator[Checked | Derived | Repeated | NotChecked]:
-    """Findings of all sections of the verification of a run. An error in a section becomes a failed
-    claim."""
+def _findings_of_sections(
+    run: RunFiles,
+) -> Iterator[Checked | DerivedColumns | RepeatedSettings | NotChecked]:
+    """Findings of all checks that apply to a run; an error in a check becomes a failed claim."""
     for section in (check_form, *_applicable_sections(run)):
         try:
             yield from section(run)
@@ -195,13 +196,13 @@ def _findings_of_sections(run: RunFiles) -> Iterator[Checked | Derived | Repeate
 
 
 def section_claim(function: str) -> str:
-    """Text for the claim of a section of checks that could not be carried out."""
+    """Name of the claim that fails when a group of checks ends with an error."""
     subject = function.removeprefix("check_")
     return SECTION_CLAIMS.get(subject, subject)
 
 
 def _applicable_sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
-    """Sections of the verification that apply to a run."""
+    """Checking functions of the verification that apply to a run."""
     try:
         return SECTIONS if run.claims_certificate else OF_A_BASELINE
     except Exception as error:
@@ -213,8 +214,8 @@ def _applicable_sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]
 def judge_column(
     name: str, record: Mapping[str, Any], derived: Mapping[str, Any], unchecked: Mapping[str, str]
 ) -> Checked | str:
-    """Finding on one column of the record, or the reason why it is not checked. It is empty if the
-    record claims nothing."""
+    """Finding on one column of a run's record, or the reason why the column is not checked. It is
+    empty if the record claims nothing."""
     column = find_declaration(name)
     stored = record.get(name)
     if name in ADDED_COLUMNS and name not in record and record.get("record_version") == 1:
@@ -233,7 +234,7 @@ def judge_column(
 
 
 def compare_column(name: str, stored: Any, value: Any) -> Checked:
-    """Finding on whether a stored column equals the recomputed one."""
+    """Finding on whether a value in a run's record equals the recomputed one."""
     column = find_declaration(name) or Column(name, "Float64")
     value = storable_value(
         name, value
@@ -245,7 +246,8 @@ def compare_column(name: str, stored: Any, value: Any) -> Checked:
 
 
 def _is_equal_to_rounding(stored: Any, value: Any, column: Column) -> bool:
-    """Whether two values are equal, or numbers that differ only by rounding between machines."""
+    """Whether two values are equal, or are numbers that differ only by rounding between
+    machines."""
     if isinstance(value, float) and type(stored) in (int, float):
         largest_error = column.tolerance * abs(value) + column.resolution
         try:
@@ -256,6 +258,6 @@ def _is_equal_to_rounding(stored: Any, value: Any, column: Column) -> bool:
 
 
 def _short_text(value: Any) -> str:
-    """Short text of a value for a finding."""
+    """Value as a short text for a finding."""
     text = escape_control_characters(" ".join(str(value).split()))
     return text if len(text) <= 80 else f"{text[:77]}..."

@@ -19,7 +19,7 @@ from ssm_study.engine.store import intact_manifest
 from ssm_study.engine.task import run_folder
 from ssm_study.refusal import BadRequest
 from ssm_study.study.stages.files import write_json
-from ssm_study.study.stages.model import null_where_not_finite
+from ssm_study.study.stages.model import replace_nonfinite_by_none
 
 
 def good(run: Run) -> dict[str, object]:
@@ -308,7 +308,7 @@ def test_a_fit_that_left_the_finite_is_a_gap_in_the_curve(tmp_path):
         {"epoch": 0.0, "fit_training_percent": -math.inf},
         {"epoch": 1.0, "fit_training_percent": 80.0},
     ]
-    write_json(tmp_path / "curve.json", null_where_not_finite(curve))
+    write_json(tmp_path / "curve.json", replace_nonfinite_by_none(curve))
     text = (tmp_path / "curve.json").read_text()
     kept = json.loads(text)
     fit_training_percents = [row["fit_training_percent"] for row in kept]

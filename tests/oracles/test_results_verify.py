@@ -18,7 +18,7 @@ from ssm_study.cli.main import main
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.study.claims import SECTIONS
-from ssm_study.study.findings import Checked, Derived, Repeated
+from ssm_study.study.findings import Checked, DerivedColumns, RepeatedSettings
 from ssm_study.study.recordings import read_simulation
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import _short_text, compare_column, judge_column, verify
@@ -180,7 +180,11 @@ def derived(smoke_run: Path, record: dict[str, Any]) -> dict[str, Any]:
     run = RunFiles(path=smoke_run, record=record)
     found = []
     for section in SECTIONS:
-        found += [item.columns for item in section(run) if isinstance(item, Derived | Repeated)]
+        found += [
+            item.columns
+            for item in section(run)
+            if isinstance(item, DerivedColumns | RepeatedSettings)
+        ]
     return {name: value for columns in found for name, value in columns.items()}
 
 

@@ -18,9 +18,9 @@ from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
 from ssm_study.engine.settings import plain_settings, run_name
 from ssm_study.report.outcome import coverage_rows, prediction_rows
-from ssm_study.study.claims import separate_unsupported_settings
-from ssm_study.study.findings import Repeated
-from ssm_study.study.name_claims import expected_part
+from ssm_study.study.claims import split_confirmable_settings
+from ssm_study.study.findings import RepeatedSettings
+from ssm_study.study.name_claims import expected_name_part
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import verify
 from ssm_study.synthesis.measured_discs_run import UNPROVED
@@ -100,13 +100,13 @@ def test_a_run_that_is_called_by_another_seed_is_named(
 
 def test_a_name_shows_the_settings_that_it_names() -> None:
     settings = {"seed": 3, "loop_seed": 7, "model": {"order": 4, "hidden_width": 8}}
-    assert expected_part("seed3", settings) == "seed3"
-    assert expected_part("seed7", settings) == "seed3"
-    assert expected_part("width9", settings) == "width8"
+    assert expected_name_part("seed3", settings) == "seed3"
+    assert expected_name_part("seed7", settings) == "seed3"
+    assert expected_name_part("width9", settings) == "width8"
     settings["plant"] = {"width": 0.01}
-    assert expected_part("width8", settings) == "width8", "the plant's width is another"
+    assert expected_name_part("width8", settings) == "width8", "the plant's width is another"
     for words in ("mine", "trial2", "v1.2"):
-        assert expected_part(words, settings) == words
+        assert expected_name_part(words, settings) == words
     assert run_name(plain_settings(settings), "seed:seed").startswith("seed3-")  # type: ignore[arg-type]
 
 
@@ -178,8 +178,8 @@ def test_a_page_or_a_text_beside_the_run_is_named_and_its_logs_are_not(copied_ru
 def test_settings_that_no_result_supports_do_not_count_as_held(smoke_run: Path) -> None:
     columns = {"training__max_epochs": 9, "synthesis__margin": 1.2, "seed": 0}
     apart = {}
-    for item in separate_unsupported_settings(columns):
-        if isinstance(item, Repeated):
+    for item in split_confirmable_settings(columns):
+        if isinstance(item, RepeatedSettings):
             apart |= item.columns
     assert set(apart) == {"training__max_epochs", "synthesis__margin"}
     verification = verify(smoke_run)

@@ -9,12 +9,12 @@ from ssm_study.study.stages.free_run import SIMULATED, ModelRun, compute_free_ru
 from ssm_study.study.stages.model import Trained
 
 
-def measure_bounds(simulated: ModelRun, data: DataSet, trained: Trained) -> Facts:
-    """Columns of the certified model: its fits, linear part and slopes."""
-    facts = free_run_columns(simulated, data, trained)
+def measure_bounds(model_run: ModelRun, data: DataSet, trained: Trained) -> Facts:
+    """Table columns that describe a certified model: its fits, linear part and slopes."""
+    facts = free_run_columns(model_run, data, trained)
     _, test_before_reduction = simulate_validation_and_test(trained.model, data)
     facts["fit_test_before_reduction_percent"] = test_before_reduction.fit_percent
-    return facts | model_bound_columns(simulated.model)
+    return facts | model_bound_columns(model_run.model)
 
 
 BOUNDS = Stage("bounds", compute_free_runs, ModelRun, measure_bounds, SIMULATED)

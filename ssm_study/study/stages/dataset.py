@@ -15,7 +15,7 @@ from ssm_study.study.stages.files import read_json, write_json
 def compute_dataset(
     folder: Path, *, data: Any, seed: int, plant: Plant | None = None, excitation: Any = None
 ) -> None:
-    """Simulate the records, or read them from logs, and store them as tensors."""
+    """Simulate the records of a data set, or read them from logs, and store them as tensors."""
     is_recorded = plant is None
     records = read_data_set(data, seed) if is_recorded else data.build(plant, excitation, seed)
     write_dataset(folder, records)
@@ -25,7 +25,7 @@ def compute_dataset(
 
 
 def write_dataset(folder: Path, records: DataSet) -> None:
-    """Write a data set in the form that `read_dataset` reads."""
+    """Write a data set of training, validation and test records into a folder."""
     from safetensors.numpy import save_file
 
     from ssm_study.data.assembly import dataset_to_tensors

@@ -10,15 +10,15 @@ from ssm_study.study.stages.files import read_json, write_json
 from ssm_study.study.stages.free_run import ModelRun
 
 
-def compute_evidence(folder: Path, data: DataSet, bounded: ModelRun, shown: Mismatch) -> None:
+def compute_evidence(folder: Path, data: DataSet, model_run: ModelRun, mismatch: Mismatch) -> None:
     """Judge which statements about the plant the data and the model support, and store the
     judgement."""
-    judged = collect_findings(data, bounded.model, bounded.validation, bounded.test, shown)
+    judged = collect_findings(data, model_run.model, model_run.validation, model_run.test, mismatch)
     write_json(folder / "evidence.json", judged.to_json())
 
 
 def read_judgement(folder: Path) -> Judgement:
-    """Read the stored judgement of the evidence."""
+    """Read the stored judgement of which statements about the plant the data support."""
     return Judgement.from_json(read_json(folder / "evidence.json"))
 
 

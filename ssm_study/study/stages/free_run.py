@@ -21,8 +21,8 @@ SIMULATED = ("model.json", "validation.mcap", "test.mcap")
 
 
 class ModelRun:
-    """Model with its free runs on the validation and test records, each read when it is first
-    needed."""
+    """Identified model with its free runs on the validation and test records, each read when it is
+    first needed."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -34,19 +34,19 @@ class ModelRun:
 
     @cached_property
     def validation(self) -> Simulation:
-        """Free run on the validation records, with the measured outputs."""
+        """Free run of the model on the validation records, with the measured outputs."""
         return read_simulation(self.folder / "validation.mcap")
 
     @cached_property
     def test(self) -> Simulation:
-        """Free run on the test records, with the measured outputs."""
+        """Free run of the model on the test records, with the measured outputs."""
         return read_simulation(self.folder / "test.mcap")
 
 
 def compute_free_runs(
     folder: Path, data: DataSet, trained: Trained, *, reduction: "Reduction | None" = None
 ) -> None:
-    """Simulate the model on the validation and test records, and write both free runs.
+    """Simulate the identified model on the validation and test records, and write both free runs.
 
     In balanced coordinates it is what is certified; a baseline has no `reduction`, and nothing is
     claimed of it.
@@ -62,13 +62,13 @@ def compute_free_runs(
         write_records(path, data, run.records, simulated=run.simulated, **about)
 
 
-def free_run_columns(simulated: ModelRun, data: DataSet, _: Trained) -> Facts:
-    """Columns on the free runs of a model: fits in percent, errors in the output's unit, and a
-    benchmark's score."""
-    scores = benchmark_rmse(data, simulated.test.simulated) if "benchmark" in data.metadata else ()
-    train = {"fit_train_percent": records_fit_percent(simulated.model, data.training, data)}
-    fits = fit_columns(simulated.validation, simulated.test, scores)
-    return train | fits | initial_state_columns(simulated.model, data, simulated.test)
+def free_run_columns(model_run: ModelRun, data: DataSet, _: Trained) -> Facts:
+    """Table columns on the free runs of a model: fits in percent, errors in the output's unit, and
+    a benchmark's score."""
+    scores = benchmark_rmse(data, model_run.test.simulated) if "benchmark" in data.metadata else ()
+    train = {"fit_train_percent": records_fit_percent(model_run.model, data.training, data)}
+    fits = fit_columns(model_run.validation, model_run.test, scores)
+    return train | fits | initial_state_columns(model_run.model, data, model_run.test)
 
 
 SCORE = Stage("score", compute_free_runs, ModelRun, free_run_columns, SIMULATED)

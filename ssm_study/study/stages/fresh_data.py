@@ -19,7 +19,7 @@ FILE = "fresh_data.json"
 def compute_fresh_data(
     folder: Path,
     records: DataSet,
-    bounded: ModelRun,
+    model_run: ModelRun,
     mismatch: Mismatch,
     design: Design,
     *,
@@ -27,9 +27,9 @@ def compute_fresh_data(
     seed: int,
     plant: Any,
 ) -> None:
-    """Simulate fresh data sets, and measure the disc radius that each needs, relative to the run's
-    own records. Nothing is simulated without a coverage certificate."""
-    model = bounded.model
+    """Simulate fresh data sets, and measure how large a disc of model error each needs, relative to
+    the run's own records. Nothing is simulated without a coverage certificate."""
+    model = model_run.model
     premise = recorded_error_spectra(model, records, mismatch)
     fresh = data.simulate_fresh_sets(plant, seed)
     needs = fresh_data_needs(design, model, premise, mismatch, fresh, records.start_up_samples)
@@ -37,12 +37,13 @@ def compute_fresh_data(
 
 
 def read_fresh_data_needs(folder: Path) -> list[float]:
-    """Disc radius that each fresh data set needs, relative to the run's own records."""
+    """Read how large a disc of model error each fresh data set needs, relative to the run's own
+    records."""
     return [float(need) for need in read_json(folder / FILE)["needs"]]
 
 
 def measure_fresh_data(needs: list[float], *_: Any) -> Facts:
-    """Column with the largest disc radius that a fresh data set needs."""
+    """Table column with the largest disc of model error that a fresh data set needs."""
     return fresh_data_column(needs)
 
 

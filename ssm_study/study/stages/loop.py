@@ -28,22 +28,22 @@ LOOPS = (ON_PLANT, ON_MODEL, NOISE_FREE, "comparison.csv")
 def compute_loop(
     folder: Path,
     data: DataSet,
-    bounded: ModelRun,
+    model_run: ModelRun,
     design: Design,
     *,
     loop: Loop,
     loop_seed: int,
     plant: Any = None,
 ) -> Experiment | None:
-    """Simulate the loop of the certified gains on the true plant, or on the identified model if
-    there is no plant.
+    """Simulate the closed loop with the certified gains on the true plant, or on the identified
+    model if there is no plant.
 
     None without gains, and where the model, in the place of a plant, answers its input at once: it
     is scored and certified.
     """
     import pandas as pd
 
-    model = bounded.model
+    model = model_run.model
     if not design.feasible or (plant is None and has_direct_feedthrough(model)):
         return None
     twin = IdentifiedPlant.from_model(model, data.inputs, data.outputs)
@@ -65,14 +65,14 @@ def compute_loop(
 
 
 def read_loop(folder: Path) -> Experiment | None:
-    """Closed-loop experiment that the stage stored; None if a gain was missing."""
+    """Read the stored closed-loop experiment of a run; None if a gain was missing."""
     return read_experiment(folder) if (folder / ON_PLANT).is_file() else None
 
 
 def measure_loop(
     experiment: Experiment | None, _data: DataSet, _bounded: ModelRun, design: Design
 ) -> Facts:
-    """Columns of the closed loop; empty without a loop."""
+    """Table columns that describe a run's closed loop; empty if no loop was closed."""
     if experiment is None:
         return {}
     closed, loop_on = experiment

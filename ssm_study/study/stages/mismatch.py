@@ -16,10 +16,10 @@ from ssm_study.study.stages.free_run import ModelRun
 FILE = "mismatch.json"
 
 
-def compute_mismatch(folder: Path, data: DataSet, bounded: ModelRun) -> Mismatch:
-    """Measure the error between plant and model, which serves all designs for this model."""
+def compute_mismatch(folder: Path, data: DataSet, model_run: ModelRun) -> Mismatch:
+    """Measure the error between plant and model from the records, and store it."""
     records = data.mismatch_records
-    mismatch = measure_mismatch(bounded.model, data.validation, data.start_up_samples, records)
+    mismatch = measure_mismatch(model_run.model, data.validation, data.start_up_samples, records)
     write_mismatch(folder, mismatch)
     return mismatch
 
@@ -36,7 +36,7 @@ def _as_floats(array: Any) -> list[float]:
 
 
 def read_mismatch(folder: Path) -> Mismatch:
-    """Read the stored model error at every amplitude of the input."""
+    """Read the stored error between plant and model at every amplitude of the input."""
     content = json.loads((folder / FILE).read_text(encoding="utf-8"))
     views = tuple(_read_error_at_amplitude(view) for view in content.pop("views"))
     loop = content.pop("loop")
@@ -47,7 +47,7 @@ def read_mismatch(folder: Path) -> Mismatch:
 
 
 def _read_error_at_amplitude(content: dict[str, Any]) -> View:
-    """Read the model error at one amplitude from the lists in a file."""
+    """Read the model error at one input amplitude from the lists in a file."""
     parts: dict[str, Any] = {}
     for name, value in content.items():
         parts[name] = np.array(value) if isinstance(value, list) else value

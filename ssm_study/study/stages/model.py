@@ -43,7 +43,7 @@ def compute_model(
     seed: int,
     progress: bool,
 ) -> None:
-    """Train the model on the records and write it as explicit numbers.
+    """Train the model on the records and write its parameters as explicit numbers.
 
     A fit that left the finite is a gap in the curve: JSON has no infinity.
     """
@@ -57,7 +57,7 @@ def compute_model(
 
         facts["baseline"] = baseline_columns(data)
     write_json(folder / "training.json", facts)
-    write_json(folder / "training_curve.json", null_where_not_finite(identified.curve))
+    write_json(folder / "training_curve.json", replace_nonfinite_by_none(identified.curve))
     if identified.members:
         write_json(folder / MEMBERS, [model.to_json() for model in identified.members])
     if identified.choice:
@@ -65,14 +65,15 @@ def compute_model(
 
 
 def read_trained_model(folder: Path) -> Trained:
-    """Read the model, with the duration of its training and the reason why the training ended."""
+    """Read the identified model, with the duration of its training and the reason why the training
+    ended."""
     facts = read_json(folder / "training.json")
     return Trained(read_model(folder), members=read_averaged_models(folder), **facts)
 
 
 def measure_model(trained: Trained, data: DataSet) -> Facts:
-    """Columns of the training: its duration, its end, the model's size, settings that the log
-    chose, and a baseline's fit."""
+    """Table columns on a model's training: its duration, its end, the model's size, chosen
+    settings, and a baseline's fit."""
     facts = training_columns(trained.seconds, trained.ended) | size_columns(trained.model)
     if trained.chosen:
         facts["model_choice"] = trained.chosen
@@ -80,18 +81,18 @@ def measure_model(trained: Trained, data: DataSet) -> Facts:
 
 
 def read_model(folder: Path) -> Any:
-    """Read the model from its explicit numbers, without torch."""
+    """Read the identified model from its stored parameters, without torch."""
     return read_model_json(read_json(folder / "model.json"))
 
 
 def read_averaged_models(folder: Path) -> tuple[Any, ...]:
-    """Models whose mean output is the prediction; empty if a single model is used."""
+    """Read the models whose mean output is the prediction; empty if a single model is used."""
     path = folder / MEMBERS
     return tuple(read_model_json(each) for each in read_json(path)) if path.exists() else ()
 
 
-def null_where_not_finite(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
-    """Training curve in which None replaces infinite and undefined values."""
+def replace_nonfinite_by_none(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
+    """Copy of a training curve in which None replaces infinite and undefined values."""
     rows: list[dict[str, float | None]] = []
     for row in curve:
         rows.append({name: finite_or_none(value) for name, value in row.items()})
@@ -99,7 +100,7 @@ def null_where_not_finite(curve: list[dict[str, float]]) -> list[dict[str, float
 
 
 def finite_or_none(value: float) -> float | None:
-    """Number, or None if it is infinite or undefined."""
+    """Given number, or None if the number is infinite or undefined."""
     return value if math.isfinite(value) else None
 
 

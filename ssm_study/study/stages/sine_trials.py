@@ -24,18 +24,18 @@ FILE = "sine_trials.json"
 def compute_sine_trials(
     folder: Path,
     records: DataSet,
-    bounded: ModelRun,
+    model_run: ModelRun,
     mismatch: Mismatch,
-    judged: Judgement,
+    judgement: Judgement,
     design: Design,
     *,
     data: Any,
     seed: int,
     plant: Any,
 ) -> None:
-    """Simulate single-sine experiments, and measure the model error in each."""
-    del records, judged
-    model = bounded.model
+    """Simulate experiments with single sines on the plant, and measure the model error in each."""
+    del records, judgement
+    model = model_run.model
     balls = certified_balls(model)
     sines = simulated_sines(design, model, balls, mismatch, data, plant, seed)
     rows = [{name: repr(value) for name, value in asdict(sine).items()} for sine in sines]
@@ -43,7 +43,7 @@ def compute_sine_trials(
 
 
 def read_sine_trials(folder: Path) -> list[SineMismatch]:
-    """Model errors measured with single sines, as the stage stored them."""
+    """Read the stored model errors that were measured with single sines."""
     rows = read_json(folder / FILE)["sines"]
     return [SineMismatch(**{name: float(text) for name, text in row.items()}) for row in rows]
 
@@ -51,21 +51,21 @@ def read_sine_trials(folder: Path) -> list[SineMismatch]:
 def measure_sine_trials(
     sines: list[SineMismatch],
     records: DataSet,
-    bounded: ModelRun,
+    model_run: ModelRun,
     mismatch: Mismatch,
-    judged: Judgement,
+    judgement: Judgement,
     design: Design,
 ) -> Facts:
-    """Columns of the stability margin, the prediction and the coverage, measured again with the
-    single sines."""
-    model = bounded.model
+    """Table columns of stability margin, prediction and coverage, measured again with single
+    sines."""
+    model = model_run.model
     start_up = records.start_up_samples
     trials = records.mismatch_records
     premise = measure_premise(model, records.validation, mismatch, start_up, trials)
     coverage = reported_coverage(design, model, premise)
     facts = sine_columns(design, model, certified_balls(model), mismatch, sines)
     facts |= sine_coverage_columns(design, sines, coverage)
-    return withhold_predictions(facts, judged.level)
+    return withhold_predictions(facts, judgement.level)
 
 
 SINE_TRIALS = Stage("sine_trials", compute_sine_trials, read_sine_trials, measure_sine_trials)

@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 def compute_synthesis(
     folder: Path,
     data: DataSet,
-    bounded: ModelRun,
-    shown: Mismatch,
-    judged: Judgement,
+    model_run: ModelRun,
+    recorded_mismatch: Mismatch,
+    judgement: Judgement,
     *,
     synthesis: "Synthesis",
     limits: dict[str, Any],
 ) -> None:
-    """Design controller and observer from the model and the records alone.
+    """Design controller and observer from the identified model and the recorded data alone.
 
     Certificates are decided in exact arithmetic. Without evidence `auto` takes the largest margin;
     within `limits` that are `training_inputs` (given, or a log's) it scores.
@@ -39,14 +39,16 @@ def compute_synthesis(
     from ssm_study.synthesis.deployed import add_gain_certificates
     from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, seeks_coverage
 
-    model = bounded.model
+    model = model_run.model
     balls = certified_balls(model)
-    premise = recorded_error_spectra(model, data, shown)
-    mismatch = mismatch_for_law(synthesis, model, data, shown)
+    premise = recorded_error_spectra(model, data, recorded_mismatch)
+    mismatch = mismatch_for_law(synthesis, model, data, recorded_mismatch)
     ends = input_limits(limits["input_lower"], limits["input_upper"], data.training_inputs)
     method: Any = synthesis
     if isinstance(synthesis, Auto):
-        judgeable = synthesis.with_largest_margin() if judged.level == CANNOT_JUDGE else synthesis
+        judgeable = (
+            synthesis.with_largest_margin() if judgement.level == CANNOT_JUDGE else synthesis
+        )
         decays = simulate_decays(model, data.mismatch_records, data.validation)
         method = judgeable.prefer_covered_designs(premise).prefer_faster_than_decays(decays)
         if limits["applied"]:
@@ -60,7 +62,7 @@ def compute_synthesis(
 
 
 def recorded_error_spectra(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise":
-    """Model error by frequency in the records, which the proof of coverage has to cover."""
+    """Model error by frequency in the recorded data, which a proof of coverage has to cover."""
     from ssm_study.robustness.coverage import measure_premise
 
     records = data.mismatch_records
@@ -77,29 +79,35 @@ def fresh_error_spectra(model: Any, data: DataSet, mismatch: Mismatch) -> "Premi
 
 
 def read_design(folder: Path) -> Design:
-    """Stored controller and observer, or the reason why one is missing."""
+    """Read the stored controller and observer, or the reason why one is missing."""
     return Design.load(folder / "certificate.json")
 
 
 def measure_synthesis(
-    design: Design, data: DataSet, bounded: ModelRun, shown: Mismatch, judged: Judgement
+    design: Design,
+    data: DataSet,
+    model_run: ModelRun,
+    recorded_mismatch: Mismatch,
+    judgement: Judgement,
 ) -> Facts:
-    """Columns of the design and of its prediction."""
+    """Table columns of a design of controller and observer, and of its predictions."""
     from ssm_study.synthesis.expected_response import faster_response_column
     from ssm_study.synthesis.measured_discs_run import coverage_columns
     from ssm_study.synthesis.withheld_coverage import withhold_coverage
 
-    model = bounded.model
+    model = model_run.model
     balls = certified_balls(model)
-    mismatch = mismatch_for_law(design, model, data, shown)
-    premise = recorded_error_spectra(model, data, shown)
-    fresh = fresh_error_spectra(model, data, shown)
+    mismatch = mismatch_for_law(design, model, data, recorded_mismatch)
+    premise = recorded_error_spectra(model, data, recorded_mismatch)
+    fresh = fresh_error_spectra(model, data, recorded_mismatch)
     facts = design_columns(design, model, balls, mismatch)
     facts |= coverage_columns(design, model, premise, fresh)
     facts |= faster_response_column(design, model, mismatch, data.validation, data.mismatch_records)
     if design.feasible:
         facts = withhold_coverage(facts, model, design.pair)
-    return withhold_predictions(facts, judged.level) | second_opinion_columns(design, model, balls)
+    return withhold_predictions(facts, judgement.level) | second_opinion_columns(
+        design, model, balls
+    )
 
 
 SYNTHESIS = Stage(

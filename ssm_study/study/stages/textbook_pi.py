@@ -13,23 +13,23 @@ FILE = "textbook_pi.json"
 
 
 def compute_textbook_pi(
-    folder: Path, bounded: ModelRun, *, loop: Loop, loop_seed: int, plant: Any
+    folder: Path, model_run: ModelRun, *, loop: Loop, loop_seed: int, plant: Any
 ) -> None:
-    """Simulate the textbook PI controller from the same initial states as the certified design, and
-    write its columns."""
+    """Simulate a textbook PI controller from the same initial states as the certified design, and
+    write its results."""
     facts = textbook_pi_columns(
-        plant, bounded.model, loop.with_default_horizon(bounded.model), loop_seed
+        plant, model_run.model, loop.with_default_horizon(model_run.model), loop_seed
     )
     write_json(folder / FILE, facts)
 
 
 def read_textbook_pi(folder: Path) -> Facts:
-    """Stored columns of the textbook PI controller."""
+    """Read the stored results of the textbook PI controller."""
     return dict(read_json(folder / FILE))
 
 
 def measure_textbook_pi(facts: Facts, *_: Any) -> Facts:
-    """Columns of the textbook PI controller, as they are stored."""
+    """Table columns of the textbook PI controller, as they are stored."""
     return facts
 
 
