@@ -34,14 +34,14 @@ OUTCOMES_OF_FIT = (
 
 @dataclass(frozen=True)
 class Answer:
-    """A question and its answer in plain sentences."""
+    """Question about a study, with its answer in plain sentences."""
 
     question: str
     sentences: tuple[str, ...]
 
 
 def question_answers(table: pd.DataFrame) -> list[Answer]:
-    """Questions that a study's table can answer, each with its answer."""
+    """Questions that the results of a study can answer, each with its answer."""
     all_answers = [
         Answer("Where does feasibility end, and why?", feasibility_sentences(table)),
         Answer("Does a better fit mean a better loop?", fit_sentences(table)),
@@ -51,8 +51,8 @@ def question_answers(table: pd.DataFrame) -> list[Answer]:
 
 
 def parameters_line(table: pd.DataFrame) -> str:
-    """Line that names the swept settings and their values. `Swept: model order (4, 8, 12); ...`, or
-    that there was no sweep."""
+    """Text line that names the swept settings of a study and their values, such as `Swept: model
+    order (4, 8, 12); ...`. Without a sweep it says so."""
     parts = []
     for name in swept_settings(table):
         title = printed_column_name(name).split(" (")[0].lower()
@@ -61,8 +61,8 @@ def parameters_line(table: pd.DataFrame) -> str:
 
 
 def list_values(values: pd.Series) -> str:
-    """Text that lists the distinct values of a setting in order. Of many values it gives their
-    number, the first and the last."""
+    """Text that lists the distinct values of a setting in ascending order. Of many values it gives
+    their number, the first and the last."""
     distinct = values.dropna().unique().tolist()
     distinct.sort(key=lambda value: (value == "auto", value))
     printed = [f"{value:g}" if isinstance(value, float) else str(value) for value in distinct]
@@ -72,8 +72,8 @@ def list_values(values: pd.Series) -> str:
 
 
 def group_by_plant(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Runs grouped by plant, each group with the words that name the plant. The name is empty for a
-    single plant.
+    """Group the runs of a study by plant, each group with words that name the plant. The name is
+    empty for a single plant.
 
     Settling times of different plants do not compare.
     """
@@ -87,15 +87,15 @@ def group_by_plant(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
 
 
 def feasibility_sentences(table: pd.DataFrame) -> tuple[str, ...]:
-    """Sentences on which requested rates can be certified, with the exact limits of the rates.
-    Observers are mentioned only where a request failed."""
+    """Sentences on which requested contraction rates can be certified, with the exact limits of the
+    rates. Observers are mentioned only where a request failed."""
     sides = ("controller", "observer")
     return tuple(sentence for side in sides for sentence in frontier_sentences(table, side))
 
 
 def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
-    """Sentences on the largest certifiable rates of the study's models, and on how many requested
-    rates exceed them."""
+    """Sentences on the largest certifiable contraction rates of a study's models, and on how many
+    requested rates exceed them."""
     rate = numeric_column(table, f"rate_{side}")
     limit = numeric_column(table, f"{side}_rate_limit")
     certified = boolean_column(table, f"{side}_certified")
@@ -120,8 +120,8 @@ def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
 
 
 def limit_sentence(side: str, limit: pd.Series) -> str:
-    """Sentence on the range of the largest certifiable rate over the models of a study, and on what
-    determines it."""
+    """Sentence on the range of the largest certifiable contraction rate over the models of a study,
+    and on what determines the limit."""
     reach = f"{limit.max():.3g}"
     if limit.nunique() > 1:
         reach = f"from {limit.min():.3g} to {reach}"
@@ -133,22 +133,29 @@ def limit_sentence(side: str, limit: pd.Series) -> str:
     )
 
 
-def exceeded_limit_sentence(beyond: int, known: int, certified: int) -> str:
-    """Sentence on how many requested rates exceed the exact limit, and on how those runs ended."""
-    outcome = f"{certified} of those were certified" if certified else "none of those was certified"
-    return f"{beyond} of {known} requests lie beyond it, and {outcome}."
+def exceeded_limit_sentence(exceeding_count: int, request_count: int, certified_count: int) -> str:
+    """Sentence on how many requested contraction rates exceed the exact limit, and on how those
+    runs ended."""
+    outcome = (
+        f"{certified_count} of those were certified"
+        if certified_count
+        else "none of those was certified"
+    )
+    return f"{exceeding_count} of {request_count} requests lie beyond it, and {outcome}."
 
 
 def fit_sentences(table: pd.DataFrame) -> tuple[str, ...]:
-    """Sentences on whether a better model fit goes with a better closed loop, for each plant. They
-    correlate the fit with the share of settled initial states, or with the settling time."""
+    """Sentences on whether a better model fit goes with a better closed loop, for each plant of a
+    study. They correlate the fit with the share of settled initial states, or with the settling
+    time."""
     if len(table) < 2:
         return ()
     return tuple(prefix + fit_sentence(runs) for prefix, runs in group_by_plant(table))
 
 
 def fit_sentence(table: pd.DataFrame) -> str:
-    """Sentence on the rank correlation (Spearman) of the fit with the first result that varies."""
+    """Sentence on the rank correlation (Spearman) between model fit and closed-loop result over the
+    runs of a study."""
     certified = boolean_column(table, "controller_certified") & boolean_column(
         table, "observer_certified"
     )
@@ -173,8 +180,9 @@ def fit_sentence(table: pd.DataFrame) -> str:
 
 
 def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
-    """Sentences on how many loops settle with and without a prediction of stability, and on how
-    often the prediction may fail; none where every loop was closed on the model that predicts."""
+    """Sentences on how many closed loops settle with and without a prediction of stability, and on
+    how often the prediction may fail. There are none where every loop was closed on the model that
+    predicts."""
     if (text_column(table, "loop_on") == "identified model").all():
         return ()
     share = numeric_column(table, "stable_fraction")
@@ -200,8 +208,8 @@ def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
 
 
 def failure_bound_sentences(models: pd.Series, share: pd.Series) -> list[str]:
-    """Sentence with an upper bound on how often a prediction of stability fails, where each model
-    counts once.
+    """Sentence with an upper bound on the probability that a prediction of stability fails, where
+    each model counts once.
 
     Loops of one model are not independent. With k of N models wrong the probability is below the p
     of `P(X <= k) = 0.05`, X binomial (Clopper & Pearson 1934); `1 - 0.05^(1/N)` for none.

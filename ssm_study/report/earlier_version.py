@@ -9,12 +9,14 @@ EARLIER = "not stated (made by an earlier version)"
 
 
 def is_of_earlier_version(record: Mapping[str, Any]) -> bool:
-    """Whether a record of a design is of a version that need not state every column."""
+    """Whether the record of a run with a design was written by an earlier version, which need not
+    state every column."""
     is_older = int(record.get("record_version") or VERSION) < VERSION
     return is_older and record.get("status") == OK
 
 
-def unstated_rows(record: Mapping[str, Any], label: str) -> Iterator[tuple[str, str, str]]:
-    """Row of the outcome that says of an older record what it does not state; empty of others."""
+def earlier_version_rows(record: Mapping[str, Any], label: str) -> Iterator[tuple[str, str, str]]:
+    """Row of a printed outcome which says that an earlier version wrote the record, so that some
+    results are not stated. Empty for other records."""
     if is_of_earlier_version(record):
         yield "record_version", label, EARLIER

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from ssm_study.certificates.decay_time import decay_time_words
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, evidence_words
-from ssm_study.report.earlier_version import unstated_rows
+from ssm_study.report.earlier_version import earlier_version_rows
 from ssm_study.report.run_facts import RunFacts
 from ssm_study.report.speed_up import unproved_speed_up_text
 from ssm_study.report.words import NO_FASTER, SETTLED, prediction_text, verdict_per_run
@@ -55,7 +55,7 @@ def print_outcome(
 
 
 def figure_lines(figures: Sequence[Path]) -> list[str]:
-    """Lines that name the saved figures, with paths relative to the current folder:
+    """Text lines that name the saved figures, with paths relative to the current folder:
     `figures/hankel_spectrum.png, .pdf`."""
     kinds: dict[str, list[str]] = {}
     for path in figures:
@@ -87,8 +87,8 @@ def outcome_table(record: Mapping[str, Any], facts: RunFacts) -> Table:
 
 
 def outcome_text(record: Mapping[str, Any]) -> Text:
-    """Text of the run's verdict with its sentence. `cannot judge` comes first where the evidence
-    allows no judgement."""
+    """Text of a run's verdict with the sentence that explains the verdict. `cannot judge` comes
+    first where the evidence allows no judgement."""
     unfinished = UNFINISHED.get(str(record.get("status")))
     if unfinished is not None:
         return Text(unfinished)
@@ -102,14 +102,14 @@ def outcome_text(record: Mapping[str, Any]) -> Text:
 
 
 def _is_on_plant(record: Mapping[str, Any]) -> bool:
-    """Whether the loop ran on a plant rather than on the identified model. A log has no plant, even
-    if no loop was closed."""
+    """Whether a run's loop was closed on a plant rather than on the identified model. A log has no
+    plant, even if no loop was closed."""
     is_log = record.get("loop_on") is None and "plant" in record and record["plant"] is None
     return record.get("loop_on") != "identified model" and not is_log
 
 
 def loop_place_text(record: Mapping[str, Any]) -> str:
-    """Text that says where the loop was closed: `simulated plant` or `identified model`."""
+    """Text that says where a run's loop was closed: `simulated plant` or `identified model`."""
     if not _is_on_plant(record):
         return "identified model"
     place = record.get("loop_on")
@@ -124,15 +124,16 @@ def format_column(record: Mapping[str, Any], name: str, form: str = ".3g", unit:
     return f"{value:{form}}{unit}" if isinstance(value, int | float) else str(value)
 
 
-def predictor_row(record: Mapping[str, Any], fit: str) -> tuple[str, str]:
-    """Name and text of the row on what predicts where it is not the controlled model."""
+def predicting_model_row(record: Mapping[str, Any], fit: str) -> tuple[str, str]:
+    """Row of the outcome on the model that predicts, where another than the controlled model
+    does."""
     if record["members"] == 1:
         return "Model that predicts", f"{fit}, with products of input and state"
     return "Mean that predicts", f"{fit}, of {record['members']} models"
 
 
 def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows on the identified model: fit, benchmark scores, slopes, and how fast it decays without
+    """Rows of the outcome on the identified model: fit, scores, slopes, and decay without
     control."""
     reading = log_reading_text(record)
     if reading:
@@ -142,7 +143,7 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     yield "fit_test_percent", "Fit on the test record", fit + started
     if record.get("members"):
         mean = format_column(record, "fit_test_members_percent", ".1f", " %")
-        yield "fit_test_members_percent", *predictor_row(record, mean)
+        yield "fit_test_members_percent", *predicting_model_row(record, mean)
     yield "fit_baseline_percent", "Best baseline", baseline_text(record)
     yield "model_choice", "Chosen by the log", format_column(record, "model_choice")
     for name in sorted(key for key in record if key.startswith("score_test_")):
@@ -161,8 +162,7 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def baseline_text(record: Mapping[str, Any]) -> str:
-    """Text with the test fit of the best of a few simple models, those of others that validate as
-    well, and whether the best predicts better than the model."""
+    """Text that compares the test fit of the best simple baseline model with that of the model."""
     fit = record.get("fit_baseline_percent")
     own = record.get("fit_test_percent")
     text = f"{format_column(record, 'fit_baseline_percent', '.1f', ' %')}, {record.get('baseline')}"
@@ -172,8 +172,7 @@ def baseline_text(record: Mapping[str, Any]) -> str:
 
 
 def baseline_spread_text(record: Mapping[str, Any]) -> str:
-    """Text with the range of test fits of baselines that validate within a point of the best; empty
-    if that range is narrow."""
+    """Text with the range of test fits of the baselines whose validation fit is nearly the best."""
     highest = record.get("fit_baseline_highest_percent")
     lowest = record.get("fit_baseline_lowest_percent")
     if highest is None or (lowest is not None and highest - lowest < WIDE_SPREAD):
@@ -192,7 +191,7 @@ def log_reading_text(record: Mapping[str, Any]) -> str:
 
 
 def proved_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
-    """Rows on the rates that exact arithmetic proves for the deployed gains on the model."""
+    """Rows of the outcome on the contraction rates that are proved for the deployed gains."""
     for side, paper_theorem in PAPER_THEOREMS.items():
         theorem = facts.own_theorems.get(side, paper_theorem)
         name = f"{side}_certified_rate"
@@ -221,8 +220,7 @@ def proved_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
 
 
 def limit_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
-    """Rows on the rate that is proved under input limits, and on the initial outputs from which the
-    full rate holds."""
+    """Rows of the outcome on the contraction rate that is proved under input limits."""
     label = LIMITS_OF[_is_on_plant(record)]
     if record.get("neurons") and record.get("controller_certified"):
         yield "neurons", label, "nothing is proved: the theorems on limits know no neurons"
@@ -242,7 +240,7 @@ def limit_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
 
 
 def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows on whether the proof covers the model error that the records show.
+    """Rows of the outcome on whether the proof covers the model error that the records show.
 
     Below one it covers nothing, and no share is printed; of an older run the tolerance is.
     """
@@ -252,7 +250,7 @@ def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
         until = "rest is proved up to {}" if record.get("neurons") else "{} is proved"
         value = until.format(format_column(record, "certified_tolerance"))
         yield "certified_tolerance", "Mismatch tolerated", f"{value}, as a gain on the input"
-        yield from unstated_rows(record, label)
+        yield from earlier_version_rows(record, label)
     elif coverage is None:
         reason = str(record.get("coverage_reason"))
         words = reason if reason.startswith(WITHHELD) else f"not covered: {reason}"
@@ -267,7 +265,7 @@ def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def refit_text(record: Mapping[str, Any]) -> str:
-    """Remark that the model was trained on the records that show its error; empty if it was not.
+    """Remark that the model was trained on the records from which its error is measured, or empty.
 
     Such records show less of the error than records that the training has not seen.
     """
@@ -276,7 +274,7 @@ def refit_text(record: Mapping[str, Any]) -> str:
 
 
 def fresh_data_text(record: Mapping[str, Any]) -> str:
-    """Text on how much of the proved disc the model error in fresh data needs."""
+    """Text on how large the model error in fresh data is, relative to that in the records."""
     needed = record.get("coverage_needed")
     if needed is None:
         return ""
@@ -304,8 +302,7 @@ def fresh_data_exceed_coverage(record: Mapping[str, Any]) -> bool:
 
 
 def prediction_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows on the behaviour that model and records predict before the controller is tried on the
-    plant."""
+    """Rows of the outcome on the behaviour that model and records predict for the plant."""
     level = str(record.get("evidence"))
     yield "evidence", "Evidence", evidence_words(level, record.get("evidence_reasons"), NOTES)
     label = "Prediction for the plant" if _is_on_plant(record) else "Prediction"
@@ -326,12 +323,11 @@ def prediction_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     words = f"{word}: {grounds}{refit_text(record)}" if grounds else word
     yield "predicted_stable", label, words
     if sine_margin is None and _is_on_plant(record):
-        yield from unstated_rows(record, "Single sines")
+        yield from earlier_version_rows(record, "Single sines")
 
 
 def closed_loop_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows on the measured closed loop: how many initial states settled, how fast, and the effect
-    of the noise."""
+    """Rows of the outcome on the simulated closed loop: how many starts settled, and how fast."""
     count = format_column(record, "stable_count", ".0f")
     starts = format_column(record, "initial_conditions", ".0f")
     yield "stable_count", "Initial states settled", f"{count} of {starts}"
@@ -361,8 +357,8 @@ def pi_comparison_text(record: Mapping[str, Any]) -> str:
 
 
 def noise_effect_text(record: Mapping[str, Any]) -> str:
-    """Text on the effect of the sensor's noise on the output. A large effect means that the loop
-    moves by itself, or is closer to its limit than predicted."""
+    """Text on how much the sensor's noise moves the output of the closed loop. A large effect means
+    that the loop moves by itself, or is closer to its limit than predicted."""
     measured = record.get("noise_gain_measured")
     model = record.get("noise_gain_model")
     if measured is None:
@@ -390,7 +386,7 @@ def certificate_status_word(record: Mapping[str, Any], side: str) -> str:
 
 
 def outcome_reasons(record: Mapping[str, Any]) -> Iterator[str]:
-    """Reasons why a run is in doubt, infeasible, not certified or failed, from its record."""
+    """Reasons, from its record, why a run is in doubt, infeasible, not certified or failed."""
     findings = str(record.get("evidence_reasons") or "")
     for finding in re.split(r" (?=(?:note|doubt|cannot judge): )", findings):
         if finding.startswith(("doubt: ", "cannot judge: ")):

@@ -16,7 +16,7 @@ FEWEST = 2
 
 
 def compare_free_runs(folders: Sequence[Path]) -> ModelComparison:
-    """Compare how the models of several runs simulate the test record, the best fit first.
+    """Compare how well the models of several runs simulate the test record, the best fit first.
 
     Raises `BadRequest` for fewer than two runs, a run without a test record, and a test record that
     is not that of the first run.
@@ -59,7 +59,8 @@ def compare_free_runs(folders: Sequence[Path]) -> ModelComparison:
 
 
 def baseline_line(folders: Sequence[Path]) -> str:
-    """Line with the best baseline that the runs fitted to the same data; empty if none did."""
+    """Text line with the best simple baseline model that the runs fitted to the same data; empty if
+    none did."""
     records = [RunFolder(path=folder).record for folder in folders]
     fitted = [record for record in records if record.get("fit_baseline_percent") is not None]
     if not fitted:
@@ -70,8 +71,8 @@ def baseline_line(folders: Sequence[Path]) -> str:
 
 
 def distinguishing_run_names(folders: Sequence[Path]) -> list[str]:
-    """Names of runs without the parts that all runs share, after their study where studies differ.
-    Names that are still equal are whole."""
+    """Names of runs, shortened by the parts that all of them have in common. Names that are still
+    equal are whole."""
     parts = [folder.name.split("-") for folder in folders]
     counts = set(map(len, parts))
     if len(counts) == 1:
@@ -96,14 +97,15 @@ def _read_test_free_run(folder: Path) -> RecordedCases:
 
 
 def _signal_values(recording: RecordedCases, name: str) -> list[Float[np.ndarray, "T c"]]:
-    """Values of a signal in each case of a recording."""
+    """Values of one signal in each case of a recording."""
     return [case.values for case in recording.signals(name)]
 
 
 def _require_same_record(
     first_folder: Path, first: RecordedCases, folder: Path, other: RecordedCases
 ) -> None:
-    """Raise `BadRequest` for a run whose test record differs from that of the first run."""
+    """Raise `BadRequest` for a run whose test record differs from that of the first compared
+    run."""
     remedy = "name runs of the same data and the same test part"
     for name in ("input", "measured"):
         ours = _signal_values(first, name)

@@ -32,7 +32,7 @@ class RunFacts:
 
     @classmethod
     def read(cls, run: Path) -> "RunFacts":
-        """Read the facts from a run folder; a run without a model has none."""
+        """Read sampling time, units and set points from a run folder."""
         from ssm_study.export.set_points import describe_missing_set_points
 
         step_s = None
@@ -42,18 +42,18 @@ class RunFacts:
         units = {"input": "", "measured": ""}
         with suppress(OSError, ValueError, IndexError):
             recording = RecordedCases.from_file(run / "test.mcap")
-            units = {name: unit_words(recording.signals(name)[0].channels) for name in units}
+            units = {name: unit_suffix(recording.signals(name)[0].channels) for name in units}
         return cls(
             step_s=step_s,
             no_set_points_reason=describe_missing_set_points(run),
             input_unit=units["input"],
             output_unit=units["measured"],
-            own_theorems=read_own_theorems(run),
+            own_theorems=read_extension_theorems(run),
         )
 
 
-def read_own_theorems(run: Path) -> dict[str, str]:
-    """Names of the theorems of a run's controller and observer that lie outside this package."""
+def read_extension_theorems(run: Path) -> dict[str, str]:
+    """Names of the theorems behind a run's certificates that come from an extension package."""
     own_theorems = {}
     with suppress(OSError, ValueError, AttributeError):  # a damaged file names none
         parts = json.loads((run / "certificate.json").read_text(encoding="utf-8"))
@@ -64,7 +64,7 @@ def read_own_theorems(run: Path) -> dict[str, str]:
     return own_theorems
 
 
-def unit_words(channels: Sequence[Channel]) -> str:
-    """Unit of a single channel after a space; empty for several channels and without a unit."""
+def unit_suffix(channels: Sequence[Channel]) -> str:
+    """Unit of a signal with one channel as text after a space; otherwise empty."""
     unit = channels[0].unit if len(channels) == 1 else ""
     return f" {unit}" if unit else ""

@@ -24,15 +24,16 @@ from ssm_study.synthesis.loop_poles import eigenvalue_groups
 
 
 def picture_of_best(name: str, study: StudyFolder) -> Picture:
-    """Named picture of the study's best run. Raises `NothingToDraw` with the reason where it would
-    be empty."""
+    """Picture with a given name of the study's best run. Raises `NothingToDraw` with the reason
+    where it would be empty."""
     if study.best_run is None:
         raise NothingToDraw("No run left a model.")
     return picture_of_run(name, study.best_run)
 
 
 def picture_of_run(name: str, run: RunFolder) -> Picture:
-    """Named picture of one run. Raises `NothingToDraw` with the reason where it would be empty."""
+    """Picture with a given name of a single run. Raises `NothingToDraw` with the reason where it
+    would be empty."""
     try:
         return PICTURES[name](run)
     except NothingToShow as reason:
@@ -40,7 +41,7 @@ def picture_of_run(name: str, run: RunFolder) -> Picture:
 
 
 def read_run_files(run: RunFolder, *parts: str) -> list[Any]:
-    """Read the named files of a run, such as model and design. Raises `NothingToDraw` that names a
+    """Read files of a run, such as model and design, by name. Raises `NothingToDraw` that names a
     missing part."""
     values = [getattr(run, part) for part in parts]
     missing = [part for part, value in zip(parts, values, strict=True) if value is None]
@@ -50,15 +51,15 @@ def read_run_files(run: RunFolder, *parts: str) -> list[Any]:
 
 
 def run_input_scale(run: RunFolder, model: Any) -> InputScale | None:
-    """Scale of the input of a run's model with its unit; None for several inputs or without a
-    record."""
+    """Scale between physical and scaled input of a run's model, with its unit; None for several
+    inputs or without a record."""
     if run.validation is None:
         return None
     return physical_input_scale(model, run.validation.unit("input"))
 
 
 def picture_of_margin(run: RunFolder) -> Picture:
-    """Picture of the stability margin by frequency."""
+    """Picture of a run's stability margin over frequency."""
     model, gains, mismatch = read_run_files(run, "any_model", "gains", "mismatch")
     curves = margin_curves(model, gains, certified_balls(model), mismatch)
     margin = run.record.get("resolved_margin")
@@ -66,13 +67,13 @@ def picture_of_margin(run: RunFolder) -> Picture:
 
 
 def picture_of_nyquist_curve(run: RunFolder) -> Picture:
-    """Picture of the Nyquist curve, with discs for the measured model error."""
+    """Picture of a run's Nyquist curve, with discs for the measured model error."""
     model, gains = read_run_files(run, "any_model", "gains")
     return nyquist_picture(model, gains, run.mismatch)
 
 
 def picture_of_coverage(run: RunFolder) -> Picture:
-    """Picture of the coverage by frequency band."""
+    """Picture of how much model error a run's proof covers in each frequency band."""
     model, design, mismatch = read_run_files(run, "any_model", "design", "mismatch")
     premise = measure_premise(
         model, run.validation_records, mismatch, run.start_up_samples, run.mismatch_records
@@ -81,20 +82,20 @@ def picture_of_coverage(run: RunFolder) -> Picture:
 
 
 def picture_of_frequency_response(run: RunFolder) -> Picture:
-    """Picture of the frequency response, beside an estimate from the record."""
+    """Picture of the frequency response of a run's model, beside an estimate from the record."""
     model, record = read_run_files(run, "any_model", "validation")
     units = (record.unit("measured"), record.unit("input"))
     return bode_picture(model, record.records[0], certified_balls(model).input, units)
 
 
 def picture_of_poles(run: RunFolder) -> Picture:
-    """Picture of the poles of model, loop and observer."""
+    """Picture of the poles of a run's model, closed loop and observer."""
     model, gains, design = read_run_files(run, "any_model", "gains", "design")
     return poles_picture(eigenvalue_groups(model, gains), design.certified_rate("state_feedback"))
 
 
 def picture_of_residuals(run: RunFolder) -> Picture:
-    """Picture of the correlations of the test record's error."""
+    """Picture of the correlations of a run's simulation error on the test record."""
     (test,) = read_run_files(run, "test")
     start = run.start_up_samples
     errors = [test["measured"][0, start:] - test["simulated"][0, start:]]
@@ -105,7 +106,7 @@ def picture_of_residuals(run: RunFolder) -> Picture:
 
 
 def picture_of_free_run(run: RunFolder) -> Picture:
-    """Picture of the free run on the test record."""
+    """Picture of the free-run simulation of a run's model on the test record."""
     (test,) = read_run_files(run, "test")
     simulated = {"model": test["simulated"][0]}
     labels = test.labels("measured")
@@ -115,13 +116,13 @@ def picture_of_free_run(run: RunFolder) -> Picture:
 
 
 def picture_of_input_map(run: RunFolder) -> Picture:
-    """Picture of the learned input map."""
+    """Picture of the learned input map of a run's model."""
     model, excitation = read_run_files(run, "any_model", "excitation")
     return input_map_picture(model, certified_balls(model).input, excitation.label("input"))
 
 
 def picture_of_set_point_step(run: RunFolder) -> Picture:
-    """Picture of a step of the set point on the identified model."""
+    """Picture of a run's closed loop after a step of the set point, on the identified model."""
     model, design, test, excitation = read_run_files(
         run, "any_model", "design", "test", "excitation"
     )
@@ -142,7 +143,7 @@ def picture_of_set_point_step(run: RunFolder) -> Picture:
 
 
 def _identified_plant(model: Any, record: RecordedCases) -> IdentifiedPlant:
-    """Make a plant from the model, with the channels of a record."""
+    """Make a simulated plant from the identified model, with the channel names of a record."""
     inputs = record.signals("input")[0].channels
     outputs = record.signals("measured")[0].channels
     return IdentifiedPlant.from_model(model, inputs, outputs)

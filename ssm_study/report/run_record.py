@@ -18,8 +18,8 @@ from ssm_study.table.columns import group_by_part
 
 
 def print_run(run_folder: Path, console: Console) -> None:
-    """Print a run's outcome, and below it the whole record. Raises `BadRequest` where the record
-    lies beside a saved bilinear design, which has none."""
+    """Print the outcome of a run, and below it the whole record. Raises `BadRequest` where the
+    record lies beside a saved bilinear design, which has none."""
     if holds_rest_design(run_folder):
         refuse_foreign_files(run_folder)
     record = read_record(run_folder) or {}
@@ -29,7 +29,8 @@ def print_run(run_folder: Path, console: Console) -> None:
 
 
 def record_table(record: Mapping[str, Any]) -> Table:
-    """Table of every recorded value with its printed name, in blocks and without missing values."""
+    """Table of every value in a run's record with its printed name, in blocks and without missing
+    values."""
     table = Table(show_header=False, box=None, pad_edge=False, width=WIDTH)
     table.add_column(ratio=3)
     table.add_column(ratio=2, overflow="fold")

@@ -8,15 +8,15 @@ from ssm_study.certificates.decay_time import decay_time_words
 
 
 def open_loop_rate(record: Mapping[str, Any]) -> float | None:
-    """Rate below which the model contracts without control; with neurons that of its linear part,
-    which is no less. None if it does not contract."""
+    """Contraction rate of a run's model without control; None if the model does not contract. With
+    neurons that of the linear part, which is no less."""
     radius = record.get("spectral_radius")
     return None if radius is None or radius >= 1 else 1 - float(radius) ** 2
 
 
 def unproved_speed_up_text(record: Mapping[str, Any], step_s: float | None) -> str:
-    """Remark that the controller's proved rate is no larger than the rate without control; empty
-    where it is larger."""
+    """Remark that the controller's proved contraction rate is no larger than the rate without
+    control; empty where it is larger."""
     rate = record.get("controller_certified_rate")
     alone = open_loop_rate(record)
     if rate is None or alone is None or rate > alone:

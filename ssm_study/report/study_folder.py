@@ -38,14 +38,14 @@ class NothingToDraw(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class RunFolder:
-    """Files of one run, each read when it is first needed. A missing file reads as None (a failed
-    run has few)."""
+    """Files of one run for figures and page, each read when it is first needed. A missing file
+    reads as None (a failed run has few)."""
 
     path: Path
 
     def _parse_file(self, name: str, parse: Callable[[str], Any] = json.loads) -> Any:
-        """Content of a file of the run after parsing; None if there is no such file. Raises
-        `BadRequest` that names a damaged file."""
+        """Read and parse a file of the run; None if there is no such file. Raises `BadRequest` that
+        names a damaged file."""
         path = self.path / name
         try:
             return parse(read_limited_bytes(path).decode()) if path.is_file() else None
@@ -56,7 +56,7 @@ class RunFolder:
             ) from error
 
     def _read_recording(self, name: str, most: int | None = None) -> RecordedCases | None:
-        """Content of a recording of the run; None if there is no such file."""
+        """Read a recording of the run; None if there is no such file."""
         path = self.path / f"{name}.mcap"
         if not path.is_file():
             return None
@@ -65,36 +65,37 @@ class RunFolder:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Content of `record.json`, the record of the run."""
+        """Content of the file `record.json` of a run, with settings and results."""
         return self._parse_file("record.json") or {}
 
     @cached_property
     def certificate(self) -> dict[str, Any] | None:
-        """Content of `certificate.json`; None for a run without one."""
+        """Content of the file `certificate.json` of a run; None for a run without one."""
         return self._parse_file("certificate.json")
 
     @cached_property
     def model(self) -> SSM | None:
-        """Identified model that can be certified; None for a baseline or a model with neurons."""
+        """Identified model of a run that can be certified; None for a baseline or a model with
+        neurons."""
         data = self._parse_file("model.json")
         stored_model = None if data is None else read_model_json(data)
         return stored_model if isinstance(stored_model, SSM) else None
 
     @cached_property
     def any_model(self) -> Model | None:
-        """Identified model, with or without neurons; None for a baseline."""
+        """Identified model of a run, with or without neurons; None for a baseline."""
         data = self._parse_file("model.json")
         stored_model = None if data is None else read_model_json(data)
         return stored_model if isinstance(stored_model, SSM | StructuredSSM) else None
 
     @cached_property
     def design(self) -> Design | None:
-        """Controller and observer with their certificates; None if the run stored none."""
+        """Controller and observer of a run with their certificates; None if the run stored none."""
         return None if self.certificate is None else Design.from_json(self.certificate)
 
     @property
     def gains(self) -> Gains | None:
-        """Gains of controller and observer; None if one of them is missing."""
+        """Gains of a run's controller and observer; None if one of them is missing."""
         return self.design.pair if self.design is not None and self.design.feasible else None
 
     @property
@@ -105,19 +106,19 @@ class RunFolder:
 
     @cached_property
     def mismatch_records(self) -> Trajectories:
-        """Records that only serve to measure the model error."""
+        """Records of a run that only serve to measure the model error."""
         return read_mismatch_records(self.path)
 
     @cached_property
     def validation_records(self) -> Trajectories:
-        """All validation records; empty if the run left no recording."""
+        """All validation records of a run; empty if the run left no recording."""
         path = self.path / "validation.mcap"
         return RecordedCases.from_file(path).records if path.is_file() else ()
 
     @cached_property
     def mismatch(self) -> Mismatch | None:
-        """Model error by frequency and amplitude, measured again from the recordings; None if
-        something for it is missing."""
+        """Model error of a run by frequency and amplitude, measured again from the recordings; None
+        if something for it is missing."""
         if self.any_model is None or not self.validation_records:
             return None
         return measure_mismatch(
@@ -131,24 +132,24 @@ class RunFolder:
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """Configuration of the run, with all values resolved."""
+        """Configuration of a run, with all values resolved."""
         path = self.path / ".hydra" / "config.yaml"
         return (yaml.safe_load(read_stored_yaml(path)) if path.is_file() else None) or {}
 
     @cached_property
     def curve(self) -> pd.DataFrame | None:
-        """Training curve with one row per epoch."""
+        """Training curve of a run's model with one row per epoch."""
         rows = self._parse_file("training_curve.json")
         return pd.DataFrame(rows) if rows else None
 
     @cached_property
     def validation(self) -> RecordedCases | None:
-        """First validation record with the model's free run."""
+        """First validation record of a run with the model's free run."""
         return self._read_recording("validation", most=1)
 
     @cached_property
     def test(self) -> RecordedCases | None:
-        """First test record with the model's free run."""
+        """First test record of a run with the model's free run."""
         return self._read_recording("test", most=1)
 
     @cached_property
@@ -158,14 +159,14 @@ class RunFolder:
 
     @cached_property
     def closed_loop(self) -> RecordedCases | None:
-        """Recording of the closed loop; None if no loop was closed."""
+        """Recording of a run's closed loop; None if no loop was closed."""
         return self._read_recording("closed_loop")
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyFolder:
-    """Files of a study: its table and its run folders by name. `others` are studies shown beside
-    it.
+    """Files of a study for figures and page: its table and its run folders by name. `others` are
+    studies shown beside it.
 
     A run of another study is named by its path from `folder`; `shown` names a run to take for the
     best. Raises `BadRequest` where a table is missing.
@@ -177,7 +178,7 @@ class StudyFolder:
 
     @property
     def name(self) -> str:
-        """Name of the study."""
+        """Name of the study, which is that of its folder."""
         return " and ".join(folder.resolve().name for folder in (self.folder, *self.others))
 
     @cached_property
@@ -192,7 +193,7 @@ class StudyFolder:
 
     @cached_property
     def controller_comparison(self) -> pd.DataFrame:
-        """Comparison tables of all runs, one below another."""
+        """Table of compared controllers over all runs of a study."""
         found = {
             name: self.run(name).controller_comparison
             for name in text_column(self.table, "run")
@@ -202,7 +203,7 @@ class StudyFolder:
         return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
     def run(self, name: str) -> RunFolder:
-        """Files of the run with a given name."""
+        """Files of the run with a given name in a study."""
         return RunFolder(path=self.folder / name)
 
     @cached_property
@@ -220,7 +221,8 @@ class StudyFolder:
 
     @cached_property
     def units(self) -> Units:
-        """Units of input and output, where all runs are of one plant and the best left records."""
+        """Units of input and output of a study's plant; empty where they are not known or
+        differ."""
         record = None if self.best_run is None else self.best_run.validation
         is_one_plant = text_column(self.table, "plant").nunique() < 2
         if record is None or not is_one_plant or self.others:
@@ -228,7 +230,7 @@ class StudyFolder:
         return Units(input=record.unit("input"), output=record.unit("measured"))
 
     def read_from_best(self, *parts: str, otherwise: str) -> list[Any]:
-        """Read the named files of the study's best run, such as `model` or `closed_loop`. Raises
+        """Read files of the study's best run, such as model or closed loop, by name. Raises
         `NothingToDraw` that names a missing part."""
         values = [getattr(self.best_run, part, None) for part in parts]
         if any(part is None for part in values):

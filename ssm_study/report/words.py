@@ -37,29 +37,29 @@ def choice_label(choice: object) -> str:
 
 
 def printed_column_name(name: object) -> str:
-    """Printed name of a column, with its unit."""
+    """Printed name of a table column, with its unit."""
     return DERIVED.get(str(name)) or column_label(str(name))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Units:
-    """Units of input and output of the plant that a study is about; empty where unknown."""
+    """Units of input and output of the plant that a study is about."""
 
     input: str = ""
     output: str = ""
 
-    def physical_words(self, words: str) -> str:
-        """Printed name of a column with the units of the plant instead of general words."""
+    def physical_words(self, text: str) -> str:
+        """Printed name of a table column with the units of the plant instead of general words."""
         if self.input:
-            words = words.replace("unit of the input", self.input)
+            text = text.replace("unit of the input", self.input)
         if self.output:
-            words = words.replace("squared output, s", f"({self.output})² s")
-            words = words.replace("output unit", self.output)
-        return words
+            text = text.replace("squared output, s", f"({self.output})² s")
+            text = text.replace("output unit", self.output)
+        return text
 
 
 def prediction_text(margin: float | None, radius: float | None, noise: float | None = None) -> str:
-    """Text with the numbers that decide a prediction, each next to its bound.
+    """Text with the numbers that decide a prediction of stability, each next to its bound.
 
     `stability margin 2.03 > 1, spectral radius of the controller 0.892 < 1`; noise where it counts.
     """
@@ -77,7 +77,7 @@ def prediction_text(margin: float | None, radius: float | None, noise: float | N
 
 
 def format_beside_bound(value: float, bound: float = 1.0) -> str:
-    """Number as text, with enough digits to show on which side of a bound it lies."""
+    """Text of a number with enough digits to show on which side of a bound the number lies."""
     for digits in range(3, 17):
         text = f"{value:.{digits}g}"
         rounded = float(text)
@@ -164,8 +164,8 @@ VERDICTS = (SETTLED, NO_FASTER, LOST, UNTRIED, *BY_CLASS[3:])
 
 
 def verdict_per_run(table: pd.DataFrame) -> pd.Series:
-    """Verdict of every run in a table: its outcome class, or that it is certified without a closed
-    loop."""
+    """Verdict of every run in a results table: its outcome class, or that it is certified without a
+    closed loop."""
     classes = outcome_class(table)
     verdict_column = classes.map(lambda place: BY_CLASS[place]).astype(object)
     is_untried = numeric_column(table, "stable_fraction").isna()
@@ -173,14 +173,14 @@ def verdict_per_run(table: pd.DataFrame) -> pd.Series:
 
 
 def verdict_words(table: pd.DataFrame) -> pd.Series:
-    """Verdict of every run in a table as one word."""
+    """Verdict of every run in a results table as one word."""
     words = verdict_per_run(table).map(lambda verdict: verdict.word)
     return words.astype(object).rename("verdict")
 
 
 def verdict_counts(table: pd.DataFrame) -> str:
-    """Line with the number of runs of each verdict. `12 runs: 9 certified, settles; 2 infeasible; 1
-    failed`."""
+    """Text line with the number of runs of each verdict, such as `12 runs: 9 certified, settles; 2
+    infeasible; 1 failed`."""
     tally = verdict_words(table).value_counts()
     words = [verdict.word for verdict in VERDICTS if verdict.word in tally]
     parts = [f"{tally[word]} {word}" for word in words]
@@ -192,8 +192,8 @@ def verdict_counts(table: pd.DataFrame) -> str:
 def draw_verdict_points(
     axes: "Axes", table: pd.DataFrame, x: pd.Series, y: pd.Series, dodge: float = 0.0
 ) -> None:
-    """Draw one point per run in the colour and marker of its verdict. The legend has only verdicts
-    that occur.
+    """Draw one point for each run in the colour and marker of its verdict. The legend has only
+    verdicts that occur.
 
     `dodge` moves each verdict sideways by that much, so that runs at one setting do not hide each
     other.

@@ -21,7 +21,7 @@ from ssm_study.cli.new_study import write_study
 from ssm_study.data import readers
 from ssm_study.data.readers.reader import Reader
 from ssm_study.refusal import BadRequest
-from ssm_study.report.run_facts import read_own_theorems
+from ssm_study.report.run_facts import read_extension_theorems
 from ssm_study.study.allow_list import refuse_foreign_targets
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -72,10 +72,10 @@ def test_a_theorem_in_a_package_of_ones_own_is_found_by_the_name_of_its_file(
     assert theorem.__module__ == "vertex_laboratory.proofs.vertex_feedback"
     stored = {"state_feedback": {"theorem": "vertex_feedback"}, "observer": {}}
     (tmp_path / "certificate.json").write_text(json.dumps(stored))
-    assert read_own_theorems(tmp_path) == {"controller": "vertex_feedback"}
+    assert read_extension_theorems(tmp_path) == {"controller": "vertex_feedback"}
     for damaged in ("[1]", '{"state_feedback": null}', '{"state_feedback": 1', ""):
         (tmp_path / "certificate.json").write_text(damaged)
-        assert read_own_theorems(tmp_path) == {}
+        assert read_extension_theorems(tmp_path) == {}
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ import report_tables
 from report_browser import complaints, count_shown_runs, groups_shown, wait_for
 from report_runs import random_run, write_recordings
 
-from ssm_study.report.page.amplitudes import physical_reference
-from ssm_study.report.page.data import slider_settings, without_empty_facts
+from ssm_study.report.page.amplitudes import physical_coverage_reference
+from ssm_study.report.page.data import mask_meaningless_values, slider_settings
 from ssm_study.report.page.first_screen import outcome_remarks
 from ssm_study.report.page.provenance import configuration_text, log_text, provenance_lines
 from ssm_study.report.page.writing import write_page
@@ -265,7 +265,7 @@ def test_a_log_names_its_file_and_signals_and_no_plant(tmp_path: Path) -> None:
 def test_a_run_that_ended_early_has_no_evidence_and_a_log_no_distance_of_a_plant() -> None:
     values = {"verdict": ["infeasible", SETTLED.word], "evidence": ["sound", "sound"]}
     values |= {"loop_on": [None, "identified model"], "certified_bound_excess_plant": [None, 0.0]}
-    table = without_empty_facts(pd.DataFrame(values))
+    table = mask_meaningless_values(pd.DataFrame(values))
     assert table["evidence"].isna()[0]
     assert table["evidence"][1] == "sound"
     assert table["certified_bound_excess_plant"].isna().all()
@@ -277,14 +277,14 @@ def test_the_record_that_decides_a_coverage_is_named_in_the_unit_of_the_input(
     content = '{"input_scale": [2.86], "step_s": 0.01}'
     (tmp_path / "model.json").write_text(content)
     run = RunFolder(path=tmp_path)
-    assert physical_reference("input of rms 0.1, in total", run, "V") == (
+    assert physical_coverage_reference("input of rms 0.1, in total", run, "V") == (
         "input of rms 0.29 V, in total"
     )
-    angle = physical_reference("input of rms 0.1, 0.00 to 0.63 rad/sample", run, "V")
+    angle = physical_coverage_reference("input of rms 0.1, 0.00 to 0.63 rad/sample", run, "V")
     assert angle == "input of rms 0.29 V, 0 to 10 Hz"
-    unread = physical_reference("input of rms 0.1, in total", None, "V")
+    unread = physical_coverage_reference("input of rms 0.1, in total", None, "V")
     assert unread == "input of rms 0.1 input scales, in total"
-    assert physical_reference("trials in closed loop", run, "V") == "trials in closed loop"
+    assert physical_coverage_reference("trials in closed loop", run, "V") == "trials in closed loop"
 
 
 def write_sweep_page(folder: Path) -> Path:

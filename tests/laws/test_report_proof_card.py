@@ -8,14 +8,14 @@ import numpy as np
 from ssm_study.report.outcome import proved_rows
 from ssm_study.report.page.first_screen import closed_loop_card
 from ssm_study.report.page.proof_card import (
-    ShownLoop,
+    RecordedLoopFacts,
     certified_rates_card,
     exceeded_limits_text,
-    limit_text,
+    input_limit_text,
 )
 from ssm_study.report.run_facts import RunFacts
 
-LOOP = ShownLoop(
+LOOP = RecordedLoopFacts(
     initial_outputs=np.array([[0.1], [-0.13], [0.14], [3.0]]),
     input_range=(-3.0, 4.0),
     output_unit="rad/s",
@@ -43,7 +43,7 @@ def test_the_card_of_the_proof_says_within_which_limits_it_holds() -> None:
     limited = certified_rates_card(certified(limited_rate=0.02))
     assert limited is not None
     assert limited.text.endswith("from everywhere the rate 0.02, to 37 % in 99 samples")
-    no_gain = limit_text(certified(limited_rate=0.02, spectral_radius=0.98), LOOP)
+    no_gain = input_limit_text(certified(limited_rate=0.02, spectral_radius=0.98), LOOP)
     assert no_gain.endswith(
         "from everywhere the rate 0.02, to 37 % in 0.99 s (no more than without control)"
     )
@@ -68,13 +68,14 @@ def test_what_the_proof_does_not_cover_is_a_list() -> None:
 
 def test_outputs_that_count_as_settled_are_no_starts_that_a_proof_reaches() -> None:
     wide = replace(LOOP, settling_band=0.2)
-    assert "all within the settling band of ±0.2 rad/s, where 2 of the 4 starts" in limit_text(
-        certified(), wide
+    assert (
+        "all within the settling band of ±0.2 rad/s, where 2 of the 4 starts"
+        in input_limit_text(certified(), wide)
     )
-    assert "settling band" not in limit_text(certified(), replace(LOOP, settling_band=0.1))
+    assert "settling band" not in input_limit_text(certified(), replace(LOOP, settling_band=0.1))
     elsewhere = replace(LOOP, settling_band=0.2, output_at_rest=1.0)
-    assert "settling band" not in limit_text(certified(), elsewhere)
-    assert "settling band" not in limit_text(certified(), LOOP), "an old recording has none"
+    assert "settling band" not in input_limit_text(certified(), elsewhere)
+    assert "settling band" not in input_limit_text(certified(), LOOP), "an old recording has none"
 
 
 def test_the_card_says_where_the_proved_rate_shows_no_gain() -> None:

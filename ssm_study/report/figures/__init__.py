@@ -26,19 +26,19 @@ if TYPE_CHECKING:
 
 
 def figure_names() -> list[str]:
-    """Names of all figures."""
+    """Names of all figures that can be drawn of a study."""
     ours = (module.name for module in iter_modules(__path__) if not module.name.startswith("_"))
     return sorted({*extension_modules("figures"), *ours})
 
 
 def _figure_module(name: str) -> ModuleType:
-    """Module that draws a figure, by the figure's name."""
+    """Import the module that draws the figure of a given name."""
     ours = any((Path(place) / f"{name}.py").is_file() for place in __path__)
     return import_module(f"{__name__}.{name}" if ours else extension_modules("figures")[name])
 
 
 def caption(name: str) -> str:
-    """Caption of a figure in a sentence or two, taken from the docstring of its file."""
+    """Caption of a figure, taken from the docstring of the file that draws the figure."""
     return " ".join((_figure_module(name).__doc__ or "").split())
 
 
@@ -52,7 +52,7 @@ def draw_one_figure(name: str, study: StudyFolder, width: style.Width = "page") 
 
 @dataclass(frozen=True)
 class CaptionedFigure:
-    """Figure with its caption, in the form that a notebook displays."""
+    """Matplotlib figure with its caption, in the form that a notebook displays."""
 
     png: bytes
     caption: str
@@ -84,7 +84,7 @@ def draw_figures(
     run: str | None = None,
     width: style.Width = "page",
 ) -> list[Path]:
-    """Draw and save several figures of a study, or all.
+    """Draw and save several figures of a study, or all of them.
 
     Those of a single run show `run`, else the study's best. Pure functions of the gathered table
     and the run folders' files: the same files give the same bytes. A figure of what the study does

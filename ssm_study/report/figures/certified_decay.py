@@ -22,8 +22,8 @@ Step = Callable[[Float[np.ndarray, "N n"]], Float[np.ndarray, "N n"]]
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the figure of certified against measured decay, for controller and observer of the best
-    run without neurons."""
+    """Draw, for the best run, the certified and the simulated decay of distances between
+    trajectories, for controller and observer."""
     reason = "No run left a certificate for a model without neurons."
     model, certificate = study.read_from_best("model", "certificate", otherwise=reason)
     fig = style.new_figure(style.PAGE_IN, 2.3)
@@ -46,7 +46,7 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def certificate_part(certificate: Mapping[str, Any], side: str) -> dict[str, Any]:
-    """Stored certificate of controller or observer, with its largest proved rate."""
+    """Stored certificate of a controller or observer, with its largest proved rate."""
     designed = certificate.get(side) or {}
     deployed = certificate.get(f"{side}_deployed") or {}
     return designed | deployed
@@ -58,18 +58,19 @@ def controlled_step(
     b: Float[np.ndarray, "n k"],
     k: Float[np.ndarray, "m n"],
 ) -> Step:
-    """Function that computes the next state of the controlled model, in scaled units."""
+    """Function that computes the next state of a model under state feedback, in scaled units."""
     return lambda x: x @ a.T + model.scaffold_in(x @ k.T) @ b.T
 
 
 def observer_step(model: SSM, l: Float[np.ndarray, "n p"]) -> Step:  # noqa: E741 - the paper's letter
-    """Function that computes the next state of the observer, in scaled units."""
+    """Function that computes the next state of an observer, in scaled units."""
     rest = np.zeros((PAIRS, model.linear.b.shape[1]))
     return lambda x: model.advance(x, rest) + model.scaled_output_at(x, rest) @ l.T
 
 
 def relative_distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "N T"]:
-    """Distances of random pairs of trajectories over time, relative to their initial distances."""
+    """Distances of random pairs of simulated trajectories over time, relative to their initial
+    distances."""
     rng = np.random.default_rng(SEED)
     exponents = rng.uniform(-2, 2, (2, PAIRS, 1))
     directions = rng.standard_normal((2, PAIRS, len(metric)))
@@ -85,8 +86,8 @@ def relative_distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np
 
 
 def draw_decay(axes: Axes, d: Float[np.ndarray, "N T"], part: Mapping[str, Any]) -> None:
-    """Draw the certified bound at each sample, with the largest and the median distance over all
-    pairs of trajectories."""
+    """Draw the certified bound on the distance of two trajectories at each sample, with the largest
+    and the median simulated distance."""
     k = np.arange(d.shape[1])
     r = np.sqrt(1 - part["rate"])
     median = np.median(d, axis=0)
@@ -101,6 +102,7 @@ def draw_decay(axes: Axes, d: Float[np.ndarray, "N T"], part: Mapping[str, Any])
 
 
 def label_axes(axes: Axes, title: str) -> None:
-    """Label the axes with the sample and the relative distance, and place the legend above."""
+    """Label the axes of a figure with sample number and relative distance, and place the legend
+    above."""
     axes.set(xlabel="Sample", ylabel=f"{title}:\ndistance / its start (–)")
     style.place_legend_above(axes)

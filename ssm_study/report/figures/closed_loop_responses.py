@@ -23,7 +23,7 @@ def draw(study: StudyFolder) -> Figure:
         fig = style.new_figure(style.PAGE_IN, 2.2)
         controlled, alone, given = fig.subplots(1, 3)
     starts = loop["output"][:, 0, 0]
-    colours = colours_by_start(starts)
+    colours = colours_by_initial_state(starts)
     draw_responses(controlled, loop, "output", colours)
     controlled.set_title("Controlled")
     draw_responses(alone, loop, "uncontrolled", colours)
@@ -39,8 +39,9 @@ def draw(study: StudyFolder) -> Figure:
     return fig
 
 
-def colours_by_start(starts: Float[np.ndarray, "N"]) -> list[tuple[float, ...]]:
-    """Colours of the initial states, from dark (lowest) to light, the same in every panel."""
+def colours_by_initial_state(starts: Float[np.ndarray, "N"]) -> list[tuple[float, ...]]:
+    """Colours for simulations from several initial states, from dark (lowest) to light, the same in
+    every panel."""
     colour_map = mpl.colormaps[style.SEQUENCE]
     rank = starts.argsort().argsort()
     highest = max(len(rank) - 1, 1)
@@ -50,7 +51,8 @@ def colours_by_start(starts: Float[np.ndarray, "N"]) -> list[tuple[float, ...]]:
 def draw_responses(
     axes: Axes, loop: RecordedCases, name: str, colours: list[tuple[float, ...]]
 ) -> None:
-    """Draw one output over time from every initial state, with the settling band."""
+    """Draw one output of the closed loop over time from every initial state, with the settling
+    band."""
     time_s = loop.time_s("output")
     responses = loop[name][:, :, 0]
     for response, colour in zip(responses, colours, strict=True):

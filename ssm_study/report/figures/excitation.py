@@ -19,8 +19,8 @@ LONGEST_SEGMENT = 256  # samples per periodogram: frequency resolution against a
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the amplitude histogram and the spectrum of the first input of the training records.
-    Coverage, order and warning are those found when the data set was made."""
+    """Draw the amplitude histogram and the spectrum of the first input of a study's training
+    records. Coverage, order and warning are those found when the data set was made."""
     recording, record = study.read_from_best(
         "excitation", "record", otherwise="No run left an excitation to draw."
     )
@@ -59,7 +59,7 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def _coverage_title(record: Mapping[str, Any]) -> str:
-    """Title that says which share of the input range the records cover."""
+    """Title that says which fraction of the input range the training records cover."""
     if record.get("excitation_warning"):
         return ": two levels, slopes of $S_u$ not identifiable"
     share = record.get("input_coverage")

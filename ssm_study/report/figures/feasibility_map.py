@@ -17,8 +17,8 @@ LIMIT = "controller_rate_limit"
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw every run with its verdict over slope ratio and rate, with a bar for the exact limit of
-    each model."""
+    """Draw every run of a study with its verdict over slope ratio and rate, with a bar for the
+    exact limit of each model."""
     table = study.table
     ratio = numeric_column(table, "input_slope_lower") / numeric_column(table, "input_slope_upper")
     rate = numeric_column(table, RATE)
@@ -47,8 +47,8 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def draw_frontier(axes: Axes, ratio: pd.Series, limit: pd.Series) -> None:
-    """Draw one bar per model at its own exact rate limit. There is no single curve, since models
-    differ in A."""
+    """Draw, for each model of a study, a bar at the largest contraction rate that can be certified.
+    There is no single curve, since models differ in A."""
     models = pd.DataFrame({"ratio": ratio, "limit": limit}).dropna().drop_duplicates()
     if not len(models):
         return

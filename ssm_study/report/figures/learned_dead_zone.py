@@ -61,7 +61,7 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def _label_axes(value: Axes, slope: Axes, is_motor: bool) -> None:
-    """Label the axes of input map and slope, in volts if the motor's constants are known."""
+    """Label the axes of an input map and its slope, in volts if the motor's constants are known."""
     for axes in (value, slope):
         style.place_legend_above(axes)
         axes.set_xlabel("Armature voltage (V)" if is_motor else "Input (physical unit)")
@@ -86,21 +86,21 @@ def known_dead_zone(config: Mapping[str, Any]) -> tuple[float | None, float]:
     return plant.get("dead_zone_v"), friction_v
 
 
-def _voltage_range(model: SSM, reach: float) -> Range:
-    """Input voltages around the equilibrium at which the map is drawn."""
-    deviations = np.linspace(-reach, reach, POINTS)
+def _voltage_range(model: SSM, half_width: float) -> Range:
+    """Input voltages around the equilibrium at which the learned input map is drawn."""
+    deviations = np.linspace(-half_width, half_width, POINTS)
     return model.scale.input_equilibrium[0] + deviations
 
 
 def _mapped_voltage(model: SSM, voltage: Range) -> Range:
-    """Values of the learned input map at given physical voltages."""
+    """Output values of the learned input map at given physical voltages."""
     mapped = model.map_input(voltage[:, None])
     return mapped[:, 0]
 
 
 def _dead_zone_sentence(model: SSM, voltage: Range, threshold: float) -> str:
-    """Sentence on how much of the true dead zone the input map has learned. Zero would be all of
-    it."""
+    """Sentence on how much of the motor's true dead zone the learned input map reproduces. Zero
+    would be all of it."""
     rise = np.diff(_mapped_voltage(model, voltage)) / np.diff(voltage)  # per volt
     middles = (voltage[1:] + voltage[:-1]) / 2
     is_inside = np.abs(middles) < threshold
@@ -116,8 +116,8 @@ def _dead_zone_sentence(model: SSM, voltage: Range, threshold: float) -> str:
 
 
 def _gain_to_volts(model: SSM, threshold: float) -> float:
-    """Factor that brings the input map closest to the dead zone, by least squares. S_u is
-    determined only up to a factor, which B compensates."""
+    """Factor that scales a learned input map so that it comes closest to the dead zone, by least
+    squares. S_u is determined only up to a factor, which B compensates."""
     scale = float(model.scale.input_scale[0])
     voltage = _voltage_range(model, REACH_IN_SCALES * scale)
     learned = _mapped_voltage(model, voltage)
@@ -126,13 +126,15 @@ def _gain_to_volts(model: SSM, threshold: float) -> float:
 
 
 def _dead_zone(voltage: Range, threshold: float) -> Range:
-    """True dead zone of the motor: zero inside, the voltage minus the threshold outside."""
+    """True dead-zone characteristic of the motor: zero inside, the voltage minus the threshold
+    outside."""
     beyond = np.maximum(np.abs(voltage) - threshold, 0.0)
     return np.sign(voltage) * beyond
 
 
 def _draw_slopes(axes: Axes, model: SSM, voltage: Range, record: Mapping[str, Any]) -> None:
-    """Draw the slope of the learned input map and the interval that the certificate assumes."""
+    """Draw the slope of the learned input map and the interval of slopes that the certificate
+    assumes."""
     deviations = voltage - model.scale.input_equilibrium[0]
     scaled = deviations / model.scale.input_scale[0]
     jacobians = [model.scaffold_in.jacobian(np.array([v])) for v in scaled]

@@ -10,6 +10,6 @@ from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the poles of the best run's model, of its controlled model and of its observer's
+    """Draw the poles of the best run's model, of the model under control, and of the observer's
     error."""
     return draw_unstyled(picture_of_best("loop_poles", study))

@@ -23,8 +23,8 @@ BAR: dict[str, Any] = {"color": style.VERMILLION, "lw": 1.6, "zorder": 4}
 
 @dataclass(frozen=True, kw_only=True)
 class PeerPanel:
-    """Panel of a figure that shows one number for each controller, with the settings of its
-    axis."""
+    """Panel of a figure that shows one result for each compared controller, with the settings of
+    its axis."""
 
     values: pd.Series
     label: str
@@ -32,7 +32,8 @@ class PeerPanel:
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw a panel for each number, with a row for each controller."""
+    """Draw the comparison of a study's controllers: a panel for each result, a row for each
+    controller."""
     compared = "controller" in study.controller_comparison
     if compared:
         situation = text_column(study.controller_comparison, "situation")
@@ -70,8 +71,8 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def create_panels(table: pd.DataFrame, units: Units = NO_UNITS) -> list[PeerPanel]:
-    """Panels of the figure: share settled, relative settling time and peak input of each
-    controller."""
+    """Panels of a figure that compares controllers: fraction of settled loops, relative settling
+    time, peak input."""
     share = create_panel(table, "stable_fraction", (-0.05, 1.05))
     peak = create_panel(table, "input_peak_v", (0.0, None))
     time_s = numeric_column(table, "settling_time_mean_s")
@@ -86,15 +87,15 @@ def create_panels(table: pd.DataFrame, units: Units = NO_UNITS) -> list[PeerPane
 
 
 def create_panel(table: pd.DataFrame, name: str, limits: tuple[float, float | None]) -> PeerPanel:
-    """Panel of a figure for one column, with given name and scale."""
+    """Panel of a figure that compares controllers by one column of the comparison table."""
     values = numeric_column(table, name)
     label = printed_column_name(name)
     return PeerPanel(values=values, label=label, scale={"xlim": limits})
 
 
 def draw_row(axes: Axes, row: int, values: pd.Series) -> None:
-    """Draw one dot for each run in a row, and a bar at the median if there are several. Many dots
-    are faint, so that they can be seen through each other."""
+    """Draw the results of one controller in a row: a dot for each run, and a bar at the median if
+    there are several. Many dots are faint, so that they can be seen through each other."""
     several = len(values) > 1
     opacity = 0.5 if several else 1.0
     heights = [row] * len(values)
@@ -105,7 +106,7 @@ def draw_row(axes: Axes, row: int, values: pd.Series) -> None:
 
 
 def label_decades(axes: Axes) -> None:
-    """Label a logarithmic axis at 1, 2 and 5 of each decade. Minor labels such as 3 x 10^-1 would
-    overlap with 0.5."""
+    """Label a logarithmic axis at 1, 2 and 5 of each power of ten. Minor labels such as 3 x 10^-1
+    would overlap with 0.5."""
     major = LogLocator(subs=(1.0, 2.0, 5.0))
     axes.xaxis.set(major_formatter="{x:g}", major_locator=major, minor_formatter=NullFormatter())

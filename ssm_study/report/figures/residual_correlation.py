@@ -10,5 +10,5 @@ from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the correlations of the best run's test error with itself and with the inputs."""
+    """Draw the correlations of the best run's simulation error with itself and with the inputs."""
     return draw_unstyled(picture_of_best("residual_correlation", study))

@@ -27,7 +27,8 @@ WHOLE = 1 - 1e-9  # share of starts above which all of them settle
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the settling time of every controller (rows) in every test condition (columns)."""
+    """Draw the settling time of every compared controller (rows) under every test condition
+    (columns)."""
     compared = study.controller_comparison
     several = "situation" in compared and compared["situation"].nunique() > 1
     if not several or numeric_column(compared, "stable_fraction").isna().all():
@@ -48,7 +49,8 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def _draw_colours(fig: Figure, axes: Axes, ratios: pd.DataFrame) -> None:
-    """Colour each cell by its relative settling time, and add a colour bar."""
+    """Colour each cell of the grid of controllers and test conditions by relative settling time,
+    and add a colour bar."""
     axes.grid(False)
     axes.set_facecolor(style.PALE)
     norm = LogNorm(vmin=FASTEST, vmax=1.0, clip=True)
@@ -65,7 +67,8 @@ def _write_cells(
     times: Float[np.ndarray, "R C"],
     shares: Float[np.ndarray, "R C"],
 ) -> None:
-    """Write the number into each cell of the grid: seconds, or on red the share that settles."""
+    """Write into each cell of the grid the settling time in seconds or, where not all loops settle,
+    the fraction that does. The latter cells are red."""
     for (i, j), share in np.ndenumerate(shares):
         if np.isnan(share):
             continue
@@ -82,7 +85,8 @@ def _write_cells(
 
 
 def _settling_time_table(compared: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Table of settling times with a row per controller and a column per test condition."""
+    """Table of settling times with a row for each controller and a column for each test
+    condition."""
     rows = compared.assign(value=numeric_column(compared, name))
     means = rows.pivot_table(
         index="controller", columns="situation", values="value", aggfunc="mean", dropna=False

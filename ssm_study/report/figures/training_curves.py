@@ -9,8 +9,8 @@ from ssm_study.table.columns import numeric_column
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the training curves of the best run over the epochs: the fits (`fit_`, %), or else the
-    losses."""
+    """Draw the training curves of the best run over the epochs: the fits in percent, or else the
+    losses. The fits are the columns `fit_`."""
     (curve,) = study.read_from_best("curve", otherwise="No run left a training curve.")
     fig = style.new_figure(style.COLUMN_IN, 2.3)
     axes = fig.add_subplot()

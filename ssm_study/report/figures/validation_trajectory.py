@@ -15,7 +15,8 @@ LONGEST = 1200  # samples; a longer record would be a solid block of ink in a co
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the test record and the validation record of the best run in one column."""
+    """Draw measured outputs and free-run simulation on the test record and on the validation record
+    of the best run."""
     reason = "No run left a validation record."
     test, validation, record = study.read_from_best(
         "test", "validation", "record", otherwise=reason
@@ -46,13 +47,13 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def first_channel(part: RecordedCases, name: str) -> Stretch:
-    """Beginning of a recorded signal's first channel."""
+    """Values at the beginning of the first channel of a recorded signal."""
     signal: Stretch = part[name][0, :LONGEST, 0]
     return signal
 
 
 def label_axes(axes: Axes, time_s: Stretch, label: str) -> None:
-    """Label the axes with the time and the signal's name and unit."""
+    """Label the axes of a panel with the time and the signal's name and unit."""
     axes.set(xlabel="Time (s)", ylabel=label)
     axes.set_xlim(time_s[0], time_s[-1])
 
@@ -70,7 +71,7 @@ def draw_free_run(axes: Axes, part: RecordedCases, name: str, fit: float | None)
 
 
 def draw_error(axes: Axes, part: RecordedCases) -> None:
-    """Draw the measured output minus the model's, in the output's unit."""
+    """Draw the measured output minus the simulated output, in the output's unit."""
     time_s = part.time_s("measured")[:LONGEST]
     error = first_channel(part, "measured") - first_channel(part, "simulated")
     axes.axhline(0, color=style.PALE)

@@ -16,8 +16,8 @@ MOST_READ = 200  # best runs whose models are read for their scale
 
 
 def with_physical_amplitudes(study: StudyFolder, table: pd.DataFrame) -> pd.DataFrame:
-    """Table whose records are named by their input in its unit, as the pictures name them; of runs
-    without a readable model in input scales, with that word."""
+    """Results table in which records that are named by their input amplitude are named in physical
+    units. Those of runs without a readable model are named in input scales, with that word."""
     if COLUMN not in table:
         return table
     texts: list[str | None] = []
@@ -27,13 +27,14 @@ def with_physical_amplitudes(study: StudyFolder, table: pd.DataFrame) -> pd.Data
             continue
         is_read = place < MOST_READ and bool(name)
         run = study.run(name) if is_read else None
-        texts.append(physical_reference(str(text), run, study.units.input))
+        texts.append(physical_coverage_reference(str(text), run, study.units.input))
     named = pd.Series(texts, index=table.index, dtype="string")
     return table.assign(**{COLUMN: named})
 
 
-def physical_reference(text: str, run: RunFolder | None, unit: str) -> str:
-    """Name of the record and band that decide a coverage, with its amplitude in physical units."""
+def physical_coverage_reference(text: str, run: RunFolder | None, unit: str) -> str:
+    """Name of the record and frequency band that decide a coverage, with the input amplitude in
+    physical units."""
     record, _, _ = text.partition(", ")
     number = NUMBER.search(record)
     if number is None or not AMPLITUDE.fullmatch(record):
@@ -47,8 +48,8 @@ def physical_reference(text: str, run: RunFolder | None, unit: str) -> str:
 
 
 def stored_scale(run: RunFolder) -> tuple[float | None, float | None]:
-    """Input scale and sampling time from the model file of a run with one input. Each is None if
-    the file lacks it."""
+    """Read the input scale and the sampling time of a model with one input from its run. Each is
+    None if the file lacks it."""
     with suppress(OSError, ValueError, KeyError):
         content = json.loads((run.path / "model.json").read_text(encoding="utf-8"))
         scales = content["input_scale"]

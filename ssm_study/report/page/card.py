@@ -9,7 +9,8 @@ Record = Mapping[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Card:
-    """One block of a run's outcome, with a number, a sentence about it, and further short lines.
+    """Block of the report page on one result of a run: a number, a sentence about it, and further
+    short lines.
 
     `not_covered` lists what a proof says nothing about.
     """

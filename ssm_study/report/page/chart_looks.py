@@ -23,13 +23,13 @@ LOOK = {"$schema": SCHEMA, "config": CONFIG}  # of every chart, which the page's
 
 
 def framed_specification(spec: Spec, description: str, height: int = HEIGHT) -> Spec:
-    """Vega-Lite specification with the width of the report page, without the common `LOOK`."""
+    """Vega-Lite specification of a chart as wide as the report page."""
     frame = {"width": "container", "height": height, "description": description}
     return frame | spec
 
 
 def quantitative_axis(field: str, title: str | None, **scale: Any) -> Spec:
-    """Vega-Lite axis for a numeric field."""
+    """Axis of a Vega-Lite chart for a numeric field."""
     axis: Spec = {"field": field}
     axis["type"] = "quantitative"
     axis["title"] = title
@@ -39,7 +39,7 @@ def quantitative_axis(field: str, title: str | None, **scale: Any) -> Spec:
 
 
 def horizontal_legend(columns: int, widest_px: int) -> Spec:
-    """Vega-Lite legend above a chart, without a title."""
+    """Legend above a Vega-Lite chart, without a title."""
     legend: Spec = {"title": None, "orient": "top"}
     legend["columns"] = columns
     legend["labelLimit"] = widest_px

@@ -20,9 +20,9 @@ SAME_FIT = 0.1  # percent: below, what fits differ by is chance
 
 
 @dataclass(frozen=True)
-class Panel:
-    """Settings of one scatter plot of the report page: its question, its two columns, its reference
-    line, and which axis may be logarithmic."""
+class ScatterPlot:
+    """Settings of one scatter plot of the report page: question, two columns, reference line, kinds
+    of axes."""
 
     question: str
     x: str
@@ -38,15 +38,17 @@ ABOVE_ONE = "Dashed: margin one; to its right every start should settle."
 ALL_SETTLE = "All starts settle, so the plot shows how fast."
 OWN_LIMIT = "Bars: the exact rate limit of each model; nothing above its own bar can be certified."
 ALONE = "Dashed: the uncontrolled plant."
-FIT_AND_LOOP = Panel("Does a better fit mean a better loop?", "fit_test_percent", "stable_fraction")
-RATE_BUYS = Panel(
+FIT_AND_LOOP = ScatterPlot(
+    "Does a better fit mean a better loop?", "fit_test_percent", "stable_fraction"
+)
+RATE_BUYS = ScatterPlot(
     "What does a faster rate buy?",
     "rate_controller",
     "settling_time_mean_s",
     ALONE,
     rule_y="settling_time_open_loop_s",
 )
-FEASIBILITY = Panel(
+FEASIBILITY = ScatterPlot(
     "Where does feasibility end?",
     "slope_ratio",
     "rate_controller",
@@ -54,7 +56,7 @@ FEASIBILITY = Panel(
     log="x",
     tick="controller_rate_limit",
 )
-PREDICTION = Panel(
+PREDICTION = ScatterPlot(
     "Does the prediction hold on the plant?",
     "resolved_margin",
     "stable_fraction",
@@ -62,14 +64,14 @@ PREDICTION = Panel(
     log="x",
     rule_x=1.0,
 )
-RATE_COSTS = Panel(
+RATE_COSTS = ScatterPlot(
     "What does a faster rate cost?", "rate_controller", "controller_gain_norm", log="y"
 )
 PANELS = (FIT_AND_LOOP, RATE_BUYS, FEASIBILITY, PREDICTION, RATE_COSTS)
 
 # The script fills these two fields with any columns. (Not x and y: Vega names a brush's own signals
 # so.)
-EXPLORER = Panel("Any column against any other", "across", "up")
+EXPLORER = ScatterPlot("Any column against any other", "across", "up")
 
 
 RUNS = alt.NamedData("runs")
@@ -99,13 +101,11 @@ RING_LOOK |= {"opacity": 1, "aria": False}
 RULE_LOOK: dict[str, Any] = {"strokeDash": [4, 3], "color": style.GREY, "aria": False}
 
 
-def plottable_panels(
-    table: pd.DataFrame, answered: Collection[Answer] = ()
-) -> list[dict[str, Any]]:
-    """Plots for which a study's table has numbers, as question, columns, and specification without
-    data. The sentences of an answer stand with the plot of its question."""
+def panel_contents(table: pd.DataFrame, answered: Collection[Answer] = ()) -> list[dict[str, Any]]:
+    """Content of each scatter plot that the report page shows: question, columns, chart
+    specification. The sentences of an answer stand with the plot of its question."""
     drawn = []
-    for panel in drawn_panels(table):
+    for panel in panels_with_data(table):
         spec = panel_specification(panel, table)
         stem = question_stem(panel.question)
         answer = next((a for a in answered if question_stem(a.question) == stem), None)
@@ -117,8 +117,9 @@ def plottable_panels(
     return drawn
 
 
-def drawn_panels(table: pd.DataFrame) -> list[Panel]:
-    """Plots for which a study's table has numbers. Fits that all but agree say nothing."""
+def panels_with_data(table: pd.DataFrame) -> list[ScatterPlot]:
+    """Scatter plots that a study's table has enough numbers for. Fits that all but agree say
+    nothing."""
     fits = numeric_column(table, "fit_test_percent")
     alike = fits.max() - fits.min() < SAME_FIT
     candidates = [panel for panel in PANELS if not (alike and panel.x == fits.name)]
@@ -127,27 +128,28 @@ def drawn_panels(table: pd.DataFrame) -> list[Panel]:
 
 
 def unplotted_answers(table: pd.DataFrame, answered: Collection[Answer]) -> list[Answer]:
-    """Answers whose question has no plot on the page. A single run has no plots at all."""
+    """Answers to questions about a study for which the report page has no plot. A single run has no
+    plots at all."""
     plotted = set()
     if len(table) > 1:
-        plotted = {question_stem(panel.question) for panel in drawn_panels(table)}
+        plotted = {question_stem(panel.question) for panel in panels_with_data(table)}
     return [answer for answer in answered if question_stem(answer.question) not in plotted]
 
 
 def question_stem(question: str) -> str:
-    """First three words of a question, which tell the page's questions apart."""
+    """First three words of a question, by which questions of the report page are recognised."""
     return " ".join(question.split()[:3])
 
 
-def _has_numbers(table: pd.DataFrame, panel: Panel) -> bool:
-    """Whether at least one run has a number in both columns of a plot."""
+def _has_numbers(table: pd.DataFrame, panel: ScatterPlot) -> bool:
+    """Whether at least one run has a number in both columns of a scatter plot."""
     across = numeric_column(table, panel.x)
     up = numeric_column(table, panel.y)
     return bool((across * up).notna().any())
 
 
-def _replace_constant_share(table: pd.DataFrame, panel: Panel) -> Panel:
-    """Replace the share of settled runs in a plot by the settling time where every run settles."""
+def _replace_constant_share(table: pd.DataFrame, panel: ScatterPlot) -> ScatterPlot:
+    """Replace the fraction of settled runs in a plot by the settling time where all runs settle."""
     if panel.y != "stable_fraction":
         return panel
     shares = numeric_column(table, panel.y).dropna()
@@ -157,9 +159,9 @@ def _replace_constant_share(table: pd.DataFrame, panel: Panel) -> Panel:
     return replace(panel, y="settling_time_mean_s", note=note)
 
 
-def panel_specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
-    """Vega-Lite specification of one scatter plot. The page's script sets the parameters `mask`
-    (runs shown) and `chosen` (selected run), and reads `brush`.
+def panel_specification(panel: ScatterPlot, table: pd.DataFrame) -> dict[str, Any]:
+    """Vega-Lite specification of one scatter plot of the report page. The page's script sets the
+    parameters `mask` (runs shown) and `chosen` (selected run), and reads `brush`.
 
     It also fills the data sets `runs` and `ticks`.
     """
@@ -186,7 +188,7 @@ def panel_specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
     return _styled_specification(chart, description=description)
 
 
-def _reference_heights(panel: Panel, table: pd.DataFrame) -> list[float]:
+def _reference_heights(panel: ScatterPlot, table: pd.DataFrame) -> list[float]:
     """Height of a plot's horizontal reference line; None if it has none."""
     values = numeric_column(table, panel.rule_y)
     median = float(values.median())
@@ -201,13 +203,13 @@ def _stage_time_bars() -> alt.Chart:
 
 
 def _best_run_ring() -> alt.Chart:
-    """Layer of a chart with a ring around the best run."""
+    """Layer of a chart with a ring around the point of the best run."""
     best = alt.Chart().transform_filter(BEST)
     return best.mark_point(**RING_LOOK)
 
 
 def _styled_specification(chart: Any, **properties: Any) -> dict[str, Any]:
-    """Vega-Lite specification with the fonts and colours of the report page."""
+    """Vega-Lite specification of a chart with the fonts and colours of the report page."""
     sized = chart.properties(width="container", height=HEIGHT, **properties)
     plain = sized.configure(font="system-ui, sans-serif", background="white")
     frameless = plain.configure_view(stroke=None)
@@ -237,8 +239,8 @@ def group_chart_specification() -> dict[str, Any]:
 
 
 def _run_points(*brushed: Axis) -> alt.Chart:
-    """Layer of a chart with one point per run. A selection covers both axes, or those that are
-    named."""
+    """Layer of a chart with one point for each run of a study. A selection covers both axes, or
+    those that are named."""
     mask = alt.param(name="mask", value=[])
     chosen = alt.param(name="chosen", value=-1)
     hint = alt.TooltipContent("data")
@@ -276,22 +278,24 @@ def _brush_selection(*encodings: Axis) -> alt.Parameter:
 
 
 def _reference_line() -> alt.Chart:
-    """Layer of a chart with a single reference line. With the data of the points, it would be drawn
-    once per run."""
+    """Layer of a chart with a single horizontal reference line. With the data of the points, it
+    would be drawn once per run."""
     chart = alt.Chart(alt.InlineData([{}]))
     return chart.mark_rule(**RULE_LOOK)
 
 
-def _axis_scale(name: str, table: pd.DataFrame, log: bool, beside: list[float]) -> alt.Scale:
+def _axis_scale(
+    name: str, table: pd.DataFrame, log: bool, further_values: list[float]
+) -> alt.Scale:
     """Linear or logarithmic scale of a chart's axis for a column. It is logarithmic only if all
     values allow it and spread over more than a decade; a share goes from 0 to 1.
 
-    `beside`: what else is drawn on this axis, so has to lie on it.
+    `further_values`: what else is drawn on this axis, so has to lie on it.
     """
     if name == "stable_fraction":
         return alt.Scale(domain=[-0.05, 1.05], nice=False)  # points at 0 and 1 are drawn whole
     own = numeric_column(table, name).dropna()
-    others = pd.Series(beside, dtype=float)
+    others = pd.Series(further_values, dtype=float)
     values = pd.concat([own, others])
     if values.empty:  # the explorer: the script fills in the column
         return alt.Scale(zero=False, padding=8)

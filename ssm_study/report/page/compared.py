@@ -25,7 +25,7 @@ DESIGNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class ComparedTable:
-    """Table of compared controllers: its caption, headings, and cells with or without a
+    """Printed table of compared controllers: its caption, headings, and cells with or without a
     background."""
 
     caption: str
@@ -34,7 +34,7 @@ class ComparedTable:
 
 
 def comparison_json(rows: pd.DataFrame) -> Spec:
-    """Comparison of controllers in a run, as JSON values for a table or a chart."""
+    """Comparison of the controllers tried in a run, as JSON values for a table or a chart."""
     rows = rows.dropna(axis="columns", how="all")
     if "controller" in rows:
         return {"table": table_html(controllers_table(rows))}
@@ -42,8 +42,8 @@ def comparison_json(rows: pd.DataFrame) -> Spec:
 
 
 def controllers_table(rows: pd.DataFrame) -> ComparedTable:
-    """Table with one row per controller. Its columns are the numbers of a single situation, or all
-    situations."""
+    """Printed table that compares controllers, with one row for each. Its columns are the numbers
+    of a single situation, or all situations."""
     situations = list(dict.fromkeys(rows["situation"]))
     if len(situations) == 1:
         return single_condition_table(rows)
@@ -51,17 +51,17 @@ def controllers_table(rows: pd.DataFrame) -> ComparedTable:
 
 
 def single_condition_table(rows: pd.DataFrame) -> ComparedTable:
-    """Table with the numbers of each controller under a single test condition."""
+    """Printed table with the results of each controller under a single test condition."""
     cells = []
     for name, own in rows.groupby("controller", sort=False):
         first = own.iloc[0]
-        cells.append((choice_label(name), number_cells(first)))
+        cells.append((choice_label(name), single_condition_cells(first)))
     return ComparedTable(caption=OF_ONE_SITUATION, heads=HEADS, rows=cells)
 
 
 def conditions_table(rows: pd.DataFrame, situations: list[str]) -> ComparedTable:
-    """Table with one column per test condition, with the share that settles and the mean settling
-    time."""
+    """Printed table with one column for each test condition: fraction of settled loops and mean
+    settling time."""
     tried: dict[tuple[str, str], dict[str, Any]] = {}
     for row in rows.to_dict("records"):
         named = {str(name): value for name, value in row.items()}
@@ -75,8 +75,8 @@ def conditions_table(rows: pd.DataFrame, situations: list[str]) -> ComparedTable
     return ComparedTable(caption=OF_SITUATIONS, heads=heads, rows=cells)
 
 
-def number_cells(row: "pd.Series[Any]") -> list[tuple[str, str]]:
-    """Table cells with the numbers of one controller under a single test condition."""
+def single_condition_cells(row: "pd.Series[Any]") -> list[tuple[str, str]]:
+    """Table cells with the results of one controller under a single test condition."""
     texts = [format_percent(row.get("stable_fraction"))]
     texts += [format_number(row.get(name)) for name in NUMBERS]
     is_certified = row.get("certified") == 1  # True, or what a table of numbers makes of it
@@ -85,7 +85,8 @@ def number_cells(row: "pd.Series[Any]") -> list[tuple[str, str]]:
 
 
 def settled_cell(row: dict[str, Any]) -> tuple[str, str]:
-    """Table cell with the share of initial states that settle and their mean settling time."""
+    """Table cell with the fraction of initial states from which a loop settles, and the mean
+    settling time."""
     share = row.get("stable_fraction", np.nan)
     if pd.isna(share):
         return MISSING, ""
@@ -98,12 +99,12 @@ def settled_cell(row: dict[str, Any]) -> tuple[str, str]:
 
 
 def format_percent(share: Any) -> str:
-    """Format a share in per cent."""
+    """Text of a fraction in per cent."""
     return MISSING if pd.isna(share) else f"{100 * share:.0f} %"
 
 
 def format_number(value: Any) -> str:
-    """Format a number to four digits."""
+    """Text of a number with four digits."""
     return MISSING if pd.isna(value) else f"{value:.4g}"
 
 
@@ -120,7 +121,7 @@ def table_html(table: ComparedTable) -> str:
 
 
 def row_html(name: str, cells: list[tuple[str, str]]) -> str:
-    """Row of an HTML table."""
+    """HTML of one row of a table."""
     title = f'<th scope="row">{escape(name)}</th>'
     printed = "".join(cell_html(text, shade) for text, shade in cells)
     return f"<tr>{title}{printed}</tr>"
@@ -133,9 +134,9 @@ def cell_html(text: str, shade: str) -> str:
 
 
 def designs_chart(rows: pd.DataFrame) -> Spec:
-    """Chart of certified designs, one point for each, of the stability margin against the behaviour
-    on the plant."""
-    points = margins_and_shares(rows)
+    """Chart of certified controllers that shows the stability margin against the behaviour on the
+    plant."""
+    points = margins_and_settled_fractions(rows)
     values = []
     for _, row in points.iterrows():
         values.append({name: float(f"{value:.4g}") for name, value in row.items()})
@@ -151,8 +152,9 @@ def designs_chart(rows: pd.DataFrame) -> Spec:
     return {"title": title, "note": settled_sentence(points), "spec": spec}
 
 
-def margins_and_shares(rows: pd.DataFrame) -> pd.DataFrame:
-    """Stability margin and share of settled initial states, for each design that has both."""
+def margins_and_settled_fractions(rows: pd.DataFrame) -> pd.DataFrame:
+    """Stability margin and fraction of settled initial states, for each compared design that has
+    both."""
     share = rows.get("stable_fraction")
     if share is None:
         share = rows["stable_count"] / rows["initial_conditions"]
@@ -161,8 +163,8 @@ def margins_and_shares(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def settled_sentence(points: pd.DataFrame) -> str:
-    """Sentence on how many designs with a margin above and below one settle from every initial
-    state."""
+    """Sentence on how many designs with a stability margin above and below one settle from every
+    initial state."""
     is_above = points["margin"] > 1
     settles = points["share"] >= 1
     above = f"{int((is_above & settles).sum())} of {int(is_above.sum())}"

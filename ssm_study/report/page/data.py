@@ -20,12 +20,12 @@ from ssm_study.report.page.first_screen import (
     outcome_cards,
     outcome_remarks,
     plain_setting_name,
+    requested_setting_text,
     row_as_record,
-    setting_text,
     settings_line,
 )
 from ssm_study.report.page.pictures import pictures_of_run
-from ssm_study.report.page.proof_card import ShownLoop
+from ssm_study.report.page.proof_card import RecordedLoopFacts
 from ssm_study.report.page.provenance import configuration_text, log_text, provenance_lines
 from ssm_study.report.page.runner_up import choose_runner_up
 from ssm_study.report.study_folder import RecordedCases, RunFolder, StudyFolder
@@ -76,14 +76,14 @@ ALSO_FIRST = (
 
 
 def page_data(study: StudyFolder) -> dict[str, Any]:
-    """Collect everything that the page's script needs, as plain JSON values."""
+    """Collect everything that the script of the report page needs, as plain JSON values."""
     table = with_physical_amplitudes(study, sort_for_page(study.table))
     names = [str(name) for name in table]
     data: dict[str, Any] = {"study": study.name, "folder": study.folder.resolve().name}
     data["verdicts"] = [vars(verdict) for verdict in VERDICTS]
     data["columns"] = {name: encode_repeats(table[name]) for name in names}
     data["words"] = {name: study.units.physical_words(printed_column_name(name)) for name in names}
-    data["menus"] = group_by_part([name for name in names if is_plotted(name)])
+    data["menus"] = group_by_part([name for name in names if is_offered_in_menus(name)])
     data["known_columns"] = listed_columns(table)
     data["first"] = first_columns(table)
     data["parameters"] = swept_settings(table)
@@ -95,13 +95,14 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     return data
 
 
-def is_plotted(name: str) -> bool:
-    """Whether the page's menus offer a column; columns of bookkeeping are left out."""
+def is_offered_in_menus(name: str) -> bool:
+    """Whether a table column can be chosen in the menus of the report page."""
     return name not in BOOKKEEPING and not name.startswith("stage_")
 
 
 def listed_columns(table: pd.DataFrame) -> list[str]:
-    """Columns by which the page compares runs. All columns stay in the record and in the CSV."""
+    """Names of the table columns by which the report page compares runs. All columns stay in the
+    record and in the CSV."""
     replaced = {
         name for name, better in WEAKER.items() if better in table and table[better].notna().any()
     }
@@ -109,15 +110,15 @@ def listed_columns(table: pd.DataFrame) -> list[str]:
 
 
 def first_columns(table: pd.DataFrame) -> list[str]:
-    """Columns that the page's table shows until the reader asks for all."""
+    """Names of the table columns that the report page shows until the reader asks for all."""
     results = [result.name for result in RESULTS if result.shown]
     return ["run", "verdict", *swept_settings(table), "stable_count", *results, *ALSO_FIRST]
 
 
 def slider_settings(table: pd.DataFrame) -> dict[str, Any] | None:
-    """Settings of the page's slider over a swept number; None where no number was swept. It moves
-    through the runs that share all other settings with the best, in order; a rate is preferred to
-    other numbers."""
+    """Settings of the slider by which the report page steps through the runs of a sweep; None where
+    no number was swept. It moves through the runs that share all other settings with the best, in
+    order; a rate is preferred to other numbers."""
     if not len(table):
         return None
     settings = swept_settings(table)
@@ -137,27 +138,28 @@ def slider_settings(table: pd.DataFrame) -> dict[str, Any] | None:
 
 
 def shared_settings_text(table: pd.DataFrame, names: list[str]) -> str:
-    """Text of the settings that all runs of the slider share, such as `, with seed 1`."""
+    """Text of the settings that all runs of the page's slider have in common, such as `, with seed
+    1`."""
     record = row_as_record(table.iloc[0])
-    parts = [f"{plain_setting_name(name)} {setting_text(record, name)}" for name in names]
+    parts = [f"{plain_setting_name(name)} {requested_setting_text(record, name)}" for name in names]
     return f", with {', '.join(parts)}" if parts else ""
 
 
-def slider_note(record: dict[str, Any], name: str, same: str) -> str:
-    """Text for a run at one position of the slider; for an infeasible run, the reason and the
-    possible rate."""
+def slider_note(record: dict[str, Any], name: str, shared_settings: str) -> str:
+    """Text on the run at one position of the page's slider; for an infeasible run, the reason and
+    the possible rate."""
     if record["verdict"] != INFEASIBLE.word:
-        return f"{record['verdict']}{same}"
+        return f"{record['verdict']}{shared_settings}"
     limit = record.get(f"{name.removeprefix('rate_')}_rate_limit")
     reason = record.get("infeasible_reason") or "no certificate exists"
     if limit is not None and record[name] >= limit:
         reason = f"the largest possible is {limit:.3g}"
     noun = "rate" if name.startswith("rate_") else "value"
-    return f"infeasible at this {noun}{same}: {reason}"
+    return f"infeasible at this {noun}{shared_settings}: {reason}"
 
 
 def runs_like_the_best(table: pd.DataFrame, settings: list[str]) -> "pd.Series[bool]":
-    """For each run, whether given settings equal those of the best run, the first of the table."""
+    """For each run, whether given settings have the same values as in the best run."""
     alike = pd.Series(True, index=table.index)
     for name in settings:
         values = requested_values(table, name).astype("string").fillna("")
@@ -166,7 +168,7 @@ def runs_like_the_best(table: pd.DataFrame, settings: list[str]) -> "pd.Series[b
 
 
 def requested_numbers(table: pd.DataFrame, name: str) -> pd.Series:
-    """Values of a swept setting in ascending order, each only once."""
+    """Distinct requested values of a swept setting in ascending order."""
     requested = requested_values(table, name)
     numbers = pd.to_numeric(requested, errors="coerce").dropna()
     is_repeated = numbers.duplicated()
@@ -182,7 +184,8 @@ def is_test_noise_free(study: StudyFolder) -> bool:
 def page_texts(
     study: StudyFolder, table: pd.DataFrame, unplotted: Sequence[Answer]
 ) -> dict[str, Any]:
-    """Text blocks of the page's HTML. `unplotted` are the answers that stand beside no plot."""
+    """Text blocks for the HTML of the report page. `unplotted` are the answers that stand beside no
+    plot."""
     parts: dict[str, Any] = {"title": study.name}
     parts["question"] = page_title(table)
     counts = verdict_counts(table)
@@ -209,17 +212,17 @@ def page_texts(
 
 
 def table_remarks(study: StudyFolder, table: pd.DataFrame) -> list[Remark]:
-    """Remark on runs of a study that count twice or are missing; empty if there are none."""
+    """Remark on runs of a study that are counted twice or are missing; empty if there are none."""
     sentences = [] if study.others else study_doubts(study.folder, table)
     text = " ".join(sentences)
     return [Remark(title="Runs", text=text, is_warning=True)] if sentences else []
 
 
-def loop_facts(study: StudyFolder, record: dict[str, Any]) -> ShownLoop | None:
-    """Facts on the closed loop of a run; None if the run left no recording of it."""
+def loop_facts(study: StudyFolder, record: dict[str, Any]) -> RecordedLoopFacts | None:
+    """Recorded facts on the closed loop of a run; None if the run left no recording of the loop."""
     name = record.get("run")
     recording = study.run(name).closed_loop if name else None
-    return None if recording is None else ShownLoop.from_recording(recording)
+    return None if recording is None else RecordedLoopFacts.from_recording(recording)
 
 
 def plants_and_data_text(table: pd.DataFrame) -> str:
@@ -235,7 +238,7 @@ def plants_and_data_text(table: pd.DataFrame) -> str:
 
 
 def page_title(table: pd.DataFrame) -> str:
-    """Title of the page as a question, such as `What changes with the model order?`."""
+    """Title of the report page as a question, such as `What changes with the model order?`."""
     varied = [setting_text_in_sentence(name) for name in swept_settings(table)]
     if len(varied) > 1 and varied[-1] == "the seed":  # what the mean is taken over
         varied = varied[:-1]
@@ -253,19 +256,20 @@ def setting_text_in_sentence(name: str) -> str:
 
 
 def sort_for_page(table: pd.DataFrame) -> pd.DataFrame:
-    """Table with the best run first and with all columns that the plots need."""
+    """Results table with the best run first and with all columns that the plots of the report page
+    need."""
     table = sort_best_first(table).reset_index(drop=True)
     table = table.assign(verdict=verdict_words(table))
-    table = without_empty_facts(table)
+    table = mask_meaningless_values(table)
     lower = numeric_column(table, "input_slope_lower")
     upper = numeric_column(table, "input_slope_upper")
     ratio = lower / upper
     return table.assign(slope_ratio=ratio) if ratio.notna().any() else table
 
 
-def without_empty_facts(table: pd.DataFrame) -> pd.DataFrame:
-    """Table without what its runs cannot tell: evidence for a prediction that was not made, and the
-    plant's distance from a bound where no plant was tried."""
+def mask_meaningless_values(table: pd.DataFrame) -> pd.DataFrame:
+    """Results table without values that say nothing: the evidence for runs without a prediction,
+    and the plant's distance from a bound where no plant was tried."""
     changed = {}
     if "evidence" in table:
         ended_early = table["verdict"].isin([INFEASIBLE.word, FAILED.word])
@@ -278,8 +282,8 @@ def without_empty_facts(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def encode_repeats(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
-    """Compact form of a column with repeated values: the distinct values, and an index for each
-    row. Without repeats it is the plain values."""
+    """Compact JSON form of a column with repeated values: the distinct values, and an index for
+    each row. Without repeats it is the plain values."""
     at, distinct = pd.factorize(values, use_na_sentinel=False)
     plain_values = [_plain_json(value) for value in distinct]
     if 4 * len(plain_values) >= len(
@@ -291,8 +295,7 @@ def encode_repeats(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
 
 
 def _plain_json(value: Any) -> Any:
-    """Value of the table as a plain JSON value: a number (to seven digits), a text, a truth value,
-    or None."""
+    """Value of a table as a plain JSON value: a number, a text, a truth value, or None."""
     value = value.item() if isinstance(value, np.generic) else value
     if pd.isna(value) or value in (np.inf, -np.inf):
         return None
@@ -302,8 +305,8 @@ def _plain_json(value: Any) -> Any:
 
 
 def best_run_trajectories(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
-    """Closed-loop trajectories of the best runs, keyed by the name of the run. Only runs that left
-    recordings have them."""
+    """Closed-loop trajectories of the best runs of a study, keyed by the name of the run. Only runs
+    that left recordings have them."""
     by_run = {}
     for name in text_column(table, "run").head(MOST_TRAJECTORIES):
         recordings = _run_recordings(study.run(name)) if name else {}
@@ -313,8 +316,8 @@ def best_run_trajectories(study: StudyFolder, table: pd.DataFrame) -> dict[str, 
 
 
 def best_run_pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
-    """Pictures of the best few runs, keyed by the name of the run. Each picture takes 50 kB and a
-    second or two."""
+    """Pictures of the best few runs of a study, keyed by the name of the run. Each picture takes 50
+    kB and a second or two."""
     by_run = {}
     for name in text_column(table, "run").head(MOST_PICTURED):
         pictured = pictures_of_run(study.run(name)) if name else []
@@ -324,8 +327,8 @@ def best_run_pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]
 
 
 def best_run_comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
-    """Comparisons of controllers for the best runs that have one, keyed by the name of the run.
-    Each is a table or a chart."""
+    """Comparisons of controllers for the best runs of a study, keyed by the name of the run. Each
+    is a table or a chart."""
     best = set(text_column(table, "run").head(MOST_TRAJECTORIES))
     compared = study.controller_comparison
     runs = compared.groupby("run") if len(compared) else ()
@@ -333,7 +336,8 @@ def best_run_comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, A
 
 
 def _run_recordings(run: RunFolder) -> dict[str, Any]:
-    """Closed loop and validation free run of one run, in a compact form for the page."""
+    """Recordings of one run, of closed loop and validation, in a compact form for the report
+    page."""
     recordings: dict[str, Any] = {}
     loop = run.closed_loop
     if loop is not None:
@@ -351,7 +355,8 @@ def _run_recordings(run: RunFolder) -> dict[str, Any]:
 
 
 def _encode_signals(recording: RecordedCases, until: int, **names: str) -> dict[str, Any]:
-    """First channels of several recorded signals with labels, in a compact form for the page."""
+    """Compact form of the first channels of several recorded signals, with labels, for the report
+    page."""
     output = names["y"]
     about: dict[str, Any] = {"step_s": recording.step_s(output)}
     about["output"] = recording.label(output)
@@ -364,8 +369,7 @@ def _encode_signals(recording: RecordedCases, until: int, **names: str) -> dict[
 
 
 def encode_rows(rows: Float[np.ndarray, "N T"]) -> dict[str, Any]:
-    """Compact text form of rows of numbers for the page's script. 16-bit steps of the largest value
-    in base64: the error is invisible in a plot, the size a tenth of text."""
+    """Compact text form of rows of numbers, for the script of the report page."""
     largest = float(np.abs(rows).max())
     step = largest / LARGEST_STEP or 1.0
     steps = np.rint(rows / step).astype("<i2")  # little endian, as the script reads it

@@ -26,7 +26,8 @@ GOOD = {SETTLED.word, NO_FASTER.word, IDENTIFIED.word}
 
 @dataclass(frozen=True, kw_only=True)
 class FailureGroup:
-    """Runs that failed for the same reason. `places` are the first of their rows in the table."""
+    """Group of runs that failed for the same reason, and where they stand in the table. `places`
+    are the first of their rows in the table."""
 
     reason: str
     count: int
@@ -34,8 +35,7 @@ class FailureGroup:
 
 
 def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
-    """Groups of runs that failed for the same reason, up to the numbers in it, the worst group
-    first."""
+    """Groups of runs of a study that failed for the same reason, the worst group first."""
     groups: dict[str, list[tuple[int, str]]] = {}
     needed = table[[name for name in NEEDED if name in table]]
     for place, verdict in enumerate(table["verdict"]):
@@ -49,20 +49,19 @@ def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
 
 
 def make_failure_group(runs: list[tuple[int, str]]) -> FailureGroup:
-    """Group of runs that failed for the same reason, each with its row of the table and its
-    explanation."""
+    """Make a group from runs that failed for the same reason, with an explanation."""
     reason = merge_number_ranges([sentence for _, sentence in runs])
     places = tuple(place for place, _ in runs[:MOST_RUNS])
     return FailureGroup(reason=reason, count=len(runs), places=places)
 
 
 def outcome_severity(sentence: str) -> int:
-    """Severity of the outcome that a sentence states, for sorting groups of failures."""
+    """Rank of a failure sentence by severity, for sorting groups of failed runs."""
     return next((k for k, word in enumerate(SEVERITY) if sentence.startswith(word)), -1)
 
 
 def failure_reason(record: dict[str, Any]) -> str:
-    """Sentence with the reason why a run counts as unsuccessful."""
+    """Sentence with the reason why a run counts as unsuccessful, from its record."""
     if record["verdict"] == UNTRIED.word:
         return record_verdict(record).sentence
     if record["verdict"] == LOST.word:
@@ -73,7 +72,7 @@ def failure_reason(record: dict[str, Any]) -> str:
 
 
 def shorten_number(text: str) -> str:
-    """Number with at most four digits, cut towards zero: a limit is never printed above itself."""
+    """Text of a number with at most four digits, cut towards zero."""
     digits = re.sub(r"e.*|\D", "", text).lstrip("0")
     if len(digits) <= MOST_DIGITS or "." not in text or "e" in text:
         return text
@@ -88,7 +87,7 @@ def merge_number_ranges(sentences: Sequence[str]) -> str:
     columns = iter(zip(*texts, strict=True))
 
     def range_of_numbers(_: re.Match[str]) -> str:
-        """Text of the range that replaces one number in the merged sentence."""
+        """Text of the range of values that replaces one number in a merged sentence."""
         column = next(columns)
         low = min(column, key=float)
         high = max(column, key=float)

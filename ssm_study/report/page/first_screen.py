@@ -17,7 +17,7 @@ from ssm_study.report.outcome import (
 )
 from ssm_study.report.page.card import Card, Record
 from ssm_study.report.page.proof_card import (
-    ShownLoop,
+    RecordedLoopFacts,
     certified_rates_card,
     exceeded_limits_text,
     input_leaves_proved_range,
@@ -43,7 +43,8 @@ REASONS = ("infeasible_reason", "uncertified_reason", "error_message")
 
 @dataclass(frozen=True, kw_only=True)
 class Remark:
-    """Sentence below the cards. `notes` are folded away, a warning stands out."""
+    """Remark below the result cards of the report page, which may be folded away or a warning.
+    `notes` are folded away, a warning stands out."""
 
     title: str
     text: str
@@ -52,12 +53,12 @@ class Remark:
 
 
 def row_as_record(row: "pd.Series[Any]") -> dict[str, Any]:
-    """Row of the table as a plain dictionary with None for missing values."""
+    """Row of the results table as a plain dictionary with None for missing values."""
     return {str(name): None if pd.isna(value) else value for name, value in row.items()}
 
 
 def best_run_rule(table: pd.DataFrame) -> str:
-    """Text that states the rule by which the best run is chosen."""
+    """Text that states the rule by which the best run of a study is chosen."""
     record = row_as_record(table.iloc[0])
     if len(table) == 1:
         return "Run: "
@@ -68,22 +69,23 @@ def best_run_rule(table: pd.DataFrame) -> str:
 
 
 def settings_line(table: pd.DataFrame) -> str:
-    """Sentence on those settings of the best run in which the runs differ; empty if they do not
-    differ."""
+    """Sentence on the settings of the best run that differ between the runs of a study; empty if
+    none do."""
     record = row_as_record(table.iloc[0])
     parts = [
-        f"{plain_setting_name(name)} {setting_text(record, name)}" for name in swept_settings(table)
+        f"{plain_setting_name(name)} {requested_setting_text(record, name)}"
+        for name in swept_settings(table)
     ]
     return f". Its settings: {', '.join(parts)}." if parts else ""
 
 
 def plain_setting_name(name: str) -> str:
-    """Printed name of a setting in lower case, without symbol and unit."""
+    """Printed name of a setting in lower case, without mathematical symbol and unit."""
     return re.sub(r"[ ,]*[(,ρ].*", "", printed_column_name(name)).lower()
 
 
-def setting_text(record: Record, name: str) -> str:
-    """Text of a setting as it was requested, which is `auto` for a rate that was chosen
+def requested_setting_text(record: Record, name: str) -> str:
+    """Text of a setting's value as requested, which is `auto` for a rate that was chosen
     automatically."""
     chosen = str(record.get("rates_chosen") or "")
     if name.startswith("rate_") and name.removeprefix("rate_") in chosen:
@@ -93,21 +95,20 @@ def setting_text(record: Record, name: str) -> str:
 
 
 def outcome_cards(
-    record: Record, loop: ShownLoop | None = None, *, noise_free_test: bool = False
+    record: Record, loop: RecordedLoopFacts | None = None, *, noise_free_test: bool = False
 ) -> list[Card]:
-    """Cards of a run on its model, its proof, its prediction and its closed loop, as far as it has
-    them."""
+    """Cards of the report page on a run's model, proof, prediction and closed loop."""
     built = [
         model_card(record, noise_free_test=noise_free_test),
         certified_rates_card(record, loop),
-        predicted_card(record),
+        prediction_card(record),
         closed_loop_card(record, loop),
     ]
     return [card for card in built if card is not None]
 
 
 def model_card(record: Record, *, noise_free_test: bool = False) -> Card | None:
-    """Card that says how well the model predicts."""
+    """Card of the report page that says how well the model predicts."""
     fit = record.get("fit_test_percent")
     if fit is None:
         return None
@@ -119,9 +120,8 @@ def model_card(record: Record, *, noise_free_test: bool = False) -> Card | None:
     )
 
 
-def predicted_card(record: Record) -> Card | None:
-    """Card with the predicted behaviour of the plant in closed loop, and the numbers behind the
-    prediction."""
+def prediction_card(record: Record) -> Card | None:
+    """Card of the report page with the predicted behaviour of the plant in closed loop."""
     title = f"Predicted for the {'model' if is_loop_closed_on_model(record) else 'plant'}"
     evidence = record.get("evidence")
     if evidence == CANNOT_JUDGE:
@@ -143,8 +143,9 @@ def predicted_card(record: Record) -> Card | None:
     return Card(title=title, number=format_beside_bound(margin), text=text)
 
 
-def closed_loop_card(record: Record, loop: ShownLoop | None = None) -> Card | None:
-    """Card that says how many initial states settled, how fast, and how a PI controller does."""
+def closed_loop_card(record: Record, loop: RecordedLoopFacts | None = None) -> Card | None:
+    """Card of the report page on how many initial states settled, how fast, and how a PI controller
+    does."""
     count = record.get("stable_count")
     if count is None:
         return None
@@ -166,17 +167,17 @@ def closed_loop_card(record: Record, loop: ShownLoop | None = None) -> Card | No
 
 
 def short_loop_place_text(record: Record) -> str:
-    """Short text that says where the loop was closed."""
+    """Short text that says whether a loop was closed on the plant or on the identified model."""
     return loop_place_text(record).replace("identified model", "model")
 
 
 def is_loop_closed_on_model(record: Record) -> bool:
-    """Whether the loop was closed on the identified model, because a log has no plant."""
+    """Whether a run's loop was closed on the identified model, as for a log of measurements."""
     return short_loop_place_text(record) == "model"
 
 
 def record_verdict(record: Record) -> Verdict:
-    """Verdict on a run from its record."""
+    """Verdict on a run, such as certified or failed, from its record."""
     return next(verdict for verdict in VERDICTS if verdict.word == record["verdict"])
 
 
@@ -190,7 +191,7 @@ def failure_reasons(record: Record) -> list[str]:
 
 
 def outcome_remarks(record: Record) -> Iterator[Remark]:
-    """Remarks on a run that is no success, and on the evidence behind its prediction."""
+    """Remarks on a run that is no success, and on the evidence behind the run's prediction."""
     verdict = record_verdict(record)
     if verdict != SETTLED:
         sentences = [f"{verdict.word}: {verdict.sentence}", *failure_reasons(record)]
@@ -218,10 +219,10 @@ def outcome_remarks(record: Record) -> Iterator[Remark]:
 
 
 def join_sentences(parts: Sequence[str]) -> str:
-    """Join parts of text to sentences, each with a capital letter first and a full stop last."""
+    """Join parts of a text to sentences, each with a capital letter first and a full stop last."""
     return " ".join(f"{capitalise(part).rstrip('.')}." for part in parts)
 
 
 def capitalise(text: str) -> str:
-    """Text with a capital first letter and the other letters unchanged."""
+    """Copy of a text with a capital first letter and the other letters unchanged."""
     return text[:1].upper() + text[1:]

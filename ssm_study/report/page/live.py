@@ -32,8 +32,8 @@ setInterval(async () => { try { const now = await (await fetch("/state")).json()
 
 
 class LivePage:
-    """Report page of a study that is written again whenever a record changes. Several threads may
-    ask for it."""
+    """Report page of a study that is written again whenever a run's record changes. Several threads
+    may ask for it."""
 
     def __init__(self, study: Path) -> None:
         require(
@@ -49,7 +49,7 @@ class LivePage:
         self.html = WAITING
 
     def page(self) -> str:
-        """HTML of the page, with a script that asks for the new state every two seconds."""
+        """HTML of the live report page, with a script that asks for changes every two seconds."""
         with self.lock:
             mark = self.study_state_mark()
             if mark != self.mark and record_marks(self.study):
@@ -65,8 +65,8 @@ class LivePage:
         return str(hash(tuple(marks)))
 
     def page_state(self) -> dict[str, str]:
-        """State of the study for the page's script: its progress, and a text that changes with the
-        records."""
+        """State of a study for the script of its live page: its progress, and a text that changes
+        with the records."""
         records = (read_record(path.parent) for path in self.study.glob(f"*/{RECORD}"))
         counts = Counter(str(record["status"]) for record in records if record is not None)
         progress_text = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
@@ -77,8 +77,8 @@ class LivePage:
 
 
 def start_server(study: Path, port: int, announce: Callable[[str], object]) -> ThreadingHTTPServer:
-    """Start a web server on a local port that shows a study's page. Port 0 stands for any free one;
-    raises `BadRequest` if the port is taken."""
+    """Start a web server on a local port that shows the report page of a study. Port 0 stands for
+    any free one; raises `BadRequest` if the port is taken."""
     try:
         server = ThreadingHTTPServer(
             (LOCALHOST, port), _create_handler(LivePage(study))
@@ -91,23 +91,24 @@ def start_server(study: Path, port: int, announce: Callable[[str], object]) -> T
 
 
 def is_loopback(host: str) -> bool:
-    """Whether the `Host` of a request names this machine, such as `localhost:8420` and
-    `127.0.0.1`."""
+    """Whether the host name in an HTTP request stands for this machine, such as `localhost:8420`
+    and `127.0.0.1`."""
     return re.fullmatch(r"(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?", host.lower()) is not None
 
 
 def _create_handler(live: LivePage) -> type[BaseHTTPRequestHandler]:
-    """Class that answers the HTTP requests for one live page."""
+    """Create the class that answers the HTTP requests for one live report page."""
     answers: dict[str, tuple[str, Callable[[], str]]] = {
         "/": ("text/html; charset=utf-8", live.page),
         "/state": ("application/json", lambda: json.dumps(live.page_state())),
     }
 
     class Handler(BaseHTTPRequestHandler):
-        """Handler of HTTP requests for the live page."""
+        """Handler of HTTP requests for a live report page."""
 
         def do_GET(self) -> None:  # the name that http.server looks for
-            """Answer a request for the page or its state, and refuse every other request."""
+            """Answer an HTTP request for the report page or its state, and refuse every other
+            request."""
             # A page of a stranger may give its own name our address, and read what we answer.
             if not is_loopback(self.headers.get("Host", "")):
                 self.send_error(403, "ask for localhost")
@@ -128,6 +129,6 @@ def _create_handler(live: LivePage) -> type[BaseHTTPRequestHandler]:
             self.wfile.write(body)
 
         def log_message(self, *_: object) -> None:
-            """Write no log line for a request."""
+            """Write no log line for an HTTP request."""
 
     return Handler

@@ -41,8 +41,8 @@ MOST_POINTS = 150  # of a line: more than a chart has pixels for
 
 
 def pictures_of_run(run: RunFolder) -> list[Spec]:
-    """Pictures that can be made from a run's files, in the order of `PICTURES`, and why others
-    cannot."""
+    """Pictures that can be made from the files of a run, and reasons why others cannot. They are in
+    the order of `PICTURES`."""
     drawn = []
     reasons = []
     for name in PICTURES:
@@ -60,7 +60,7 @@ def pictures_of_run(run: RunFolder) -> list[Spec]:
 
 
 def picture_json(name: str, picture: Picture) -> Spec:
-    """Picture with its name as JSON values, without empty panels."""
+    """JSON form of a picture with its name, without empty panels."""
     charts = []
     for panel in picture.panels:
         if panel.series:
@@ -74,12 +74,13 @@ def picture_json(name: str, picture: Picture) -> Spec:
 
 
 def axes_text(panel: PicturePanel) -> str:
-    """Text that names the two axes of a panel, such as `y against x`."""
+    """Text that names the two axes of a picture's panel, such as `y against x`."""
     return f"{panel.y_label} against {panel.x_label}"
 
 
 def panel_spec(panel: PicturePanel, description: str) -> Spec:
-    """Vega-Lite specification of one pair of axes, without a legend: the page writes it above."""
+    """Vega-Lite specification of one panel of a picture, without a legend. The page writes the
+    legend above."""
     axes = panel_axes(panel)
     layers = [band_layer(band, panel, axes) for band in panel.bands]
     layers += [rule_layer(rule) for rule in panel.rules]
@@ -92,7 +93,7 @@ def panel_spec(panel: PicturePanel, description: str) -> Spec:
 
 
 def panel_axes(panel: PicturePanel) -> Spec:
-    """Vega-Lite axes of a panel, with their scales."""
+    """Vega-Lite axes of one panel of a picture, with their scales."""
     x_scale = axis_scale(panel.log_x, panel.x_range)
     y_scale = axis_scale(panel.log_y, panel.y_range)
     x = quantitative_axis("x", panel.x_label, **x_scale)
@@ -101,7 +102,8 @@ def panel_axes(panel: PicturePanel) -> Spec:
 
 
 def legend_entries(panel: PicturePanel) -> list[LegendEntry]:
-    """Legend of a panel: each named curve or line with its mark, colour and dashes."""
+    """Legend entries of a picture's panel: each named curve or line with its mark, colour and
+    dashes."""
     entries = [(rule.name, "line", INK, dash_text(rule_dashes(rule))) for rule in panel.rules]
     for series in panel.series:
         mark = "line" if series.mark in JOINED else series.mark
@@ -112,17 +114,17 @@ def legend_entries(panel: PicturePanel) -> list[LegendEntry]:
 
 
 def rule_dashes(rule: GuideLine) -> tuple[int, ...]:
-    """Lengths of dash and gap of a guide line; none for a solid one."""
+    """Lengths of dash and gap with which a guide line is drawn; none for a solid line."""
     return tuple(DASH) if rule.dashed else ()
 
 
 def dash_text(dashes: tuple[int, ...]) -> str:
-    """Lengths of dash and gap as SVG writes them."""
+    """Text of dash and gap lengths as SVG writes them."""
     return " ".join(map(str, dashes))
 
 
 def axis_scale(log: bool, limits: Range | None) -> Spec:
-    """Vega-Lite scale of an axis, linear or logarithmic. Without limits it has a few pixels of
+    """Vega-Lite scale of one axis, linear or logarithmic. Without limits it has a few pixels of
     room."""
     scale: Spec = {"type": "log"} if log else {"type": "linear", "zero": False}
     if limits is None:
@@ -134,8 +136,8 @@ def axis_scale(log: bool, limits: Range | None) -> Spec:
 
 
 def series_layer(series: Series, panel: PicturePanel, axes: Spec) -> Spec:
-    """Vega-Lite layer of one series. It is cut to the visible range, a long line is thinned, a gap
-    shortened to one missing point."""
+    """Vega-Lite layer that draws one curve of a picture. It is cut to the visible range, a long
+    line is thinned, a gap shortened to one missing point."""
     x, y = cut_to_range(series.x, series.y, panel.x_range)
     x, y = thin_line(x, y)
     numbers = {"x": round_for_page(x), "y": round_for_page(y)}
@@ -169,7 +171,7 @@ def rule_layer(rule: GuideLine) -> Spec:
 
 
 def band_layer(band: Band, panel: PicturePanel, axes: Spec) -> Spec:
-    """Vega-Lite layer of a shaded area, cut to the visible range and thinned like a line."""
+    """Vega-Lite layer that draws a shaded area of a picture."""
     x, low = cut_to_range(band.x, band.low, panel.x_range)
     _, high = cut_to_range(band.x, band.high, panel.x_range)
     every = _line_stride(len(x))
@@ -186,21 +188,22 @@ def band_layer(band: Band, panel: PicturePanel, axes: Spec) -> Spec:
     return layer
 
 
-def cut_to_range(x: Values, y: Values, seen: Range | None) -> tuple[Stretch, Stretch]:
-    """Part of a curve over time that lies in a range. Curves of other kinds stay as they are."""
+def cut_to_range(x: Values, y: Values, visible_range: Range | None) -> tuple[Stretch, Stretch]:
+    """Part of a curve over time that lies in a visible range. Curves of other kinds stay as they
+    are."""
     rises = bool(np.all(np.diff(x) > 0))
-    if seen is None or not rises:
+    if visible_range is None or not rises:
         return x, y
-    first, last = np.searchsorted(x, seen)
+    first, last = np.searchsorted(x, visible_range)
     start = max(int(first) - 1, 0)
     stretch = slice(start, int(last) + 1)
     return x[stretch], y[stretch]
 
 
 def thin_line(x: Values, y: Values) -> tuple[Stretch, Stretch]:
-    """Reduce the number of points of a long line for the page, to about `MOST_POINTS`: of each
-    stretch the lowest and the highest stay, so no peak is lost. Of a gap one missing point stays,
-    which breaks the line.
+    """Reduce the number of points of a long curve so that no peak is lost. About `MOST_POINTS`
+    stay: of each stretch the lowest and the highest. Of a gap one missing point stays, which breaks
+    the line.
 
     Closed curves with gaps (discs) are not thinned.
     """
@@ -212,7 +215,7 @@ def thin_line(x: Values, y: Values) -> tuple[Stretch, Stretch]:
 
 
 def keep_extremes(places: Places, y: Values) -> Places:
-    """Indices of a long curve's lowest and highest values in each stretch, with its ends and
+    """Indices of the lowest and highest values in each stretch of a long curve, with its ends and
     gaps."""
     if len(places) <= MOST_POINTS:
         return places
@@ -227,14 +230,14 @@ def keep_extremes(places: Places, y: Values) -> Places:
 
 
 def starts_of_gaps(is_seen: Bool[np.ndarray, "T"]) -> Bool[np.ndarray, "T"]:
-    """For each point of a curve, whether it is the first missing one of a gap."""
+    """For each point of a curve, whether the point is the first missing one of a gap."""
     previous = np.ones_like(is_seen)
     previous[1:] = is_seen[:-1]
     return previous & ~is_seen
 
 
 def _line_stride(points: int) -> int:
-    """Step by which the points of a long line are thinned."""
+    """Number of points of a long curve that are replaced by one lowest and one highest point."""
     stride = math.ceil(points / MOST_POINTS)
     return max(1, stride)
 

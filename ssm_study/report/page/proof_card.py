@@ -18,9 +18,9 @@ TITLE = "Proved of the model"
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShownLoop:
-    """Facts on the recorded closed loop that the cards compare with the proof, in physical
-    units. The settling band lies around the output at rest; None if it was not recorded."""
+class RecordedLoopFacts:
+    """Facts on a recorded closed loop, in physical units, with which the report page compares the
+    proof. The settling band lies around the output at rest; None if it was not recorded."""
 
     initial_outputs: Float[np.ndarray, "N p"]
     input_range: tuple[float, float]
@@ -31,8 +31,8 @@ class ShownLoop:
     settling_band: float | None = None
 
     @classmethod
-    def from_recording(cls, recording: RecordedCases) -> "ShownLoop":
-        """Facts on a recorded closed loop."""
+    def from_recording(cls, recording: RecordedCases) -> "RecordedLoopFacts":
+        """Read the facts on a closed loop from its recording."""
         inputs = recording["input"]
         band = recording.about.get("settling_band")
         return cls(
@@ -46,19 +46,19 @@ class ShownLoop:
         )
 
     def is_within_settling_band(self, lower: float, upper: float) -> bool:
-        """Whether all outputs of a range count as settled."""
+        """Whether all outputs between two values count as settled."""
         farthest = max(abs(lower - self.output_at_rest), abs(upper - self.output_at_rest))
         return self.settling_band is not None and farthest <= self.settling_band
 
     def count_starts_inside(self, lower: float, upper: float) -> int:
-        """Number of starts all of whose outputs lie in a range."""
+        """Number of recorded initial states all of whose outputs lie between two values."""
         is_inside = (self.initial_outputs >= lower) & (self.initial_outputs <= upper)
         return int(is_inside.all(axis=1).sum())
 
 
-def certified_rates_card(record: Record, loop: ShownLoop | None = None) -> Card | None:
-    """Card with the certified rates and the model error that they cover, or with the largest
-    certifiable rate."""
+def certified_rates_card(record: Record, loop: RecordedLoopFacts | None = None) -> Card | None:
+    """Card of the report page on the certified contraction rates and the model error that the proof
+    covers."""
     rate = record.get("controller_certified_rate")
     requested = record.get("rate_controller")
     limit = record.get("controller_rate_limit")
@@ -70,11 +70,11 @@ def certified_rates_card(record: Record, loop: ShownLoop | None = None) -> Card 
         step_s = None if loop is None else loop.step_s
         slower = unproved_speed_up_text(record, step_s)
         lines = (slower, rate_line(record, rate, loop), coverage_sentence(record))
-        headline = f"certified rate per sample{timed_words(rate, loop)}"
+        headline = f"certified rate per sample{time_constant_text(rate, loop)}"
         return Card(
             title=TITLE,
             number=round_rate_down(rate),
-            text=f"{headline}{limit_text(record, loop)}",
+            text=f"{headline}{input_limit_text(record, loop)}",
             lines=tuple(filter(None, lines)),
             not_covered=tuple(unproved_statements(record, loop)),
         )
@@ -85,31 +85,32 @@ def certified_rates_card(record: Record, loop: ShownLoop | None = None) -> Card 
     return Card(title=TITLE, number=f"{limit:.3g}", text=text)
 
 
-def rate_line(record: Record, rate: float, loop: ShownLoop | None) -> str:
-    """Line that says how much the distance of two trajectories shrinks at a certified rate."""
+def rate_line(record: Record, rate: float, loop: RecordedLoopFacts | None) -> str:
+    """Text line that says how much the distance of two trajectories shrinks at a certified rate."""
     shrinks = 100 - 100 * math.sqrt(1 - rate)
-    step = "" if loop is None else f" ({step_words(loop.step_s)})"
+    step = "" if loop is None else f" ({sampling_time_text(loop.step_s)})"
     observer = record.get("observer_certified_rate")
     also = ""
     if observer is not None:
-        also = f"; observer: rate {round_rate_down(observer)}{timed_words(observer, loop)}"
+        also = f"; observer: rate {round_rate_down(observer)}{time_constant_text(observer, loop)}"
     shrinking = f"distances shrink by {shrinks:.2g} % or more a sample{step}"
     return f"Under control, {shrinking}, their squares by the rate{also}"
 
 
-def timed_words(rate: float, loop: ShownLoop | None) -> str:
-    """Time constant of a rate after a comma, in seconds or, without a recording, in samples."""
+def time_constant_text(rate: float, loop: RecordedLoopFacts | None) -> str:
+    """Time constant of a contraction rate as text, in seconds or in samples."""
     decay = decay_time_words(rate, None if loop is None else loop.step_s)
     return f", {decay}" if decay else ""
 
 
-def step_words(step_s: float) -> str:
-    """Sampling time with its unit: milliseconds below a second."""
+def sampling_time_text(step_s: float) -> str:
+    """Sampling time as text with its unit: milliseconds below a second."""
     return f"{1000 * step_s:.3g} ms" if step_s < 1 else f"{step_s:.3g} s"
 
 
 def coverage_sentence(record: Record) -> str:
-    """Sentence on the model error that the proof covers. Below one it covers nothing."""
+    """Sentence on how large a model error the stability proof covers, relative to the recorded one.
+    Below one it covers nothing."""
     coverage = record.get("coverage")
     if record.get("evidence") == CANNOT_JUDGE:
         return ""
@@ -127,21 +128,22 @@ def coverage_sentence(record: Record) -> str:
 
 
 def coverage_text(coverage: float) -> str:
-    """Text of a coverage as a number, rounded down."""
+    """Text of a coverage (tolerated model error relative to the recorded one), rounded down."""
     return f"{math.floor(100 * coverage) / 100:.2f}"
 
 
 def limited_start_range(record: Record) -> tuple[float, float] | None:
-    """Range of initial outputs from which the full rate holds with a limited input."""
+    """Range of initial outputs from which the full contraction rate is proved with a limited
+    input."""
     names = ("limit_lower", "limit_upper", "unlimited_from", "unlimited_to")
     if any(record.get(name) is None for name in names):
         return None
     return float(record["unlimited_from"]), float(record["unlimited_to"])
 
 
-def limit_text(record: Record, loop: ShownLoop | None) -> str:
-    """Text on the input limits, under which the certified rate holds only from some initial
-    outputs, with the share of the shown starts among them."""
+def input_limit_text(record: Record, loop: RecordedLoopFacts | None) -> str:
+    """Text on the input limits under which the certified rate holds, and on the initial outputs
+    from which. It names the share of the shown starts among them."""
     start_range = limited_start_range(record)
     if start_range is None:
         return ""
@@ -164,18 +166,18 @@ def limit_text(record: Record, loop: ShownLoop | None) -> str:
     )
 
 
-def limited_rate_text(record: Record, loop: ShownLoop | None) -> str:
-    """Text on the rate that is proved from everywhere with a limited input."""
+def limited_rate_text(record: Record, loop: RecordedLoopFacts | None) -> str:
+    """Text on the contraction rate that is proved from all initial states with a limited input."""
     rate = record.get("limited_rate")
     if rate is None:
         return "no rate is proved"
-    words = f"the rate {round_rate_down(rate)}{timed_words(rate, loop)}"
+    words = f"the rate {round_rate_down(rate)}{time_constant_text(rate, loop)}"
     is_no_gain = rate <= (open_loop_rate(record) or 0.0)
     return f"{words} (no more than without control)" if is_no_gain else words
 
 
-def unproved_statements(record: Record, loop: ShownLoop | None) -> list[str]:
-    """Short list of statements that the proof does not make."""
+def unproved_statements(record: Record, loop: RecordedLoopFacts | None) -> list[str]:
+    """Short statements on what the stability proof of a run does not say."""
     coverage = record.get("coverage")
     excluded = ["the plant: how far it differs from the model is not in the proof"]
     is_judged = record.get("evidence") != CANNOT_JUDGE
@@ -201,7 +203,7 @@ def unproved_statements(record: Record, loop: ShownLoop | None) -> list[str]:
 
 
 def unproved_limits_text(record: Record) -> str:
-    """Text on input limits under which nothing is proved."""
+    """Text on input limits under which nothing is proved for a run."""
     words = "an input that is limited"
     if is_limited_to_records(record):
         words += ", as it is here to the range of the records"
@@ -214,8 +216,8 @@ def is_limited_to_records(record: Record) -> bool:
 
 
 def exceeded_bound_statements(record: Record) -> list[str]:
-    """Statement on how far the plant's estimate exceeded the certified bound of the model; empty
-    where it did not, or where there was no plant."""
+    """Statement on how far the estimate on the plant exceeded the bound that is certified for the
+    model."""
     excess = record.get("certified_bound_excess_plant")
     if not excess or is_limited_to_records(record):
         return []
@@ -226,8 +228,11 @@ def exceeded_bound_statements(record: Record) -> list[str]:
     return [f"{bound}: {estimate} exceeded it by up to {share}"]
 
 
-def describe_starts_outside_proof(start_range: tuple[float, float], loop: ShownLoop | None) -> str:
-    """Text on the initial states outside the range that is proved under an input limit."""
+def describe_starts_outside_proof(
+    start_range: tuple[float, float], loop: RecordedLoopFacts | None
+) -> str:
+    """Text on the initial states outside the range from which a rate is proved under input
+    limits."""
     first, last = start_range
     words = f"starts outside {first:.3g} to {last:.3g}"
     if loop is None:
@@ -237,8 +242,9 @@ def describe_starts_outside_proof(start_range: tuple[float, float], loop: ShownL
     return f"{words} {loop.output_unit}: {outside} of the {total} shown"
 
 
-def exceeded_limits_text(record: Record, loop: ShownLoop | None) -> str:
-    """Line on whether the shown input stayed within the limits of the proof."""
+def exceeded_limits_text(record: Record, loop: RecordedLoopFacts | None) -> str:
+    """Text line on whether the recorded input of a closed loop stayed within the limits of the
+    proof."""
     if record.get("limit_lower") is None or loop is None or not record.get("controller_certified"):
         return ""
     low, high = loop.input_range
@@ -251,8 +257,8 @@ def exceeded_limits_text(record: Record, loop: ShownLoop | None) -> str:
     )
 
 
-def input_leaves_proved_range(record: Record, loop: ShownLoop | None) -> bool:
-    """Whether the shown input left the range for which the limited proof was made."""
+def input_leaves_proved_range(record: Record, loop: RecordedLoopFacts | None) -> bool:
+    """Whether the recorded input of a closed loop left the range for which the proof was made."""
     if loop is None or record.get("limit_lower") is None:
         return False
     low, high = loop.input_range

@@ -5,7 +5,7 @@ from typing import Any
 
 import pandas as pd
 
-from ssm_study.report.page.proof_card import step_words
+from ssm_study.report.page.proof_card import sampling_time_text
 from ssm_study.report.study_folder import StudyFolder
 from ssm_study.table.columns import text_column
 
@@ -20,8 +20,8 @@ TREE = {
 
 
 def log_text(study: StudyFolder) -> str:
-    """Sentence on the file, the signals and the sampling time of the best run's log; empty for
-    simulated data."""
+    """Sentence on the file, signals and sampling time of the log from which the best run was
+    made."""
     data = logged_data(study)
     if not data:
         return ""
@@ -29,19 +29,19 @@ def log_text(study: StudyFolder) -> str:
     if data.get("input") and data.get("output"):
         parts.append(f"{data['input']} to {data['output']}")
     if data.get("step_s"):
-        parts.append(step_words(float(data["step_s"])))
+        parts.append(sampling_time_text(float(data["step_s"])))
     return f"Log: {', '.join(parts)}. "
 
 
 def logged_data(study: StudyFolder) -> dict[str, Any]:
-    """Settings of the data of the best run if it read a log, else none."""
+    """Settings of the data of a study's best run if a log was read, else none."""
     data = {} if study.best_run is None else study.best_run.config.get("data") or {}
     return data if data.get("path") else {}
 
 
 def configuration_text(study: StudyFolder) -> str:
-    """Configuration of the best run as text, empty if it left none. A log has neither the plant
-    nor the excitation of the default configuration."""
+    """Configuration of a study's best run as text, empty if the run left none. A log has neither
+    the plant nor the excitation of the default configuration."""
     if study.best_run is None:
         return ""
     config = study.best_run.path / ".hydra" / "config.yaml"
@@ -52,7 +52,7 @@ def configuration_text(study: StudyFolder) -> str:
 
 
 def provenance_lines(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str, str]]:
-    """Lines on where the runs were computed, with several values where the runs disagree."""
+    """Text lines on the machine, versions and commit by which the runs of a study were computed."""
     facts = []
     for name in PROVENANCE:
         if name not in table:
@@ -71,7 +71,7 @@ def provenance_lines(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str,
 
 
 def run_address(study: StudyFolder, name: str) -> tuple[str, str]:
-    """Study folder and run folder of a run, which may belong to another study."""
+    """Study folder and folder name of a run, which may belong to another study."""
     other = re.match(r"\.\./([^/]+)/", name)
     folder = other[1] if other else study.folder.resolve().name
     return folder, name.rpartition("/")[2]

@@ -15,15 +15,16 @@ MUCH = 2.0  # factor in margin or gain from which a run is much more robust
 
 @dataclass(frozen=True, kw_only=True)
 class RunnerUp:
-    """A more robust run: its place in the table, and a sentence that compares it with the best."""
+    """More robust alternative to the best run: its place in the table, and a sentence that compares
+    both."""
 
     place: int
     text: str
 
 
 def choose_runner_up(table: pd.DataFrame) -> RunnerUp | None:
-    """Fastest run with at least twice the best run's stability margin, otherwise with at most half
-    its gain.
+    """Choose the fastest run with at least twice the best run's stability margin, otherwise with at
+    most half its gain.
 
     The table has the best run first. None if no run that settles in at most twice the time is
     that much more robust.
@@ -42,8 +43,8 @@ def choose_runner_up(table: pd.DataFrame) -> RunnerUp | None:
 
 
 def eligible_run_mask(table: pd.DataFrame) -> "pd.Series[bool]":
-    """Certified runs that may replace the best one: on the same plant, predicted stable, and at
-    least half as fast."""
+    """For each run, whether it may replace the best one: on the same plant, predicted stable, and
+    at least half as fast."""
     time_s = numeric_column(table, "settling_time_mean_s")
     plants = text_column(table, "plant")
     is_settled = text_column(table, "verdict") == SETTLED.word

@@ -39,8 +39,8 @@ BY_OUTCOME = {"field": "verdict", "type": "nominal", "legend": None, "scale": OU
 
 
 def chart_templates(table: pd.DataFrame) -> Spec:
-    """Vega-Lite charts, keyed by name, whose data the page's script fills in. `parallel` is there
-    only if it has something to show."""
+    """Vega-Lite charts of the report page, keyed by name, whose data the page's script fills in.
+    `parallel` is there only if it has something to show."""
     charts = {"responses": response_chart()}
     charts["signals"] = signal_chart()
     charts["played"] = animated_response_chart()
@@ -51,14 +51,14 @@ def chart_templates(table: pd.DataFrame) -> Spec:
 
 
 def time_axes() -> Spec:
-    """Vega-Lite axes for values over time, whose range need not include zero."""
+    """Vega-Lite axes of a chart over time, whose value range need not include zero."""
     x = quantitative_axis("t", TIME)
     y = quantitative_axis("value", None, zero=False, nice=False)
     return {"x": x, "y": y}
 
 
 def line_layer(colour: Spec) -> Spec:
-    """Layer that draws lines over time from the data set `rows`."""
+    """Layer of a Vega-Lite chart that draws lines over time."""
     line = {"type": "line", "strokeWidth": 1.4, "clip": True}
     encoding = time_axes()
     encoding["color"] = colour
@@ -67,8 +67,8 @@ def line_layer(colour: Spec) -> Spec:
 
 
 def response_chart() -> Spec:
-    """Chart of closed-loop responses, one line per initial state. Colours follow the order of their
-    first values."""
+    """Chart of closed-loop responses over time, one line per initial state. Colours follow the
+    order of their first values."""
     by_rank: Spec = {"field": "rank", "type": "ordinal", "legend": None}
     by_rank["scale"] = {"scheme": "viridis"}
     lines = line_layer(by_rank)
@@ -85,22 +85,22 @@ def signal_chart() -> Spec:
 
 
 def animated_response_chart() -> Spec:
-    """Chart of a single response that the page can animate. It shows one initial state under
-    control, up to a moment that a slider or the button moves."""
+    """Chart of a single closed-loop response that the report page can animate. It shows one initial
+    state under control, up to a moment that a slider or the button moves."""
     params = [slider_parameter("start", "Start "), slider_parameter("moment", "Time (s) ")]
     layers = [layer_over_time(part) for part in animated_response_layers()]
     chart = {"params": params, "layer": [BAND, *layers]}
     return framed_specification(chart, "One start under control, played")
 
 
-def slider_parameter(name: str, words: str) -> Spec:
-    """Vega-Lite parameter that a slider of the page moves."""
-    slider = {"input": "range", "min": 0, "name": words}
+def slider_parameter(name: str, label: str) -> Spec:
+    """Vega-Lite parameter whose value a slider of the report page sets."""
+    slider = {"input": "range", "min": 0, "name": label}
     return {"name": name, "value": 0, "bind": slider}
 
 
 def animated_response_layers() -> list[Spec]:
-    """Parts of the animated response: the whole line, the line so far, and the present point."""
+    """Layers of the animated response: the whole line, the line so far, and the present point."""
     of_start = {"filter": "datum.case === start - 1"}  # the reader counts from one
     until_moment = {"filter": "datum.t <= moment"}
     latest_time = {"op": "max", "field": "t", "as": "last"}
@@ -116,13 +116,14 @@ def animated_response_layers() -> list[Spec]:
 
 
 def layer_over_time(part: Spec) -> Spec:
-    """Layer that draws the data set `rows` over time, with the marks of one part."""
+    """Layer of a Vega-Lite chart that draws data over time with given marks."""
     return {"data": ROWS, "encoding": time_axes(), **part}
 
 
 def parallel_coordinates(table: pd.DataFrame) -> Spec | None:
-    """Parallel-coordinates chart with one line per run over the swept settings and four results;
-    None with too few or too many runs. Each axis runs from its smallest to its largest value."""
+    """Parallel-coordinates chart of a study, with one line per run over the swept settings and four
+    results. None with too few or too many runs. Each axis runs from its smallest to its largest
+    value."""
     names = parallel_coordinate_columns(table)
     if len(names) < FEWEST_AXES or len(table) > MOST_PARALLEL:
         return None
@@ -138,7 +139,7 @@ def parallel_coordinates(table: pd.DataFrame) -> Spec | None:
 
 
 def parallel_coordinate_columns(table: pd.DataFrame) -> list[str]:
-    """Swept settings and results in which the runs of a table differ."""
+    """Names of the swept settings and results in which the runs of a study differ."""
     candidates = (*swept_settings(table), *PARALLEL)
     present = [name for name in candidates if name in table]
     return [name for name in present if numeric_column(table, name).nunique() > 1]
@@ -167,12 +168,12 @@ def parallel_lines(fold: list[Spec], x: Spec, runs: int) -> Spec:
 
 
 def aggregate_value(operation: str) -> Spec:
-    """Vega-Lite aggregate of the column `value`, named after its operation."""
+    """Vega-Lite aggregate, such as minimum or maximum, of the column `value`."""
     return {"op": operation, "field": "value", "as": operation}
 
 
 def parallel_axis(names: list[str]) -> Spec:
-    """Axis of a parallel-coordinates chart, with one place for each column."""
+    """Horizontal axis of a parallel-coordinates chart, with one place for each column."""
     titles = {name: textwrap.wrap(printed_column_name(name), LABEL_LETTERS) for name in names}
     written_titles = json.dumps(titles)
     axis: Spec = {"labelExpr": f"({written_titles})[datum.value]"}

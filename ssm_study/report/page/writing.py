@@ -19,8 +19,8 @@ SCRIPTS = tuple(
 
 
 def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
-    """Write `study_folder/report.html` and return its path. Raises `BadRequest` without the extra
-    `report` (Altair).
+    """Write the report page `report.html` of a study and return its path. Raises `BadRequest`
+    without the extra `report` (Altair).
 
     With `others`, one page shows all studies beside one another:
     `study_folder/report_with_OTHER.html`. The file carries data, style, scripts and the plotting
@@ -32,8 +32,8 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
         from ssm_study.report.page.charts import (
             EXPLORER,
             group_chart_specification,
+            panel_contents,
             panel_specification,
-            plottable_panels,
             unplotted_answers,
         )
     except ImportError as error:
@@ -43,7 +43,7 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
     table = sort_for_page(study.table)
     answered = question_answers(table)
     data = page_data(study) | {
-        "panels": plottable_panels(table, answered),
+        "panels": panel_contents(table, answered),
         "explorer": panel_specification(EXPLORER, table),
         "groups": group_chart_specification(),
         "templates": chart_templates(table),
@@ -73,7 +73,7 @@ def read_asset(name: str) -> str:
 
 
 def _charting_library() -> str:
-    """Script with Vega, Vega-Lite and vega-embed, read from the installed wheel."""
+    """Read the JavaScript of Vega, Vega-Lite and vega-embed from the installed Python package."""
     import altair
     import vl_convert
 
