@@ -64,7 +64,7 @@ class StandardServer:
             self.context.set_forkserver_preload([Path(__file__).stem])
         process = self.context.Process(target=do, args=(number,))
         process.start()
-        child = ours.Child(pid=process.pid, wait_for_job_end=self.wait_for_job_end)
+        child = ours.JobProcess(pid=process.pid, wait_for_job_end=self.wait_for_job_end)
         self.children[process.sentinel] = (process, child)
         return child
 

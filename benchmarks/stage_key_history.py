@@ -24,7 +24,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from ssm_study.engine import fingerprint
-from ssm_study.engine.fingerprint import Code, find_symbol
+from ssm_study.engine.fingerprint import CodeReader, find_symbol
 
 ROOT = Path(__file__).resolve().parents[1]
 STAGES = {
@@ -79,7 +79,7 @@ def narrow_imports(package: Path) -> None:
 
 def versions(package: Path) -> dict[str, str]:
     """Version of the code of every stage that this commit has."""
-    sources = Code({"ssm_study": package})
+    sources = CodeReader({"ssm_study": package})
     found = {}
     for stage, (compute, *targets) in STAGES.items():
         roots = [("ssm_study.study.stages", compute)]
@@ -90,7 +90,7 @@ def versions(package: Path) -> dict[str, str]:
     return found
 
 
-def is_defined(sources: Code, module: str, name: str) -> bool:
+def is_defined(sources: CodeReader, module: str, name: str) -> bool:
     read = sources._read_module(module)
     return read is not None and (name in read.bound_names or name in read.imported)
 

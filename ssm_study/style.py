@@ -61,9 +61,9 @@ def is_single_column() -> bool:
 
 @contextmanager
 def paper_style(width: Width = "page") -> Iterator[None]:
-    """Context in which all figures are drawn and saved in the project's style. Afterwards the
-    caller's own settings are in force again. `width="column"`: figures that can be are drawn for
-    one column."""
+    """Context manager in which all figures are drawn and saved in the project's style. Afterwards
+    the caller's own settings are in force again. `width="column"`: figures that can be are drawn
+    for one column."""
     import matplotlib as mpl
     import seaborn as sns
     from cycler import cycler
@@ -105,8 +105,8 @@ def _figure_class() -> "type[Figure]":
 
 
 def place_legend_above(axes: "Axes", columns: int = 3, others: "tuple[Axes, ...]" = ()) -> None:
-    """Place the legend in one row above the axes, so that it never covers the data. Labels that
-    only the `others` have are included."""
+    """Place the legend of a figure in one row above its axes, so that the legend never covers the
+    data. Labels that only the `others` have are included."""
     handle_by_label: dict[str, Any] = {}
     for part in (axes, *others):
         handles, labels = part.get_legend_handles_labels()

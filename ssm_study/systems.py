@@ -31,7 +31,7 @@ class _SystemMatrices:
 
     @property
     def order(self) -> int:
-        """System order, the number of states."""
+        """Order of the system, that is, the number of its states."""
         return self.a.shape[0]
 
 
@@ -80,8 +80,8 @@ class StateSpace(_SystemMatrices):
     def simulate(
         self, u: Float[np.ndarray, "*batch T m"], x0: Float[np.ndarray, "*batch n"] | None = None
     ) -> tuple[Float[np.ndarray, "*batch T p"], Float[np.ndarray, "*batch n"]]:
-        """Simulate the system for a sequence of inputs from an initial state (default 0), and
-        return the outputs and the final state."""
+        """Simulate a linear system for a sequence of inputs, and return the outputs and the final
+        state. The initial state is zero by default."""
         batch = u.shape[:-2]
         samples = u.shape[-2]
         x = np.zeros((*batch, self.order)) if x0 is None else x0

@@ -162,7 +162,7 @@ class Certification:
         return render_text_table("Certification", self.summary())
 
     def _repr_html_(self) -> str:
-        """HTML table of the certificates for notebooks."""
+        """Render the certificates as an HTML table for notebooks."""
         return html_table("Certification", self.summary())
 
 

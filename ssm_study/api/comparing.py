@@ -43,7 +43,7 @@ class ModelComparison:
         return self.table.to_string(float_format=lambda value: f"{value:.4g}")
 
     def _repr_html_(self) -> str:
-        """HTML table of the scores for notebooks."""
+        """Render the scores of several models as an HTML table for notebooks."""
         text: str = self.table.to_html(float_format=lambda value: escape(f"{value:.4g}"))
         return text
 

@@ -161,7 +161,7 @@ def check_input_limits(limits: Any) -> None:
 
 
 def refuse_model_settings(overrides: tuple[str, ...]) -> None:
-    """Refuse settings of a control design that would change the model."""
+    """Raise `BadRequest` for settings of a control design that would change the model."""
     for word in overrides:
         part = part_of_setting(word)
         remedy = "give it to st.fit"

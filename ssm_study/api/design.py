@@ -256,7 +256,7 @@ class Design:
         return render_text_table("Design", self.summary())
 
     def _repr_html_(self) -> str:
-        """HTML table of the design's properties for notebooks."""
+        """Render the design's properties as an HTML table for notebooks."""
         return html_table("Design", self.summary())
 
     def plot(self, y0: Values | None = None, *, plant: "Plant | None" = None) -> Any:
@@ -385,7 +385,7 @@ class Design:
         return [] if self.origin is None else [record.u for record in self.origin.data.training]
 
     def _describe_loop_plant(self, plant: "Plant | None") -> str:
-        """Text that says on which plant or model a loop was closed."""
+        """Text that says on which plant or model a closed loop was simulated."""
         if plant is not None:
             return "the simulated plant"
         is_identified = self.origin is not None or bool(self.stored_record)

@@ -115,7 +115,7 @@ class Model:
 
     @property
     def disturbance_names(self) -> list[str]:
-        """Names of the measured disturbances, in order; empty if there are none."""
+        """Names of the model's measured disturbances, in order; empty if there are none."""
         channels = self.data.disturbances
         return [channel.name for channel in channels]
 
@@ -169,7 +169,7 @@ class Model:
         *,
         start_up_samples: int | None = None,
     ) -> pd.DataFrame:
-        """Measured minus simulated outputs of a free run, one column for each output."""
+        """Errors of a free run: measured minus simulated outputs, one column for each output."""
         simulation = simulate_given_record(self, u, y, disturbance, start_up_samples)
         record = simulation.records[0]
         simulated = simulation.simulated[0]
@@ -177,7 +177,7 @@ class Model:
         return pd.DataFrame(errors, columns=self.output_names)
 
     def eigenvalues(self) -> Complex[np.ndarray, "n"]:
-        """Eigenvalues of the model, linearised at its equilibrium."""
+        """Eigenvalues of the model after linearisation at its equilibrium."""
         state_space = linearise_at_equilibrium(self.ssm)
         eigenvalues = np.linalg.eigvals(state_space.a)
         return np.asarray(eigenvalues, dtype=complex)
@@ -199,7 +199,8 @@ class Model:
         return convert_to_continuous(self.to_control())
 
     def frequency_response(self, points: int = 200) -> pd.DataFrame:
-        """Frequency response at the equilibrium from each input to each output.
+        """Table of the model's frequency response at the equilibrium from each input to each
+        output.
 
         Columns `input, output, frequency_rad_s, magnitude, phase_deg`; frequencies up to half the
         sampling rate.
@@ -215,7 +216,7 @@ class Model:
         return render_text_table("Model", self.summary())
 
     def _repr_html_(self) -> str:
-        """HTML table of the model's properties for notebooks."""
+        """Render the model's properties as an HTML table for notebooks."""
         return html_table("Model", self.summary())
 
     def plot(self) -> Any:
@@ -239,7 +240,8 @@ class Model:
         return draw_picture(picture)
 
     def bode(self) -> Any:
-        """Draw gain and phase at the equilibrium, beside the estimate from the validation record.
+        """Draw the Bode plot of the model at its equilibrium, beside an estimate from the
+        validation record.
 
         First input to first output. Returns the Matplotlib figure. The numbers of all channels:
         `frequency_response`.
@@ -257,7 +259,8 @@ class Model:
         return draw_picture(picture)
 
     def residuals(self) -> Any:
-        """Draw the correlations of the test records' errors with themselves and with the input.
+        """Draw the correlations of the simulation errors with themselves and with the input, on the
+        test records.
 
         Returns the Matplotlib figure. The numbers: `simulation_errors`.
         """
@@ -287,7 +290,8 @@ class Model:
         return draw_picture(picture)
 
     def input_map(self) -> Any:
-        """Draw the learned input map and its slope within the certified interval.
+        """Draw the learned static map at the model's input and its slope, with the certified
+        interval of slopes.
 
         Returns the Matplotlib figure. Raises `BadRequest` for several inputs.
         """

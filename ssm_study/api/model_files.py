@@ -28,7 +28,7 @@ NUMBERS = ("fit_validation_percent", "seconds", "curve", "ended", "choice", "cho
 
 
 def holds_saved_model(folder: Path) -> bool:
-    """Whether a folder was written by `Model.save`."""
+    """Whether a folder holds a saved model."""
     return (folder / HISTORY_FILE).is_file() and (folder / RECORDS_FILE).is_file()
 
 

@@ -107,7 +107,8 @@ class Replacement(dict[str, Any]):
 
 
 def merge_trees(tree: Tree, other: Mapping[str, Any]) -> None:
-    """Merge one tree of settings into another, in place. A `Replacement` replaces instead."""
+    """Merge one tree of settings into another, in place. A subtree that is a `Replacement` is not
+    merged but put in place of the other."""
     for key, value in other.items():
         is_tree = isinstance(value, dict)
         is_merged = is_tree and isinstance(tree.get(key), dict)

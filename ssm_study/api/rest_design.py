@@ -185,7 +185,7 @@ class RestDesign:
         return cls(model=model, certificates=certificates, channels=channel_tuple)
 
     def summary(self) -> pd.Series:
-        """Table of what is proved for the design, as text."""
+        """Table of what is proved for a controller of a bilinear model, as text."""
         model = self.model
         lines: dict[str, Any] = {"model": f"{model.order} states, {len(model.nodes)} nodes"}
         end_nodes = model.nodes[[0, -1], None]
@@ -217,7 +217,7 @@ class RestDesign:
         return render_text_table("RestDesign", self.summary())
 
     def _repr_html_(self) -> str:
-        """HTML table of what is proved for notebooks."""
+        """Render what is proved for the design as an HTML table for notebooks."""
         return html_table("RestDesign", self.summary())
 
 
@@ -290,6 +290,6 @@ def refuse_foreign_files(folder: Path) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Content of a JSON file."""
+    """Read the content of a JSON file."""
     text = path.read_text(encoding="utf-8")
     return json.loads(text)

@@ -144,7 +144,7 @@ def describe_simulated_loop(design: "Design") -> str:
 
 
 def describe_unproved(design: "Design") -> str:
-    """Text on what the certificates of a design do not prove."""
+    """Text on what the certificates of a controller design do not prove."""
     if design.origin is None and not design.stored_record:
         return "a rate of the loop of both; a loop whose input is limited; any other plant"
     words = "a rate of the loop of both; a loop in which a limit cuts the input"

@@ -298,7 +298,7 @@ def sample_counts_text(data: DataSet) -> str:
 
 
 def render_text_table(title: str, summary: pd.Series) -> str:
-    """Render a summary as lines of text, with names and values in two columns."""
+    """Render a summary of names and values as lines of text in two columns."""
     name_lengths = map(len, summary.index)
     width = max(name_lengths)
     rows = [f"  {name:<{width}}  {value}" for name, value in summary.items()]
@@ -306,7 +306,7 @@ def render_text_table(title: str, summary: pd.Series) -> str:
 
 
 def html_table(title: str, summary: pd.Series) -> str:
-    """Render a summary as an HTML table for notebooks."""
+    """Render a summary of names and values as an HTML table for notebooks."""
     rows = [
         f"<tr><th style='text-align:left'>{escape(str(name))}</th>"
         f"<td style='text-align:left'>{escape(str(value))}</td></tr>"

@@ -42,7 +42,7 @@ def run_command_on_folder(
 
 
 def write_new_study(options: argparse.Namespace) -> None:
-    """Write the folder of a new study and print its files."""
+    """Write the folder of a new study and print the names of the written files."""
     print(*write_study(options.folder), sep="\n")
 
 

@@ -58,7 +58,7 @@ def _escape_unprintable_letters() -> None:
 
 
 def _is_output_closed() -> bool:
-    """Whether the program that reads our output, such as `head`, has stopped reading."""
+    """Whether the program that reads the command's output, such as `head`, has stopped reading."""
     poll = select.poll()
     poll.register(sys.stdout.fileno(), 0)
     return bool(poll.poll(0))

@@ -109,7 +109,7 @@ def add_look(subparsers: Subparsers) -> None:
     command.set_defaults(command=commands.look_at_log)
 
 
-class Action(NamedTuple):
+class FolderCommand(NamedTuple):
     """Description of a command that acts on a study or on a run: its function, its help, and the
     kind of folder it needs."""
 
@@ -119,7 +119,7 @@ class Action(NamedTuple):
     add_options: AddOptions | None = None
 
 
-def add_action(subparsers: Subparsers, name: str, action: Action) -> None:
+def add_action(subparsers: Subparsers, name: str, action: FolderCommand) -> None:
     """Add a command that acts on the folder of a study or of a run to the parser."""
     command = add_command(subparsers, name, action.summary)
     subject = action.subject
@@ -197,56 +197,56 @@ def add_mlflow_options(command: argparse.ArgumentParser) -> None:
 
 
 ACTIONS = {
-    "gather": Action(
+    "gather": FolderCommand(
         commands.gather_study, "study", "(re)build runs.parquet and runs.csv of a study folder"
     ),
-    "show": Action(
+    "show": FolderCommand(
         commands.show_study_or_run,
         "study_or_run",
         "print the study's table, best first, failures with reasons; or the whole record of a run",
         add_show_options,
     ),
-    "verify": Action(
+    "verify": FolderCommand(
         commands.verify_run,
         "run",
         "recompute every claim of a run from its files (and the log that it was made of)",
         add_verify_options,
     ),
-    "refine": Action(
+    "refine": FolderCommand(
         commands.refine_run,
         "run",
         "measure the mismatch in closed loop, choose the controller again, run it",
         add_refine_options,
     ),
-    "reproduce": Action(
+    "reproduce": FolderCommand(
         commands.reproduce_run,
         "run",
         "do a run again from its configuration and compare every number",
     ),
-    "export": Action(
+    "export": FolderCommand(
         commands.export_controller,
         "run",
         "write the controller in C, as ONNX and for python-control",
         add_export_options,
     ),
-    "report": Action(
+    "report": FolderCommand(
         commands.report_study,
         "study",
         "draw the figures of a study into its folder and write its page, report.html",
         add_report_options,
     ),
-    "watch": Action(
+    "watch": FolderCommand(
         commands.watch_study,
         "study",
         "serve the report page on a local port while a sweep runs; it reloads itself",
         add_watch_options,
     ),
-    "export-mcap": Action(
+    "export-mcap": FolderCommand(
         commands.export_recordings,
         "study",
         "write the closed loops of all runs into one recording, for Foxglove",
     ),
-    "export-mlflow": Action(
+    "export-mlflow": FolderCommand(
         commands.export_to_mlflow,
         "study",
         "write a finished study into an MLflow store (extra mlflow)",

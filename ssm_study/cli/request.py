@@ -12,7 +12,7 @@ from omegaconf import OmegaConf
 
 from ssm_study.engine.compose import Command, Composer, Loader, grid_combinations
 from ssm_study.engine.jobs import create_jobs
-from ssm_study.engine.progress import Watch
+from ssm_study.engine.progress import ProgressWatcher
 from ssm_study.engine.settings import refuse_nonfinite_settings
 from ssm_study.refusal import require
 from ssm_study.renamed import current_overrides, rename_old_settings
@@ -137,5 +137,5 @@ def request_checks(request: Command) -> Iterator[None]:
     for job in jobs if "ssm_study" not in launcher else ():
         if STUDY.outcome_without_running(job.settings) is None:
             job.check_settings(STUDY)
-    with Watch([job.folder for job in jobs]) if jobs else nullcontext():
+    with ProgressWatcher([job.folder for job in jobs]) if jobs else nullcontext():
         yield

@@ -140,7 +140,7 @@ def explain_invalid_choice(error: ValueError, overrides: list[str]) -> BadReques
 
 
 def print_progress(activity: str) -> None:
-    """Print a line of progress if the output is a terminal."""
+    """Print, on a terminal only, a line that says what the program is doing."""
     if sys.stderr.isatty():
         print(f"ssm-study: {activity} ...", file=sys.stderr, flush=True)
 

@@ -117,7 +117,8 @@ class Command(Hydra):
         run(self.name, task, self.asked.overrides)
 
     def compose_config(self, *asked: Any, **further: Any) -> DictConfig:
-        """Return the already composed configuration where Hydra would compose it a second time."""
+        """Return the configuration that is already composed where Hydra would compose the same one
+        again."""
         if self.asked.help:
             return super().compose_config(*asked, **further)
         if further.get("with_log_configuration"):
@@ -178,8 +179,8 @@ class ComposedChoices:
         return tuple(word.strip() for word in interpolation[1].split(","))
 
     def is_untyped(self, path: str) -> bool:
-        """Whether the value at a dotted path has no declared type, so that it may be replaced
-        directly."""
+        """Whether the value at a dotted path of a configuration has no declared type, so that it
+        may be replaced directly."""
         if path not in self.held:
             node: Any = self.config
             for word in path.split("."):

@@ -42,7 +42,7 @@ CACHE = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "ssm
 FORM = f"1 {sys.version}"  # syntax trees differ from one Python to the next
 
 
-class Part(NamedTuple):
+class Definition(NamedTuple):
     """Statements of a source file that define one name, summed up by their digest and the names
     that they use."""
 
@@ -51,7 +51,7 @@ class Part(NamedTuple):
     imports: list[Symbol]
 
 
-NOTHING = Part("", [], [])
+NOTHING = Definition("", [], [])
 
 
 @dataclass
@@ -59,7 +59,7 @@ class Module:
     """Content of one scanned source file: the statements that define each name, and the imported
     names."""
 
-    parts: dict[str, Part] = field(default_factory=dict)
+    parts: dict[str, Definition] = field(default_factory=dict)
     imported: dict[str, list[Symbol]] = field(default_factory=dict)
 
     @property
@@ -69,7 +69,7 @@ class Module:
 
 
 @dataclass(frozen=True)
-class Code:
+class CodeReader:
     """Reader of source code that finds all code on which given functions and classes depend.
     Sources are read where they are imported from, or in `folders` (name: folder)."""
 
@@ -142,7 +142,7 @@ class Code:
         return current_symbol(module, name)
 
     def _is_followed(self, top: str) -> bool:
-        """Whether fingerprints depend on a package's code, not on its version alone."""
+        """Whether fingerprints depend on the source of a package, not only on its version."""
         if top not in self.followed:
             path = None if top in sys.stdlib_module_names else self._source_path(top)
             is_ours = top in (*self.folders, OURS, "__main__")
@@ -217,7 +217,7 @@ class Code:
         return Path(origin) if origin.endswith(".py") else None
 
 
-CODE = Code()
+CODE = CodeReader()
 
 
 def _is_installed(path: Path) -> bool:
@@ -297,10 +297,10 @@ def _scan_module(path: Path, module: str) -> Module:
 
 
 def _module_from_json(cached: Mapping[str, Any]) -> Module:
-    """Rebuild a scanned module from its entry in the cache."""
+    """Rebuild a scanned module from the cached result of an earlier scan."""
     parts = {}
     for name, (digest, names, imports) in cached["parts"].items():
-        parts[name] = Part(digest, names, _symbols_from_pairs(imports))
+        parts[name] = Definition(digest, names, _symbols_from_pairs(imports))
     imported = {name: _symbols_from_pairs(symbols) for name, symbols in cached["imported"].items()}
     return Module(parts, imported)
 
@@ -336,7 +336,7 @@ def _drop_docstrings(tree: ast.Module) -> None:
             node.body = node.body[has_docstring:]
 
 
-def _scan_statements(statements: list[ast.stmt], package: str) -> Part:
+def _scan_statements(statements: list[ast.stmt], package: str) -> Definition:
     """Digest the statements that define one name, and find the names on which they depend."""
     text = "\n".join(map(ast.dump, statements))
     names: set[str] = set()
@@ -346,7 +346,7 @@ def _scan_statements(statements: list[ast.stmt], package: str) -> Part:
         for node in ast.walk(statement):
             if isinstance(node, ast.Import | ast.ImportFrom):
                 imports.update(symbol for _, symbol in _import_bindings(node, package))
-    return Part(hashlib.sha256(text.encode()).hexdigest(), sorted(names), sorted(imports))
+    return Definition(hashlib.sha256(text.encode()).hexdigest(), sorted(names), sorted(imports))
 
 
 def _top_level_statements(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:

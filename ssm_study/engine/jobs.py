@@ -21,7 +21,7 @@ from ssm_study.durable import PATIENCE_S, file_lock
 from ssm_study.engine.compose import Composer, set_hydra_config
 from ssm_study.engine.records import FAILED, FINAL, LOCK, LOST, read_record
 from ssm_study.engine.runs import Outcome, error_columns, existing_outcome, write_failure
-from ssm_study.engine.server import SERVER_DIED, UNBORN, Child, kill_with_children
+from ssm_study.engine.server import SERVER_DIED, UNBORN, JobProcess, kill_with_children
 from ssm_study.engine.settings import Settings
 from ssm_study.engine.task import Task, run_folder
 from ssm_study.refusal import BadRequest
@@ -47,7 +47,7 @@ class Job:
     folder: Path
     number: int = 0
     outcome: Outcome | None = None
-    process: Child | None = None
+    process: JobProcess | None = None
     started: float = 0.0
 
     def as_hydra_outcome(self, outcome: Outcome | None) -> JobReturn:
@@ -121,7 +121,7 @@ def run_job(job: Job, composer: Composer, task: Task[Any], hydra_context: HydraC
 
 
 def _redirect_output(folder: Path) -> None:
-    """Redirect all output of this process into `folder/run.log`."""
+    """Redirect all output of this process into the log file `run.log` of a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     log = os.open(folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
     null_device = os.open(os.devnull, os.O_RDONLY)

@@ -86,7 +86,7 @@ class Progress:
             print(self.line(), file=sys.stderr, flush=True)
 
 
-class Watch(Thread):
+class ProgressWatcher(Thread):
     """Thread that prints the progress of a sweep whose launcher does not report it, by reading the
     run folders."""
 
@@ -97,7 +97,7 @@ class Watch(Thread):
         self.over = Event()
         self.there_before = sum(status in FINAL for status in self._run_statuses())
 
-    def __enter__(self) -> "Watch":
+    def __enter__(self) -> "ProgressWatcher":
         self.start()
         return self
 

@@ -34,7 +34,7 @@ UNBORN = 0
 
 
 @dataclass
-class Child:
+class JobProcess:
     """Process of one job of a sweep, with its exit status once it has ended. `exitcode` is None
     while it runs, and minus the number of the signal if one killed it."""
 
@@ -59,11 +59,11 @@ class Server:
     tasks: Sequence[Callable[[], object]]
     preload: Callable[[], object]
     threads: int
-    children: dict[int, Child] = field(default_factory=dict)
+    children: dict[int, JobProcess] = field(default_factory=dict)
     line: Connection | None = None
     pid: int = 0
 
-    def fork_job(self, number: int) -> Child:
+    def fork_job(self, number: int) -> JobProcess:
         """Fork a new process that runs the job with a given number. Raises `BadRequest` if
         `preload` fails."""
         if self.line is None:
@@ -74,9 +74,9 @@ class Server:
         except ConnectionError:
             self._mark_jobs_dead()
         # The ends of other jobs may be told before the birth of this one.
-        while self.line is None or not isinstance(born := self._read_message(), Child):
+        while self.line is None or not isinstance(born := self._read_message(), JobProcess):
             if self.line is None:  # the server was killed before it could fork
-                return Child(
+                return JobProcess(
                     pid=UNBORN, wait_for_job_end=self.wait_for_job_end, exitcode=SERVER_DIED
                 )
         return born
@@ -93,7 +93,7 @@ class Server:
             os.waitpid(self.pid, 0)  # else it stays as a zombie until the sweep ends
             self.line = None
 
-    def _read_message(self) -> Child | None:
+    def _read_message(self) -> JobProcess | None:
         """Read one message of the server process: a job's process was started, or one has ended."""
         assert self.line is not None
         try:
@@ -102,7 +102,7 @@ class Server:
             self._mark_jobs_dead()
             return None
         if exitcode is None:
-            self.children[pid] = Child(pid=pid, wait_for_job_end=self.wait_for_job_end)
+            self.children[pid] = JobProcess(pid=pid, wait_for_job_end=self.wait_for_job_end)
             return self.children[pid]
         self.children.pop(pid).exitcode = exitcode
         return None

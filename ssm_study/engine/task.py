@@ -148,7 +148,7 @@ class Task(ABC, Generic[R]):
         )
 
     def outcome_without_running(self, config: DictConfig | Settings) -> Outcome | None:
-        """Outcome of a run that need not be executed; None for a run that must be.
+        """Outcome of a run that need not be executed; None for a run that must be executed.
 
         Raises `BadRequest` for a finished run whose input files have changed since.
         """
@@ -183,7 +183,7 @@ class RunStages(Store):
         is printed."""
 
         def compute_announced_stage(folder: Path) -> None:
-            """Print the name of the stage and compute it."""
+            """Print the name of a stage and compute the stage."""
             if self.announces:
                 print(f"ssm-study: {name} ...", file=sys.stderr, flush=True)
             compute(folder)

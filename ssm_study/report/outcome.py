@@ -116,12 +116,14 @@ def loop_place_text(record: Mapping[str, Any]) -> str:
     return "simulated plant" if place in (None, "plant") else str(place)
 
 
-def format_column(record: Mapping[str, Any], name: str, form: str = ".3g", unit: str = "") -> str:
-    """Text of a recorded column with its unit, or a dash if it is missing."""
+def format_column(
+    record: Mapping[str, Any], name: str, number_format: str = ".3g", unit: str = ""
+) -> str:
+    """Text of a value in a run's record with its unit, or a dash if the value is missing."""
     value = record.get(name)
     if value is None:
         return MISSING
-    return f"{value:{form}}{unit}" if isinstance(value, int | float) else str(value)
+    return f"{value:{number_format}}{unit}" if isinstance(value, int | float) else str(value)
 
 
 def predicting_model_row(record: Mapping[str, Any], fit: str) -> tuple[str, str]:
@@ -182,7 +184,7 @@ def baseline_spread_text(record: Mapping[str, Any]) -> str:
 
 
 def log_reading_text(record: Mapping[str, Any]) -> str:
-    """Text that says how the log was read and cut into records; empty for simulated data."""
+    """Text that says how a log was read and cut into records; empty for simulated data."""
     notes = str(record.get("evidence_reasons") or "")
     reading = re.search(r"note: The log was read so: (.*?)\.(?= (?:note|doubt):|$)", notes)
     cut = re.search(r"note: The log was (cut .*?)\.(?= (?:note|doubt):|$)", notes)
@@ -344,7 +346,7 @@ def closed_loop_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def pi_comparison_text(record: Mapping[str, Any]) -> str:
-    """Text that compares a textbook PI controller with the design from the same initial states."""
+    """Text that compares a textbook PI controller with the designed controller."""
     count = format_column(record, "stable_count_pi", ".0f")
     starts = format_column(record, "initial_conditions", ".0f")
     pi_time_s = record.get("settling_time_pi_s")

@@ -100,7 +100,7 @@ class RunFolder:
 
     @property
     def start_up_samples(self) -> int:
-        """Number of samples at the beginning of each record by which the initial state is
+        """Number of samples at the beginning of each record from which the initial state is
         estimated."""
         return int(self.record.get("start_up_samples") or 0)
 
@@ -127,7 +127,7 @@ class RunFolder:
 
     @property
     def controller_comparison(self) -> pd.DataFrame | None:
-        """Table that compares controllers on this run's plant; None if there is none."""
+        """Table that compares controllers on the plant of a run; None if there is none."""
         return self._parse_file("comparison.csv", lambda content: pd.read_csv(io.StringIO(content)))
 
     @cached_property
@@ -154,7 +154,7 @@ class RunFolder:
 
     @cached_property
     def excitation(self) -> RecordedCases | None:
-        """Excitation of the run: inputs of the training records."""
+        """Excitation of a run, that is, the inputs of its training records."""
         return self._read_recording("excitation")
 
     @cached_property
@@ -183,7 +183,7 @@ class StudyFolder:
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """Table of the study with one row per run."""
+        """Results table of a study with one row per run."""
         tables = [gather_table(self.folder)]
         for other in self.others:
             place = Path(os.path.relpath(other, self.folder))
@@ -208,7 +208,7 @@ class StudyFolder:
 
     @cached_property
     def best_run(self) -> RunFolder | None:
-        """Best run of the study that left a model; None if there is none."""
+        """Best run of the study that has a model; None if there is none."""
         names = (
             [self.shown]
             if self.shown
@@ -239,8 +239,8 @@ class StudyFolder:
 
 
 def gather_table(folder: Path) -> pd.DataFrame:
-    """Gather and return the table of a study, made anew from the records of its runs where it
-    contradicts them. Raises `BadRequest` for a folder without a table or with a damaged one."""
+    """Gather the results table of a study; gather it anew where it contradicts the records of its
+    runs. Raises `BadRequest` for a folder without a table or with a damaged one."""
     path = folder / "runs.parquet"
     require(
         path.is_file(),

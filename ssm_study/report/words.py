@@ -90,8 +90,8 @@ def format_beside_bound(value: float, bound: float = 1.0) -> str:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Word for a run's outcome, with its sentence, colour and marker. Colours and markers all
-    differ, so that either is enough to tell verdicts apart.
+    """Verdict on a run: a word for its outcome, an explaining sentence, a colour and a marker.
+    Colours and markers all differ, so that either is enough to tell verdicts apart.
 
     The mark is `marker` in a figure and `shape` on the page; `style` is for the terminal.
     """

@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Any
 
 
-class _Room(ModuleType):
+class _CallablePackage(ModuleType):
     """Module type whose instances can be called like a function, so that `st.study(...)` works
     although `st.study` is a package."""
 
@@ -16,4 +16,4 @@ class _Room(ModuleType):
         return import_module("ssm_study.cli.from_python").study(*overrides)
 
 
-sys.modules[__name__].__class__ = _Room
+sys.modules[__name__].__class__ = _CallablePackage

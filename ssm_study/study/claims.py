@@ -78,7 +78,7 @@ def check_settings(run: RunFiles) -> Claims:
         configuration, further_settings
     )
     # The record holds the rates of the design, which the theorem may have chosen itself.
-    rates = ("rate_controller", "rate_observer") if run.claims_certificate else ()
+    rates = ("rate_controller", "rate_observer") if run.has_certifiable_model else ()
     columns = {name: value for name, value in settings.items() if name not in rates}
     yield from split_confirmable_settings(columns)
     for rate in rates:
@@ -104,7 +104,7 @@ def split_confirmable_settings(
 def check_status(run: RunFiles) -> Claims:
     """Check that a run is recorded as infeasible exactly if its design lacks a controller or
     observer."""
-    is_feasible = not run.claims_certificate or run.design.feasible
+    is_feasible = not run.has_certifiable_model or run.design.feasible
     yield DerivedColumns({"status": OK if is_feasible else INFEASIBLE})
 
 
@@ -149,7 +149,7 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
     if records.mismatch_records or run.mismatch_records:
         pairs = record_signal_pairs(run.mismatch_records, records.mismatch_records)
         yield check_agreement(f"{TRIALS} records", pairs, ITERATED, "made again alike")
-    if run.claims_certificate:
+    if run.has_certifiable_model:
         judged = evidence_columns(run.judgement)
         stated = evidence_columns(read_judgement(run.path))
         observation = f"records and model give {judged['evidence']}"
@@ -213,7 +213,7 @@ def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[
 
 def check_model(run: RunFiles) -> Claims:
     """Check the proved properties of the stored model of a run, and its sampling time."""
-    if run.claims_certificate:
+    if run.has_certifiable_model:
         yield DerivedColumns(model_bound_columns(run.model) | size_columns(run.model))
         steps = run.model.step_s, run.simulated.validation.records[0].step_s
         yield check_agreement(

@@ -49,7 +49,7 @@ def find_foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Ch
     there."""
     needed = {CONFIGURATION, "model.json", "validation.mcap", "test.mcap", "excitation.mcap"}
     stages: tuple[Stage[Any], ...] = STAGES_OF_A_BASELINE
-    if run.claims_certificate:
+    if run.has_certifiable_model:
         needed |= {"certificate.json", "evidence.json"}
         stages = (*STAGES, trials.TRIALS)
     present = {CONFIGURATION, *result_file_names(run.path)} - {MANIFEST, RECORD}
@@ -97,7 +97,7 @@ def list_files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
     reasons = dict.fromkeys(repeated, NOT_REPEATED)
     yield NotChecked(reasons | {OVERRIDES: "the configuration alone says what ran"})
     yield NotChecked({f"{CONFIGURATION} training, model.starts, model.draws": NOT_REPEATED})
-    if run.claims_certificate:
+    if run.has_certifiable_model:
         yield NotChecked({f"{CONFIGURATION} synthesis, but its method and rates": NOT_CHOSEN_AGAIN})
     if run.specification.loop.comparison is not None:
         yield NotChecked({"comparison.csv": "its loops are not kept"})

@@ -46,7 +46,7 @@ def check_form(run: RunFiles) -> Claims:
             observation = f"is a {type(value).__name__}, not a {column.kind}"
             yield Checked(claim=f"{name} kind", holds=False, found=observation)
     yield from _check_unreduced_fit(run)
-    if run.claims_certificate:
+    if run.has_certifiable_model:
         yield from _check_reasons(run)
     if run.closes_loop:
         yield from _check_settling_bands(run)
@@ -99,7 +99,7 @@ def _check_unreduced_fit(run: RunFiles) -> Iterator[Checked]:
     """Check that the fits before and after model reduction are equal where no state was removed."""
     before = run.record.get(BEFORE)
     requested = run.specification.configuration["model"].get("order")
-    if not run.claims_certificate or run.model.order != requested or before is None:
+    if not run.has_certifiable_model or run.model.order != requested or before is None:
         return
     fit = run.record.get("fit_test_percent")
     same = False

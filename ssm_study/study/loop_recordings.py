@@ -101,7 +101,7 @@ def loop_place_label(plant: Plant | None) -> str:
 def write_experiment(
     folder: Path, runs: LoopRuns, plant: Plant, identified_plant: Plant, metadata: dict[str, str]
 ) -> None:
-    """Write all closed-loop simulations of a run into its folder.
+    """Write all closed-loop simulations of a run into its folder as recordings.
 
     `plant` is the plant, `identified_plant` the identified model.
     """

@@ -229,7 +229,8 @@ def states_from_text(text: str, records: int) -> tuple[Any, ...]:
 
 
 def record_signal_pairs(stored: Trajectories, recomputed: Trajectories) -> Pairs:
-    """Signals and sampling times of stored records, each paired with the recomputed one."""
+    """Signals and sampling times of stored records, each paired with the value simulated or read
+    again."""
     pairs: Pairs = {"records": (len(stored), len(recomputed))}
     for i, (before, now) in enumerate(zip(stored, recomputed, strict=False)):
         for name in ("u", "y", "d", "step_s", "closed_loop"):

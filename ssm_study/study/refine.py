@@ -94,7 +94,7 @@ def _check_refinable_run(run: Path, log: Path | None) -> RunFiles:
     name = files.record.get("run")
     require(name == run.name, "run", run, f"was made as {name}", remedy)
     problem = "is the run of a baseline, which has no controller"
-    require(files.claims_certificate, "run", run, problem, "use model=ssm")
+    require(files.has_certifiable_model, "run", run, problem, "use model=ssm")
     if log is None:
         has_plant = files.record.get("loop_on") == "plant"
         remedy = "give the log of a trial: --record log.csv"

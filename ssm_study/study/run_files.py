@@ -49,7 +49,7 @@ class RunFiles:
 
     @cached_property
     def config(self) -> DictConfig:
-        """Resolved configuration from which the run was made."""
+        """Resolved configuration from which a run was made."""
         there = (self.path / CONFIGURATION).is_file()
         remedy = "give a run folder that the study made"
         require(there, "run", self.path, f"has no {CONFIGURATION}", remedy)
@@ -71,7 +71,7 @@ class RunFiles:
 
     @cached_property
     def data(self) -> DataSet:
-        """Data set of the run, simulated again or read again from its logs. Relative paths begin
+        """Data set of a run, simulated again or read again from its logs. Relative paths begin
         where the run was made, or in the present folder."""
         try:
             with chdir(self.working_folder):
@@ -123,7 +123,7 @@ class RunFiles:
 
     @property
     def model(self) -> Any:
-        """Stored model of the run."""
+        """Identified model of a run, read from its file."""
         return self.simulated.model
 
     @cached_property
@@ -163,7 +163,7 @@ class RunFiles:
 
     @cached_property
     def certificate(self) -> dict[str, Any]:
-        """Content of the run's `certificate.json`."""
+        """Content of the file `certificate.json` of a run."""
         return self.read_stored_object("certificate.json")
 
     @cached_property
@@ -218,7 +218,7 @@ class RunFiles:
         to model errors. Empty without a design, or behind an inverted input map."""
         from ssm_study.robustness.sine_trials import PEAKS, peak_frequencies
 
-        if not self.claims_certificate:
+        if not self.has_certifiable_model:
             return ()
         if not self.design.feasible or self.design.inverts_input_map:
             return ()
@@ -240,15 +240,15 @@ class RunFiles:
         return self.specification.plant or IdentifiedPlant.from_model(self.model)
 
     @property
-    def claims_certificate(self) -> bool:
-        """Whether a run has a certified design, which needs a model that can be certified."""
+    def has_certifiable_model(self) -> bool:
+        """Whether the model of a run can be certified, so that the run has a controller design."""
         return self.specification.model.gives_ssm
 
     @property
     def closes_loop(self) -> bool:
         """Whether a run has a controller, an observer, and a plant or model to close the loop
         on."""
-        if not self.claims_certificate or not self.design.feasible:
+        if not self.has_certifiable_model or not self.design.feasible:
             return False
         return self.specification.plant is not None or not has_direct_feedthrough(self.model)
 

@@ -102,7 +102,7 @@ class Verification:
 
 
 def finding_lines(findings: Sequence[Checked]) -> list[str]:
-    """Text lines with each claim that holds, and with each cause of failed claims."""
+    """Text lines of a verification: each claim that holds, and each cause of failed claims."""
     failing: dict[str, list[str]] = {}
     for finding in findings:
         if not finding.holds:
@@ -204,7 +204,7 @@ def section_claim(function: str) -> str:
 def _applicable_sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
     """Checking functions of the verification that apply to a run."""
     try:
-        return SECTIONS if run.claims_certificate else OF_A_BASELINE
+        return SECTIONS if run.has_certifiable_model else OF_A_BASELINE
     except Exception as error:
         if str(getattr(error, "field", "")).endswith("_target_"):
             raise  # without `--with` nothing can be derived, which is no lie of the run

@@ -50,7 +50,7 @@ def find_declaration(name: str) -> Column | None:
 
 
 def column_label(name: str) -> str:
-    """Printed name of a column with its unit.
+    """Printed name of a table column with its unit.
 
     For instance `Mean settling time (s)` for `settling_time_mean_s`.
     """

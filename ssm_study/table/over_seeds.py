@@ -59,7 +59,7 @@ def align_columns(rows: list[list[str]]) -> list[str]:
 
 
 def setting_heading(name: str) -> str:
-    """Short column heading of a setting."""
+    """Short heading of the table column that holds a setting."""
     column = BY_NAME.get(name)
     return column.head if column is not None and column.head else name
 

@@ -223,7 +223,8 @@ def render_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH)
 
 
 def certificate_words(table: pd.DataFrame) -> pd.Series:
-    """Verdict on the certificates of each run, in one word; missing if the run has none."""
+    """Verdict on the certificates of each run of a table, in one word; missing if the run has
+    none."""
     controller = table["controller_certified"]
     observer = table["observer_certified"]
     controller_holds = controller.fillna(False)
@@ -287,8 +288,8 @@ def format_cell(value: object) -> str:
 
 
 def summary_lines(table: pd.DataFrame, printed_count: int) -> list[str]:
-    """Text lines with the number of runs by status, and the reasons of failed and infeasible
-    runs."""
+    """Text lines with the number of a study's runs by status, and the reasons of failed and
+    infeasible runs."""
     run = short_run_names(table["run"])
     table = table.assign(run=run)
     counts = table["status"].value_counts()

@@ -10,7 +10,7 @@ from types import ModuleType
 import pytest
 
 from ssm_study.engine import fingerprint as code
-from ssm_study.engine.fingerprint import Code, code_version, find_symbol
+from ssm_study.engine.fingerprint import CodeReader, code_version, find_symbol
 from ssm_study.study.stages.bounds import BOUNDS
 from ssm_study.study.stages.catalogue import STAGES
 from ssm_study.study.stages.dataset import DATASET
@@ -48,7 +48,7 @@ def _each_text_is_scanned_once() -> Iterator[None]:
 def versions(folder: Path) -> dict[str, str]:
     """Version by stage of what computes it, and of what measures it, over the sources in
     `folder`."""
-    sources = Code({"ssm_study": folder})
+    sources = CodeReader({"ssm_study": folder})
     found = {}
     for stage in STAGES:
         names = TARGETS.get(stage.name, ())
@@ -214,12 +214,12 @@ def test_every_symbol_that_is_reached_counts_and_no_other(
     for name, text in TOY.items():
         (tmp_path / name).write_text(text)
     folders = {"toy": tmp_path}
-    before = Code(folders).code_digest(("toy.a", "root"))
+    before = CodeReader(folders).code_digest(("toy.a", "root"))
     file, old, new = edit
     assert old in TOY[file]
     (tmp_path / file).write_text(TOY[file].replace(old, new, 1))
     folders = {"toy": tmp_path}
-    digest = Code(folders).code_digest(("toy.a", "root"))
+    digest = CodeReader(folders).code_digest(("toy.a", "root"))
     assert (digest != before) is counts
 
 
@@ -232,7 +232,7 @@ def test_a_library_counts_by_its_version_where_it_is_used(
 
     def seen(root: str) -> str:
         folders = {"toy": tmp_path}
-        return Code(folders).code_digest(("toy.b", root))
+        return CodeReader(folders).code_digest(("toy.b", root))
 
     before = seen("used"), seen("unused")
     monkeypatch.setattr("ssm_study.engine.fingerprint.library_version", lambda name: f"{name} 99")
@@ -253,7 +253,7 @@ def test_a_library_in_a_folder_of_its_own_counts_by_its_version(
     (package / "__init__.py").write_text("constant = 1\n")
     if is_installed:
         (tmp_path / f"{name}-1.0.dist-info").mkdir()
-    assert Code()._is_followed(name) is not is_installed
+    assert CodeReader()._is_followed(name) is not is_installed
 
 
 def test_a_compiled_module_has_no_source_to_read(
@@ -266,9 +266,9 @@ def test_a_compiled_module_has_no_source_to_read(
     (package / "__init__.py").write_text("constant = 1\n")
     part = ModuleType("toy_compiled.part")
     monkeypatch.setitem(sys.modules, "toy_compiled.part", part)
-    assert Code()._source_path("toy_compiled.part") is None
+    assert CodeReader()._source_path("toy_compiled.part") is None
     part.__file__ = str(package / "part.cpython-312-x86_64-linux-gnu.so")
-    assert Code()._source_path("toy_compiled.part") is None
+    assert CodeReader()._source_path("toy_compiled.part") is None
 
 
 def test_a_name_that_is_nowhere_is_refused() -> None:

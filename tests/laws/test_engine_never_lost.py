@@ -19,7 +19,7 @@ from ssm_study.durable import add_digest, json_bytes, link_or_copy
 from ssm_study.engine.jobs import Job, kill_job, record_death
 from ssm_study.engine.records import LOCK, RECORD, parse_record, read_record, write_record
 from ssm_study.engine.runs import Run, error_columns, execute_run
-from ssm_study.engine.server import SERVER_DIED, UNBORN, Child, Server
+from ssm_study.engine.server import SERVER_DIED, UNBORN, JobProcess, Server
 from ssm_study.engine.settings import Settings
 from ssm_study.engine.stages import Stage
 from ssm_study.engine.task import RunStages
@@ -83,7 +83,7 @@ def test_killing_a_job_that_was_never_born_kills_nobody(monkeypatch: pytest.Monk
     monkeypatch.setattr(os, "kill", lambda pid, _: killed.append(pid))
     for pid in (UNBORN, 12345):
         job = Job(overrides=[], settings=Settings(), folder=Path("x"))
-        job.process = Child(pid=pid, wait_for_job_end=lambda _: None, exitcode=SERVER_DIED)
+        job.process = JobProcess(pid=pid, wait_for_job_end=lambda _: None, exitcode=SERVER_DIED)
         kill_job(job)
     assert killed == [12345]
 

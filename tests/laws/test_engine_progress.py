@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ssm_study.engine.progress import Progress, Watch
+from ssm_study.engine.progress import Progress, ProgressWatcher
 from ssm_study.engine.records import write_record
 
 
@@ -36,7 +36,7 @@ def test_a_watch_reads_the_run_folders(tmp_path: Path, capsys: pytest.CaptureFix
     write_record(folders[0], record)
     record = {"status": "running"}
     write_record(folders[1], record)
-    with Watch([*folders, folders[0]], every_s=0.01) as watch:
+    with ProgressWatcher([*folders, folders[0]], every_s=0.01) as watch:
         record = {"status": "failed"}
         write_record(folders[1], record)
     assert not watch.is_alive()

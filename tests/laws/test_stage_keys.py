@@ -17,7 +17,7 @@ from hydra import compose, initialize_config_dir
 
 from ssm_study.engine import fingerprint
 from ssm_study.engine import stages as engine_stages
-from ssm_study.engine.fingerprint import Code, find_symbol
+from ssm_study.engine.fingerprint import CodeReader, find_symbol
 from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages, columns_key
 from ssm_study.study.line import STUDY
 from ssm_study.study.specification import Specification
@@ -97,7 +97,7 @@ def keys_of(
     request: Specification, package: Path, folder: Path = Path("nowhere")
 ) -> dict[str, str]:
     """Key of every stage and of its columns, with the sources in `package`."""
-    sources = Code({"ssm_study": package})
+    sources = CodeReader({"ssm_study": package})
 
     def version(*roots: Callable[..., Any] | type | str) -> str:
         symbols = sorted({find_symbol(root) for root in roots})
@@ -328,7 +328,7 @@ def test_a_plug_in_counts_also_what_it_imports_by_an_old_name(
 
     def version() -> str:
         folders = {"ssm_study": scratch, "own": own}
-        code = Code(folders)
+        code = CodeReader(folders)
         return code.code_digest(root)
 
     before = version()

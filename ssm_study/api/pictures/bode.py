@@ -25,7 +25,7 @@ def bode_picture(
     slopes: JacobianBall | None = None,
     units: tuple[str, str] = ("", ""),
 ) -> Picture:
-    """Bode plot of the model at its equilibrium, with dots estimated from a record without any
+    """Bode plot of a model at its equilibrium, with dots that are estimated from a record without a
     model.
 
     `slopes` of the input map shade the gains that they allow, for one input. `units` are those of

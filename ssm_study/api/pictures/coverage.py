@@ -156,5 +156,6 @@ def _smallest_coverage_dot(band: CoverageBand, kappa: float, step_s: float) -> S
 
 
 def _format_coverage(coverage: float) -> str:
-    """Coverage as text of two digits, rounded down so that no value below one is printed as one."""
+    """Text of a coverage (tolerated model error relative to the measured one), rounded down to two
+    digits."""
     return f"{np.floor(100 * coverage) / 100:.2f}"

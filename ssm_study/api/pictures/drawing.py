@@ -62,7 +62,7 @@ def draw_unstyled(picture: Picture) -> "Figure":
 
 
 def draw_panel(axes: "Axes", panel: PicturePanel) -> None:
-    """Draw one panel of a picture into its axes."""
+    """Draw one panel of a picture into Matplotlib axes."""
     for band in panel.bands:
         label = band.name or None
         axes.fill_between(
@@ -118,7 +118,7 @@ def _is_wide(axes: "Axes") -> bool:
 
 
 def _draw_series(axes: "Axes", series: Series) -> None:
-    """Draw one series of a picture as line, dots or another mark."""
+    """Draw one series of a picture as a line, as dots or with another mark."""
     label = series.name or None
     look: dict[str, Any] = {"color": series.colour, "label": label}
     linewidth = 0.7 if series.thin else 1.1
@@ -140,7 +140,7 @@ def _draw_series(axes: "Axes", series: Series) -> None:
 
 
 def _draw_guide_line(axes: "Axes", rule: GuideLine) -> None:
-    """Draw a horizontal or vertical guide line across the axes."""
+    """Draw a horizontal or vertical guide line across Matplotlib axes."""
     linestyle = "--" if rule.dashed else "-"
     label = rule.name or None
     look: dict[str, Any] = {

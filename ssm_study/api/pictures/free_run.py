@@ -80,7 +80,7 @@ def _error_panel(errors: list[Series], label: str) -> PicturePanel:
 
 
 def _error_colour(i: int) -> str:
-    """Colour of one of several models' error curves, the same as the colour of that model's free
+    """Colour of the error curve of one of several models, the same as that of the model's free
     run."""
     colour_number = i % len(style.CYCLE)
     return style.CYCLE[colour_number]

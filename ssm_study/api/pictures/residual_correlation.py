@@ -15,7 +15,7 @@ Signals = Sequence[Float[np.ndarray, "_ c"]]
 def residual_correlation_picture(
     errors: Signals, inputs: Signals, output_name: str, input_names: Sequence[str]
 ) -> Picture:
-    """Picture of the correlations of a free run's error with itself and with the inputs.
+    """Picture of the correlations of a free run's simulation error with itself and with the inputs.
 
     Of the first output; one panel for it alone and one for each input.
     """

@@ -58,7 +58,7 @@ class CaptionedFigure:
     caption: str
 
     def _repr_mimebundle_(self, **_: object) -> dict[str, object]:
-        """Image and caption of the figure for a notebook."""
+        """Image and caption of a figure, as a notebook displays them."""
         source = f"data:image/png;base64,{base64.b64encode(self.png).decode()}"
         caption = f"<figcaption>{escape(self.caption)}</figcaption>"
         return {

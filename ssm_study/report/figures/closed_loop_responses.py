@@ -13,8 +13,8 @@ from ssm_study.report.study_folder import RecordedCases, StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the closed loop's outputs, the uncontrolled plant's outputs and the inputs, for every
-    initial condition."""
+    """Draw the best run's closed-loop outputs and inputs, and the outputs without control, for
+    every initial condition."""
     (loop,) = study.read_from_best("closed_loop", otherwise="No run reached the closed loop.")
     if style.is_single_column():
         fig = style.new_figure(style.COLUMN_IN, 4.6)

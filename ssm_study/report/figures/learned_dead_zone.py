@@ -28,7 +28,8 @@ Range = Float[np.ndarray, "N"]
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the learned input map beside the motor's true dead zone, and the slope of the map."""
+    """Draw the best run's learned input map beside the motor's true dead zone, and the slope of the
+    map."""
     reason = "No run left a model without neurons."
     model, record, config = study.read_from_best("model", "record", "config", otherwise=reason)
     if model.scaffold_in.inputs != 1:
@@ -71,8 +72,8 @@ def _label_axes(value: Axes, slope: Axes, is_motor: bool) -> None:
 
 
 def known_dead_zone(config: Mapping[str, Any]) -> tuple[float | None, float]:
-    """Dead zone of the simulated plant, V, and the voltage by which the friction of both shafts
-    widens it at rest.
+    """Dead zone of the simulated motor in volts, and the voltage by which friction widens the dead
+    zone at rest.
 
     None for a recording, beside which the group's default plant stands.
     """

@@ -59,7 +59,7 @@ def label_axes(axes: Axes, time_s: Stretch, label: str) -> None:
 
 
 def draw_free_run(axes: Axes, part: RecordedCases, name: str, fit: float | None) -> None:
-    """Draw the measured output as dots, with the model's free run on top."""
+    """Draw the measured output as dots, with the model's free-run simulation on top."""
     time_s = part.time_s("measured")[:LONGEST]
     label = "model" if fit is None else f"model (fit {fit:.1f} % on the whole record)"
     measured = first_channel(part, "measured")

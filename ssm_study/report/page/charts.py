@@ -189,14 +189,15 @@ def panel_specification(panel: ScatterPlot, table: pd.DataFrame) -> dict[str, An
 
 
 def _reference_heights(panel: ScatterPlot, table: pd.DataFrame) -> list[float]:
-    """Height of a plot's horizontal reference line; None if it has none."""
+    """Height of a plot's horizontal reference line, as a list that is empty if there is none."""
     values = numeric_column(table, panel.rule_y)
     median = float(values.median())
     return [] if np.isnan(median) else [median]
 
 
 def _stage_time_bars() -> alt.Chart:
-    """Layer of a chart with one short bar per run for its stage times."""
+    """Layer of a chart with one short bar for each run that shows the computing times of its
+    stages."""
     hint = alt.TooltipContent("data")
     chart = alt.Chart(alt.NamedData("ticks"))
     return chart.mark_tick(orient="horizontal", tooltip=hint, **BAR_LOOK)

@@ -226,7 +226,7 @@ def loop_facts(study: StudyFolder, record: dict[str, Any]) -> RecordedLoopFacts 
 
 
 def plants_and_data_text(table: pd.DataFrame) -> str:
-    """Text on the plants and the data of a study. Data: simulated. `."""
+    """Text that names the plants and the kind of data of a study, such as `Data: simulated.`"""
     plants = text_column(table, "plant").map(choice_label)
     sources = text_column(table, "data_source")
     words = ""
@@ -249,7 +249,7 @@ def page_title(table: pd.DataFrame) -> str:
 
 
 def setting_text_in_sentence(name: str) -> str:
-    """Text for a swept setting in a sentence, without its unit."""
+    """Printed name of a swept setting for use in a sentence, without its unit."""
     without_unit = printed_column_name(name).partition(" (")[0]
     word = without_unit.partition(",")[0].lower()
     return word if FURTHER.matches_name(name) else f"the {word}"

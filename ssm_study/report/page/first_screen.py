@@ -182,7 +182,7 @@ def record_verdict(record: Record) -> Verdict:
 
 
 def failure_reasons(record: Record) -> list[str]:
-    """Reasons why a run is infeasible, not certified or failed, from its record.
+    """Reasons, from its record, why a run is infeasible, not certified or failed.
 
     The verdict stands before them, so an infeasible rate is not called infeasible once more.
     """

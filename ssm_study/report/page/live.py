@@ -60,7 +60,7 @@ class LivePage:
             return allowed + SCRIPT
 
     def study_state_mark(self) -> str:
-        """Text that changes whenever a record of the study changes."""
+        """Text that changes whenever the record of a run in the study changes."""
         marks = sorted((name, *mark) for name, mark in record_marks(self.study).items())
         return str(hash(tuple(marks)))
 

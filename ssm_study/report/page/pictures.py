@@ -83,7 +83,7 @@ def panel_spec(panel: PicturePanel, description: str) -> Spec:
     legend above."""
     axes = panel_axes(panel)
     layers = [band_layer(band, panel, axes) for band in panel.bands]
-    layers += [rule_layer(rule) for rule in panel.rules]
+    layers += [guide_line_layer(rule) for rule in panel.rules]
     layers += [series_layer(series, panel, axes) for series in panel.series]
     spec: Spec = {"layer": layers, "height": PANEL_HEIGHT}
     if panel.equal:
@@ -104,7 +104,7 @@ def panel_axes(panel: PicturePanel) -> Spec:
 def legend_entries(panel: PicturePanel) -> list[LegendEntry]:
     """Legend entries of a picture's panel: each named curve or line with its mark, colour and
     dashes."""
-    entries = [(rule.name, "line", INK, dash_text(rule_dashes(rule))) for rule in panel.rules]
+    entries = [(rule.name, "line", INK, dash_text(guide_line_dashes(rule))) for rule in panel.rules]
     for series in panel.series:
         mark = "line" if series.mark in JOINED else series.mark
         entries.append((series.name, mark, series.colour, dash_text(series.dashes)))
@@ -113,7 +113,7 @@ def legend_entries(panel: PicturePanel) -> list[LegendEntry]:
     return list(dict.fromkeys(named))
 
 
-def rule_dashes(rule: GuideLine) -> tuple[int, ...]:
+def guide_line_dashes(rule: GuideLine) -> tuple[int, ...]:
     """Lengths of dash and gap with which a guide line is drawn; none for a solid line."""
     return tuple(DASH) if rule.dashed else ()
 
@@ -159,14 +159,14 @@ def series_layer(series: Series, panel: PicturePanel, axes: Spec) -> Spec:
     return layer
 
 
-def rule_layer(rule: GuideLine) -> Spec:
-    """Vega-Lite layer of a guide line across the panel."""
+def guide_line_layer(rule: GuideLine) -> Spec:
+    """Vega-Lite layer that draws a guide line across a panel."""
     axis = "x"
     place = rule.x
     if place is None:
         axis = "y"
         place = rule.y
-    mark = STROKES | {"color": INK, "strokeDash": rule_dashes(rule)}
+    mark = STROKES | {"color": INK, "strokeDash": guide_line_dashes(rule)}
     return {"data": {"values": [{}]}, "mark": mark, "encoding": {axis: {"datum": place}}}
 
 
@@ -243,5 +243,6 @@ def _line_stride(points: int) -> int:
 
 
 def round_for_page(values: Values) -> list[float | None]:
-    """Round numbers to four significant digits for the page; None stands for a gap in a line."""
+    """Round numbers to four significant digits for the report page; None stands for a gap in a
+    line."""
     return [float(f"{value:.4g}") if np.isfinite(value) else None for value in values]

@@ -211,7 +211,8 @@ def unproved_limits_text(record: Record) -> str:
 
 
 def is_limited_to_records(record: Record) -> bool:
-    """Whether the simulated input was limited to the recorded range, as it is on a log's model."""
+    """Whether the simulated input of a closed loop was limited to the recorded range, as for a log
+    of measurements."""
     return record.get("loop_on") == "identified model"
 
 

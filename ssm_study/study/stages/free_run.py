@@ -29,7 +29,7 @@ class ModelRun:
 
     @cached_property
     def model(self) -> Any:
-        """Identified model, read from its file."""
+        """Identified model of a run, read from its file."""
         return read_model(self.folder)
 
     @cached_property
