@@ -75,7 +75,7 @@ class Badly(Task[Settings]):
             "threads_seen": _threads(request),
         }
 
-    def preload_modules(self, again: Set[str]) -> None:  # noqa: ARG002
+    def preload_modules(self, stages_to_compute: Set[str]) -> None:  # noqa: ARG002
         for module in filter(None, os.environ.get("WARM", "").split()):
             importlib.import_module(module)
 

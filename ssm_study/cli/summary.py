@@ -92,7 +92,11 @@ def _read_cached_list(cache_file: Path, study: Path, files: Sequence[Path]) -> l
 
 
 def _outcome_text(
-    study: Path, record: dict[str, Any], drawn: Sequence[str], figures: list[Path], width: int
+    study: Path,
+    record: dict[str, Any],
+    figure_names: Sequence[str],
+    figures: list[Path],
+    width: int,
 ) -> str:
     """Text on the outcome of a run, coloured for a terminal of a given width. The table and the
     figures of its study are brought up to date first."""
@@ -104,7 +108,7 @@ def _outcome_text(
     gather(study, must_write=False)  # the run is through, whatever the disk holds
     printed_figures = figures if record.get("status") == OK else []
     if printed_figures:
-        draw_figures(drawn, study, run=record["run"])
+        draw_figures(figure_names, study, run=record["run"])
     page = Console(
         file=io.StringIO(),
         width=width,

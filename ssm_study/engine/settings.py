@@ -139,9 +139,9 @@ def run_name(config: DictConfig | Settings, *labelled_paths: str) -> str:
     return "-".join([*words, digest_of_value(identity)[:NAME_DIGITS]])
 
 
-def run_name_part(word: str, value: int | float | str) -> str:
+def run_name_part(label: str, value: int | float | str) -> str:
     """Part of a run's name that states the value of a setting, such as `seed0`."""
-    return re.sub(r"[^A-Za-z0-9.]+", "_", f"{word}{value}")[:LONGEST_WORD]
+    return re.sub(r"[^A-Za-z0-9.]+", "_", f"{label}{value}")[:LONGEST_WORD]
 
 
 def value_at_path(settings: Any, path: str) -> Any:

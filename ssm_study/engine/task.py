@@ -72,12 +72,12 @@ class Task(ABC, Generic[R]):
         their content changes."""
         return []
 
-    def preload_modules(self, again: Set[str]) -> None:
+    def preload_modules(self, stages_to_compute: Set[str]) -> None:
         """Import everything that the jobs of a sweep would import, once before the first job is
         forked.
 
-        `again` names the stages that several jobs will compute; what only other stages take is left
-        to the job.
+        `stages_to_compute` names the stages that several jobs will compute; what only other stages
+        take is left to the job.
         """
 
     def provenance(self) -> Facts:

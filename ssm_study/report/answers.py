@@ -207,14 +207,14 @@ def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
     return (*sentences, *failure_bound_sentences(models, share[has_both & stable]))
 
 
-def failure_bound_sentences(models: pd.Series, share: pd.Series) -> list[str]:
+def failure_bound_sentences(models: pd.Series, settled_fraction: pd.Series) -> list[str]:
     """Sentence with an upper bound on the probability that a prediction of stability fails, where
     each model counts once.
 
     Loops of one model are not independent. With k of N models wrong the probability is below the p
     of `P(X <= k) = 0.05`, X binomial (Clopper & Pearson 1934); `1 - 0.05^(1/N)` for none.
     """
-    wrong = (share < 1).groupby(models[models != ""]).any()
+    wrong = (settled_fraction < 1).groupby(models[models != ""]).any()
     count = len(wrong)
     failed = int(wrong.sum())
     if count < 2 or failed == count:

@@ -102,14 +102,14 @@ def _signal_values(recording: RecordedCases, name: str) -> list[Float[np.ndarray
 
 
 def _require_same_record(
-    first_folder: Path, first: RecordedCases, folder: Path, other: RecordedCases
+    first_folder: Path, first_recording: RecordedCases, folder: Path, other_recording: RecordedCases
 ) -> None:
     """Raise `BadRequest` for a run whose test record differs from that of the first compared
     run."""
     remedy = "name runs of the same data and the same test part"
     for name in ("input", "measured"):
-        ours = _signal_values(first, name)
-        theirs = _signal_values(other, name)
+        ours = _signal_values(first_recording, name)
+        theirs = _signal_values(other_recording, name)
         alike = len(ours) == len(theirs) and all(map(np.array_equal, ours, theirs))
         problem = f"its test record is not that of {first_folder} ({name} differs)"
         require(alike, "run", folder, problem, remedy)

@@ -55,13 +55,13 @@ class RunFolder:
                 "report", path, f"the file is damaged ({cause})", "run the study again"
             ) from error
 
-    def _read_recording(self, name: str, most: int | None = None) -> RecordedCases | None:
+    def _read_recording(self, name: str, max_cases: int | None = None) -> RecordedCases | None:
         """Read a recording of the run; None if there is no such file."""
         path = self.path / f"{name}.mcap"
         if not path.is_file():
             return None
         recording = RecordedCases.from_file(path)
-        return replace(recording, cases=dict(islice(recording.cases.items(), most)))
+        return replace(recording, cases=dict(islice(recording.cases.items(), max_cases)))
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -145,12 +145,12 @@ class RunFolder:
     @cached_property
     def validation(self) -> RecordedCases | None:
         """First validation record of a run with the model's free run."""
-        return self._read_recording("validation", most=1)
+        return self._read_recording("validation", max_cases=1)
 
     @cached_property
     def test(self) -> RecordedCases | None:
         """First test record of a run with the model's free run."""
-        return self._read_recording("test", most=1)
+        return self._read_recording("test", max_cases=1)
 
     @cached_property
     def excitation(self) -> RecordedCases | None:

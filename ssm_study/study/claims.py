@@ -309,13 +309,13 @@ def check_loop_signals(
     yield Checked(claim="closed_loop.mcap loop_on", holds=holds, found=observation)
 
 
-def check_loop_on_plant(stored: LoopRuns, again: LoopRuns) -> Checked:
+def check_loop_on_plant(stored: LoopRuns, recomputed: LoopRuns) -> Checked:
     """Check that the configured plant with the certified gains gives the recorded closed loops
     again."""
-    pairs = loop_signal_pairs(stored.controlled, again.controlled)
+    pairs = loop_signal_pairs(stored.controlled, recomputed.controlled)
     for name in ("settling_band", "input_equilibrium"):
-        pairs[name] = getattr(stored, name), getattr(again, name)
-    pairs["uncontrolled"] = stored.uncontrolled.y, again.uncontrolled.y
+        pairs[name] = getattr(stored, name), getattr(recomputed, name)
+    pairs["uncontrolled"] = stored.uncontrolled.y, recomputed.uncontrolled.y
     source = "the configured plant with the certified gains gives it"
     return check_agreement("closed_loop.mcap", pairs, ITERATED, source)
 

@@ -246,11 +246,11 @@ class Study(Task["Specification"]):
             request.configuration, {word.partition("=")[0] for word in overrides}
         )
 
-    def preload_modules(self, again: Set[str]) -> None:
+    def preload_modules(self, stages_to_compute: Set[str]) -> None:
         """Import, before the jobs of a sweep are forked, the modules that all of them use."""
         from ssm_study.study.preload import preload_modules
 
-        preload_modules(again)
+        preload_modules(stages_to_compute)
 
 
 STUDY = Study()

@@ -30,9 +30,9 @@ HEAVY = {
 }
 
 
-def modules_to_preload(again: Set[str]) -> Iterator[str]:
+def modules_to_preload(stages_to_compute: Set[str]) -> Iterator[str]:
     """Names of the Python modules that the jobs of a sweep will import."""
-    left = [modules for stage, modules in HEAVY.items() if stage not in again]
+    left = [modules for stage, modules in HEAVY.items() if stage not in stages_to_compute]
     for room in ROOMS:
         package = importlib.import_module(f"{ssm_study.__name__}.{room}")
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
@@ -40,10 +40,10 @@ def modules_to_preload(again: Set[str]) -> Iterator[str]:
                 yield module.name
 
 
-def preload_modules(again: Set[str]) -> None:
+def preload_modules(stages_to_compute: Set[str]) -> None:
     """Import the Python modules that all jobs of a sweep use, in the process from which the jobs
-    are forked. `again` is as in `Task.preload_modules`."""
-    for name in modules_to_preload(again):
+    are forked. `stages_to_compute` is as in `Task.preload_modules`."""
+    for name in modules_to_preload(stages_to_compute):
         with suppress(
             Exception
         ):  # a broken module matters to the runs that name it, and they will say so

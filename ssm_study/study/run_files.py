@@ -266,7 +266,7 @@ def refuse_repeated_keys(file: str, pairs: list[tuple[str, Any]]) -> dict[str, A
     return dict(pairs)
 
 
-def find_unknown_entries(stored: Any, written: Any, at: str = "") -> list[str]:
+def find_unknown_entries(stored: Any, written: Any, parent_path: str = "") -> list[str]:
     """Find dotted paths of entries in a stored JSON object that the reader of the file does not
     use.
 
@@ -275,10 +275,10 @@ def find_unknown_entries(stored: Any, written: Any, at: str = "") -> list[str]:
     paths: list[str] = []
     if isinstance(stored, list) and isinstance(written, list):
         for pair in zip(stored, written, strict=False):
-            paths += find_unknown_entries(*pair, at)
+            paths += find_unknown_entries(*pair, parent_path)
     elif isinstance(stored, dict):
         for name, value in stored.items():
-            path = f"{at}{name}"
+            path = f"{parent_path}{name}"
             if isinstance(written, dict) and name in written:
                 paths += find_unknown_entries(value, written[name], f"{path}.")
             else:

@@ -106,8 +106,8 @@ def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -
     asked = []
 
     class Asked(Badly):
-        def preload_modules(self, again: Set[str]) -> None:
-            asked.append(again)
+        def preload_modules(self, stages_to_compute: Set[str]) -> None:
+            asked.append(stages_to_compute)
 
     def job(run: str, seed: int, rate: int) -> Job:
         made = Settings(

@@ -38,7 +38,11 @@ Times = Float[np.ndarray, "T"]
 
 
 def initial_response_picture(
-    controlled: Rollouts, uncontrolled: Rollouts, plant: Any, recorded: Inputs, place: str
+    controlled: Rollouts,
+    uncontrolled: Rollouts,
+    plant: Any,
+    recorded_inputs: Inputs,
+    loop_place: str,
 ) -> Picture:
     """Picture of the closed loop's outputs and inputs from given initial outputs, beside the
     response without control."""
@@ -53,11 +57,11 @@ def initial_response_picture(
         axis_label = channel_label(channel)
         panel = PicturePanel(x_label="Time (s)", y_label=axis_label, series=series)
         upper.append(panel)
-    lower = _input_panels(controlled, plant.inputs, recorded)
+    lower = _input_panels(controlled, plant.inputs, recorded_inputs)
     upper_row = _pad_panels(upper, columns)
     lower_row = _pad_panels(lower, columns)
     panels = (*upper_row, *lower_row)
-    title = f"Closed loop on {place}"
+    title = f"Closed loop on {loop_place}"
     return Picture(title=title, panels=panels, columns=columns, wide=True)
 
 
@@ -66,8 +70,8 @@ def set_point_picture(
     design: Design,
     model: Any,
     loop: Loop,
-    recorded: Inputs,
-    place: str,
+    recorded_inputs: Inputs,
+    loop_place: str,
     size: float | None = None,
 ) -> Picture:
     """Picture of the closed loop's response to a step of the set point, without noise.
@@ -86,7 +90,7 @@ def set_point_picture(
         except BadRequest as refusal:
             reason = f"No step of the set point can be held: {refusal}"
             continue
-        return _step_picture(run, plant, recorded, place, candidate)
+        return _step_picture(run, plant, recorded_inputs, loop_place, candidate)
     raise NothingToShow(reason)
 
 
@@ -104,7 +108,9 @@ def _simulate_step_response(
     return stepped_loop.simulate(plant, controller, rest, noise)
 
 
-def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size: float) -> Picture:
+def _step_picture(
+    run: Rollouts, plant: Any, recorded_inputs: Inputs, loop_place: str, size: float
+) -> Picture:
     """Picture of a step response: the output beside its reference, and the input."""
     (time_s,) = settling_times_s(run, plant.settling_band)
     time_range = _drawn_time_range(run, time_s)
@@ -131,7 +137,7 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
             x_label="Time (s)", y_label=axis_label, series=series, bands=(band,), x_range=time_range
         )
         upper.append(panel)
-    input_panels = _input_panels(run, plant.inputs, recorded)
+    input_panels = _input_panels(run, plant.inputs, recorded_inputs)
     lower = [replace(panel, x_range=time_range) for panel in input_panels]
     upper_row = _pad_panels(upper, columns)
     lower_row = _pad_panels(lower, columns)
@@ -144,7 +150,7 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
             ending += f", {since_motion_s:.2g} s after the output first moves"
     unit = f" {plant.outputs[0].unit}" if plant.outputs[0].unit else ""
     known = ", known in advance," if ahead else ""
-    title = f"Step of the set point by {size:.3g}{unit}{known} on {place}: {ending}"
+    title = f"Step of the set point by {size:.3g}{unit}{known} on {loop_place}: {ending}"
     return Picture(title=title, panels=panels, columns=columns, wide=True)
 
 
@@ -220,14 +226,14 @@ def _case_curves(runs: Rollouts, signal: str, j: int, name: str, colour: str) ->
 
 
 def _input_panels(
-    runs: Rollouts, inputs: Sequence[Channel], recorded: Inputs
+    runs: Rollouts, inputs: Sequence[Channel], recorded_inputs: Inputs
 ) -> list[PicturePanel]:
     """Panels of a picture that show the inputs, with lines at the ends of their recorded range."""
     panels = []
     for j, channel in enumerate(inputs):
         rules: tuple[GuideLine, ...] = ()
-        if len(recorded):
-            recorded_values = [record[:, j] for record in recorded]
+        if len(recorded_inputs):
+            recorded_values = [record[:, j] for record in recorded_inputs]
             values = np.concatenate(recorded_values)
             lowest = values.min()
             guide_line = GuideLine(y=float(lowest), name="recorded range")

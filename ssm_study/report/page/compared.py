@@ -98,9 +98,9 @@ def settled_cell(row: dict[str, Any]) -> tuple[str, str]:
     return words, shade
 
 
-def format_percent(share: Any) -> str:
+def format_percent(fraction: Any) -> str:
     """Text of a fraction in per cent."""
-    return MISSING if pd.isna(share) else f"{100 * share:.0f} %"
+    return MISSING if pd.isna(fraction) else f"{100 * fraction:.0f} %"
 
 
 def format_number(value: Any) -> str:

@@ -52,9 +52,9 @@ def eligible_run_mask(table: pd.DataFrame) -> "pd.Series[bool]":
     return is_settled & predicted_stable(table) & is_alike
 
 
-def comparison_text(table: pd.DataFrame, place: int) -> str:
+def comparison_text(table: pd.DataFrame, row: int) -> str:
     """Text that compares a run with the best run in settling time, stability margin and gain."""
-    own = row_as_record(table.iloc[place])
+    own = row_as_record(table.iloc[row])
     best = row_as_record(table.iloc[0])
     time_s = f"{own['settling_time_mean_s']:.3g} s"
     own_margin = format_beside_bound(own["resolved_margin"])

@@ -18,11 +18,11 @@ SCRIPTS = tuple(
 )  # in this order
 
 
-def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
+def write_page(study_folder: Path, other_studies: tuple[Path, ...] = ()) -> Path:
     """Write the report page `report.html` of a study and return its path. Raises `BadRequest`
     without the extra `report` (Altair).
 
-    With `others`, one page shows all studies beside one another:
+    With `other_studies`, one page shows all studies beside one another:
     `study_folder/report_with_OTHER.html`. The file carries data, style, scripts and the plotting
     library; its content policy forbids any request.
     """
@@ -39,7 +39,7 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
     except ImportError as error:
         remedy = "pip install 'ssm-study[report]'"
         raise BadRequest("report", "page", f"{error.name} is not installed", remedy) from error
-    study = StudyFolder(folder=study_folder, others=others)
+    study = StudyFolder(folder=study_folder, others=other_studies)
     table = sort_for_page(study.table)
     answered = question_answers(table)
     data = page_data(study) | {
@@ -61,7 +61,7 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
         script="\n".join(files[name] for name in SCRIPTS),
     )
     path = study_folder / (
-        "_".join(["report", *(f"with_{other.resolve().name}" for other in others)]) + ".html"
+        "_".join(["report", *(f"with_{other.resolve().name}" for other in other_studies)]) + ".html"
     )
     write_atomically(path, html.encode(), durable=False)
     return path
