@@ -2,7 +2,7 @@
 place, and its times are converted to seconds."""
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -127,7 +127,8 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     clocks = [title for title in named if is_clock_column(table, title)]
     strict = [title for title in clocks if is_strict_clock(table, title)]
     if clocks:
-        return (strict or clocks)[0]
+        first = (strict or clocks)[0]
+        return dated_clock_of_another_span(table, first, free) or first
     for title in free:
         if has_clock_word(title) and is_strict_clock(table, title):
             return title
@@ -138,7 +139,8 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
             return title
     for title in free:
         times = table.columns[title]
-        if title.endswith(":1") and is_evenly_spaced(times) and not are_row_numbers(times):
+        is_first = title.endswith((":1", ".X.Data"))  # the second is that of a recorder's struct
+        if is_first and is_evenly_spaced(times) and not are_row_numbers(times):
             return title
     titles = iter(table.columns)
     first = next(titles, None)
@@ -154,6 +156,21 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     mostly = bool(increases.mean() > 0.5)
     is_clock = mostly or rounded_period_s(finite_times) is not None
     return first if is_clock else None
+
+
+def dated_clock_of_another_span(table: Table, title: str, free: Sequence[str]) -> str | None:
+    """Column of dates that contradicts a clock without a unit, which then does not count seconds;
+    None if there is none."""
+    has_unit = clock_unit_s(title, table.units.get(title, "")) is not None
+    if has_unit or title in table.dated:
+        return None
+    span_s = np.ptp(unwrap_column_times(table, title))
+    for dated in free:
+        if dated in table.dated and is_clock_column(table, dated):
+            dated_span_s = np.ptp(unwrap_column_times(table, dated))
+            if not 0.5 < dated_span_s / span_s < 2.0:
+                return dated
+    return None
 
 
 def is_nameless(table: Table, title: str) -> bool:

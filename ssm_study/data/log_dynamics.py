@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.data.log_checks import angle_sentences, unmeasured_reason
 from ssm_study.data.splits import rest_segments
 from ssm_study.signals import Trajectory
 
@@ -76,11 +77,16 @@ def describe_log_dynamics(
     record = max(records, key=len)
     u = record.u[:, 0]
     y = record.y[:, 0]
-    is_still = np.ptp(u) == 0 or np.ptp(y) == 0
-    if len(record) < 4 * LAGS or is_still:
-        return ["too short, or nothing moves: no dynamics measured"]
+    reason = unmeasured_reason(u, y, 4 * LAGS)
+    angles = angle_sentences(records)
+    if reason:
+        return [*angles, f"{reason}: no dynamics measured"]
     shares = input_shares(u, y)
-    sentences = [*standstill_sentences(records), input_return_sentence(count_rests(records))]
+    sentences = [
+        *angles,
+        *standstill_sentences(records),
+        input_return_sentence(count_rests(records)),
+    ]
     fed_back = feedback_share(u, y)
     answer = response_delay_sentence(u, y, shares)
     if FEEDTHROUGH in answer and is_interpolated:

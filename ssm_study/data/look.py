@@ -33,6 +33,7 @@ from ssm_study.signals import Trajectory
 MOST_SKIPPED = 6  # entries that are listed one by one
 MOST_LETTERS = 40  # of the name of a study
 MOST_NAMED = 4  # columns that move besides input and output, by name in the sentence on them
+ONE_SIGNAL = "one signal alone: if the output lies in another file, name that data.output_path"
 NO_SIGNALS = "no command yet: name the columns with --input and --output, and look again"
 NO_COMMAND = "no command yet: change what the line `not read yet` names, and look again"
 
@@ -168,7 +169,7 @@ def look_with_settings(path: Path, stated: LogSettings) -> LogLook:
     reading = Reading(records=[], step_is_known=True, sentences=[])
     others: list[str] = []
     if u is None or y is None:
-        sentences.append("one column alone: name a file for input and output each")
+        sentences.append(ONE_SIGNAL)
     elif doubts:
         sentences += doubts
         u = y = None
@@ -177,9 +178,9 @@ def look_with_settings(path: Path, stated: LogSettings) -> LogLook:
         source = stated.as_data_source(path, u, y)
         reading = examine_signals(path, table, clock, source)
         sentences += reading.sentences
-        clocks = [column.name for column in facts if is_clock(column, table)]
+        counters = [column.name for column in facts if is_counter(column, table)]
         others = other_signal_names(facts, clock, (u, y, stated.disturbance))
-        others = [name for name in others if name not in clocks]
+        others = [name for name in others if name not in counters]
         sentences += other_signal_sentences(others)
     command = NO_SIGNALS if doubts else study_command(path, u, y, stated, reading, facts, sentences)
     return LogLook(
@@ -202,10 +203,12 @@ def require_numeric_column(path: Path, table: Table) -> None:
     number."""
     problem = "has no column of numbers"
     remedy = "export it as CSV"
-    cells = [f"{name}: {reason}" for name, reason in table.skipped.items() if " in line " in reason]
-    if cells:
-        problem = f"{problem} ({cells[0]})"
-        remedy = "correct the file there"
+    reasons = [f"{name}: {reason}" for name, reason in table.skipped.items()]
+    cells = [reason for reason in reasons if " in line " in reason]
+    objects = [reason for reason in reasons if "object of class" in reason]
+    if cells or objects:
+        problem = f"{problem} ({(cells or objects)[0]})"
+        remedy = "correct the file there" if cells else "save its numbers as matrices"
     require(table.columns, "data.path", path, problem, remedy)
 
 
@@ -229,9 +232,8 @@ def choose_signals(
     """Choose the input and output columns, as stated by the user or else guessed."""
     free = []
     for column in facts:
-        is_even = is_evenly_spaced(table.columns[column.name])
         is_stated = column.name == stated.disturbance
-        if not (is_even or is_stated or is_clock(column, table)):
+        if not (is_stated or is_counter(column, table)):
             free.append(column)
     u, y = guess_signals(free, clock)
     if stated.input is not None:
@@ -241,8 +243,11 @@ def choose_signals(
     return u, y
 
 
-def is_clock(column: ColumnFacts, table: Table) -> bool:
-    """Whether a column has the title or the unit of a clock and runs like one."""
+def is_counter(column: ColumnFacts, table: Table) -> bool:
+    """Whether a column is no signal, because it counts rows or times: it increases evenly, or has
+    the title or the unit of a clock and runs like one."""
+    if is_evenly_spaced(table.columns[column.name]):
+        return True
     return runs_like_clock(column.name, column.unit, table.columns[column.name])
 
 
@@ -357,7 +362,8 @@ def study_command(
     """Command line that fits a model to the log, ready to be pasted."""
     study = f"study={study_name(path)} data=recorded"
     if u is None or y is None:
-        return f"ssm-study run {study} data.path={quote_for_command(str(path))} ..."
+        columns = "data.input=COLUMN data.output_path=FILE data.output=COLUMN data.step_s=SECONDS"
+        return f"ssm-study run {study} data.path={quote_for_command(str(path))} {columns}"
     if not reading.records:
         return NO_COMMAND
     words = [f"ssm-study run {study}", f"data.path={quote_for_command(str(path))}"]
@@ -389,4 +395,5 @@ def command_with_disturbance(
 def study_name(path: Path) -> str:
     """Name of a study for a log: the name of its file in plain letters, without suffix."""
     letters = unicodedata.normalize("NFKD", path.stem).encode("ascii", "ignore").decode()
-    return re.sub(r"[^A-Za-z0-9_-]+", "_", letters).strip("_-")[:MOST_LETTERS] or "log"
+    plain = re.sub(r"[^A-Za-z0-9_-]+", "_", letters).strip("_-")
+    return plain[:MOST_LETTERS].strip("_-") or "log"

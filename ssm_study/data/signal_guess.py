@@ -8,9 +8,11 @@ from ssm_study.data.written_numbers import AMBIGUOUS
 
 HOLDS_COUNT = 0.4  # weight, against a word of the name, of how long a column holds its levels
 FEW_LEVELS_COUNT = 0.2  # the same of how few levels it has
+LIKE_AN_INPUT = 0.55  # score by levels of a column that holds few of them nearly always
 STEADY_COUNTS = 0.3  # the same, against an input, of a column that hardly moves from its mean
 # Reasons why a column of numbers was skipped; a column of other texts has none of them.
 HAS_NUMBERS = re.compile(rf" in line \d+: |{AMBIGUOUS}")
+WORD_STARTS = r"(?<=[a-z]{2})(?=[A-Z][a-z])|(?<=\b[uy])(?=[A-Z])"  # leftSpeed, yTi
 STEADY = 0.1  # range over the largest magnitude, below which a column hardly moves
 INPUT_WORDS_TEXT = """
     u in input command cmd pwm duty valve heater voltage power signal inputsignal servo
@@ -37,8 +39,25 @@ def guess_signals(facts: Sequence[ColumnFacts], clock: str | None) -> tuple[str 
     moving = free if len(free) > 1 else moving
     u = max(moving, key=input_score)
     others = [column for column in moving if column is not u]
-    y = max(others, key=lambda column: title_word_score(column.name, OUTPUT_WORDS))
+    y = max(others, key=lambda column: output_score(column, u.name))
     return u.name, y.name
+
+
+def output_score(column: ColumnFacts, input_name: str) -> tuple[float, bool, bool]:
+    """Score of how much a column looks like the output: by the words of its title, then by the
+    number that it shares with the input's (`Heater 2`, `Temperature 2`), then by its levels."""
+    by_words = title_word_score(column.name, OUTPUT_WORDS)
+    if by_words < title_word_score(column.name, INPUT_WORDS):
+        by_words = -1.0
+    number = title_number(input_name)
+    same_number = number != "" and number == title_number(column.name)
+    return by_words, same_number, level_score(column) < LIKE_AN_INPUT
+
+
+def title_number(name: str) -> str:
+    """Number at the end of the words of a title; empty if there is none."""
+    found = re.search(r"[A-Za-z]\W?(\d+)\b", name)
+    return found.group(1) if found else ""
 
 
 def is_set_point_title(name: str) -> bool:
@@ -50,22 +69,33 @@ def is_set_point_title(name: str) -> bool:
 def input_score(column: ColumnFacts) -> float:
     """Score of how much a column looks like an input of the plant, from its name, number of levels
     and range. Columns with equal scores are taken in their order."""
-    few_levels = max(0.0, 1.0 - 2.0 * column.levels / column.rows)
-    by_levels = HOLDS_COUNT * round(column.held, 1) + FEW_LEVELS_COUNT * round(few_levels, 1)
     magnitude = max(abs(column.low), abs(column.high))
     is_steady = column.high - column.low < STEADY * magnitude
-    return title_word_score(column.name, INPUT_WORDS) + by_levels - STEADY_COUNTS * is_steady
+    by_words = title_word_score(column.name, INPUT_WORDS)
+    return by_words + level_score(column) - STEADY_COUNTS * is_steady
+
+
+def level_score(column: ColumnFacts) -> float:
+    """Score of how long a column holds its levels, and of how few it has."""
+    few_levels = max(0.0, 1.0 - 2.0 * column.levels / column.rows)
+    return HOLDS_COUNT * round(column.held, 1) + FEW_LEVELS_COUNT * round(few_levels, 1)
 
 
 def title_word_score(name: str, words: tuple[str, ...]) -> float:
     """Score of how well a column's title matches a list of words. One if a word of the title is in
     the list, a half if one begins with a word in the list."""
-    parts = [part for part in re.split(r"[^a-z]+", name.lower()) if part]
+    spaced = re.sub(WORD_STARTS, " ", name)
+    parts = [part for part in re.split(r"[^a-z]+", spaced.lower()) if part]
     if any(part in words for part in parts):
         return 1.0
     long_words = tuple(word for word in words if len(word) > 3)
     begins_with_word = any(part.startswith(long_words) for part in parts)
     return 0.5 if begins_with_word else 0.0
+
+
+def is_numbered(title: str) -> bool:
+    """Whether a column has no title but its number, such as `3` and `data:3`."""
+    return title.rpartition(":")[2].isdigit()
 
 
 def doubtful_guess_sentences(
@@ -81,7 +111,7 @@ def doubtful_guess_sentences(
     """
     unusable = {name: why for name, why in skipped.items() if HAS_NUMBERS.search(why)}
     for column in facts:
-        if column.levels == 1:
+        if column.levels == 1 and not is_set_point_title(column.name):
             unusable[column.name] = f"it is {column.low:g} throughout"
     sides = [
         ("input", signals[0], are_named[0], INPUT_WORDS, OUTPUT_WORDS),
@@ -95,7 +125,7 @@ def doubtful_guess_sentences(
         for title, why in unusable.items():
             own = title_word_score(title, words)
             is_other_side = own < title_word_score(title, other_words)
-            counts_if_equal = score == 0.0 or title in skipped
+            counts_if_equal = title in skipped or (score == 0.0 and not is_numbered(title))
             is_better = own > score or (own == score and counts_if_equal)
             if is_better and not is_other_side:
                 sentences.append(f"no guess: {title} may be the {side}, but {why}")

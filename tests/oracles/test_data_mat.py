@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.io import loadmat, savemat
 
+from ssm_study.data.look import look
 from ssm_study.data.readers.mat import MatReader, parse_mat_file
 from ssm_study.data.recorded import RecordedData
 from ssm_study.refusal import BadRequest
@@ -174,3 +175,56 @@ def test_the_sampling_time_that_an_object_states(tmp_path: Path) -> None:
     recorded_data = RecordedData(**(fields | {"output": "other.OutputData"}))
     with pytest.raises(BadRequest, match="the sampling time is unknown"):
         recorded_data.read_pieces(path)
+
+
+def tagged(kind: int, data: bytes) -> bytes:
+    """Data element of a MATLAB 5 file: tag, data, padding to eight bytes."""
+    padding = b"\0" * (-len(data) % 8)
+    return struct.pack("<II", kind, len(data)) + data + padding
+
+
+def test_contents_of_objects_are_no_column(tmp_path: Path) -> None:
+    """MATLAB stores them as a nameless matrix of bytes, longer than any signal."""
+    path = tmp_path / "a.mat"
+    u = np.arange(30.0)
+    savemat(path, {"u": u, "y": 2.0 * u})
+    flags = tagged(6, struct.pack("<II", 9, 0))
+    shape = tagged(5, struct.pack("<ii", 1, 256))
+    numbers = tagged(2, bytes(range(256)))
+    nameless = flags + shape + tagged(1, b"") + numbers
+    parts = [tagged(6, struct.pack("<II", 17, 0))]
+    parts += [tagged(1, word) for word in (b"out", b"MCOS", b"timeseries")]
+    with path.open("ab") as stream:
+        stream.write(tagged(14, nameless))
+        stream.write(tagged(14, b"".join(parts)))
+    contents = MatReader().read_all_columns(path)
+    assert list(contents.columns) == ["u", "y"]
+    assert "class timeseries (save x = out.Data instead)" in contents.skipped["out"]
+
+
+def test_an_object_alone_is_refused_with_what_to_save(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    savemat(path, {"note": "text"})
+    parts = [tagged(6, struct.pack("<II", 17, 0))]
+    parts += [tagged(1, word) for word in (b"out", b"MCOS", b"timetable")]
+    with path.open("ab") as stream:
+        stream.write(tagged(14, b"".join(parts)))
+    with pytest.raises(BadRequest, match=r"save x = out\.Variables instead"):
+        look(path)
+
+
+def test_the_structs_of_a_recorder_are_read_by_number(tmp_path: Path) -> None:
+    """A capture of dSPACE ControlDesk has one struct for the clock, an array for the signals."""
+    path = tmp_path / "a.mat"
+    signals = np.empty((1, 2), dtype=[("Name", "O"), ("Data", "O")])
+    u = np.repeat([0.0, 1.0, 3.0], 10)
+    y = np.cumsum(u)
+    signals[0, 0] = ("Plant/In", u)
+    signals[0, 1] = ("Plant/Out", y)
+    clock = 0.01 * np.arange(30)
+    savemat(path, {"capture": {"X": {"Data": clock}, "Y": signals}})
+    table = MatReader().read(path, ["capture.Y(2).Data"])
+    np.testing.assert_array_equal(table.columns["capture.Y(2).Data"], y)
+    text = str(look(path, input="capture.Y(1).Data", output="capture.Y(2).Data"))
+    assert "capture.Y(1).Data is Plant/In, capture.Y(2).Data is Plant/Out" in text
+    assert "clock capture.X.Data (no unit: seconds); step 0.01 s" in text

@@ -39,6 +39,13 @@ STORAGE = {
 CLASSES = {1: "a cell array", 2: "a struct", 3: "an object", 4: "text", 5: "a sparse matrix",
            16: "a function",
            17: "an object"}  # fmt: skip
+# Properties that have the numbers of an object; an `iddata` has inputs as well.
+NUMBERS_OF_CLASSES = {
+    "timeseries": "Data",
+    "table": "Variables",
+    "timetable": "Variables",
+    "iddata": "OutputData",
+}
 FIRST_NUMERIC_CLASS = 6
 LAST_NUMERIC_CLASS = 15
 COMPLEX = 0x0800
@@ -48,6 +55,7 @@ CELL = 1
 STRUCT = 2
 OBJECT = 3
 OPAQUE = 17
+MOST_STRUCTS = 256  # elements of an array of structs whose fields are read
 MOST_BYTES = 1 << 27  # of all decompressed variables
 
 SECONDS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "minutes": 60.0,
@@ -102,12 +110,12 @@ class MatReader(Reader, names=(".mat",)):
         return Table(columns=chosen, step_s=step_s, remark=remark)
 
     def read_all_columns(self, path: Path) -> Table:
-        columns, skipped, _ = read_numeric_variables(path)
+        columns, skipped, texts = read_numeric_variables(path)
         length = max(map(len, columns.values()), default=0)
         others = [name for name, values in columns.items() if len(values) != length]
         for name in others:
             skipped[name] = f"has {len(columns.pop(name))} samples, others {length}"
-        return Table(columns=columns, skipped=skipped)
+        return Table(columns=columns, skipped=skipped, remark=name_fields_remark(columns, texts))
 
 
 def stated_step_s(
@@ -125,6 +133,14 @@ def stated_step_s(
             return None
         steps.add(float(ts[0]) * unit)
     return steps.pop() if len(steps) == 1 else None
+
+
+def name_fields_remark(columns: dict[str, ColumnValues], texts: dict[str, str]) -> str:
+    """Names of the elements of an array of structs, as recorders store them in a field `Name`."""
+    owners = [title.rpartition(".")[0] for title in columns if title.endswith(".Data")]
+    names = [f"{owner}.Data is {texts[f'{owner}.Name']}" for owner in owners
+             if texts.get(f"{owner}.Name")]  # fmt: skip
+    return ", ".join(names)
 
 
 def belong_to_one_matrix(columns: dict[str, ColumnValues]) -> bool:
@@ -196,7 +212,9 @@ def _parse_version_5(content: bytes) -> Iterator[tuple[str, Value]]:
             _require_intact(stream.eof, "a compressed variable is cut short")
         for inner, matrix in parts:
             if inner == MATRIX:
-                yield from _parse_variable(matrix, order)
+                variables = _parse_variable(matrix, order)
+                # A nameless matrix of bytes holds the contents of the file's objects.
+                yield from ((name, value) for name, value in variables if name)
 
 
 def _iterate_elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
@@ -234,9 +252,9 @@ def _parse_variable(data: bytes, order: str, owner: str = "") -> Iterator[tuple[
     flags = struct.unpack_from(order + "I", parts[0][1])[0]
     kind = flags & 0xFF
     if kind == OPAQUE:
-        stated = parts[1][1] if len(parts) > 1 else b""
-        name = stated.decode("ascii", errors="replace")
-        yield owner or name, CLASSES[OPAQUE]
+        words = [part.decode("ascii", errors="replace") for _, part in parts[1:4]]
+        name = owner or next(iter(words), "")
+        yield name, describe_object(name, words[2] if len(words) == 3 else "")
         return
     _require_intact(len(parts) >= 3, "a variable has no name")
     name = owner or parts[2][1].decode("ascii")
@@ -253,26 +271,40 @@ def _parse_variable(data: bytes, order: str, owner: str = "") -> Iterator[tuple[
         yield name, _parse_matrix(parts, order, name)
 
 
+def describe_object(name: str, class_name: str) -> str:
+    """Describe an object of a new MATLAB class, and name the property that has its numbers."""
+    if not class_name:
+        return CLASSES[OPAQUE]
+    member = NUMBERS_OF_CLASSES.get(class_name)
+    remedy = f" (save x = {name}.{member} instead)" if member else ""
+    return f"an object of class {class_name}{remedy}"
+
+
 def _parse_struct(
     parts: list[tuple[int, bytes]], kind: int, owner: str, order: str
 ) -> Iterator[tuple[str, Value]]:
-    """Iterate over the fields of a MATLAB struct, or old-style object, as `owner.field`."""
+    """Iterate over the fields of a MATLAB struct, or old-style object, as `owner.field`; those of
+    an array of structs as `owner(1).field`, `owner(2).field`, ..."""
     shape = np.frombuffer(parts[1][1], order + "i4")
     at = 4 if kind == OBJECT else 3  # an object says its class before its fields
-    if shape.prod() != 1 or len(parts) < at + 2:
+    count = int(shape.prod())
+    most = MOST_STRUCTS if kind == STRUCT else 1
+    if not 1 <= count <= most or len(parts) < at + 2:
         yield owner, CLASSES[kind]
         return
     lengths = struct.unpack_from(order + "i", parts[at][1])
     length = int(lengths[0])
     _require_intact(0 < length <= 4096, "a struct has no names of fields")
-    names = parts[at + 1][1]
-    padded = [names[k : k + length] for k in range(0, len(names), length)]
+    listed = parts[at + 1][1]
+    padded = [listed[k : k + length] for k in range(0, len(listed), length)]
     fields = [field.split(b"\0")[0] for field in padded]
     matrices = [matrix for inner, matrix in parts[at + 2 :] if inner == MATRIX]
-    _require_intact(len(fields) == len(matrices), "a struct has other fields than names")
-    for field, matrix in zip(fields, matrices, strict=True):
-        label = field.decode("ascii")
-        yield from _parse_variable(matrix, order, f"{owner}.{label}" if owner else label)
+    labels = [field.decode("ascii") for field in fields]
+    owners = [owner] if count == 1 else [f"{owner}({k})" for k in range(1, count + 1)]
+    names = [f"{one}.{label}" if one else label for one in owners for label in labels]
+    _require_intact(len(names) == len(matrices), "a struct has other fields than names")
+    for name, matrix in zip(names, matrices, strict=True):
+        yield from _parse_variable(matrix, order, name)
 
 
 def _parse_matrix(parts: list[tuple[int, bytes]], order: str, name: str) -> Value:

@@ -1,0 +1,46 @@
+"""Checks of a log before its dynamics are measured: pieces that are too short or stand still, and
+angles that start again after a turn."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.signals import Trajectory
+
+TURNS = (360.0, 2.0 * np.pi)  # degrees, radians
+PART_OF_TURN = 0.3  # share of a turn that an angle itself moves in a sample, at most
+WHOLE_TURN = 0.8  # share of a turn from which on a jump is one
+FEWEST_TURNS = 2  # jumps
+
+Signal = Float[np.ndarray, "T"]
+
+
+def unmeasured_reason(u: Signal, y: Signal, fewest: int) -> str:
+    """Reason why the longest piece of a log shows no dynamics, for which it needs `fewest` samples;
+    empty if it can show them."""
+    if len(u) < fewest:
+        return f"the longest piece has {len(u)} samples, fewer than {fewest}"
+    if np.ptp(u) == 0:
+        return "the input stands still throughout the longest piece"
+    return "the output stands still throughout the longest piece" if np.ptp(y) == 0 else ""
+
+
+def angle_sentences(records: Sequence[Trajectory]) -> list[str]:
+    """Sentence on an output that jumps by a whole turn, as an angle that starts again does; none
+    without such jumps."""
+    outputs = [record.y[:, 0] for record in records]
+    lowest = min(float(y.min()) for y in outputs)
+    highest = max(float(y.max()) for y in outputs)
+    jumps = np.concatenate([np.abs(np.diff(y)) for y in outputs])
+    for turn in TURNS:
+        starts = (0.0, -turn / 2)
+        is_within = any(start <= lowest and highest <= start + turn for start in starts)
+        count = int((jumps > WHOLE_TURN * turn).sum())
+        moves_less = int((jumps > PART_OF_TURN * turn).sum()) == count
+        if is_within and moves_less and count >= FEWEST_TURNS:
+            return [
+                f"the output jumps by a turn of {turn:.4g} in {count} places, like an angle that "
+                "starts again: add the turns up, or take its rate for the output"
+            ]
+    return []

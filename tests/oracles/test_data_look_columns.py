@@ -1,0 +1,105 @@
+"""Which columns of a log `look` takes for input, output and clock, and what it says of others."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+import scipy.signal
+
+from ssm_study.data.look import look
+
+
+def held_levels_log() -> pd.DataFrame:
+    """Log of a first-order plant under held levels, sampled every 5 ms."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.uniform(-1, 1, 10), 40)
+    y = scipy.signal.lfilter([0.0, 0.2], [1, -0.8], u)
+    return pd.DataFrame({"time (ms)": 5.0 * np.arange(400), "u": u, "y": y})
+
+
+def test_an_angle_that_starts_again_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    rng = np.random.default_rng(0)
+    table = held_levels_log()
+    angle = np.cumsum(5.0 * table["y"] + 8.0) % 360.0
+    table.assign(y=angle).to_csv(path, index=False)
+    assert "jumps by a turn of 360 in " in str(look(path))
+    white_noise = rng.standard_normal(400)
+    scaled = np.clip(white_noise, -3.0, 3.0)
+    table.assign(y=scaled).to_csv(path, index=False)
+    assert "jumps by a turn" not in str(look(path))
+
+
+def test_why_nothing_is_measured_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    table = held_levels_log()
+    table.head(100).to_csv(path, index=False)
+    assert "the longest piece has 100 samples, fewer than 160" in str(look(path))
+    held = np.repeat([0.0, 1.0], 200)
+    clock_ms = table["time (ms)"] + 1000.0 * held
+    table.assign(**{"time (ms)": clock_ms, "u": held}).to_csv(path, index=False)
+    assert "the input stands still throughout the longest piece" in str(look(path))
+
+
+def test_a_clock_without_a_unit_yields_to_dates_that_contradict_it(tmp_path: Path) -> None:
+    """Hours since the start, beside the dates of the same rows."""
+    path = tmp_path / "log.csv"
+    table = held_levels_log()
+    columns = table[["u", "y"]].assign(t=np.arange(400) / 12.0)
+    dates = pd.date_range("2009-02-05 14:26:00", periods=400, freq="5min")
+    columns.assign(TimeDate=dates).to_csv(path, index=False)
+    assert "clock TimeDate (dates); step 300 s" in str(look(path))
+    seconds = columns.assign(t=300.0 * np.arange(400), TimeDate=dates)
+    seconds.to_csv(path, index=False)
+    assert "step 300 s" in str(look(path))
+
+
+GUESSES = {
+    "Q1,Q2,TC1,TC2": ("Q1", "TC1"),
+    "Heater 1,Heater 2,Temperature 1,Temperature 2": ("Heater 1", "Temperature 1"),
+    "1,2,3,4": ("0", "2"),
+    "motorCommand,targetSpeed,leftSpeed,rightSpeed": ("motorCommand", "leftSpeed"),
+    "Ph,Pw,Ta,yTi": ("Ph", "yTi"),
+}
+
+
+@pytest.mark.parametrize("titles", GUESSES)
+def test_the_second_input_is_not_taken_for_the_output(tmp_path: Path, titles: str) -> None:
+    rng = np.random.default_rng(0)
+    names = titles.split(",")
+    u = np.repeat(rng.integers(0, 9, (10, 2)) * 10.0, 40, axis=0)
+    y = scipy.signal.lfilter([0.0, 0.2], [1, -0.8], u, axis=0)
+    signals = np.hstack([u, y + 0.1 * rng.standard_normal(y.shape)])
+    table = pd.DataFrame(signals, columns=names)
+    has_names = not names[0].isdigit()
+    table.to_csv(tmp_path / "log.csv", index=False, header=has_names)
+    seen = look(tmp_path / "log.csv")
+    assert (seen.input, seen.output) == GUESSES[titles]
+
+
+def test_a_constant_set_point_or_nameless_column_hinders_no_guess(tmp_path: Path) -> None:
+    table = held_levels_log()
+    named = table.assign(targetSpeed=200.0)
+    named.to_csv(tmp_path / "log.csv", index=False)
+    assert look(tmp_path / "log.csv").input == "u"
+    signals = np.column_stack([table["u"], table["y"], np.zeros(400)])
+    scipy.io.savemat(tmp_path / "log.mat", {"dataAll": signals})
+    seen = look(tmp_path / "log.mat")
+    assert (seen.input, seen.output) == ("dataAll:1", "dataAll:2")
+
+
+def test_a_column_that_counts_rows_is_not_measured_too(tmp_path: Path) -> None:
+    table = held_levels_log()
+    signals = np.column_stack([np.arange(1, 401), table["u"], table["y"]])
+    scipy.io.savemat(tmp_path / "log.mat", {"data": signals})
+    assert "measured too" not in str(look(tmp_path / "log.mat"))
+
+
+def test_the_output_of_a_lone_input_is_asked_for(tmp_path: Path) -> None:
+    table = held_levels_log()
+    table[["u"]].to_csv(tmp_path / "in.csv", index=False)
+    seen = look(tmp_path / "in.csv")
+    assert "name that data.output_path" in str(seen)
+    assert "data.output_path=FILE" in seen.command
