@@ -51,7 +51,7 @@ from ssm_study.synthesis.measured_discs_run import (
     certificate_weights,
     coverage_columns,
     fresh_data_column,
-    fresh_data_needs,
+    radii_needed_by_fresh_data,
 )
 
 KEY = ("plant", "model", "order", "seed", "cover")
@@ -234,7 +234,9 @@ def row_of(task: RowTask) -> dict[str, Any]:
     designed = time.process_time()
     fresh = list(case.parts.data.simulate_fresh_sets(case.plant, task.seed))
     start_up = case.data.start_up_samples
-    needs = fresh_data_needs(chosen, case.model, case.premise, case.mismatch, fresh, start_up)
+    needs = radii_needed_by_fresh_data(
+        chosen, case.model, case.premise, case.mismatch, fresh, start_up
+    )
     row: dict[str, Any] = dict(task.key)
     row |= {
         "evidence": case.evidence,

@@ -31,7 +31,11 @@ from ssm_study.loop.peers.peer import Identified
 from ssm_study.synthesis.candidates import Candidates
 from ssm_study.synthesis.measured_discs_choice import LOST, LoopCoverage
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate
-from ssm_study.synthesis.sine_judgement import simulated_sines, sine_columns, sine_coverage_columns
+from ssm_study.synthesis.sine_judgement import (
+    measure_simulated_sines,
+    sine_columns,
+    sine_coverage_columns,
+)
 from ssm_study.synthesis.withheld_coverage import reported_coverage
 
 KEY = ("plant", "seed", "design")
@@ -76,7 +80,7 @@ class DrawnDesigns:
         coverages = []
         for pair in pairs:
             gains = self.candidates.gains(pair)
-            coverages.append(loop.largest_radius({"k": gains.k, "l": gains.l})[0])
+            coverages.append(loop.largest_disc_radius({"k": gains.k, "l": gains.l})[0])
         return coverages
 
     def exact(self, pair: Any, seed: int) -> dict[str, Any]:
@@ -89,7 +93,9 @@ class DrawnDesigns:
         proved = add_coverage_certificate(design, model, balls, case.premise)
         coverage = reported_coverage(proved, model, case.premise)
         source = case.parts.data
-        sines = simulated_sines(proved, model, balls, case.mismatch, source, case.plant, seed)
+        sines = measure_simulated_sines(
+            proved, model, balls, case.mismatch, source, case.plant, seed
+        )
         judged = sine_columns(proved, model, balls, case.mismatch, sines)
         facts = sine_coverage_columns(proved, sines, coverage)
         return {

@@ -32,7 +32,7 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.stored import read_model_json
 from ssm_study.robustness.coverage import Weights
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.measured_discs_search import largest_kappa
+from ssm_study.synthesis.measured_discs_search import certify_largest_radius
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 SETTLED = 1e-2
@@ -176,7 +176,7 @@ def of_random_model(seed: int) -> EdgeLoops | None:
         return None
     known = VerificationContext(system=linear, controlled=linear, balls=balls, gains=design.gains)
     centre = float(rng.choice([0.0, -0.1, -0.25]))
-    proof = largest_kappa(known, FIRST_ORDER, centre)
+    proof = certify_largest_radius(known, FIRST_ORDER, centre)
     return None if proof is None else EdgeLoops(proof=proof, known=known)
 
 

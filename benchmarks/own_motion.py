@@ -212,7 +212,7 @@ def integrator(rng: np.random.Generator) -> tuple[Samples, Samples]:
 
 def refused(log: Callable) -> int:
     once = (replace(data, validation=(), test=()) for data in drawn(log, COUNT))
-    return sum(any(judge_instability(data, closed=False)) for data in once)
+    return sum(any(judge_instability(data, is_closed_loop=False)) for data in once)
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ from ssm_study.certificates.problem import dual_system
 from ssm_study.models.structured import linearise_at_equilibrium
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.model_selection import largest_certifiable_rate
-from ssm_study.synthesis.structured_lmi import largest_rate
+from ssm_study.synthesis.structured_lmi import largest_rate_with_neurons
 from ssm_study.systems import JacobianBall, StateSpace, System
 from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.saving import train_with_lightning  # noqa: F401 - its imports are no training
@@ -71,7 +71,7 @@ def largest(system: System, ball: JacobianBall, observes: bool) -> float:
     """Of a one-layer model, which a start may end as, the frontier is exact."""
     if isinstance(system, StateSpace):
         return controller_frontier(dual_system(system) if observes else system, ball).rate_limit
-    return largest_rate(
+    return largest_rate_with_neurons(
         RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1).problem(system, ball, observes)
     )
 

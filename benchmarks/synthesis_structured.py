@@ -24,8 +24,12 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, dual_system
-from ssm_study.synthesis.structured_lmi import StructuredLmi, is_confirmed_exactly, largest_rate
-from ssm_study.synthesis.structured_riccati import least_cost
+from ssm_study.synthesis.structured_lmi import (
+    StructuredLmi,
+    is_confirmed_exactly,
+    largest_rate_with_neurons,
+)
+from ssm_study.synthesis.structured_riccati import least_guaranteed_cost
 from ssm_study.systems import JacobianBall, StructuredSystem
 
 BELOW = 0.9
@@ -128,7 +132,7 @@ def row(index: int) -> str | None:
     system = drawn(rng, n, q, h and side == "observer")
     observes = side == "observer"
     problem = problem_of(system, observes, BALLS[ball])
-    best = largest_rate(problem)
+    best = largest_rate_with_neurons(problem)
     if best < 0.02:
         return None
     problem = replace(problem, rate=BELOW * best)
@@ -138,7 +142,7 @@ def row(index: int) -> str | None:
     ]
     for program in programs:  # compiles
         timed(lambda program=program: program.solve(problem.rate / 2))
-    fast, game_s = timed(lambda: least_cost(problem))
+    fast, game_s = timed(lambda: least_guaranteed_cost(problem))
     (slow, cost_s), (deep, deep_s) = (
         timed(lambda program=p: program.solve(problem.rate)) for p in programs
     )

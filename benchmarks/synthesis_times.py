@@ -67,7 +67,7 @@ def tasks(problem: Problem) -> dict[str, Callable[[], object]]:
 
     def smallest_gain() -> object:
         modes = split_modes(problem.a, problem.b, problem.contraction)
-        return minimum_energy_gain(modes, ball, problem.contraction, widen=False).k
+        return minimum_energy_gain(modes, ball, problem.contraction, widens_ball=False).k
 
     return {
         "paper_lmi_full": lambda: lmis[True].solve(problem),

@@ -215,7 +215,7 @@ MADE_AGAIN = (
     "ssm_study.study.design_claims.faster_response_column",
     "ssm_study.study.design_claims.measure_mismatch",
     "ssm_study.study.design_claims.measure_premise",
-    "ssm_study.study.design_claims.simulated_sines",
+    "ssm_study.study.design_claims.measure_simulated_sines",
     "ssm_study.study.run_files.collect_findings",
     "ssm_study.study.run_files.measure_mismatch",
     "ssm_study.synthesis.measured_discs_run.measure_premise",

@@ -63,7 +63,7 @@ def device(
 
 def written(device: Device, folder: Path, about: str = "test", name: str = "controller") -> Path:
     folder.mkdir(parents=True, exist_ok=True)
-    for file, text in render_c_files(device, name, about=about).items():
+    for file, text in render_c_files(device, name, origin_text=about).items():
         (folder / file).write_text(text)
     return folder
 
@@ -88,7 +88,7 @@ def compiled(
 def products(device: Device, folder: Path, monitor: Monitor | None = None) -> int:
     """How often the C code multiplies two floats in one sample: compiled as C++, with a type that
     counts."""
-    text = render_c_files(device, about="counted", monitor=monitor)["controller.h"]
+    text = render_c_files(device, origin_text="counted", monitor=monitor)["controller.h"]
     header = text.replace("#include <math.h>", "")
     words = ("-w", *["-DMONITOR"] * (monitor is not None))
     outputs = device.controller.scale.outputs

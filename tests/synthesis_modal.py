@@ -69,7 +69,7 @@ def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver:
     like its parts."""
     modes = split_modes(problem.a, problem.b, faster)
     m = problem.b.shape[1]
-    if modes.fast == 0:
+    if modes.fast_count == 0:
         no_metric = np.zeros((0, 0))
         no_gain = np.zeros((m, len(problem.a)))
         fast = FastGain(k=no_gain, p=no_metric)
@@ -81,7 +81,7 @@ def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver:
     transformed = ah @ root
     balanced_a = scipy.linalg.solve_triangular(root, transformed, lower=True)
     balanced_b = scipy.linalg.solve_triangular(root, bh, lower=True)
-    state_weight = np.eye(modes.fast)
+    state_weight = np.eye(modes.fast_count)
     lmi = CompiledLmi(
         a=balanced_a,
         b=balanced_b,
@@ -92,18 +92,20 @@ def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver:
     )
     # Scaled by 1/r, the asked factor is one: a rate just above zero stands for it.
     rate = float(np.finfo(float).eps)
-    state_weight = np.eye(modes.fast)
+    state_weight = np.eye(modes.fast_count)
     changed_problem = replace(
         problem, a=balanced_a, b=balanced_b, rate=rate, state_weight=state_weight
     )
     found = lmi.solve(changed_problem, solver)
     triangular = scipy.linalg.solve_triangular(root, found.k.T, lower=True, trans="T")
-    k = triangular.T @ modes.left[: modes.fast]
+    k = triangular.T @ modes.left[: modes.fast_count]
     metric = found.p / found.sigma
     scaled_metric = root @ (metric) @ root.T
     fast = FastGain(k=k, p=scaled_metric)
     p = weighted_block_metric(problem, modes, fast)
-    return Solution(p=p, y=p, k=k, sigma=1.0, status=f"{found.status} on {modes.fast} fast modes")
+    return Solution(
+        p=p, y=p, k=k, sigma=1.0, status=f"{found.status} on {modes.fast_count} fast modes"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

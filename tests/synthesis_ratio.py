@@ -3,7 +3,7 @@ r."""
 
 import numpy as np
 
-from ssm_study.certificates.frontier import largest_energy, largest_uncontrollable_modulus
+from ssm_study.certificates.frontier import largest_control_energy, largest_uncontrollable_modulus
 
 
 def ratio_limit(a: np.ndarray, b: np.ndarray, contraction: float) -> float:
@@ -19,4 +19,4 @@ def ratio_limit(a: np.ndarray, b: np.ndarray, contraction: float) -> float:
         eigenvalues = np.linalg.eigvals(a)
         moduli = np.abs(eigenvalues)
         return float(np.prod(contraction / np.maximum(moduli, contraction)))
-    return float(1 / np.sqrt(1 + largest_energy(a, b, contraction)))
+    return float(1 / np.sqrt(1 + largest_control_energy(a, b, contraction)))

@@ -26,7 +26,7 @@ from ssm_study.api.missing_rate import (
 from ssm_study.api.summaries import html_table, render_text_table, round_rate_down
 from ssm_study.api.systems import read_columns, read_linear_system, read_matrix
 from ssm_study.certificates.certificate import Side
-from ssm_study.certificates.decay_time import decay_time_words
+from ssm_study.certificates.decay_time import decay_time_text
 from ssm_study.certificates.frontier import contraction_frontier
 from ssm_study.certificates.problem import (
     NoSolution,
@@ -172,7 +172,7 @@ def gain_lines(name: str, gain: GainCertificate) -> dict[str, str]:
     lines = {name: f"nothing is proved: {gain.reason}"}
     if gain.rate is not None:
         rate = f"rate {round_rate_down(gain.rate, 6)} per sample"
-        decay = decay_time_words(gain.rate)
+        decay = decay_time_text(gain.rate)
         lines[name] = f"contracts at {rate} ({decay}), decided exactly"
         if gain.observes:
             lines[name] += ", if it computes the plant's own input and output maps"

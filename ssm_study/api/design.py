@@ -29,7 +29,7 @@ from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthro
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest, require
-from ssm_study.synthesis.deployed import WithinLimits, limits_proof
+from ssm_study.synthesis.deployed import WithinLimits, prove_within_input_limits
 from ssm_study.synthesis.expected_response import faster_response_column
 from ssm_study.synthesis.loop_poles import eigenvalue_groups
 from ssm_study.synthesis.measured_discs_run import coverage_columns
@@ -204,7 +204,7 @@ class Design:
         limits = (("lower", lower), ("upper", upper))
         inputs = self.model.scale.inputs
         ends = [read_channel_values(name, limit, inputs) for name, limit in limits]
-        return limits_proof(self.model, self.certificate, *ends)
+        return prove_within_input_limits(self.model, self.certificate, *ends)
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
         """Write the controller as C99 source code with a header and a replay program. The header is

@@ -116,7 +116,7 @@ class RestDesign:
         rollouts = simulate_closed_loop(
             on,
             self.controller,
-            x0=initial_states,
+            initial_states=initial_states,
             reference=reference,
             noise=noise,
             disturbance=disturbance,

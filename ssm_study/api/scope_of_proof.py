@@ -115,7 +115,7 @@ def describe_input_power(design: "Design", reference: str) -> str:
     mismatch = design.origin.mismatch
     premise = measure_coverage_premise(design.model, data, mismatch)
     items = premise.requirements(part.centre)
-    is_dark = any(item.dark for item in items if item.where == reference)
+    is_dark = any(item.dark for item in items if item.label == reference)
     return (
         ", where the deciding record has next to no input power and noise counts as error"
         if is_dark

@@ -18,7 +18,7 @@ from ssm_study.robustness.coverage import Premise, measure_premise
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.mismatch import measure_mismatch as measure_mismatch_of_records
 from ssm_study.signals import DataSet, input_limits
-from ssm_study.synthesis.input_inversion import mismatch_for_law
+from ssm_study.synthesis.input_inversion import mismatch_for_control_law
 
 if TYPE_CHECKING:
     from ssm_study.models.spec import ModelSpec
@@ -94,7 +94,7 @@ def design_controller(
 
     balls = certified_balls(model)
     premise = measure_coverage_premise(model, data, plant_mismatch)
-    relevant_mismatch = mismatch_for_law(synthesis, model, data, plant_mismatch)
+    relevant_mismatch = mismatch_for_control_law(synthesis, model, data, plant_mismatch)
     lower, upper = input_limits(*limits, data.training_inputs)
     if isinstance(synthesis, Auto):
         if judgement.level == CANNOT_JUDGE:

@@ -18,8 +18,8 @@ from ssm_study.api.scope_of_proof import (
 )
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.certificates.certificate import Infeasible
-from ssm_study.certificates.decay_time import decay_time_words
-from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, evidence_words
+from ssm_study.certificates.decay_time import decay_time_text
+from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, evidence_text
 from ssm_study.evidence.metrics import NO_JUDGEMENT
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import StructuredSSM
@@ -94,7 +94,7 @@ def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dic
     if lower is not None and upper is not None:
         lines["slopes of the input map"] = f"{lower:.3g} to {upper:.3g}"
     evidence = model.evidence
-    lines["evidence"] = evidence_words(evidence.level, evidence.reasons, "print(model.evidence)")
+    lines["evidence"] = evidence_text(evidence.level, evidence.reasons, "print(model.evidence)")
     return lines
 
 
@@ -236,7 +236,7 @@ def summarise_gain_certificate(
         value = f"rate {round_rate_down(rate)}"
         if requested is not None and round_rate_down(rate) != round_rate_down(requested):
             value += f" (asked {requested:g})"
-        value += f" per sample ({decay_time_words(rate, step_s)})"
+        value += f" per sample ({decay_time_text(rate, step_s)})"
     limit = f"any gain: below {round_rate_down(certificate.rate_limit)}"
     lines = {name: f"{value}, {PROVED[certificate.certified]} ({limit})"}
     if not certificate.certified:
@@ -274,7 +274,7 @@ def summarise_prediction(
         prediction += ", with doubts"
     where = 'record["evidence_reasons"]'
     evidence_reasons = facts.get("evidence_reasons")
-    evidence = evidence_words(str(facts["evidence"]), evidence_reasons, where)
+    evidence = evidence_text(str(facts["evidence"]), evidence_reasons, where)
     return {
         "covered by the proof": covered,
         "predicted for the plant": prediction + suffix,

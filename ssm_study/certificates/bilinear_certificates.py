@@ -1,4 +1,4 @@
-"""Certificates of the closed loop of a bilinear model, and the file that stores them."""
+"""Certificates of the closed loop of a bilinear model, and the JSON file that stores them."""
 
 import json
 from collections.abc import Mapping
@@ -21,8 +21,8 @@ DIMENSIONS = {"k": Float[np.ndarray, "m n"], "l_nodes": Float[np.ndarray, "q n p
 
 @dataclass(frozen=True, kw_only=True)
 class RestCertificates:
-    """Gains of a bilinear model's closed loop with their certificates, or the reasons why there are
-    none.
+    """Gains of a bilinear model's controller and observer with their certificates, or the reasons
+    why there are none.
 
     `v = K xh`; `l_nodes (q, n, p)` are the observer's gains at the nodes. The parts are named after
     their theorems.
@@ -35,12 +35,14 @@ class RestCertificates:
 
     @property
     def certified(self) -> bool:
-        """Whether the loop is proved to come to rest from a set of initial states or from all."""
+        """Whether the closed loop of a bilinear model is proved to come to rest, from a set of
+        initial states or from all."""
         names = ("bilinear_loop", "bilinear_everywhere")
         return any(name in self.parts and self.parts[name].certified for name in names)
 
     def to_json(self) -> dict[str, Any]:
-        """Content of `certificate.json`, whose numbers read back to the same floats."""
+        """Content of the file `certificate.json` as plain data, whose numbers read back to the same
+        floats."""
         content: dict[str, Any] = {"k": self.k.tolist(), "l_nodes": self.l_nodes.tolist()}
         content["reasons"] = dict(self.reasons)
         for label, part in self.parts.items():
@@ -52,8 +54,8 @@ class RestCertificates:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> "RestCertificates":
-        """Read the certificates from the content of `certificate.json`. Raises `BadRequest` for a
-        missing or malformed entry."""
+        """Read the gains and certificates of a bilinear closed loop from the content of
+        `certificate.json`. Raises `BadRequest` for a missing or malformed entry."""
         gains = {}
         for name, kind in DIMENSIONS.items():
             require(name in content, f"certificate.{name}", None, "is missing", AGAIN)
@@ -73,14 +75,14 @@ class RestCertificates:
         return cls(**gains, parts=parts, reasons=dict(content["reasons"]))
 
     def save(self, path: Path) -> None:
-        """Write the certificates as JSON."""
+        """Write the gains and certificates of a bilinear closed loop to a JSON file."""
         text = json.dumps(self.to_json(), indent=1, allow_nan=False)
         path.write_text(text + "\n", encoding="utf-8")
 
 
 def failed_rest_checks(content: Mapping[str, Any], model: Any) -> list[str]:
-    """Sentences on those claims in a stored certificate that do not hold for a bilinear model;
-    empty if all hold.
+    """Sentences on those claims in the stored `certificate.json` of a bilinear model that do not
+    hold; empty if all hold.
 
     Claims are each part's digest, the model's fields, the deployed gains, and `certified`.
     """

@@ -1,4 +1,4 @@
-"""Certificates of a design, or the reasons why there are none, and the file that stores them.
+"""Certificates of a design, or the reasons why there are none, and the JSON file that stores them.
 
 Which fields a certificate has is its theorem's matter (`synthesis.theorem`). Source: [Z26],
 docs/theory.md.
@@ -40,8 +40,8 @@ LETTERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Side(Theorem, abstract=True):
-    """Certificate of one gain, that of the controller or that of the observer. Distances shrink by
-    `r = sqrt(1 - rate)` a sample, for every Jacobian in the ball.
+    """Base class of the certificate of one gain, that of the controller or that of the observer.
+    Distances shrink by `r = sqrt(1 - rate)` a sample, for every Jacobian in the ball.
 
     `rate_limit` is the exact frontier of all gains at this ball; `observes` tells an observer from
     a state feedback.
@@ -55,30 +55,29 @@ class Side(Theorem, abstract=True):
 
     @property
     def contraction(self) -> float:
-        """Factor by which distances shrink in each sample according to the certificate, `r`."""
+        """Factor r by which the certificate proves that distances shrink in each sample."""
         return float(np.sqrt(1 - self.rate))
 
     @property
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
-        """Gain matrices that are deployed, keyed by symbol: `k`, or `l` and, with neurons,
-        `l_z`."""
+        """Gain matrices of a certificate by symbol: `k`, or `l` and, with neurons, `l_z`."""
         stored = vars(self)
         return {letter: stored[letter] for letter in ("k", "l", "l_z") if letter in stored}
 
     @property
     def gain(self) -> Float[np.ndarray, "r c"]:
-        """Gain matrix, K of a controller or L of an observer."""
+        """Gain matrix of a certificate, K of a controller or L of an observer."""
         return self.gains["l" if self.observes else "k"]
 
     @property
     def gain_norm(self) -> float:
-        """Spectral norm of the gain matrix, in scaled units. `||K||_2` is scaled input per state
-        unit; `||L||_2` state unit per scaled output."""
+        """Spectral norm of a certificate's gain matrix, in scaled units. `||K||_2` is scaled input
+        per state unit; `||L||_2` state unit per scaled output."""
         return float(np.linalg.norm(self.gain, 2))
 
     @classmethod
     def required_ball(cls, context: VerificationContext) -> JacobianBall:
-        """Ball of Jacobians for which the certificate has to hold. For a controller it is that of
+        """Ball of Jacobians for which a certificate has to hold. For a controller it is that of
         `S_u`, for an observer that of `S_y`."""
         return context.balls.output if cls.observes else context.balls.input
 
@@ -89,8 +88,9 @@ class Side(Theorem, abstract=True):
 
     @staticmethod
     @abstractmethod
-    def certificate_numbers(problem: Any, found: Any) -> dict[str, Any]:
-        """Collect from a problem and its solution every number that the certificate stores."""
+    def certificate_numbers(problem: Any, solution: Any) -> dict[str, Any]:
+        """Collect from a synthesis problem and its solution every number that the certificate
+        stores."""
 
 
 class ProblemCertificate(Side, abstract=True):
@@ -100,34 +100,35 @@ class ProblemCertificate(Side, abstract=True):
 
     @staticmethod
     @abstractmethod
-    def inequality(of: Any) -> Blocks:
+    def inequality(proof: Any) -> Blocks:
         """Matrix inequality of the theorem, as the upper triangle of its blocks."""
 
     @classmethod
-    def conditions(cls, of: Any) -> dict[str, Blocks]:
-        """Conditions of the theorem: its matrix inequality, and a rate between zero and one."""
+    def conditions(cls, proof: Any) -> dict[str, Blocks]:
+        """Conditions of a theorem: its matrix inequality, and a contraction rate between zero and
+        one."""
         return {
-            "inequality": cls.inequality(of),
-            "rate above 0": [[of.rate]],
-            "rate below 1": [[1 - of.rate]],
+            "inequality": cls.inequality(proof),
+            "rate above 0": [[proof.rate]],
+            "rate below 1": [[1 - proof.rate]],
         }
 
     @classmethod
     def _certified_system(cls, context: VerificationContext) -> Any:
-        """System for which the certificate is proved: with the internal model for a controller,
-        otherwise the model's own."""
+        """System for which a certificate is proved: the model, for a controller together with its
+        internal model."""
         return context.system if cls.observes else context.controlled
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
-        """Model data in the certificate: its fields that are matrices of the system."""
+        """Fields of a certificate that are matrices of the model."""
         system = self._certified_system(context)
         names = [part.name for part in fields(self) if part.name in DUAL]
         return {name: getattr(system, name) for name in names}
 
     @classmethod
     def largest_provable_rate(cls, context: VerificationContext) -> float:
-        """Largest rate that any certificate of this theorem can prove for a model. It is the exact
-        frontier; with neurons, the smallest over frozen slopes."""
+        """Largest contraction rate that any certificate of a theorem can prove for a model. It is
+        the exact frontier; with neurons, the smallest over frozen slopes."""
         system = cls._certified_system(context)
         controlled = dual_system(system) if cls.observes else system
         ball = cls.required_ball(context)
@@ -135,10 +136,10 @@ class ProblemCertificate(Side, abstract=True):
         return frontier.rate_limit
 
     @classmethod
-    def certificate_numbers(cls, problem: Problem, found: Solution) -> dict[str, Any]:
-        """Collect the certificate's matrices from a problem and its solution, keyed by symbol.
-        Those of an observer are transposed back from the dual problem."""
-        numbers: dict[str, Any] = {**vars(problem), **vars(found)}
+    def certificate_numbers(cls, problem: Problem, solution: Solution) -> dict[str, Any]:
+        """Collect a certificate's matrices from a synthesis problem and its solution, keyed by
+        symbol. Those of an observer are transposed back from the dual problem."""
+        numbers: dict[str, Any] = {**vars(problem), **vars(solution)}
         if problem.neurons:
             numbers |= vars(problem.neurons)
         transposed = {}
@@ -148,16 +149,16 @@ class ProblemCertificate(Side, abstract=True):
                 transposed[other] = matrix.T.copy()
         numbers["alpha"] = problem.ball.alpha
         numbers["beta"] = problem.ball.beta
-        numbers["eta"] = found.sigma
-        numbers["lambda_"] = found.multipliers
+        numbers["eta"] = solution.sigma
+        numbers["lambda_"] = solution.multipliers
         if cls.observes:
             numbers |= transposed
         names = [part.name for part in fields(cls)]
         return {name: numbers[name] for name in names if name in numbers}
 
     def as_problem(self) -> tuple[Problem, Solution]:
-        """Rebuild the synthesis problem, without weights, from the stored numbers. Matrices of an
-        observer are transposed."""
+        """Rebuild the synthesis problem, without weights, and its solution from the numbers in a
+        certificate. Matrices of an observer are transposed."""
         stored: dict[str, Any] = dict(vars(self))
         numbers = dict(stored)
         if self.observes:
@@ -221,8 +222,8 @@ class Observer(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Infeasible:
-    """Entry of a design in place of a missing certificate, with the reason. It is a result, not an
-    error; `rate_limit` says which rate was possible.
+    """Entry of a design in place of a missing certificate, with the reason why there is none. It is
+    a result, not an error; `rate_limit` says which rate was possible.
 
     `proved`: the exact frontier (or a hypothesis) excludes it for every method; otherwise this one
     found nothing.
@@ -256,7 +257,7 @@ WITHDRAWN = "withdrawn in 0.2"
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """Controller and observer of one design; either may be missing, with the reason.
+    """Certified controller and observer; either may be missing, with the reason.
 
     `extra_certificates`: what is proved of the pair as deployed, by the names of the file.
     `withdrawn`: entries of an older file that are not claimed any more, as they were read.
@@ -269,18 +270,18 @@ class Design:
 
     @property
     def certified(self) -> bool:
-        """Whether controller and observer both have certificates confirmed in exact arithmetic."""
+        """Whether controller and observer have certificates confirmed in exact arithmetic."""
         return self.state_feedback.certified and self.observer.certified
 
     @property
     def feasible(self) -> bool:
-        """Whether controller and observer both have certificates, checked exactly or not."""
+        """Whether controller and observer have certificates, checked exactly or not."""
         sides = (self.state_feedback, self.observer)
         return not any(isinstance(part, Infeasible) for part in sides)
 
     def parts(self) -> tuple[StateFeedback, Observer]:
-        """Certificates of controller and observer. Raises `BadRequest` with the reason where one is
-        infeasible."""
+        """Certificates of the controller and of the observer of a design. Raises `BadRequest` with
+        the reason where one is infeasible."""
         for name in SIDES:
             part = self.certificates_by_name[name]
             if isinstance(part, Infeasible):
@@ -290,8 +291,8 @@ class Design:
 
     @property
     def pair(self) -> Gains:
-        """Deployed gains of controller and observer. Raises `BadRequest` with the reason where one
-        of them is infeasible."""
+        """Gains of the controller and the observer of a design. Raises `BadRequest` with the reason
+        where one of them is infeasible."""
         feedback, observer = self.parts()
         n = len(observer.l)
         l_z = getattr(observer, "l_z", None)
@@ -300,13 +301,13 @@ class Design:
 
     @property
     def inverts_input_map(self) -> bool:
-        """Whether the control law applies the inverse of the input map: `u = S_u^{-1}(K xh)`."""
+        """Whether a control law inverts the static input map: `u = S_u^{-1}(K xh)`."""
         feedback = self.state_feedback
         return "inverted_input" in str(getattr(feedback, "theorem", type(feedback)))
 
     @property
     def certificates_by_name(self) -> dict[str, Theorem | Infeasible]:
-        """All certificates of the design, by the names that they have in `certificate.json`."""
+        """All certificates of a design, by the names that they have in `certificate.json`."""
         return {
             "state_feedback": self.state_feedback,
             "observer": self.observer,
@@ -315,7 +316,7 @@ class Design:
 
     @property
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
-        """Gain matrices of the design by name, `k`, `l` and `l_z`, without the missing ones."""
+        """Gain matrices of a design by symbol, without the missing ones: `k`, `l` and `l_z`."""
         gains = dict[str, Float[np.ndarray, "r c"]]()
         for part in (self.state_feedback, self.observer):
             if isinstance(part, Side):
@@ -323,8 +324,8 @@ class Design:
         return gains
 
     def certified_rate(self, side: str) -> float | None:
-        """Largest rate that is proved for the gain of controller or observer; None where no rate is
-        proved."""
+        """Largest contraction rate that is proved for a gain, of controller or observer; None if
+        none is."""
         part = self.certificates_by_name[side]
         deployed_part = self.extra_certificates.get(f"{side}_deployed")
         certificates = [one for one in (part, deployed_part) if isinstance(one, Side)]
@@ -363,7 +364,7 @@ class Design:
         return cls(**sides, extra_certificates=parts, withdrawn=withdrawn)
 
     def save(self, path: Path) -> None:
-        """Write the design as JSON."""
+        """Write a design with its certificates to a JSON file."""
         text = json.dumps(self.to_json(), indent=1, allow_nan=False)
         path.write_text(text + "\n", encoding="utf-8")
 
@@ -374,15 +375,15 @@ class Design:
 
 
 def certificate_digest(content: dict[str, Any]) -> str:
-    """Hash that reveals whether a stored certificate was altered: SHA-256 of its other fields as
-    canonical JSON."""
+    """SHA-256 hash of a certificate's fields as canonical JSON, which reveals whether the file was
+    altered."""
     other_fields = {name: value for name, value in content.items() if name != "digest"}
     canonical = json.dumps(other_fields, sort_keys=True)
     return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 def read_certificate(label: str, content: dict[str, Any]) -> Any:
-    """Construct a certificate from its stored fields by the theorem that it names. A part that
+    """Construct a certificate from its stored fields by the theorem that they name. A part that
     names none belongs to the theorem of the part's own name."""
     where = f"certificate.{label}"
     require(isinstance(content, dict), where, content, "is no object", AGAIN)

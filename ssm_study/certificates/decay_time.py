@@ -3,15 +3,16 @@
 import math
 
 
-def decay_time_words(rate: float, step_s: float | None = None) -> str:
-    """Text on the time constant of a contraction rate, rounded up, in seconds or in samples.
+def decay_time_text(rate: float, step_s: float | None = None) -> str:
+    """Text on the time in which distances fall to 37 % at a contraction rate, rounded up, in
+    seconds or in samples.
 
     Distances are multiplied by at most `sqrt(1 - rate)` each sample, so by `1/e` in `-2 / log(1 -
     rate)` samples. Empty for a rate that is not between zero and one.
 
-    >>> decay_time_words(0.188, 0.01)
+    >>> decay_time_text(0.188, 0.01)
     'to 37 % in 0.097 s'
-    >>> decay_time_words(0.0004)
+    >>> decay_time_text(0.0004)
     'to 37 % in 5000 samples'
     """
     if not 0 < rate < 1:

@@ -1,5 +1,5 @@
-"""Exact largest rate that any certificate of [Z26] Theorems 1 and 2 can prove, computed without a
-solver.
+"""Exact largest contraction rate that any certificate of [Z26] Theorems 1 and 2 can prove, computed
+without a solver.
 
 Theorem 1 is feasible iff `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`, S of minimum energy;
 Theorem 2 is the
@@ -36,8 +36,8 @@ NEGLIGIBLE = 1e-20  # a power F^(2^j) of this size no longer matters in sum_j F^
 
 @dataclass(frozen=True, kw_only=True)
 class Frontier:
-    """Exact limit of the contraction rate that certificates can prove for a model. A certificate
-    exists for every `rate < rate_limit`, and for none from there on.
+    """Exact limit of the contraction rate that certificates can prove for a model, and what sets
+    the limit. A certificate exists for every `rate < rate_limit`, and for none from there on.
 
     `contraction_limit = sqrt(1 - rate_limit)` is the smallest certifiable factor per step; above
     one (a negative `rate_limit`) nothing is certifiable at all. `decided_by` names what sets the
@@ -49,14 +49,14 @@ class Frontier:
 
     @property
     def rate_limit(self) -> float:
-        """Largest contraction rate that can be certified, `1 - contraction_limit^2`."""
+        """Largest contraction rate that can be certified for a model, `1 - contraction_limit^2`."""
         return 1 - self.contraction_limit**2
 
 
 def controller_frontier(system: System, ball: JacobianBall) -> Frontier:
-    """Exact limit (frontier) of the contraction rate that a state feedback can be certified for.
-    The frontier of Theorem 1 for `x+ = A x + B S_u(u)`; that of Theorem 2 is the dual system's
-    (`problem.dual`).
+    """Exact limit of the contraction rate that can be certified for a system by some state
+    feedback. The frontier of Theorem 1 for `x+ = A x + B S_u(u)`; that of Theorem 2 is the dual
+    system's (`problem.dual`).
 
     With neurons it is the worst over frozen slopes, which no certificate goes beyond and few
     attain. Raises `BadRequest` for matrices that are not finite.
@@ -71,8 +71,9 @@ def controller_frontier(system: System, ball: JacobianBall) -> Frontier:
 
 
 def contraction_frontier(a: Square, b: InputMatrix, ball: JacobianBall) -> Frontier:
-    """Exact limit (frontier) of the contraction factor that any linear gain can reach for a ball of
-    Jacobians. Infimum of the `r` at which `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`.
+    """Exact limit of the contraction factor that some linear gain can guarantee for all slopes in a
+    ball of Jacobians. Infimum of the `r` at which `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S
+    Bh))`.
 
     A ball that holds zero (`|alpha| <= beta`) leaves the open loop's own contraction; modes the
     input does not reach keep theirs. In between several inputs need a scalar search within
@@ -97,7 +98,7 @@ def contraction_frontier(a: Square, b: InputMatrix, ball: JacobianBall) -> Front
     low = max(unreached, least, np.finfo(float).tiny)
     # The largest ball grows with r: halved until doubles run out.
     while low < (middle := float(np.sqrt(low * high))) < high:
-        energy = largest_energy(a, b, middle)
+        energy = largest_control_energy(a, b, middle)
         largest_ball = 1 / np.sqrt(1 + energy)
         if largest_ball > ball.relative_radius:
             high = middle
@@ -108,8 +109,8 @@ def contraction_frontier(a: Square, b: InputMatrix, ball: JacobianBall) -> Front
 
 
 def largest_uncontrollable_modulus(a: Square, b: InputMatrix) -> float:
-    """Largest modulus of an eigenvalue that the input does not control (Popov-Belevitch-Hautus
-    test); 0 if it controls all.
+    """Largest modulus of an eigenvalue that the input does not control, by the
+    Popov-Belevitch-Hautus test; 0 if it controls all.
 
     A repeated eigenvalue has no single eigenvector to test: there the rank of `[A - lambda I, B]`
     decides.
@@ -131,8 +132,9 @@ def largest_uncontrollable_modulus(a: Square, b: InputMatrix) -> float:
 
 
 def inverse_time_gramian_root(a: FastMatrix, b: Float[np.ndarray, "k m"]) -> FastMatrix:
-    """Square root of the Gramian of the inverse-time system, for modes outside the unit circle.
-    Lower triangular `L` with `L L^T = W`, `W = A^{-1} (W + B B^T) A^{-T}`, all `|lambda(A)| > 1`.
+    """Square root of the controllability Gramian of the inverse-time system, for modes outside the
+    unit circle. Lower triangular `L` with `L L^T = W`, `W = A^{-1} (W + B B^T) A^{-T}`, all
+    `|lambda(A)| > 1`.
 
     Summed in factored form by doubling, so that small directions of W keep their relative accuracy.
     Raises `NoSolution` if the sum does not converge or the factor is singular (a mode out of
@@ -157,8 +159,8 @@ def inverse_time_gramian_root(a: FastMatrix, b: Float[np.ndarray, "k m"]) -> Fas
     return root
 
 
-def largest_energy(a: Square, b: InputMatrix, contraction: float) -> float:
-    """Largest eigenvalue of the smallest control energy with which a contraction factor can be
+def largest_control_energy(a: Square, b: InputMatrix, contraction: float) -> float:
+    """Largest eigenvalue of the minimum control energy with which a contraction factor can be
     reached. `lambda_max(Bh^T S Bh)`: 0 when every mode is fast enough already, infinite when a slow
     mode cannot be reached.
 
@@ -184,8 +186,9 @@ def largest_energy(a: Square, b: InputMatrix, contraction: float) -> float:
 
 
 def _contraction_at_moduli_product(moduli: Float[np.ndarray, "n"], ratio: float) -> float:
-    """Contraction factor at which the product of the unstable moduli reaches a ratio. The `r` with
-    `prod over |lambda_i| > r of r/|lambda_i| = ratio`; moduli in descending order.
+    """Contraction factor r at which the product of the ratios of r to the moduli of faster modes
+    has a given value. The `r` with `prod over |lambda_i| > r of r/|lambda_i| = ratio`; moduli in
+    descending order.
 
     With the k largest modes faster than r, `r = (ratio prod |lambda_i|)^(1/k)`; the right k is the
     one whose r lies between its neighbours, and the largest candidate is that one.

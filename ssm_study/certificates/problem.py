@@ -1,5 +1,5 @@
-"""The problem that every synthesis method solves: Theorem 1's inequality for one pair; Theorem 2's
-is the same for the transposed pair.
+"""Synthesis problem that every method solves: Theorem 1's inequality; Theorem 2's is the same for
+the dual system.
 
 Source: [Z26], with the corrections of docs/theory.md.
 """
@@ -22,17 +22,18 @@ DUAL = {"a": "a", "b": "c", "c": "b", "d": "d", "e": "f", "f": "e", "g": "h", "h
 
 
 def dual_system(system: System) -> System:
-    """Dual (transposed) system, by which an observer is designed as a state feedback. `(A^T, C^T,
-    B^T, D^T)`, and of neurons `(F^T, E^T, H^T, G^T)`: its state feedback is the observer,
-    transposed."""
+    """Dual (transposed) system, by which an observer is designed in the same way as a state
+    feedback. `(A^T, C^T, B^T, D^T)`, and of neurons `(F^T, E^T, H^T, G^T)`: its state feedback is
+    the observer, transposed."""
     turned = {name: np.ascontiguousarray(getattr(system, DUAL[name]).T) for name in vars(system)}
     return type(system)(**turned)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Neurons:
-    """Neurons inside the recurrence of a synthesis problem. `w = phi(z) - phi(bias)` with slopes in
-    [0, 1], beside the `a, b` of a problem; for an observer, the neurons of the dual system."""
+    """Matrices of the neurons inside the recurrence of a synthesis problem. `w = phi(z) -
+    phi(bias)` with slopes in [0, 1], beside the `a, b` of a problem; for an observer, the neurons
+    of the dual system."""
 
     e: Float[np.ndarray, "n q"]
     f: Float[np.ndarray, "q n"]
@@ -41,13 +42,14 @@ class Neurons:
 
     @property
     def allows_injection(self) -> bool:
-        """Whether an observer may inject the output error into the neurons."""
+        """Whether an observer may inject the output error into the neurons of the model."""
         return self.observes and not self.g.any()
 
     @property
     def neuron_scales(self) -> Float[np.ndarray, "q"]:
-        """Scale of each neuron that balances its input and output weights. Powers of two `d` that
-        make `|e_i| / d_i` and `d_i |f_i|` alike, since trained neurons differ by many decades."""
+        """Scale factor of each neuron that balances its input and output weights. Powers of two `d`
+        that make `|e_i| / d_i` and `d_i |f_i|` alike, since trained neurons differ by many decades.
+        """
         into = np.linalg.norm(self.e, axis=0)
         input_norms = np.linalg.norm(self.f, axis=1)
         ratio = np.divide(
@@ -56,7 +58,7 @@ class Neurons:
         return np.exp2(np.round(np.log2(ratio) / 2))
 
     def in_balanced_units(self) -> "Neurons":
-        """The same neurons in balanced units."""
+        """Neurons in units in which their input and output weights are of equal size."""
         d = self.neuron_scales
         return Neurons(
             e=self.e / d, f=self.f * d[:, None], g=self.g * d[:, None], observes=self.observes
@@ -65,8 +67,8 @@ class Neurons:
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """Synthesis problem of one gain and its contraction metric. Find `K` and `P` such that `A + B J
-    K` contracts by `r = sqrt(1 - rate)` for every `J` of the ball.
+    """Data of the synthesis problem of one gain and its contraction metric. Find `K` and `P` such
+    that `A + B J K` contracts by `r = sqrt(1 - rate)` for every `J` of the ball.
 
     Shapes: `a (n, n)`, `b (n, m)`; weights of the cost `x^T state_weight x + u^T input_weight u`,
     symmetric: `state_weight (n, n) >= 0`, `input_weight > 0`. Raises `BadRequest` for a rate
@@ -123,20 +125,20 @@ class Problem:
 
     @property
     def required_neurons(self) -> Neurons:
-        """Neurons of the problem; raises `ValueError` for a problem without neurons."""
+        """Neurons of a synthesis problem; raises `ValueError` for a problem without neurons."""
         if self.neurons is None:
             raise ValueError("this problem has no neurons")
         return self.neurons
 
     def at_rate(self, rate: float) -> "Problem":
-        """The same synthesis problem at another contraction rate."""
+        """Copy of a synthesis problem with another contraction rate."""
         return replace(self, rate=rate)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Gain and metric that a synthesis method returns, not yet verified. Symbols of Theorem 1: `p,
-    y (n, n)`, `k (m, n)`, `sigma`.
+    """Gain and contraction metric that a synthesis method returns, not yet verified. Symbols of
+    Theorem 1: `p, y (n, n)`, `k (m, n)`, `sigma`.
 
     With neurons also their `multipliers (q,)`, the diagonal of Lambda, and `k_w (m, q)`, what an
     observer injects; `logs` is where a search over multipliers ended.
@@ -152,7 +154,8 @@ class Solution:
     logs: Float[np.ndarray, "s"] | None = None
 
     def undo_neuron_scaling(self, neurons: Neurons) -> "Solution":
-        """Convert the multipliers of the solution to the units of the unscaled neurons."""
+        """Convert a solution's multipliers and neuron injection to the units of the unscaled
+        neurons."""
         assert self.multipliers is not None
         assert self.k_w is not None
         d = neurons.neuron_scales
@@ -166,14 +169,13 @@ def symmetric_part(matrix: Square) -> Square:
 
 
 class NoSolution(Exception):
-    """Error raised when a synthesis method ends without a gain. The message is the solver's; it is
-    information, not a verdict."""
+    """Error raised when a synthesis method ends without finding a gain. The message is the
+    solver's; it is information, not a verdict."""
 
 
 @contextmanager
 def linear_algebra_failures_as_no_solution() -> Iterator[None]:
-    """Turn a failure of linear algebra inside a `with` block into `NoSolution`, so that only the
-    present attempt ends."""
+    """Context manager that turns a failure of linear algebra into the error `NoSolution`."""
     try:
         yield
     except np.linalg.LinAlgError as error:

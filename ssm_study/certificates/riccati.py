@@ -1,4 +1,4 @@
-"""Riccati equations solved by doubling, and the smallest metric of a given gain.
+"""Riccati equations solved by doubling, and the smallest contraction metric of a given gain.
 
 Derivation: docs/theory.md, "The gain in closed form".
 """
@@ -21,22 +21,23 @@ SLACK = 1e-6
 Square = Float[np.ndarray, "n n"]
 
 
-def solve_riccati(a: Square, b: Float[np.ndarray, "n m"], q: Square, kappa: float) -> Square:
-    """Solve the discrete Riccati equation of a gain and its metric. The stabilising `S` of `S = A^T
-    (S^{-1} + kappa B B^T)^{-1} A + Q`, by doubling, else by SciPy's QZ.
+def solve_riccati(a: Square, b: Float[np.ndarray, "n m"], q: Square, input_factor: float) -> Square:
+    """Stabilising solution S of the discrete Riccati equation `S = A^T (S^{-1} + kappa B B^T)^{-1}
+    A + Q`. The stabilising `S` of `S = A^T (S^{-1} + kappa B B^T)^{-1} A + Q`, by doubling, else by
+    SciPy's QZ.
 
     Raises `NoSolution` when neither gives one.
     """
-    s = solve_riccati_by_doubling(a, kappa * b @ b.T, q)
+    s = solve_riccati_by_doubling(a, input_factor * b @ b.T, q)
     if s is not None:
         sb = s @ b
-        input_cost = np.eye(b.shape[1]) + kappa * b.T @ sb
-        inner = s - kappa * sb @ np.linalg.solve(input_cost, sb.T)
+        input_cost = np.eye(b.shape[1]) + input_factor * b.T @ sb
+        inner = s - input_factor * sb @ np.linalg.solve(input_cost, sb.T)
         size = max(np.abs(s).max(), np.finfo(float).tiny)
         residual = np.abs(s - a.T @ inner @ a - q)
         if residual.max() / size < RESIDUAL_SHARE:
             return s
-    input_weight = np.eye(b.shape[1]) / kappa
+    input_weight = np.eye(b.shape[1]) / input_factor
     try:
         s = scipy.linalg.solve_discrete_are(a, b, q, input_weight)
     except (np.linalg.LinAlgError, ValueError) as error:
@@ -45,8 +46,8 @@ def solve_riccati(a: Square, b: Float[np.ndarray, "n m"], q: Square, kappa: floa
 
 
 def solve_riccati_by_doubling(a: Square, g: Square, q: Square) -> Square | None:
-    """Solve a discrete Riccati equation by structure-preserving doubling; None where the iteration
-    does not converge. The stabilising S of `S = A^T (S^{-1} + G)^{-1} A + Q`.
+    """Stabilising solution of a discrete Riccati equation by structure-preserving doubling; None
+    where the iteration does not converge. The stabilising S of `S = A^T (S^{-1} + G)^{-1} A + Q`.
 
     From `H = Q` each step squares the closed-loop matrix: `A' = A (I + G H)^{-1} A`, `G' = G + A (I
     + G H)^{-1} G A^T`, `H' = H + A^T H (I + G H)^{-1} A`; H converges to S, quadratically. A few
@@ -85,8 +86,8 @@ def least_metric(
     left: Square,
     slack: float = SLACK,
 ) -> Square:
-    """Smallest metric in which a given gain contracts. The least `P = Ah_K (P^{-1} - beta^2 K^T
-    K)^{-1} Ah_K^T + Bh Bh^T + E` at `r = contraction`.
+    """Smallest metric in which a closed loop with a given gain contracts by a given factor. The
+    least `P = Ah_K (P^{-1} - beta^2 K^T K)^{-1} Ah_K^T + Bh Bh^T + E` at `r = contraction`.
 
     Solved for `z`, where `x = right z`, `z = left x`; `Ah_K = Ah + alpha Bh K`, `E = slack I`.
     Raises `NoSolution` if floats find none.

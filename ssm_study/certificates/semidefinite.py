@@ -17,8 +17,8 @@ SOLVERS: dict[str, dict[str, Any]] = {
 
 
 def solve_program(program: cp.Problem, solver: str) -> str:
-    """Solve a cvxpy program in place and return its status. Raises `NoSolution` when the solver
-    returns no matrices."""
+    """Solve a semidefinite program that is formulated in cvxpy, in place, and return the solver's
+    status. Raises `NoSolution` when the solver returns no matrices."""
     try:
         with warnings.catch_warnings():
             # "may be inaccurate": the exact verdict says whether it matters

@@ -46,16 +46,16 @@ Symmetric = Float[np.ndarray, "s s"]
 Blocks = list[list[Any]]
 
 
-def symmetric_from_upper(upper: Blocks) -> Blocks:
-    """Full symmetric block matrix from its upper triangle of blocks. Blocks of zeros become arrays
-    of their size."""
-    upper = [[_as_block(row[0]), *row[1:]] for row in upper]
-    sizes = [row[0].shape[0] for row in upper]
+def symmetric_from_upper(upper_blocks: Blocks) -> Blocks:
+    """Full symmetric block matrix, as rows of blocks, from the blocks of its upper triangle. Blocks
+    of zeros become arrays of their size."""
+    upper_blocks = [[_as_block(row[0]), *row[1:]] for row in upper_blocks]
+    sizes = [row[0].shape[0] for row in upper_blocks]
 
     def block(i: int, j: int) -> Any:
-        """Block at one place of a symmetric block matrix, transposed from the upper triangle where
-        necessary."""
-        stored_block = upper[min(i, j)][abs(i - j)]
+        """Block at one place of a symmetric block matrix, transposed where only its mirror image is
+        stored."""
+        stored_block = upper_blocks[min(i, j)][abs(i - j)]
         if isinstance(stored_block, int):
             return np.zeros((sizes[i], sizes[j]))
         return stored_block if i <= j else stored_block.T
@@ -64,32 +64,31 @@ def symmetric_from_upper(upper: Blocks) -> Blocks:
 
 
 def _as_block(diagonal_block: Any) -> Any:
-    """Block on the diagonal; a plain number, such as the number of inputs less two, is one of size
-    one."""
+    """Convert a plain number on the diagonal of a block matrix to a block of size one."""
     if isinstance(diagonal_block, int | float):
         return np.array([[float(diagonal_block)]])
     return diagonal_block
 
 
 def assemble_blocks(rows: Blocks) -> Any:
-    """Assemble a block matrix, in exact numbers if one of its blocks is exact, otherwise by
-    `np.block`."""
+    """Assemble a matrix from rows of blocks, in exact numbers if one of the blocks is exact,
+    otherwise in floats."""
     blocks = [block for row in rows for block in row]
     if any(isinstance(block, Exact) for block in blocks):
         return Exact.block(rows)
     return np.block(rows)
 
 
-def multiplier_matrix(entries: Any) -> Any:
-    """Diagonal matrix with a stored vector of multipliers on its diagonal."""
-    if isinstance(entries, Exact):
-        return entries.diagonal_matrix()
-    return np.diagflat(entries)
+def multiplier_matrix(multipliers: Any) -> Any:
+    """Diagonal matrix with a vector of multipliers, floats or exact numbers, on its diagonal."""
+    if isinstance(multipliers, Exact):
+        return multipliers.diagonal_matrix()
+    return np.diagflat(multipliers)
 
 
 def scale_to_unit_diagonal(matrix: Symmetric) -> Symmetric:
-    """Scale a symmetric matrix so that its diagonal is one. `D M D` with `D = diag(|M_ii|)^(-1/2)`,
-    by which definiteness and conditioning do not depend on units."""
+    """Scale a symmetric matrix from both sides so that its diagonal is one. `D M D` with `D =
+    diag(|M_ii|)^(-1/2)`, by which definiteness and conditioning do not depend on units."""
     sizes = np.abs(np.diagonal(matrix))
     positive_sizes = np.maximum(sizes, np.finfo(float).tiny)
     scale = 1 / np.sqrt(positive_sizes)
@@ -110,7 +109,8 @@ def scaled_condition_number(matrix: Float[np.ndarray, "n n"]) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class VerificationContext:
-    """Data that a verifier derives from the model file by itself and compares a certificate with.
+    """Data that a verifier derives from the model file by itself, for the comparison with a stored
+    certificate.
 
     `system` is the model's recurrence and `controlled` what the state feedback acts on (with
     integral action another); `gains` are those of the parts that stand beside this one in the file,
@@ -125,7 +125,8 @@ class VerificationContext:
 
 @dataclass(frozen=True, kw_only=True)
 class Theorem(ABC):
-    """Base class of a certificate: stored matrices and the inequalities that they must satisfy.
+    """Base class of a certificate: stored matrices, and the matrix inequalities that they must
+    satisfy.
 
     `certified` is the verdict of exact arithmetic on the stored floats; `margin` the smallest
     eigenvalue of the first condition scaled to a unit diagonal, `condition` the condition number of
@@ -165,7 +166,8 @@ class Theorem(ABC):
 
     @classmethod
     def _refuse_undeclared_products(cls) -> None:
-        """Raise `TypeError` for a product that is no field of the class or is formed of none."""
+        """Raise `TypeError` for a theorem class that declares a product of matrices which are not
+        fields of the class."""
         declared = {name for kind in cls.__mro__ for name in inspect.get_annotations(kind)}
         for product, factors in cls.products.items():
             for name in (product, *factors):
@@ -176,36 +178,37 @@ class Theorem(ABC):
 
     @staticmethod
     @abstractmethod
-    def conditions(of: Any) -> dict[str, Blocks]:
-        """Matrices that must be positive definite for the theorem to hold, by label. They are upper
-        triangles of blocks; `of` has every field and product."""
+    def conditions(proof: Any) -> dict[str, Blocks]:
+        """Matrices that must be positive definite for a theorem to hold, by label. They are upper
+        triangles of blocks; `proof` has every field and product."""
 
     @abstractmethod
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
-        """Model data in the certificate, recomputed from the model file."""
+        """Fields of a certificate that are data of the model, recomputed from the model file."""
 
     @staticmethod
     @abstractmethod
     def required_ball(context: VerificationContext) -> JacobianBall:
-        """Ball of Jacobians of the stored model, which the certificate's own ball must contain."""
+        """Ball of Jacobians of the stored model, which the ball in a certificate must contain."""
 
     @classmethod
     @abstractmethod
     def largest_provable_rate(cls, context: VerificationContext) -> float | None:
-        """Largest rate that the theorem can prove for a model by the best gain; None where no
-        formula is known."""
+        """Largest contraction rate that a theorem can prove for a model by the best gain; None
+        where no formula is known."""
 
     @classmethod
     def name(cls) -> str:
-        """Name of the file that defines the theorem, by which a stored certificate is read back."""
+        """Name of the file that defines a theorem, by which a stored certificate is read back."""
         return cls.__module__.rpartition(".")[2]
 
     @classmethod
     def _evaluate_conditions(
-        cls, read: Callable[[Any], Any], numbers: Mapping[str, Any]
+        cls, convert_number: Callable[[Any], Any], numbers: Mapping[str, Any]
     ) -> dict[str, Blocks]:
-        """Block matrices of the theorem's conditions, computed in floats or in exact numbers."""
-        matrices = {label: read(value) for label, value in numbers.items()}
+        """Block matrices of a theorem's conditions, computed from given numbers in floats or in
+        exact arithmetic."""
+        matrices = {label: convert_number(value) for label, value in numbers.items()}
         for label, (left, right) in cls.products.items():
             matrices[label] = matrices[left] @ matrices[right]
         conditions = cls.conditions(SimpleNamespace(**matrices))
@@ -215,7 +218,7 @@ class Theorem(ABC):
 
     @classmethod
     def as_floats(cls, **numbers: Any) -> dict[str, Symmetric]:
-        """Matrices of the certificate's inequalities in floats, each scaled to a unit diagonal."""
+        """Matrices of a theorem's conditions in floats, each scaled to a unit diagonal."""
         scaled = {}
         for label, blocks in cls._evaluate_conditions(np.atleast_2d, numbers).items():
             scaled[label] = scale_to_unit_diagonal(np.block(blocks))
@@ -223,14 +226,14 @@ class Theorem(ABC):
 
     @classmethod
     def exact_conditions(cls, **numbers: Any) -> dict[str, Exact]:
-        """Matrices of the certificate's inequalities in exact arithmetic. Raises `ValueError` where
-        the shapes do not fit."""
+        """Matrices of a theorem's conditions in exact rational arithmetic. Raises `ValueError`
+        where the shapes do not fit."""
         blocks_by_label = cls._evaluate_conditions(Exact.from_floats, numbers)
         return {label: Exact.block(blocks) for label, blocks in blocks_by_label.items()}
 
     @classmethod
     def holds(cls, **numbers: Any) -> bool:
-        """Whether all matrices of the theorem's conditions are positive definite, decided in exact
+        """Whether all matrices of a theorem's conditions are positive definite, decided in exact
         arithmetic."""
         matrices = cls.exact_conditions(**numbers).values()
         return all(is_positive_definite(matrix) for matrix in matrices)
@@ -244,7 +247,8 @@ class Theorem(ABC):
         started: float | None = None,
         **information: Any,
     ) -> Any:
-        """Construct a certificate from its numbers and decide it in exact arithmetic.
+        """Construct a certificate from its numbers and decide in exact arithmetic whether the
+        theorem's conditions hold.
 
         `numbers` are what `conditions` uses; products are computed exactly and rounded to floats.
         `status` says where the numbers come from (a solver's word, or "given"). `information` are
@@ -267,23 +271,24 @@ class Theorem(ABC):
         return cls(**(dict(numbers) | products | information))
 
     @classmethod
-    def _rounded_products(cls, of: Mapping[str, Any]) -> dict[str, Float[np.ndarray, "r c"]]:
-        """Fields that are products of others, computed exactly and rounded to floats."""
+    def _rounded_products(cls, numbers: Mapping[str, Any]) -> dict[str, Float[np.ndarray, "r c"]]:
+        """Fields of a certificate that are products of other fields, computed exactly and rounded
+        to floats."""
         products = {}
         for name, (left, right) in cls.products.items():
-            product = Exact.from_floats(of[left]) @ of[right]
+            product = Exact.from_floats(numbers[left]) @ numbers[right]
             products[name] = product.to_floats()
         return products
 
     @property
     def variables(self) -> dict[str, Any]:
-        """Stored unknowns of the theorem's inequalities, such as metric and multipliers, without
-        the model's matrices."""
+        """Stored unknowns of a theorem's inequalities, such as metric and multipliers, without the
+        model's matrices."""
         others = {*INFORMATION, *self.products}
         return {name: value for name, value in vars(self).items() if name not in others}
 
     def failed_checks(self, context: VerificationContext) -> list[str]:
-        """Sentences on those claims of the certificate that do not hold for the model, one for each
+        """Sentences on those claims of a certificate that do not hold for the model, one for each
         claim.
 
         A theorem that knows no neurons (a matrix `e`) proves nothing of a model with them, nor the
@@ -315,8 +320,8 @@ class Theorem(ABC):
 
 
 def find_theorem(name: str) -> type[Theorem]:
-    """Class of a theorem by the name of its file, which lies in `theorems/` or anywhere in an
-    extension package that is installed with an entry point, or named by `--with`."""
+    """Class of the theorem that a file of a given name defines, in `theorems/` or in an extension
+    package."""
     module = f"{FOLDER}.{name}"
     may_be_a_file = name.isidentifier() and not name.startswith("_")
     if may_be_a_file and importlib.util.find_spec(module) is not None:

@@ -11,6 +11,7 @@ WITHDRAWN_PARTS["tolerance_by_frequency"] = WITHDRAWN_TOLERANCES
 
 
 def is_withdrawn_part(label: str, content: Any) -> bool:
-    """Whether a part of `certificate.json` claims a theorem that no longer exists."""
+    """Whether a part of a stored `certificate.json` claims a theorem of an earlier version that no
+    longer exists."""
     named = content.get("theorem", label) if isinstance(content, dict) else None
     return named in WITHDRAWN_PARTS.get(label, ())

@@ -1,1 +1,1 @@
-"""Findings on whether records and model allow a prediction for the plant."""
+"""Findings on whether records and model allow a prediction of the plant's behaviour."""

@@ -1,5 +1,5 @@
-"""Findings on an output that oscillates by itself, as in a limit cycle, so that no input predicts
-its phase.
+"""Findings on an output that oscillates by itself, as in a limit cycle, so that the input does not
+determine it.
 
 Where the input decides, a piece of a log is predicted as well from the input since the log's
 beginning as from the piece's own estimated state: docs/trust.md, "Logs that cannot bear a
@@ -21,7 +21,7 @@ FORGOTTEN = 0.1  # share that a piece's own state may add to it: noise leaves bo
 
 
 def judge_autonomous_motion(case: Case) -> list[Finding]:
-    """Findings about an output that moves more by itself than because of its input."""
+    """Findings on a log whose output moves more by itself than because of the input."""
     shares = predicted_power_shares(case)
     if shares is None or shares[1] >= BY_INPUT or shares[0] - shares[1] <= FORGOTTEN:
         return []
@@ -39,8 +39,8 @@ def judge_autonomous_motion(case: Case) -> list[Finding]:
 
 
 def predicted_power_shares(case: Case) -> tuple[float, float] | None:
-    """Shares of the output's power that the model predicts from an estimated initial state, and
-    from a simulation of the log before. One is estimated in each piece, the other continues from
+    """Fractions of the output's power that the model predicts from an estimated initial state, and
+    from a simulation of the earlier log. One is estimated in each piece, the other continues from
     the log before the piece: `1 - |y - y_hat|^2 / |y|^2`, about the means of each piece, over those
     that validate or test behind others.
 
@@ -52,7 +52,7 @@ def predicted_power_shares(case: Case) -> tuple[float, float] | None:
     scale = case.data.scale.output_scale
 
     def signal_power(y: Float[np.ndarray, "T p"]) -> float:
-        """Power of a scaled signal about its mean, without the start-up samples."""
+        """Power of an output about its mean, in scaled units and without the start-up samples."""
         deviation = (y - y[skip:].mean(axis=0)) / scale
         return float((deviation[skip:] ** 2).sum())
 
@@ -73,6 +73,6 @@ def predicted_power_shares(case: Case) -> tuple[float, float] | None:
 
 
 def records_with_free_runs(case: Case) -> Iterator[tuple[Trajectory, Float[np.ndarray, "T p"]]]:
-    """Validation and test records, each with the model's free run of it."""
+    """Validation and test records, each with the output that the model simulates for it."""
     yield from zip(case.data.validation, case.validation.simulated, strict=True)
     yield from zip(case.data.test, case.test.simulated, strict=True)

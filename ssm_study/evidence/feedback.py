@@ -60,8 +60,8 @@ Vector = Float[np.ndarray, "_"]
 
 
 def judge_feedback(case: Case) -> Iterator[Finding]:
-    """Findings about a log that was recorded in a closed loop, or whose plant is unstable or
-    integrates."""
+    """Findings on a log that was recorded in a closed loop, or whose plant is unstable or
+    integrates its input."""
     share = case.data.metadata.get("by_set_point")
     if share is not None:
         statement = (
@@ -92,21 +92,24 @@ def judge_feedback(case: Case) -> Iterator[Finding]:
         )
     integrated = case.model.linear.spectral_radius >= 1 - ROUNDING
     in_loop = (closed and not at_once) or share is not None
-    yield from judge_instability(case.data, closed=in_loop, integrated=integrated)
+    yield from judge_instability(
+        case.data, is_closed_loop=in_loop, has_integrating_model=integrated
+    )
 
 
-def feedback_sentence(earlier: float, present: float) -> str:
-    """Sentence with the statistic that reveals a closed loop. Of two statistics it is the one
-    further above its threshold of two."""
-    if present - PRESENT >= earlier - EARLIER:
+def feedback_sentence(earlier_share: float, present_share: float) -> str:
+    """Sentence with the statistic of a log that reveals a closed loop. Of two statistics it is the
+    one further above its threshold of two."""
+    if present_share - PRESENT >= earlier_share - EARLIER:
         return (
-            f"What is new in the output explains {100 * present:.0f} % of what is new in the input"
+            "What is new in the output explains "
+            f"{100 * present_share:.0f} % of what is new in the input"
         )
-    return f"Earlier outputs explain {100 * earlier:.0f} % of what is new in the input"
+    return f"Earlier outputs explain {100 * earlier_share:.0f} % of what is new in the input"
 
 
 def responds_within_sample(data: DataSet) -> bool:
-    """Whether an output responds to the input within one sample because of the plant, not because
+    """Whether the output of a plant responds to the input within the same sample, and not because
     of a controller.
 
     A controller with negative feedback makes the first coefficient of the finite impulse response
@@ -131,45 +134,45 @@ def responds_within_sample(data: DataSet) -> bool:
     return bool(at_once[largest] * later[largest] > 0)
 
 
-def _least_squares(rows: Rows, targets: Rows) -> Rows:
+def _least_squares(regressors: Rows, targets: Rows) -> Rows:
     """Coefficients of the least-squares fit of targets by regressors."""
-    weights, *_ = np.linalg.lstsq(rows, targets, rcond=ROUNDING)
+    weights, *_ = np.linalg.lstsq(regressors, targets, rcond=ROUNDING)
     return weights
 
 
-def shows_closed_loop(data: DataSet, earlier: float, present: float) -> bool:
+def shows_closed_loop(data: DataSet, earlier_share: float, present_share: float) -> bool:
     """Whether the statistics of a log show that it was recorded in a closed loop."""
     samples = sum(len(record) for record in data.training)
     if samples < FEWEST:
         return False
-    excess = max(earlier - EARLIER, present - PRESENT)
+    excess = max(earlier_share - EARLIER, present_share - PRESENT)
     return excess >= SCATTER / samples
 
 
 def judge_instability(
-    data: DataSet, *, closed: bool, integrated: bool = False
+    data: DataSet, *, is_closed_loop: bool, has_integrating_model: bool = False
 ) -> Iterator[Finding]:
-    """Findings on a log of a plant that is unstable or integrates its input.
+    """Findings on a log whose plant is unstable or integrates its input.
 
     In open loop sensor noise makes a mode look slower, and integrators of noise stay below
     `GROWTH`. A loop's noise moves it either way, so that only `UNSTABLE` is clear.
     """
     whole = replace(data, training=(*data.training, *data.validation, *data.test))
-    fitted_data = data if closed else whole
+    fitted_data = data if is_closed_loop else whole
     modes = [dominant_mode_modulus(fitted_data, lags) for lags in LAGS]
     slowest = min(modes)
     samples = sum(map(len, whole.training))
-    least = UNSTABLE if closed else math.exp(GROWTH / samples)
+    least = UNSTABLE if is_closed_loop else math.exp(GROWTH / samples)
     alike = np.ptp(modes) < ALIKE
     mode = f"a mode at {np.median(modes):.5g} a sample"
     by_input, by_itself = growth_statistics(whole)
-    grows = closed or by_itself > GROWS
+    grows = is_closed_loop or by_itself > GROWS
     if alike and slowest > least and grows:
         statement = f"The output runs away by itself ({mode}), and models here are stable"
         sentence = f"{statement}: log its loop with the set point as the input."
         yield Finding(level="cannot judge", sentence=sentence)
         return
-    if closed or integrated:
+    if is_closed_loop or has_integrating_model:
         return
     lasts = alike and slowest > 1 - REMEMBERED / samples
     reason = ""
@@ -187,8 +190,8 @@ def judge_instability(
 
 
 def integrator_share(data: DataSet) -> float | None:
-    """Share of the output's changes that the mean input explains; None unless the longest piece of
-    the log shows an integrator. For one input only."""
+    """Fraction of the output's changes that the mean input explains; None unless the log shows that
+    the plant integrates its input. For one input only."""
     stretches = join_log_stretches(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
         return None
@@ -198,8 +201,8 @@ def integrator_share(data: DataSet) -> float | None:
 
 
 def growth_statistics(data: DataSet) -> tuple[float, float]:
-    """Share of the output's rise that the input explains, and a statistic of its growth with its
-    own level.
+    """Fraction of the output's rise that the input explains, and the t-statistic of the output's
+    growth with its own level.
 
     Least squares `y[k + h] - y[k] = h (f(u) + g(u before)) + c y[k - h]` with f and g piecewise
     linear: an integrator behind a dead zone or a curve has c = 0. Returns the share of the power of
@@ -215,7 +218,7 @@ def growth_statistics(data: DataSet) -> tuple[float, float]:
     inputs = np.concatenate([u for u, _ in records])
     shares = np.linspace(0, 1, KNOTS)
     nodes = [np.unique(np.quantile(column, shares)) for column in inputs.T]
-    pieces = [_growth_rows(u, y, nodes) for u, y in records if len(u) > 4 * STRIDE]
+    pieces = [_growth_regression_rows(u, y, nodes) for u, y in records if len(u) > 4 * STRIDE]
     if not pieces:
         return 0.0, np.inf
     moved, rise, before = (np.concatenate(side) for side in zip(*pieces, strict=True))
@@ -229,33 +232,35 @@ def growth_statistics(data: DataSet) -> tuple[float, float]:
     return float(explained.min()), max(statistics)
 
 
-def _growth_rows(u: Rows, y: Rows, nodes: list[Vector]) -> tuple[Rows, Rows, Rows]:
-    """Regression rows that relate the output's growth to its input and its own level. They hold the
-    input's effect over one stride and over the stride before, the output's rise, and the output
-    before."""
+def _growth_regression_rows(
+    inputs: Rows, outputs: Rows, nodes: list[Vector]
+) -> tuple[Rows, Rows, Rows]:
+    """Rows of a regression that explains the growth of the output by the input and by the output's
+    own level. They hold the input's effect over one stride and over the stride before, the output's
+    rise, and the output before."""
     hats: list[np.ndarray] = []
-    for column, at in zip(u.T, nodes, strict=True):
+    for column, at in zip(inputs.T, nodes, strict=True):
         hats += [np.interp(column, at, corner) for corner in np.eye(len(at))]
     regressors = np.stack(hats, axis=1)
     added = np.cumsum(regressors, axis=0) / STRIDE
-    k = np.arange(2 * STRIDE, len(u) - STRIDE, STRIDE)
+    k = np.arange(2 * STRIDE, len(inputs) - STRIDE, STRIDE)
     end_of_stride = added[k + STRIDE - 1]
     start_of_stride = added[k - 1]
     start_of_stride_before = added[k - STRIDE - 1]
     now = end_of_stride - start_of_stride
     earlier = start_of_stride - start_of_stride_before
     moved = np.concatenate([now, earlier], axis=1)
-    rise = y[k + STRIDE] - y[k]
-    output_before = y[k - STRIDE]
+    rise = outputs[k + STRIDE] - outputs[k]
+    output_before = outputs[k - STRIDE]
     return moved, rise, output_before
 
 
-def _last_t_statistic(moved: Rows, rise: Vector, before: Vector) -> float:
-    """Ratio of the last regression coefficient to its standard error."""
-    rows = np.column_stack([moved, before])
-    weights, _, rank, _ = np.linalg.lstsq(rows, rise, rcond=ROUNDING)
-    missed = rise - rows @ weights
-    degrees_of_freedom = max(len(rise) - int(rank), 1)
+def _last_t_statistic(regressors: Rows, targets: Vector, last_regressor: Vector) -> float:
+    """Ratio of the last coefficient of a least-squares fit to its standard error."""
+    rows = np.column_stack([regressors, last_regressor])
+    weights, _, rank, _ = np.linalg.lstsq(rows, targets, rcond=ROUNDING)
+    missed = targets - rows @ weights
+    degrees_of_freedom = max(len(targets) - int(rank), 1)
     variance = float(missed @ missed) / degrees_of_freedom
     inverse_gram = np.linalg.pinv(rows.T @ rows)
     spread = variance * inverse_gram[-1, -1]
@@ -264,7 +269,7 @@ def _last_t_statistic(moved: Rows, rise: Vector, before: Vector) -> float:
 
 
 def dominant_mode_modulus(data: DataSet, lags: int) -> float:
-    """Largest modulus of a mode of an ARX model that is fitted to the log. It is arbitrary if the
+    """Largest modulus of a pole of an ARX model that is fitted to the log. It is arbitrary if the
     log has no reference signal."""
     records = scale_records(data)
     a, *_ = fit_arx_matrices(records, lags, feedthrough=False)
@@ -275,13 +280,13 @@ def dominant_mode_modulus(data: DataSet, lags: int) -> float:
     return float(np.abs(eigenvalues).max())
 
 
-def feedback_share(data: DataSet, first: int) -> float:
-    """Share of the input's innovations that the output's innovations explain, a sign of a closed
-    loop. It is the largest share of any input's `w` that `v`, from `first` samples ago on, explains
-    in the other half."""
+def feedback_share(data: DataSet, first_lag: int) -> float:
+    """Fraction of the input's innovations that the output's innovations explain, which is large for
+    a log from a closed loop. It is the largest share of any input's `w` that `v`, from `first_lag`
+    samples ago on, explains in the other half."""
     halves = list[list[Rows]]()
     for u, y in scale_records(data):
-        halves += _split_regression(u, y, first)
+        halves += _split_regression(u, y, first_lag)
     if not halves:
         return 0.0
     first_half = _concatenate_regression_rows(halves[0::2])
@@ -295,14 +300,14 @@ def feedback_share(data: DataSet, first: int) -> float:
 
 
 def _concatenate_regression_rows(halves: list[list[Rows]]) -> list[Rows]:
-    """Concatenate the regression arrays of several halves of records."""
+    """Concatenate the regression arrays from the halves of several records."""
     return [np.concatenate(arrays) for arrays in zip(*halves, strict=True)]
 
 
 def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
-    """Powers of the residuals when a regression that is fitted to one half of a log predicts the
-    other half. Powers in the scored half: of the input, of `w`, of `w` clipped, and of what `v`
-    leaves of that."""
+    """Powers of input, prediction residual and unexplained residual in one half of a log, by a
+    regression fitted to the other half. Powers in the scored half: of the input, of `w`, of `w`
+    clipped, and of what `v` leaves of that."""
     past, y, u = fitted
     own_past, own_y, own_u = scored
     on_u = _least_squares(past, u)
@@ -321,19 +326,21 @@ def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray
     return np.array(powers)
 
 
-def _split_regression(u: Rows, y: Rows, first: int) -> Iterator[list[Rows]]:
-    """Regression arrays for each half of a record. They hold past inputs and a one, outputs of
-    `first` to `OUTPUTS` samples ago, and the input."""
-    rows = len(u) - PAST
-    if len(u) < SHORTEST * PAST:
+def _split_regression(
+    inputs: Rows, outputs_of_record: Rows, first_lag: int
+) -> Iterator[list[Rows]]:
+    """Regression arrays of past inputs, past outputs and input for each half of a record. They hold
+    past inputs and a one, outputs of `first_lag` to `OUTPUTS` samples ago, and the input."""
+    rows = len(inputs) - PAST
+    if len(inputs) < SHORTEST * PAST:
         return
-    past_windows = sliding_window_view(u[:-1], PAST, axis=0)
+    past_windows = sliding_window_view(inputs[:-1], PAST, axis=0)
     past = past_windows.reshape(rows, -1)
-    outputs = y[PAST - OUTPUTS : len(y) - first]
-    output_windows = sliding_window_view(outputs, OUTPUTS + 1 - first, axis=0)
+    outputs = outputs_of_record[PAST - OUTPUTS : len(outputs_of_record) - first_lag]
+    output_windows = sliding_window_view(outputs, OUTPUTS + 1 - first_lag, axis=0)
     before = output_windows.reshape(rows, -1)
     with_constant = np.pad(past, ((0, 0), (0, 1)), constant_values=1.0)
-    sides = (with_constant, before, u[PAST:])
+    sides = (with_constant, before, inputs[PAST:])
     middle = rows // 2
     yield [side[:middle] for side in sides]
     yield [side[middle:] for side in sides]

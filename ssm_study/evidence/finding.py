@@ -32,13 +32,13 @@ class Finding:
     sentence: str
 
 
-def evidence_words(level: str, reasons: str | None, where: str) -> str:
-    """Text on the level of the evidence, with the number of notes."""
+def evidence_text(level: str, reasons: str | None, place_of_notes: str) -> str:
+    """Text on the level of the evidence and, for sound evidence, the number of notes."""
     count = len(re.findall(r"(?:^| )note: ", reasons or ""))
     if level != SOUND or not count:
         return level
     plural = "" if count == 1 else "s"
-    return f"{level}, {count} note{plural} ({where})"
+    return f"{level}, {count} note{plural} ({place_of_notes})"
 
 
 Inputs = Float[np.ndarray, "T m"]
@@ -49,8 +49,8 @@ ScaledRecord = tuple[Inputs, Outputs]
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Data set, model and free runs whose evidence is to be judged. The free runs are of the
-    validation and test records."""
+    """Data set, model and simulated records whose evidence is to be judged. The free runs are of
+    the validation and test records."""
 
     data: DataSet
     model: Model
@@ -71,9 +71,9 @@ class Case:
     def regression_arrays(
         self, records: Trajectories, lags: int
     ) -> tuple[Float[np.ndarray, "K d"], Float[np.ndarray, "K p"]]:
-        """Regressors of past inputs and target outputs for a linear FIR model of several records.
-        Rows `(u[k], ..., u[k - lags], 1)` beside `y[k]`, scaled, of the records that are longer
-        than twice the lags."""
+        """Regressors (past inputs) and targets (outputs) of a finite-impulse-response model of
+        several records. Rows `(u[k], ..., u[k - lags], 1)` beside `y[k]`, scaled, of the records
+        that are longer than twice the lags."""
         scale = self.data.scale
         inputs = [np.empty((lags, scale.inputs))]  # of these no row follows
         outputs = [np.empty((lags, scale.outputs))]
@@ -86,8 +86,8 @@ class Case:
         return past, np.concatenate([y[lags:] for y in outputs])
 
     def scored_records(self) -> Iterator[ScoredRecord]:
-        """Scaled input, output and simulation error of every validation and test record. Start-up
-        samples are left out."""
+        """Scaled input, output and simulation error of every validation and test record, without
+        start-up samples. Start-up samples are left out."""
         for part in (self.validation, self.test):
             start = part.start_up_samples
             for record, simulated in zip(part.records, part.simulated, strict=True):
@@ -106,9 +106,11 @@ def make_doubt(sentence: str) -> Finding:
     return Finding(level="doubt", sentence=sentence)
 
 
-def grade_by_size(size: float, doubtful: float, hopeless: float, sentence: str) -> list[Finding]:
-    """Finding whose level depends on the size of a number; none for a small number. It is a doubt
-    from `doubtful` on and `cannot judge` from `hopeless` on."""
-    if size >= hopeless:
+def finding_by_size(
+    value: float, doubt_limit: float, rejection_limit: float, sentence: str
+) -> list[Finding]:
+    """Finding whose level of severity depends on the size of a number; none for a small number. It
+    is a doubt from `doubt_limit` on and `cannot judge` from `rejection_limit` on."""
+    if value >= rejection_limit:
         return [Finding(level="cannot judge", sentence=sentence)]
-    return [make_doubt(sentence)] if size >= doubtful else []
+    return [make_doubt(sentence)] if value >= doubt_limit else []

@@ -1,10 +1,10 @@
-"""Findings about how well the model predicts. Does the model predict? Free runs of validation
-and test against predictors that know nothing, or are linear."""
+"""Findings about how well the model predicts the records. Does the model predict? Free runs of
+validation and test against predictors that know nothing, or are linear."""
 
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.evidence.finding import Case, Finding, grade_by_size, make_doubt, make_note
+from ssm_study.evidence.finding import Case, Finding, finding_by_size, make_doubt, make_note
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.warm_start import simulate_unchosen_start
 from ssm_study.signals import fit_from_relative_error, fit_percent, lagged_inputs
@@ -24,8 +24,8 @@ FEW = 300  # samples below which the fits of two parts are not compared
 
 
 def judge_fit(case: Case) -> list[Finding]:
-    """Findings about the fit: its size, its differences between data sets, and the part of the
-    output that the model misses."""
+    """Findings about the model's fit: its size, its differences between data sets, and the part of
+    the output that the model misses."""
     validation = case.validation.fit_percent
     test = case.test.fit_percent
     findings = judge_poor_fit(case)
@@ -45,13 +45,13 @@ def judge_fit(case: Case) -> list[Finding]:
     findings += judge_initial_state(case)
     owed = unmodelled_input_share(case)
     sentence = f"The model misses {100 * owed:.0f} % of the output's power, which follow the input"
-    return findings + grade_by_size(
+    return findings + finding_by_size(
         owed, OWED, MOST_OWED, f"{sentence}: raise model.order, or use more neurons."
     )
 
 
 def judge_poor_fit(case: Case) -> list[Finding]:
-    """Finding on a poor fit to the validation and test records together.
+    """Finding on a model that fits the validation and test records poorly.
 
     Where the error is small against the range of the training output, the percentage is poor
     because those records hardly move: a doubt that says both, never `cannot judge`.
@@ -70,12 +70,12 @@ def judge_poor_fit(case: Case) -> list[Finding]:
             )
         ]
     remedy = poor_fit_remedy(case)
-    return grade_by_size(-pooled, -POOR_FIT, -NO_FIT, f"{sentence}{remedy}")
+    return finding_by_size(-pooled, -POOR_FIT, -NO_FIT, f"{sentence}{remedy}")
 
 
 def poor_fit_remedy(case: Case) -> str:
-    """End of a sentence that says whether a poor fit is due to the model or to the log. It is the
-    model if something simple fits the test record better."""
+    """End of a sentence on a poor fit, which says whether the model or the log is the cause and
+    what to do. It is the model if something simple fits the test record better."""
     fits = {f"a linear filter of {LAGS} taps": fir_fit_percent(case)}
     other = simulate_unchosen_start(case.model, case.data, case.test)
     if other is not None:
@@ -106,8 +106,8 @@ def judge_initial_state(case: Case) -> list[Finding]:
 
 
 def fir_fit_percent(case: Case) -> float:
-    """Fit to the test records, in percent, of a linear FIR filter that is estimated on the training
-    records. It has `LAGS` taps.
+    """Fit to the test records, in percent, of a linear finite-impulse-response model that is
+    estimated on the training records. It has `LAGS` taps.
 
     Minus infinity where no record is long enough for one.
     """
@@ -120,7 +120,7 @@ def fir_fit_percent(case: Case) -> float:
 
 
 def pooled_fit_percent(case: Case) -> float:
-    """Fit in percent over the validation and test records together.
+    """Fit of the model, in percent, over the validation and test records together.
 
     It lies between the two fits that the outcome prints, which are about the same means.
     """
@@ -134,14 +134,14 @@ def pooled_fit_percent(case: Case) -> float:
 
 
 def scaled_output_and_error(
-    case: Case, part: Simulation
+    case: Case, simulation: Simulation
 ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
-    """Scaled outputs and simulation errors of several records, concatenated, without start-up
-    samples."""
-    start = part.start_up_samples
+    """Scaled outputs and simulation errors of several simulated records, concatenated, without
+    start-up samples."""
+    start = simulation.start_up_samples
     scale = case.data.scale
-    y = [scale.scaled_output(record.y)[start:] for record in part.records]
-    pairs = zip(part.records, part.simulated, strict=True)
+    y = [scale.scaled_output(record.y)[start:] for record in simulation.records]
+    pairs = zip(simulation.records, simulation.simulated, strict=True)
     error = [((record.y - run) / scale.output_scale)[start:] for record, run in pairs]
     return np.concatenate(y), np.concatenate(error)
 
@@ -158,8 +158,8 @@ def relative_rms_error(case: Case) -> float:
 
 
 def unmodelled_input_share(case: Case) -> float:
-    """Share of the output's power that past inputs explain but the model misses. A filter from u,
-    fitted to one half of the residual, predicts the other half.
+    """Fraction of the output's power that a filter of past inputs explains but the model does not.
+    A filter from u, fitted to one half of the residual, predicts the other half.
 
     The power is that of each part about its own mean, as in the fit that the outcome prints.
     """
@@ -183,8 +183,8 @@ def unmodelled_input_share(case: Case) -> float:
 
 
 def judge_whiteness(case: Case) -> list[Finding]:
-    """Finding of the standard whiteness test on the simulation error. It is at most a note, since
-    every free run of a nonlinear plant fails the test.
+    """Finding of the standard whiteness test (autocorrelation) on the simulation error. It is at
+    most a note, since every free run of a nonlinear plant fails the test.
 
     Source: Ljung, System Identification, 2nd ed. (1999) section 16.6.
     """

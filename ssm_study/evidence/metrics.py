@@ -1,5 +1,5 @@
-"""Judgement of the evidence, and its columns in a record. The level is the gravest of all findings;
-it decides whether a prediction is stated."""
+"""Judgement of the evidence that the records give for a model, and its table columns. The level is
+the gravest of all findings; it decides whether a prediction is stated."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -45,7 +45,7 @@ class Judgement:
 
     @property
     def level(self) -> str:
-        """Gravest level among the findings: sound, doubt or cannot judge."""
+        """Gravest level of severity among the findings: sound, doubt or cannot judge."""
         levels = {finding.level for finding in self.findings}
         if CANNOT_JUDGE in levels:
             return CANNOT_JUDGE
@@ -53,7 +53,7 @@ class Judgement:
 
     @property
     def reasons(self) -> str | None:
-        """Text of all findings, the gravest first; None if there are none."""
+        """Text of all findings, the gravest first; None without findings."""
         gravest_first = (CANNOT_JUDGE, DOUBT, "note")
         ordered = sorted(self.findings, key=lambda finding: gravest_first.index(finding.level))
         sentences = [f"{finding.level}: {finding.sentence}" for finding in ordered]
@@ -64,7 +64,7 @@ class Judgement:
         return "\n".join([f"Evidence: {self.level}", *lines])
 
     def to_json(self) -> list[dict[str, str]]:
-        """Findings as a list for JSON."""
+        """Findings of a judgement as a list for JSON."""
         return [asdict(finding) for finding in self.findings]
 
     @classmethod
@@ -106,21 +106,21 @@ def collect_findings(
     return Judgement(findings=tuple(findings))
 
 
-def judge_reading(reading: str) -> list[Finding]:
-    """Doubts about how the log was read: a clock of unknown unit, or values that may stand for
+def judge_reading(reading_remarks: str) -> list[Finding]:
+    """Doubts about how a log was read: a clock of unknown unit, or values that may stand for
     missing ones."""
     doubts = []
-    if ASSUMED_SECOND in reading:
+    if ASSUMED_SECOND in reading_remarks:
         doubts.append(
             make_doubt(
                 "How long a row lasts is unknown: the first column counts the rows, "
                 f"{ASSUMED_SECOND}. Give data.step_s."
             )
         )
-    codes = [remark for remark in reading.split("; ") if remark.endswith(CODES)]
+    codes = [remark for remark in reading_remarks.split("; ") if remark.endswith(CODES)]
     doubts += [make_doubt(f"{remark}. If so, leave those cells empty.") for remark in codes]
     for unit in (MAYBE_SMALLER, MAYBE_DAYS):
-        if unit in reading:
+        if unit in reading_remarks:
             doubts.append(
                 make_doubt(
                     f"The unit of the clock is unknown ({unit}). Give data.step_s, or write the "
@@ -131,21 +131,22 @@ def judge_reading(reading: str) -> list[Finding]:
 
 
 def evidence_columns(judgement: Judgement, *_: Any) -> dict[str, Any]:
-    """Columns of a record with the judgement of the evidence and its reasons. `evidence` is sound,
-    doubt or cannot judge; notes leave it sound."""
+    """Table columns with the judgement of the evidence and its reasons. `evidence` is sound, doubt
+    or cannot judge; notes leave it sound."""
     return {"evidence": judgement.level, "evidence_reasons": judgement.reasons}
 
 
-def withhold_predictions(facts: dict[str, Any], level: str | None) -> dict[str, Any]:
-    """Remove what a design's columns say of the plant if the evidence allows no judgement.
+def withhold_predictions(columns: dict[str, Any], evidence_level: str | None) -> dict[str, Any]:
+    """Remove predictions about the plant from a design's table columns if the evidence allows no
+    judgement.
 
     The proof of coverage stays in the certificate; that the records show an error it covers does
     not hold of records that cannot be judged.
     """
-    if level != CANNOT_JUDGE:
-        return facts
+    if evidence_level != CANNOT_JUDGE:
+        return columns
     about_the_plant = ("predicted_stable", "predicted_faster", "coverage_needed", "sine_coverage")
-    withheld: dict[str, Any] = {name: None for name in about_the_plant if name in facts}
-    if facts.get("coverage") is not None:
+    withheld: dict[str, Any] = {name: None for name in about_the_plant if name in columns}
+    if columns.get("coverage") is not None:
         withheld |= {"coverage": None, "coverage_reason": NO_JUDGEMENT, "coverage_reference": None}
-    return facts | withheld
+    return columns | withheld

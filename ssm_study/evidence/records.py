@@ -39,8 +39,8 @@ UNTRAINED = 0.2  # share of the test input's power in bands that training did no
 
 
 def judge_records(case: Case, mismatch: Mismatch) -> list[Finding]:
-    """Findings about the contents of the records: ranges, levels, length, drift, spectra and rest.
-    Findings on rest and on what is unknown of the model error come last."""
+    """Findings on the contents of the records: ranges, levels, length, drift, spectra and return to
+    rest. Findings on rest and on what is unknown of the model error come last."""
     looks = (
         _judge_range,
         _judge_levels,
@@ -54,14 +54,14 @@ def judge_records(case: Case, mismatch: Mismatch) -> list[Finding]:
 
 
 def _join_scaled_records(case: Case, records: tuple[Trajectory, ...]) -> ScaledRecord:
-    """Scaled inputs and outputs of several records, joined."""
+    """Scaled inputs and outputs of several records, concatenated."""
     parts = [case.scale_record(record) for record in records]
     inputs = np.concatenate([u for u, _ in parts])
     return inputs, np.concatenate([y for _, y in parts])
 
 
 def _judge_range(case: Case) -> Iterator[str]:
-    """Sentences on test records that leave the range of the training records.
+    """Sentences on test records whose input or output leaves the range of the training records.
 
     Where a model integrates its input, the level of its output is no condition that it was trained
     at: its next change is the same at every level.
@@ -114,8 +114,8 @@ def _judge_levels(case: Case) -> Iterator[str]:
 
 
 def count_input_changes(data: DataSet) -> int:
-    """Number of input changes in the training records. A change where a record continues an earlier
-    piece of the same log counts, too.
+    """Number of samples in the training records at which the input changes. A change where a record
+    continues an earlier piece of the same log counts, too.
 
     A log that is cut at its steps has none within its pieces.
     """
@@ -135,7 +135,7 @@ def count_input_changes(data: DataSet) -> int:
 
 
 def _judge_saturation(case: Case) -> Iterator[Finding]:
-    """Findings on an output that is saturated or constant at zero while the input moves.
+    """Findings on an output that stays at its largest or smallest value while the input moves.
 
     A machine that comes to a stop reads zero, too: from the log alone a dead zone cannot be told
     from a sensor that ends there.
@@ -160,8 +160,8 @@ def _judge_saturation(case: Case) -> Iterator[Finding]:
                 )
 
 
-def saturated_share(case: Case, output: int, limit: float) -> float:
-    """Share of training samples at which a moving output is at a limit of its sensor.
+def saturated_share(case: Case, output_index: int, limit: float) -> float:
+    """Fraction of the training samples at which a moving output is at a limit of its sensor.
 
     Counted are stretches in which the input still moves and which the output enters at speed: a
     machine at rest, or inside a dead zone, comes to its extreme slowly and once.
@@ -171,7 +171,7 @@ def saturated_share(case: Case, output: int, limit: float) -> float:
     stretches = 0
     for record in case.data.training:
         u = record.u
-        y = record.y[:, output]
+        y = record.y[:, output_index]
         samples += len(y)
         if len(y) <= APPROACH:
             continue
@@ -188,7 +188,8 @@ def saturated_share(case: Case, output: int, limit: float) -> float:
 
 
 def _judge_length(case: Case) -> Iterator[str]:
-    """Sentences on training records that are too short for the model or its response."""
+    """Sentences on training records that are too short for the model, or shorter than its
+    response."""
     samples = [len(record) for record in case.data.training]
     response = case.model.linear.impulse_response_length()
     if sum(samples) < FEWEST_SAMPLES:
@@ -226,12 +227,14 @@ def _judge_slow_mode(case: Case) -> str:
 
 
 def model_integrates(case: Case) -> bool:
-    """Whether the model integrates its input, so that the effect of an input never decays."""
+    """Whether an identified model integrates its input, so that the effect of an input never
+    decays."""
     return case.model.linear.spectral_radius >= 1 - ROUNDING
 
 
 def follows_input_level(data: DataSet) -> bool:
-    """Whether the output follows the level of its input, which rules out an integrator."""
+    """Whether the output in a log follows the level of its input, which rules out an integrating
+    plant."""
     stretches = join_log_stretches(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
         return False
@@ -269,8 +272,7 @@ def _judge_repetition(case: Case) -> Iterator[str]:
 
 
 def repeated_test_share(data: DataSet) -> float:
-    """Share of the test records' windows that also occur, with the same bits, in the training
-    records.
+    """Fraction of the test records' windows that also occur, bit by bit, in the training records.
 
     A coarse sensor repeats itself by chance: input and output must agree, over windows so long
     that the training records hardly ever repeat themselves.
@@ -285,14 +287,15 @@ def repeated_test_share(data: DataSet) -> float:
 
 
 def _window_bytes(record: Trajectory, length: int) -> set[bytes]:
-    """Contents, as bytes, of all windows of a record in which the output moves."""
+    """Contents, as bytes, of all windows of a given length in a record at which the output
+    moves."""
     both = np.ascontiguousarray(np.concatenate([record.u, record.y], axis=1))
     pieces = (slice(k, k + length) for k in range(len(both) - length + 1))
     return {both[piece].tobytes() for piece in pieces if np.ptp(record.y[piece]) > 0}
 
 
 def _repeated_share(records: tuple[Trajectory, ...], length: int) -> float:
-    """Share of the windows with a moving output that occur more than once in the records."""
+    """Fraction of the windows with a moving output that occur more than once in several records."""
     moving = 0
     distinct: set[bytes] = set()
     for record in records:

@@ -44,7 +44,7 @@ ENOUGH = 200  # samples of a response: too few, more than a design gains from, w
 
 
 def judge_response(case: Case) -> list[Finding]:
-    """Findings about coherence, dead time and sampling time of the records."""
+    """Findings on coherence, dead time and sampling time of the records."""
     return [*_judge_coherence(case), *_judge_dead_time(case), *_judge_sampling(case)]
 
 
@@ -80,7 +80,7 @@ def _judge_coherence(case: Case) -> Iterator[Finding]:
         )
 
 
-def multiple_coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
+def multiple_coherence(records: Sequence[Record], segment_length: int) -> Float[np.ndarray, "F"]:
     """Multiple coherence between inputs and output at each frequency, for the output with the
     lowest coherence.
 
@@ -88,13 +88,13 @@ def multiple_coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarra
     Zero without power.
     """
 
-    def cross_spectra(i: int, j: int) -> Complex[np.ndarray, "F r c"]:
+    def cross_spectra(first_signal: int, second_signal: int) -> Complex[np.ndarray, "F r c"]:
         """Cross spectra of two signals, summed over all records and weighted by their lengths."""
         spectra = []
-        for part in parts:
-            a = part[i][:, :, None]
-            b = part[j][:, None, :]
-            _, spectrum = scipy.signal.csd(a, b, nperseg=segment, axis=0)
+        for part in records:
+            a = part[first_signal][:, :, None]
+            b = part[second_signal][:, None, :]
+            _, spectrum = scipy.signal.csd(a, b, nperseg=segment_length, axis=0)
             spectra.append(len(a) * spectrum)
         return np.sum(spectra, axis=0)
 
@@ -111,7 +111,7 @@ def multiple_coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarra
 
 
 def _judge_sampling(case: Case) -> Iterator[Finding]:
-    """Note on a log whose sampling is much too slow or too fast for the model's response."""
+    """Note on a log that is sampled much too slowly or too fast for the model's response."""
     response = case.model.linear.impulse_response_length()
     statement = (
         f"The bulk of the model's response lasts {response} samples of {case.data.step_s:g} s"
@@ -129,7 +129,7 @@ def _judge_sampling(case: Case) -> Iterator[Finding]:
 
 
 def _judge_dead_time(case: Case) -> Iterator[Finding]:
-    """Finding on a plant whose output responds late to its input."""
+    """Finding on a plant whose output responds to the input only after a dead time."""
     late = dead_time_samples(case)
     order = case.model.order
     if late < LATE:
@@ -143,9 +143,9 @@ def _judge_dead_time(case: Case) -> Iterator[Finding]:
 
 
 def dead_time_samples(case: Case) -> int:
-    """Dead time of the plant in samples, estimated from an FIR model of the training records.
-    Number of samples beyond the first after which no output has clearly responded to any input; 0
-    if that is not clear."""
+    """Dead time of the plant in samples, estimated from a finite-impulse-response model of the
+    training records. Number of samples beyond the first after which no output has clearly responded
+    to any input; 0 if that is not clear."""
     x, y = case.regression_arrays(case.data.training, LAGS)
     if len(x) < 2 * x.shape[1]:
         return 0

@@ -11,8 +11,8 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.return_to_rest import (
     AT_REST,
     FAINT,
-    equilibrium_spread,
     is_return_to_rest,
+    largest_equilibrium_difference,
     output_after_motion,
     remaining_offset,
 )
@@ -52,7 +52,8 @@ def judge_return_to_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
 
 
 def _test_offsets(case: Case) -> list[float]:
-    """Offset of the output in each test record that is at rest input for long after a motion."""
+    """Remaining offset of the output in each test record whose input stays constant for long after
+    a motion."""
     response = case.model.linear.impulse_response_length()
     offsets = []
     for record in case.data.test:
@@ -64,10 +65,11 @@ def _test_offsets(case: Case) -> list[float]:
 
 
 def _judge_short_returns(case: Case) -> Finding:
-    """Finding on records whose returns to rest are too short to show whether the plant rests."""
+    """Finding on records whose input is constant for too short to show whether the plant comes to
+    rest."""
     records = case.data.mismatch_records
     returns = [record for record in records if is_return_to_rest(record)]
-    spread = equilibrium_spread(case.model.scale, returns)
+    spread = largest_equilibrium_difference(case.model.scale, returns)
     problem = "No two returns to rest input outlast the model's response"
     # what the short ones show is no proof of friction, and no reason for silence
     if spread > AT_REST:
@@ -77,7 +79,8 @@ def _judge_short_returns(case: Case) -> Finding:
 
 
 def _judge_measured_range(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
-    """Findings on amplitudes and frequencies at which no record shows the model error."""
+    """Findings on amplitudes and frequencies of the input at which no record shows the model
+    error."""
     if len(mismatch.views) == 1:
         amplitude = f"{mismatch.views[0].amplitude:.2g} input scales, rms"
         yield make_note(

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.export.c import AGREEMENT, escape_comment, read_template, refuse_c_keyword
+from ssm_study.export.c import AGREEMENT, escape_comment, read_template, require_c_identifier
 from ssm_study.export.c_tables import render_array, render_number
 from ssm_study.export.device import REALS
 from ssm_study.loop.bilinear_feedback import BilinearFeedback
@@ -17,35 +17,40 @@ REPLAYED = 200  # samples
 
 
 def render_bilinear_c(
-    controller: BilinearFeedback, name: str, real: str, about: Sequence[str], digest: str
+    controller: BilinearFeedback,
+    prefix: str,
+    c_type: str,
+    comment_lines: Sequence[str],
+    certificate_digest: str,
 ) -> dict[str, str]:
-    """Names and texts of the C files of a bilinear controller: header and replay program.
+    """Names and texts of the C files of a bilinear controller: a header, and a program that replays
+    measurements.
 
-    `about` are lines of the header's comment. Raises `BadRequest` for a name that C does not allow
-    and for an unknown type of number.
+    `comment_lines` are lines of the header's comment. Raises `BadRequest` for a name that C does
+    not allow and for an unknown type of number.
     """
-    refuse_c_keyword(name)
-    require_one_of(tuple(REALS), "real", real)
+    require_c_identifier(prefix)
+    require_one_of(tuple(REALS), "real", c_type)
     model = controller.model
     scale = model.scale
-    texts: dict[str, object] = {"name": name, "guard": name.upper(), "real": real}
+    texts: dict[str, object] = {"name": prefix, "guard": prefix.upper(), "real": c_type}
     texts["n"] = model.order
     texts["q"] = len(model.nodes)
     texts["p"] = len(model.c)
     texts["step_s"] = repr(model.step_s)
-    texts["input_scale"] = render_number(scale.input_scale[0], real)
-    texts["input_equilibrium"] = render_number(scale.input_equilibrium[0], real)
-    lines = [f" * {escape_comment(line)}" for line in about]
+    texts["input_scale"] = render_number(scale.input_scale[0], c_type)
+    texts["input_equilibrium"] = render_number(scale.input_equilibrium[0], c_type)
+    lines = [f" * {escape_comment(line)}" for line in comment_lines]
     texts["about"] = "\n".join(lines)
-    texts["digest"] = escape_comment(digest)
-    texts["tables"] = render_tables(controller, name, real)
-    texts |= render_replayed_signals(controller, real)
+    texts["digest"] = escape_comment(certificate_digest)
+    texts["tables"] = render_tables(controller, prefix, c_type)
+    texts |= render_replayed_signals(controller, c_type)
     header = HEADER.substitute(texts)
     replay = REPLAY.substitute(texts)
-    return {f"{name}.h": header, f"{name}_replay.c": replay}
+    return {f"{prefix}.h": header, f"{prefix}_replay.c": replay}
 
 
-def render_tables(controller: BilinearFeedback, name: str, real: str) -> str:
+def render_tables(controller: BilinearFeedback, prefix: str, c_type: str) -> str:
     """C definitions of all constant arrays of a bilinear controller."""
     model = controller.model
     scale = model.scale
@@ -56,26 +61,28 @@ def render_tables(controller: BilinearFeedback, name: str, real: str) -> str:
     arrays["output_equilibrium"] = scale.output_equilibrium
     tables = ""
     for label, part in arrays.items():
-        tables += render_array(f"{name}_{label}", part, real)
+        tables += render_array(f"{prefix}_{label}", part, c_type)
     return tables
 
 
-def render_replayed_signals(controller: BilinearFeedback, real: str) -> dict[str, object]:
-    """C texts of the signals of a replay: measured outputs, expected inputs, and the tolerance."""
-    y, u = replayed_signals(controller)
-    measured = [render_number(value, real) for value in y.ravel()]
-    expected = [render_number(value, real) for value in u.ravel()]
+def render_replayed_signals(controller: BilinearFeedback, c_type: str) -> dict[str, object]:
+    """C texts of the signals of the replay program: measured outputs, expected inputs, and the
+    tolerance."""
+    y, u = simulate_replayed_signals(controller)
+    measured = [render_number(value, c_type) for value in y.ravel()]
+    expected = [render_number(value, c_type) for value in u.ravel()]
     texts: dict[str, object] = {"samples": len(u)}
     texts["measured"] = ", ".join(measured)
     texts["expected"] = ", ".join(expected)
-    texts["tolerance"] = render_number(AGREEMENT[real], "double")
+    texts["tolerance"] = render_number(AGREEMENT[c_type], "double")
     return texts
 
 
-def replayed_signals(
+def simulate_replayed_signals(
     controller: BilinearFeedback,
 ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T 1"]]:
-    """Measured outputs of a replay, and the inputs with which the controller responds."""
+    """Random measured outputs for the replay program, and the inputs with which a bilinear
+    controller responds to them."""
     rng = np.random.default_rng(0)
     scale = controller.model.scale
     levels = rng.uniform(-3.0, 3.0, (REPLAYED // 10, scale.outputs))

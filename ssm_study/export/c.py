@@ -22,7 +22,7 @@ from ssm_study.refusal import require
 
 
 def read_template(name: str) -> Template:
-    """Read a C template from its file beside this module."""
+    """Read a template of C code from its file in the export package."""
     return Template(Path(__file__).with_name(name).read_text(encoding="utf-8"))
 
 
@@ -55,41 +55,41 @@ LONELY_SLASH = r"(?<![A-Za-z0-9])/|/(?![A-Za-z0-9])"
 
 def render_c_files(
     device: Device,
-    name: str = "controller",
+    prefix: str = "controller",
     *,
-    about: str,
-    signals: Sequence[str] = (),
-    digest: str = "",
-    rates: Sequence[str] = (),
+    origin_text: str,
+    signal_lines: Sequence[str] = (),
+    certificate_digest: str = "",
+    rate_lines: Sequence[str] = (),
     monitor: Monitor | None = None,
 ) -> dict[str, str]:
     """Names and texts of the C files of a controller: header, source and replay program.
 
-    `name` prefixes every symbol and file. Besides numbers the header says its origin, a line per
+    `prefix` prefixes every symbol and file. Besides numbers the header says its origin, a line per
     signal, the digest of the certificate and the rates of the rounded numbers. Raises `BadRequest`
     for a name that C does not allow. Compiled with `-DMONITOR` the code has the `monitor`, or does
     not compile where there is none.
     """
-    refuse_c_keyword(name)
+    require_c_identifier(prefix)
     comments = {
-        "about": escape_comment(about),
-        "digest": escape_comment(digest) or "none",
-        "signals": _format_comment(signals),
-        "rates": _format_comment(rates),
+        "about": escape_comment(origin_text),
+        "digest": escape_comment(certificate_digest) or "none",
+        "signals": _format_comment(signal_lines),
+        "rates": _format_comment(rate_lines),
     }
-    header = _render_header(device, comments, name, monitor)
+    header = _render_header(device, comments, prefix, monitor)
     return {
-        f"{name}.h": header,
-        f"{name}.c": _render_source(name),
-        f"{name}_replay.c": _render_replay(device, name),
+        f"{prefix}.h": header,
+        f"{prefix}.c": _render_source(prefix),
+        f"{prefix}_replay.c": _render_replay(device, prefix),
     }
 
 
-def refuse_c_keyword(name: str) -> None:
-    """Raise `BadRequest` for a prefix with which no C name can begin."""
-    is_identifier = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is not None
-    allowed = is_identifier and name not in KEYWORDS.split()
-    require(allowed, "prefix", name, "is no name in C", "use letters, digits and _")
+def require_c_identifier(prefix: str) -> None:
+    """Raise `BadRequest` for a prefix that is no valid identifier in C."""
+    is_identifier = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix) is not None
+    allowed = is_identifier and prefix not in KEYWORDS.split()
+    require(allowed, "prefix", prefix, "is no name in C", "use letters, digits and _")
 
 
 def _format_comment(lines: Sequence[str]) -> str:
@@ -97,39 +97,39 @@ def _format_comment(lines: Sequence[str]) -> str:
     return "\n".join(f" * {escape_comment(line)}" for line in lines) or " *"
 
 
-def _render_source(name: str) -> str:
+def _render_source(prefix: str) -> str:
     """Text of the C source file of a controller."""
-    guard = name.upper()
+    guard = prefix.upper()
     return (
         f"#ifndef {guard}_EXTERN\n"
         f"#define {guard}_EXTERN\n"
         "#endif\n"
         f"#define {guard}_IMPLEMENTATION\n"
-        f'#include "{name}.h"\n'
+        f'#include "{prefix}.h"\n'
     )
 
 
 def _render_header(
-    device: Device, comments: dict[str, str], name: str, monitor: Monitor | None
+    device: Device, comments: dict[str, str], prefix: str, monitor: Monitor | None
 ) -> str:
     """Text of the C header of a controller, with all constants and functions."""
     real = device.real
     controller = device.controller
     tables = ""
     for label, values in device.constant_tables().items():
-        tables += render_array(f"{name}_{label}", values, real)
-    maps = _render_map(f"{name}_s_in", controller.s_in, name, real)
-    maps += _render_map(f"{name}_s_out", controller.s_out, name, real)
-    sizes = _template_values(device, name)
+        tables += render_array(f"{prefix}_{label}", values, real)
+    maps = _render_map(f"{prefix}_s_in", controller.s_in, prefix, real)
+    maps += _render_map(f"{prefix}_s_out", controller.s_out, prefix, real)
+    sizes = _template_values(device, prefix)
     declared = ""
     defined = ""
     has_set_points = device.set_point_maps is not None
     if has_set_points:
-        maps += _render_set_point_maps(device, name)
+        maps += _render_set_point_maps(device, prefix)
         defined = _SET_POINTS.substitute(sizes)
         declared = _function_prototypes(defined)
-    texts = sizes | comments | render_neurons(device, name)
-    texts["pushed"] = _render_disturbance_update(device, name)
+    texts = sizes | comments | render_neurons(device, prefix)
+    texts["pushed"] = _render_disturbance_update(device, prefix)
     texts |= c_monitor.render_monitor(device, monitor, sizes)
     step_s = repr(controller.step_s)
     texts |= {
@@ -137,39 +137,38 @@ def _render_header(
         "maps": maps,
         "declared": declared,
         "defined": defined,
-        "within": _render_limits_comment(device, has_set_points).replace("#", name),
+        "within": _render_limits_comment(device, has_set_points).replace("#", prefix),
         "resting": _render_ramp_stop(device),
         "step_s": step_s,
         "has_set_points": int(has_set_points),
         "bytes": _count_constants(tables + maps) * np.dtype(REALS[real]).itemsize,
-        "multiplications": device.count_multiplications,
+        "multiplications": device.multiplication_count,
         "tiny": render_number(1e-12, real),
         "relative": render_number(1e-9 if real == "double" else 1e-6, real),
     }
     return _HEADER.substitute(texts)
 
 
-def _render_set_point_maps(device: Device, name: str) -> str:
+def _render_set_point_maps(device: Device, prefix: str) -> str:
     """C functions that convert set points to equilibria of the controller's model."""
     points = device.set_point_maps
     assert points is not None
-    maps = _render_inverse_map(f"{name}_s_in_inverse", points.inward, name, device.real)
-    maps += _render_inverse_map(f"{name}_s_out_inverse", points.outward, name, device.real)
+    maps = _render_inverse_map(f"{prefix}_s_in_inverse", points.inward, prefix, device.real)
+    maps += _render_inverse_map(f"{prefix}_s_out_inverse", points.outward, prefix, device.real)
     for label, part in points.equilibrium_maps.items():
-        maps += _render_equilibrium_map(f"{name}_{label}", part, name, device.real)
+        maps += _render_equilibrium_map(f"{prefix}_{label}", part, prefix, device.real)
     return maps
 
 
-def _function_prototypes(defined: str) -> str:
-    """Prototypes of the public functions that are defined in a C text."""
-    lines = defined.splitlines()
+def _function_prototypes(c_code: str) -> str:
+    """C prototypes of the public functions in a text of C code."""
+    lines = c_code.splitlines()
     opened = [line for line in lines if "_API void" in line]
     return "".join(f"{line.removesuffix(' {')};\n" for line in opened)
 
 
 def _render_ramp_stop(device: Device) -> str:
-    """Line of C that stops the internal model of a ramp while an input limit is active; empty if it
-    is not needed.
+    """Line of C code that stops a ramp's internal model at an input limit; empty if not needed.
 
     Integrators do so by themselves, and oscillators go on.
     """
@@ -179,35 +178,35 @@ def _render_ramp_stop(device: Device) -> str:
     return f"    else for (int i = {rows.start}; i < {rows.stop}; ++i) next[i] = state->x[i];\n"
 
 
-def _count_constants(code: str) -> int:
-    """Number of floats in all constant arrays of a C text."""
-    counts = re.findall(r"static const \w+ \w+\[(\d+)\]", code)
+def _count_constants(c_code: str) -> int:
+    """Number of constants in all constant arrays of a text of C code."""
+    counts = re.findall(r"static const \w+ \w+\[(\d+)\]", c_code)
     return sum(int(count) for count in counts)
 
 
 def escape_comment(text: str) -> str:
-    """Change a text so that it can neither end a C comment nor continue on the next line.
+    """Replace characters of a text so that it cannot end a C comment or continue on the next line.
 
     The text may come from whatever name somebody gave a study.
     """
     return re.sub(rf"[^A-Za-z0-9 .,:;()\[\]%+=_'^/-]|\.\.\.|{LONELY_SLASH}", "_", text)
 
 
-def _template_values(device: Device, name: str) -> dict[str, object]:
-    """Values for the placeholders of the C template: names, number type and dimensions."""
+def _template_values(device: Device, prefix: str) -> dict[str, object]:
+    """Values for the placeholders of a template of C code: names, number type and dimensions."""
     controller = device.controller
     states, lifted = controller.b.shape
     disturbances = controller.scale.disturbances
     taking = f", const {device.real} d[{disturbances}]" if disturbances else ""
     passing = ", d" if disturbances else ""
-    guard = name.upper()
+    guard = prefix.upper()
     q = len(controller.c)
     m = controller.scale.inputs
     p = controller.scale.outputs
     return {
         "taking": taking,
         "passing": passing,
-        "name": name,
+        "name": prefix,
         "guard": guard,
         "real": device.real,
         "n": states,
@@ -219,31 +218,32 @@ def _template_values(device: Device, name: str) -> dict[str, object]:
 
 
 def _render_limits_comment(device: Device, has_set_points: bool) -> str:
-    """C comment that says how to use the controller within input limits. Measured disturbances are
-    the last argument."""
+    """C comment that says how to use the exported controller within input limits. Measured
+    disturbances are the last argument."""
     comment = WITHIN[has_set_points].replace("@", device.no_set_points_reason)
     if not device.controller.scale.disturbances:
         return comment
     return comment.replace("y, r, u)", "y, r, u, d)").replace("y, u);   ", "y, u, d);")
 
 
-def _render_disturbance_update(device: Device, name: str) -> str:
-    """C code that adds measured disturbances to the next state; empty if there are none."""
+def _render_disturbance_update(device: Device, prefix: str) -> str:
+    """C code that adds the effect of measured disturbances to the next state; empty without
+    disturbances."""
     disturbances = device.controller.scale.disturbances
     if not disturbances:
         return ""
     states = len(device.controller.a)
-    scaled = f"(d[i] - {name}_disturbance_equilibrium[i]) / {name}_disturbance_scale[i]"
+    scaled = f"(d[i] - {prefix}_disturbance_equilibrium[i]) / {prefix}_disturbance_scale[i]"
     lines = [
         f"    {device.real} load[{disturbances}];",
         f"    for (int i = 0; i < {disturbances}; ++i) load[i] = {scaled};",
-        f"    {name}_matvec({states}, {disturbances}, {name}_b_d, load, next);",
+        f"    {prefix}_matvec({states}, {disturbances}, {prefix}_b_d, load, next);",
     ]
     return join_lines(lines)
 
 
-def _render_replay(device: Device, name: str) -> str:
-    """C program that replays measurements and compares the inputs with the expected ones.
+def _render_replay(device: Device, prefix: str) -> str:
+    """C program that replays measurements and compares the controller's inputs with expected ones.
 
     The measurements are levels within two scales of rest, also beyond the limits, with noise on
     top; set points change in between.
@@ -268,18 +268,18 @@ def _render_replay(device: Device, name: str) -> str:
     passed = "" if disturbance is None else ", disturbance[k]"
 
     signals["expected"] = applied
-    begin = f"{name}_reset(&state);"
+    begin = f"{prefix}_reset(&state);"
     act = (
-        f"{name}_input(&state, u);\n"
-        f"        {name}_clamp(u);\n"
-        f"        {name}_advance(&state, measured[k], u{passed});"
+        f"{prefix}_input(&state, u);\n"
+        f"        {prefix}_clamp(u);\n"
+        f"        {prefix}_advance(&state, measured[k], u{passed});"
     )
     if device.set_point_maps is not None:
         signals["wanted"] = set_points
-        begin = f"{name}_init(&state, measured[0]);"
-        act = f"{name}_track(&state, measured[k], wanted[k], u{passed});"
+        begin = f"{prefix}_init(&state, measured[0]);"
+        act = f"{prefix}_track(&state, measured[k], wanted[k], u{passed});"
 
-    texts = {"wanted": ""} | _template_values(device, name) | {"begin": begin, "act": act}
+    texts = {"wanted": ""} | _template_values(device, prefix) | {"begin": begin, "act": act}
     for label, values in signals.items():
         texts[label] = _render_signal_table(label, values, device.real)
     if disturbance is not None:
@@ -289,18 +289,22 @@ def _render_replay(device: Device, name: str) -> str:
     return _REPLAY.substitute(texts, samples=REPLAYED, tolerance=repr(tolerance))
 
 
-def _render_signal_table(label: str, values: Float[np.ndarray, "T w"], real: str) -> str:
-    """C table of a signal with one row for each sample."""
+def _render_signal_table(array_name: str, values: Float[np.ndarray, "T w"], c_type: str) -> str:
+    """C definition of a two-dimensional array with a signal, one row for each sample."""
     rows = []
     for row in values:
-        numbers = ", ".join(render_number(value, real) for value in row)
+        numbers = ", ".join(render_number(value, c_type) for value in row)
         rows.append(f"{{{numbers}}}")
     width = values.shape[1]
-    return f"static const {real} {label}[{REPLAYED}][{width}] = {{{', '.join(rows)}}};"
+    return f"static const {c_type} {array_name}[{REPLAYED}][{width}] = {{{', '.join(rows)}}};"
 
 
 def _render_function(
-    name: str, argument: str, tables: dict[str, Float[np.ndarray, "..."]], body: str, real: str
+    function_name: str,
+    argument: str,
+    tables: dict[str, Float[np.ndarray, "..."]],
+    body: str,
+    c_type: str,
 ) -> str:
     """C function with one argument and one result, preceded by its constant arrays. `void
     name(argument, out)`.
@@ -308,28 +312,28 @@ def _render_function(
     A constant is called `name_<label>` in C and `#label` in `body`.
     """
     constants = "".join(
-        render_array(f"{name}_{label}", values, real) for label, values in tables.items()
+        render_array(f"{function_name}_{label}", values, c_type) for label, values in tables.items()
     )
-    code = body.replace("#", f"{name}_")
-    head = f"static inline void {name}(const {real} *{argument}, {real} *out) {{"
+    code = body.replace("#", f"{function_name}_")
+    head = f"static inline void {function_name}(const {c_type} *{argument}, {c_type} *out) {{"
     return f"\n{constants}{head}\n{code}}}\n"
 
 
 def _render_product(
-    prefix: str, label: str, matrix: Float[np.ndarray, "r c"], source: str, target: str
+    prefix: str, matrix_name: str, matrix: Float[np.ndarray, "r c"], source: str, target: str
 ) -> str:
-    """Line of C that adds the product of a matrix and a vector to another vector."""
+    """Line of C code that adds the product of a matrix and a vector to another vector."""
     rows, columns = matrix.shape
-    return f"    {prefix}_matvec({rows}, {columns}, #{label}, {source}, {target});\n"
+    return f"    {prefix}_matvec({rows}, {columns}, #{matrix_name}, {source}, {target});\n"
 
 
-def _render_map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
-    """C function that evaluates a piecewise-linear map, layer by layer. `out += linear v + N(v)`,
-    `d = phi(W d + b) - phi(b)`."""
-    tables = {"linear": portable.linear}
-    body = _render_product(prefix, "linear", portable.linear, "v", "out")
+def _render_map(function_name: str, static_map: PortableMap, prefix: str, c_type: str) -> str:
+    """C function that evaluates a piecewise-linear static map, layer by layer. `out += linear v +
+    N(v)`, `d = phi(W d + b) - phi(b)`."""
+    tables = {"linear": static_map.linear}
+    body = _render_product(prefix, "linear", static_map.linear, "v", "out")
     source = "v"
-    layers = portable.network.hidden_layers() if portable.network else ()
+    layers = static_map.network.hidden_layers() if static_map.network else ()
     for i, (w, b, low, high) in enumerate(layers):
         width = len(b)
         tables[f"w{i}"] = w
@@ -339,46 +343,53 @@ def _render_map(name: str, portable: PortableMap, prefix: str, real: str) -> str
         tables[f"at_zero{i}"] = np.where(b >= 0, high, low) * b
         over_layer = f"    for (int i = 0; i < {width}; ++i)"
         bent = f"{prefix}_leaky(d{i}[i], #low{i}[i], #high{i}[i])"
-        body += f"    {real} d{i}[{width}];\n"
+        body += f"    {c_type} d{i}[{width}];\n"
         body += f"{over_layer} d{i}[i] = #b{i}[i];\n"
         body += _render_product(prefix, f"w{i}", w, source, f"d{i}")
         body += f"{over_layer}\n"
         body += f"        d{i}[i] = {bent} - #at_zero{i}[i];\n"
         source = f"d{i}"  # what the next layer takes
-    if portable.network:
-        weights = portable.network.weights
+    if static_map.network:
+        weights = static_map.network.weights
         tables["w_out"] = weights[-1]
         body += _render_product(prefix, "w_out", tables["w_out"], source, "out")
-    return _render_function(name, "v", tables, body, real)
+    return _render_function(function_name, "v", tables, body, c_type)
 
 
 def _render_equilibrium_map(
-    name: str, part: PiecewiseLinear | Float[np.ndarray, "r c"], prefix: str, real: str
+    function_name: str,
+    equilibrium_map: PiecewiseLinear | Float[np.ndarray, "r c"],
+    prefix: str,
+    c_type: str,
 ) -> str:
-    """C function that adds a matrix product, or an interpolated equilibrium, to its result. `out +=
+    """C function that adds the value of a linear or piecewise-linear map to its result. `out +=
     part w`."""
-    if not isinstance(part, PiecewiseLinear):
-        product = _render_product(prefix, "linear", part, "w", "out")
-        return _render_function(name, "w", {"linear": part}, product, real)
-    count = len(part.points)
-    width = part.slopes.shape[1]
+    if not isinstance(equilibrium_map, PiecewiseLinear):
+        product = _render_product(prefix, "linear", equilibrium_map, "w", "out")
+        return _render_function(function_name, "w", {"linear": equilibrium_map}, product, c_type)
+    count = len(equilibrium_map.points)
+    width = equilibrium_map.slopes.shape[1]
     at = f"j * {width} + i"
     body = "    int j;\n"
     body += f"    for (j = 0; j < {count} && #at[j] <= w[0]; ++j) {{}}\n"
     body += f"    for (int i = 0; i < {width}; ++i)"
     body += f" out[i] = #slope[{at}] * w[0] + #offset[{at}];\n"
-    tables = {"at": part.points, "slope": part.slopes, "offset": part.offsets}
-    return _render_function(name, "w", tables, body, real)
+    tables = {
+        "at": equilibrium_map.points,
+        "slope": equilibrium_map.slopes,
+        "offset": equilibrium_map.offsets,
+    }
+    return _render_function(function_name, "w", tables, body, c_type)
 
 
-def _render_inverse_map(name: str, inverse: Inverse, prefix: str, real: str) -> str:
+def _render_inverse_map(function_name: str, inverse_map: Inverse, prefix: str, c_type: str) -> str:
     """C function that evaluates the inverse of a static map. `out = S^{-1}(w)`."""
-    if inverse.matrix is not None:
-        body = _render_product(prefix, "linear", inverse.matrix, "w", "out")
-        return _render_function(name, "w", {"linear": inverse.matrix}, body, real)
+    if inverse_map.matrix is not None:
+        body = _render_product(prefix, "linear", inverse_map.matrix, "w", "out")
+        return _render_function(function_name, "w", {"linear": inverse_map.matrix}, body, c_type)
     tables: dict[str, Float[np.ndarray, ...]] = {}
     body = "    int j;\n"
-    for c, (points, slopes, offsets) in enumerate(inverse.channels):
+    for c, (points, slopes, offsets) in enumerate(inverse_map.channels):
         search = "j = 0;"
         if len(points):  # C has no array of size zero
             tables[f"at{c}"] = points
@@ -386,4 +397,4 @@ def _render_inverse_map(name: str, inverse: Inverse, prefix: str, real: str) -> 
         tables[f"slope{c}"] = slopes
         tables[f"offset{c}"] = offsets
         body += f"    {search}\n    out[{c}] = #slope{c}[j] * w[{c}] + #offset{c}[j];\n"
-    return _render_function(name, "w", tables, body, real)
+    return _render_function(function_name, "w", tables, body, c_type)

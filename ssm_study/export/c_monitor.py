@@ -1,5 +1,5 @@
-"""Monitor in the exported C code, which checks whether the plant stays within the measured disc
-that the certificate covers.
+"""Monitor in the exported C code, which checks whether the plant stays within the model errors that
+the certificate allows.
 
 With the model's own output m for the input that is applied, from rest, and `e = y - m`, noise and
 initial state included, the device keeps
@@ -47,23 +47,29 @@ class Filter:
     d: float
 
     @classmethod
-    def from_matrices(cls, weight: Float[np.ndarray, "v v"], kappa: float) -> "Filter | None":
-        """Filter from matrices in controller canonical form; None for matrices in any other form.
-        `[A, B; C, D]`."""
-        order = len(weight) - 1
+    def from_matrices(
+        cls, filter_matrix: Float[np.ndarray, "v v"], disc_radius: float
+    ) -> "Filter | None":
+        """Weighting filter from state-space matrices in controller canonical form; None for
+        matrices in any other form. `[A, B; C, D]`."""
+        order = len(filter_matrix) - 1
         shift = np.eye(order, k=-1)[1:]
         first = np.eye(order)[:, :1]
-        is_shift = np.array_equal(weight[1:order, :order], shift)
-        if order and not (is_shift and np.array_equal(weight[:order, order:], first)):
+        is_shift = np.array_equal(filter_matrix[1:order, :order], shift)
+        if order and not (is_shift and np.array_equal(filter_matrix[:order, order:], first)):
             return None
-        c = kappa * weight[order, :order]
-        return cls(a=weight[:1, :order].ravel()[:order], c=c, d=float(kappa * weight[-1, -1]))
+        c = disc_radius * filter_matrix[order, :order]
+        return cls(
+            a=filter_matrix[:1, :order].ravel()[:order],
+            c=c,
+            d=float(disc_radius * filter_matrix[-1, -1]),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Monitor:
-    """Numbers of the monitor for the exported C code, in scaled units: centre and floor of the
-    disc, weights and limits. Kappa is included. `states` of the model come first among the
+    """Constants of the monitor in the exported C code: centre of the disc of model errors, weights
+    and limits, in scaled units. Kappa is included. `states` of the model come first among the
     controller's."""
 
     states: int
@@ -76,8 +82,8 @@ class Monitor:
 
     @classmethod
     def for_design(cls, model: Model, design: Design) -> "Monitor | None":
-        """Monitor for a one-layer design with certified coverage; None for any other design, or
-        with measured disturbances.
+        """Monitor for a design whose certificate holds for the recorded model error; None for any
+        other design.
 
         The allowance is a standing error of the settling band in every output; the limit the energy
         with which the model comes to rest from outputs half their scale away. A loop that starts
@@ -99,22 +105,22 @@ class Monitor:
             output=output,
             input=into,
             allowance=BAND**2 * model.scale.outputs,
-            limit=START**2 * decay_energy(model.linear),
+            limit=START**2 * free_decay_energy(model.linear),
         )
 
     def sum_limit(self, first_output: Float[np.ndarray, "p"]) -> float:
-        """Limit of the monitor's sum for a loop with a given first measured output. It is the
-        energy of the decay from half a scale, or from `ROOM` times that output."""
+        """Alarm limit of the monitor's running sum for a loop with a given first measured output.
+        It is the energy of the decay from half a scale, or from `ROOM` times that output."""
         farther = (ROOM / START) ** 2 * float((first_output**2).sum())
         return self.limit * max(1.0, farther)
 
 
-def decay_energy(linear: StateSpace) -> float:
-    """Energy of the free decay from the equilibria at which one output is one, for each output in
-    turn. `sum |y|^2`."""
-    rest, _, gain = linear.equilibrium_basis()
+def free_decay_energy(system: StateSpace) -> float:
+    """Energy of the free decay of a linear system from equilibria at which one output is one,
+    summed over the outputs. `sum |y|^2`."""
+    rest, _, gain = system.equilibrium_basis()
     starts = rest @ np.linalg.pinv(gain)
-    observability = scipy.linalg.solve_discrete_lyapunov(linear.a.T, linear.c.T @ linear.c)
+    observability = scipy.linalg.solve_discrete_lyapunov(system.a.T, system.c.T @ system.c)
     return float(np.trace(starts.T @ observability @ starts))
 
 
@@ -149,10 +155,11 @@ REFUSED = f"""
 
 
 def render_monitor(
-    device: Device, monitor: Monitor | None, sizes: Mapping[str, object]
+    device: Device, monitor: Monitor | None, template_values: Mapping[str, object]
 ) -> dict[str, str]:
-    """C texts of the monitor, keyed by the placeholders of the template. Without a monitor, its
-    switch in the header leads to a compiler error."""
+    """C code of the monitor, keyed by the placeholders of the template. Without a monitor, its
+    switch in the header leads to a compiler error.
+    """
     if monitor is None:
         none = dict.fromkeys(("monitor_members", "monitor_call", "monitor_reset"), "")
         return none | {"monitor_watch": REFUSED}
@@ -174,9 +181,10 @@ def render_monitor(
         tables[f"{side}_a"] = weight.a if order else np.zeros(1)
         tables[f"{side}_c"] = weight.c if order else np.zeros(1)
     texts["tables"] = "".join(
-        render_array(f"{sizes['name']}_{label}", values, real) for label, values in tables.items()
+        render_array(f"{template_values['name']}_{label}", values, real)
+        for label, values in tables.items()
     )
-    texts |= sizes
+    texts |= template_values
     parts = {
         "monitor_members": MEMBERS,
         "monitor_watch": _WATCH.read_text(encoding="utf-8"),

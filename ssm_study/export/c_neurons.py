@@ -1,4 +1,4 @@
-"""C code for the neurons of a controller's model."""
+"""C code for the neurons in the model of an exported controller."""
 
 import re
 from collections.abc import Sequence
@@ -7,8 +7,8 @@ from ssm_study.export.device import Device
 from ssm_study.models.structured import NEURONS
 
 
-def render_neurons(device: Device, name: str) -> dict[str, str]:
-    """C code for the neurons of the model, keyed by its place in the header; empty texts for a
+def render_neurons(device: Device, prefix: str) -> dict[str, str]:
+    """C code for the neurons of a controller's model, by its place in the header; empty texts for a
     model without neurons.
 
     `include` is math.h, `neurons` their function, `read` its call where the observer's error is
@@ -16,9 +16,9 @@ def render_neurons(device: Device, name: str) -> dict[str, str]:
     """
     if device.controller.neurons is None:
         return dict.fromkeys(("include", "neurons", "read", "driven"), "")
-    read = join_lines(_render_neuron_output(device, name))
-    driven = join_lines(_render_neuron_update(device, name))
-    lines = _render_neuron_function(device, name)
+    read = join_lines(_render_neuron_output(device, prefix))
+    driven = join_lines(_render_neuron_update(device, prefix))
+    lines = _render_neuron_function(device, prefix)
     neurons = "\n" + join_lines(lines)
     return {
         "read": read,
@@ -29,12 +29,12 @@ def render_neurons(device: Device, name: str) -> dict[str, str]:
 
 
 def join_lines(lines: Sequence[str]) -> str:
-    """Join lines of code to one text."""
+    """Join lines of C code to one text."""
     return "".join(f"{line}\n" for line in lines)
 
 
-def _render_neuron_function(device: Device, name: str) -> list[str]:
-    """C function that computes the outputs of the neurons."""
+def _render_neuron_function(device: Device, prefix: str) -> list[str]:
+    """Lines of C code of the function that computes the outputs of the neurons."""
     real = device.real
     neurons = device.controller.neurons
     assert neurons is not None
@@ -45,28 +45,28 @@ def _render_neuron_function(device: Device, name: str) -> list[str]:
     l_z = ("error", neurons.l_z.shape[1])
     arguments = {"f": f, "g": g, "l_z": l_z}
     parameters = ", ".join(f"const {real} *{vector}" for vector, _ in arguments.values())
-    lines = [f"static inline void {name}_neurons({parameters}, {real} *w) {{"]
+    lines = [f"static inline void {prefix}_neurons({parameters}, {real} *w) {{"]
     lines.append(f"    {real} z;")
-    lines.append(f"    for (int i = 0; i < {count}; ++i) w[i] = {name}_bias[i];")
+    lines.append(f"    for (int i = 0; i < {count}; ++i) w[i] = {prefix}_bias[i];")
     for matrix, (vector, size) in arguments.items():
-        lines.append(f"    {name}_matvec({count}, {size}, {name}_{matrix}, {vector}, w);")
+        lines.append(f"    {prefix}_matvec({count}, {size}, {prefix}_{matrix}, {vector}, w);")
     for i, kind in enumerate(neurons.kinds):
         lines.append(f"    z = w[{i}];")
-        lines.append(f"    w[{i}] = {_render_activation(kind, real)} - {name}_phi_bias[{i}];")
+        lines.append(f"    w[{i}] = {_render_activation(kind, real)} - {prefix}_phi_bias[{i}];")
     return [*lines, "}"]
 
 
-def _render_activation(kind: str, real: str) -> str:
-    """C expression of an activation function."""
-    code = NEURONS[kind].c
-    if real == "float":  # tanhf and 1.0f
+def _render_activation(activation: str, c_type: str) -> str:
+    """C expression for the value of an activation function."""
+    code = NEURONS[activation].c
+    if c_type == "float":  # tanhf and 1.0f
         code = re.sub(r"([a-z]\w+)\(", r"\1f(", code)
         code = re.sub(r"(\d\.\d)", r"\1f", code)
     return code
 
 
-def _render_neuron_output(device: Device, name: str) -> list[str]:
-    """C code that adds the neurons' contribution to the predicted output."""
+def _render_neuron_output(device: Device, prefix: str) -> list[str]:
+    """Lines of C code that add the neurons' contribution to the predicted output."""
     real = device.real
     neurons = device.controller.neurons
     assert neurons is not None
@@ -76,18 +76,18 @@ def _render_neuron_output(device: Device, name: str) -> list[str]:
     return [
         f"    const {real} none[{neurons.l_z.shape[1]}] = {{0}};",
         f"    {real} seen[{count}];",
-        f"    {name}_neurons(state->x, lifted, none, seen);",
-        f"    {name}_matvec({outputs}, {count}, {name}_h, seen, ybar);",
+        f"    {prefix}_neurons(state->x, lifted, none, seen);",
+        f"    {prefix}_matvec({outputs}, {count}, {prefix}_h, seen, ybar);",
     ]
 
 
-def _render_neuron_update(device: Device, name: str) -> list[str]:
-    """C code that adds the neurons' contribution to the next state."""
+def _render_neuron_update(device: Device, prefix: str) -> list[str]:
+    """Lines of C code that add the neurons' contribution to the next state."""
     neurons = device.controller.neurons
     assert neurons is not None
     states, count = neurons.into.shape
     return [
         f"    {device.real} w[{count}];",
-        f"    {name}_neurons(state->x, lifted, error, w);",
-        f"    {name}_matvec({states}, {count}, {name}_into, w, next);",
+        f"    {prefix}_neurons(state->x, lifted, error, w);",
+        f"    {prefix}_matvec({states}, {count}, {prefix}_into, w, next);",
     ]

@@ -1,4 +1,5 @@
-"""Constants of the exported C code, each written so that it is read back as the same float."""
+"""Numbers and arrays of the exported C code, each written so that it is read back as the same
+float."""
 
 from typing import Any
 
@@ -8,15 +9,15 @@ from jaxtyping import Float
 from ssm_study.export.device import REALS
 
 
-def render_number(value: float | np.floating[Any], real: str) -> str:
-    """Shortest decimal text that is read back as the same float."""
-    rounded = REALS[real](value)
+def render_number(value: float | np.floating[Any], c_type: str) -> str:
+    """Shortest decimal text of a number that C reads back as the same float."""
+    rounded = REALS[c_type](value)
     digits = np.format_float_scientific(rounded, trim="0")
-    return f"{digits}f" if real == "float" else digits
+    return f"{digits}f" if c_type == "float" else digits
 
 
-def render_array(name: str, values: Float[np.ndarray, "..."], real: str) -> str:
+def render_array(array_name: str, values: Float[np.ndarray, "..."], c_type: str) -> str:
     """C definition of a constant array."""
-    texts = [render_number(value, real) for value in values.ravel()]
+    texts = [render_number(value, c_type) for value in values.ravel()]
     numbers = ", ".join(texts)
-    return f"static const {real} {name}[{values.size}] = {{{numbers}}};\n"
+    return f"static const {c_type} {array_name}[{values.size}] = {{{numbers}}};\n"

@@ -1,4 +1,4 @@
-"""Python model of a controller on a device, which computes exactly as the exported C code does.
+"""Python model of the exported controller, which computes exactly as the exported C code does.
 
 For a set point r the law aims at the equilibrium of the model nearest to it: `v* = S_u^{-1}(G^+
 S_y^{-1}(w_r))`, clamped to the limits, `x* = (I - A)^{-1} B S_u(v*)`, `G = C (I - A)^{-1} B + D`,
@@ -34,7 +34,7 @@ IDLE = 1e-9  # relative: a direction of inputs below it moves no output at rest
 
 @dataclass(frozen=True, kw_only=True)
 class SetPoints:
-    """Maps between set points and equilibria of the controller's model.
+    """Maps from set points to equilibria of the controller's model, and back.
 
     `to_lifted (k, q)` is `G^+`, `at_rest (n, k)` is `(I - A)^{-1} B` over zeros, `seen (q, k)`
     is G. With neurons each is a line through stored points, which misses what S_y reads by at most
@@ -52,15 +52,16 @@ class SetPoints:
 
     @property
     def equilibrium_maps(self) -> dict[str, Any]:
-        """The three maps between set points and equilibria, keyed by name."""
+        """The three maps between set points and equilibria of the controller's model, keyed by
+        name."""
         names = ("to_lifted", "at_rest", "seen")
         return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
-    """Controller as it runs on a device, with rounded numbers, input limits, and operations in the
-    order of the C code.
+    """Controller as it runs on a device: rounded numbers, input limits, and operations in the order
+    of the C code.
 
     Limits are infinite where there is none. `set_point_maps` is None where they cannot be computed
     on a device: S_u or S_y couples its channels, the model integrates, no constant input reaches
@@ -75,18 +76,18 @@ class Device:
 
     @classmethod
     def from_controller(
-        cls, controller: PortableController, real: str, lower: Vector, upper: Vector
+        cls, controller: PortableController, c_type: str, lower: Vector, upper: Vector
     ) -> "Device":
-        """Controller on a device, with all numbers rounded to a float type.
+        """Controller for a device, all of whose numbers are rounded to a float type.
 
-        Missing limits become the largest `real`.
+        Missing limits become the largest `c_type`.
         """
-        require_one_of(REALS, "real", real)
-        kind = REALS[real]
+        require_one_of(REALS, "real", c_type)
+        kind = REALS[c_type]
         largest = float(np.finfo(kind).max)
 
         def round_limit(limit: Vector) -> Vector:
-            """Input limit rounded to the number type of the C program."""
+            """Input limit rounded to the number type of the C code."""
             inputs = controller.scale.inputs
             each = np.broadcast_to(limit, inputs)
             finite = np.clip(each, -largest, largest)
@@ -94,15 +95,15 @@ class Device:
 
         return cls(
             controller=convert_floats(controller, kind),
-            real=real,
+            real=c_type,
             lower=round_limit(lower),
             upper=round_limit(upper),
         )
 
     @cached_property
     def set_point_maps(self) -> SetPoints | None:
-        """Maps between set points and equilibria, computed from the rounded numbers; None if there
-        are none.
+        """Maps between set points and equilibria of the controller's rounded model; None where a
+        device cannot compute them.
 
         None where a device cannot compute them.
         """
@@ -118,7 +119,8 @@ class Device:
 
     @property
     def no_set_points_reason(self) -> str:
-        """Reason why a device cannot compute set points, as a clause; empty if it can."""
+        """Reason why a device cannot compute equilibria for set points, as a clause; empty if it
+        can."""
         if self.set_point_maps is not None:
             return ""
         controller = convert_floats(self.controller, np.float64)
@@ -134,7 +136,7 @@ class Device:
         return "two equilibria of the model have one output, or one was not found"
 
     def _linear_set_point_maps(
-        self, model: StateSpace, inward: Inverse, outward: Inverse
+        self, model: StateSpace, inverse_input_map: Inverse, inverse_output_map: Inverse
     ) -> SetPoints | None:
         """Maps between set points and equilibria of a linear model, as matrices; None for a model
         that integrates or cannot reach every output."""
@@ -150,16 +152,24 @@ class Device:
         to_lifted = np.linalg.pinv(gain)
         at_rest = np.pad(states, ((0, below), (0, 0)))
         exact = SetPoints(
-            to_lifted=to_lifted, at_rest=at_rest, seen=gain, inward=inward, outward=outward
+            to_lifted=to_lifted,
+            at_rest=at_rest,
+            seen=gain,
+            inward=inverse_input_map,
+            outward=inverse_output_map,
         )
         kind = REALS[self.real]
         return convert_floats(exact, kind)
 
     def _interpolated_set_point_maps(
-        self, controller: PortableController, inward: Inverse, outward: Inverse
+        self,
+        controller: PortableController,
+        inverse_input_map: Inverse,
+        inverse_output_map: Inverse,
     ) -> SetPoints | None:
-        """Maps between set points and equilibria of a model with neurons, by interpolation. Points
-        between the interpolated ones show the error."""
+        """Maps between set points and equilibria of a model with neurons, by interpolation between
+        tabulated equilibria; None where they are not unique. Points between the interpolated ones
+        show the error."""
         if len(self.lower) > 1:
             return None
         low = self._mapped_limit(controller, self.lower)
@@ -183,8 +193,8 @@ class Device:
             to_lifted=to_lifted,
             at_rest=at_rest,
             seen=output_map,
-            inward=inward,
-            outward=outward,
+            inward=inverse_input_map,
+            outward=inverse_output_map,
             missed=max(errors),
         )
         kind = REALS[self.real]
@@ -192,17 +202,17 @@ class Device:
 
     @staticmethod
     def _mapped_limit(controller: PortableController, limit: Vector) -> float:
-        """Value of the input map at an input limit."""
+        """Value of the controller's static input map at an input limit."""
         u = limit.astype(float)
         scaled = controller.scale.scaled_input(u)
         return float(_evaluate_map(controller.s_in, np.clip(scaled, -WIDEST, WIDEST))[0])
 
     def constant_tables(self) -> dict[str, Float[np.ndarray, "..."]]:
-        """Constant matrices and vectors of the C code, by name."""
+        """Constant matrices and vectors of the exported C code, by name."""
         return self.controller.arrays() | {"lower": self.lower, "upper": self.upper}
 
     @property
-    def count_multiplications(self) -> int:
+    def multiplication_count(self) -> int:
         """Largest number of multiplications in one sample of the controller, without those of
         activation functions.
 
@@ -226,51 +236,55 @@ class Device:
         reaching = sum(_count_equilibrium_products(part) for part in parts)
         return products + reaching + inverses + maps + 2 * inputs
 
-    def equilibrium_state(self, y0: Vector) -> Vector:
-        """Equilibrium state of the controller's model at a given output. Without set points it is
-        the plant's equilibrium."""
+    def equilibrium_state(self, output: Vector) -> Vector:
+        """Equilibrium state of the controller's model at which the output has a given value.
+        Without set points it is the plant's equilibrium."""
         points = self.set_point_maps
         if points is None:
             controller_a = self.controller.a
             return np.zeros(len(controller_a), dtype=REALS[self.real])
         scale = self.controller.scale
-        read = _evaluate_inverse_map(points.outward, scale.scaled_output(y0))
+        read = _evaluate_inverse_map(points.outward, scale.scaled_output(output))
         return evaluate_equilibrium_map(
             points.at_rest, evaluate_equilibrium_map(points.to_lifted, read)
         )
 
     def compute_step(
-        self, x: Vector, y: Vector, r: Vector, d: Vector | None = None
+        self,
+        state: Vector,
+        measured_output: Vector,
+        set_point: Vector,
+        disturbance_or_none: Vector | None = None,
     ) -> tuple[Vector, Vector]:
-        """Compute the controller's input for one sample, within the input limits, and its next
-        state.
+        """Input of the controller for one sample, cut at the input limits, and the controller's
+        next state.
 
         Without set points the law steers towards the equilibrium. Measured disturbances that are
         not given are at theirs.
         """
         controller = self.controller
         neurons = controller.neurons
-        rest = self.nearest_equilibrium(r)
-        scaled_request = multiply_in_order(controller.k, x - rest["x"], rest["v"])
+        rest = self.nearest_equilibrium(set_point)
+        scaled_request = multiply_in_order(controller.k, state - rest["x"], rest["v"])
         requested = controller.scale.physical_input(scaled_request)
         u = np.clip(requested, self.lower, self.upper)
         # The observer uses the input that was applied.
         applied = controller.scale.scaled_input(u)
         lifted = _evaluate_map(controller.s_in, applied)
-        measured = controller.scale.scaled_output(y)
-        start = multiply_in_order(controller.c, x)
+        measured = controller.scale.scaled_output(measured_output)
+        start = multiply_in_order(controller.c, state)
         read = multiply_in_order(controller.d, lifted, start)
         if neurons and neurons.h.any():
-            read = multiply_in_order(neurons.h, neurons(x, lifted), read)
+            read = multiply_in_order(neurons.h, neurons(state, lifted), read)
         error = _evaluate_map(controller.s_out, read) - measured
-        following = multiply_in_order(controller.a, x)
+        following = multiply_in_order(controller.a, state)
         following = multiply_in_order(controller.b, lifted, following)
         following = multiply_in_order(controller.l, error, following)
-        if d is not None:
-            disturbance = controller.scale.scaled_disturbance(d)
+        if disturbance_or_none is not None:
+            disturbance = controller.scale.scaled_disturbance(disturbance_or_none)
             following = multiply_in_order(controller.b_d, disturbance, following)
         if neurons:
-            corrected_outputs = neurons(x, lifted, error)
+            corrected_outputs = neurons(state, lifted, error)
             following = multiply_in_order(neurons.into, corrected_outputs, following)
         # No error enters the internal model while a limit acts.
         if np.array_equal(u, requested):
@@ -278,11 +292,12 @@ class Device:
             following = multiply_in_order(controller.e, control_error, following)
         else:
             frozen = controller.frozen_state_range
-            following[frozen] = x[frozen]
+            following[frozen] = state[frozen]
         return u, following
 
-    def nearest_equilibrium(self, r: Vector) -> dict[str, Vector]:
-        """Equilibrium within the input limits that is nearest to a set point.
+    def nearest_equilibrium(self, set_point: Vector) -> dict[str, Vector]:
+        """Equilibrium of the controller's model, within the input limits, that is nearest to a set
+        point.
 
         State `x`, scaled input `v` and output `w`.
         """
@@ -298,7 +313,7 @@ class Device:
                 "v": np.zeros(inputs, real),
                 "w": np.zeros(outputs, real),
             }
-        wanted_output = _evaluate_inverse_map(points.outward, scale.scaled_output(r))
+        wanted_output = _evaluate_inverse_map(points.outward, scale.scaled_output(set_point))
         wanted_mapped = evaluate_equilibrium_map(points.to_lifted, wanted_output)
         wanted_input = _evaluate_inverse_map(points.inward, wanted_mapped)
         requested = scale.physical_input(wanted_input)
@@ -312,9 +327,9 @@ class Device:
 
     def recomputed_inputs(
         self,
-        y: Float[np.ndarray, "T p"],
-        r: Float[np.ndarray, "T p"],
-        d: Float[np.ndarray, "T k"] | None = None,
+        measured_outputs: Float[np.ndarray, "T p"],
+        reference: Float[np.ndarray, "T p"],
+        disturbances: Float[np.ndarray, "T k"] | None = None,
     ) -> Float[np.ndarray, "T m"]:
         """Inputs that the controller computes from recorded measurements and set points. Measured
         disturbances are an argument where the controller uses them.
@@ -322,61 +337,62 @@ class Device:
         It starts at rest at the first measurement.
         """
         kind = REALS[self.real]
-        measurements = y.astype(kind)
-        set_points = r.astype(kind)
+        measurements = measured_outputs.astype(kind)
+        set_points = reference.astype(kind)
         x = self.equilibrium_state(measurements[0])
         applied = []
         for k in range(len(measurements)):
-            load = None if d is None else d[k].astype(kind)
+            load = None if disturbances is None else disturbances[k].astype(kind)
             u, x = self.compute_step(x, measurements[k], set_points[k], load)
             applied.append(u)
         return np.stack(applied)
 
 
-def _count_map_products(portable: PortableMap) -> int:
-    """Number of products in one evaluation of a static map."""
-    network = portable.network
-    products = portable.linear.size
+def _count_map_products(static_map: PortableMap) -> int:
+    """Number of multiplications in one evaluation of a static map."""
+    network = static_map.network
+    products = static_map.linear.size
     if network is not None:
         products += sum(layer.size for layer in (*network.weights, *network.biases))
     return products
 
 
-def _count_inverse_products(inverse: Inverse) -> int:
-    """Number of products in one evaluation of an inverse map."""
-    if inverse.matrix is None:
-        return len(inverse.channels)
-    return inverse.matrix.size
+def _count_inverse_products(inverse_map: Inverse) -> int:
+    """Number of multiplications in one evaluation of the inverse of a static map."""
+    if inverse_map.matrix is None:
+        return len(inverse_map.channels)
+    return inverse_map.matrix.size
 
 
-def _count_equilibrium_products(part: Any) -> int:
-    """Number of products in one evaluation of a map from set points to equilibria."""
-    if isinstance(part, PiecewiseLinear):
-        return part.slopes.shape[1]
-    return part.size
+def _count_equilibrium_products(equilibrium_map: Any) -> int:
+    """Number of multiplications in one evaluation of a map from set points to equilibria."""
+    if isinstance(equilibrium_map, PiecewiseLinear):
+        return equilibrium_map.slopes.shape[1]
+    return equilibrium_map.size
 
 
-def _evaluate_map(portable: PortableMap, v: Vector) -> Vector:
-    """Evaluate a static map in the order of the C code."""
-    out = multiply_in_order(portable.linear, v)
-    if portable.network is None:
+def _evaluate_map(static_map: PortableMap, v: Vector) -> Vector:
+    """Value of a static map, computed in the same order of operations as in the C code."""
+    out = multiply_in_order(static_map.linear, v)
+    if static_map.network is None:
         return out
     d = v
-    for w, b, low, high in portable.network.hidden_layers():
+    for w, b, low, high in static_map.network.hidden_layers():
         z = multiply_in_order(w, d, b)
         slopes_at_zero = np.where(b >= 0, high, low)
         at_zero = slopes_at_zero * b
         activated = np.where(z >= 0, high * z, low * z)
         d = activated - at_zero
-    last_weight = portable.network.weights[-1]
+    last_weight = static_map.network.weights[-1]
     return multiply_in_order(last_weight, d, out)
 
 
-def _evaluate_inverse_map(inverse: Inverse, w: Vector) -> Vector:
-    """Evaluate the inverse of a static map in the order of the C code.
+def _evaluate_inverse_map(inverse_map: Inverse, w: Vector) -> Vector:
+    """Value of the inverse of a static map, computed in the same order of operations as in the C
+    code.
 
     Channel by channel the order is that already; for a product `@` promises none.
     """
-    if inverse.matrix is None:
-        return inverse(w)
-    return multiply_in_order(inverse.matrix, w)
+    if inverse_map.matrix is None:
+        return inverse_map(w)
+    return multiply_in_order(inverse_map.matrix, w)

@@ -17,7 +17,7 @@ IR_VERSION = 8  # old enough for runtimes in the field
 
 
 class _GraphBuilder:
-    """Builder of an ONNX graph that appends one node after another.
+    """Builder of an ONNX graph that appends one operator after another.
 
     An array among the inputs of a node becomes a constant.
     """
@@ -29,7 +29,7 @@ class _GraphBuilder:
     def append_operator(
         self, operator: str, *inputs: str | Float[np.ndarray, "..."], output: str = ""
     ) -> str:
-        """Append an operator to the graph and return the name of its output."""
+        """Append an operator to the ONNX graph and return the name of its output."""
         from onnx import helper
 
         names = [value if isinstance(value, str) else self.add_constant(value) for value in inputs]
@@ -39,7 +39,7 @@ class _GraphBuilder:
         return output
 
     def add_constant(self, value: Float[np.ndarray, "..."]) -> str:
-        """Add a constant to the graph and return its name."""
+        """Add a constant to the ONNX graph and return its name."""
         from onnx import numpy_helper
 
         name = f"c{len(self.constants)}"
@@ -47,18 +47,19 @@ class _GraphBuilder:
         self.constants.append(numpy_helper.from_array(values, name))
         return name
 
-    def append_product(self, x: str, matrix: Float[np.ndarray, "r c"]) -> str:
-        """Append the product of a signal and a transposed matrix to the graph."""
-        return self.append_operator("MatMul", x, matrix.T)
+    def append_product(self, signal: str, matrix: Float[np.ndarray, "r c"]) -> str:
+        """Append to the ONNX graph the product of a signal and a transposed matrix."""
+        return self.append_operator("MatMul", signal, matrix.T)
 
-    def append_map(self, s: PortableMap, v: str) -> str:
-        """Append the evaluation of a static map to the graph, layer by layer. `phi(z) - phi(b)`."""
-        terms = [self.append_product(v, s.linear)]
-        if s.network is None:
+    def append_map(self, static_map: PortableMap, argument: str) -> str:
+        """Append to the ONNX graph the evaluation of a static map, layer by layer. `phi(z) -
+        phi(b)`."""
+        terms = [self.append_product(argument, static_map.linear)]
+        if static_map.network is None:
             return self.append_operator("Sum", *terms)
-        d = v
+        d = argument
         zero = np.zeros(1)
-        for w, b, low, high in s.network.hidden_layers():
+        for w, b, low, high in static_map.network.hidden_layers():
             weighted = self.append_product(d, w)
             z = self.append_operator("Add", weighted, b)
             above = self.append_operator("Max", z, zero)
@@ -67,13 +68,13 @@ class _GraphBuilder:
             flat = self.append_operator("Mul", below, low)
             slopes_at_zero = np.where(b >= 0, high, low)
             d = self.append_operator("Sum", steep, flat, -slopes_at_zero * b)
-        last_weight = s.network.weights[-1]
+        last_weight = static_map.network.weights[-1]
         terms.append(self.append_product(d, last_weight))
         return self.append_operator("Sum", *terms)
 
     def append_neurons(self, neurons: PortableNeurons, x: str, lifted: str, error: str = "") -> str:
-        """Append the outputs of the model's neurons to the graph. `phi(F x + G v + L_z e + b) -
-        phi(b)`.
+        """Append to the ONNX graph the outputs of the model's neurons. `phi(F x + G v + L_z e + b)
+        - phi(b)`.
 
         The kinds stand side by side, each masked to its own neurons.
         """
@@ -90,39 +91,39 @@ class _GraphBuilder:
             parts.append(self.append_operator("Mul", activated, is_of_kind))
         return self.append_operator("Sum", *parts, -neurons.phi_bias)
 
-    def append_activation(self, kind: str, z: str) -> str:
-        """Append an activation function to the graph, using only operators that runtimes support
-        for doubles."""
-        if kind == "tanh":
-            return self.append_operator("Tanh", z)
-        above = self.append_operator("Max", z, np.zeros(1))
-        if kind == "relu":
+    def append_activation(self, activation: str, argument: str) -> str:
+        """Append an activation function to the ONNX graph, by operators that runtimes support for
+        doubles."""
+        if activation == "tanh":
+            return self.append_operator("Tanh", argument)
+        above = self.append_operator("Max", argument, np.zeros(1))
+        if activation == "relu":
             return above
-        if kind == "softplus":  # max(z, 0) + ln(1 + exp(-|z|))
-            magnitude = self.append_operator("Abs", z)
+        if activation == "softplus":  # max(z, 0) + ln(1 + exp(-|z|))
+            magnitude = self.append_operator("Abs", argument)
             negative = self.append_operator("Neg", magnitude)
             fading = self.append_operator("Exp", negative)
-            increment = self._append_increment(fading)
+            increment = self._append_plus_one(fading)
             logarithm = self.append_operator("Log", increment)
             return self.append_operator("Add", above, logarithm)
         one = np.ones(1)
-        from_below = self.append_operator("Max", z, -one)
+        from_below = self.append_operator("Max", argument, -one)
         clipped = self.append_operator("Min", from_below, one)
-        if kind == "saturation":
+        if activation == "saturation":
             return clipped
         square = self.append_operator("Mul", clipped, clipped)
         third = self.append_operator("Div", clipped, np.full(1, 3.0))
         cubed = self.append_operator("Mul", square, third)
         # Clipped cubic: slope one beyond.
-        beyond = self.append_operator("Sub", z, clipped)
+        beyond = self.append_operator("Sub", argument, clipped)
         return self.append_operator("Add", cubed, beyond)
 
-    def _append_increment(self, x: str) -> str:
-        """Append the addition of one to a signal to the graph."""
+    def _append_plus_one(self, x: str) -> str:
+        """Append to the ONNX graph the addition of one to a signal."""
         return self.append_operator("Add", x, np.ones(1))
 
 
-def build_onnx_model(controller: PortableController, about: str) -> Any:
+def build_onnx_model(controller: PortableController, description: str) -> Any:
     """Build and check the ONNX model of a controller."""
     import onnx
     from onnx import TensorProto, checker, helper
@@ -131,7 +132,7 @@ def build_onnx_model(controller: PortableController, about: str) -> Any:
     states = len(controller.a)
 
     def declare_signal(name: str, width: int) -> Any:
-        """Declaration of an input or output of the ONNX graph."""
+        """Declaration of an input or output of an ONNX graph."""
         return helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["batch", width])
 
     scale = controller.scale
@@ -140,7 +141,7 @@ def build_onnx_model(controller: PortableController, about: str) -> Any:
         inputs.append(declare_signal("d", scale.disturbances))
     outputs = [declare_signal("u", scale.inputs), declare_signal("next_state", states)]
     onnx_graph = helper.make_graph(
-        graph.nodes, "controller", inputs, outputs, graph.constants, about
+        graph.nodes, "controller", inputs, outputs, graph.constants, description
     )
     opset = helper.make_opsetid("", OPSET)
     model: onnx.ModelProto = helper.make_model(onnx_graph, opset_imports=[opset])
@@ -151,8 +152,8 @@ def build_onnx_model(controller: PortableController, about: str) -> Any:
 
 
 def _build_controller_graph(controller: PortableController) -> _GraphBuilder:
-    """Build the ONNX graph of one sample of the controller. `V = K xh` is the scaled input, the
-    others as in PortableController."""
+    """Build the ONNX graph that computes one sample of the controller. `V = K xh` is the scaled
+    input, the others as in PortableController."""
     graph = _GraphBuilder()
     scale = controller.scale
     neurons = controller.neurons

@@ -1,4 +1,4 @@
-"""Controller and model as plain arrays, from which all export formats are made.
+"""Controller and model as plain arrays, from which every export format is made.
 
 Every target of the export starts from these.
 """
@@ -31,8 +31,8 @@ MATRICES = ("a", "b", "c", "d", "k", "l", "e")
 
 @dataclass(frozen=True, kw_only=True)
 class PortableNeurons:
-    """Neurons of a model as plain arrays, with their activation functions. `phi(F x + G S_u(v) +
-    L_z e + b) - phi(b)` with e the observer's output error.
+    """Neurons of a controller's model as plain arrays, with their activation functions. `phi(F x +
+    G S_u(v) + L_z e + b) - phi(b)` with e the observer's output error.
 
     `into (n, r)` is the model's E, which drives x+; `h (q, r)` reads them into the output;
     `phi_bias` is `evaluate_activations(b)`. Zero rows of `into` and columns of `f` stand for the
@@ -49,8 +49,8 @@ class PortableNeurons:
     kinds: tuple[str, ...]
 
     def __call__(self, x: Vector, lifted: Vector, error: Vector | None = None) -> Vector:
-        """Outputs of the neurons, computed in the order of the C code. Without `error` no
-        correction is injected."""
+        """Outputs of the neurons, computed in the same order of operations as in the C code.
+        Without `error` no correction is injected."""
         from_state = multiply_in_order(self.f, x, self.bias)
         z = multiply_in_order(self.g, lifted, from_state)
         if error is not None:
@@ -60,7 +60,7 @@ class PortableNeurons:
 
 @dataclass(frozen=True, kw_only=True)
 class PortableController:
-    """Controller and observer of a run as plain arrays, which need no framework.
+    """Controller with its observer as plain arrays, which need no library.
 
     `u = u_eq + s_u K x,  x+ = A x + B S_u(v) + L (S_y(C x + D S_u(v)) - w) + E w`, with
     `v = (u - u_eq)/s_u`, `w = (y - y_eq)/s_y`; physical `u (m,)`, `y (p,)`. The state `x (n,)`
@@ -85,7 +85,7 @@ class PortableController:
     b_d: Float[np.ndarray, "_ _"] = field(default_factory=partial(np.zeros, (0, 0)))
 
     def to_json(self) -> dict[str, Any]:
-        """Numbers of the controller as plain lists by name."""
+        """Constants of the controller as plain lists, by name."""
         numbers: dict[str, Any] = {name: each.tolist() for name, each in self.arrays().items()}
         numbers["s_in"] = self.s_in.to_json()
         numbers["s_out"] = self.s_out.to_json()
@@ -107,8 +107,8 @@ class PortableController:
 
     @property
     def frozen_state_range(self) -> slice:
-        """Range of the internal model's states that are frozen while an input limit is active. They
-        are the integrators of a ramp's internal model.
+        """Range of internal-model states that are held constant while an input limit is active.
+        They are the integrators of a ramp's internal model.
 
         They come first in its model.
         """
@@ -121,7 +121,7 @@ class PortableController:
         return slice(first, first + count)
 
     def recurrence(self) -> System:
-        """Linear recurrence of the controller's model, without the internal model."""
+        """Linear or neural system of the controller's model, without the internal model."""
         is_internal = self.e.any(axis=1)  # E drives the internal model alone
         n = len(self.a) - int(is_internal.sum())
         a = self.a[:n, :n].astype(float)
@@ -140,7 +140,8 @@ class PortableController:
 
 
 def _refuse_unexportable_design(design: Design) -> None:
-    """Raise `BadRequest` for a design that lacks a gain or that inverts the input map."""
+    """Raise `BadRequest` for a design that lacks a gain or whose control law inverts the input
+    map."""
     for name, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
         if isinstance(part, Infeasible):
             reason = part.reason.rstrip(".")
@@ -150,12 +151,12 @@ def _refuse_unexportable_design(design: Design) -> None:
     require(not design.inverts_input_map, "synthesis.invert_input", True, problem, remedy)
 
 
-def _refuse_gains_of_another_model(gains: Gains, order: int, outputs: int) -> None:
-    """Raise `BadRequest` for gains whose sizes are not those of a model."""
+def _refuse_gains_of_another_model(gains: Gains, order: int, output_count: int) -> None:
+    """Raise `BadRequest` for gains whose sizes do not fit a model's order and number of outputs."""
     added = len(gains.modes)
     controller_fits = gains.k.shape[1] == order + added
     observer_fits = len(gains.l) == order
-    fits = controller_fits and observer_fits and added % outputs == 0
+    fits = controller_fits and observer_fits and added % output_count == 0
     problem = f"the model has order {order}"
     require(fits, "certificate", gains.k.shape, problem, "export the run as stored")
 
@@ -206,13 +207,13 @@ def convert_controller(model: Model, design: Design) -> PortableController:
 
 
 def _convert_neurons(
-    model: Model, l_z: Float[np.ndarray, "r p"] | None, added: int
+    model: Model, l_z: Float[np.ndarray, "r p"] | None, internal_state_count: int
 ) -> PortableNeurons | None:
-    """Convert the neurons of a model to plain arrays; None for a model without neurons."""
+    """Neurons of a model as plain arrays; None for a model without neurons."""
     if not isinstance(model, StructuredSSM) or not model.neurons:
         return None
-    below = ((0, added), (0, 0))
-    beside = ((0, 0), (0, added))
+    below = ((0, internal_state_count), (0, 0))
+    beside = ((0, 0), (0, internal_state_count))
     into = np.pad(model.e, below)
     f = np.pad(model.f, beside)
     if l_z is None:
@@ -231,28 +232,29 @@ def _convert_neurons(
 
 
 def multiply_in_order(
-    a: Float[np.ndarray, "r c"], x: Vector, start: Vector | None = None
+    matrix: Float[np.ndarray, "r c"], vector: Vector, initial_value: Vector | None = None
 ) -> Vector:
-    """Product of a matrix and a vector, summed column by column as in the C code. `start + a x`.
+    """Product of a matrix and a vector, summed column by column in the same order as in the C code.
+    `initial_value + a x`.
 
     `@` does not promise it.
     """
-    y = np.zeros(len(a), dtype=a.dtype) if start is None else start
-    for j, value in enumerate(x):
-        product = a[:, j] * value  # two roundings, as in C without contraction
+    y = np.zeros(len(matrix), dtype=matrix.dtype) if initial_value is None else initial_value
+    for j, value in enumerate(vector):
+        product = matrix[:, j] * value  # two roundings, as in C without contraction
         y = y + product
     return y
 
 
-def convert_floats(value: Any, kind: Any) -> Any:
+def convert_floats(item: Any, float_type: Any) -> Any:
     """Copy of an object in which every array, at any depth, is converted to a given float type."""
-    if isinstance(value, np.ndarray):
-        return value.astype(kind)
-    if isinstance(value, tuple):
-        return tuple(convert_floats(part, kind) for part in value)
-    if is_dataclass(value) and not isinstance(value, type):
+    if isinstance(item, np.ndarray):
+        return item.astype(float_type)
+    if isinstance(item, tuple):
+        return tuple(convert_floats(part, float_type) for part in item)
+    if is_dataclass(item) and not isinstance(item, type):
         parts = {}
-        for part in fields(value):
-            parts[part.name] = convert_floats(getattr(value, part.name), kind)
-        return replace(value, **parts)
-    return value
+        for part in fields(item):
+            parts[part.name] = convert_floats(getattr(item, part.name), float_type)
+        return replace(item, **parts)
+    return item

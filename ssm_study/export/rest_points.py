@@ -1,5 +1,5 @@
-"""Equilibria of the controller's model over the range of its input. They are found by matrices, or
-with neurons by interpolation between stored points.
+"""Tabulated equilibria of the controller's model over the range of its input. They are found by
+matrices, or with neurons by interpolation between stored points.
 
 With neurons `x = A x + B v + E w(x, v)` has no closed form. It has one solution for each v, since
 the model contracts; of one input and one output they are a curve, of which the device stores some
@@ -35,36 +35,38 @@ class PiecewiseLinear:
     offsets: Rows
 
     @classmethod
-    def interpolate(cls, w: Vector, out: Rows) -> "PiecewiseLinear":
-        """Piecewise-linear map through given points."""
-        order = np.argsort(w)
-        w = w[order]
-        out = out[order]
-        steps = np.diff(w)[:, None]
-        slopes = np.diff(out, axis=0) / steps
-        starts = w[:-1, None]
-        offsets = out[:-1] - slopes * starts
-        points = w[1:-1].copy()
+    def interpolate(cls, arguments: Vector, values: Rows) -> "PiecewiseLinear":
+        """Piecewise-linear map that passes through given points."""
+        order = np.argsort(arguments)
+        arguments = arguments[order]
+        values = values[order]
+        steps = np.diff(arguments)[:, None]
+        slopes = np.diff(values, axis=0) / steps
+        starts = arguments[:-1, None]
+        offsets = values[:-1] - slopes * starts
+        points = arguments[1:-1].copy()
         return cls(points=points, slopes=slopes, offsets=offsets)
 
     def __call__(self, w: Vector) -> Vector:
-        """Value of the map at a scalar `w`."""
+        """Value of the piecewise-linear map at a scalar argument."""
         j = int((self.points <= w[0]).sum())
         return self.slopes[j] * w[0] + self.offsets[j]
 
 
-def evaluate_equilibrium_map(by: "PiecewiseLinear | Float[np.ndarray, 'r c']", w: Vector) -> Vector:
-    """Evaluate a matrix or a piecewise-linear map at a vector. The product is in the order of the C
-    code."""
-    if isinstance(by, PiecewiseLinear):
-        return by(w)
-    return multiply_in_order(by, w)
+def evaluate_equilibrium_map(
+    equilibrium_map: "PiecewiseLinear | Float[np.ndarray, 'r c']", argument: Vector
+) -> Vector:
+    """Value of a map from set points to equilibria, given as a matrix or as a piecewise-linear map.
+    The product is in the order of the C code."""
+    if isinstance(equilibrium_map, PiecewiseLinear):
+        return equilibrium_map(argument)
+    return multiply_in_order(equilibrium_map, argument)
 
 
 @dataclass(frozen=True, kw_only=True)
 class EquilibriumCurve:
-    """Equilibria of a model for increasing values of its mapped input. For each of `lifted (h,)`:
-    states `x (h, n)`, and the arguments of S_y, `read (h,)`.
+    """Equilibria of a model with neurons for increasing values of its mapped input. For each of
+    `lifted (h,)`: states `x (h, n)`, and the arguments of S_y, `read (h,)`.
 
     `read` rises or falls throughout.
     """
@@ -75,9 +77,10 @@ class EquilibriumCurve:
 
 
 def compute_equilibrium_curve(
-    controller: PortableController, low: float, high: float
+    controller: PortableController, lowest_input: float, highest_input: float
 ) -> EquilibriumCurve | None:
-    """Compute the equilibria of a model over an interval of its mapped input.
+    """Equilibria of a model with neurons over an interval of its mapped input; None where they are
+    not unique or not found.
 
     None where two of them share an output, or one is not found.
     """
@@ -88,7 +91,7 @@ def compute_equilibrium_curve(
     if model.d.shape != (1, 1):
         return None
     states: dict[float, Vector] = {}
-    for end in (low, high):
+    for end in (lowest_input, highest_input):
         if end == 0.0:
             continue
         near = np.zeros(model.order)  # each side begins at rest
@@ -112,21 +115,22 @@ def compute_equilibrium_curve(
 
 
 def _find_equilibrium(
-    model: StructuredSystem, neurons: PortableNeurons, v: float, near: Vector
+    model: StructuredSystem, neurons: PortableNeurons, mapped_input: float, start: Vector
 ) -> Vector | None:
-    """Find the equilibrium state of a model with neurons for one mapped input."""
+    """Equilibrium state of a model with neurons for one mapped input; None if none is found."""
 
     def equilibrium_residual(x: Vector) -> tuple[Vector, Float[np.ndarray, "n n"]]:
-        """Difference between the next state and the present one, with its Jacobian."""
-        z = model.f @ x + model.g[:, 0] * v + neurons.bias
+        """Difference between the next state of the model and its present state, with the
+        Jacobian."""
+        z = model.f @ x + model.g[:, 0] * mapped_input + neurons.bias
         w = evaluate_activations(neurons.kinds, z) - neurons.phi_bias
         slopes = evaluate_activations(neurons.kinds, z, "slope")
         tangent = model.linearise_at_slopes(slopes)
-        following = model.a @ x + model.b[:, 0] * v + model.e @ w
+        following = model.a @ x + model.b[:, 0] * mapped_input + model.e @ w
         jacobian = tangent.a - np.eye(len(x))
         return following - x, jacobian
 
-    solved = scipy.optimize.root(equilibrium_residual, near, jac=True, tol=1e-12)
+    solved = scipy.optimize.root(equilibrium_residual, start, jac=True, tol=1e-12)
     # At a kink it ends without success, and exactly there.
     residuals = np.abs(solved.fun)
     is_solved = residuals.max(initial=0.0) <= LARGEST_RESIDUAL

@@ -1,4 +1,4 @@
-"""Whether the exported code of a run follows set points."""
+"""Reason why the exported code of a run follows no set points."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from ssm_study.export.device import Device
 from ssm_study.export.targets import find_input_limits, load_controller
 
 
-def describe_missing_set_points(run: Path) -> str:
+def missing_set_points_reason(run: Path) -> str:
     """Reason why the exported code of a run follows no set points, as a clause; empty if it does,
     or if the run has no controller."""
     try:

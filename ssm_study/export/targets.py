@@ -1,4 +1,4 @@
-"""Export of a run's controller in all formats, with its certificate."""
+"""Export of a run's controller to files of all formats, with its certificate."""
 
 import hashlib
 import json
@@ -32,7 +32,7 @@ from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel, input_limits
 from ssm_study.stored_yaml import read_stored_yaml
-from ssm_study.synthesis.deployed import limits_proof
+from ssm_study.synthesis.deployed import prove_within_input_limits
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.systems import Balls, JacobianBall
 
@@ -47,7 +47,7 @@ _SCRIPT = Path(__file__).with_name("script.py.txt")
 def write_controller(
     run: Path, to: Path, *, real: str = "double", prefix: str = "controller"
 ) -> list[Path]:
-    """Write the controller of a run into a folder in all formats.
+    """Write the controller of a run to files of all export formats in a folder.
 
     C in `real`, "double" or "float", whose names begin with `prefix`, and the other files of
     docs/howto_export.md. Raises `BadRequest` for a run without controller, an unknown `real`, or
@@ -87,10 +87,10 @@ def render_controller(
     return render_c_files(
         device,
         prefix,
-        about=describe_origin(run, name),
-        signals=_describe_signals(run, device),
-        digest=hashlib.sha256((run / "certificate.json").read_bytes()).hexdigest(),
-        rates=(
+        origin_text=describe_origin(run, name),
+        signal_lines=_describe_signals(run, device),
+        certificate_digest=hashlib.sha256((run / "certificate.json").read_bytes()).hexdigest(),
+        rate_lines=(
             proved,
             *_describe_limits(run, design, device),
             *_describe_rounding_error(run, device),
@@ -100,8 +100,8 @@ def render_controller(
 
 
 def find_input_limits(run: Path) -> tuple[Range, Range]:
-    """Lower and upper limits of the input in physical units, from the settings or else from the
-    recorded range.
+    """Lower and upper input limits of a run's controller in physical units, from the settings or
+    else from the recorded range.
 
     `loop.input_lower` and `loop.input_upper` where they were given, else what the training records
     and rest visited: beyond that range nothing is known of S_u.
@@ -117,7 +117,7 @@ def find_input_limits(run: Path) -> tuple[Range, Range]:
 
 
 def _read_loop_settings(run: Path) -> dict[str, Any]:
-    """Settings of the closed loop in a run's configuration."""
+    """Settings of the closed loop in a run's stored configuration."""
     file = run / ".hydra" / "config.yaml"
     if not file.is_file():
         return {}
@@ -127,13 +127,13 @@ def _read_loop_settings(run: Path) -> dict[str, Any]:
 
 
 def _read_recorded_ranges(
-    run: Path, name: str, topic: str
+    run: Path, file_name: str, topic_ending: str
 ) -> tuple[tuple[Channel, ...], Range, Range] | None:
-    """Channels of a recorded topic, with the smallest and largest value of each."""
-    if not (run / name).is_file():
+    """Channels of a recorded signal, with the smallest and largest value of each."""
+    if not (run / file_name).is_file():
         return None
-    mcap = read_mcap(run / name)
-    groups = [group for group in mcap[0] if group.topic.endswith(topic)]
+    mcap = read_mcap(run / file_name)
+    groups = [group for group in mcap[0] if group.topic.endswith(topic_ending)]
     if not groups:
         return None
     values = np.concatenate([group.values for group in groups])
@@ -142,7 +142,7 @@ def _read_recorded_ranges(
 
 
 def _describe_signals(run: Path, device: Device) -> tuple[str, ...]:
-    """Lines of text that give, for every signal, its name, its unit and its limits or range."""
+    """Lines of text with the name, unit and range of every signal of an exported controller."""
     lines: list[str] = []
     inputs = _read_recorded_ranges(run, "excitation.mcap", "/input")
     if inputs is not None:
@@ -169,7 +169,7 @@ def _describe_ranges(
 
 
 def _describe_limits(run: Path, design: Design, device: Device) -> tuple[str, ...]:
-    """Sentences on what the certificate proves under the input limits."""
+    """Sentences on what the certificate of a design proves under the input limits."""
     lower = np.asarray(device.lower, dtype=float)
     upper = np.asarray(device.upper, dtype=float)
     if max(-lower.min(), upper.max()) >= UNLIMITED:
@@ -179,7 +179,7 @@ def _describe_limits(run: Path, design: Design, device: Device) -> tuple[str, ..
         unproved = "Within the limits nothing is proved: the theorems on them know no neurons."
         return (unproved, *_describe_set_point_error(device))
     try:
-        proved = limits_proof(model, design, lower, upper)
+        proved = prove_within_input_limits(model, design, lower, upper)
     except BadRequest as refusal:
         return (str(refusal),)
     beyond = "From everywhere nothing is proved within the limits."
@@ -205,7 +205,7 @@ def _describe_limits(run: Path, design: Design, device: Device) -> tuple[str, ..
 
 
 def _describe_set_point_error(device: Device) -> tuple[str, ...]:
-    """Line of text with the largest error of set points between the tabulated equilibria."""
+    """Line of text with the largest error of set points that lie between tabulated equilibria."""
     if device.set_point_maps is None or not device.set_point_maps.missed:
         return ()
     missed = f"missed by at most {device.set_point_maps.missed:.1e}."
@@ -213,7 +213,7 @@ def _describe_set_point_error(device: Device) -> tuple[str, ...]:
 
 
 def as_python_control(run: Path) -> Any:
-    """Controller of a run as a nonlinear system of python-control.
+    """Controller of a run as a nonlinear system of the library python-control.
 
     It is what `controller.py` makes elsewhere.
     """
@@ -226,7 +226,7 @@ def as_python_control(run: Path) -> Any:
 
 
 def load_controller(run: Path) -> PortableController:
-    """Load the controller of a run as plain arrays."""
+    """Controller of a run, read from its files as plain arrays."""
     for name in ("model.json", "certificate.json"):
         is_there = (run / name).is_file()
         remedy = "name the folder of a run that reached the controller"
@@ -235,7 +235,7 @@ def load_controller(run: Path) -> PortableController:
 
 
 def load_model(run: Path) -> Model:
-    """Load the stored model of a run."""
+    """Model of a run, read from its file."""
     model = read_model_json(json.loads((run / "model.json").read_text()))
     kind = type(model).__name__
     is_certifiable = isinstance(model, Model)
@@ -243,11 +243,11 @@ def load_model(run: Path) -> Model:
     return model  # type: ignore[return-value]  # just asked
 
 
-def describe_origin(run: Path, name: str = "") -> str:
+def describe_origin(run: Path, design_name: str = "") -> str:
     """Line of text with the run that a controller comes from, and the exact verdict on its
     certificate.
 
-    `name` names a design that has no run folder.
+    `design_name` names a design that has no run folder.
     """
     model = load_model(run)
     design = Design.load(run / "certificate.json")
@@ -258,8 +258,8 @@ def describe_origin(run: Path, name: str = "") -> str:
             f"certified for its model at rates {design.state_feedback.rate:g} (controller), "
             f"{design.observer.rate:g} (observer) per sample"
         )
-    if name:
-        return f"Controller {name}, {verdict}."
+    if design_name:
+        return f"Controller {design_name}, {verdict}."
     place = f"run {run.resolve().parent.name}/{run.resolve().name}"
     if not (run / "record.json").is_file():
         place = "a design from Python"
@@ -267,8 +267,8 @@ def describe_origin(run: Path, name: str = "") -> str:
 
 
 def _first_failed_claim(run: Path, model: Model, design: Design) -> str:
-    """First claim of a run's stored certificate that exact arithmetic does not confirm; empty if it
-    confirms all."""
+    """First claim in a run's stored certificate that exact arithmetic does not confirm; empty if
+    none."""
     for side in SIDES:
         if not design.certificates_by_name[side].certified:
             return f"exact arithmetic does not confirm the {side.replace('_', ' ')}"
@@ -277,8 +277,8 @@ def _first_failed_claim(run: Path, model: Model, design: Design) -> str:
 
 
 def failed_certificate_claims(run: Path, model: Model, design: Design) -> list[str]:
-    """Sentences on those claims in a run's `certificate.json` that its model file does not bear
-    out, in exact arithmetic."""
+    """Sentences on those claims in a run's stored certificate that exact arithmetic does not
+    confirm for its model file."""
     content = json.loads((run / "certificate.json").read_text())
     try:
         # Refused for an internal model behind a nonlinear output map, which no theorem covers.
@@ -289,7 +289,7 @@ def failed_certificate_claims(run: Path, model: Model, design: Design) -> list[s
 
 
 def _describe_rounding_error(run: Path, device: Device) -> tuple[str, ...]:
-    """Text on how much rounding changes the simulated closed loop; empty in double precision.
+    """Text on how much rounded numbers change the simulated closed loop; empty in double precision.
 
     From rest one output scale off.
     """
@@ -308,15 +308,15 @@ def _describe_rounding_error(run: Path, device: Device) -> tuple[str, ...]:
     return (f"Rounding to {device.real} moves the loop on the model {distance}",)
 
 
-def _simulate_loop(model: Model, device: Device, start: Float[np.ndarray, "n"]) -> Any:
-    """Outputs of the model in closed loop with the device, until they settle."""
+def _simulate_loop(model: Model, device: Device, initial_state: Float[np.ndarray, "n"]) -> Any:
+    """Outputs of a model in closed loop with the exported controller, until they settle."""
     kind = device.lower.dtype
     output_equilibrium = model.scale.output_equilibrium
     set_point = np.asarray(output_equilibrium, dtype=kind)
     linear_b = model.linear.b
     nothing_applied = np.zeros(linear_b.shape[1])
-    x = start[: model.order]
-    state = start.astype(kind)
+    x = initial_state[: model.order]
+    state = initial_state.astype(kind)
     outputs = []
     for _ in range(LOOP_SAMPLES):
         output = model.output_at(x, nothing_applied)
@@ -347,8 +347,8 @@ def prove_deployed_rates(device: Device, design: Design) -> dict[str, float | No
     gains = {"state_feedback": state_feedback, "observer": observer}
     if controller.neurons:
         gains["observer"]["l_z"] = controller.neurons.l_z
-    inner = _bound_rounded_slopes(controller.s_in)
-    outer = _bound_rounded_slopes(controller.s_out)
+    inner = _ball_of_rounded_slopes(controller.s_in)
+    outer = _ball_of_rounded_slopes(controller.s_out)
     if inner is None or outer is None:  # no ball, no theorem
         return dict.fromkeys(gains)
     balls = Balls(input=inner, output=outer)
@@ -366,13 +366,13 @@ def prove_deployed_rates(device: Device, design: Design) -> dict[str, float | No
 
 
 def _provable_rate(
-    part: Theorem, context: VerificationContext, gain: dict[str, Float[np.ndarray, "r c"]]
+    part: Theorem, context: VerificationContext, rounded_gains: dict[str, Float[np.ndarray, "r c"]]
 ) -> float:
-    """Largest rate, up to the certified one, that exact arithmetic proves for the rounded numbers.
-    It is found by bisection; 0 if none can be proved."""
+    """Largest contraction rate, up to the certified one, that exact arithmetic proves for the
+    rounded numbers of a controller. It is found by bisection; 0 if none can be proved."""
     ball = part.required_ball(context)
     stored = float(part.variables["rate"])
-    numbers = part.variables | part.model_data(context) | gain
+    numbers = part.variables | part.model_data(context) | rounded_gains
     numbers |= {"alpha": ball.alpha, "beta": ball.beta}
     if part.holds(**numbers):
         return stored
@@ -387,13 +387,13 @@ def _provable_rate(
     return low
 
 
-def _bound_rounded_slopes(portable: PortableMap) -> JacobianBall | None:
+def _ball_of_rounded_slopes(static_map: PortableMap) -> JacobianBall | None:
     """Ball that contains the slopes of a static map with rounded numbers; None if no proved ball is
     known."""
     try:
-        if portable.network is None:
-            linear_scaffold = LinearScaffold(gain=portable.linear)
+        if static_map.network is None:
+            linear_scaffold = LinearScaffold(gain=static_map.linear)
             return linear_scaffold.bound().ball
-        return network_bound(portable.as_network()).ball
+        return network_bound(static_map.as_network()).ball
     except BadRequest:
         return None

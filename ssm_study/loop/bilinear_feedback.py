@@ -1,4 +1,4 @@
-"""Controller and simulated plant of a bilinear model."""
+"""Controller for a plant with a bilinear model, and the bilinear model as a simulated plant."""
 
 # ruff: noqa: ARG002 - every law gets all arguments; this one needs less
 from dataclasses import dataclass, replace
@@ -27,8 +27,8 @@ SETTLED = 0.05  # of an output scale from the equilibrium
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearFeedback(Controller):
-    """State feedback from an observer's estimate for a bilinear model, with a limited input. `v = K
-    xh`, `xh+ = sum_i theta_i(v) (A_i xh + b_i + L_i (C xh - w))`, v and w scaled.
+    """Feedback of the state that an observer estimates for a bilinear model, with a limited input.
+    `v = K xh`, `xh+ = sum_i theta_i(v) (A_i xh + b_i + L_i (C xh - w))`, v and w scaled.
 
     Shapes: `k (1, n)`, `l_nodes (q, n, p)`. The observer takes the input that was applied.
     """
@@ -50,19 +50,22 @@ class BilinearFeedback(Controller):
 
     @property
     def step_s(self) -> float:  # type: ignore[override]  # here the model knows it
-        """Sampling time of the model, in seconds."""
+        """Sampling time of the controller's model, in seconds."""
         return self.model.step_s
 
     @property
     def dimensions(self) -> tuple[int, int]:  # type: ignore[override]  # as step_s
-        """Numbers of inputs and outputs of the model."""
+        """Numbers of inputs and outputs of the controller's model."""
         return 1, len(self.model.c)
 
     def initial_memory(self, cases: int) -> Memory:
+        """Zero state estimates of the observer before the first sample."""
         order = self.model.order
         return np.zeros((cases, order))
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
+        """Input computed from the state estimate and cut at the outermost input levels of the
+        bilinear model."""
         nodes = self.model.nodes
         unlimited = memory @ self.k.T
         largest_node = nodes[-1]
@@ -72,30 +75,34 @@ class BilinearFeedback(Controller):
     def advance(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Memory:
+        """Next state estimate of the observer, from the applied input and the measured output."""
         model = self.model
         predicted = memory @ model.c.T
         innovation = predicted - model.scale.scaled_output(y)
         correction = np.einsum("qnp,Np->Nqn", self.l_nodes, innovation)
-        return advance_states(model, memory, u, correction)
+        return advance_bilinear_states(model, memory, u, correction)
 
     def estimate(self, memory: Memory) -> Estimate:
+        """State estimate, which is the whole memory of this controller."""
         return memory
 
 
-def advance_states(model: Bilinear, x: Estimate, u: Inputs, added: Correction = 0.0) -> Estimate:
-    """Next states of a bilinear model for several cases at once, with a correction at each input
-    level (node)."""
-    at_nodes = np.einsum("qij,Nj->Nqi", model.a, x)
+def advance_bilinear_states(
+    model: Bilinear, states: Estimate, inputs: Inputs, corrections: Correction = 0.0
+) -> Estimate:
+    """Next states of a bilinear model for several cases at once, with an added correction at each
+    input level (node)."""
+    at_nodes = np.einsum("qij,Nj->Nqi", model.a, states)
     at_nodes = at_nodes + model.b
-    at_nodes = at_nodes + added
-    hats = model.hats(u)
+    at_nodes = at_nodes + corrections
+    hats = model.hats(inputs)
     return np.einsum("Nq,Nqi->Ni", hats, at_nodes)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearPlant(Plant):
-    """Bilinear model that is simulated in place of the plant. Its states are scaled; `d` is added
-    to them."""
+    """Bilinear model that is simulated in place of a plant. Its states are scaled; `d` is added to
+    them."""
 
     model: Bilinear
     step_s: float
@@ -108,7 +115,7 @@ class BilinearPlant(Plant):
 
     @classmethod
     def from_model(cls, model: Bilinear, inputs: Channels, outputs: Channels) -> "BilinearPlant":
-        """Plant that simulates an identified bilinear model."""
+        """Simulated plant that behaves exactly as an identified bilinear model."""
         output_scales = model.scale.output_scale
         unit = float(output_scales.min())
         names = [f"x_{i + 1}" for i in range(model.order)]
@@ -120,20 +127,23 @@ class BilinearPlant(Plant):
         return replace(plant, states=states, disturbances=states, initial_range=initial_range)
 
     def equilibrium(self) -> Equilibrium:
+        """Equilibrium of the bilinear model in physical units."""
         scale = self.model.scale
         x = np.zeros(self.model.order)
         return Equilibrium(u=scale.input_equilibrium, x=x, y=scale.output_equilibrium)
 
     def equilibrium_states(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
-        """States of least norm at which the bilinear model has the given outputs."""
+        """States of least norm at which a bilinear model has given outputs."""
         scaled = self.model.scale.scaled_output(y0)
         inverse_output_map = np.linalg.pinv(self.model.c)
         return scaled @ inverse_output_map.T
 
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
-        advanced = advance_states(self.model, x, u)
+        """Next states of the bilinear model, with disturbances added."""
+        advanced = advance_bilinear_states(self.model, x, u)
         return advanced + d
 
     def output(self, x: States) -> Outputs:
+        """Outputs of the bilinear model in physical units."""
         scaled_output = x @ self.model.c.T
         return self.model.scale.physical_output(scaled_output)

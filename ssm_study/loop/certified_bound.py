@@ -30,39 +30,42 @@ PerCase = Float[np.ndarray, "N"]
 Columns = Float[np.ndarray, "n k"]
 
 
-def transform_to_inverse_metric(matrix: Float[np.ndarray, "n n"], columns: Columns) -> Columns:
-    """Transform vectors so that their Euclidean norms are their norms in the metric `matrix^{-1}`.
+def transform_to_inverse_metric(
+    inverse_metric: Float[np.ndarray, "n n"], vectors: Columns
+) -> Columns:
+    """Transform vectors so that their Euclidean norms equal their norms in the inverse of a given
+    metric.
 
     `R^{-1} columns` with `R R' = matrix`.
     """
-    root = np.linalg.cholesky(matrix)
-    return scipy.linalg.solve_triangular(root, columns, lower=True)
+    root = np.linalg.cholesky(inverse_metric)
+    return scipy.linalg.solve_triangular(root, vectors, lower=True)
 
 
 def metric_distances(
-    x: States, x_hat: Estimates, feedback: StateFeedback, observer: Observer
+    states: States, estimates: Estimates, feedback: StateFeedback, observer: Observer
 ) -> tuple[Distances, Distances]:
-    """Distances of the state from the equilibrium and of the estimate from the state, in the
-    certified metrics.
+    """Distance of the state from the equilibrium, and of the estimate from the state, in the
+    metrics of the certificates.
 
-    `||x||_M` with `M = P^{-1}` and `||xh - x||_Q`; integrators, the columns of `x_hat` beyond n,
-    belong to the first.
+    `||x||_M` with `M = P^{-1}` and `||xh - x||_Q`; integrators, the columns of `estimates` beyond
+    n, belong to the first.
     """
-    n = x.shape[2]
-    estimated_states = x_hat[:, :, :n]
-    error = estimated_states - x
+    n = states.shape[2]
+    estimated_states = estimates[:, :, :n]
+    error = estimated_states - states
     root = np.linalg.cholesky(observer.q)
     e = np.linalg.norm(error @ root, axis=2)
-    integrator_states = x_hat[:, :, n:]
-    states_and_integrators = [x, integrator_states]
+    integrator_states = estimates[:, :, n:]
+    states_and_integrators = [states, integrator_states]
     with_integrators = np.concatenate(states_and_integrators, axis=2)
     return _feedback_distances(with_integrators, feedback), e
 
 
-def _feedback_distances(rows: Estimates, feedback: StateFeedback) -> Distances:
+def _feedback_distances(states: Estimates, feedback: StateFeedback) -> Distances:
     """Distances of states from the equilibrium in the metric of the state feedback, `P^{-1}`."""
-    cases, samples, width = rows.shape
-    flat_rows = rows.reshape(-1, width)
+    cases, samples, width = states.shape
+    flat_rows = states.reshape(-1, width)
     columns = flat_rows.T
     transformed = transform_to_inverse_metric(feedback.p, columns)
     norms = np.linalg.norm(transformed, axis=0)
@@ -70,19 +73,24 @@ def _feedback_distances(rows: Estimates, feedback: StateFeedback) -> Distances:
 
 
 def distance_bound(
-    d0: PerCase, e0: PerCase, samples: int, feedback: StateFeedback, observer: Observer
+    initial_distances: PerCase,
+    initial_errors: PerCase,
+    sample_count: int,
+    feedback: StateFeedback,
+    observer: Observer,
 ) -> Distances:
-    """Certified upper bound on the distance of the state from the equilibrium at each sample.
+    """Certified upper bound on the distance of the closed loop's state from the equilibrium at each
+    sample.
 
     `r_c^k d[0] + c e[0] sum_{i<k} r_c^(k-1-i) r_o^i` for `k = 0 .. samples - 1`, with
     `r = sqrt(1 - rate)`.
     """
     c = estimation_error_gain(feedback, observer)
-    cases = len(d0)
-    bound = np.empty((cases, samples))
-    error = e0
-    bound[:, 0] = d0
-    for k in range(1, samples):
+    cases = len(initial_distances)
+    bound = np.empty((cases, sample_count))
+    error = initial_errors
+    bound[:, 0] = initial_distances
+    for k in range(1, sample_count):
         previous_bound = bound[:, k - 1]
         contracted = feedback.contraction * previous_bound
         bound[:, k] = contracted + c * error
@@ -91,8 +99,8 @@ def distance_bound(
 
 
 def estimation_error_gain(feedback: StateFeedback, observer: Observer) -> float:
-    """Gain from the estimation error to the state's distance from the equilibrium after one sample,
-    in the certified metrics.
+    """Gain from the estimation error to the distance of the next state from the equilibrium, in the
+    metrics of the certificates.
 
     `c = nu max_S ||M^{1/2} (B + E S G)||_2 ||K_x Q^{-1/2}||_2`, `K_x` the columns of K that act on
     the estimate. S runs over the neurons' slopes: the norm is convex in them, so that the corners
@@ -129,12 +137,12 @@ def estimation_error_gain(feedback: StateFeedback, observer: Observer) -> float:
 
 
 def count_bound_violations(
-    x: States, x_hat: Estimates, feedback: StateFeedback, observer: Observer
+    states: States, estimates: Estimates, feedback: StateFeedback, observer: Observer
 ) -> int:
-    """Number of samples at which the measured distance from the equilibrium exceeds the certified
+    """Number of samples at which the state's distance from the equilibrium exceeds its certified
     bound."""
-    d, e = metric_distances(x, x_hat, feedback, observer)
-    samples = x.shape[1]
+    d, e = metric_distances(states, estimates, feedback, observer)
+    samples = states.shape[1]
     first_distances = d[:, 0]
     first_errors = e[:, 0]
     bound = distance_bound(first_distances, first_errors, samples, feedback, observer)
@@ -147,16 +155,16 @@ def count_bound_violations(
 
 
 def estimation_decay_rate(
-    x: States, x_hat: Estimates, feedback: StateFeedback, observer: Observer
+    states: States, estimates: Estimates, feedback: StateFeedback, observer: Observer
 ) -> float | None:
-    """Measured decay rate `1 - r^2` of the estimation error, in the slowest case.
+    """Measured contraction rate `1 - r^2` of the observer's estimation error, in the slowest case.
 
     r is the mean shrink per sample of `e = ||xh - x||_Q` until it is below `FORGOTTEN` of its
     start; on the model `e[k+1] <= r_o e[k]`, so the rate is at least the certified
     `observer.rate`. Cases that do not get there are taken to the end; None if the estimate is exact
     from the start.
     """
-    _, all_errors = metric_distances(x, x_hat, feedback, observer)
+    _, all_errors = metric_distances(states, estimates, feedback, observer)
     starts_wrong = all_errors[:, 0] > 0
     errors = all_errors[starts_wrong]
     if not len(errors):
@@ -167,19 +175,22 @@ def estimation_decay_rate(
 
 
 def relative_bound_excess(
-    x_hat: Estimates, x0: Float[np.ndarray, "N n"], feedback: StateFeedback, observer: Observer
+    estimates: Estimates,
+    initial_states: Float[np.ndarray, "N n"],
+    feedback: StateFeedback,
+    observer: Observer,
 ) -> float | None:
-    """Largest amount by which the distance of an estimated state from the equilibrium exceeds its
-    certified bound, relative to the bound at the first sample.
+    """Largest excess of the estimated state's distance from the equilibrium over its certified
+    bound, relative to the initial bound.
 
     `max(0, ||xh[k]||_M - b[k]) / b[0]` over cases and samples. `b[k]` is the bound above plus
-    `kappa r_o^k e[0]` (docs/closed_loop.md); on the model from `x0` the value is 0. `M` belongs to
-    state and integrators, `Q` to the state. None if all cases start at 0.
+    `kappa r_o^k e[0]` (docs/closed_loop.md); on the model from `initial_states` the value is 0. `M`
+    belongs to state and integrators, `Q` to the state. None if all cases start at 0.
     """
-    first_state = x0[:, None]
-    first_estimate = x_hat[:, :1]
+    first_state = initial_states[:, None]
+    first_estimate = estimates[:, :1]
     d, e = metric_distances(first_state, first_estimate, feedback, observer)
-    samples = x_hat.shape[1]
+    samples = estimates.shape[1]
     state_count = len(feedback.p)
     estimate_count = len(observer.q)
     into_state = np.eye(state_count, estimate_count)
@@ -194,7 +205,7 @@ def relative_bound_excess(
     first_errors = e[:, 0]
     state_bound = distance_bound(first_distances, first_errors, samples, feedback, observer)
     bound = state_bound + fading_error
-    distance = _feedback_distances(x_hat, feedback)
+    distance = _feedback_distances(estimates, feedback)
     floor = RESOLUTION * (d + e)
     rounded_bound = bound * (1 + ROUNDING)
     beyond = distance - rounded_bound - floor

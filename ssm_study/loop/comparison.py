@@ -1,5 +1,5 @@
-"""Table that compares controllers under several test conditions, with the same plant, initial
-conditions and noise."""
+"""Table that compares controllers under several test conditions, on the same plant with the same
+initial conditions and noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -48,8 +48,8 @@ class Comparison(ComparisonTable):
 
     def __post_init__(self) -> None:
         names = tuple(Peer.members(peers))
-        self._check_names("controllers", names)
-        self._check_names("situations", SITUATIONS)
+        self._require_known_names("controllers", names)
+        self._require_known_names("situations", SITUATIONS)
         rate = self.rate
         share = self.spread_share
         is_rate = 0 < rate < 1
@@ -62,13 +62,13 @@ class Comparison(ComparisonTable):
         remedy = "give [gain, integral time in seconds]"
         require(is_pi, "loop.comparison.own_pi", self.own_pi, "not a gain and a time", remedy)
 
-    def _check_names(self, field_name: str, names: Sequence[str]) -> None:
-        """Raise `BadRequest` for values of a setting that are not among the known names."""
+    def _require_known_names(self, field_name: str, known_names: Sequence[str]) -> None:
+        """Raise `BadRequest` for a setting of the comparison that contains an unknown name."""
         requested_names = getattr(self, field_name)
-        unknown = [value for value in requested_names if value not in names]
+        unknown = [value for value in requested_names if value not in known_names]
         withdrawn = [WITHDRAWN[value] for value in unknown if value in WITHDRAWN]
         problem = withdrawn[0] if withdrawn else "not known"
-        remedy = f"use some of {', '.join(names)}"
+        remedy = f"use some of {', '.join(known_names)}"
         require(not unknown, f"loop.comparison.{field_name}", unknown, problem, remedy)
 
     def rows(self, plant: Plant, identified: Identified, loop: Loop, seed: int) -> list[Row]:
@@ -99,8 +99,8 @@ class Comparison(ComparisonTable):
         return rows
 
     def situation_cases(self, plant: Plant, loop: Loop, situation: str, seed: int) -> list[Case]:
-        """Plants and loop experiments of one test condition, such as a load step; empty if the
-        plant cannot show it."""
+        """Plants and closed-loop experiments of one test condition, such as a load step; empty if
+        the plant cannot show the condition."""
         samples = loop.horizon_samples(plant.step_s)
         horizon_s = samples * plant.step_s
         match situation:
@@ -133,8 +133,8 @@ class Comparison(ComparisonTable):
                 return [(plant, replace(loop, disturbance=step))] if plant.disturbances else []
 
     def perturbed_plants(self, plant: Plant, seed: int) -> list[Plant]:
-        """Plants whose physical constants are multiplied by evenly distributed random factors. The
-        range is `1 +- spread_share`."""
+        """Copies of a plant whose physical constants are multiplied by evenly distributed random
+        factors. The range is `1 +- spread_share`."""
         if not self.spread_fields:
             return []
         missing_fields = (name for name in self.spread_fields if not hasattr(plant, name))

@@ -17,8 +17,8 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.loop.trajectory import (
     Plan,
     Reference,
-    feasible_trajectory,
     feedback_trajectory,
+    reference_tracking_trajectory,
     set_point_equilibria,
 )
 from ssm_study.models.structured import Model, StructuredSSM
@@ -49,42 +49,43 @@ class Controller(ABC):
     dimensions: tuple[int, int]  # (m, p): inputs it commands, outputs it reads
 
     def initial_memory(self, cases: int) -> Memory:
-        """Memory of the controller before the first sample; empty unless a control law has one."""
+        """Memory of a controller before the first sample, one row for each simulated case."""
         return np.zeros((cases, 0))
 
     def reference_targets(self, reference: Reference) -> Plan:
-        """Signal that the control law follows at each sample, computed from the reference. Unless
-        overridden it is the reference itself."""
+        """Signal that a control law follows at each sample, computed in advance from the reference.
+        Unless overridden it is the reference itself."""
         return reference
 
     def required_inputs(self, reference: Reference) -> Float[np.ndarray, "K m"]:
-        """Inputs that the control law needs to hold the extreme values of the reference; empty
-        unless overridden."""
+        """Inputs that a control law needs to hold the extreme values of the reference; empty where
+        they are not known."""
         return np.zeros((0, self.dimensions[0]))
 
     @abstractmethod
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
-        """Input that the control law applies over the coming sample."""
+        """Input that a control law applies over the coming sample."""
 
     def advance(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Memory:
-        """Advance the controller's memory to the next sample. `d` None stands for disturbances at
-        their equilibrium."""
+        """Advance the memory of a controller to the next sample. `d` None stands for disturbances
+        at their equilibrium."""
         return memory
 
     def estimate(self, memory: Memory) -> Estimate:
-        """Estimate of the model's state, taken from the controller's memory."""
+        """Estimate of the model's state in a controller's memory; empty for a controller without an
+        observer."""
         return memory[:, :0]
 
-    def select_cases(self, stayed: Bool[np.ndarray, "N"]) -> "Controller":
-        """Control law restricted to a selection of the simulated cases."""
+    def select_cases(self, is_selected: Bool[np.ndarray, "N"]) -> "Controller":
+        """Copy of a controller that acts on a selection of the simulated cases only."""
         return self
 
 
 @dataclass(frozen=True, kw_only=True)
 class Uncontrolled(Controller):
-    """Control law that always applies the equilibrium input, with which every other law is
+    """Control law that always applies the equilibrium input, to which other control laws are
     compared."""
 
     u: Float[np.ndarray, "m"]
@@ -93,7 +94,7 @@ class Uncontrolled(Controller):
 
     @classmethod
     def for_plant(cls, plant: Plant) -> "Uncontrolled":
-        """Constant control law with the sampling time and the dimensions of a given plant."""
+        """Control law that always applies a plant's equilibrium input."""
         rest = plant.equilibrium()
         input_count = len(plant.inputs)
         output_count = len(plant.outputs)
@@ -101,6 +102,7 @@ class Uncontrolled(Controller):
         return cls(u=rest.u, step_s=plant.step_s, dimensions=dimensions)
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
+        """Equilibrium input for every simulated case."""
         case_count = len(y)
         return np.tile(self.u, (case_count, 1))
 
@@ -122,26 +124,30 @@ class EstimateFeedback(Controller):
 
     @property
     def step_s(self) -> float:  # type: ignore[override]  # here the model knows it
-        """Sampling time of the model, in seconds."""
+        """Sampling time of the controller's model, in seconds."""
         return self.model.step_s
 
     @property
     def dimensions(self) -> tuple[int, int]:  # type: ignore[override]  # as step_s
-        """Numbers of inputs and outputs of the model."""
+        """Numbers of inputs and outputs of the controller's model."""
         inputs = self.model.scale.inputs
         return inputs, self.model.scale.outputs
 
     def initial_memory(self, cases: int) -> Memory:
+        """Zero states of observer and internal model before the first sample."""
         gains_k = self.gains.k
         gain_width = gains_k.shape[-1]
         return np.zeros((cases, gain_width))
 
     def reference_targets(self, reference: Reference) -> Plan:
+        """Trajectory of states, inputs and outputs of the model that the control law follows,
+        computed from the reference."""
         return set_point_equilibria(self.model, reference)
 
     def advance(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Estimate:
+        """Next state estimate of the observer, from the applied input and the measured output."""
         model = self.model
         gains = self.gains
         x_hat = memory[:, : model.order]
@@ -159,12 +165,13 @@ class EstimateFeedback(Controller):
         return neurons.advance(x_hat, lifted, neuron_correction) + correction
 
     def estimate(self, memory: Memory) -> Estimate:
+        """Estimate of the model's state, taken from the controller's memory."""
         return memory  # the estimated state of the model, then the internal model's
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObserverFeedback(EstimateFeedback):
-    """Feedback of the observer's state estimate around a trajectory of the model.
+    """Feedback of an observer's state estimate around a trajectory of the model.
 
     `u = u_eq + s_u (u* + K (xh - x*) + K_z z)`, xh the estimate ([Z26] eq. 9 and Theorem 3). A
     target row is `(x*, u*, y*)`, a trajectory of the model near the reference. `K (m, n)`, or one
@@ -195,24 +202,27 @@ class ObserverFeedback(EstimateFeedback):
 
     @classmethod
     def from_design(cls, model: Model, design: Design) -> "ObserverFeedback":
-        """Controller with the gains of a certified design. Raises `BadRequest` if one of its parts
-        is infeasible."""
+        """Controller that applies the gains of a certified design. Raises `BadRequest` if one of
+        its parts is infeasible."""
         inverse = None
         if design.inverts_input_map:
             inverse = invert_map(model.scaffold_in.as_portable())
         return cls(model=model, gains=design.pair, inverse=inverse)
 
-    def unlimited_input(self, u: ScaledInputs, feedback: ScaledInputs) -> np.ndarray:
-        """Scaled input of the control law before input limits are applied.
+    def unlimited_input(
+        self, planned_input: ScaledInputs, feedback_input: ScaledInputs
+    ) -> np.ndarray:
+        """Scaled input that the control law requests, before it is cut at the input limits.
 
-        `u* + K (...)`; or, where `S_u` is undone, `S_u^{-1}(S_u(u*) + K (...))`.
+        `planned_input* + K (...)`; or, where `S_u` is undone, `S_u^{-1}(S_u(u*) + K (...))`.
         """
         if self.inverse is None:
-            return u + feedback
-        mapped_input = self.model.scaffold_in(u) + feedback
+            return planned_input + feedback_input
+        mapped_input = self.model.scaffold_in(planned_input) + feedback_input
         return self.inverse(mapped_input)
 
     def reference_targets(self, reference: Reference) -> Plan:
+        """Trajectory of states, inputs and outputs of the model that follows the reference."""
         model = self.model
         n = model.order
         if isinstance(model, StructuredSSM):
@@ -222,7 +232,7 @@ class ObserverFeedback(EstimateFeedback):
             state_gains = k[:, :n]
             plan = feedback_trajectory(model, state_gains, reference, self.unlimited_input)
         else:
-            plan = feasible_trajectory(model, reference)
+            plan = reference_tracking_trajectory(model, reference)
         planned_inputs = plan[:, n:]
         lifted = model.scaffold_in(planned_inputs)
         planned_states = plan[:, :n]
@@ -230,14 +240,16 @@ class ObserverFeedback(EstimateFeedback):
         plan_with_outputs = [plan, outputs]
         return np.concatenate(plan_with_outputs, axis=1)
 
-    def select_cases(self, stayed: Bool[np.ndarray, "N"]) -> "ObserverFeedback":
+    def select_cases(self, is_selected: Bool[np.ndarray, "N"]) -> "ObserverFeedback":
+        """Copy of the controller that acts on a selection of the simulated cases only."""
         if self.gains.k.ndim == 2:
             return self
-        indices = np.flatnonzero(stayed)
+        indices = np.flatnonzero(is_selected)
         gains = self.gains.select_pairs(indices)
         return replace(self, gains=gains)
 
     def required_inputs(self, reference: Reference) -> Float[np.ndarray, "K m"]:
+        """Inputs at which the model holds the smallest and the largest value of the reference."""
         lowest = reference.min(axis=0)
         highest = reference.max(axis=0)
         ends = np.stack([lowest, highest])
@@ -247,6 +259,8 @@ class ObserverFeedback(EstimateFeedback):
         return self.model.scale.physical_input(inputs)
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
+        """Input computed from the state estimate and the internal model, around the planned
+        trajectory."""
         n = self.model.order
         m = self.model.scale.inputs
         estimated_states = memory[:, :n]
@@ -264,6 +278,8 @@ class ObserverFeedback(EstimateFeedback):
     def advance(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Memory:
+        """Next state estimate and internal-model state, from the applied input and the measured
+        output."""
         x_hat = super().advance(memory, u, y, target, d)
         order = self.model.order
         z = memory[:, order:]

@@ -1,5 +1,5 @@
-"""Table of randomly chosen certified designs that are simulated on the true plant, to test the
-stability margin."""
+"""Table of randomly chosen certified designs, simulated on the true plant to test the predicted
+stability margins."""
 
 from dataclasses import dataclass, field
 from functools import partial
@@ -50,8 +50,8 @@ class DesignGrid(ComparisonTable):
         require_at_least(1, "loop.comparison.designs", self.designs, "use 150")
 
     def rows(self, plant: Plant, identified: Identified, loop: Loop, seed: int) -> list[Row]:
-        """Rows of the comparison table, one for each design drawn at random: its rates, what is
-        predicted of it, and how its closed loop behaved."""
+        """Rows of the table, one for each design drawn at random: its rates, its predicted margins,
+        and the behaviour of its closed loop."""
         candidates = self.auto.candidates(identified.model, identified.balls)
         if candidates is None:
             return []
@@ -84,7 +84,7 @@ class DesignGrid(ComparisonTable):
         return rows
 
     def draw_gain_pairs(self, candidates: Candidates, seed: int) -> Int[np.ndarray, "D 2"]:
-        """Draw random pairs of controller and observer gains, as indices of the candidates."""
+        """Draw random pairs of controller and observer gains, as indices of the candidate gains."""
         controller_count = len(candidates.ks)
         observer_count = len(candidates.ls)
         counts = (controller_count, observer_count)
@@ -98,20 +98,20 @@ class DesignGrid(ComparisonTable):
         return np.stack(pairs, axis=1)
 
 
-def _prepend_gains(pair: Gains, gains: Gains) -> Gains:
-    """Put the gains of one more controller and observer in front of an array of gains."""
+def _prepend_gains(first_gains: Gains, other_gains: Gains) -> Gains:
+    """Put the gains of one controller and observer in front of a batch of gains."""
     stacked = {}
-    for name, gain in vars(pair).items():
+    for name, gain in vars(first_gains).items():
         if gain is not None:
-            others = getattr(gains, name)
+            others = getattr(other_gains, name)
             all_gains = [gain[None], others]
             stacked[name] = np.concatenate(all_gains)
     return Gains(**stacked)
 
 
 def _prediction_columns(identified: Identified, gains: Gains) -> list[Row]:
-    """Columns with gain norms, predicted stability and the response on the model, one row for each
-    design."""
+    """Table columns with gain norms, predicted stability and the response on the model, one row for
+    each design."""
     mismatch = identified.mismatch
     rows = []
     areas = relative_response_areas(identified.model, gains, identified.validation)
@@ -138,7 +138,7 @@ def _prediction_columns(identified: Identified, gains: Gains) -> list[Row]:
 def _behaviour_columns(
     plant: Plant, identified: Identified, gains: Gains, loop: Loop, seed: int
 ) -> list[Row]:
-    """Columns on the closed-loop behaviour of all designs on the true plant."""
+    """Table columns on the closed-loop behaviour on the true plant, one row for each design."""
     y0, noise = loop.draw_starts_and_noise(plant, seed)
     band = plant.settling_band
     designs = len(gains.k)
@@ -162,20 +162,21 @@ def _behaviour_columns(
     for first in range(0, len(starts), cases):
         own = slice(first, first + cases)
         left_bound = ~run.stayed_within_bound[own]
-        row = _settling_row(times_s[own], kinds[own], open_loop_s, int(left_bound.sum()))
+        row = _settling_columns(times_s[own], kinds[own], open_loop_s, int(left_bound.sum()))
         rows.append(row)
     return rows
 
 
-def _settling_row(
+def _settling_columns(
     times_s: tuple[float | None, ...],
-    kinds: tuple[str, ...],
+    motion_classes: tuple[str, ...],
     open_loop_s: float | None,
     left_bound_count: int,
 ) -> Row:
-    """Columns on how many cases of one design settle, how fast, and how the others move."""
+    """Table columns on how many simulated cases of one design settle, how fast, and how the others
+    move."""
     cases = len(times_s)
-    unsettled = set(kinds) - {"settled"}
+    unsettled = set(motion_classes) - {"settled"}
     unsettled_kinds = sorted(unsettled)
     unsettled_count = times_s.count(None)
     return {
@@ -183,7 +184,7 @@ def _settling_row(
         "stable_count": cases - unsettled_count,
         "settling_time_mean_s": mean_without_none(times_s),
         "settling_time_open_loop_s": open_loop_s,
-        "stable_count_noise_free": kinds.count("settled"),
+        "stable_count_noise_free": motion_classes.count("settled"),
         "unsettled_as": ", ".join(unsettled_kinds) or None,
         "left_bound_count": left_bound_count,
     }

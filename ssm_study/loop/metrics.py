@@ -1,4 +1,4 @@
-"""Columns that describe a closed-loop experiment."""
+"""Table columns that describe the behaviour of a closed loop in simulation."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -125,8 +125,8 @@ COLUMNS = (*SETTLING_COLUMNS, *REST_AND_RIVAL_COLUMNS, *EFFORT_AND_ERROR_COLUMNS
 
 
 def behaviour_columns(loop: LoopRuns) -> Columns:
-    """Columns that describe a closed-loop experiment: settling, overshoot, input and remaining
-    error.
+    """Table columns that describe a closed-loop experiment: settling, overshoot, input and
+    remaining error.
 
     Definitions: docs/closed_loop.md; times in s, inputs in their unit. None where nothing is
     defined, never NaN: `measured_contraction_rate` when several plants are pooled.
@@ -138,8 +138,8 @@ def behaviour_columns(loop: LoopRuns) -> Columns:
 
 
 def measured_noise_gain(run: Rollouts) -> float | None:
-    """Ratio of the output's standard deviation to that of the measurement noise, measured at rest;
-    None without noise. `std(y) / std(n)` over the second half of the horizon.
+    """Ratio of the output's standard deviation at rest to that of the measurement noise; None
+    without noise. `std(y) / std(n)` over the second half of the horizon.
 
     The share of the sensor's noise n that reaches the true output at rest; `noise_gain_model` of
     the design is the model's gain at the worst frequency.
@@ -163,8 +163,7 @@ def measured_noise_gain(run: Rollouts) -> float | None:
 
 
 def pool_columns(loops: list[LoopRuns]) -> Columns:
-    """Closed-loop columns over the cases of several experiments of the same length, taken
-    together."""
+    """Table columns that describe several closed-loop experiments of the same length together."""
     efforts = [loop.controlled.u - loop.input_equilibrium for loop in loops]
     errors = [loop.controlled.y - loop.controlled.reference for loop in loops]
     case_counts = (len(error) for error in errors)
@@ -193,8 +192,9 @@ def pool_columns(loops: list[LoopRuns]) -> Columns:
     }
 
 
-def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
-    """Columns on how many cases settle and how fast, compared with the uncontrolled plant."""
+def settling_columns(loops: list[LoopRuns], case_count: int) -> Columns:
+    """Table columns on how many simulated cases settle and how fast, compared with the uncontrolled
+    plant."""
     times_s: list[float | None] = []
     alone_s: list[float | None] = []
     motion: Counter[str] = Counter()
@@ -209,16 +209,16 @@ def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
     unsettled = [f"{count} {kind}" for kind, count in kind_counts if kind != "settled"]
     stable_count = len(settled_times_s)
     judged_noise_free = any(loop.noise_free is not None for loop in loops)
-    all_settle = stable_count == cases
+    all_settle = stable_count == case_count
     settling_time_worst_s = max(settled_times_s) if all_settle else None
     settling_time_mean_s = mean_without_none(settled_times_s)
     settling_time_open_loop_s = mean_without_none(alone_s)
-    faster_than_open_loop = settles_faster(times_s, alone_s)
+    faster_than_open_loop = settles_faster_than_open_loop(times_s, alone_s)
     swings_at_rest = largest_residual_oscillation(loops)
     return {
-        "initial_conditions": cases,
+        "initial_conditions": case_count,
         "stable_count": stable_count,
-        "stable_fraction": stable_count / cases,
+        "stable_fraction": stable_count / case_count,
         "unsettled_as": ", ".join(unsettled) or None,
         "judged_noise_free": judged_noise_free,
         "settling_time_mean_s": settling_time_mean_s,
@@ -229,26 +229,28 @@ def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
     }
 
 
-def settles_faster(times_s: list[float | None], alone_s: list[float | None]) -> bool:
+def settles_faster_than_open_loop(
+    controlled_times_s: list[float | None], uncontrolled_times_s: list[float | None]
+) -> bool:
     """Whether every controlled case settles, and on average sooner than without control.
 
     A case that never settles without control counts as slower there. A word of success stands only
     where this holds: a controller may be certified, and settle, and help nobody.
     """
-    if None in times_s:
+    if None in controlled_times_s:
         return False
-    if None in alone_s:
+    if None in uncontrolled_times_s:
         return True
-    controlled = mean_without_none(times_s)
-    uncontrolled = mean_without_none(alone_s)
+    controlled = mean_without_none(controlled_times_s)
+    uncontrolled = mean_without_none(uncontrolled_times_s)
     assert controlled is not None
     assert uncontrolled is not None
     return controlled < uncontrolled
 
 
 def largest_residual_oscillation(loops: list[LoopRuns]) -> float | None:
-    """Largest oscillation that remains in any settled case, relative to the settling band; None if
-    no case settles."""
+    """Largest oscillation of the output that remains in any settled case, relative to the settling
+    band; None if no case settles."""
     swings = []
     for loop in loops:
         run = loop.quiet or loop.rollouts_for_settling
@@ -258,7 +260,8 @@ def largest_residual_oscillation(loops: list[LoopRuns]) -> float | None:
 
 
 def largest_overshoot(loop: LoopRuns) -> float:
-    """Largest overshoot among the controlled cases, as a share of the initial error."""
+    """Largest overshoot among the simulated cases of a controlled plant, relative to the initial
+    error."""
     per_case = overshoots(loop.controlled, loop.settling_band)
     return float(per_case.max())
 
@@ -269,19 +272,19 @@ def sum_of_squares(signals: list[Float[np.ndarray, "N T c"]]) -> float:
     return sum(float(energy) for energy in energies)
 
 
-def largest_final_error(error: Float[np.ndarray, "N T p"]) -> float:
-    """Largest mean control error over the last tenth of the horizon."""
-    samples = error.shape[1]
+def largest_final_error(errors: Float[np.ndarray, "N T p"]) -> float:
+    """Largest control error among all cases, averaged over the last tenth of the horizon."""
+    samples = errors.shape[1]
     last = max(samples // 10, 1)
-    last_errors = error[:, -last:]
+    last_errors = errors[:, -last:]
     mean_errors = last_errors.mean(axis=1)
     error_sizes = np.abs(mean_errors)
     return float(error_sizes.max())
 
 
 def divergence_columns(loops: list[LoopRuns], step_s: float) -> Columns:
-    """Columns on how many simulated cases were stopped because they diverged, and the earliest
-    time."""
+    """Table columns with the number of simulated cases that were stopped because they diverged, and
+    the earliest such time."""
     left: list[int] = []
     for loop in loops:
         at_sample = loop.controlled.left_at_sample
@@ -296,7 +299,8 @@ CERTIFIED = ("certified_bound_violations", "estimate_decay_rate", "certified_bou
 
 
 def certificate_columns(loop: LoopRuns, design: Design) -> Columns:
-    """Columns that compare measured distances from the equilibrium with the certified bound.
+    """Table columns that compare the simulated distance from the equilibrium with its certified
+    bound.
 
     All None without a run on the model; `certified_bound_excess_plant` is None too where plant and
     model follow different references.

@@ -1,4 +1,5 @@
-"""Measures of how simulated closed loops move: settling, oscillation, overshoot and contraction.
+"""Measures of how simulated closed loops move: settling time, oscillation, overshoot and
+contraction.
 
 Judged on the true output alone, never on the noisy measurement.
 """
@@ -17,7 +18,7 @@ STEADY = 0.9
 
 
 def last_step_sample(reference: OutputSignal) -> int:
-    """Sample at which a step reference reaches its final value.
+    """Sample at which a step-like reference reaches its final value.
 
     0 if the reference still moves in the second half.
     """
@@ -31,16 +32,16 @@ def last_step_sample(reference: OutputSignal) -> int:
     return last if last <= middle else 0
 
 
-def settling_times_s(rollouts: Rollouts, band: float) -> tuple[float | None, ...]:
-    """Settling time of each case, in seconds after the last step of the reference.
+def settling_times_s(rollouts: Rollouts, settling_band: float) -> tuple[float | None, ...]:
+    """Settling time of each simulated case, in seconds after the last step of the reference.
 
     From that time on `|y - reference| <= band` holds to the end. None if there is no such time, or
-    if less than `DWELL` of the horizon follows it. `band` in the output's unit. A case that left
-    the bound never settles, whatever it did before; one that is in the band throughout settles in
-    0.
+    if less than `DWELL` of the horizon follows it. `settling_band` in the output's unit. A case
+    that left the bound never settles, whatever it did before; one that is in the band throughout
+    settles in 0.
     """
     error = rollouts.y - rollouts.reference
-    is_far = np.abs(error) > band
+    is_far = np.abs(error) > settling_band
     outside = is_far.any(axis=2)
     samples = outside.shape[1]
     backwards = outside[:, ::-1]
@@ -60,14 +61,15 @@ def settling_times_s(rollouts: Rollouts, band: float) -> tuple[float | None, ...
     return tuple(times_s)
 
 
-def classify_motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
-    """Class of each case's motion: `settled`, `lost`, `slow`, `oscillating` or `drifting`.
+def classify_motions(rollouts: Rollouts, settling_band: float) -> tuple[str, ...]:
+    """Class of the motion of each simulated case: `settled`, `lost`, `slow`, `oscillating` or
+    `drifting`.
 
     Lost: it left the bound. Slow: the error still shrinks from the third quarter of the horizon to
     the last. Oscillating: over these two, the swing about a straight line exceeds what the line
     itself rises. Drifting: the rest, an error that stays where it is among them.
     """
-    times_s = settling_times_s(rollouts, band)
+    times_s = settling_times_s(rollouts, settling_band)
     has_settled = [time_s is not None for time_s in times_s]
     error = rollouts.y - rollouts.reference
     size = np.linalg.norm(error, axis=2)
@@ -87,7 +89,7 @@ def classify_motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
     last_half = worst_error[:, -half:]
     rise, swing = trend_and_oscillation(last_half)
     total_rise = np.abs(rise)
-    least_swing = np.maximum(total_rise, band)
+    least_swing = np.maximum(total_rise, settling_band)
     oscillates = swing > least_swing
     moving = np.where(oscillates, "oscillating", "drifting")
     still_shrinks = last_quarter < STEADY * third_quarter
@@ -98,8 +100,8 @@ def classify_motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
 
 
 def trend_and_oscillation(signals: Float[np.ndarray, "N K"]) -> tuple[PerCase, PerCase]:
-    """Trend of each row, as the rise of its least-squares line, and its peak-to-peak oscillation
-    about that line."""
+    """Trend of each of several signals, as the rise of its least-squares line, and its peak-to-peak
+    oscillation about that line."""
     samples = signals.shape[1]
     time = np.linspace(-0.5, 0.5, samples)
     time_power = time @ time
@@ -111,14 +113,14 @@ def trend_and_oscillation(signals: Float[np.ndarray, "N K"]) -> tuple[PerCase, P
     return rise, oscillation
 
 
-def residual_oscillations(rollouts: Rollouts, band: float) -> Float[np.ndarray, "S"]:
-    """Amplitude of each settled case's oscillation in the last tenth of the horizon, for the output
-    that oscillates most.
+def residual_oscillations(rollouts: Rollouts, settling_band: float) -> Float[np.ndarray, "S"]:
+    """Amplitude of the output's oscillation in the last tenth of the horizon, for each settled
+    case.
 
     The amplitude is about a straight line. A loop that swings for ever inside the band of settling
     is settled by definition, and not at rest. In the output's unit.
     """
-    times_s = settling_times_s(rollouts, band)
+    times_s = settling_times_s(rollouts, settling_band)
     has_settled = [time_s is not None for time_s in times_s]
     is_settled = np.array(has_settled)
     error_of_all = rollouts.y - rollouts.reference
@@ -136,8 +138,9 @@ def residual_oscillations(rollouts: Rollouts, band: float) -> Float[np.ndarray, 
     return np.asarray(largest_swings / 2)
 
 
-def overshoots(rollouts: Rollouts, band: float) -> PerCase:
-    """Overshoot of each case beyond the reference, as a share of the initial error.
+def overshoots(rollouts: Rollouts, settling_band: float) -> PerCase:
+    """Overshoot of the output beyond the reference, relative to the initial error, for each
+    simulated case.
 
     An excursion counts on the far side from the start, which is the last step of the reference; the
     worst channel counts. Only excursions beyond the band count: within it, the measurement noise
@@ -152,15 +155,15 @@ def overshoots(rollouts: Rollouts, band: float) -> PerCase:
     on_far_side = -np.sign(start) * error
     excursions = np.maximum(on_far_side, 0.0)
     excursion = excursions.max(axis=1)
-    counts = (size > band) & (excursion > band)
+    counts = (size > settling_band) & (excursion > settling_band)
     divisors = np.where(counts, size, 1.0)
     shares = excursion / divisors
     counted_shares = np.where(counts, shares, 0.0)
     return counted_shares.max(axis=1)
 
 
-def measured_contraction_rate(rollouts: Rollouts, band: float) -> float | None:
-    """Contraction rate of the closed loop as it is measured, the median over pairs of cases.
+def measured_contraction_rate(rollouts: Rollouts, settling_band: float) -> float | None:
+    """Contraction rate of a closed loop measured in simulation, the median over pairs of cases.
 
     It is `1 - r^2`, where r is the mean shrink per sample of `|y_i - y_j|` from the start until it
     is within the band. Pairs count that start more than twice the band apart; the rate is in the
@@ -174,31 +177,32 @@ def measured_contraction_rate(rollouts: Rollouts, band: float) -> float | None:
     second_outputs = rollouts.y[j]
     differences = first_outputs - second_outputs
     distances = np.linalg.norm(differences, axis=2)
-    starts_apart = distances[:, 0] > 2 * band
+    starts_apart = distances[:, 0] > 2 * settling_band
     if not starts_apart.any():
         return None
-    resolution = band / 2  # an exact zero is not a rate
+    resolution = settling_band / 2  # an exact zero is not a rate
     distances = np.maximum(distances[starts_apart], resolution)
-    per_case = mean_squared_contraction(distances, band)
+    per_case = mean_squared_contraction(distances, settling_band)
     median = np.median(per_case)
     return float(1.0 - median)
 
 
 def mean_squared_contraction(
-    distance: Float[np.ndarray, "N T"], until: float | Float[np.ndarray, "N 1"]
+    distances: Float[np.ndarray, "N T"], end_distances: float | Float[np.ndarray, "N 1"]
 ) -> PerCase:
-    """Squared mean factor per sample by which each row of distances shrinks.
+    """Squared mean factor per sample by which distances shrink, for each row of a table of
+    distances over time.
 
-    A row counts until it is at most `until`, else to its end.
+    A row counts until it is at most `end_distances`, else to its end.
     """
-    is_small = distance <= until
-    last_sample = distance.shape[1] - 1
+    is_small = distances <= end_distances
+    last_sample = distances.shape[1] - 1
     becomes_small = is_small.any(axis=1)
     first_small = np.argmax(is_small, axis=1)
     at = np.where(becomes_small, first_small, last_sample)
-    rows = np.arange(len(distance))
-    final_distances = distance[rows, at]
-    initial_distances = distance[:, 0]
+    rows = np.arange(len(distances))
+    final_distances = distances[rows, at]
+    initial_distances = distances[:, 0]
     ratios = final_distances / initial_distances
     exponents = 2.0 / np.maximum(at, 1)
     return np.asarray(ratios**exponents)

@@ -1,4 +1,4 @@
-"""References for the output, as offsets from the equilibrium over time, the same for every
+"""Reference signals for the output, as offsets from the equilibrium over time, the same for every
 output."""
 
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class StepReference(Reference):
     at_s: float
 
     def signal(self, time_s: Times) -> Times:
-        """Signal of the reference: offsets from the equilibrium at given times."""
+        """Step reference as offsets from the equilibrium at given times."""
         is_before = time_s < self.at_s - 1e-12
         before = float(self.before)
         after = float(self.after)
@@ -48,7 +48,7 @@ class FileReference(Reference):
     path: str
 
     def signal(self, time_s: Times) -> Times:
-        """Signal of the reference: offsets at given times, interpolated from the file."""
+        """Reference from a file, as offsets from the equilibrium interpolated at given times."""
         try:
             table = self._read_file()
         except (OSError, ValueError) as error:
@@ -65,7 +65,7 @@ class FileReference(Reference):
         return np.interp(time_s, *table.T)
 
     def _read_file(self) -> Float[np.ndarray, "rows columns"]:
-        """Read the times and offsets of the reference from the file."""
+        """Read the times and offsets of a reference from its CSV file."""
         reference_file = Path(self.path)
         text = reference_file.read_text(encoding="utf-8")
         lines = [line for line in text.splitlines() if line.strip()]

@@ -30,7 +30,7 @@ OutputSignals = Float[np.ndarray, "N T p"]
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifiedPlant(Plant):
-    """Identified model that is simulated in place of the plant, so that there is no model error.
+    """Identified model that is simulated in place of the plant.
 
     `x+ = A x + B S_u(u) + B d,  y = S_y(C x)`. The state is the model's (scaled), `u` and `y` are
     physical; `d (m)` disturbs the recurrence's
@@ -63,8 +63,8 @@ class IdentifiedPlant(Plant):
     def from_model(
         cls, model: Model, inputs: Channels = (), outputs: Channels = ()
     ) -> "IdentifiedPlant":
-        """Plant that simulates an identified model. Channels without a name are called `u_1, ...`
-        and `y_1, ...`, or `u` and `y`.
+        """Simulated plant that behaves exactly as an identified model. Channels without a name are
+        called `u_1, ...` and `y_1, ...`, or `u` and `y`.
 
         Initial outputs lie within one `output_scale` of the equilibrium, and 5 % of it counts as
         settled.
@@ -86,16 +86,18 @@ class IdentifiedPlant(Plant):
 
     @property
     def input_amplitude(self) -> tuple[float, ...]:
+        """Scale of each input of the identified model, in physical units."""
         input_scale = self.model.scale.input_scale
         return tuple(input_scale.tolist())
 
     def equilibrium(self) -> Equilibrium:
+        """Equilibrium of the identified model in physical units."""
         scale = self.model.scale
         x = np.zeros(self.model.order)
         return Equilibrium(u=scale.input_equilibrium, x=x, y=scale.output_equilibrium)
 
     def equilibrium_states(self, y0: Outputs) -> States:
-        """States in which a constant input holds the outputs at given values.
+        """States at which a constant input holds the model's outputs at given values.
 
         Where no input holds it (neurons may rectify or saturate; fewer inputs than outputs hold
         few outputs), the smallest state that the linear part reads as it.
@@ -103,7 +105,7 @@ class IdentifiedPlant(Plant):
         return np.stack([self._steady_state(y) for y in y0])
 
     def _steady_state(self, y: Float[np.ndarray, "p"]) -> Float[np.ndarray, "n"]:
-        """State in which a constant input holds the output at a given value."""
+        """State at which a constant input holds the model's outputs at given values."""
         try:
             state, _ = scaled_equilibrium(self.model, y)
             return state
@@ -124,13 +126,16 @@ class IdentifiedPlant(Plant):
     def advance(
         self, x: States, u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
     ) -> States:
+        """Next states of the identified model, with disturbances added to its mapped input."""
         mapped_input = self.model.map_input(u)
         return self.model.advance(x, mapped_input + d)
 
     def disturbance_effect(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
+        """Effect of measured disturbances on the next state of the identified model."""
         return self.model.disturbance_contribution(measured)
 
     def output(self, x: States) -> Outputs:
+        """Outputs of the identified model in physical units."""
         linear_b = self.model.linear.b
         no_input = np.zeros((len(x), linear_b.shape[1]))
         return self.model.output_at(x, no_input)
@@ -145,12 +150,12 @@ def _number_channels(name: str, count: int) -> Channels:
 
 
 def _scaled_channels(prefix: str, count: int) -> Channels:
-    """Channels of scaled signals, named by a common prefix and a number from 0."""
+    """Channels of scaled signals, whose names are a common prefix and a number from 0."""
     return tuple(Channel(name=f"{prefix}{i}", unit="1") for i in range(count))
 
 
 def has_direct_feedthrough(model: Model) -> bool:
-    """Whether the input affects the model's output within the same sample."""
+    """Whether the input of a model affects its output within the same sample."""
     through_neuron = False
     if isinstance(model, StructuredSSM):
         is_driven = model.g.any(axis=1)
@@ -167,7 +172,7 @@ REMAINDER = 0.01  # share of `sum |C A^k B|` that is left behind the length of t
 
 @dataclass(frozen=True, kw_only=True)
 class LoopRuns:
-    """Simulated runs of one experiment: the controlled plant, the uncontrolled plant and the model.
+    """Simulated runs of one experiment, on the plant with and without control and on the model.
 
     `on_model` is `Loop.run_on_model`, None for a controller that has no model; `settling_band` in
     the output's unit. `noise_free`: without measurement noise, where that alone crosses the band;
@@ -185,23 +190,22 @@ class LoopRuns:
 
     @property
     def rollouts_for_settling(self) -> Rollouts:
-        """Closed-loop runs from which it is judged whether the loop settles. They are without noise
-        if noise alone would leave the settling band."""
+        """Simulated runs by which settling is judged. They are without noise if noise alone would
+        leave the settling band."""
         return self.noise_free or self.controlled
 
 
 class ComparisonTable(ABC):
-    """Interface of tables that a run writes beside its record, in `comparison.csv`, with one flat
-    row per case."""
+    """Interface of tables of closed-loop simulations that a run writes to `comparison.csv`."""
 
     @abstractmethod
     def rows(self, plant: Plant, identified: Identified, loop: "Loop", seed: int) -> list[Row]:
-        """Rows of the comparison table, all with the same columns. Missing values are None."""
+        """Rows of a comparison table, all with the same columns. Missing values are None."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
-    """Closed-loop experiment from several initial outputs over a fixed horizon.
+    """Settings of a closed-loop experiment from several initial outputs over a fixed horizon.
 
     The `initial_conditions` outputs are uniform in the plant's `initial_range`. The fields are
     explained in conf/loop/regulation.yaml; the noise is Gaussian, its variance in
@@ -240,16 +244,16 @@ class Loop:
 
     @property
     def limits(self) -> Limits:
-        """Input limits of the experiment, one for each input or one for all."""
+        """Lower and upper input limits of an experiment, one for each input or one for all."""
         lowest, highest = UNLIMITED
         low = lowest if self.input_lower is None else self.input_lower
         high = highest if self.input_upper is None else self.input_upper
         return np.asarray(low, dtype=float), np.asarray(high, dtype=float)
 
-    def with_default_limits(self, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> "Loop":
-        """Copy of the experiment with the range of recorded inputs as input limits, where none are
-        set."""
-        low, high = input_limits(self.input_lower, self.input_upper, inputs)
+    def with_default_limits(self, recorded_inputs: Sequence[Float[np.ndarray, "_ m"]]) -> "Loop":
+        """Copy of a closed-loop experiment in which missing input limits are set to the range of
+        the recorded inputs."""
+        low, high = input_limits(self.input_lower, self.input_upper, recorded_inputs)
         input_lower = low.tolist()
         input_upper = high.tolist()
         return replace(self, input_lower=input_lower, input_upper=input_upper)
@@ -264,7 +268,7 @@ class Loop:
         return replace(runs, on_model=on_model)
 
     def run_on_plant(self, plant: Plant, controller: Controller, seed: int) -> LoopRuns:
-        """Simulate the plant with a controller, and without control.
+        """Simulate a plant with a controller and, for comparison, without control.
 
         At one seed all controllers meet the same initial states, noise, reference and disturbance.
         """
@@ -292,8 +296,8 @@ class Loop:
     def _noise_leaves_band(
         self, plant: Plant, controller: Controller, noise: OutputSignals
     ) -> bool:
-        """Whether measurement noise alone drives a plant at its equilibrium out of the settling
-        band."""
+        """Whether measurement noise alone drives a controlled plant from its equilibrium out of the
+        settling band."""
         still = replace(self, reference=EquilibriumReference(), disturbance=NoDisturbance())
         equilibrium = plant.equilibrium()
         cases = len(noise)
@@ -304,8 +308,7 @@ class Loop:
         return bool(is_outside.any())
 
     def run_on_model(self, plant: Plant, controller: ObserverFeedback, y0: Outputs) -> Rollouts:
-        """Simulate a controller on its own model from the same outputs, without noise and
-        disturbance.
+        """Simulate a controller in closed loop with its own model, without noise and disturbance.
 
         This is the situation that the certificate speaks of.
         """
@@ -318,8 +321,8 @@ class Loop:
         return quiet.simulate(twin, controller, y0, no_noise)
 
     def with_default_horizon(self, model: Model) -> "Loop":
-        """Copy of the experiment with a horizon that suits the model, where none is set. It is
-        `RESPONSES` times the model's response."""
+        """Copy of a closed-loop experiment in which a missing horizon is set to suit the model. It
+        is `RESPONSES` times the model's response."""
         if self.horizon_s is not None:
             return self
         response = linearise_at_equilibrium(model).impulse_response_length(SAMPLES[1], REMAINDER)
@@ -328,13 +331,13 @@ class Loop:
         return replace(self, horizon_s=horizon_s)
 
     def horizon_samples(self, step_s: float) -> int:
-        """Number of samples in the horizon of the experiment."""
+        """Number of samples in the horizon of a closed-loop experiment."""
         if self.horizon_s is None:
             return SAMPLES[0]
         return max(2, round(self.horizon_s / step_s))
 
     def draw_starts_and_noise(self, plant: Plant, seed: int) -> tuple[Outputs, OutputSignals]:
-        """Draw initial outputs and measurement noise, the same for every controller."""
+        """Draw random initial outputs and measurement noise, the same for every controller."""
         cases = self.initial_conditions
         samples = self.horizon_samples(plant.step_s)
         outputs = len(plant.outputs)
@@ -354,7 +357,7 @@ class Loop:
         self,
         plant: Plant,
         controller: Controller,
-        y0: Outputs,
+        initial_outputs: Outputs,
         noise: OutputSignals,
         measured_disturbance: Float[np.ndarray, "T k"] | None = None,
     ) -> Rollouts:
@@ -377,13 +380,13 @@ class Loop:
         largest_offset = float(np.abs(offset).max())
         reach = self.bound_in_initial_ranges * largest_start + largest_offset
         reference = plant.equilibrium().y + offsets
-        x0 = plant.equilibrium_states(y0)
+        x0 = plant.equilibrium_states(initial_outputs)
         try:
             bound = np.full(outputs, reach)
             return simulate_closed_loop(
                 plant,
                 controller,
-                x0=x0,
+                initial_states=x0,
                 reference=reference,
                 noise=noise,
                 disturbance=disturbance,

@@ -1,4 +1,4 @@
-"""Simulation of closed loops for many cases at once, and their replay."""
+"""Simulation of closed loops for many cases at once, and the recomputation of recorded inputs."""
 
 from dataclasses import dataclass, field
 
@@ -36,7 +36,7 @@ CaseSelection = Bool[np.ndarray, "N"]
 
 @dataclass(frozen=True, kw_only=True)
 class Rollouts:
-    """Simulated closed-loop runs of several cases, in physical units.
+    """Simulated closed-loop signals of several cases, in physical units.
 
     `u[:, k]` is held over sample k, `y[:, k]` is read before it acts. `y` is the true output,
     `measured` what the controller saw, `estimate` its state estimate (the
@@ -58,12 +58,13 @@ class Rollouts:
 
     @property
     def stayed_within_bound(self) -> CaseSelection:
-        """For each case, whether its signals stayed within the bound of the simulation."""
+        """For each simulated case, whether its signals stayed within the bound at which the
+        simulation stops."""
         return self.left_at_sample == STAYED
 
     @property
     def time_s(self) -> Float[np.ndarray, "T"]:
-        """Time of each sample, in seconds."""
+        """Time of each sample of the simulation, in seconds."""
         samples = self.y.shape[1]
         return np.arange(samples) * self.step_s
 
@@ -72,7 +73,7 @@ def simulate_closed_loop(
     plant: Plant,
     controller: Controller,
     *,
-    x0: States,
+    initial_states: States,
     reference: OutputSignal,
     noise: OutputSignals,
     disturbance: Float[np.ndarray, "N T q"],
@@ -80,7 +81,7 @@ def simulate_closed_loop(
     limits: Limits = UNLIMITED,
     measured_disturbance: Float[np.ndarray, "T k"] | None = None,
 ) -> Rollouts:
-    """Simulate a controller in closed loop with a plant, for all cases at once. `u[k] =
+    """Simulate a controller in closed loop with a plant, for several cases at once. `u[k] =
     controller(y[k] + noise[k])`, `x[k+1] = plant.advance(x[k], u[k], d[k])`.
 
     All cases at once. `bound (p,)` is the largest `|y - y_eq|` a case may reach before it is
@@ -88,15 +89,15 @@ def simulate_closed_loop(
     `measured_disturbance`, physical, drives the identified model and is told to the controller;
     without one it is at its equilibrium. Raises `BadRequest` for unmatched plant and controller.
     """
-    _check_request(plant, controller, reference, limits)
+    _require_valid_experiment(plant, controller, reference, limits)
     cases, samples, _ = noise.shape
     memory = controller.initial_memory(cases)
     targets = controller.reference_targets(reference)
     estimates = controller.estimate(memory).shape[1]
-    log = allocate_log(plant, estimates, noise.shape, x0.shape[1])
+    log = allocate_log(plant, estimates, noise.shape, initial_states.shape[1])
     left_at_sample = np.full(cases, STAYED)
     going = np.arange(cases)
-    x = x0
+    x = initial_states
     for k in range(samples):
         y = plant.output(x)
         measured = y + noise[going, k]
@@ -133,7 +134,8 @@ def simulate_closed_loop(
 def _is_inside_bound(
     plant: Plant, y: Outputs, u: Inputs, estimate: Estimates, bound: Bound
 ) -> CaseSelection:
-    """For each case, whether output, input and estimate are within the bound of the simulation."""
+    """For each simulated case, whether output, input and estimate are within the bound at which the
+    simulation stops."""
     rest = plant.equilibrium()
     input_deviation = u - rest.u
     input_amplitudes = np.array(plant.input_amplitude)
@@ -146,18 +148,18 @@ def _is_inside_bound(
     return np.asarray(is_near & is_small)
 
 
-def _check_request(
+def _require_valid_experiment(
     plant: Plant, controller: Controller, reference: OutputSignal, limits: Limits
 ) -> None:
-    """Raise `BadRequest` for a controller that does not fit the plant, and for a reference beyond
-    the reach of limited inputs."""
-    _check_dimensions(plant, controller)
+    """Raise `BadRequest` for a controller that does not fit the plant, and for a reference that
+    limited inputs cannot hold."""
+    _require_matching_dimensions(plant, controller)
     if any(np.isfinite(end).any() for end in limits):
         required_inputs = controller.required_inputs(reference)
-        _check_reference_inputs(required_inputs, limits)
+        _require_reachable_reference(required_inputs, limits)
 
 
-def _check_dimensions(plant: Plant, controller: Controller) -> None:
+def _require_matching_dimensions(plant: Plant, controller: Controller) -> None:
     """Raise `BadRequest` for a controller whose inputs, outputs or sampling time differ from the
     plant's."""
     input_count = len(plant.inputs)
@@ -173,16 +175,17 @@ def _check_dimensions(plant: Plant, controller: Controller) -> None:
     require(is_in_step, "controller.step_s", controller.step_s, problem, remedy)
 
 
-def _check_reference_inputs(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None:
-    """Raise `BadRequest` for a reference whose values need inputs beyond the limits."""
-    feasible_inputs = np.clip(demanded, *limits)
-    beyond = np.abs(demanded - feasible_inputs)
+def _require_reachable_reference(required_inputs: Float[np.ndarray, "K m"], limits: Limits) -> None:
+    """Raise `BadRequest` for a reference that the plant can hold only with inputs beyond the
+    limits."""
+    feasible_inputs = np.clip(required_inputs, *limits)
+    beyond = np.abs(required_inputs - feasible_inputs)
     largest_excess = beyond.max(initial=0.0)
     excess = float(largest_excess)
     if excess == 0.0:
         return
-    lowest = demanded.min()
-    highest = demanded.max()
+    lowest = required_inputs.min()
+    highest = required_inputs.max()
     limit_values = (np.asarray(end).tolist() for end in limits)
     values = tuple(limit_values)
     problem = f"holding the reference takes inputs from {lowest:.4g} to {highest:.4g}"
@@ -190,30 +193,30 @@ def _check_reference_inputs(demanded: Float[np.ndarray, "K m"], limits: Limits) 
     raise BadRequest("loop.input_lower, loop.input_upper", values, problem, remedy)
 
 
-def replay_error(controller: Controller, run: Rollouts, limits: Limits = UNLIMITED) -> float:
-    """Largest difference between recorded inputs and the inputs that the controller computes again,
-    relative to the largest input.
+def replay_error(controller: Controller, rollouts: Rollouts, limits: Limits = UNLIMITED) -> float:
+    """Largest difference between recorded inputs and the inputs that a controller computes again
+    from the recorded measurements.
 
     `|u - u_again| / max |u|` over cases that stayed, `u_again` from the recorded measurements
     alone. `u_again` is cut at the limits that the controller knew of; an integrator replays its own
     hold at a limit. The memory advances by the recorded input, so that errors do not add up.
     """
-    stayed = run.stayed_within_bound
-    targets = controller.reference_targets(run.reference)
+    stayed = rollouts.stayed_within_bound
+    targets = controller.reference_targets(rollouts.reference)
     stayed_count = stayed.sum()
     memory = controller.initial_memory(int(stayed_count))
     worst = 0.0
-    samples = run.u.shape[1]
+    samples = rollouts.u.shape[1]
     for k in range(samples):
-        applied = run.u[stayed, k]
-        measured = run.measured[stayed, k]
+        applied = rollouts.u[stayed, k]
+        measured = rollouts.measured[stayed, k]
         inputs = controller.input(memory, measured, targets[k])
         again = np.clip(inputs, *limits)
         differences = np.abs(again - applied)
         largest_difference = differences.max(initial=worst)
         worst = float(largest_difference)
         memory = controller.advance(memory, applied, measured, targets[k])
-    input_sizes = np.abs(run.u)
+    input_sizes = np.abs(rollouts.u)
     largest = float(input_sizes.max())
     smallest_float = np.finfo(float).tiny
     divisor = max(largest, smallest_float)

@@ -1,10 +1,10 @@
-"""Columns on a PI controller that is tuned by a textbook rule from the same model, for comparison
-with a certified design. It runs on the same plant from the same initial states."""
+"""Table columns on a PI controller that is tuned by a textbook rule from the same model, for
+comparison with a certified design. It runs on the same plant from the same initial states."""
 
 import numpy as np
 
 from ssm_study.loop.motion import settling_times_s
-from ssm_study.loop.peers.peer import linearise_neurons
+from ssm_study.loop.peers.peer import replace_neurons_by_slopes
 from ssm_study.loop.peers.pi import tyreus_luyben_pi
 from ssm_study.loop.regulation import Loop
 from ssm_study.models.structured import Model
@@ -15,8 +15,8 @@ from ssm_study.refusal import BadRequest
 def textbook_pi_columns(
     plant: Plant | None, model: Model, loop: Loop, seed: int
 ) -> dict[str, float | int | None]:
-    """Columns on the closed loop of a simulated plant with a PI controller tuned by Tyreus and
-    Luyben's rule.
+    """Table columns on the closed loop of a simulated plant with a PI controller tuned by Tyreus
+    and Luyben's rule.
 
     The same starts, noise, reference, disturbance and limits as for the certified design. None for
     a log, a device (which is not run again), several inputs or outputs, and where the rule has no
@@ -25,7 +25,7 @@ def textbook_pi_columns(
     if plant is None or plant.real:
         return {}
     try:
-        controller = tyreus_luyben_pi(linearise_neurons(model))
+        controller = tyreus_luyben_pi(replace_neurons_by_slopes(model))
     except BadRequest:
         return {}
     runs = loop.run_on_plant(plant, controller, seed)

@@ -35,13 +35,13 @@ INVERSION_TOLERANCE = 1e-10
 EQUILIBRIUM_TOLERANCE = 1e-8
 
 
-def scaled_equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
-    """Scaled state and input of the equilibrium at which the model has a given physical output.
+def scaled_equilibrium(model: Model, output: Vector) -> tuple[Vector, Vector]:
+    """Scaled state and input of the equilibrium at which a model has a given physical output.
 
     `x* = f(x*, S_u(u*)),  y = h(x*, S_u(u*))` for the recurrence f. With more inputs than outputs
     the smallest `S_u(u*)` is taken. Raises `BadRequest` when no input holds that output.
     """
-    scaled_output = model.scale.scaled_output(y)
+    scaled_output = model.scale.scaled_output(output)
     matrix = invert_map(model.scaffold_out, scaled_output[None])
     y_bar = matrix[0]
     n = model.order
@@ -68,10 +68,10 @@ def scaled_equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
     return point[:n], scaled_input
 
 
-def _equilibrium_residual(model: Model, y_bar: Vector, point: Vector) -> Vector:
-    """Deviation of a state and input, stacked in `point`, from equilibrium, and of the output from
-    the scaled output `y_bar`."""
-    x, v = np.split(point, [model.order])
+def _equilibrium_residual(model: Model, scaled_output: Vector, state_and_input: Vector) -> Vector:
+    """Amount by which a state and an input fail to be an equilibrium of a model with a given scaled
+    output."""
+    x, v = np.split(state_and_input, [model.order])
     motion = model.advance(x, v) - x
     through_neurons: Vector | float = 0.0
     if isinstance(model, StructuredSSM):
@@ -80,22 +80,23 @@ def _equilibrium_residual(model: Model, y_bar: Vector, point: Vector) -> Vector:
     linear = model.linear
     linear_output = linear.c @ x + linear.d @ v
     output = linear_output + through_neurons
-    residual = [motion, output - y_bar]
+    residual = [motion, output - scaled_output]
     return np.concatenate(residual)
 
 
-def _residual_jacobian(model: Model, point: Vector) -> Matrix:
-    """Jacobian of a model's deviation from equilibrium and of its output, in state and input."""
+def _residual_jacobian(model: Model, state_and_input: Vector) -> Matrix:
+    """Jacobian of a model's equilibrium equations with respect to state and input."""
     n = model.order
-    x, v = np.split(point, [n])
+    x, v = np.split(state_and_input, [n])
     linear = model.linearise_at(x, v) if isinstance(model, StructuredSSM) else model.linear
     motion_row = [linear.a - np.eye(n), linear.b]
     output_row = [linear.c, linear.d]
     return np.block([motion_row, output_row])
 
 
-def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
-    """Trajectory of a linear model whose output is as close as possible to the reference.
+def reference_tracking_trajectory(model: SSM, reference: Reference) -> Plan:
+    """Trajectory of a linear model's states and inputs whose output is as close as possible to a
+    reference.
 
     One row `(x*[k], u*[k])` per sample, in scaled units. Minimises `sum |y_bar[k] - y_bar*[k]|^2 +
     SMOOTHNESS |v[k] - v[k-1]|^2` from the model's equilibrium; the whole reference (output's unit)
@@ -147,38 +148,39 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     return np.concatenate([states, scaled_inputs], axis=1)
 
 
-def _system_of_input_changes(system: StateSpace, idle: Matrix) -> StateSpace:
-    """System with the state `(x, v[k-1])` that is driven by changes of the input. Its outputs are
-    the model's and the input's part in the `idle` directions."""
+def _system_of_input_changes(system: StateSpace, idle_directions: Matrix) -> StateSpace:
+    """Linear system extended by its last input, so that it is driven by changes of the input. Its
+    outputs are the model's and the input's part in the `idle_directions` directions."""
     n, m = system.b.shape
     input_identity = np.eye(m)
     state_row = [system.a, system.b]
     no_states = (m, n)
     held_input_row = [np.zeros(no_states), input_identity]
     output_row = [system.c, system.d]
-    idle_shape = (len(idle), n)
-    idle_row = [np.zeros(idle_shape), idle]
+    idle_shape = (len(idle_directions), n)
+    idle_row = [np.zeros(idle_shape), idle_directions]
     a = np.block([state_row, held_input_row])
     input_columns = [system.b, input_identity]
     b = np.vstack(input_columns)
     c = np.block([output_row, idle_row])
-    feedthrough_rows = [system.d, idle]
+    feedthrough_rows = [system.d, idle_directions]
     d = np.vstack(feedthrough_rows)
     return StateSpace(a=a, b=b, c=c, d=d)
 
 
 def feedback_trajectory(
     model: StructuredSSM,
-    k: Float[np.ndarray, "m n"],
+    gain: Float[np.ndarray, "m n"],
     reference: Reference,
-    law: Callable[..., Vector] = np.add,
+    combine_inputs: Callable[..., Vector] = np.add,
 ) -> Plan:
-    """Trajectory on which a feedback brings a model with neurons to each set point of the
+    """Trajectory on which a state feedback brings a model with neurons to each set point of the
     reference.
 
-    One row `(x*[k], u*[k])` per sample: `u* = us + K (x* - xs)` from the model's equilibrium,
-    `(xs, us)` the equilibrium of the reference's value: it gets there at the certified rate;
-    `law(us, K (x* - xs))` is the input where it is not the sum. A reference at rest gives zeros.
+    One row `(x*[k], u*[k])` per sample: `u* = us + K (x* - xs)` from the model's equilibrium, `(xs,
+    us)` the equilibrium of the reference's value: it gets there at the certified rate;
+    `combine_inputs(us, K (x* - xs))` is the input where it is not the sum. A reference at rest
+    gives zeros.
     """
     points = set_point_equilibria(model, reference)
     n = model.order
@@ -187,8 +189,8 @@ def feedback_trajectory(
     for i, point in enumerate(points):
         rest_state = point[:n]
         rest_input = point[n:]
-        correction = k @ (x - rest_state)
-        u = law(rest_input, correction)
+        correction = gain @ (x - rest_state)
+        u = combine_inputs(rest_input, correction)
         state_and_input = [x, u]
         plan[i] = np.concatenate(state_and_input)
         mapped_row = model.scaffold_in(u[None])
@@ -198,7 +200,7 @@ def feedback_trajectory(
 
 
 def set_point_equilibria(model: Model, reference: Reference) -> Plan:
-    """Equilibrium state and input `(x*, u*)` of the model for each value of the reference.
+    """Equilibrium state and input of a model for each value of a piecewise constant reference.
 
     For references that are constant but for steps.
     """
@@ -213,43 +215,45 @@ def set_point_equilibria(model: Model, reference: Reference) -> Plan:
     return equilibria[value_numbers]
 
 
-def invert_map(scaffold: Scaffold, w: Matrix) -> Matrix:
-    """Argument at which a static map has a given value, for each row. Solves `S(v) = w` for `v`.
+def invert_map(static_map: Scaffold, values: Matrix) -> Matrix:
+    """Arguments at which a static map has given values, one for each row. Solves `S(v) = w` for
+    `v`.
 
     Scalar maps, which are monotone, are inverted in a bracket; others by damped Newton steps.
-    Raises `BadRequest` when the map does not reach `w`.
+    Raises `BadRequest` when the map does not reach `values`.
     """
-    if w.shape[1] == 1:
-        channel_values = w[:, 0]
-        roots = _invert_scalar_map(scaffold, channel_values)[:, None]
+    if values.shape[1] == 1:
+        channel_values = values[:, 0]
+        roots = _invert_scalar_map(static_map, channel_values)[:, None]
     else:
-        roots = _invert_vector_map(scaffold, w)
-    is_zero = (w == 0).all(axis=1, keepdims=True)
+        roots = _invert_vector_map(static_map, values)
+    is_zero = (values == 0).all(axis=1, keepdims=True)
     v = np.where(is_zero, 0.0, roots)  # S(0) = 0 holds exactly
-    mapped = scaffold(v)
-    deviations = np.abs(mapped - w)
+    mapped = static_map(v)
+    deviations = np.abs(mapped - values)
     residuals = deviations.max(axis=1)
-    value_sizes = np.abs(w)
+    value_sizes = np.abs(values)
     size = max(1.0, float(value_sizes.max()))
     tolerance = INVERSION_TOLERANCE * size
     is_reached = residuals.max() <= tolerance
-    worst = w[residuals.argmax()]
+    worst = values[residuals.argmax()]
     problem = "the identified nonlinearity does not reach this scaled value"
     _require_solved(is_reached, worst, problem, ", or raise model.slope_lower")
     return v
 
 
-def _invert_scalar_map(scaffold: Scaffold, w: Vector) -> Vector:
-    """Arguments at which a scalar map has given values, by Chandrupatla's root-finding method.
-    Solves `S(v) = w`.
+def _invert_scalar_map(static_map: Scaffold, w: Vector) -> Vector:
+    """Arguments at which a static map of one channel has given values, by Chandrupatla's
+    root-finding method. Solves `S(v) = w`.
 
     Not a number where no bracket is found.
     """
     from scipy.optimize import elementwise  # slow to load
 
     def map_residual(v: Vector, w: Vector) -> Vector:
+        """Difference between the values of the static map and the required values."""
         argument_column = v[:, None]
-        values = scaffold(argument_column)[:, 0]
+        values = static_map(argument_column)[:, 0]
         return values - w
 
     # SciPy takes a square root of rounding where it does not need it.
@@ -259,60 +263,63 @@ def _invert_scalar_map(scaffold: Scaffold, w: Vector) -> Vector:
     return np.asarray(root.x)
 
 
-def _invert_vector_map(scaffold: Scaffold, w: Matrix) -> Matrix:
-    """Arguments at which a map of several channels has given values, by Newton's method. Solves
-    `S(v) = w`."""
+def _invert_vector_map(static_map: Scaffold, w: Matrix) -> Matrix:
+    """Arguments at which a static map of several channels has given values, by Newton's method.
+    Solves `S(v) = w`."""
     values, index = np.unique(w, axis=0, return_inverse=True)
-    start = np.zeros(scaffold.inputs)
+    start = np.zeros(static_map.inputs)
     tolerance = 1e-2 * INVERSION_TOLERANCE
 
     def map_residual(v: Vector, w: Vector) -> Vector:
-        mapped_value = scaffold(v[None])[0]
+        """Difference between the value of the static map and the required value."""
+        mapped_value = static_map(v[None])[0]
         return mapped_value - w
 
     rows = []
     for row in values:
         of_row = partial(map_residual, w=row)
-        solved_row = _solve_newton(of_row, scaffold.jacobian, start, tolerance)
+        solved_row = _solve_newton(of_row, static_map.jacobian, start, tolerance)
         rows.append(solved_row)
     solved_rows = np.stack(rows)
     row_numbers = index.reshape(-1)
     return solved_rows[row_numbers]
 
 
-def _require_solved(is_reached: np.bool_, value: Vector, problem: str, more: str) -> None:
-    """Raise `BadRequest` for a reference that no equilibrium or input of the model reaches."""
-    remedy = f"choose a reference within the reach of the inputs{more}"
+def _require_solved(
+    is_reached: np.bool_, value: Vector, problem_text: str, remedy_suffix: str
+) -> None:
+    """Raise `BadRequest` for a reference that no equilibrium or input of the model can hold."""
+    remedy = f"choose a reference within the reach of the inputs{remedy_suffix}"
     rounded_value = np.round(value, 4)
     rounded = rounded_value.tolist()
-    require(bool(is_reached), "loop.reference", rounded, problem, remedy)
+    require(bool(is_reached), "loop.reference", rounded, problem_text, remedy)
 
 
 def _solve_newton(
     residual: Callable[[Vector], Vector],
     jacobian: Callable[[Vector], np.ndarray],
-    point: Vector,
+    start: Vector,
     tolerance: float,
 ) -> Vector:
-    """Find a root of a function by damped Newton steps.
+    """Root of a vector function, found by damped Newton steps.
 
     The last point where no step improves.
     """
-    value = residual(point)
+    value = residual(start)
     for _ in range(NEWTON_STEPS):
         if np.linalg.norm(value) <= tolerance:
             break
-        slopes = jacobian(point)
+        slopes = jacobian(start)
         step, *_ = np.linalg.lstsq(slopes, -value, rcond=None)
         for share in 0.5 ** np.arange(40):
-            trial = point + share * step
+            trial = start + share * step
             trial_value = residual(trial)
             trial_size = np.linalg.norm(trial_value)
             current_size = np.linalg.norm(value)
             if trial_size < current_size:
                 break
         else:
-            return point
-        point = trial
+            return start
+        start = trial
         value = trial_value
-    return point
+    return start

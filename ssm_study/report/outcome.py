@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ssm_study.certificates.decay_time import decay_time_words
-from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, evidence_words
+from ssm_study.certificates.decay_time import decay_time_text
+from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, evidence_text
 from ssm_study.report.earlier_version import earlier_version_rows
 from ssm_study.report.run_facts import RunFacts
 from ssm_study.report.speed_up import unproved_speed_up_text
@@ -208,7 +208,7 @@ def proved_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
             yield f"rate_{side}", label, requested_words
         else:
             proved = f"{format_column(record, name)} per sample ({theorem})"
-            decay = decay_time_words(float(record[name]), facts.step_s)
+            decay = decay_time_text(float(record[name]), facts.step_s)
             timed = f"{proved}, {decay}" if decay else proved
             yield name, label, f"{timed}; {requested_words}"
     unproved = unproved_speed_up_text(record, facts.step_s)
@@ -306,7 +306,7 @@ def fresh_data_exceed_coverage(record: Mapping[str, Any]) -> bool:
 def prediction_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Rows of the outcome on the behaviour that model and records predict for the plant."""
     level = str(record.get("evidence"))
-    yield "evidence", "Evidence", evidence_words(level, record.get("evidence_reasons"), NOTES)
+    yield "evidence", "Evidence", evidence_text(level, record.get("evidence_reasons"), NOTES)
     label = "Prediction for the plant" if _is_on_plant(record) else "Prediction"
     if record.get("evidence") == CANNOT_JUDGE:
         yield "evidence", label, "none: the evidence allows no judgement"

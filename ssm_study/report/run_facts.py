@@ -33,7 +33,7 @@ class RunFacts:
     @classmethod
     def read(cls, run: Path) -> "RunFacts":
         """Read sampling time, units and set points from a run folder."""
-        from ssm_study.export.set_points import describe_missing_set_points
+        from ssm_study.export.set_points import missing_set_points_reason
 
         step_s = None
         with suppress(OSError, ValueError, KeyError):
@@ -45,7 +45,7 @@ class RunFacts:
             units = {name: unit_suffix(recording.signals(name)[0].channels) for name in units}
         return cls(
             step_s=step_s,
-            no_set_points_reason=describe_missing_set_points(run),
+            no_set_points_reason=missing_set_points_reason(run),
             input_unit=units["input"],
             output_unit=units["measured"],
             own_theorems=read_extension_theorems(run),

@@ -14,7 +14,7 @@ from ssm_study.api.pictures.picture import NothingToShow, Picture
 from ssm_study.api.pictures.poles import poles_picture
 from ssm_study.api.pictures.residual_correlation import residual_correlation_picture
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.export.set_points import describe_missing_set_points
+from ssm_study.export.set_points import missing_set_points_reason
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthrough
 from ssm_study.report.study_folder import NothingToDraw, RunFolder, StudyFolder
 from ssm_study.robustness.coverage import measure_premise
@@ -128,7 +128,7 @@ def picture_of_set_point_step(run: RunFolder) -> Picture:
     )
     if not design.feasible or has_direct_feedthrough(model):
         raise NothingToDraw("There is no loop to move to a set point.")
-    reason = describe_missing_set_points(run.path)
+    reason = missing_set_points_reason(run.path)
     if reason:
         raise NothingToDraw(f"The exported code follows no set points: {reason}.")
     plant = _identified_plant(model, test)

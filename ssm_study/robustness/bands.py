@@ -21,16 +21,17 @@ def total_power(spectrum: Complex[np.ndarray, "K c"]) -> LinePowers:
     return power.sum(axis=1)
 
 
-def safe_ratio(values: BandValues, by: BandPowers) -> BandValues:
-    """Ratio of values to a power that may be zero."""
+def safe_ratio(numerators: BandValues, powers: BandPowers) -> BandValues:
+    """Ratio of values to powers, defined also where a power is zero."""
     smallest = np.finfo(float).tiny
-    return values / np.maximum(by, smallest)
+    return numerators / np.maximum(powers, smallest)
 
 
-def sort_lines_into_bands(lines: int) -> tuple[Int[np.ndarray, "K"], BandPowers]:
-    """Band of each spectral line except the mean, and the number of lines in each band."""
+def sort_lines_into_bands(line_count: int) -> tuple[Int[np.ndarray, "K"], BandPowers]:
+    """Frequency band of each spectral line except the mean, and the number of lines in each
+    band."""
     last_band = BANDS - 1
-    places = np.linspace(0, last_band, lines)
+    places = np.linspace(0, last_band, line_count)
     nearest = np.rint(places).astype(int)
     bands = nearest[1:]
     counts = np.bincount(bands, minlength=BANDS)
@@ -38,10 +39,10 @@ def sort_lines_into_bands(lines: int) -> tuple[Int[np.ndarray, "K"], BandPowers]
     return bands, divisors.astype(float)
 
 
-def band_means(lines: LinePowers) -> BandPowers:
-    """Mean of a spectrum over each frequency band."""
-    bands, counts = sort_lines_into_bands(len(lines))
-    without_mean = lines[1:]
+def band_means(spectrum: LinePowers) -> BandPowers:
+    """Mean of a power spectrum over each frequency band."""
+    bands, counts = sort_lines_into_bands(len(spectrum))
+    without_mean = spectrum[1:]
     sums = np.bincount(bands, weights=without_mean, minlength=BANDS)
     return sums / counts
 

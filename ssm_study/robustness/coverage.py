@@ -1,4 +1,5 @@
-"""Model error by frequency in all records, which the certificate `measured_discs` has to cover.
+"""Requirements that all records put on a disc of model errors, which the certificate
+`measured_discs` has to contain.
 
 A disc with two references bounds the mismatch `e = y - m` of the model's output m for the input u:
 
@@ -35,7 +36,7 @@ from ssm_study.robustness.coverage_spectra import (
 )
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.record_errors import estimate_noise, moving_loop_errors, open_loop_errors
-from ssm_study.robustness.single_sines import repeats_one_line, steady_sines
+from ssm_study.robustness.single_sines import has_single_sine_input, steady_sine_errors
 from ssm_study.signals import Trajectories
 from ssm_study.systems import StateSpace
 
@@ -55,9 +56,9 @@ OutputSignal = Float[np.ndarray, "T p"]
 
 @dataclass(frozen=True, kw_only=True)
 class Weights:
-    """Weights of the measured disc, which say how large a model error is allowed at each frequency.
-    `floor`, `W = [A_W, B_W; C_W, D_W]` on the model's output and V likewise on the input, one
-    channel each.
+    """Frequency weights of a disc of model errors, which say how large a model error is allowed at
+    each frequency. `floor`, `W = [A_W, B_W; C_W, D_W]` on the model's output and V likewise on the
+    input, one channel each.
 
     Stable, with poles and zeros inside the circle.
     """
@@ -67,45 +68,46 @@ class Weights:
     input: Float[np.ndarray, "v2 v2"]
 
     def output_weight(self, angles: Powers) -> Powers:
-        """Squared weight of the model's output at each frequency."""
+        """Squared weight of the model's output at each frequency, in the size of the allowed model
+        error."""
         return self.floor**2 + squared_gain(self.output, angles)
 
     def input_weight(self, angles: Powers) -> Powers:
-        """Squared weight of the input at each frequency."""
+        """Squared weight of the input at each frequency, in the size of the allowed model error."""
         return squared_gain(self.input, angles)
 
-    def largest_required_radius(self, items: Sequence[Item]) -> tuple[float, str]:
-        """Smallest disc radius that meets every requirement of the records, and the deciding
-        requirement. It is infinite where a reference signal vanishes."""
-        needs = [(self.required_radius(item), item.where) for item in items]
+    def largest_required_radius(self, requirements: Sequence[Item]) -> tuple[float, str]:
+        """Smallest disc radius that contains the model errors of all records, and the requirement
+        that decides it. It is infinite where a reference signal vanishes."""
+        needs = [(self.required_radius(item), item.label) for item in requirements]
         return max(needs, default=(0.0, ""))
 
-    def required_radius(self, item: Item) -> float:
-        """Smallest disc radius that meets one requirement of the records."""
-        if item.seen <= 0:
+    def required_radius(self, requirement: Item) -> float:
+        """Smallest disc radius that contains the model error in one frequency range of a record."""
+        if requirement.seen <= 0:
             return 0.0
-        reference = self.reference_power(item)
+        reference = self.reference_power(requirement)
         if not reference > 0:
             return float("inf")
-        squared_radius = item.seen / reference
+        squared_radius = requirement.seen / reference
         return float(np.sqrt(squared_radius))
 
-    def reference_power(self, item: Item) -> float:
-        """Weighted power of model output and input, to which the power of the error is compared.
-        `sum over the item's lines of (X model + Y input)`."""
-        of_output = self.output_weight(item.angles) @ item.model_power
-        of_input = self.input_weight(item.angles) @ item.input_power
+    def reference_power(self, requirement: Item) -> float:
+        """Weighted power of model output and input, to which the power of the model error is
+        compared. `sum over the item's lines of (X model + Y input)`."""
+        of_output = self.output_weight(requirement.angles) @ requirement.model_power
+        of_input = self.input_weight(requirement.angles) @ requirement.input_power
         return float(of_output + of_input)
 
 
-def squared_gain(weight: FilterMatrix, angles: Powers) -> Powers:
+def squared_gain(filter_matrix: FilterMatrix, angles: Powers) -> Powers:
     """Squared gain of a single-channel weighting filter at each frequency. `|C (e^{jw} - A)^{-1} B
     + D|^2` of `[A, B; C, D]`."""
-    order = len(weight) - 1
-    a = weight[:order, :order]
-    b = weight[:order, order:]
-    c = weight[order:, :order]
-    direct = weight[-1, -1]
+    order = len(filter_matrix) - 1
+    a = filter_matrix[:order, :order]
+    b = filter_matrix[:order, order:]
+    c = filter_matrix[order:, :order]
+    direct = filter_matrix[-1, -1]
     points = np.exp(1j * angles)[:, None, None]
     shifted = points * np.eye(order) - a
     b_at_each_angle = np.broadcast_to(b, (len(angles), order, 1))
@@ -116,9 +118,9 @@ def squared_gain(weight: FilterMatrix, angles: Powers) -> Powers:
 
 @dataclass(frozen=True, kw_only=True)
 class Premise:
-    """Spectra of the model error in all records, which a proof about the plant has to cover.
-    `sines` are those of single sines; `reason` says why nothing can be covered, and is None where
-    it can."""
+    """Spectra of the model error in all records, which a certificate of stability on the plant has
+    to contain. `sines` are those of single sines; `reason` says why nothing can be covered, and is
+    None where it can."""
 
     repeating: tuple[MismatchSpectrum, ...]
     averaged: tuple[AveragedSpectrum, ...]
@@ -126,14 +128,14 @@ class Premise:
     reason: str | None = None
 
     def requirements(self, centre: float) -> list[Item]:
-        """Requirements of all records on the weights of a disc with a given centre. The repeating
-        record with the largest amplitude counts without doubt."""
+        """Requirements that all records put on the frequency weights of a disc of model errors with
+        a given centre. The repeating record with the largest amplitude counts without doubt."""
         amplitudes = [record.amplitude for record in self.repeating]
         largest = max(amplitudes, default=0.0)
         items = list[Item]()
         for record in self.repeating:
             is_largest = record.amplitude == largest
-            items += requirements_from_periods(record, centre, sure=is_largest)
+            items += requirements_from_periods(record, centre, has_no_doubt=is_largest)
         items += [requirement_from_sine(record, centre) for record in self.sines]
         for averaged in self.averaged:
             items += requirements_from_average(averaged, centre)
@@ -141,13 +143,13 @@ class Premise:
 
     @property
     def separates_noise(self) -> bool:
-        """Whether some record repeats its input, so that noise can be separated from model
+        """Whether some record repeats its input, so that noise can be separated from the model
         error."""
         return bool(self.repeating)
 
     def missing_reason(self, centre: float) -> str | None:
-        """Reason why the records do not suffice to measure a disc with a given centre; None if they
-        do."""
+        """Reason why the records do not suffice to measure a disc of model errors with a given
+        centre; None if they do."""
         if self.reason is not None:
             return self.reason
         items = self.requirements(centre)
@@ -163,19 +165,19 @@ def measure_premise(
     validation: Trajectories,
     mismatch: Mismatch,
     start_up_samples: int = 0,
-    trials: Trajectories = (),
+    mismatch_records: Trajectories = (),
 ) -> Premise:
-    """Measure the spectra of the model error that a proof about the plant has to cover. Where they
-    are not enough, its `reason` says why."""
+    """Measure the spectra of the model error in all records, which a certificate of stability on
+    the plant has to contain. Where they are not enough, its `reason` says why."""
     reason = None
     if not mismatch.plant_comes_to_rest:
         reason = NOT_AT_REST
     elif model.linear.spectral_radius >= 1:
         reason = INTEGRATES
-    in_open_loop = open_loop_errors(model, validation, trials, start_up_samples)
+    in_open_loop = open_loop_errors(model, validation, mismatch_records, start_up_samples)
     driven = [run for run in in_open_loop if run.u.any()]
     with_period = [run for run in driven if run.period is not None]
-    periodic = [run for run in with_period if not repeats_one_line(run)]
+    periodic = [run for run in with_period if not has_single_sine_input(run)]
     noise = estimate_noise(periodic) if periodic else None
     repeating = list[MismatchSpectrum]()
     averaged = list[AveragedSpectrum]()
@@ -184,8 +186,8 @@ def measure_premise(
         averaged += [averaged_spectrum(run) for run in driven]
     else:
         repeating += [line_spectrum(run, noise) for run in periodic]
-        sines += [line_spectrum(run, noise) for run in steady_sines(driven)]
-    for run in moving_loop_errors(model, trials, start_up_samples):
+        sines += [line_spectrum(run, noise) for run in steady_sine_errors(driven)]
+    for run in moving_loop_errors(model, mismatch_records, start_up_samples):
         averaged.append(averaged_spectrum_in_loop(run, noise))
     return Premise(
         repeating=tuple(repeating), averaged=tuple(averaged), sines=tuple(sines), reason=reason
@@ -196,17 +198,18 @@ def running_constraint_sum(
     weights: Weights,
     centre: float,
     kappa: float,
-    u: Float[np.ndarray, "T m"],
-    m: OutputSignal,
-    e: OutputSignal,
+    inputs: Float[np.ndarray, "T m"],
+    model_outputs: OutputSignal,
+    model_errors: OutputSignal,
 ) -> Float[np.ndarray, "T"]:
-    """Running sum of the disc's quadratic constraint along a record. `sum to T of |e - c m|^2 -
-    kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`, filters at zero before the record."""
-    deviation_signal = e - centre * m
+    """Running sum, along a record, of the quadratic constraint that bounds the model error by the
+    weighted model output and input. `sum to T of |e - c m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 +
+    |V u|^2)`, filters at zero before the record."""
+    deviation_signal = model_errors - centre * model_outputs
     deviation = (deviation_signal**2).sum(axis=1)
-    weighted_output = apply_channel_filter(weights.output, m)
-    weighted_input = apply_channel_filter(weights.input, u)
-    output_power = (m**2).sum(axis=1)
+    weighted_output = apply_channel_filter(weights.output, model_outputs)
+    weighted_input = apply_channel_filter(weights.input, inputs)
+    output_power = (model_outputs**2).sum(axis=1)
     reference = weights.floor**2 * output_power
     reference += (weighted_output**2).sum(axis=1)
     reference += (weighted_input**2).sum(axis=1)
@@ -215,14 +218,14 @@ def running_constraint_sum(
 
 
 def apply_channel_filter(
-    weight: FilterMatrix, signal: Float[np.ndarray, "T c"]
+    filter_matrix: FilterMatrix, signal: Float[np.ndarray, "T c"]
 ) -> Float[np.ndarray, "T c"]:
     """Filter each channel of a signal by the same single-channel filter."""
-    order = len(weight) - 1
-    a = weight[:order, :order]
-    b = weight[:order, order:]
-    c = weight[order:, :order]
-    d = weight[order:, order:]
+    order = len(filter_matrix) - 1
+    a = filter_matrix[:order, :order]
+    b = filter_matrix[:order, order:]
+    c = filter_matrix[order:, :order]
+    d = filter_matrix[order:, order:]
     channel_filter = StateSpace(a=a, b=b, c=c, d=d)
     columns = []
     for i in range(signal.shape[1]):

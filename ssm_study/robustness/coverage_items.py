@@ -1,5 +1,5 @@
-"""Requirements on the weights of a disc, from bands of a record's spectrum, from groups of bands,
-and from its total power.
+"""Requirements that one record puts on a disc of model errors: from its frequency bands, groups of
+bands, and total power.
 
 Below the largest amplitude only what exceeds `SURE` standard errors counts, in totals whatever
 repeats; where nothing repeats, noise counts as mismatch. Source: docs/trust.md, "Covered".
@@ -30,8 +30,8 @@ BandSelection = Bool[np.ndarray, "F"]
 
 @dataclass(frozen=True, kw_only=True)
 class Item:
-    """Requirement on the disc's weights from one frequency range of a record. It is `seen <= sum
-    over lines of (X model + Y input)` at its angles.
+    """Requirement on the frequency weights of a disc of model errors, from one frequency range of a
+    record. It is `seen <= sum over lines of (X model + Y input)` at its angles.
 
     X is `floor^2 + |W|^2` and Y `|V|^2`. `dark`: its input has next to no power here, so noise is
     part of what is seen. `is_band`: one band of the record, no group of bands, mean or total.
@@ -47,15 +47,15 @@ class Item:
     dark: bool
 
     @property
-    def where(self) -> str:
-        """Label with the name of a record and the frequency range of the requirement."""
+    def label(self) -> str:
+        """Label of a requirement: name of the record and frequency range."""
         return f"{self.record}, {self.place}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RepeatingPower:
-    """Spectral powers of the model error about the disc's centre, in a record with two equal
-    periods. Powers of `e - c m` in its lines.
+    """Power of the model error about the centre of a disc at each spectral line of a record with
+    two equal periods. Powers of `e - c m` in its lines.
 
     `repeats` is the product of both periods, `measured` their mean power, noise included,
     `variance` that of `repeats`. `bands` holds the band of each line; `dark` says of each band
@@ -73,10 +73,10 @@ class RepeatingPower:
 
     @classmethod
     def from_record(cls, record: MismatchSpectrum, centre: float) -> "RepeatingPower":
-        """Power of model error and noise in each spectral line of a record with two periods. The
-        mean belongs to no band: friction leaves an offset that no disc bounds, since it stays where
-        model and input have come to rest. Source: docs/trust.md, "Covered"."""
-        first, second = record.deviation_from_centre(centre)
+        """Powers of model error and noise at each spectral line of a record with two equal periods.
+        The mean belongs to no band: friction leaves an offset that no disc bounds, since it stays
+        where model and input have come to rest. Source: docs/trust.md, "Covered"."""
+        first, second = record.error_minus_centre(centre)
         sides = record.sides
         product = (first * second.conj()).real
         repeating_power = product.sum(axis=1)
@@ -105,11 +105,11 @@ class RepeatingPower:
         )
 
     def mismatch_power(
-        self, lines: LineSelection, *, is_doubtful: bool, is_dark: bool = False
+        self, lines: LineSelection, *, is_doubtful: bool, is_unexcited: bool = False
     ) -> float:
-        """Power of given spectral lines that counts as model error, after the noise is
-        subtracted."""
-        if is_dark:
+        """Power of the model error in given spectral lines, after noise is subtracted where it is
+        known."""
+        if is_unexcited:
             measured = self.measured[lines]
             return float(measured.sum())
         error = 0.0
@@ -122,32 +122,37 @@ class RepeatingPower:
     def combine_lines(
         self,
         lines: LineSelection,
-        place: str,
+        range_label: str,
         *,
         is_doubtful: bool,
-        is_dark: bool = False,
+        is_unexcited: bool = False,
         is_band: bool = False,
     ) -> Item:
-        """Combine spectral lines to one requirement on the weights."""
+        """Combine the powers at several spectral lines to one requirement on the weights of a disc
+        of model errors."""
         record = self.record
-        measured_power = self.mismatch_power(lines, is_doubtful=is_doubtful, is_dark=is_dark)
+        measured_power = self.mismatch_power(
+            lines, is_doubtful=is_doubtful, is_unexcited=is_unexcited
+        )
         model_power = record.sides * record.model_power
         input_power = record.sides * record.input_power
         return Item(
             record=record.name,
-            place=place,
+            place=range_label,
             is_band=is_band,
             angles=record.angles[lines],
             model_power=model_power[lines],
             input_power=input_power[lines],
             seen=measured_power,
-            dark=is_dark,
+            dark=is_unexcited,
         )
 
 
-def requirements_from_periods(record: MismatchSpectrum, centre: float, *, sure: bool) -> list[Item]:
-    """Requirements on the weights from a record with two periods: from its bands, groups of bands
-    and total power. In a `sure` record everything that repeats counts."""
+def requirements_from_periods(
+    record: MismatchSpectrum, centre: float, *, has_no_doubt: bool
+) -> list[Item]:
+    """Requirements on the weights of a disc from a record with two equal periods: from bands,
+    groups of bands and total power. In a `has_no_doubt` record everything that repeats counts."""
     powers = RepeatingPower.from_record(record, centre)
     items = list[Item]()
     for band in np.flatnonzero(powers.has_lines):
@@ -155,21 +160,24 @@ def requirements_from_periods(record: MismatchSpectrum, centre: float, *, sure: 
         lines = powers.bands == band
         is_dark = bool(powers.dark[band])
         item = powers.combine_lines(
-            lines, place, is_doubtful=not sure, is_dark=is_dark, is_band=True
+            lines, place, is_doubtful=not has_no_doubt, is_unexcited=is_dark, is_band=True
         )
         items.append(item)
     for size in GROUPS:
-        items += _group_items(powers, size, is_doubtful=not sure)
+        items += _requirements_from_band_groups(powers, size, is_doubtful=not has_no_doubt)
     every_line = powers.bands >= 0
     total = powers.combine_lines(every_line, TOTAL, is_doubtful=False)
     return [*items, total]
 
 
-def _group_items(powers: RepeatingPower, size: int, *, is_doubtful: bool) -> list[Item]:
-    """Requirements from groups of neighbouring frequency bands, each of `size` bands."""
+def _requirements_from_band_groups(
+    powers: RepeatingPower, bands_per_group: int, *, is_doubtful: bool
+) -> list[Item]:
+    """Requirements on the weights of a disc of model errors from groups of neighbouring frequency
+    bands."""
     items = list[Item]()
-    for start in range(0, len(ANGLES), size):
-        end = start + size
+    for start in range(0, len(ANGLES), bands_per_group):
+        end = start + bands_per_group
         lines = (powers.bands >= start) & (powers.bands < end)
         if not lines.any():
             continue
@@ -177,13 +185,14 @@ def _group_items(powers: RepeatingPower, size: int, *, is_doubtful: bool) -> lis
         place = f"{ANGLES[start]:.2f} to {ANGLES[last]:.2f} rad/sample"
         dark_bands = powers.dark[start:end]
         is_dark = bool(dark_bands.all())
-        item = powers.combine_lines(lines, place, is_doubtful=is_doubtful, is_dark=is_dark)
+        item = powers.combine_lines(lines, place, is_doubtful=is_doubtful, is_unexcited=is_dark)
         items.append(item)
     return items
 
 
 def requirement_from_sine(record: MismatchSpectrum, centre: float) -> Item:
-    """Requirement on the weights from a record of a single sine, at the line of the sine only."""
+    """Requirement on the weights of a disc of model errors from a record of a single sine, at its
+    frequency only."""
     powers = RepeatingPower.from_record(record, centre)
     without_mean = record.input_power[1:]
     strongest = 1 + int(without_mean.argmax())
@@ -195,8 +204,8 @@ def requirement_from_sine(record: MismatchSpectrum, centre: float) -> Item:
 
 
 def requirement_from_measured_sine(sine: SineMismatch, centre: float) -> Item | None:
-    """Requirement on the weights from a single sine that was measured after the choice of a design;
-    None without its powers. With `D = e - c m` of both periods,
+    """Requirement on the weights of a disc from the model error at a single sine measured for a
+    finished design; None if its powers were not stored. With `D = e - c m` of both periods,
 
         Re(D_1 conj D_2) = error - 2 c cross + c^2 model
 
@@ -231,9 +240,9 @@ def requirement_from_measured_sine(sine: SineMismatch, centre: float) -> Item | 
 
 
 def requirements_from_average(record: AveragedSpectrum, centre: float) -> list[Item]:
-    """Requirements on the weights from a record that does not repeat, one for each frequency bin
-    and one for the total power."""
-    measured_power = record.deviation_power(centre)
+    """Requirements on the weights of a disc from a record whose input does not repeat: one for each
+    frequency bin, and one for the total power."""
+    measured_power = record.error_power_about_centre(centre)
     mean_input_power = record.input_power.mean()
     dark = record.input_power < EXCITED * mean_input_power
     items = list[Item]()

@@ -20,9 +20,8 @@ Powers = Float[np.ndarray, "L"]
 
 @dataclass(frozen=True, kw_only=True)
 class MismatchSpectrum:
-    """Spectra of model output, input and model error at the excited frequencies of one record.
-    Angles are in
-    rad/sample; the error e has one or two periods.
+    """Spectra of model output, input and model error of one record at its spectral lines. Angles
+    are in rad/sample; the error e has one or two periods.
 
     `sides` is 2 for a line that stands for a conjugate pair, 1 for the mean and for pi. Of a record
     whose input does not repeat there is one period, and its "lines" are the bins of Welch's
@@ -38,20 +37,21 @@ class MismatchSpectrum:
     input_power: Powers
     noise: Powers
 
-    def deviation_from_centre(self, centre: float) -> Complex[np.ndarray, "2 L p"]:
-        """Spectrum of the model error minus the centre of the disc, in both periods."""
+    def error_minus_centre(self, centre: float) -> Complex[np.ndarray, "2 L p"]:
+        """Spectrum of `e - c m`: model error minus the disc's centre c times the model output, in
+        both periods."""
         return self.error - centre * self.model
 
     @property
     def model_power(self) -> Powers:
-        """Power of the model's output in the second period."""
+        """Power of the model's output at each spectral line in the second period."""
         return line_powers(self.model[1])
 
 
 @dataclass(frozen=True, kw_only=True)
 class AveragedSpectrum:
-    """Power spectra, by Welch's averages, of a record that does not repeat. `cross` is that of e
-    with the model's output, real part.
+    """Power spectra, by Welch's averages, of a record whose input does not repeat. `cross` is that
+    of e with the model's output, real part.
 
     `drawn` is the noise's share of e's power, and `sure` the factor by which an average may be off:
     zero and one in open loop, where noise counts as mismatch.
@@ -67,9 +67,9 @@ class AveragedSpectrum:
     drawn: Powers
     sure: Powers
 
-    def deviation_power(self, centre: float) -> Powers:
-        """Power of the model error minus the centre of the disc in each frequency bin, with noise
-        subtracted."""
+    def error_power_about_centre(self, centre: float) -> Powers:
+        """Power of `e - c m`, model error minus the disc's centre c times the model output, in each
+        frequency bin, with noise subtracted."""
         cross_power = 2 * centre * self.cross
         power = self.error_power - cross_power + centre**2 * self.model_power
         noise_power = self.sure * self.drawn
@@ -83,48 +83,50 @@ def line_powers(spectrum: Complex[np.ndarray, "L c"]) -> Powers:
     return np.asarray(powers.sum(axis=1))
 
 
-def line_spectrum(run: RecordErrors, noise: Float[np.ndarray, "F"]) -> MismatchSpectrum:
-    """Line spectra of both periods of a record whose input repeats."""
-    assert run.period is not None
-    lines = np.arange(run.period // 2 + 1)
-    angles = 2 * np.pi * lines / run.period
+def line_spectrum(record_errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> MismatchSpectrum:
+    """Line spectra of both periods of a record whose input repeats twice."""
+    assert record_errors.period is not None
+    lines = np.arange(record_errors.period // 2 + 1)
+    angles = 2 * np.pi * lines / record_errors.period
     is_mean = np.isclose(angles, 0.0)
     has_no_conjugate = is_mean | np.isclose(angles, np.pi)
     sides = np.where(has_no_conjugate, 1.0, 2.0)
-    model = run.period_spectra(run.model)
-    error = run.period_spectra(run.e)
-    _, second_input = run.period_spectra(run.u)
+    model = record_errors.period_spectra(record_errors.model)
+    error = record_errors.period_spectra(record_errors.e)
+    _, second_input = record_errors.period_spectra(record_errors.u)
     noise_at_lines = np.interp(angles, ANGLES, noise)
     return MismatchSpectrum(
-        name=run.name,
-        amplitude=run.amplitude,
+        name=record_errors.name,
+        amplitude=record_errors.amplitude,
         angles=angles,
         sides=sides,
         model=model,
         error=error,
         input_power=line_powers(second_input),
-        noise=run.period * noise_at_lines,
+        noise=record_errors.period * noise_at_lines,
     )
 
 
-def averaged_spectrum(run: RecordErrors) -> AveragedSpectrum:
-    """Power spectra of a record in open loop, by Welch's averages. Its noise counts as model
-    error."""
-    powers = _welch_powers(run)
+def averaged_spectrum(record_errors: RecordErrors) -> AveragedSpectrum:
+    """Power spectra by Welch's averages of a record in open loop, whose noise counts as model
+    error. Its noise counts as model error."""
+    powers = _welch_powers(record_errors)
     none = np.zeros_like(powers["angles"])
     ones = np.ones_like(powers["angles"])
-    return AveragedSpectrum(name=run.name, amplitude=run.amplitude, drawn=none, sure=ones, **powers)
+    return AveragedSpectrum(
+        name=record_errors.name, amplitude=record_errors.amplitude, drawn=none, sure=ones, **powers
+    )
 
 
 def averaged_spectrum_in_loop(
-    run: RecordErrors, noise: Float[np.ndarray, "F"] | None
+    record_errors: RecordErrors, noise: Float[np.ndarray, "F"] | None
 ) -> AveragedSpectrum:
-    """Power spectra of a record in closed loop, by Welch's averages, with the noise taken into
-    account. The noise is `noise` from records in open loop, else white and as strong as e in its
-    quietest bands."""
-    powers = _welch_powers(run)
+    """Power spectra by Welch's averages of a record in closed loop, with an estimate of its noise.
+    The noise is `noise` from records in open loop, else white and as strong as e in its quietest
+    bands."""
+    powers = _welch_powers(record_errors)
     angles = powers["angles"]
-    samples = len(run.u)
+    samples = len(record_errors.u)
     if noise is None:
         inner_bands = powers["error_power"][1:-1]
         one_sided = np.quantile(inner_bands, QUIET) / 2
@@ -137,27 +139,27 @@ def averaged_spectrum_in_loop(
     drawn = sides * one_sided
     sure = np.full(bands, 1 + SURE * relative_error)
     return AveragedSpectrum(
-        name=run.name, amplitude=run.amplitude, drawn=drawn, sure=sure, **powers
+        name=record_errors.name, amplitude=record_errors.amplitude, drawn=drawn, sure=sure, **powers
     )
 
 
-def _welch_powers(run: RecordErrors) -> dict[str, Powers]:
-    """Power spectra of model output, error and input of a record by Welch's averages, with their
-    cross powers."""
+def _welch_powers(record_errors: RecordErrors) -> dict[str, Powers]:
+    """Power spectra by Welch's averages of a record's input, model output and model error, and the
+    cross power of the last two."""
     longest = 2 * (len(ANGLES) - 1)
-    segment = min(longest, len(run.u))
+    segment = min(longest, len(record_errors.u))
     even = max(segment // 2 * 2, 2)
     pairs = {
-        "model_power": (run.model, run.model),
-        "error_power": (run.e, run.e),
-        "cross": (run.e, run.model),
-        "input_power": (run.u, run.u),
+        "model_power": (record_errors.model, record_errors.model),
+        "error_power": (record_errors.e, record_errors.e),
+        "cross": (record_errors.e, record_errors.model),
+        "input_power": (record_errors.u, record_errors.u),
     }
     powers = {}
     for name, (first, second) in pairs.items():
         _, density = scipy.signal.csd(first, second, nperseg=even, detrend=False, axis=0)
         total_density = density.real.sum(axis=1)
-        powers[name] = len(run.u) * total_density
+        powers[name] = len(record_errors.u) * total_density
     lines = len(powers["input_power"])
     powers["angles"] = np.linspace(0, np.pi, lines)
     return powers

@@ -1,5 +1,5 @@
-"""Table of the coverage by frequency: the disc radius that each band of the records needs, and the
-radius that is proved.
+"""Table by frequency of the disc radius that the recorded model error needs, and of the radius that
+is proved.
 
 `coverage_table(premise, weights, centre, kappa)` has one row for every band of every record. Of a
 run, `recorded_error_spectra` (`study/stages/synthesis.py`) gives the premise and the certificate
@@ -18,7 +18,7 @@ from ssm_study.robustness.coverage_items import Item
 
 @dataclass(frozen=True, kw_only=True)
 class CoverageBand:
-    """Row of the coverage table: measured and proved disc radius in one frequency band of one
+    """Row of a table: recorded and proved size of the model error in one frequency band of one
     record. The disc is around `c m`.
 
     `record` names the record by its input's rms; `frequency` is the band's middle in rad/sample.
@@ -41,8 +41,8 @@ class CoverageBand:
 def coverage_table(
     premise: Premise, weights: Weights, centre: float, kappa: float
 ) -> list[CoverageBand]:
-    """Rows with the proved and the needed disc radius in every frequency band of every record, in
-    the order of frequency.
+    """Table rows with the needed and the proved disc radius in every frequency band of every
+    record, in the order of frequency.
 
     Groups of bands, means and totals have no row, so the largest `need` of the rows may be smaller
     than the need that `coverage` is taken over.
@@ -53,27 +53,27 @@ def coverage_table(
     rows = []
     for band, need in zip(bands, needs, strict=True):
         decides = need > 0 and need == largest
-        rows.append(_band_row(band, weights, kappa, need, decides=decides))
+        rows.append(_band_row(band, weights, kappa, need, is_deciding=decides))
     return rows
 
 
 def _band_row(
-    band: Item, weights: Weights, kappa: float, need: float, *, decides: bool
+    requirement: Item, weights: Weights, kappa: float, needed_radius: float, *, is_deciding: bool
 ) -> CoverageBand:
-    """Row of the coverage table for one frequency band."""
-    model_power = float(band.model_power.sum())
+    """Table row with the recorded and the proved size of the model error in one frequency band."""
+    model_power = float(requirement.model_power.sum())
     measured = None
     proved_radius = None
     if model_power > 0:
-        measured = float(np.sqrt(band.seen / model_power))
-        reference_power = weights.reference_power(band)
+        measured = float(np.sqrt(requirement.seen / model_power))
+        reference_power = weights.reference_power(requirement)
         proved_radius = kappa * float(np.sqrt(reference_power / model_power))
     return CoverageBand(
-        record=band.record,
-        frequency=float(band.angles.mean()),
+        record=requirement.record,
+        frequency=float(requirement.angles.mean()),
         measured=measured,
         proved_radius=proved_radius,
-        need=need,
-        is_dark=band.dark,
-        decides=decides,
+        need=needed_radius,
+        is_dark=requirement.dark,
+        decides=is_deciding,
     )

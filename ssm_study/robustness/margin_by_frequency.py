@@ -19,7 +19,7 @@ from ssm_study.robustness.prediction import (
     AmplitudeCondition,
     LoopGains,
     LoopResponse,
-    loops_to_test,
+    loops_at_constant_slopes,
 )
 from ssm_study.robustness.sensitivity import FINE_ANGLES
 from ssm_study.systems import Balls, Gains
@@ -27,7 +27,7 @@ from ssm_study.systems import Balls, Gains
 
 @dataclass(frozen=True, kw_only=True)
 class MarginCurve:
-    """Stability margin over frequency, for the records of one input amplitude.
+    """Stability margin as a function of frequency, for the records of one input amplitude.
 
     `smallest` is the least margin, at `angle` (rad/sample), which may lie between the grid's
     angles. `amplitude` is None for what was recorded in closed loop.
@@ -39,14 +39,18 @@ class MarginCurve:
     angle: float
 
 
-def margin_curves(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> list[MarginCurve]:
-    """Stability margin over frequency, one curve for each recorded amplitude, the smallest
-    amplitude first.
+def margin_curves(
+    model: Model, gains: Gains, balls: Balls, mismatch: Mismatch
+) -> list[MarginCurve]:
+    """Stability margin as a function of frequency, one curve for each recorded input amplitude, the
+    smallest first.
 
     None where a loop of constant slopes is unstable: no frequency is to blame for a margin of zero.
     """
     curves: dict[float | None, _WorstCurve] = {}
-    for linear, own_gains, slopes, records in loops_to_test(model, pair, balls, mismatch):
+    for linear, own_gains, slopes, records in loops_at_constant_slopes(
+        model, gains, balls, mismatch
+    ):
         loop = LoopResponse.from_gains(linear, own_gains, slopes)
         if loop is None:
             return []
@@ -66,8 +70,8 @@ def margin_curves(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -
 def _less_conservative_gain(
     condition: AmplitudeCondition, by_frequency: Float[np.ndarray, "F"], loop: LoopResponse
 ) -> LoopGains:
-    """Loop gain of one amplitude at each frequency, by the less conservative of two stability
-    conditions."""
+    """Loop gain of the model error of one amplitude at each frequency, by the less conservative of
+    two stability conditions."""
     plain = np.interp(loop.angles, ANGLES, by_frequency) * loop.size
     if condition.is_exempt:
         return np.zeros_like(plain)
@@ -88,19 +92,20 @@ class _WorstCurve:
         self.largest = 0.0
         self.angle = float(FINE_ANGLES[0])
 
-    def include_gain(self, angles: LoopGains, gain: LoopGains) -> None:
-        """Update the largest loop gain at each frequency by that of one combination of slopes."""
+    def include_gain(self, angles: LoopGains, loop_gain: LoopGains) -> None:
+        """Update the largest loop gain at each frequency by the loop gain of one combination of
+        slopes."""
         places = np.searchsorted(angles, FINE_ANGLES)
-        on_grid = gain[places]
+        on_grid = loop_gain[places]
         self.gain = np.maximum(self.gain, on_grid)
-        peak = int(np.argmax(gain))
-        if gain[peak] > self.largest:
-            self.largest = float(gain[peak])
+        peak = int(np.argmax(loop_gain))
+        if loop_gain[peak] > self.largest:
+            self.largest = float(loop_gain[peak])
             self.angle = float(angles[peak])
 
     def as_margin_curve(self, amplitude: float | None) -> MarginCurve:
-        """Stability margin over frequency as the inverse of the largest loop gain. It is infinite
-        where nothing was measured."""
+        """Stability margin as a function of frequency, the inverse of the largest loop gain. It is
+        infinite where nothing was measured."""
         with np.errstate(divide="ignore"):
             margin = 1 / self.gain
         smallest = 1 / self.largest if self.largest else float("inf")

@@ -1,4 +1,5 @@
-"""Model error `e = y - y_model` in the records, by frequency and amplitude, with noise removed.
+"""Model error `e = y - y_model` that the records show, by frequency and amplitude, with noise
+removed.
 
 A closed loop maps `e` back to `u`; what it tolerates is `synthesis.prediction`. What a record shows
 of `e` holds where it has been, so there is one `View` for each amplitude:
@@ -43,9 +44,9 @@ from ssm_study.robustness.return_to_rest import (
 )
 from ssm_study.robustness.single_sines import (
     add_sine_errors,
+    has_single_sine_input,
     measure_sine_error,
-    repeats_one_line,
-    steady_sines,
+    steady_sine_errors,
 )
 from ssm_study.signals import Trajectories
 
@@ -61,7 +62,7 @@ MISSED = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Mismatch:
-    """Measured error of a model over frequency and amplitude. All views, the smallest amplitude
+    """Measured model error, by frequency and by input amplitude. All views, the smallest amplitude
     first. `spread`: standard error of the largest's `ln g`, from blocks.
 
     `left_at_rest`: the most that is left of the output at rest input, as a share of its scale; None
@@ -103,7 +104,7 @@ class Mismatch:
 
     @property
     def plant_comes_to_rest(self) -> bool:
-        """Whether the records show that the plant comes to rest whenever its input does."""
+        """Whether the plant comes to rest in the records whenever its input is constant."""
         return self.left_at_rest is None or self.left_at_rest < AT_REST
 
     @property
@@ -121,15 +122,16 @@ class Mismatch:
 
     @property
     def by_frequency(self) -> Float[np.ndarray, "F"]:
-        """Gain of the model error in each frequency band: the larger of that at the largest
-        amplitude and that in closed loop."""
+        """Gain from input to model error in each frequency band: the larger of those at the largest
+        amplitude and in closed loop."""
         largest = self.views[-1].by_frequency
         if self.loop is None:
             return largest
         return np.maximum(largest, self.loop.by_frequency)
 
     def gain_at(self, angles: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
-        """Gain of the model error at given frequencies, interpolated between the bands."""
+        """Gain from input to model error at given frequencies, interpolated between the frequency
+        bands."""
         return np.interp(angles, ANGLES, self.by_frequency)
 
 
@@ -139,8 +141,8 @@ def measure_mismatch(
     start_up_samples: int = 0,
     mismatch_records: Trajectories = (),
 ) -> Mismatch:
-    """Measure the model error, `e = y - y_model` in free run and scaled, on the validation and the
-    mismatch records.
+    """Measure the model error, `e = y - y_model` in free run and scaled, on validation records and
+    on further records.
 
     A single sine, of `excite --after`, raises the mismatch at its frequency alone (`single_sines`).
     With `start_up_samples` the initial state is estimated from them (`models.metrics`), and they do
@@ -154,7 +156,7 @@ def measure_mismatch(
     remedy = "give a validation record that excites the plant"
     require(bool(moving), "validation", f"{len(validation)} record(s)", problem, remedy)
     repeating = [errors for errors in moving if errors.period is not None]
-    periodic = [errors for errors in repeating if not repeats_one_line(errors)]
+    periodic = [errors for errors in repeating if not has_single_sine_input(errors)]
     noise = estimate_noise(periodic) if periodic else None
     largest = max(periodic or moving, key=RecordErrors.mean_square_input)
     views = [error_from_averages(moving)]
@@ -173,12 +175,12 @@ def measure_mismatch(
     noise_by_band = () if noise is None else tuple(noise.tolist())
     motions_at_rest = [*decays, *still, *swings]
     left_at_rest = max(motions_at_rest, default=None)
-    stuck = _larger_offsets(own_offsets, offsets)
+    stuck = _offsets_with_larger_maximum(own_offsets, offsets)
     farthest = max(starts, default=1.0)
     return Mismatch(
         views=tuple(sorted_views),
         loop=loop,
-        spread=largest.spread(),
+        spread=largest.gain_standard_error(),
         noise=noise_by_band,
         left_at_rest=left_at_rest,
         stuck=tuple(stuck),
@@ -187,28 +189,31 @@ def measure_mismatch(
     )
 
 
-def _errors_from_periods(periodic: Records, repeating: Records, noise: BandPowers) -> list[View]:
-    """Model error at the amplitude of each record with two periods, single sines included."""
-    strength = max(errors.mean_square_input() for errors in periodic)
+def _errors_from_periods(
+    periodic_errors: Records, repeating_errors: Records, noise: BandPowers
+) -> list[View]:
+    """Model error at the input amplitude of each record with two equal periods, single sines
+    included."""
+    strength = max(errors.mean_square_input() for errors in periodic_errors)
     views = []
-    for errors in periodic:
+    for errors in periodic_errors:
         is_largest = errors.mean_square_input() == strength
         views.append(error_from_periods(errors, is_largest, noise))
     views = sorted(views, key=lambda view: view.amplitude)
-    sines = [measure_sine_error(errors, noise) for errors in steady_sines(repeating)]
+    sines = [measure_sine_error(errors, noise) for errors in steady_sine_errors(repeating_errors)]
     return [*add_sine_errors(views, sines)]
 
 
 def _offsets_and_oscillations_at_rest(
-    moving: list[RecordErrors], response: int
+    moving_errors: list[RecordErrors], response_length: int
 ) -> tuple[list[float], list[float]]:
-    """Offsets and oscillations of the output that remain after the input has become constant.
-    Offsets count above `AT_REST`, oscillations above `FAINT`: a decay may not show these, since it
-    starts elsewhere."""
+    """Offsets and oscillations of the output that remain in records after the input has become
+    constant. Offsets count above `AT_REST`, oscillations above `FAINT`: a decay may not show these,
+    since it starts elsewhere."""
     offsets = []
     swings = []
-    for errors in moving:
-        rest = output_after_motion(errors.moving, errors.output, response)
+    for errors in moving_errors:
+        rest = output_after_motion(errors.moving, errors.output, response_length)
         if not len(rest):
             continue
         if (offset := remaining_offset(rest)) > AT_REST:
@@ -218,14 +223,14 @@ def _offsets_and_oscillations_at_rest(
     return offsets, swings
 
 
-def _larger_offsets(first: list[float], second: list[float]) -> list[float]:
-    """Choose the one of two lists of measured offsets that has the larger maximum."""
+def _offsets_with_larger_maximum(first: list[float], second: list[float]) -> list[float]:
+    """Choose, of two lists of measured output offsets, the one with the larger maximum."""
     return max(first, second, key=lambda offsets: max(offsets, default=0.0))
 
 
-def _unexcited_bands(errors: RecordErrors) -> tuple[float, ...]:
-    """Frequencies of the bands in which the input of a record has no power."""
-    input_power = welch_power_density([errors.u])
+def _unexcited_bands(record_errors: RecordErrors) -> tuple[float, ...]:
+    """Frequencies of the bands in which the input of a record has next to no power."""
+    input_power = welch_power_density([record_errors.u])
     is_unexcited = input_power < EXCITED * input_power.mean()
     band_angles = ANGLES[: len(input_power)]
     return tuple(float(angle) for angle in band_angles[is_unexcited])

@@ -1,5 +1,5 @@
-"""Prediction of whether a certified design is stable on the plant, from the model error that the
-records show.
+"""Prediction of whether a certified design is stable on the plant, from the model error in the
+records.
 
 Write the true output as `y = y_model + e`; the closed loop maps `e` back to `u` by `T_ue`
 (`robustness.sensitivity`). At each amplitude on record (`robustness.mismatch`) one of the first two
@@ -63,77 +63,79 @@ SlopePair = tuple[float, float]  # of the input map and the output map
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
-    """Prediction of whether a loop is stable on the plant, with its stability margins. Tables use
-    the names of its fields as columns (all -)."""
+    """Prediction of whether a closed loop is stable on the plant, with its stability margins.
+    Tables use the names of its fields as columns (all -)."""
 
     mismatch_margin: float
     resolved_margin: float
     controller_radius: float
     noise_peak: float = 0.0
 
-    def predicts_stability(self, margin: float = 1.0) -> bool:
-        """Whether every condition for stability on the plant holds, with more than a given
-        stability margin."""
-        is_robust = self.resolved_margin > margin
+    def predicts_stability(self, required_margin: float = 1.0) -> bool:
+        """Whether a loop is predicted to be stable on the plant with more than a given stability
+        margin."""
+        is_robust = self.resolved_margin > required_margin
         return is_robust and self.controller_radius < 1 and self.noise_peak < 1
 
 
-def predict_margins(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> Prediction:
-    """Predict the stability margins of one controller and observer on the plant. They are zero if
-    the loop is unstable at a slope, infinite without any model error."""
-    peak = sensitivity_peak(model.system, pair, balls)
+def predict_margins(model: Model, gains: Gains, balls: Balls, mismatch: Mismatch) -> Prediction:
+    """Predict the stability margins on the plant of the loop with one controller and observer. They
+    are zero if the loop is unstable at a slope, infinite without any model error."""
+    peak = sensitivity_peak(model.system, gains, balls)
     total_gain = mismatch.gain * peak if np.isfinite(peak) else np.inf
-    measure = robustness_measure(model, pair, balls, mismatch)
-    controller_radius = controller_spectral_radius(model.system, pair, balls)
+    measure = robustness_measure(model, gains, balls, mismatch)
+    controller_radius = controller_spectral_radius(model.system, gains, balls)
     return Prediction(
         mismatch_margin=margin_from_loop_gain(total_gain),
         resolved_margin=margin_from_loop_gain(measure),
         controller_radius=float(controller_radius),
-        noise_peak=output_peak_from_noise(model, pair, balls, mismatch),
+        noise_peak=output_peak_from_noise(model, gains, balls, mismatch),
     )
 
 
 def margin_from_loop_gain(loop_gain: float) -> float:
-    """Stability margin that belongs to a loop gain, its inverse; infinite for a gain of zero."""
+    """Stability margin as the inverse of a loop gain; infinite for a gain of zero."""
     return 1 / loop_gain if loop_gain else float("inf")
 
 
 def robustness_measure(
     model: Model,
-    pair: Gains,
+    gains: Gains,
     balls: Balls,
     mismatch: Mismatch,
-    shared: Responses | None = None,
-    refused: float = float("inf"),
+    cached_responses: Responses | None = None,
+    stop_value: float = float("inf"),
 ) -> float:
-    """Robust-stability measure of a loop under the measured model error, whose inverse is the
+    """Largest loop gain of a closed loop under the measured model error, the inverse of its
     stability margin. The largest number that must stay below one, over amplitudes, mixtures and
     slopes; infinite for an unstable loop.
 
-    It is taken on `FINE_ANGLES`, or those of `shared`, where what pairs share is computed once (the
-    same but for rounding), and at the angles of the loop's own modes, where it is sharpest. The
-    search ends at the first number from `refused` on.
+    It is taken on `FINE_ANGLES`, or those of `cached_responses`, where what pairs share is computed
+    once (the same but for rounding), and at the angles of the loop's own modes, where it is
+    sharpest. The search ends at the first number from `stop_value` on.
     """
     if not mismatch.plant_comes_to_rest:
         return float("inf")
     largest = 0.0
-    for linear, own_gains, slopes, records in loops_to_test(model, pair, balls, mismatch):
-        loop = LoopResponse.from_gains(linear, own_gains, slopes, shared)
+    loops = loops_at_constant_slopes(model, gains, balls, mismatch)
+    for linear, own_gains, slopes, records in loops:
+        loop = LoopResponse.from_gains(linear, own_gains, slopes, cached_responses)
         if loop is None:
             return float("inf")
         offset = records.offset * loop.gain_of_constants
         largest = max(largest, offset, largest_loop_gain(records, loop))
-        if largest >= refused:
+        if largest >= stop_value:
             return largest
     return largest
 
 
-def loops_to_test(
-    model: Model, pair: Gains, balls: Balls, mismatch: Mismatch
+def loops_at_constant_slopes(
+    model: Model, gains: Gains, balls: Balls, mismatch: Mismatch
 ) -> Iterator[tuple[StateSpace, Gains, SlopePair, Mismatch]]:
-    """Closed loops at every combination of constant slopes, each with its model error."""
+    """Linear closed loops at every combination of constant slopes of the static maps and neurons,
+    each with the model error that applies."""
     for met_balls, records in _group_by_amplitude(model, balls, mismatch):
-        combinations = slope_combinations(model.system, pair, met_balls)
+        combinations = slope_combinations(model.system, gains, met_balls)
         for linear, own_gains, slope_in, slope_out in combinations:
             yield linear, own_gains, (slope_in, slope_out), records
 
@@ -141,8 +143,9 @@ def loops_to_test(
 def _group_by_amplitude(
     model: Model, balls: Balls, mismatch: Mismatch
 ) -> list[tuple[Balls, Mismatch]]:
-    """Group the records by amplitude, each group with the slopes of the static maps that occur at
-    it. The two largest amplitudes and closed-loop records are combined with all slopes.
+    """Group the recorded model errors by input amplitude, each with the slopes of the static maps
+    that occur at it. The two largest amplitudes and closed-loop records are combined with all
+    slopes.
 
     The smaller amplitudes, up to the second largest, speak of loops that swing no wider than its
     sinusoid, whose peak is `sqrt(2)` times its root mean square: of one S_u they meet the slopes
@@ -171,8 +174,8 @@ def _group_by_amplitude(
 
 @dataclass(frozen=True, kw_only=True)
 class LoopResponse:
-    """Frequency response of a closed loop from an output error to the input. `|T_ue|` at `angles
-    (K,)` of one loop of constant slopes, and `M` where there is one input and one output.
+    """Frequency response of a closed loop from an error of the output to the input. `|T_ue|` at
+    `angles (K,)` of one loop of constant slopes, and `M` where there is one input and one output.
 
     `gain_of_constants` is `sigma_max(I + M)` at rest.
     """
@@ -185,31 +188,37 @@ class LoopResponse:
 
     @classmethod
     def from_gains(
-        cls, linear: StateSpace, pair: Gains, slopes: SlopePair, shared: Responses | None = None
+        cls,
+        system: StateSpace,
+        gains: Gains,
+        slopes: SlopePair,
+        cached_responses: Responses | None = None,
     ) -> "LoopResponse | None":
-        """Frequency response of a closed loop for given gains and slopes; None if the loop is
-        unstable."""
-        loop = error_to_input_response(linear, pair, *slopes)
+        """Frequency response of the closed loop with given gains and constant slopes; None if the
+        loop is unstable."""
+        loop = error_to_input_response(system, gains, *slopes)
         modes = np.linalg.eigvals(loop.a)
         if np.abs(modes).max() >= 1:
             return None
-        grid = FINE_ANGLES if shared is None else shared.angles
+        grid = FINE_ANGLES if cached_responses is None else cached_responses.angles
         mode_angles = np.abs(np.angle(modes))
         mode_angles_on_grid = np.maximum(mode_angles, grid[0])
         angles = np.union1d(grid, mode_angles_on_grid)
-        if shared is None:
+        if cached_responses is None:
             closed_loop = frequency_response(loop, angles)
-            open_loop = frequency_response(linear, angles)
+            open_loop = frequency_response(system, angles)
         else:
             extra = np.setdiff1d(angles, grid)
             at = np.searchsorted(grid, extra)
-            responses = shared.loop_response(linear, pair.k, pair.modes, [pair.l], *slopes)
+            responses = cached_responses.loop_response(
+                system, gains.k, gains.modes, [gains.l], *slopes
+            )
             closed_on_grid = responses[0]
             closed_at_modes = frequency_response(loop, extra)
             closed_loop = np.insert(closed_on_grid, at, closed_at_modes, axis=0)
-            state_response = shared.state_response(linear.a, linear.b)
-            open_on_grid = linear.c @ state_response + linear.d
-            open_at_modes = frequency_response(linear, extra)
+            state_response = cached_responses.state_response(system.a, system.b)
+            open_on_grid = system.c @ state_response + system.d
+            open_at_modes = frequency_response(system, extra)
             open_loop = np.insert(open_on_grid, at, open_at_modes, axis=0)
         slope_in, slope_out = slopes
         through = slope_in * slope_out * open_loop @ closed_loop
@@ -219,7 +228,7 @@ class LoopResponse:
         gain_of_constants = np.linalg.norm(identity + at_constants, 2)
         size = largest_singular_values(closed_loop)
         scalar_through = through[:, 0, 0] if is_scalar else None
-        is_integrator = np.diagonal(pair.modes) == 1
+        is_integrator = np.diagonal(gains.modes) == 1
         return cls(
             angles=angles,
             size=size,
@@ -228,15 +237,16 @@ class LoopResponse:
             integrates=bool(is_integrator.any()),
         )
 
-    def small_gain(self, by_frequency: BandGains) -> float:
-        """Small-gain product of the loop and a model error, the largest over all frequencies."""
+    def small_gain_product(self, by_frequency: BandGains) -> float:
+        """Product of the gains of closed loop and model error, the largest over all frequencies
+        (small-gain theorem)."""
         mismatch_gain = np.interp(self.angles, ANGLES, by_frequency)
         loop_gain = mismatch_gain * self.size
         return float(loop_gain.max())
 
     def return_difference(self, linear_part: ComplexBandGains) -> ComplexLoopGains:
-        """Return difference `1 - M Q` of the closed loop M, as the model error sees it, and the
-        error's linear part Q."""
+        """Return difference `1 - M Q` of the closed loop M and the linear part Q of the model
+        error, at each frequency."""
         real = np.interp(self.angles, ANGLES, linear_part.real)
         imaginary = np.interp(self.angles, ANGLES, linear_part.imag)
         assert self.through is not None
@@ -244,9 +254,9 @@ class LoopResponse:
         return np.asarray(1 - loop_of_linear_part)
 
     def remainder_gain_product(self, linear_part: ComplexBandGains, remainder: BandGains) -> float:
-        """Small-gain product for the nonlinear remainder of the model error, with its linear part
-        included in the loop. Infinite if `1 - M Q` winds around zero, so that its phase at pi is
-        not the one at 0."""
+        """Small-gain product for the nonlinear remainder of the model error, its linear part being
+        included in the closed loop. Infinite if `1 - M Q` winds around zero, so that its phase at
+        pi is not the one at 0."""
         if self.through is None:
             return float("inf")
         returned = self.return_difference(linear_part)
@@ -263,37 +273,37 @@ class LoopResponse:
 
 @dataclass(frozen=True, kw_only=True)
 class AmplitudeCondition:
-    """Small-gain condition for the model error at one input amplitude, with its loop gain."""
+    """Small-gain condition of stability for the model error at one input amplitude."""
 
     linear_part: Complex[np.ndarray, "F"]
     remainder: Float[np.ndarray, "F"]
     small_gain: float
-    # The plant held still, and the controller integrates: its output then grows until the plant
-    # moves.
+    # The plant held still, and the controller integrates: its output grows until the plant moves.
     is_exempt: bool
 
     @classmethod
     def from_view(cls, view: View, loop: LoopResponse) -> "AmplitudeCondition":
-        """Evaluate the stability conditions of a loop for the model error at one amplitude. Where
-        the plant did not move, no remainder counts."""
+        """Evaluate the small-gain condition of a closed loop for the model error at one input
+        amplitude. Where the plant did not move, no remainder counts."""
         held_still = view.response < HOLDS
         remainder = np.where(held_still, 0.0, view.rest)
-        small_gain = loop.small_gain(view.by_frequency)
+        small_gain = loop.small_gain_product(view.by_frequency)
         is_exempt = held_still and loop.integrates
         return cls(
             linear_part=view.linear, remainder=remainder, small_gain=small_gain, is_exempt=is_exempt
         )
 
     def loop_gain(self, loop: LoopResponse) -> float:
-        """Loop gain of the model error at one amplitude, below one if stability is proved. It is
-        the smaller of two sufficient conditions: plain small gain, and small gain with a phase."""
+        """Loop gain of the model error at one input amplitude; below one, the loop is proved stable
+        at that amplitude. It is the smaller of two sufficient conditions: plain small gain, and
+        small gain with a phase."""
         with_phase = loop.remainder_gain_product(self.linear_part, self.remainder)
         return min(self.small_gain, with_phase)
 
 
 def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
-    """Largest loop gain of the model error over all recorded amplitudes. Below one, the loop is
-    predicted to be stable.
+    """Largest loop gain of the model error over all recorded input amplitudes. Below one, the loop
+    is predicted to be stable.
 
     At one amplitude the smaller of two sufficient conditions counts. A loop may also swing between
     two recorded amplitudes, so mixtures of neighbours are tested too. Source: docs/theory.md,
@@ -309,19 +319,19 @@ def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
             gain_between = _largest_interpolated_gain(smaller, larger, loop)
             gain = max(gain, gain_between)
     if mismatch.loop is not None:
-        gain_in_closed_loop = loop.small_gain(mismatch.loop.by_frequency)
+        gain_in_closed_loop = loop.small_gain_product(mismatch.loop.by_frequency)
         gain = max(gain, gain_in_closed_loop)
     return gain
 
 
 def _may_hide_limit_cycle(
-    smaller: AmplitudeCondition, larger: AmplitudeCondition, gain: float
+    smaller: AmplitudeCondition, larger: AmplitudeCondition, largest_gain: float
 ) -> bool:
-    """Whether a limit cycle may exist between two recorded amplitudes. This is open where not both
-    pass by small gain and no infinite gain has decided already."""
+    """Whether a limit cycle may exist at an amplitude between two recorded input amplitudes. This
+    is open where not both pass by small gain and no infinite gain has decided already."""
     larger_gain = max(smaller.small_gain, larger.small_gain)
-    pass_by_small_gain = larger_gain < max(gain, 1.0)
-    is_undecided = np.isfinite(gain)
+    pass_by_small_gain = larger_gain < max(largest_gain, 1.0)
+    is_undecided = np.isfinite(largest_gain)
     both_exempt = smaller.is_exempt and larger.is_exempt
     return bool(not pass_by_small_gain and is_undecided and not both_exempt)
 
@@ -329,8 +339,8 @@ def _may_hide_limit_cycle(
 def _largest_interpolated_gain(
     smaller: AmplitudeCondition, larger: AmplitudeCondition, loop: LoopResponse
 ) -> float:
-    """Largest small-gain product over mixtures of the model errors at two neighbouring
-    amplitudes."""
+    """Largest small-gain product over interpolations between the model errors at two neighbouring
+    input amplitudes."""
     gains = []
     for share in MIXTURES:
         rest_share = 1 - share
@@ -341,13 +351,13 @@ def _largest_interpolated_gain(
     return max(gains)
 
 
-def output_peak_from_noise(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> float:
-    """Largest output amplitude that the measured sensor noise causes around the equilibrium. It is
-    in units of the settling band; zero if the noise was not measured, or the plant does not move
-    under that input."""
+def output_peak_from_noise(model: Model, gains: Gains, balls: Balls, mismatch: Mismatch) -> float:
+    """Largest output amplitude, in settling bands, that the measured sensor noise causes around the
+    equilibrium. It is in units of the settling band; zero if the noise was not measured, or the
+    plant does not move under that input."""
     if not mismatch.noise:
         return 0.0
-    linear, own_gains = _linearise_at_equilibrium(model, pair, balls)
+    linear, own_gains = _linearise_at_equilibrium(model, gains, balls)
     slope_in = _slope_at_equilibrium(model.scaffold_in, balls.input)
     slope_out = _slope_at_equilibrium(model.scaffold_out, balls.output)
     closed_loop = error_to_input_response(linear, own_gains, slope_in, slope_out)
@@ -368,18 +378,20 @@ def output_peak_from_noise(model: Model, pair: Gains, balls: Balls, mismatch: Mi
     return PEAK * float(at_output) / mismatch.scaled_settling_band
 
 
-def _linearise_at_equilibrium(model: Model, pair: Gains, balls: Balls) -> tuple[StateSpace, Gains]:
-    """Linear recurrence and gains at the neurons' slopes in the equilibrium."""
+def _linearise_at_equilibrium(model: Model, gains: Gains, balls: Balls) -> tuple[StateSpace, Gains]:
+    """Linear recurrence and observer gains of a model whose neurons have their slopes at the
+    equilibrium."""
     slopes = None
     if isinstance(model, StructuredSSM):
         slopes = evaluate_activations(model.neurons, model.bias, "slope")[None]
-    combinations = slope_combinations(model.system, pair, balls, slopes)
+    combinations = slope_combinations(model.system, gains, balls, slopes)
     linear, own_gains, *_ = next(iter(combinations))
     return linear, own_gains
 
 
 def _slope_at_equilibrium(scaffold: Scaffold, ball: JacobianBall) -> float:
-    """Slope of a static map at the equilibrium, limited to the slopes of its ball."""
+    """Slope of a static map at the equilibrium, limited to the certified slopes of its ball of
+    Jacobians."""
     equilibrium = np.zeros(scaffold.inputs)
     jacobian = scaffold.jacobian(equilibrium)
     size = np.linalg.norm(jacobian, 2)

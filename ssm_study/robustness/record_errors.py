@@ -1,5 +1,5 @@
-"""Errors of the model in one record, and the model error that they show at one amplitude of the
-input.
+"""Free-run errors of the model on one record, and the gain from input to model error at one input
+amplitude.
 
 Two periods of one input tell what repeats from noise; of an input that does not repeat there are
 Welch's averages, in which noise counts as mismatch; a trial in closed loop has its own rule.
@@ -48,8 +48,8 @@ Spectra = tuple[Complex[np.ndarray, "2 K p"], InputSpectrum, OutputSpectrum]
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """Model error in the records of one input amplitude. See the module for `linear` (Q) and
-    `rest`, both at `ANGLES`.
+    """Model error in the records of one input amplitude, by frequency band. See the module for
+    `linear` (Q) and `rest`, both at `ANGLES`.
 
     `amplitude` is the input's rms; `response` the output's power over the model's, one where they
     agree, zero where the plant holds still.
@@ -79,7 +79,8 @@ class RecordErrors:
 
     @classmethod
     def from_record(cls, model: Model, record: Trajectory, start_up_samples: int) -> "RecordErrors":
-        """Simulate the model on a record and collect its scaled errors."""
+        """Simulate a model in free run on a record and collect its scaled input, output and
+        error."""
         simulated = simulate_record(model, record, start_up_samples)
         scored = slice(start_up_samples, None)
         moving = record.inputs_and_disturbances
@@ -102,23 +103,23 @@ class RecordErrors:
 
     @property
     def output(self) -> OutputSignal:
-        """Measured output in scaled units."""
+        """Measured output of the record in scaled units."""
         return self.e + self.model
 
     @property
     def amplitude(self) -> float:
-        """Root mean square of the input."""
+        """Root mean square of the record's input."""
         mean_square = (self.u**2).mean()
         return float(np.sqrt(mean_square))
 
     def mean_square_input(self) -> float:
-        """Mean square of the input."""
+        """Mean square of the record's input."""
         mean_square = (self.u**2).mean()
         return float(mean_square)
 
-    def spread(self) -> float:
-        """Standard error of the logarithm of a record's gain from input to model error, from pieces
-        of the record."""
+    def gain_standard_error(self) -> float:
+        """Standard error of the logarithm of the gain from input to model error in one record, from
+        pieces of the record."""
         errors = np.array_split(self.e, BLOCKS)
         inputs = np.array_split(self.u, BLOCKS)
         ratios = []
@@ -134,7 +135,7 @@ class RecordErrors:
         return 0.5 * float(standard_error)  # half: of g, not of g^2
 
     def period_spectra(self, signal: Float[np.ndarray, "T c"]) -> Complex[np.ndarray, "2 L c"]:
-        """Fourier transforms of both periods of a signal."""
+        """Fourier transforms of a signal over each of the record's two equal periods."""
         assert self.period is not None
         end = self.start + 2 * self.period
         repeating = signal[self.start : end]
@@ -143,8 +144,8 @@ class RecordErrors:
         return np.asarray(transforms)
 
     def error_spectra(self) -> Spectra:
-        """Fourier transforms of both periods of the error, and of input and model output in the
-        second period."""
+        """Fourier transforms of the model error in both periods, and of input and model output in
+        the second period."""
         of_error = self.period_spectra(self.e)
         _, of_input = self.period_spectra(self.u)
         _, of_model = self.period_spectra(self.model)
@@ -152,44 +153,44 @@ class RecordErrors:
 
 
 def open_loop_errors(
-    model: Model, validation: Trajectories, trials: Trajectories, start_up_samples: int
+    model: Model, validation: Trajectories, mismatch_records: Trajectories, start_up_samples: int
 ) -> list[RecordErrors]:
-    """Errors of the model in every record in open loop, except records that return to a constant
-    input."""
+    """Free-run errors of the model on every open-loop record, except on records that return to a
+    constant input."""
     records = [*validation]
-    for trial in trials:
+    for trial in mismatch_records:
         if not trial.closed_loop and not is_return_to_rest(trial):
             records.append(trial)
     return [RecordErrors.from_record(model, record, start_up_samples) for record in records]
 
 
 def moving_loop_errors(
-    model: Model, trials: Trajectories, start_up_samples: int
+    model: Model, mismatch_records: Trajectories, start_up_samples: int
 ) -> list[RecordErrors]:
-    """Errors of the model in closed-loop records whose signals never settle, without start-up
-    samples."""
+    """Free-run errors of the model on closed-loop records whose output keeps moving, without
+    start-up samples."""
     loops = []
-    for trial in trials:
+    for trial in mismatch_records:
         if not trial.closed_loop:
             continue
-        unscored = unscored_samples(trial, start_up_samples)
+        unscored = count_unscored_samples(trial, start_up_samples)
         errors = RecordErrors.from_record(model, trial, unscored)
         if errors.u.any() and oscillation_amplitude(errors.output) > MOVING:
             loops.append(errors)
     return loops
 
 
-def unscored_samples(trial: Trajectory, start_up_samples: int) -> int:
-    """Number of samples at the beginning of a closed-loop record by which its initial state is
+def count_unscored_samples(record: Trajectory, start_up_samples: int) -> int:
+    """Number of samples at the beginning of a closed-loop record from which its initial state is
     estimated. It is a third, `IN_LOOP` at most."""
     share, most_samples = IN_LOOP
-    unscored = min(int(share * len(trial)), most_samples)
+    unscored = min(int(share * len(record)), most_samples)
     return max(start_up_samples, unscored)
 
 
 def error_from_averages(records: list[RecordErrors]) -> View:
-    """Model error from records whose input does not repeat, by averaged spectra. Noise counts as
-    model error, and no linear part is separated."""
+    """Gain from input to model error by frequency, by Welch's averages over records whose input
+    does not repeat. Noise counts as model error, and no linear part is separated."""
     inputs = [record.u for record in records]
     errors = [record.e for record in records]
     input_energies = [(u**2).sum() for u in inputs]
@@ -207,19 +208,27 @@ def error_from_averages(records: list[RecordErrors]) -> View:
     return _error_from_total_gain(records, by_frequency, total_gain)
 
 
-def _error_from_total_gain(records: list[RecordErrors], resolved: BandGains, gain: float) -> View:
-    """Model error at one amplitude from records that show only its gain over all frequencies
-    together."""
+def _error_from_total_gain(
+    records: list[RecordErrors], gain_by_frequency: BandGains, total_gain: float
+) -> View:
+    """Model error at one input amplitude without a linear part, from its gain by frequency and in
+    total."""
     all_inputs = np.concatenate([record.u for record in records])
     mean_square = np.mean(all_inputs**2)
     amplitude = float(np.sqrt(mean_square))
     linear = np.zeros(len(ANGLES), dtype=complex)
-    return View(amplitude=amplitude, gain=gain, by_frequency=resolved, linear=linear, rest=resolved)
+    return View(
+        amplitude=amplitude,
+        gain=total_gain,
+        by_frequency=gain_by_frequency,
+        linear=linear,
+        rest=gain_by_frequency,
+    )
 
 
 def error_in_closed_loop(records: list[RecordErrors], noise: BandGains | None) -> View:
-    """Largest model error in any closed-loop record. A mean would hide a small one behind a large
-    one."""
+    """Largest model error in any record that was taken in closed loop. A mean would hide a small
+    one behind a large one."""
     gains = [_closed_loop_gains(record, noise) for record in records]
     resolved_gains = [resolved for resolved, _ in gains]
     by_frequency = np.max(resolved_gains, axis=0)
@@ -228,8 +237,8 @@ def error_in_closed_loop(records: list[RecordErrors], noise: BandGains | None) -
 
 
 def _closed_loop_gains(record: RecordErrors, noise: BandGains | None) -> tuple[BandGains, float]:
-    """Gain from input to model error in a closed-loop record, by frequency and in total, beyond the
-    noise.
+    """Gain from input to model error in a closed-loop record, by frequency and in total, with noise
+    subtracted.
 
     Where no record measured the noise it is taken for white, as strong as e in its quietest bands.
     Welch's average over N samples has the relative error `sqrt(1.06 L / 2 N)`, L the segment
@@ -260,8 +269,8 @@ def _closed_loop_gains(record: RecordErrors, noise: BandGains | None) -> tuple[B
 
 
 def estimate_noise(records: list[RecordErrors]) -> BandGains:
-    """Noise power in each frequency band, from the difference of repeated periods. It is the same
-    at all amplitudes, so that the median over the records is used."""
+    """Noise power in each frequency band, from the difference between the two equal periods of
+    records. It is the same at all amplitudes, so that the median over the records is used."""
     powers = []
     for record in records:
         both_periods, *_ = record.error_spectra()
@@ -271,9 +280,10 @@ def estimate_noise(records: list[RecordErrors]) -> BandGains:
     return np.asarray(np.median(powers, axis=0))
 
 
-def error_from_periods(record: RecordErrors, sure: bool, noise: BandGains) -> View:
-    """Model error from a record with two equal periods, whose difference is noise. With two periods
-    `E_1, E_2`, `Re(E_1 conj E_2)` is the power that repeats, without bias: noise is independent.
+def error_from_periods(record: RecordErrors, has_no_doubt: bool, noise: BandGains) -> View:
+    """Gain from input to model error by frequency, from a record with two equal periods whose
+    difference is noise. With two periods `E_1, E_2`, `Re(E_1 conj E_2)` is the power that repeats,
+    without bias: noise is independent.
 
     In a band that the input does not excite nothing is subtracted: the gain is the one measured,
     noise included. Averaged over the M lines of a band its variance is `(S_n^2 / 2 + S_n S_e) / M`.
@@ -287,10 +297,10 @@ def error_from_periods(record: RecordErrors, sure: bool, noise: BandGains) -> Vi
     model_power = band_means(total_power(model))
     repeats = _repeating_power(first, second)
     doubt: Any = 0.0
-    if not sure:
+    if not has_no_doubt:
         variance = (noise_power**2 / 2 + noise_power * np.maximum(repeats, 0.0)) / lines
         doubt = SURE * np.sqrt(variance)
-    chance = 0.0 if sure else SURE**2
+    chance = 0.0 if has_no_doubt else SURE**2
     least = (1 + chance) * noise_power / 2 / lines
     mean_error = (first + second) / 2
     linear = np.zeros(len(ANGLES), dtype=complex)
@@ -321,27 +331,27 @@ def error_from_periods(record: RecordErrors, sure: bool, noise: BandGains) -> Vi
 
 
 def _repeating_power(first: OutputSpectrum, second: OutputSpectrum) -> BandGains:
-    """Power in each band that repeats in both periods of a record, from which noise averages
-    out."""
+    """Power in each frequency band that two periods of a record have in common, from which noise
+    averages out."""
     lines = (first * second.conj()).real
     return band_means(lines.sum(axis=1))
 
 
 def _significant_linear_part(
-    error: OutputSpectrum, model: OutputSpectrum, least: BandGains
+    error: OutputSpectrum, model: OutputSpectrum, least_power: BandGains
 ) -> ComplexBandGains:
-    """Linear part of the model error in the bands where it explains more than a given power, zero
-    in the others."""
+    """Linear part of the model error in the frequency bands where it explains more than a given
+    power, zero in the others."""
     linear = _linear_part(error, model)
     model_power = band_means(total_power(model))
     explained = model_power * np.abs(linear) ** 2
-    is_significant = explained > least
+    is_significant = explained > least_power
     return np.where(is_significant, linear, 0.0)
 
 
 def _linear_part(error: OutputSpectrum, model: OutputSpectrum) -> ComplexBandGains:
-    """Linear part of the model error in each band, `S_(e, y_model) / S_(y_model)`. The error e is
-    the mean of both periods, which halves the noise's variance."""
+    """Linear part of the model error in each frequency band, `S_(e, y_model) / S_(y_model)`. The
+    error e is the mean of both periods, which halves the noise's variance."""
     cross_lines = error * model.conj()
     cross_spectrum = cross_lines.sum(axis=1)
     real_part = band_means(cross_spectrum.real)

@@ -1,4 +1,4 @@
-"""Offset and oscillation of the output that remain after the input has become constant.
+"""Offset and oscillation of an output that remain after the input has become constant.
 
 Returns on which the model was trained count too: nothing here asks it. At the equilibrium's input
 an output should rest at the equilibrium; at another, each return is compared with the mean of the
@@ -31,8 +31,8 @@ Variance = Float[np.ndarray, "p"]
 
 
 def is_return_to_rest(record: Trajectory) -> bool:
-    """Whether a record's input moves once at the beginning and is constant from then on. The same
-    holds for measured disturbances (`data.splits.rest_segments`)."""
+    """Whether the input of a record moves once at the beginning and is constant from then on. The
+    same holds for measured disturbances (`data.splits.rest_segments`)."""
     if len(record) <= FEWEST:
         return False
     moving = record.inputs_and_disturbances
@@ -44,10 +44,10 @@ def is_return_to_rest(record: Trajectory) -> bool:
 
 
 def offsets_after_returns(
-    scale: Scale, records: list[Trajectory], response: int
+    scale: Scale, records: list[Trajectory], response_length: int
 ) -> tuple[list[float], list[float]]:
-    """Offsets and oscillations of the output that remain after the input has returned to a constant
-    value.
+    """Oscillations and offsets of the output that remain after the input has returned to a constant
+    value, over several records.
 
     Returns count that outlast the model's response; without any, all that came to rest from `FAR`
     away, where each did: a model may have a slow mode that the plant has not. Nothing is said where
@@ -55,13 +55,13 @@ def offsets_after_returns(
     """
     motions = list[float]()
     offsets = list[float]()
-    shortest = max(RESPONSES * response, FEWEST)
-    for level, outputs in _group_by_input(scale, records).items():
+    shortest = max(RESPONSES * response_length, FEWEST)
+    for level, outputs in _group_outputs_by_final_input(scale, records).items():
         is_equilibrium = not np.frombuffer(level).any()
         long_outputs = [y for y in outputs if len(y) >= shortest]
         counted = long_outputs or outputs
         swings = [oscillation_amplitude(y) for y in counted]
-        distances = _distances_from_rest(counted, centred=is_equilibrium)
+        distances = _distances_from_rest(counted, is_centred=is_equilibrium)
         came_to_rest = bool(long_outputs)
         if not came_to_rest:
             is_still = max((*swings, *distances)) < AT_REST
@@ -72,19 +72,21 @@ def offsets_after_returns(
     return motions, offsets
 
 
-def equilibrium_spread(scale: Scale, records: list[Trajectory]) -> float:
+def largest_equilibrium_difference(scale: Scale, records: list[Trajectory]) -> float:
     """Largest distance between the final outputs of records that end at the same constant input;
     zero if one still moves."""
     offsets = list[float]()
-    for outputs in _group_by_input(scale, records).values():
+    for outputs in _group_outputs_by_final_input(scale, records).values():
         largest_swing = max(map(oscillation_amplitude, outputs))
         if largest_swing < AT_REST:
-            offsets += _distances_from_rest(outputs, centred=False)
+            offsets += _distances_from_rest(outputs, is_centred=False)
     return max(offsets, default=0.0)
 
 
-def _group_by_input(scale: Scale, records: list[Trajectory]) -> dict[bytes, list[OutputSignal]]:
-    """Scaled outputs of the records that return to a constant input, grouped by that input."""
+def _group_outputs_by_final_input(
+    scale: Scale, records: list[Trajectory]
+) -> dict[bytes, list[OutputSignal]]:
+    """Group the scaled outputs of records that return to a constant input by that input."""
     groups: dict[bytes, list[OutputSignal]] = {}
     input_scale = scale.with_disturbances_as_inputs()
     for record in records:
@@ -97,7 +99,7 @@ def _group_by_input(scale: Scale, records: list[Trajectory]) -> dict[bytes, list
 
 
 def _starts_far_from_rest(outputs: list[OutputSignal]) -> bool:
-    """Whether an output begins far from its final value."""
+    """Whether one of several outputs begins far from its final value."""
     for output in outputs:
         tail, _ = _last_quarter(output)
         final_value = tail.mean(axis=0)
@@ -107,16 +109,16 @@ def _starts_far_from_rest(outputs: list[OutputSignal]) -> bool:
     return False
 
 
-def _distances_from_rest(outputs: list[OutputSignal], *, centred: bool) -> list[float]:
-    """Distance of each final output from the equilibrium, or from the mean of the others, with
-    noise removed."""
+def _distances_from_rest(outputs: list[OutputSignal], *, is_centred: bool) -> list[float]:
+    """Distance of the final value of each output from the equilibrium, or from the mean of the
+    other outputs, with noise removed."""
     tails = [_last_quarter(y) for y in outputs]
     means = np.stack([tail.mean(axis=0) for tail, _ in tails])
     spread = np.stack([noise / len(tail) for tail, noise in tails])
     others = len(means) - 1
-    if not centred and not others:
+    if not is_centred and not others:
         return []
-    if not centred:
+    if not is_centred:
         mean_of_others = (means.sum(axis=0) - means) / others
         means = means - mean_of_others
         spread = spread * (1 + 1 / others)
@@ -126,33 +128,35 @@ def _distances_from_rest(outputs: list[OutputSignal], *, centred: bool) -> list[
     return [float(offset) for offset in largest_offsets]
 
 
-def output_after_motion(u: InputSignal, y: OutputSignal, response: int) -> FinalOutput:
-    """Part of an output after the effect of the input's last motion has died out; empty unless the
-    record is that long."""
-    empty_output = y[:0]
-    if not u.any():
+def output_after_motion(
+    inputs: InputSignal, output: OutputSignal, response_length: int
+) -> FinalOutput:
+    """Part of an output after the response to the last change of the input has died out; empty for
+    a shorter record."""
+    empty_output = output[:0]
+    if not inputs.any():
         return empty_output
-    moving_samples = np.flatnonzero(u.any(axis=1))
+    moving_samples = np.flatnonzero(inputs.any(axis=1))
     last_motion = int(moving_samples[-1])
-    rest = y[last_motion + 1 :]
-    shortest = max(RESPONSES * response, FEWEST)
+    rest = output[last_motion + 1 :]
+    shortest = max(RESPONSES * response_length, FEWEST)
     return rest if len(rest) >= shortest else empty_output
 
 
-def remaining_offset(y: OutputSignal) -> float:
-    """Offset that an output still has at the end of a record at constant input, or the amplitude of
-    its oscillation where that is larger. The last quarter counts, with noise removed."""
-    tail, noise = _last_quarter(y)
+def remaining_offset(output: OutputSignal) -> float:
+    """Offset of an output that remains at the end of a record at constant input, or the amplitude
+    of its oscillation where that is larger. The last quarter counts, with noise removed."""
+    tail, noise = _last_quarter(output)
     standard_error = np.sqrt(noise / len(tail))
     offset = np.abs(tail.mean(axis=0)) - SURE * standard_error
     offset = np.maximum(offset, 0.0)
     largest_offset = float(offset.max())
-    return max(largest_offset, oscillation_amplitude(y))
+    return max(largest_offset, oscillation_amplitude(output))
 
 
-def oscillation_amplitude(y: OutputSignal) -> float:
-    """Amplitude of the output's oscillation in the last quarter of a record at constant input."""
-    tail, noise = _last_quarter(y)
+def oscillation_amplitude(output: OutputSignal) -> float:
+    """Amplitude of an output's oscillation in the last quarter of a record at constant input."""
+    tail, noise = _last_quarter(output)
     relative_error = np.sqrt(8 / len(tail))
     most_noise = (1 + SURE * relative_error) * noise
     total_variance = tail.var(axis=0)
@@ -161,7 +165,7 @@ def oscillation_amplitude(y: OutputSignal) -> float:
     return float(amplitude.max())
 
 
-def _last_quarter(y: OutputSignal) -> tuple[FinalOutput, Variance]:
+def _last_quarter(output: OutputSignal) -> tuple[FinalOutput, Variance]:
     """Last quarter of an output at constant input, and the variance of its noise. The variance is
     the mean of `median(S) / ln 2`, each over `NEIGHBOURS` lines.
 
@@ -169,8 +173,8 @@ def _last_quarter(y: OutputSignal) -> tuple[FinalOutput, Variance]:
     loop has fed back and coloured is broad, and does. The relative variance is about 6/T, that of
     the output's own 2/T.
     """
-    samples = max(len(y) // 4, FEWEST)
-    tail = y[-samples:]
+    samples = max(len(output) // 4, FEWEST)
+    tail = output[-samples:]
     _, density = scipy.signal.periodogram(tail, window="hann", detrend=scipy.signal.detrend, axis=0)
     lines = density[1:-1]
     medians = scipy.ndimage.median_filter(lines, (NEIGHBOURS, 1), mode="reflect")

@@ -1,5 +1,5 @@
-"""Response of a closed loop to an output error: transfer function, its peaks, and the poles of the
-controller alone.
+"""Response of a closed loop to an error of the output: transfer function, its peaks, and the poles
+of the controller alone.
 
 With `y = y_model + e` and `u = K xh`, `J_u` and `J_y` in the balls of Jacobians (D cancels),
 
@@ -38,110 +38,113 @@ ObserverGain = Float[np.ndarray, "n p"]
 
 
 def slopes_to_test(ball: JacobianBall) -> tuple[float, ...]:
-    """Slopes of a static map at which the loop is evaluated: both ends and the centre of its
-    ball."""
+    """Slopes of a static map at which a closed loop is evaluated: both ends and the centre of its
+    range of slopes."""
     if ball.beta > 0:
         return ball.lower, ball.alpha, ball.upper
     return (ball.alpha,)
 
 
 def slope_combinations(
-    system: System, pair: Gains, balls: Balls, at: NeuronSlopes | None = None
+    system: System, gains: Gains, balls: Balls, neuron_slopes: NeuronSlopes | None = None
 ) -> Iterator[End]:
-    """Linear systems and gains at all combinations of extreme slopes of maps and neurons. Slopes of
-    neurons are at the corners unless given (`at`), where L is `L + E S L_z`."""
+    """Linear systems and gains at all combinations of extreme slopes of the static maps and the
+    neurons. Slopes of neurons are at the corners unless given (`neuron_slopes`), where L is `L + E
+    S L_z`."""
     slopes_in = slopes_to_test(balls.input)
     slopes_out = slopes_to_test(balls.output)
-    for linear, own_gains in _freeze_neurons(system, pair, at):
+    for linear, own_gains in _freeze_neurons(system, gains, neuron_slopes):
         for slope_in, slope_out in product(slopes_in, slopes_out):
             yield linear, own_gains, slope_in, slope_out
 
 
 def _freeze_neurons(
-    system: System, pair: Gains, at: NeuronSlopes | None
+    system: System, gains: Gains, neuron_slopes: NeuronSlopes | None
 ) -> Iterator[tuple[StateSpace, Gains]]:
-    """Linear system and gains for each combination of frozen neuron slopes."""
+    """Linear system and gains for each combination of constant slopes of the neurons."""
     if isinstance(system, StateSpace):
-        yield system, pair
+        yield system, gains
         return
-    if at is None:
-        at = system.slope_corners(MOST_CORNERS)
-    for slopes in at:
-        own_gains = pair
-        if pair.l_z is not None:
-            injection = (system.e * slopes) @ pair.l_z
-            own_gains = replace(pair, l=pair.l + injection)
+    if neuron_slopes is None:
+        neuron_slopes = system.slope_corners(MOST_CORNERS)
+    for slopes in neuron_slopes:
+        own_gains = gains
+        if gains.l_z is not None:
+            injection = (system.e * slopes) @ gains.l_z
+            own_gains = replace(gains, l=gains.l + injection)
         yield system.linearise_at_slopes(slopes), own_gains
 
 
 def error_to_input_response(
-    linear: StateSpace, pair: Gains, slope_in: float, slope_out: float
+    system: StateSpace, gains: Gains, slope_in: float, slope_out: float
 ) -> StateSpace:
-    """Closed-loop transfer function from an output error to the input at constant slopes. `T_ue`
-    from `e (p)` to `u (m)`, state `(x, eps, z)`, z of the internal model."""
-    order, outputs = pair.l.shape
-    modes = pair.modes
-    state_gain = pair.k[:, :order]
-    internal_gain = pair.k[:, order:]
-    drive = slope_in * linear.b @ state_gain
-    internal_drive = slope_in * linear.b @ internal_gain
+    """Closed-loop transfer function from an error of the output to the input, at constant slopes of
+    the static maps. `T_ue` from `e (p)` to `u (m)`, state `(x, eps, z)`, z of the internal model.
+    """
+    order, outputs = gains.l.shape
+    modes = gains.modes
+    state_gain = gains.k[:, :order]
+    internal_gain = gains.k[:, order:]
+    drive = slope_in * system.b @ state_gain
+    internal_drive = slope_in * system.b @ internal_gain
     error_input = error_input_matrix(modes, outputs)
-    controlled_c = linear.c[:outputs]
+    controlled_c = system.c[:outputs]
     measured = slope_out * error_input @ controlled_c
-    estimation = linear.a + slope_out * pair.l @ linear.c
+    estimation = system.a + slope_out * gains.l @ system.c
     no_coupling = np.zeros((len(modes), order))
     no_effect_of_state = np.zeros((order, order))
-    state_row = [linear.a + drive, drive, internal_drive]  # u reads the estimate `x + eps`
+    state_row = [system.a + drive, drive, internal_drive]  # u reads the estimate `x + eps`
     error_row = [no_effect_of_state, estimation, no_coupling.T]
     internal_row = [measured, no_coupling, modes]
     a = np.block([state_row, error_row, internal_row])
     no_effect = np.zeros((order, outputs))
-    injection = -pair.l
+    injection = -gains.l
     b = np.vstack([no_effect, injection, error_input])
     c = np.hstack([state_gain, state_gain, internal_gain])
-    inputs = len(pair.k)
+    inputs = len(gains.k)
     d = np.zeros((inputs, outputs))
     return StateSpace(a=a, b=b, c=c, d=d)
 
 
 def noise_response(
-    linear: StateSpace, pair: Gains, slope_in: float, slope_out: float
+    system: StateSpace, gains: Gains, slope_in: float, slope_out: float
 ) -> StateSpace:
-    """Transfer function from a sensor's noise to the model's true output, at constant slopes."""
-    loop = error_to_input_response(linear, pair, slope_in, slope_out)
-    outputs = len(linear.c)
+    """Closed-loop transfer function from the sensor noise to the model's true output, at constant
+    slopes of the static maps."""
+    loop = error_to_input_response(system, gains, slope_in, slope_out)
+    outputs = len(system.c)
     noise_inputs = loop.b.shape[1]
-    other_states = loop.order - linear.order
+    other_states = loop.order - system.order
     no_effect = np.zeros((outputs, other_states))
-    by_state = np.hstack([linear.c, no_effect])
-    by_input = slope_in * linear.d @ loop.c
+    by_state = np.hstack([system.c, no_effect])
+    by_input = slope_in * system.d @ loop.c
     c = slope_out * (by_state + by_input)
     d = np.zeros((outputs, noise_inputs))
     return StateSpace(a=loop.a, b=loop.b, c=c, d=d)
 
 
-def noise_gain(system: System, pair: Gains, balls: Balls) -> float:
-    """Largest gain from a sensor's noise to the model's output, over all frequencies and constant
-    slopes.
+def noise_gain(system: System, gains: Gains, balls: Balls) -> float:
+    """Largest closed-loop gain from the sensor noise to the model's output, over all frequencies
+    and constant slopes.
 
     A number of the model, not a claim: slopes that vary may do more, and white noise does less.
     """
-    combinations = slope_combinations(system, pair, balls)
+    combinations = slope_combinations(system, gains, balls)
     return max(hinf_norm(noise_response(*end)) for end in combinations)
 
 
-def sensitivity_peak(system: System, pair: Gains, balls: Balls) -> float:
-    """Largest gain of the closed loop from an output error to the input, over frequency and
+def sensitivity_peak(system: System, gains: Gains, balls: Balls) -> float:
+    """Largest closed-loop gain from an error of the output to the input, over all frequencies and
     constant slopes. `max ||T_ue||_inf`; infinite if one of these loops is unstable."""
-    combinations = slope_combinations(system, pair, balls)
+    combinations = slope_combinations(system, gains, balls)
     return max(hinf_norm(error_to_input_response(*end)) for end in combinations)
 
 
 def controller_spectral_radius(
-    system: System, pair: Gains, balls: Balls
+    system: System, gains: Gains, balls: Balls
 ) -> Float[np.ndarray, "*pairs"]:
-    """Spectral radius of each controller alone, the largest over constant slopes. The internal
-    model is left out.
+    """Spectral radius of a controller with its observer when the plant does not move, the largest
+    over constant slopes. The internal model is left out.
 
     While the plant holds still (friction holds it, its actuator saturates), `y = y*` and the
     controller runs alone: `xh+ = (A + B J_u K_x + L J_y (C + D J_u K_x)) xh`. At or above one, rest
@@ -149,10 +152,10 @@ def controller_spectral_radius(
     of the model. Field's term: strong stabilisation. Source: Youla, Bongiorno & Lu, Automatica 10
     (1974) 159-173.
     """
-    state_gain = pair.k[..., : system.order]
-    pairs = pair.k.shape[:-2]
+    state_gain = gains.k[..., : system.order]
+    pairs = gains.k.shape[:-2]
     largest = np.zeros(pairs)
-    for linear, own_gains, slope_in, slope_out in slope_combinations(system, pair, balls):
+    for linear, own_gains, slope_in, slope_out in slope_combinations(system, gains, balls):
         input_gain = slope_in * state_gain
         output = linear.c + linear.d @ input_gain
         injection = slope_out * own_gains.l @ output
@@ -165,8 +168,8 @@ def controller_spectral_radius(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Responses:
-    """Cached frequency responses for many pairs of controllers and observers, at `angles`. What
-    pairs share is computed once.
+    """Cache of frequency responses for the loops of many controllers and observers. What pairs
+    share is computed once.
 
     `T_ue = (I - J_u F G)^{-1} (K_z Z - K_x (z I - A - L J_y C)^{-1} L)`, `F = K_x + K_z Z J_y C`,
     `G = (z I - A)^{-1} B`, `Z = (z I - A_z)^{-1} E` (integrators: `1 / (z - 1)`), separates a pair
@@ -177,7 +180,7 @@ class Responses:
     known: dict[bytes, StateResponse] = field(default_factory=dict)
 
     def state_response(self, a: Square, b: InputMatrix) -> StateResponse:
-        """Frequency response from input to state, cached for further pairs of gains."""
+        """Frequency response of a linear system from input to state, cached for later calls."""
         key = a.tobytes() + b.tobytes()
         if key not in self.known:
             identity = np.eye(len(a))
@@ -188,49 +191,50 @@ class Responses:
 
     def loop_response(
         self,
-        linear: StateSpace,
-        k: Float[np.ndarray, "m s"],
-        modes: InternalModes,
-        ls: list[ObserverGain],
+        system: StateSpace,
+        controller_gain: Float[np.ndarray, "m s"],
+        internal_model: InternalModes,
+        observer_gains: list[ObserverGain],
         *slope: float,
     ) -> Complex[np.ndarray, "O F m p"]:
-        """Frequency responses of the loops of one controller with each of several observers."""
+        """Closed-loop frequency responses from an error of the output to the input, for one
+        controller with each of several observers."""
         slope_in, slope_out = slope
-        order = linear.order
-        outputs = ls[0].shape[1]
-        state_gain = k[:, :order]
-        internal_gain = k[:, order:]
-        error_input = error_input_matrix(modes, outputs)
-        controlled_c = linear.c[:outputs]
-        through_internal = internal_gain @ self.state_response(modes, error_input)
+        order = system.order
+        outputs = observer_gains[0].shape[1]
+        state_gain = controller_gain[:, :order]
+        internal_gain = controller_gain[:, order:]
+        error_input = error_input_matrix(internal_model, outputs)
+        controlled_c = system.c[:outputs]
+        through_internal = internal_gain @ self.state_response(internal_model, error_input)
         effective_gain = state_gain + slope_out * through_internal @ controlled_c
-        loop = effective_gain @ self.state_response(linear.a, linear.b)
+        loop = effective_gain @ self.state_response(system.a, system.b)
         observer_responses = []
-        for observer_gain in ls:
-            observer_matrix = linear.a + slope_out * observer_gain @ linear.c
+        for observer_gain in observer_gains:
+            observer_matrix = system.a + slope_out * observer_gain @ system.c
             observer_responses.append(self.state_response(observer_matrix, observer_gain))
         estimates = np.stack(observer_responses)
         through = -np.einsum("mn,ofnp->ofmp", state_gain, estimates)
-        has_internal_model = k.shape[1] > order
+        has_internal_model = controller_gain.shape[1] > order
         if has_internal_model:
             through = through + through_internal
-        return_difference = np.eye(len(k)) - slope_in * loop
+        return_difference = np.eye(len(controller_gain)) - slope_in * loop
         return np.linalg.inv(return_difference) @ through
 
 
-def peaks_on_grid(
+def gain_peaks_on_grid(
     system: System,
-    ks: Float[np.ndarray, "C m s"],
-    ls: Float[np.ndarray, "O n p"],
+    controller_gains: Float[np.ndarray, "C m s"],
+    observer_gains: Float[np.ndarray, "O n p"],
     balls: Balls,
     angles: Angles,
     weights: Angles | float = 1.0,
-    l_zs: Float[np.ndarray, "O q p"] | None = None,
-    internal: InternalModes | None = None,
+    neuron_injections: Float[np.ndarray, "O q p"] | None = None,
+    internal_model: InternalModes | None = None,
 ) -> Float[np.ndarray, "C O"]:
-    """Largest gain from an output error to the input on a frequency grid, for every pair of
-    controller and observer. It is `weight sigma_max(T_ue)`, over the neurons' slopes 0, 1/2 and 1,
-    all alike.
+    """Largest closed-loop gain from an error of the output to the input on a frequency grid, for
+    every pair of controller and observer. It is `weight sigma_max(T_ue)`, over the neurons' slopes
+    0, 1/2 and 1, all alike.
 
     From below: a peak between two frequencies is missed, an unstable loop is not seen.
     """
@@ -239,16 +243,18 @@ def peaks_on_grid(
         equal_slopes = np.ones(system.neurons)
         neuron_slopes = np.outer((0.0, 0.5, 1.0), equal_slopes)
     responses = Responses(angles=angles)
-    controllers = len(ks)
-    observer_count = len(ls)
+    controllers = len(controller_gains)
+    observer_count = len(observer_gains)
     peaks = np.zeros((controllers, observer_count))
-    gain_shape = ks.shape[1:]
+    gain_shape = controller_gains.shape[1:]
     no_controllers = np.zeros((observer_count, *gain_shape))
-    observers = Gains(k=no_controllers, l=ls, l_z=l_zs, internal=internal)
+    observers = Gains(
+        k=no_controllers, l=observer_gains, l_z=neuron_injections, internal=internal_model
+    )
     modes = observers.modes
     for linear, frozen, *slope in slope_combinations(system, observers, balls, neuron_slopes):
         frozen_ls = list(frozen.l)
-        for k, peak in zip(ks, peaks, strict=True):
+        for k, peak in zip(controller_gains, peaks, strict=True):
             response = responses.loop_response(linear, k, modes, frozen_ls, *slope)
             weighted = weights * largest_singular_values(response)
             largest = weighted.max(axis=1)
@@ -259,7 +265,7 @@ def peaks_on_grid(
 def largest_singular_values(
     response: Complex[np.ndarray, "*many m p"],
 ) -> Float[np.ndarray, "*many"]:
-    """Largest singular value of each matrix in a stack."""
+    """Largest singular value of each matrix in a stack of matrices."""
     *_, rows, columns = response.shape
     is_scalar = rows == columns == 1
     if is_scalar:

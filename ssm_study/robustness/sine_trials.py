@@ -31,11 +31,11 @@ PEAKS = 2  # frequencies at most
 FEWEST_LINES = 4  # periods of the sine in one period of the record, at least
 
 
-def peak_frequencies(model: Model, pair: Gains, balls: Balls) -> list[float]:
-    """Frequencies (rad/sample) at which the loop's sensitivity has local peaks, the largest first.
-    The sensitivity is `|T_ue|`."""
+def peak_frequencies(model: Model, gains: Gains, balls: Balls) -> list[float]:
+    """Frequencies (rad/sample) at which the closed loop's gain from an error of the output to the
+    input has a local peak, the largest peak first. The sensitivity is `|T_ue|`."""
     size = np.zeros(len(FINE_ANGLES))
-    for end in slope_combinations(model.system, pair, balls):
+    for end in slope_combinations(model.system, gains, balls):
         closed_loop = error_to_input_response(*end)
         response = frequency_response(closed_loop, FINE_ANGLES)
         size = np.maximum(size, largest_singular_values(response))
@@ -48,11 +48,11 @@ def peak_frequencies(model: Model, pair: Gains, balls: Balls) -> list[float]:
     return [float(angle) for angle in FINE_ANGLES[largest_first]]
 
 
-def sensitive_lines(model: Model, pair: Gains, balls: Balls, period: int) -> list[int]:
-    """Spectral lines for single-sine experiments, at which the loop's sensitivity is largest. They
-    are lines of a period, at peaks of `|T_ue|`."""
+def sensitive_lines(model: Model, gains: Gains, balls: Balls, period: int) -> list[int]:
+    """Spectral lines for single-sine experiments, near the highest peaks of the closed loop's
+    sensitivity. They are lines of a period, at peaks of `|T_ue|`."""
     lines: list[int] = []
-    for angle in peak_frequencies(model, pair, balls):
+    for angle in peak_frequencies(model, gains, balls):
         line = nearest_line(angle, period)
         if line not in lines:
             lines.append(line)
@@ -62,8 +62,8 @@ def sensitive_lines(model: Model, pair: Gains, balls: Balls, period: int) -> lis
 def deciding_line(
     model: Model, pair: Gains, balls: Balls, mismatch: Mismatch, period: int
 ) -> int | None:
-    """Spectral line at which the broadband records leave the smallest stability margin; None if
-    they leave any. The lowest frequencies, below the first band, are left out: what counts there is
+    """Spectral line at which the broadband records give the smallest stability margin; None if they
+    give no margin. The lowest frequencies, below the first band, are left out: what counts there is
     an offset.
 
     A loop whose `|T_ue|` is flat may swing far from its peak, where the records show a large model
@@ -81,8 +81,8 @@ def deciding_line(
 
 
 def nearest_line(angle: float, period: int) -> int:
-    """Spectral line of a period nearest to a frequency (rad/sample), with a few cycles in the
-    period at least."""
+    """Spectral line, as a number of cycles in the period, that is nearest to a frequency in
+    rad/sample."""
     line = int(np.rint(angle * period / (2 * np.pi)))
     return min(max(line, FEWEST_LINES), period // 2 - 1)
 
@@ -90,7 +90,7 @@ def nearest_line(angle: float, period: int) -> int:
 def measure_sine_mismatch(
     model: Model, records: Trajectories, mismatch: Mismatch, period: int
 ) -> list[SineMismatch]:
-    """Measure the model error in each single-sine record, at the frequency of its sine."""
+    """Measure the model error in each record of a single sine, at the frequency of the sine."""
     noise = np.array(mismatch.noise)
     sines = []
     for record in records:
@@ -102,5 +102,5 @@ def measure_sine_mismatch(
 
 
 def add_sines_to_mismatch(mismatch: Mismatch, sines: Sequence[SineMismatch]) -> Mismatch:
-    """Add the model errors measured with single sines to that of the broadband records."""
+    """Add model errors measured with single sines to the model error of broadband records."""
     return replace(mismatch, views=add_sine_errors(mismatch.views, sines))

@@ -1,4 +1,4 @@
-"""Model error measured with a single sine, which has the whole power of a record at one frequency.
+"""Model error measured with a single sine, which puts the whole power of a record at one frequency.
 
 Of two periods `E_1, E_2` at that line
 
@@ -25,8 +25,9 @@ SAME = 1e-9  # of a sine's range, by which two of its cycles may differ
 
 @dataclass(frozen=True, kw_only=True)
 class SineMismatch:
-    """Model error measured with a single sine. `gain` is an upper limit of error over input at one
-    `angle` (rad/sample) and one `amplitude`, the input's rms (scaled).
+    """Model error measured with a single sine at one frequency and amplitude. `gain` is an upper
+    limit of error over input at one `angle` (rad/sample) and one `amplitude`, the input's rms
+    (scaled).
 
     The powers are over the input's at that line: of the error that repeats, of the model's output,
     their `cross` power (real part) and of the noise. They are None where an earlier version stored
@@ -42,28 +43,28 @@ class SineMismatch:
     noise_power: float | None = None
 
 
-def repeats_one_line(errors: RecordErrors) -> bool:
+def has_single_sine_input(record_errors: RecordErrors) -> bool:
     """Whether the periodic part of a record's input has nearly all its power at one frequency."""
-    if errors.period is None:
+    if record_errors.period is None:
         return False
-    drive = _input_power_at_lines(errors)[1:]
+    drive = _input_power_at_lines(record_errors)[1:]
     total = drive.sum()
     return bool(drive.max() >= SINGLE * total)
 
 
-def _input_power_at_lines(errors: RecordErrors) -> Float[np.ndarray, "L"]:
-    """Power of a record's input at each spectral line of its second period."""
-    _, second_period = errors.period_spectra(errors.u)
+def _input_power_at_lines(record_errors: RecordErrors) -> Float[np.ndarray, "L"]:
+    """Power of a record's input at each spectral line, in the second of two equal periods."""
+    _, second_period = record_errors.period_spectra(record_errors.u)
     power = np.abs(second_period) ** 2
     return np.asarray(power.sum(axis=1))
 
 
-def steady_sines(records: Sequence[RecordErrors]) -> list[RecordErrors]:
-    """Model errors in those records whose input is a single sine, cut at its end. Their period is
+def steady_sine_errors(records: Sequence[RecordErrors]) -> list[RecordErrors]:
+    """Model errors in the steady state of records whose input is a single sine. Their period is
     such that a third of the sine remains for settling."""
     sines = []
     for errors in records:
-        if not repeats_one_line(errors):
+        if not has_single_sine_input(errors):
             continue
         assert errors.period is not None
         drive = _input_power_at_lines(errors)[1:]
@@ -88,17 +89,17 @@ def steady_sines(records: Sequence[RecordErrors]) -> list[RecordErrors]:
     return sines
 
 
-def measure_sine_error(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> SineMismatch:
-    """Measure the model error of a record with two equal periods at its strongest frequency.
-    `noise` is a sample's power in each band."""
-    assert errors.period is not None
-    drive = _input_power_at_lines(errors)
+def measure_sine_error(record_errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> SineMismatch:
+    """Measure the model error of a record with two equal periods at the frequency where its input
+    is strongest. `noise` is a sample's power in each band."""
+    assert record_errors.period is not None
+    drive = _input_power_at_lines(record_errors)
     line = 1 + int(drive[1:].argmax())
-    angle = 2 * np.pi * line / errors.period
+    angle = 2 * np.pi * line / record_errors.period
     noise_of_sample = float(np.interp(angle, ANGLES, noise))
-    noise_power = errors.period * noise_of_sample
+    noise_power = record_errors.period * noise_of_sample
     input_power = float(drive[line])
-    powers = _powers_at_line(errors, line)
+    powers = _powers_at_line(record_errors, line)
     relative_powers = {name: power / input_power for name, power in powers.items()}
     relative_noise = noise_power / input_power
     repeats = max(relative_powers["error_power"], 0.0)
@@ -106,7 +107,7 @@ def measure_sine_error(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> S
     standard_error = np.sqrt(variance)
     upper_limit = repeats + LIMIT * standard_error
     gain = np.sqrt(upper_limit)
-    wave = errors.u[errors.start :]
+    wave = record_errors.u[record_errors.start :]
     amplitude = np.sqrt((wave**2).mean())
     return SineMismatch(
         angle=float(angle),
@@ -117,13 +118,13 @@ def measure_sine_error(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> S
     )
 
 
-def _powers_at_line(errors: RecordErrors, line: int) -> dict[str, float]:
-    """Powers at one spectral line: of the error that repeats in both periods, of the model's
-    output, and the real part of their cross power."""
-    error_spectra = errors.period_spectra(errors.e)
-    model_spectra = errors.period_spectra(errors.model)
-    first, second = error_spectra[:, line]
-    model = model_spectra[1, line]
+def _powers_at_line(record_errors: RecordErrors, spectral_line: int) -> dict[str, float]:
+    """Powers of model error and model output at one spectral line, and the real part of their cross
+    power."""
+    error_spectra = record_errors.period_spectra(record_errors.e)
+    model_spectra = record_errors.period_spectra(record_errors.model)
+    first, second = error_spectra[:, spectral_line]
+    model = model_spectra[1, spectral_line]
     product = first * second.conj()
     repeating = product.real
     mean_error = (first + second) / 2
@@ -137,11 +138,13 @@ def _powers_at_line(errors: RecordErrors, line: int) -> dict[str, float]:
     }
 
 
-def add_sine_errors(views: Sequence[View], sines: Sequence[SineMismatch]) -> tuple[View, ...]:
-    """Add the model errors measured with single sines to those of the nearest amplitude. Sines well
-    below the smallest amplitude get an entry of their own, which otherwise equals the smallest
-    amplitude's."""
-    raised = list(views)
+def add_sine_errors(
+    errors_by_amplitude: Sequence[View], sines: Sequence[SineMismatch]
+) -> tuple[View, ...]:
+    """Add model errors measured with single sines to the recorded model errors at the nearest input
+    amplitude. Sines well below the smallest amplitude get an entry of their own, which otherwise
+    equals the smallest amplitude's."""
+    raised = list(errors_by_amplitude)
     smallest = raised[0]
     below = [sine for sine in sines if sine.amplitude < smallest.amplitude / 2]
     if below:
@@ -155,21 +158,21 @@ def add_sine_errors(views: Sequence[View], sines: Sequence[SineMismatch]) -> tup
     return tuple(raised)
 
 
-def raise_gain_at_sine(view: View, sine: SineMismatch) -> View:
-    """Raise the gain of a model error near the frequency of a single sine where the sine shows a
+def raise_gain_at_sine(amplitude_error: View, sine: SineMismatch) -> View:
+    """Raise the recorded gain of the model error near the frequency of a single sine that shows a
     larger one."""
     above = int(np.searchsorted(ANGLES, sine.angle))
     band_below = max(above - 1, 0)
     band_above = min(above, len(ANGLES) - 1)
     bands = [band_below, band_above]
-    recorded_gain = float(np.interp(sine.angle, ANGLES, view.by_frequency))
+    recorded_gain = float(np.interp(sine.angle, ANGLES, amplitude_error.by_frequency))
     if sine.gain <= recorded_gain:
-        return view
-    by_frequency = view.by_frequency.copy()
-    remainder = view.rest.copy()
+        return amplitude_error
+    by_frequency = amplitude_error.by_frequency.copy()
+    remainder = amplitude_error.rest.copy()
     excess = np.sqrt(sine.gain**2 - recorded_gain**2)
     by_frequency[bands] = np.maximum(by_frequency[bands], sine.gain)
     recorded_remainder = remainder[bands]
     with_excess = np.hypot(recorded_remainder, excess)
     remainder[bands] = np.maximum(recorded_remainder, with_excess)
-    return replace(view, by_frequency=by_frequency, rest=remainder)
+    return replace(amplitude_error, by_frequency=by_frequency, rest=remainder)

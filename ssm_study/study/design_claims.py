@@ -45,16 +45,20 @@ from ssm_study.study.run_files import RunFiles
 from ssm_study.synthesis.deployed import nearest_equilibrium_starts
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.expected_response import faster_response_column
-from ssm_study.synthesis.input_inversion import mismatch_behind_map
+from ssm_study.synthesis.input_inversion import mismatch_of_mapped_input
 from ssm_study.synthesis.measured_discs_run import (
     UNPROVED,
     add_coverage_certificate,
     coverage_columns,
     fresh_data_column,
-    fresh_data_needs,
+    radii_needed_by_fresh_data,
 )
 from ssm_study.synthesis.metrics import design_columns
-from ssm_study.synthesis.sine_judgement import simulated_sines, sine_columns, sine_coverage_columns
+from ssm_study.synthesis.sine_judgement import (
+    measure_simulated_sines,
+    sine_columns,
+    sine_coverage_columns,
+)
 from ssm_study.synthesis.withheld_coverage import withhold_coverage
 from ssm_study.systems import Balls, System
 
@@ -200,7 +204,7 @@ def check_stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] |
 def remeasure_mismatch(run: RunFiles) -> Any:
     """Measure the model error again from the recordings of a run."""
     validation = run.simulated.validation
-    measure = mismatch_behind_map if run.design.inverts_input_map else measure_mismatch
+    measure = mismatch_of_mapped_input if run.design.inverts_input_map else measure_mismatch
     return measure(run.model, validation.records, validation.start_up_samples, run.mismatch_records)
 
 
@@ -253,7 +257,7 @@ def recompute_fresh_data_column(
     start_up = run.simulated.validation.start_up_samples
     fresh = specification.data.simulate_fresh_sets(specification.plant, specification.seed)
     return fresh_data_column(
-        fresh_data_needs(run.design, run.model, premise, mismatch, fresh, start_up)
+        radii_needed_by_fresh_data(run.design, run.model, premise, mismatch, fresh, start_up)
     )
 
 
@@ -266,7 +270,7 @@ def recompute_sine_columns(
     specification = run.specification
     if run.may_lack("sine_margin") or not specification.has_sine_trials:
         return {}
-    sines = simulated_sines(
+    sines = measure_simulated_sines(
         run.design,
         run.model,
         balls,

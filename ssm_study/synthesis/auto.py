@@ -21,7 +21,7 @@ from ssm_study.refusal import require, require_positive
 from ssm_study.robustness.coverage import Premise
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import predict_margins
-from ssm_study.robustness.sensitivity import peaks_on_grid
+from ssm_study.robustness.sensitivity import gain_peaks_on_grid
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.candidate_grid import CandidateGrid
 from ssm_study.synthesis.candidates import Candidates
@@ -87,21 +87,23 @@ class Auto:
         above_zero = self.margin > 0
         require(above_zero, "synthesis.margin", self.margin, "the margin must be positive", "use 1")
         for name in SHARES:
-            self._check_grid(name, below=1.0, allowed="numbers in (0, 1)")
+            self._check_grid(name, upper_bound=1.0, allowed_text="numbers in (0, 1)")
         for name in WEIGHTS:
-            self._check_grid(name, below=np.inf, allowed="positive numbers")
+            self._check_grid(name, upper_bound=np.inf, allowed_text="positive numbers")
         count_modes_by_frequency(self.internal_model)
         if self.cover is not None:
             require_positive("synthesis.cover", self.cover, "use 1, or 1.5 for more")
 
-    def _check_grid(self, name: str, below: float, allowed: str) -> None:
+    def _check_grid(self, name: str, upper_bound: float, allowed_text: str) -> None:
         """Raise `BadRequest` for a grid of rates or weights that is empty or has a value out of
         range."""
         grid = getattr(self, name)
         may_be_empty = name == "integral_weights"
-        in_range = all(0 < value < below for value in grid)
+        in_range = all(0 < value < upper_bound for value in grid)
         fits = in_range and (may_be_empty or len(grid) > 0)
-        require(fits, f"synthesis.{name}", grid, f"must hold {allowed}", "keep the default grid")
+        require(
+            fits, f"synthesis.{name}", grid, f"must hold {allowed_text}", "keep the default grid"
+        )
 
     @property
     def modes(self) -> tuple[str, ...]:
@@ -110,8 +112,8 @@ class Auto:
 
     @property
     def grid(self) -> CandidateGrid:
-        """Grid of rates and weights over which gains are computed. A controller or observer without
-        its own rate takes `rate`."""
+        """Grid of contraction rates and cost weights at which candidate gains of controller and
+        observer are computed. A controller or observer without its own rate takes `rate`."""
         return CandidateGrid(
             rate_controller=self._side_or_common_rate(self.rate_controller),
             rate_observer=self._side_or_common_rate(self.rate_observer),
@@ -123,13 +125,15 @@ class Auto:
             modes=self.modes,
         )
 
-    def _side_or_common_rate(self, rate: float | str) -> float | str:
-        """Contraction rate of controller or observer, or the common rate if none is set for it."""
-        return self.rate if rate == "auto" else rate
+    def _side_or_common_rate(self, requested_rate: float | str) -> float | str:
+        """Contraction rate requested for the controller or the observer alone; the common rate of
+        both where that is `auto`."""
+        return self.rate if requested_rate == "auto" else requested_rate
 
     def candidates(self, model: Model, balls: Balls) -> Candidates | None:
-        """Gains at all grid points where the Riccati equation has a solution; None if controller or
-        observer has none."""
+        """Candidate gains of controller and observer, for all rates and weights of the grid at
+        which the Riccati equation has a solution; None if there are none for controller or
+        observer."""
         return self.grid.candidates(model, balls)
 
     def design(
@@ -152,7 +156,7 @@ class Auto:
             slowest = self._slowest_design(model, balls)
             return self._with_search_outcome(slowest, "nothing on the grid is feasible")
         mismatch = mismatch or measure_mismatch(model, validation)
-        peaks = coarse_peaks(model, balls, candidates, mismatch)
+        peaks = loop_gains_on_coarse_grid(model, balls, candidates, mismatch)
         response = ExpectedResponse(
             model=model,
             balls=balls,
@@ -167,7 +171,7 @@ class Auto:
             pairs = islice(pairs, ATTEMPTS)
         search = None
         if self.premise is not None:
-            search = self._search_covered_gains(response, self.premise, validation)
+            search = self._make_covered_gains_search(response, self.premise, validation)
         chosen, status = first_covering_design(
             pairs, make.certified_stable_design, model, balls, self.premise, self.cover, search
         )
@@ -176,11 +180,12 @@ class Auto:
             return self._with_search_outcome(chosen, status)
         return self._largest_margin_design(model, balls, candidates, peaks)
 
-    def _search_covered_gains(
+    def _make_covered_gains_search(
         self, response: ExpectedResponse, premise: Premise, validation: Trajectories
     ) -> Search:
-        """Function that searches near given gains for gains whose proof covers the recorded model
-        error. The search is longer, and accepts slower gains, if a coverage is requested."""
+        """Make the function that searches, near the gains of a design, for gains whose certificate
+        holds for the recorded model error. The search is longer, and accepts slower gains, if a
+        coverage is requested."""
         is_asked = self.cover is not None
         has_neurons = not isinstance(response.model, SSM)
         search = GainSearch(
@@ -198,19 +203,22 @@ class Auto:
         unasked = SLOWER_WITH_NEURONS if has_neurons else SLOWER
         slower = SLOWER_ASKED if is_asked else unasked
 
-        def search_covered_gains(first: Design, most: Design, cover: float) -> Design | None:
-            """Search near one design for gains whose proof covers the recorded model error."""
-            first_area = search.response_area(first.pair)
+        def search_covered_gains(
+            first_design: Design, best_covered_design: Design, target_coverage: float
+        ) -> Design | None:
+            """Search near the gains of one design for gains whose certificate holds for the
+            recorded model error."""
+            first_area = search.response_area(first_design.pair)
             largest_area = min(slower * first_area, FASTER)
-            return search.improve_design(most, cover, rounds, largest_area)
+            return search.improve_design(best_covered_design, target_coverage, rounds, largest_area)
 
         return search_covered_gains
 
     def _largest_margin_design(
         self, model: Model, balls: Balls, candidates: Candidates, peaks: Float[np.ndarray, "C O"]
     ) -> Design:
-        """Design with the largest stability margin on a coarse grid of gains, with the reasons
-        against the others."""
+        """Design with the largest stability margin among the candidate gains, with the reason why
+        no design was preferred to it."""
         smallest_peak = np.argmin(peaks)
         best = np.array(np.unravel_index(smallest_peak, peaks.shape))
         specification = candidates.specification(best)
@@ -234,12 +242,13 @@ class Auto:
         return replace(self, limits=(lower, upper)) if has_room else self
 
     def prefer_covered_designs(self, premise: Premise) -> "Auto":
-        """Copy of this synthesis that prefers designs whose proof covers the model error in the
-        records."""
+        """Copy of this synthesis that prefers designs whose certificate holds for the model error
+        seen in the records."""
         return replace(self, premise=premise)
 
     def prefer_faster_than_decays(self, decays: Float[np.ndarray, "N T p"]) -> "Auto":
-        """Copy of this synthesis that prefers designs that settle faster than recorded decays."""
+        """Copy of this synthesis that prefers designs that settle faster than the recorded decays
+        without control."""
         return replace(self, decays=decays)
 
     def with_largest_margin(self) -> "Auto":
@@ -247,7 +256,8 @@ class Auto:
         return replace(self, margin=float("inf"))
 
     def _slowest_design(self, model: Model, balls: Balls) -> Design:
-        """Design at the slowest rates and smallest weights, which shows why no design succeeds."""
+        """Design for the slowest rates and smallest weights of the grid, which reports why no
+        design of the grid has a certificate."""
         grid = self.grid
         rates = {"rate_controller": grid.rate_controller, "rate_observer": grid.rate_observer}
         least: Any = {
@@ -257,7 +267,8 @@ class Auto:
         return replace(specifications[0], **least).design(model, balls)
 
     def _with_search_outcome(self, design: Design, status: str) -> Design:
-        """Copy of a design that states this method and the outcome of its search."""
+        """Copy of a design that names this synthesis as its method and states the outcome of the
+        search."""
         feedback = design.state_feedback
         observer = design.observer
         return Design(
@@ -272,16 +283,16 @@ class Auto:
 
 @dataclass(kw_only=True)
 class CertifiedDesigns:
-    """Certified designs of ranked gains, each computed when it is first needed. Once one is faster
-    than the open loop, slower ones are left out."""
+    """Certified designs made from gains that are ranked by expected response, each computed when it
+    is first needed. Once one is faster than the open loop, slower ones are left out."""
 
     response: ExpectedResponse
     has_faster: bool = False
 
     def certified_stable_design(self, ranked: RankedPair) -> Design | None:
-        """Certified design of one controller and observer; None if it is not certified, or not
-        predicted stable on the plant. A controller that is no faster than none is left out while a
-        faster one is predicted."""
+        """Certified design with the gains of one controller and observer; None if it is not
+        certified, or not predicted stable on the plant. A controller that is no faster than none is
+        left out while a faster one is predicted."""
         if self.has_faster and not ranked.is_faster:
             return None
         response = self.response
@@ -296,13 +307,13 @@ class CertifiedDesigns:
         return design
 
 
-def coarse_peaks(
+def loop_gains_on_coarse_grid(
     model: Model, balls: Balls, candidates: Candidates, mismatch: Mismatch
 ) -> Float[np.ndarray, "C O"]:
-    """Largest loop gain of every pair of controller and observer on a coarse frequency grid;
-    infinite if the loop is unstable."""
+    """Largest loop gain over a coarse frequency grid for every pair of controller and observer;
+    infinite where the loop is unstable."""
     weights = mismatch.gain_at(GRID_ANGLES)
-    return peaks_on_grid(
+    return gain_peaks_on_grid(
         model.system,
         candidates.ks,
         candidates.ls,
@@ -315,7 +326,8 @@ def coarse_peaks(
 
 
 def describe_unsolved_points(candidates: Candidates) -> str:
-    """Text on the grid points for which no gain could be computed; empty if there are none."""
+    """Text with the number of rates and weights for which no gain could be computed; empty if there
+    are none."""
     count = candidates.unsolved
     return f" ({count} of the grid have no solution)" if count else ""
 

@@ -6,6 +6,7 @@ Source: docs/theory.md, "Products of input and state".
 """
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -27,10 +28,10 @@ from ssm_study.synthesis.bilinear_gains import (
     STRICT,
     Matrix,
     feedback_gain,
-    input_columns,
+    input_slope_columns,
     observer_gains,
-    solve_or_explain,
-    symmetric_value,
+    solve_or_raise,
+    symmetric_solution_matrix,
 )
 
 HALVINGS = 6  # of the interval in which a factor is sought
@@ -43,8 +44,8 @@ LARGEST_FACTOR = 0.98  # of a set that is said to contract
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearSynthesis:
-    """Settings of a bilinear design: weight of the input in the cost, and deviation of the sensor
-    noise."""
+    """Settings of the design for a bilinear model: weight of the input in the cost, and standard
+    deviation of the sensor noise."""
 
     input_weight: float = 1.0
     sensor_noise: float = SENSOR_NOISE
@@ -68,10 +69,14 @@ class BilinearSynthesis:
         loop = LoopVertices(model=model, k=k, gains=gains)
         parts: dict[str, Theorem] = {}
         reasons: dict[str, str] = {}
-        for find in (certify_loop, certify_everywhere, certify_contraction):
-            label = find.__name__.replace("certify", "bilinear")
+        searches: dict[str, Callable[[LoopVertices], Theorem]] = {
+            BilinearLoop.part: certify_bilinear_loop,
+            BilinearEverywhere.part: certify_loop_from_any_state,
+            BilinearContraction.part: certify_bilinear_contraction,
+        }
+        for label, certify in searches.items():
             try:
-                parts[label] = find(loop)
+                parts[label] = certify(loop)
             except NoSolution as failure:
                 reasons[label] = str(failure)
         return RestCertificates(k=k, l_nodes=gains, parts=parts, reasons=reasons)
@@ -79,25 +84,26 @@ class BilinearSynthesis:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopVertices:
-    """Matrices of a bilinear loop at the nodes and segments of its input, and metrics in which they
-    contract."""
+    """Matrices of a bilinear closed loop at the nodes and segments of its piecewise-linear input
+    functions, with metrics in which they contract."""
 
     model: Bilinear
     k: Float[np.ndarray, "1 n"]
     gains: Float[np.ndarray, "q n p"]
 
     @property
-    def limit(self) -> float:
-        """Largest input amplitude, in both directions, that stays within the nodes."""
+    def largest_input_amplitude(self) -> float:
+        """Largest input amplitude, in both directions, that stays within the outermost nodes of the
+        bilinear model."""
         down = self.model.nodes[0]
         up = self.model.nodes[-1]
         return float(min(-down, up))
 
     @cached_property
-    def closed_loops(self) -> list[Matrix]:
+    def closed_loop_matrices(self) -> list[Matrix]:
         """Closed-loop matrices `A_i + B_k K` of all nodes and segments."""
         state_matrices = self.model.a
-        return [a + b @ self.k for a in state_matrices for b in input_columns(self.model)]
+        return [a + b @ self.k for a in state_matrices for b in input_slope_columns(self.model)]
 
     @cached_property
     def error_matrices(self) -> list[Matrix]:
@@ -106,8 +112,8 @@ class LoopVertices:
         return [a + gain @ self.model.c for a, gain in pairs]
 
     @property
-    def floor(self) -> Matrix:
-        """Smallest metric P that is allowed, `K^T K`: `|K x|^2 <= x^T P x`."""
+    def smallest_allowed_metric(self) -> Matrix:
+        """Smallest allowed metric P of the state, `K^T K`: `|K x|^2 <= x^T P x`."""
         squared_gain = self.k.T @ self.k
         identity = np.eye(self.model.order)
         return squared_gain + ROUNDING * identity
@@ -116,48 +122,52 @@ class LoopVertices:
     def state_metric(self) -> Matrix:
         """Metric in which the state contracts under the state feedback."""
         reason = "no metric is found in which the state shrinks at all input levels"
-        return contraction_metric(self.closed_loops, self.floor, reason)
+        return contraction_metric(self.closed_loop_matrices, self.smallest_allowed_metric, reason)
 
     @cached_property
     def uncontrolled_metric(self) -> Matrix:
         """Metric in which the state contracts with and without the state feedback."""
         reason = "the model without control is not shown to come to rest at all input levels"
         uncontrolled = self.model.a
-        return contraction_metric([*self.closed_loops, *uncontrolled], self.floor, reason)
+        return contraction_metric(
+            [*self.closed_loop_matrices, *uncontrolled], self.smallest_allowed_metric, reason
+        )
 
     @cached_property
     def error_metric(self) -> Matrix:
         """Metric in which the estimation error contracts."""
         reason = "no metric is found in which the observer's error shrinks"
-        return contraction_metric(self.error_matrices, self.floor, reason)
+        return contraction_metric(self.error_matrices, self.smallest_allowed_metric, reason)
 
 
-def contraction_metric(matrices: list[Matrix], floor: Matrix, reason: str) -> Matrix:
-    """Smallest metric in which all given matrices contract, by nearly the smallest common factor.
-    Raises `NoSolution` with the reason where none is found."""
+def contraction_metric(matrices: list[Matrix], least_metric: Matrix, failure_reason: str) -> Matrix:
+    """Smallest metric in which several given matrices all contract, by nearly the smallest common
+    factor. Raises `NoSolution` with the reason where none is found."""
     highest = 1.0 - 10.0 * ROUNDING
-    metric = metric_for_factor(matrices, highest, floor, reason)
+    metric = metric_for_factor(matrices, highest, least_metric, failure_reason)
     spectral_radii = (float(np.abs(np.linalg.eigvals(matrix)).max()) for matrix in matrices)
     lowest = max(spectral_radii)
     for _ in range(HALVINGS):
         factor = 0.5 * (lowest + highest)
         try:
-            metric = metric_for_factor(matrices, factor, floor, reason)
+            metric = metric_for_factor(matrices, factor, least_metric, failure_reason)
             highest = factor
         except NoSolution:
             lowest = factor
     try:
         back_off = BACK_OFF * (1.0 - highest)
-        return metric_for_factor(matrices, highest + back_off, floor, reason)
+        return metric_for_factor(matrices, highest + back_off, least_metric, failure_reason)
     except NoSolution:
         return metric
 
 
-def metric_for_factor(matrices: list[Matrix], factor: float, floor: Matrix, reason: str) -> Matrix:
-    """Metric in which all given matrices contract by a given factor."""
-    n = len(floor)
+def metric_for_factor(
+    matrices: list[Matrix], factor: float, least_metric: Matrix, failure_reason: str
+) -> Matrix:
+    """Metric in whose norm several given matrices all contract by a given factor."""
+    n = len(least_metric)
     p = cp.Variable((n, n), symmetric=True)
-    constraints = [p >> floor]
+    constraints = [p >> least_metric]
     for matrix in matrices:
         contracted = factor**2 * p
         moved = matrix.T @ p
@@ -167,14 +177,15 @@ def metric_for_factor(matrices: list[Matrix], factor: float, floor: Matrix, reas
         constraints.append(whole_matrix >> STRICT * identity)
     trace = cp.trace(p)
     program = cp.Problem(cp.Minimize(trace), constraints)
-    status = solve_or_explain(program, reason)
+    status = solve_or_raise(program, failure_reason)
     if not status.endswith("optimal"):
-        raise NoSolution(f"{reason} ({status})")
-    return symmetric_value(p)
+        raise NoSolution(f"{failure_reason} ({status})")
+    return symmetric_solution_matrix(p)
 
 
-def largest_norm_factor(matrices: list[Matrix], metric: Matrix) -> float:
-    """Largest factor by which any of several matrices changes a metric's norm, rounded up."""
+def largest_norm_ratio(matrices: list[Matrix], metric: Matrix) -> float:
+    """Largest factor by which any of several matrices can increase the norm of a vector in a given
+    metric, rounded up."""
     root = np.linalg.cholesky(metric).T
     inverse = np.linalg.inv(root)
     norms = [float(np.linalg.norm(root @ matrix @ inverse, 2)) for matrix in matrices]
@@ -182,23 +193,26 @@ def largest_norm_factor(matrices: list[Matrix], metric: Matrix) -> float:
     return largest_norm * (1.0 + ROUNDING)
 
 
-def bound_by_metric(
-    rows: Float[np.ndarray, "_ n"], metric: Matrix, outer: Float[np.ndarray, "_ _"] | None = None
+def gain_between_metrics(
+    matrix: Float[np.ndarray, "_ n"],
+    metric: Matrix,
+    output_metric: Float[np.ndarray, "_ _"] | None = None,
 ) -> float:
-    """Smallest g with `|rows x| <= g |x|` in the norms of given metrics, rounded up."""
+    """Smallest g with `|M x| <= g |x|` for a matrix M, both sides in the norms of given metrics,
+    rounded up."""
     factor_of_metric = np.linalg.cholesky(metric)
     inverse = np.linalg.inv(factor_of_metric.T)
-    left = np.eye(len(rows)) if outer is None else np.linalg.cholesky(outer).T
-    transformed = left @ rows @ inverse
+    left = np.eye(len(matrix)) if output_metric is None else np.linalg.cholesky(output_metric).T
+    transformed = left @ matrix @ inverse
     return max(float(np.linalg.norm(transformed, 2)), ROUNDING) * (1.0 + ROUNDING)
 
 
-def model_and_feedback_numbers(loop: LoopVertices, p: Matrix) -> dict[str, Any]:
-    """Fields that every certificate of a bilinear loop has: model matrices, state feedback and its
-    metric."""
+def model_and_feedback_fields(loop: LoopVertices, p: Matrix) -> dict[str, Any]:
+    """Fields that every certificate of a bilinear closed loop stores: model matrices,
+    state-feedback gain and its metric."""
     model = loop.model
     a_nodes = model.a.reshape(-1, model.order)
-    factor_controller = largest_norm_factor(loop.closed_loops, p)
+    factor_controller = largest_norm_ratio(loop.closed_loop_matrices, p)
     return {
         "alpha": 1.0,
         "beta": 0.0,
@@ -211,14 +225,14 @@ def model_and_feedback_numbers(loop: LoopVertices, p: Matrix) -> dict[str, Any]:
     }
 
 
-def observer_numbers(loop: LoopVertices, p: Matrix, least_factor: float) -> dict[str, Any]:
-    """Fields that every certificate of a bilinear loop with an observer has: observer gains and
-    their metric."""
+def observer_fields(loop: LoopVertices, p: Matrix, least_factor: float) -> dict[str, Any]:
+    """Fields that every certificate of a bilinear closed loop with an observer stores: observer
+    gains and their metric."""
     model = loop.model
     m = loop.error_metric
-    factor_observer = largest_norm_factor(loop.error_matrices, m)
-    columns = input_columns(model)
-    coupling = max(bound_by_metric(b @ loop.k, m, p) for b in columns)
+    factor_observer = largest_norm_ratio(loop.error_matrices, m)
+    columns = input_slope_columns(model)
+    coupling = max(gain_between_metrics(b @ loop.k, m, p) for b in columns)
     through_observer = factor_observer + OBSERVER_SHARE * (1.0 - factor_observer)
     back_off = BACK_OFF * (1.0 - least_factor)
     above = least_factor + ROUNDING + back_off
@@ -236,56 +250,57 @@ def observer_numbers(loop: LoopVertices, p: Matrix, least_factor: float) -> dict
     }
 
 
-def certify_loop(loop: LoopVertices) -> BilinearLoop:
-    """Certificate that a bilinear loop comes to rest from a set of initial states."""
+def certify_bilinear_loop(loop: LoopVertices) -> BilinearLoop:
+    """Certificate that the closed loop of a bilinear model comes to rest from a set of initial
+    states."""
     started = time.perf_counter()
     refuse_one_sided_input(loop)
-    numbers = model_and_feedback_numbers(loop, loop.state_metric)
-    numbers |= observer_numbers(loop, loop.state_metric, numbers["factor_controller"])
-    gain_state = bound_by_metric(loop.k, loop.state_metric)
-    gain_error = bound_by_metric(loop.k, loop.error_metric)
+    numbers = model_and_feedback_fields(loop, loop.state_metric)
+    numbers |= observer_fields(loop, loop.state_metric, numbers["factor_controller"])
+    gain_state = gain_between_metrics(loop.k, loop.state_metric)
+    gain_error = gain_between_metrics(loop.k, loop.error_metric)
     reach_of_error = gain_error / numbers["weight"]
     reach = max(gain_state, reach_of_error)
     numbers["gain_state"] = gain_state
     numbers["gain_error"] = gain_error
-    radius = loop.limit / reach
+    radius = loop.largest_input_amplitude / reach
     numbers["radius"] = radius * (1.0 - ROUNDING)
-    return decide_exactly(BilinearLoop, numbers, started)
+    return certify_exactly(BilinearLoop, numbers, started)
 
 
-def certify_everywhere(loop: LoopVertices) -> BilinearEverywhere:
-    """Certificate that a bilinear loop with a limited input comes to rest from every initial
-    state."""
+def certify_loop_from_any_state(loop: LoopVertices) -> BilinearEverywhere:
+    """Certificate that the closed loop of a bilinear model with a limited input comes to rest from
+    every initial state."""
     started = time.perf_counter()
     p = loop.uncontrolled_metric
-    numbers = model_and_feedback_numbers(loop, p)
+    numbers = model_and_feedback_fields(loop, p)
     state_matrices = loop.model.a
-    uncontrolled = largest_norm_factor([*state_matrices], p)
+    uncontrolled = largest_norm_ratio([*state_matrices], p)
     numbers["factor_uncontrolled"] = uncontrolled
     least_factor = max(numbers["factor_controller"], uncontrolled)
-    numbers |= observer_numbers(loop, p, least_factor)
-    return decide_exactly(BilinearEverywhere, numbers, started)
+    numbers |= observer_fields(loop, p, least_factor)
+    return certify_exactly(BilinearEverywhere, numbers, started)
 
 
-def certify_contraction(loop: LoopVertices) -> BilinearContraction:
-    """Certificate that two trajectories of a bilinear loop approach each other inside a set of
-    states."""
+def certify_bilinear_contraction(loop: LoopVertices) -> BilinearContraction:
+    """Certificate that any two trajectories of a bilinear closed loop approach each other inside a
+    set of states."""
     started = time.perf_counter()
     refuse_one_sided_input(loop)
     model = loop.model
-    numbers = model_and_feedback_numbers(loop, loop.state_metric)
+    numbers = model_and_feedback_fields(loop, loop.state_metric)
     node_distances = np.diff(model.nodes)
     widths = node_distances[:, None, None]
     changes_of_a = np.diff(model.a, axis=0)
     changes = changes_of_a / widths
-    variation = largest_norm_factor([*changes], loop.state_metric)
-    gain_state = bound_by_metric(loop.k, loop.state_metric)
+    variation = largest_norm_ratio([*changes], loop.state_metric)
+    gain_state = gain_between_metrics(loop.k, loop.state_metric)
     slope = variation * gain_state
     controller = numbers["factor_controller"]
     middle_factor = 0.5 * (1.0 + controller)
     largest = max(LARGEST_FACTOR, middle_factor)
     slope_radius = (largest - controller) / slope
-    limit_radius = loop.limit / gain_state
+    limit_radius = loop.largest_input_amplitude / gain_state
     radius = min(slope_radius, limit_radius)
     radius *= 1.0 - ROUNDING
     change_of_factor = radius * slope * (1.0 + ROUNDING)
@@ -296,20 +311,23 @@ def certify_contraction(loop: LoopVertices) -> BilinearContraction:
         "radius": radius,
         "factor": factor,
     }
-    return decide_exactly(BilinearContraction, numbers, started)
+    return certify_exactly(BilinearContraction, numbers, started)
 
 
 def refuse_one_sided_input(loop: LoopVertices) -> None:
-    """Raise `NoSolution` if the input at the equilibrium is the smallest or largest input of the
-    log."""
-    if loop.limit <= 0.0:
+    """Raise `NoSolution` if the equilibrium input is the smallest or the largest input of the log,
+    so that the controller could act in one direction only."""
+    if loop.largest_input_amplitude <= 0.0:
         raise NoSolution("the equilibrium of the input is an end of the inputs that the log has")
 
 
-def decide_exactly(kind: Any, numbers: dict[str, Any], started: float) -> Any:
-    """Certificate with the verdict of exact arithmetic; raises `NoSolution` if it is refused."""
+def certify_exactly(theorem: Any, numbers: dict[str, Any], start_time: float) -> Any:
+    """Certificate made from given numbers and decided in exact arithmetic; raises `NoSolution` if
+    exact arithmetic refuses it."""
     status = f"{SOLVER.lower()}: optimal"
-    certificate = kind.from_numbers(numbers, started=started, status=status, method="vertices")
+    certificate = theorem.from_numbers(
+        numbers, started=start_time, status=status, method="vertices"
+    )
     if not certificate.certified:
         raise NoSolution("the solver's numbers do not prove it in exact arithmetic")
     return certificate

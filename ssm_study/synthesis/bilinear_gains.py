@@ -19,8 +19,9 @@ DRIFT = 0.05  # variance of the state's drift in a sample, as a share of its sec
 Matrix = Float[np.ndarray, "n n"]
 
 
-def input_columns(model: Bilinear) -> Float[np.ndarray, "s n 1"]:
-    """Slopes `B_k` of the vector b over the segments between nodes, as columns."""
+def input_slope_columns(model: Bilinear) -> Float[np.ndarray, "s n 1"]:
+    """Slopes `B_k` of the input vector b of a bilinear model over each segment between two nodes,
+    as columns."""
     node_distances = np.diff(model.nodes)
     widths = node_distances[:, None]
     slopes_of_b = np.diff(model.b, axis=0)
@@ -29,7 +30,7 @@ def input_columns(model: Bilinear) -> Float[np.ndarray, "s n 1"]:
 
 
 def state_second_moment(model: Bilinear) -> Matrix:
-    """Second moment of the states that random inputs within the nodes reach."""
+    """Second moment of the states of a bilinear model under random inputs within its nodes."""
     from ssm_study.models.bilinear_kernel import simulate_states  # loads numba
 
     rng = np.random.default_rng(0)
@@ -64,7 +65,7 @@ def feedback_gain(model: Bilinear, input_weight: float) -> Float[np.ndarray, "1 
     outputs = model.c @ w
     inputs = np.sqrt(input_weight) * z
     for a in model.a:
-        for b in input_columns(model):
+        for b in input_slope_columns(model):
             closed = a @ w + b @ z
             zeros = np.zeros((n, p + 1))
             cost = cp.vstack([outputs, inputs])
@@ -77,9 +78,9 @@ def feedback_gain(model: Bilinear, input_weight: float) -> Float[np.ndarray, "1 
             constraints.append(whole_matrix >> STRICT * np.eye(size))
     cost_bound = cp.trace(bound)
     program = cp.Problem(cp.Minimize(cost_bound), constraints)
-    solve_or_explain(program, "no single gain steadies the model at all of its input levels")
-    metric = symmetric_value(w)
-    gain_product = solved_value(z).T
+    solve_or_raise(program, "no single gain steadies the model at all of its input levels")
+    metric = symmetric_solution_matrix(w)
+    gain_product = solution_matrix(z).T
     return np.linalg.solve(metric, gain_product).T
 
 
@@ -115,25 +116,26 @@ def observer_gains(model: Bilinear, sensor_noise: float) -> Float[np.ndarray, "q
         constraints.append(whole_matrix >> STRICT * np.eye(size))
     variance_bound = cp.trace(bound)
     program = cp.Problem(cp.Minimize(variance_bound), constraints)
-    solve_or_explain(program, "no gains make an observer converge at all of the input levels")
-    metric = symmetric_value(m)
-    gains = [np.linalg.solve(metric, solved_value(y)) for y in products]
+    solve_or_raise(program, "no gains make an observer converge at all of the input levels")
+    metric = symmetric_solution_matrix(m)
+    gains = [np.linalg.solve(metric, solution_matrix(y)) for y in products]
     return np.stack(gains)
 
 
-def solve_or_explain(program: cp.Problem, reason: str) -> str:
-    """Solve a cvxpy program and return its status; raises `NoSolution` with the given reason."""
+def solve_or_raise(program: cp.Problem, failure_reason: str) -> str:
+    """Solve a cvxpy program and return its status; raises `NoSolution` with a given reason if there
+    is no solution."""
     try:
         return solve_program(program, SOLVER)
     except NoSolution as failure:
-        raise NoSolution(f"{reason} ({failure})") from failure
+        raise NoSolution(f"{failure_reason} ({failure})") from failure
 
 
-def solved_value(variable: cp.Variable) -> Float[np.ndarray, "_ _"]:
-    """Matrix that a solver found for a variable."""
+def solution_matrix(variable: cp.Variable) -> Float[np.ndarray, "_ _"]:
+    """Value of a matrix variable of a solved cvxpy program."""
     return np.asarray(variable.value)
 
 
-def symmetric_value(variable: cp.Variable) -> Matrix:
-    """Symmetric matrix that a solver found for a variable."""
-    return symmetric_part(solved_value(variable))
+def symmetric_solution_matrix(variable: cp.Variable) -> Matrix:
+    """Symmetric part of the value of a matrix variable of a solved cvxpy program."""
+    return symmetric_part(solution_matrix(variable))

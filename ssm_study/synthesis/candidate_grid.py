@@ -29,8 +29,8 @@ HALF_SLOPE = 0.5
 
 
 class SolvedSide(NamedTuple):
-    """Gains of all controllers, or of all observers, of a grid, with the number of grid points that
-    have no solution."""
+    """Candidate gains of the controller, or of the observer, and the number of rates and weights
+    without a solution."""
 
     candidates: list[GainCandidate]
     unsolved: int
@@ -38,8 +38,8 @@ class SolvedSide(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class CandidateGrid:
-    """Rates and weights of controllers and observers for which gains are computed. The fields are
-    explained in `auto`."""
+    """Contraction rates and cost weights of controllers and observers at which candidate gains are
+    computed. The fields are explained in `auto`."""
 
     rate_controller: float | str
     rate_observer: float | str
@@ -51,8 +51,8 @@ class CandidateGrid:
     modes: tuple[str, ...]
 
     def specifications(self) -> list[RiccatiSynthesis]:
-        """Settings of the Riccati syntheses on the grid, one for each weight of the internal
-        model."""
+        """Settings of the Riccati syntheses of the grid, one for each weight of the internal model
+        (integral action)."""
         weights: Sequence[float] = INTEGRAL_WEIGHTS[:1]
         if self.modes:
             weights = tuple(self.integral_weights) or INTEGRAL_WEIGHTS
@@ -68,8 +68,9 @@ class CandidateGrid:
         ]
 
     def candidates(self, model: Model, balls: Balls) -> Candidates | None:
-        """Gains at all grid points where the Riccati equation has a solution; None if controller or
-        observer has none."""
+        """Candidate gains of controller and observer, for all rates and weights of the grid at
+        which the Riccati equation has a solution; None if there are none for controller or
+        observer."""
         if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
             return None
         rest = equilibrium_slopes(model)
@@ -105,7 +106,8 @@ class CandidateGrid:
         )
 
     def _internal_model(self, model: Model) -> Float[np.ndarray, "z z"] | None:
-        """Internal model of the controller, with its modes at the model's sampling time."""
+        """State matrix of the controller's internal model at the sampling time of a model; None
+        without integral action."""
         if not self.modes:
             return None
         outputs = model.scale.outputs
@@ -116,18 +118,18 @@ class CandidateGrid:
         specification: RiccatiSynthesis,
         system: System,
         ball: JacobianBall,
-        observes: bool,
-        rest: Slopes | None = None,
+        is_observer: bool,
+        slopes_at_equilibrium: Slopes | None = None,
     ) -> SolvedSide:
-        """Gains of controllers, or of observers, at all rates and weights of the grid, the fastest
-        rate first.
+        """Candidate gains of the controller, or of the observer, at all rates and weights of the
+        grid, the slowest rate first.
 
         A solution at a faster rate holds at a slower one, so the search for that one starts there.
         """
-        rates, start = self._rates_below_limit(specification, system, ball, observes)
-        side = "observer" if observes else "controller"
-        name = "output_noise" if observes else "input_weight"
-        weights = self.output_noises if observes else self.input_weights
+        rates, start = self._rates_below_limit(specification, system, ball, is_observer)
+        side = "observer" if is_observer else "controller"
+        name = "output_noise" if is_observer else "input_weight"
+        weights = self.output_noises if is_observer else self.input_weights
         candidates: list[GainCandidate] = []
         faster: dict[float, Solution] = {}  # by weight
         unsolved = 0
@@ -136,62 +138,65 @@ class CandidateGrid:
             latest = candidates[-1][1] if candidates else start
             near = faster.get(weight, latest)
             settings: dict[str, Any] = {f"rate_{side}": rate, name: weight}
-            settings["near"] = {} if near is None else {observes: near}
+            settings["near"] = {} if near is None else {is_observer: near}
             request = replace(specification, **settings)
             try:
-                problem = request.problem(system, ball, observes)
+                problem = request.problem(system, ball, is_observer)
                 solution = request.solve(problem)
             except NoSolution:
                 unsolved += 1
                 continue
             faster[weight] = solution
-            near_solution = replace(request, near={observes: solution})
+            near_solution = replace(request, near={is_observer: solution})
             candidate = (near_solution, solution)
             candidates.append(candidate)
-        if rest is not None and rates:
+        if slopes_at_equilibrium is not None and rates:
             slowest = rates[-1]
             candidates += self._solve_at_frozen_slopes(
-                specification, system, ball, observes, rest, slowest
+                specification, system, ball, is_observer, slopes_at_equilibrium, slowest
             )
         slowest_first = candidates[::-1]
         return SolvedSide(slowest_first, unsolved)
 
     def _rates_below_limit(
-        self, specification: RiccatiSynthesis, system: System, ball: JacobianBall, observes: bool
+        self, specification: RiccatiSynthesis, system: System, ball: JacobianBall, is_observer: bool
     ) -> tuple[list[float], Solution | None]:
-        """Rates of the grid below the exact limit for controller or observer, the fastest first. A
-        solution from which the search starts is returned, too."""
+        """Contraction rates of the grid below the exact limit of controller or observer, the
+        fastest first. A solution from which the search starts is returned, too."""
         own = 0.0  # with neurons the spectral radius proves nothing
         fastest = None
         if isinstance(system, StateSpace):
             state_decay = system.spectral_radius**2
             own = max(1 - state_decay, 0.0)
-            side = dual_system(system) if observes else system
+            side = dual_system(system) if is_observer else system
             frontier = controller_frontier(side, ball)
             limit = frontier.rate_limit
         else:
             from ssm_study.synthesis import structured_lmi  # CVXPY: only where there are neurons
 
-            problem = specification.problem(system, ball, observes)
+            problem = specification.problem(system, ball, is_observer)
             limit, fastest = structured_lmi.fastest_confirmed_solution(problem)
         linear = isinstance(system, StateSpace)
-        rates = self._candidate_rates(observes, linear, own, limit)
+        rates = self._candidate_rates(is_observer, linear, own, limit)
         below = [rate for rate in rates if 0 < rate < limit]
         return sorted(below, reverse=True), fastest
 
     def _candidate_rates(
-        self, observes: bool, linear: bool, own: float, limit: float
+        self, is_observer: bool, is_linear: bool, open_loop_rate: float, rate_limit: float
     ) -> list[float]:
-        """Contraction rates to try for controller or observer, as numbers. If none is requested
-        they go from half of the model's own to near the limit."""
-        requested = self.rate_observer if observes else self.rate_controller
+        """Contraction rates to try for the controller or the observer, requested or derived from
+        the model. If none is requested they go from half of the model's own to near the limit."""
+        requested = self.rate_observer if is_observer else self.rate_controller
         if requested != "auto":
             return [float(requested)]
-        rates = [OWN_SHARE * own]
-        if observes:
+        rates = [OWN_SHARE * open_loop_rate]
+        if is_observer:
             rates += self.observer_rates
-        if not (observes and linear):
-            rates += [own + share * (limit - own) for share in self.stretch_shares]
+        if not (is_observer and is_linear):
+            rates += [
+                open_loop_rate + share * (rate_limit - open_loop_rate)
+                for share in self.stretch_shares
+            ]
         return rates
 
     def _solve_at_frozen_slopes(
@@ -199,33 +204,33 @@ class CandidateGrid:
         specification: RiccatiSynthesis,
         system: Any,
         ball: JacobianBall,
-        observes: bool,
-        rest: Slopes,
+        is_observer: bool,
+        slopes_at_equilibrium: Slopes,
         rate: float,
     ) -> list[GainCandidate]:
-        """Gains of the linear models in which the neurons' slopes are constant. They are certified
-        for all slopes.
+        """Gains designed for linear models in which the slopes of the neurons are constant. They
+        are certified for all slopes.
 
         A cost for the worst slopes guards against what the model may never do; the certificate does
         not need that guard.
         """
         from ssm_study.synthesis.structured_lmi import StructuredLmi
 
-        side_problem = specification.problem(system, ball, observes)
+        side_problem = specification.problem(system, ball, is_observer)
         problem = side_problem.at_rate(rate)
         program = StructuredLmi.for_fixed_gains(problem)
-        side = "rate_observer" if observes else "rate_controller"
+        side = "rate_observer" if is_observer else "rate_controller"
         proved_candidates = []
-        unit_slopes = np.ones_like(rest)
-        for slopes in (rest, HALF_SLOPE * unit_slopes):
+        unit_slopes = np.ones_like(slopes_at_equilibrium)
+        for slopes in (slopes_at_equilibrium, HALF_SLOPE * unit_slopes):
             frozen = system.linearise_at_slopes(slopes)
-            solved_side = self.solve_gains(specification, frozen, ball, observes)
+            solved_side = self.solve_gains(specification, frozen, ball, is_observer)
             for request, solution in solved_side.candidates:
                 try:
                     proved = program.prove_rate(solution.k)
                 except NoSolution:
                     continue
-                near = {observes: proved}
+                near = {is_observer: proved}
                 settings: dict[str, Any] = {side: rate, "near": near}
                 proved_request = replace(request, **settings)
                 proved_candidates.append((proved_request, proved))
@@ -240,8 +245,8 @@ def equilibrium_slopes(model: Model) -> Slopes | None:
 
 
 def stack_neuron_injections(observers: list[GainCandidate]) -> Float[np.ndarray, "O q p"] | None:
-    """Neuron-injection gains of several observers as one array; None if the first observer has
-    none."""
+    """Gains with which several observers inject the output error into the neurons, as one array;
+    None if the first observer has none."""
     gains = [solution.k_w for _, solution in observers]
     if gains[0] is None:
         return None

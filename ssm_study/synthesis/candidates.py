@@ -16,8 +16,8 @@ GainCandidate = tuple[RiccatiSynthesis, Solution]
 
 @dataclass(frozen=True, kw_only=True)
 class Candidates:
-    """Controller and observer gains on a grid, each with the settings of the synthesis that gives
-    it."""
+    """Candidate gains of controller and observer on a grid of rates and weights, each with its
+    synthesis settings."""
 
     feedback: tuple[RiccatiSynthesis, ...]
     ks: Float[np.ndarray, "C m s"]
@@ -27,18 +27,19 @@ class Candidates:
     internal: Float[np.ndarray, "z z"] | None = None
     unsolved: int = 0
 
-    def gains(self, pairs: Int[np.ndarray, "*pairs 2"]) -> Gains:
-        """Gains of one controller with one observer, or of many such pairs."""
-        l_zs = None if self.l_zs is None else self.l_zs[pairs[..., 1]]
-        controllers = pairs[..., 0]
+    def gains(self, pair_indices: Int[np.ndarray, "*pairs 2"]) -> Gains:
+        """Gains of one or many pairs of a controller and an observer, selected by their indices."""
+        l_zs = None if self.l_zs is None else self.l_zs[pair_indices[..., 1]]
+        controllers = pair_indices[..., 0]
         k = self.ks[controllers]
-        observers = pairs[..., 1]
+        observers = pair_indices[..., 1]
         return Gains(k=k, l=self.ls[observers], l_z=l_zs, internal=self.internal)
 
-    def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis:
-        """Settings of the synthesis that gives one pair of gains."""
-        feedback = self.feedback[pair[0]]
-        observing = self.observing[pair[1]]
+    def specification(self, pair_indices: Int[np.ndarray, "2"]) -> RiccatiSynthesis:
+        """Settings of the Riccati synthesis that gives the gains of one pair of controller and
+        observer."""
+        feedback = self.feedback[pair_indices[0]]
+        observing = self.observing[pair_indices[1]]
         names = ("rate_observer", "input_noise", "state_noise", "output_noise")
         observer_fields: Any = {name: getattr(observing, name) for name in names}
         near = {**feedback.near, **observing.near}

@@ -1,4 +1,4 @@
-"""Random search near given gains for gains whose proof covers more of the recorded model error.
+"""Random search near given gains for gains whose certificate tolerates a larger model error.
 
 Each round scales every entry of K and L at random (`exp(step * normal)`), drops what is slower than
 allowed, and keeps the best of the rest: the largest coverage until the target is met, then the
@@ -48,24 +48,26 @@ SEED = 0
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredGains:
-    """Gains with two scores: their response area on the model, relative to the open loop, and their
-    coverage."""
+    """Gains with two scores: area under their response on the model relative to the open loop, and
+    coverage (ratio of proved to recorded model error)."""
 
     gains: Gains
     area: float
     coverage: float
 
-    def is_better_than(self, other: "ScoredGains", target: float) -> bool:
-        """Whether these gains cover more than others or, if both cover enough, respond faster."""
+    def is_better_than(self, other: "ScoredGains", target_coverage: float) -> bool:
+        """Whether these gains have a larger coverage (ratio of proved to recorded model error) than
+        others or, if both have enough, a faster response."""
         smaller_coverage = min(self.coverage, other.coverage)
-        if smaller_coverage >= target:
+        if smaller_coverage >= target_coverage:
             return self.area < other.area
         return self.coverage > other.coverage
 
 
 @dataclass(frozen=True, kw_only=True)
 class GainSearch:
-    """Random search near a design for gains with a larger coverage or a faster response.
+    """Random search near the gains of a design for gains that tolerate a larger model error or
+    respond faster.
 
     `largest_area` is the slowest response allowed, in areas of the open loop on the model; `margin`
     the stability margin that the prediction must exceed. A search that `is_brief` takes no round
@@ -83,63 +85,65 @@ class GainSearch:
     is_brief: bool = False
 
     def improve_design(
-        self, start: Design, target: float, rounds: int, largest_area: float
+        self, start_design: Design, target_coverage: float, rounds: int, largest_area: float
     ) -> Design | None:
-        """Fastest certified design from the search whose certificate reaches the required coverage;
-        None if there is none.
+        """Fastest certified design of a random search that has the required coverage (ratio of
+        proved to recorded model error); None if there is none.
 
         A proof keeps a little less than its frequencies promise: where it keeps too little, the
         search goes on for as much more.
         """
-        wanted_coverage = usual_proof_loss(self.model) * target
+        wanted_coverage = usual_proof_loss(self.model) * target_coverage
         certificates = 1 if self.is_brief else CERTIFICATES
         for _ in range(certificates):
-            best = self.search(start, wanted_coverage, rounds, largest_area)
-            design = self.certify_gains(start, best.gains)
+            best = self.search_best_gains(start_design, wanted_coverage, rounds, largest_area)
+            design = self.certify_gains(start_design, best.gains)
             if best.coverage < wanted_coverage or design is None:
                 return None
             proved = self.proved_coverage(design)
-            if proved >= target:
+            if proved >= target_coverage:
                 return design
-            start = design
-            proved_or_least = max(proved, LEAST_PROVED * target)
-            wanted_coverage = MORE * wanted_coverage * target / proved_or_least
+            start_design = design
+            proved_or_least = max(proved, LEAST_PROVED * target_coverage)
+            wanted_coverage = MORE * wanted_coverage * target_coverage / proved_or_least
         return None
 
     def proved_coverage(self, design: Design) -> float:
-        """Coverage that the certificate of a design proves, decided exactly; zero without a
-        certificate."""
+        """Coverage of a design (ratio of proved to recorded model error), decided exactly; zero
+        without a certificate."""
         proved = add_coverage_certificate(design, self.model, self.balls, self.premise)
         columns = coverage_columns(proved, self.model, self.premise)
         return columns.get("coverage") or 0.0
 
     def response_area(self, gains: Gains) -> float:
-        """Response area of one controller and observer on the model, relative to the open loop."""
+        """Area under the response of the model with given gains, relative to the open loop."""
         return self._response_areas([gains])[0]
 
-    def search(self, start: Design, target: float, rounds: int, largest_area: float) -> ScoredGains:
+    def search_best_gains(
+        self, start_design: Design, target_coverage: float, rounds: int, largest_area: float
+    ) -> ScoredGains:
         """Best gains after several rounds of random search, not yet certified."""
-        feedback = start.state_feedback
+        feedback = start_design.state_feedback
         assert isinstance(feedback, StateFeedback)
         controlled = controlled_system(self.model, feedback)
         loop = LoopCoverage.for_loop(self.model, controlled, self.balls, self.premise)
-        start_gains = gain_fields(start.pair)
-        coverage, centre = loop.largest_radius(start_gains)
-        area = self.response_area(start.pair)
-        best = ScoredGains(gains=start.pair, area=area, coverage=coverage)
+        start_gains = gain_matrices_by_symbol(start_design.pair)
+        coverage, centre = loop.largest_disc_radius(start_gains)
+        area = self.response_area(start_design.pair)
+        best = ScoredGains(gains=start_design.pair, area=area, coverage=coverage)
         allowed = max(largest_area, area)
         random = np.random.default_rng(SEED)
         step = FIRST_STEP
-        first_gains = [start.pair]
+        first_gains = [start_design.pair]
         first_ratios = self._settling_time_ratios(first_gains)
         slowest = max(FASTER, first_ratios[0])
         reached = [best.coverage]
-        while self._needs_another_round(reached, target, rounds):
+        while self._needs_another_round(reached, target_coverage, rounds):
             proposal_numbers = range(PROPOSALS)
-            proposals = [scale_at_random(best.gains, step, random) for _ in proposal_numbers]
+            proposals = [scale_gains_at_random(best.gains, step, random) for _ in proposal_numbers]
             fast = self._faster_proposals(proposals, slowest)
-            trials = self._score_proposals(fast, loop, centre, best, target, allowed)
-            better = self._best_predicted(trials, best, target)
+            trials = self._score_proposals(fast, loop, centre, best, target_coverage, allowed)
+            better = self._best_stable_proposal(trials, best, target_coverage)
             step *= SHORTEN if better is None else LENGTHEN
             large_step = max(step, SMALLEST_STEP)
             step = min(large_step, LARGEST_STEP)
@@ -147,11 +151,13 @@ class GainSearch:
             reached.append(best.coverage)
         return best
 
-    def _needs_another_round(self, reached: Sequence[float], target: float, rounds: int) -> bool:
-        """Whether the search continues, given the coverage after each round so far."""
+    def _needs_another_round(
+        self, coverages: Sequence[float], target_coverage: float, rounds: int
+    ) -> bool:
+        """Whether a random search continues, given the best coverage after each round so far."""
         if self.is_brief:
-            return len(reached) <= rounds and reached[-1] < target
-        return is_worth_another_round(reached, target, rounds)
+            return len(coverages) <= rounds and coverages[-1] < target_coverage
+        return is_worth_another_round(coverages, target_coverage, rounds)
 
     def _score_proposals(
         self,
@@ -159,15 +165,16 @@ class GainSearch:
         loop: "LoopCoverage",
         centre: float,
         best: ScoredGains,
-        target: float,
+        target_coverage: float,
         largest_area: float,
     ) -> list[ScoredGains]:
-        """Score those proposed gains that are fast enough and whose controller alone is stable."""
+        """Score the proposed gains whose response on the model is fast enough and whose controller
+        is stable by itself."""
         if not proposals:
             return []
-        is_covered = best.coverage >= target
+        is_covered = best.coverage >= target_coverage
         allowed = best.area if is_covered else largest_area
-        least = min(best.coverage, target)
+        least = min(best.coverage, target_coverage)
         trials = []
         areas = self._response_areas(proposals)
         for gains, area in zip(proposals, areas, strict=True):
@@ -176,35 +183,36 @@ class GainSearch:
                 or controller_spectral_radius(self.model.system, gains, self.balls) >= 1
             ):
                 continue
-            matrices = gain_fields(gains)
-            coverage = loop.largest_radius_around(matrices, centre, least)
+            matrices = gain_matrices_by_symbol(gains)
+            coverage = loop.largest_disc_radius_at_centre(matrices, centre, least)
             scored_gains = ScoredGains(gains=gains, area=area, coverage=coverage)
             trials.append(scored_gains)
         return trials
 
-    def _best_predicted(
-        self, trials: list[ScoredGains], best: ScoredGains, target: float
+    def _best_stable_proposal(
+        self, proposals: list[ScoredGains], best: ScoredGains, target_coverage: float
     ) -> ScoredGains | None:
-        """Best of the proposed gains that are predicted stable and improve on the best so far; None
-        if there are none."""
+        """Best of several proposed gains that are predicted stable and better than the best so far;
+        None if there are none."""
         leader: ScoredGains | None = None
-        for trial in trials:
-            if not trial.is_better_than(leader or best, target):
+        for trial in proposals:
+            if not trial.is_better_than(leader or best, target_coverage):
                 continue
             prediction = predict_margins(self.model, trial.gains, self.balls, self.mismatch)
             if prediction.predicts_stability(self.margin):
                 leader = trial
         return leader
 
-    def _faster_proposals(self, proposals: list[Gains], slowest: float) -> list[Gains]:
-        """Proposed gains whose loop settles faster than recorded decays by a required factor."""
+    def _faster_proposals(self, proposals: list[Gains], largest_ratio: float) -> list[Gains]:
+        """Proposed gains whose closed loop settles faster than the recorded decays without control,
+        by a required factor."""
         ratios = self._settling_time_ratios(proposals)
         proposals_and_ratios = zip(proposals, ratios, strict=True)
-        return [gains for gains, ratio in proposals_and_ratios if ratio < slowest]
+        return [gains for gains, ratio in proposals_and_ratios if ratio < largest_ratio]
 
     def _settling_time_ratios(self, proposals: list[Gains]) -> list[float]:
-        """Settling time with each of the proposed gains, relative to that of the recorded
-        decays."""
+        """Settling times of the closed loops with proposed gains, relative to those of the recorded
+        decays without control."""
         stacked_gains = stack_gains(proposals)
         band = self.mismatch.scaled_settling_band
         ratios = largest_settling_time_ratios(
@@ -213,52 +221,54 @@ class GainSearch:
         return [float(ratio) for ratio in ratios]
 
     def _response_areas(self, proposals: list[Gains]) -> list[float]:
-        """Response area of each of the proposed gains on the model, relative to the open loop."""
+        """Areas under the responses of the model with each of several proposed gains, relative to
+        the open loop."""
         stacked_gains = stack_gains(proposals)
         areas = relative_response_areas(self.model, stacked_gains, self.validation, self.limits)
         return [float(area) for area in areas]
 
-    def certify_gains(self, start: Design, gains: Gains) -> Design | None:
-        """Design with given gains and certificates at the largest rates proved for them. None if a
-        certificate is missing, or the loop is not predicted to be stable."""
-        feedback, observer = start.parts()
-        new_feedback = certify_other_gains(feedback, k=gains.k)
+    def certify_gains(self, start_design: Design, gains: Gains) -> Design | None:
+        """Design with given gains, certified at the largest contraction rates that can be proved
+        for them. None if a certificate is missing, or the loop is not predicted to be stable."""
+        feedback, observer = start_design.parts()
+        new_feedback = certify_replaced_gains(feedback, k=gains.k)
         injected: dict[str, Any] = {"l": gains.l}
         if gains.l_z is not None:
             injected["l_z"] = gains.l_z
-        new_observer = certify_other_gains(observer, **injected)
+        new_observer = certify_replaced_gains(observer, **injected)
         if not isinstance(new_feedback, StateFeedback) or not isinstance(new_observer, Observer):
             return None
         return Design(state_feedback=new_feedback, observer=new_observer)
 
 
-def is_worth_another_round(reached: Sequence[float], target: float, rounds: int) -> bool:
-    """Whether a further round of the search is worthwhile, given the coverage after each round.
+def is_worth_another_round(coverages: Sequence[float], target_coverage: float, rounds: int) -> bool:
+    """Whether a further round of a random search is worthwhile, given the best coverage after each
+    round.
 
     The first `rounds` always do. Beyond them the search must earn its time: at the pace of the last
     `rounds`, as many again would reach the target.
     """
-    done = len(reached) - 1
+    done = len(coverages) - 1
     if done < rounds:
         return True
-    last = reached[-1]
-    earlier = reached[done - rounds]
-    return earlier > 0 and last < target <= last * (last / earlier)
+    last = coverages[-1]
+    earlier = coverages[done - rounds]
+    return earlier > 0 and last < target_coverage <= last * (last / earlier)
 
 
-def certify_other_gains(part: Any, **gains: Any) -> Any:
-    """Certificate of given gains by the theorem of another certificate, at the largest provable
-    rate; None if no rate is provable."""
+def certify_replaced_gains(certificate: Any, **gains: Any) -> Any:
+    """Certificate of other gains by the same theorem as a given certificate, at the largest
+    provable rate; None if no rate can be proved."""
     try:
         with linear_algebra_failures_as_no_solution():
-            slow_part = replace(part, rate=LEAST_RATE, **gains)
+            slow_part = replace(certificate, rate=LEAST_RATE, **gains)
             return certificate_at_largest_rate(slow_part)
     except NoSolution:
         return None
 
 
-def scale_at_random(gains: Gains, step: float, random: np.random.Generator) -> Gains:
-    """Multiply every entry of the gains by its own random factor."""
+def scale_gains_at_random(gains: Gains, step: float, random: np.random.Generator) -> Gains:
+    """Multiply every entry of given controller and observer gains by its own random factor."""
 
     def scale_matrix(matrix: Any) -> Any:
         """Multiply every entry of a matrix by its own random factor."""
@@ -273,7 +283,7 @@ def scale_at_random(gains: Gains, step: float, random: np.random.Generator) -> G
 
 
 def stack_gains(proposals: list[Gains]) -> Gains:
-    """Gains of several controllers and observers as one batch."""
+    """Stack the gains of several pairs of controller and observer to one batch."""
     injections = [gains.l_z for gains in proposals if gains.l_z is not None]
     controller_gains = [gains.k for gains in proposals]
     k = np.stack(controller_gains)
@@ -283,7 +293,7 @@ def stack_gains(proposals: list[Gains]) -> Gains:
     return replace(proposals[0], k=k, l=l_, l_z=l_z)
 
 
-def gain_fields(gains: Gains) -> dict[str, Any]:
-    """Gain matrices keyed by symbol, without those that are absent."""
+def gain_matrices_by_symbol(gains: Gains) -> dict[str, Any]:
+    """Gain matrices of controller and observer, keyed by symbol, without those that are absent."""
     matrices = {"k": gains.k, "l": gains.l, "l_z": gains.l_z}
     return {letter: matrix for letter, matrix in matrices.items() if matrix is not None}

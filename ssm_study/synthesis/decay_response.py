@@ -28,9 +28,11 @@ NO_DECAYS = np.zeros((0, 0, 1))
 BANDS = (1.0, 2.0)  # bands of settling in which a response is judged
 
 
-def simulate_decays(model: Model, trials: Trajectories, validation: Trajectories) -> Decays:
-    """Decays of the model without control from the initial states of recorded decays, scaled and
-    free of noise.
+def simulate_decays(
+    model: Model, recorded_trials: Trajectories, validation: Trajectories
+) -> Decays:
+    """Noise-free, scaled decays of the model without control, simulated from the initial states of
+    recorded decays.
 
     Decays at rest input count that start beyond the band of settling and that the model follows;
     none with measured disturbances, which push an output without a start.
@@ -38,7 +40,7 @@ def simulate_decays(model: Model, trials: Trajectories, validation: Trajectories
     if model.scale.disturbances:
         return NO_DECAYS
     decays = []
-    for trial in trials:
+    for trial in recorded_trials:
         if trial.closed_loop or model.scale.scaled_input(trial.u).any():
             continue
         recorded_samples = len(trial)
@@ -65,31 +67,38 @@ def simulate_decays(model: Model, trials: Trajectories, validation: Trajectories
 
 
 def largest_settling_time_ratios(
-    model: Model, gains: Gains, decays: Decays, band: float, limits: Ends | None = None
+    model: Model,
+    gains: Gains,
+    decays: Decays,
+    settling_band: float,
+    input_limits: Ends | None = None,
 ) -> Ratios:
-    """Settling time of each loop relative to decays without control, the larger ratio of two
-    settling bands. Zero without decays, and with an internal model, which settles at its own
-    pace."""
+    """Ratio of each closed loop's settling time to that of decays without control, the larger of
+    the ratios for two settling bands. Zero without decays, and with an internal model, which
+    settles at its own pace."""
     if gains.modes.size:
         return np.zeros(len(gains.k))
-    ratios = [settling_time_ratios(model, gains, decays, size * band, limits) for size in BANDS]
+    ratios = [
+        settling_time_ratios(model, gains, decays, size * settling_band, input_limits)
+        for size in BANDS
+    ]
     return np.asarray(np.max(ratios, axis=0))
 
 
 def settling_time_ratios(
-    model: Model, gains: Gains, decays: Decays, band: float, limits: Ends | None = None
+    model: Model, gains: Gains, decays: Decays, settling_band: float, limits: Ends | None = None
 ) -> Ratios:
-    """Settling time of each loop relative to decays without control, averaged over the decays. Zero
-    without decays."""
+    """Ratio of each closed loop's settling time to that of decays without control, averaged over
+    the decays. Zero without decays."""
     pairs = len(gains.k)
     if not len(decays):
         return np.zeros(pairs)
     sizes = np.linalg.norm(decays, axis=2)
-    alone = _settling_sample(sizes, band)
+    alone = _settling_sample(sizes, settling_band)
     input_limits = limits or (-LARGEST, LARGEST)
     outputs = _closed_loop_outputs(model, gains, decays, input_limits)
     output_sizes = np.linalg.norm(outputs, axis=3)
-    settled_samples = _settling_sample(output_sizes, band)
+    settled_samples = _settling_sample(output_sizes, settling_band)
     mean_settled = settled_samples.mean(axis=1)
     mean_sample = alone.mean()
     mean_alone = max(float(mean_sample), 1.0)
@@ -97,11 +106,11 @@ def settling_time_ratios(
 
 
 def _settling_sample(
-    sizes: Float[np.ndarray, "*pairs T"], band: float
+    signal_sizes: Float[np.ndarray, "*pairs T"], band: float
 ) -> Float[np.ndarray, "*pairs"]:
     """First sample after which a signal stays within a band."""
-    outside = sizes > band
-    sample_count = sizes.shape[-1]
+    outside = signal_sizes > band
+    sample_count = signal_sizes.shape[-1]
     samples = np.arange(1, sample_count + 1)
     last_outside = (outside * samples).max(axis=-1)
     return np.asarray(last_outside.astype(float))
@@ -110,8 +119,8 @@ def _settling_sample(
 def _closed_loop_outputs(
     model: Model, gains: Gains, decays: Decays, limits: Ends | tuple[float, float]
 ) -> Float[np.ndarray, "P N T p"]:
-    """Outputs of the closed loop with each controller and observer, from the initial state of each
-    recorded decay."""
+    """Outputs of the closed loop with each pair of controller and observer, simulated from the
+    initial state of each decay."""
     transposed_gains = gains.k.transpose(0, 2, 1)
     k = transposed_gains[:, : model.order]
     l_ = gains.l.transpose(0, 2, 1)

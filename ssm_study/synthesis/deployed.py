@@ -37,7 +37,7 @@ from ssm_study.certificates.withdrawn_parts import TOLERANCE
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require
-from ssm_study.synthesis.input_inversion import commanded_model_and_balls
+from ssm_study.synthesis.input_inversion import model_and_balls_of_control_law
 from ssm_study.systems import Balls
 
 Inputs = Float[np.ndarray, "m"]
@@ -48,13 +48,13 @@ EVERYWHERE, SETS = OF_LIMITS  # as `certificate.json` names them
 def add_gain_certificates(
     design: Design, model: Model, balls: Balls, limits: tuple[Inputs, Inputs] | None = None
 ) -> Design:
-    """Add to a design all further certificates that can be proved for its gains, each verified
-    exactly. They are largest rates, tolerance, and the effect of physical input `limits`.
+    """Add to a design all further certificates that can be proved for its gains, each decided in
+    exact arithmetic. They are largest rates, tolerance, and the effect of physical input `limits`.
 
     For a law that undoes the input map nothing is proved with limits: they are not those of what
     it commands.
     """
-    model, balls = commanded_model_and_balls(design, model, balls)
+    model, balls = model_and_balls_of_control_law(design, model, balls)
     bare_design = replace(design, extra_certificates={})
     design = add_largest_rates(bare_design)
     tolerance = tolerance_certificate(design, model, balls)
@@ -69,23 +69,23 @@ def add_gain_certificates(
 
 
 def add_largest_rates(design: Design) -> Design:
-    """Add to a design the certificates of its gains at the largest rates that can be proved for
-    them, each verified exactly."""
+    """Add to a design certificates of the largest contraction rates that can be proved for its
+    gains, each decided in exact arithmetic."""
     certificates = dict(design.extra_certificates)
     sides = {"state_feedback": design.state_feedback, "observer": design.observer}
     for side, part in sides.items():
         if isinstance(part, Infeasible) or not part.certified:
             continue
         find = partial(certificate_at_largest_rate, part)
-        fastest = none_if_unsolved(find)
+        fastest = certificate_or_none(find)
         if fastest is not None:
             certificates[f"{side}_deployed"] = fastest
     return replace(design, extra_certificates=certificates)
 
 
 def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem | None:
-    """Certificate of the largest gain from the input to the model error with which the loop comes
-    to rest. None for gains certified by another class, and if none is proved."""
+    """Certificate of the largest model error, as a gain from the input, with which the closed loop
+    is proved to come to rest. None for gains certified by another class, and if none is proved."""
     feedback = design.state_feedback
     observer = design.observer
     if isinstance(observer, ObserverOfBall):
@@ -100,29 +100,30 @@ def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem
     )
     from ssm_study.synthesis import measured_discs_search  # slow to load
 
-    find = partial(measured_discs_search.largest_kappa, context)
-    return none_if_unsolved(find)
+    find = partial(measured_discs_search.certify_largest_radius, context)
+    return certificate_or_none(find)
 
 
-def certificate_at_largest_rate(part: Side) -> Side | None:
-    """Certificate of an already certified gain at the largest rate that can be proved for it.
+def certificate_at_largest_rate(certificate: Side) -> Side | None:
+    """Certificate of the same gain as a given one at the largest contraction rate that can be
+    proved; None where no larger rate is proved.
 
     A plug-in's theorem says itself how (`Side.certificate_at_largest_rate`).
     """
-    if not isinstance(part, ProblemCertificate):
-        return part.certificate_at_largest_rate()
-    if hasattr(part, "lambda_"):
+    if not isinstance(certificate, ProblemCertificate):
+        return certificate.certificate_at_largest_rate()
+    if hasattr(certificate, "lambda_"):
         from ssm_study.synthesis import structured_lmi  # CVXPY only with neurons
 
-        return structured_lmi.certify_largest_rate(part)
-    return deployed_rate.certificate_at_largest_rate(part)
+        return structured_lmi.certify_largest_rate(certificate)
+    return deployed_rate.certificate_at_largest_rate(certificate)
 
 
 def certify_input_limits(
     model: Model, design: Design, lower: Inputs, upper: Inputs
 ) -> dict[str, Any]:
-    """Certificates of a design's gains under input limits, by name. Empty for neurons, without a
-    certificate, or for limits that do not enclose the equilibrium."""
+    """Certificates of what a design's gains achieve when the input is limited, by name. Empty for
+    neurons, without a certificate, or for limits that do not enclose the equilibrium."""
     extra = design.extra_certificates
     deployed_feedback = extra.get("state_feedback_deployed")
     limited_feedback = extra.get("state_feedback_limited")
@@ -137,7 +138,7 @@ def certify_input_limits(
     if not feedbacks or not isinstance(model, SSM) or not hold_rest:
         return {}
     find = partial(certify_under_limits, feedbacks[0])
-    everywhere = none_if_unsolved(find)
+    everywhere = certificate_or_none(find)
     certificates: dict[str, Any] = {EVERYWHERE: everywhere}
     if isinstance(everywhere, StateFeedbackOfBall):
         feedbacks.append(everywhere)
@@ -149,13 +150,13 @@ def certify_input_limits(
         no_columns = (0, 0)
         corners = np.pad(corners, (internal_rows, no_columns))
         certify = partial(certify_unlimited_start, feedbacks, corners, limits)
-        certificates[SETS] = none_if_unsolved(certify)
+        certificates[SETS] = certificate_or_none(certify)
     return {label: part for label, part in certificates.items() if part is not None}
 
 
 def equilibrium_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
-    """Equilibrium states whose outputs are the corners of a box; None if there is no such box. Of
-    two corners opposite to each other one is returned.
+    """Equilibrium states of a model at which the outputs are the corners of a box around zero; None
+    if there is no such box. Of two corners opposite to each other one is returned.
 
     Their hull with the mirror images holds every rest point whose outputs lie in the box. With
     outputs that answer at once (D), several rest points of one output, or outputs that a nonlinear
@@ -182,17 +183,17 @@ def equilibrium_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
 
 
 def nearest_equilibrium_starts(
-    model: SSM, starts: Float[np.ndarray, "s j"]
+    model: SSM, stored_starts: Float[np.ndarray, "s j"]
 ) -> Float[np.ndarray, "s j"] | None:
-    """Equilibrium states nearest to stored initial states, as fractions of the corners of an output
-    box; None if there are none."""
+    """Equilibrium states of a model nearest to the initial states in a certificate; None if the
+    model has no box of equilibrium outputs."""
     corners = equilibrium_corners(model)
-    if corners is None or not corners.any() or len(starts) < len(corners):
+    if corners is None or not corners.any() or len(stored_starts) < len(corners):
         return None
-    largest_start = np.abs(starts).max()
+    largest_start = np.abs(stored_starts).max()
     largest_corner = np.abs(corners).max()
     share = largest_start / largest_corner
-    internal_states = len(starts) - len(corners)
+    internal_states = len(stored_starts) - len(corners)
     internal_rows = (0, internal_states)
     no_columns = (0, 0)
     padded: Float[np.ndarray, "s j"] = np.pad(share * corners, (internal_rows, no_columns))
@@ -201,7 +202,7 @@ def nearest_equilibrium_starts(
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class WithinLimits:
-    """Proof that no input limit is reached from equilibria whose outputs lie in a range.
+    """Range of initial outputs from which a closed loop is proved never to reach its input limits.
     `everywhere` is the proof with inputs cut at the limits, or None."""
 
     lower: Outputs
@@ -222,23 +223,27 @@ class WithinLimits:
         return "\n".join(lines)
 
     @classmethod
-    def from_certificate(cls, model: Model, parts: Mapping[str, Any]) -> "WithinLimits | None":
-        """Input limits and range of initial outputs from stored certificates; None if no set of
-        initial states is certified."""
-        if SETS not in parts or not isinstance(model, SSM):
+    def from_certificate(
+        cls, model: Model, certificates: Mapping[str, Any]
+    ) -> "WithinLimits | None":
+        """Range of initial outputs from which stored certificates prove that no input limit is
+        reached; None if no such range is certified."""
+        if SETS not in certificates or not isinstance(model, SSM):
             return None
-        stored_starts = parts[SETS].starts
+        stored_starts = certificates[SETS].starts
         starts = nearest_equilibrium_starts(model, stored_starts)
         if starts is None:
             return None
         low, high = output_range(model, starts)
-        everywhere = parts.get(EVERYWHERE)
+        everywhere = certificates.get(EVERYWHERE)
         return cls(lower=low, upper=high, everywhere=everywhere)
 
 
-def limits_proof(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> WithinLimits:
-    """Proof of what a design achieves under physical input limits. Raises `BadRequest` if nothing
-    can be proved."""
+def prove_within_input_limits(
+    model: SSM, design: Design, lower: Inputs, upper: Inputs
+) -> WithinLimits:
+    """Prove what a design achieves while its input stays within given physical limits. Raises
+    `BadRequest` if nothing can be proved."""
     design.parts()
     rest = model.scale.input_equilibrium
     lowest = lower.tolist()
@@ -257,11 +262,11 @@ def limits_proof(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> Wi
     return proof
 
 
-def output_range(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs, Outputs]:
-    """Smallest and largest initial output over given initial states and their reflections about
-    the equilibrium, in physical units."""
+def output_range(model: SSM, initial_states: Float[np.ndarray, "s j"]) -> tuple[Outputs, Outputs]:
+    """Smallest and largest initial output, in physical units, over given initial states and their
+    mirror images about the equilibrium."""
     linear_c = model.linear.c
-    start_states = starts[: model.order]
+    start_states = initial_states[: model.order]
     read = (linear_c @ start_states).T
     both_signs = [read, -read]
     mirrored = np.concatenate(both_signs)
@@ -271,11 +276,11 @@ def output_range(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs,
     return lowest_output, highest_output
 
 
-def none_if_unsolved(find: Callable[[], Theorem | None]) -> Theorem | None:
-    """Certificate that a search returns; None if the search raises `NoSolution`. Numbers that
+def certificate_or_none(find_certificate: Callable[[], Theorem | None]) -> Theorem | None:
+    """Call a function that searches for a certificate; None if it raises `NoSolution`. Numbers that
     exceed floating point end it, too; the design remains."""
     try:
         with linear_algebra_failures_as_no_solution():
-            return find()
+            return find_certificate()
     except NoSolution:
         return None

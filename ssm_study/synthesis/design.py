@@ -59,7 +59,7 @@ FRONTIER_ROUNDING = (
 
 @dataclass(frozen=True, kw_only=True)
 class DesignAttempt:
-    """Attempt to design a controller or an observer at a requested rate."""
+    """Attempt to design a controller or an observer at a requested contraction rate."""
 
     theorem: type[Side]
     rate: float
@@ -69,15 +69,15 @@ class DesignAttempt:
     started: float
 
     @property
-    def limit_is_exact(self) -> bool:
-        """Whether the frontier is that of the theorem. It is for the paper's inequalities; the
-        theorem of another package may reach further."""
+    def has_exact_rate_limit(self) -> bool:
+        """Whether the exact rate limit of this design attempt's theorem is known. It is for the
+        paper's inequalities; the theorem of another package may reach further."""
         return issubclass(self.theorem, ProblemCertificate)
 
     def infeasible_beyond_limit(self) -> Infeasible | None:
-        """Infeasible result of an attempt whose requested rate exceeds the theoretical limit; None
-        if it does not, or if the theorem's own limit is not known."""
-        if not self.limit_is_exact:
+        """Infeasible result for a requested rate above the theoretical limit; None for a smaller
+        rate, or if the theorem's own limit is not known."""
+        if not self.has_exact_rate_limit:
             return None
         ball = self.ball
         limit = self.frontier.rate_limit
@@ -94,7 +94,7 @@ class DesignAttempt:
         return None
 
     def _excess_rate_text(self) -> str:
-        """Text on a requested rate beyond the limit: the largest possible rates, and the
+        """Text on a requested rate above the theoretical limit: the largest possible rate, and the
         remedies."""
         limit = self.frontier.rate_limit
         by = self.frontier.decided_by
@@ -118,7 +118,7 @@ class DesignAttempt:
         return f"{sentence} only rates below {limit:.6g}; {remedy} or {remedies[-1]}"
 
     def without_certificate(self, reason: str, status: str, proved: bool = False) -> Infeasible:
-        """Result of an attempt that gave no certificate, with the reason."""
+        """Infeasible result of a design attempt that gave no certificate, with the reason."""
         theorem = self.theorem.name()
         rate_limit = self.frontier.rate_limit
         request: Any = {"theorem": theorem, "rate": self.rate, "rate_limit": rate_limit}
@@ -131,8 +131,8 @@ class DesignAttempt:
         )
 
     def certify_solution(self, problem: Problem, solution: Solution) -> Any:
-        """Certificate made from a solution and decided in exact arithmetic. `problem` has the form
-        of Theorem 1, transposed for an observer."""
+        """Certificate made from the gain and metric that a solver returned, decided in exact
+        arithmetic. `problem` has the form of Theorem 1, transposed for an observer."""
         numbers = self.theorem.certificate_numbers(problem, solution)
         information: dict[str, Any] = {"method": self.method, "started": self.started}
         rate_limit = self.frontier.rate_limit
@@ -143,7 +143,8 @@ class DesignAttempt:
     def first_certified_solution(
         self, problem: Problem, attempts: Iterable[Callable[[], Solution]]
     ) -> Any:
-        """First certified solution among several attempts; otherwise the result of the last one.
+        """First certificate that exact arithmetic confirms among several attempts to solve a
+        problem; otherwise the result of the last one.
 
         Matrices that floats could have held are handed on as found, not certified; hopeless ones
         are refused.
@@ -160,7 +161,7 @@ class DesignAttempt:
             if best.certified:
                 return best
         inside = ""
-        if self.limit_is_exact:
+        if self.has_exact_rate_limit:
             inside = f"the rate is inside the frontier {self.frontier.rate_limit:.6g}, yet "
         if best is None:  # information, not a verdict
             reason = (
@@ -181,12 +182,12 @@ class DesignAttempt:
 
 
 def failed_checks(
-    content: dict[str, Any], linear: Any, balls: Balls, controlled: Any = None
+    content: dict[str, Any], system: Any, balls: Balls, controlled: Any = None
 ) -> list[str]:
     """Sentences on those claims in a stored `certificate.json` that do not hold for the model;
     empty if all hold.
 
-    `linear` is the recurrence, `balls` those of `model.json`, `controlled` what the state feedback
+    `system` is the recurrence, `balls` those of `model.json`, `controlled` what the state feedback
     acts on where that is not the model itself (integral action). Claims are each part's digest, the
     model's fields and ball, products, rate limits, and `certified`, or that an infeasible rate is
     excluded.
@@ -201,7 +202,7 @@ def failed_checks(
         jacobian_ball = JacobianBall(alpha=1.0, beta=0.0)
         balls = replace(balls, input=jacobian_ball)
     context = VerificationContext(
-        system=linear, controlled=controlled or linear, balls=balls, gains=design.gains
+        system=system, controlled=controlled or system, balls=balls, gains=design.gains
     )
     broken = [
         f"{part}.digest: the stored numbers are not those that were written"
@@ -230,7 +231,7 @@ def failed_checks(
 
 
 def _failed_checks_of_part(part: Theorem | Infeasible, context: VerificationContext) -> list[str]:
-    """Sentences on those claims of one certificate that do not hold for the model."""
+    """Sentences on those claims of one stored certificate that do not hold for the model."""
     theorem = find_theorem(part.theorem) if isinstance(part, Infeasible) else type(part)
     ball = theorem.required_ball(context)
     limit = theorem.largest_provable_rate(context)
@@ -255,11 +256,8 @@ def _failed_checks_of_part(part: Theorem | Infeasible, context: VerificationCont
     return broken + part.failed_checks(context)
 
 
-REPAIRS = (
-    0.03,
-    0.3,
-    0.8,
-)  # a near miss is solved again at these shares of the way (in log r) to the frontier
+# A near miss is solved again at these shares of the way (in log r) to the frontier.
+REPAIRS = (0.03, 0.3, 0.8)
 REPAIR_FLOOR = (
     0.5  # or to this share of r where the frontier is nearer to zero (r = 0 for a linear output)
 )
@@ -275,7 +273,7 @@ def require_contraction_rate(field: str, rate: Any, remedy: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Synthesis(ABC):
-    """Design of controller and observer at requested contraction rates.
+    """Base class of methods that design controller and observer at requested contraction rates.
 
     The weights of the controller's guaranteed cost and the variances the observer is tuned for, in
     scaled units: conf/synthesis/riccati.yaml. With `invert_input` the law is `u = S_u^{-1}(K xh)`
@@ -327,12 +325,16 @@ class Synthesis(ABC):
         the method finds none."""
 
     def design(
-        self, model: Any, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None
+        self,
+        model: Any,
+        balls: Balls,
+        validation: Trajectories = (),
+        mismatch: Mismatch | None = None,
     ) -> Design:
-        """Design controller and observer independently of each other."""
+        """Design controller and observer of a model, each independently of the other."""
         if self.invert_input:
             plain = replace(self, invert_input=False)
-            return design_with_inverted_input(plain, model, validation, shown)
+            return design_with_inverted_input(plain, model, validation, mismatch)
         system = getattr(model, "system", model.linear)
         controlled = (
             append_internal_model(model, self.modes, self.integral_weight) if self.modes else system
@@ -342,19 +344,20 @@ class Synthesis(ABC):
         return Design(state_feedback=feedback, observer=observer)
 
     def state_feedback(self, system: System, ball: JacobianBall) -> StateFeedback | Infeasible:
-        """Certified state feedback for a system, or the reason why there is none."""
+        """Certified state feedback for a system, or an entry with the reason why there is none."""
         neurons = isinstance(system, StructuredSystem)
         theorem = StructuredStateFeedback if neurons else self.feedback_theorem
         return self._design_gain(theorem, system, ball)
 
     def observer(self, system: System, ball: JacobianBall) -> Observer | Infeasible:
-        """Certified observer for a system, or the reason why there is none."""
+        """Certified observer for a system, or an entry with the reason why there is none."""
         neurons = isinstance(system, StructuredSystem)
         theorem = StructuredObserver if neurons else self.observer_theorem
         return self._design_gain(theorem, system, ball)
 
     def _design_gain(self, theorem: type[Side], system: System, ball: JacobianBall) -> Any:
-        """Certified controller or observer, or the reason why there is none."""
+        """Certificate of one gain by a given theorem, or an entry with the reason why there is
+        none."""
         rate = self.rate_observer if theorem.observes else self.rate_controller
         limit = controller_frontier(dual_system(system) if theorem.observes else system, ball)
         started = time.perf_counter()
@@ -371,10 +374,10 @@ class Synthesis(ABC):
         problem = self.problem(system, ball, theorem.observes)
         return request.first_certified_solution(problem, self.solution_attempts(problem, limit))
 
-    def problem(self, system: System, ball: JacobianBall, observes: bool = False) -> Problem:
-        """Synthesis problem of the controller or, on the dual system, of the observer."""
+    def problem(self, system: System, ball: JacobianBall, is_observer: bool = False) -> Problem:
+        """Data of the synthesis problem for the controller or, by the dual system, the observer."""
         weights = (self.output_weight, self.state_weight, self.input_weight, self.rate_controller)
-        if observes:
+        if is_observer:
             weights = (self.input_noise, self.state_noise, self.output_noise, self.rate_observer)
             system = dual_system(system)
         on_output, on_state, on_input, rate = weights
@@ -383,14 +386,14 @@ class Synthesis(ABC):
         )  # of |C x|^2, and of x itself
         data: Any = {"a": system.a, "b": system.b, "state_weight": weight, "input_weight": on_input}
         if isinstance(system, StructuredSystem):
-            data["neurons"] = Neurons(e=system.e, f=system.f, g=system.g, observes=observes)
+            data["neurons"] = Neurons(e=system.e, f=system.f, g=system.g, observes=is_observer)
         return Problem(**data, ball=ball, rate=rate)
 
     def solution_attempts(
         self, problem: Problem, frontier: Frontier
     ) -> list[Callable[[], Solution]]:
-        """Functions that solve the problem at the requested rate and at larger rates, which leave
-        more margin."""
+        """Functions that solve a synthesis problem at the requested contraction rate and at larger
+        rates, which leave more margin."""
         r = problem.contraction
         floor = max(frontier.contraction_limit, REPAIR_FLOOR * problem.contraction)
         rates = [problem.rate, *(1 - (r * (floor / r) ** share) ** 2 for share in REPAIRS)]

@@ -1,4 +1,4 @@
-"""Ranking of certified gains by their expected response on the plant.
+"""Ranking of candidate gains by the area under the response that is expected on the plant.
 
     P area + (1 - P) LOSS,        P = Phi(ln(margin) / spread)
 
@@ -45,23 +45,23 @@ FASTER = 0.9
 LEAST_SPREAD = 0.1
 
 
-def expected_area(area: float, loop_gain: float, spread: float) -> float:
-    """Expected response area, weighted by the probability that the loop is stable on the plant.
-    `loop_gain` is 1 / margin."""
+def expected_response_area(area: float, loop_gain: float, log_gain_error: float) -> float:
+    """Expected area under a closed-loop response, from the probability that the loop is stable on
+    the plant. `loop_gain` is 1 / margin."""
     from scipy.special import ndtr  # here: what only reads a study does without
 
     smallest_float = np.finfo(float).tiny
     positive_gain = max(loop_gain, smallest_float)
     logarithm = np.log(positive_gain)
-    deviations = -logarithm / max(spread, LEAST_SPREAD)
+    deviations = -logarithm / max(log_gain_error, LEAST_SPREAD)
     probability = float(ndtr(deviations))
     expected_loss = (1 - probability) * LOSS
     return probability * area + expected_loss
 
 
 class RankedPair(NamedTuple):
-    """Gains of one controller and observer, with their rank and whether they are faster than the
-    open loop."""
+    """Gains of one controller and observer, with whether their response is faster than the open
+    loop."""
 
     pair: Pair
     is_faster: bool
@@ -69,7 +69,8 @@ class RankedPair(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ExpectedResponse:
-    """Scores of all designs on a grid, from the model, the gains and the records."""
+    """Scores of all candidate designs of a grid by stability margin, sensor noise and expected
+    response."""
 
     model: Model
     balls: Balls
@@ -78,31 +79,36 @@ class ExpectedResponse:
     margin: float
     decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS)
 
-    def loop_gain(self, pair: Pair, shared: Responses) -> float:
-        """Loop gain of a design under the measured model error, the inverse of its stability
-        margin. The computation stops early from `1 / margin` on."""
+    def loop_gain(self, pair: Pair, cached_responses: Responses) -> float:
+        """Loop gain of a design under the measured model error, which is the inverse of its
+        stability margin. The computation stops early from `1 / margin` on."""
         gains = self.candidates.gains(pair)
         refused = 1 / self.margin
-        return robustness_measure(self.model, gains, self.balls, self.mismatch, shared, refused)
+        return robustness_measure(
+            self.model, gains, self.balls, self.mismatch, cached_responses, refused
+        )
 
-    def expected_pair_area(self, pair: Pair, area: float, shared: Responses) -> float:
-        """Expected response area of one design, from its loop gain on a coarse frequency grid."""
-        loop_gain = self.loop_gain(pair, shared)
+    def expected_pair_area(self, pair: Pair, area: float, cached_responses: Responses) -> float:
+        """Expected area under the response of one design on the plant, from the area on the model
+        and the loop gain."""
+        loop_gain = self.loop_gain(pair, cached_responses)
         spread = self.mismatch.spread
-        return expected_area(float(area), loop_gain, spread)
+        return expected_response_area(float(area), loop_gain, spread)
 
     def resists_noise(self, pair: Pair) -> bool:
-        """Whether sensor noise alone leaves the output within the settling band."""
+        """Whether the output of a design's closed loop stays within the settling band when sensor
+        noise alone acts."""
         gains = self.candidates.gains(pair)
         noise_peak = output_peak_from_noise(self.model, gains, self.balls, self.mismatch)
         return noise_peak < 1
 
-    def stable_pairs(self, peaks: Float[np.ndarray, "C O"]) -> Int[np.ndarray, "N 2"]:
-        """Designs with a large enough stability margin whose controller alone is stable."""
+    def stable_pairs(self, peak_loop_gains: Float[np.ndarray, "C O"]) -> Int[np.ndarray, "N 2"]:
+        """Indices of the controller and observer pairs with a large enough stability margin and a
+        controller that is stable by itself."""
         if np.isinf(self.margin):  # no pair has it (and times a peak of zero it is no number)
             no_pairs = (0, 2)
             return np.empty(no_pairs, dtype=int)
-        scaled_peaks = self.margin * peaks
+        scaled_peaks = self.margin * peak_loop_gains
         pairs = np.argwhere(scaled_peaks < 1)
         gains = self.candidates.gains(pairs)
         system = self.model.system
@@ -110,22 +116,25 @@ class ExpectedResponse:
         return pairs[controller_radii < 1]
 
     def pairs_by_expected_response(
-        self, peaks: Float[np.ndarray, "C O"], validation: Trajectories, limits: Ends | None
+        self,
+        peak_loop_gains: Float[np.ndarray, "C O"],
+        validation: Trajectories,
+        input_limits: Ends | None,
     ) -> Iterator[RankedPair]:
-        """Designs that pass all tests, sorted by expected response, those faster than the open loop
-        first.
+        """Pairs of controller and observer that pass all tests, sorted by expected response, those
+        faster than the open loop first.
 
         An expected area is never below the area, so the search ends where the areas exceed the
         expected ones of the passing pairs, and goes on only where none of those is taken (the gains
         of a verified design may differ from its candidate's).
         """
-        pairs = self.stable_pairs(peaks)
+        pairs = self.stable_pairs(peak_loop_gains)
         if not len(pairs) or not self.mismatch.plant_comes_to_rest:
             return
         gains = self.candidates.gains(pairs)
-        areas = relative_response_areas(self.model, gains, validation, limits)
+        areas = relative_response_areas(self.model, gains, validation, input_limits)
         band = self.mismatch.scaled_settling_band
-        ratios = largest_settling_time_ratios(self.model, gains, self.decays, band, limits)
+        ratios = largest_settling_time_ratios(self.model, gains, self.decays, band, input_limits)
         slow = np.maximum(areas, ratios) >= FASTER
         angles = FINE_ANGLES[::2]
         coarse = Responses(angles=angles)
@@ -145,7 +154,7 @@ class ExpectedResponse:
                 if scaled_gain < 1 and self.resists_noise(pairs[index]):
                     area = float(areas[index])
                     spread = self.mismatch.spread
-                    score = expected_area(area, loop_gain, spread)
+                    score = expected_response_area(area, loop_gain, spread)
                     passing.append(((bool(slow[index]), score), index))
             passing.sort()
             # between two frequencies of the coarser grid a loop may come nearer to its limit
@@ -160,10 +169,12 @@ class ExpectedResponse:
             del passing[:ATTEMPTS]
 
 
-def indices_to_compare(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"]) -> list[int]:
-    """Indices of the designs to compare: those with the smallest response areas, and some spread
-    over the others."""
-    order = np.lexsort((areas, slow))
+def indices_to_compare(
+    response_areas: Float[np.ndarray, "N"], is_slow: Bool[np.ndarray, "N"]
+) -> list[int]:
+    """Indices of the designs to compare: those with the smallest areas under the response, and some
+    spread over the others."""
+    order = np.lexsort((response_areas, is_slow))
     design_count = len(order)
     step = max(design_count // COMPARED, 1)
     smallest = order[:COMPARED].tolist()
@@ -173,14 +184,14 @@ def indices_to_compare(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"
 
 
 def predicts_faster_response(
-    model: Model, pair: Gains, mismatch: Mismatch, validation: Trajectories, trials: Trajectories
+    model: Model, gains: Gains, mismatch: Mismatch, validation: Trajectories, trials: Trajectories
 ) -> bool:
-    """Whether a design is clearly faster than the open loop on the model and in the recorded
-    decays. Input limits are not considered."""
-    k = pair.k[None]
-    l_ = pair.l[None]
-    l_z = None if pair.l_z is None else pair.l_z[None]
-    single_pair = replace(pair, k=k, l=l_, l_z=l_z)
+    """Whether a design is clearly faster than the open loop, on the model and compared with the
+    recorded decays. Input limits are not considered."""
+    k = gains.k[None]
+    l_ = gains.l[None]
+    l_z = None if gains.l_z is None else gains.l_z[None]
+    single_pair = replace(gains, k=k, l=l_, l_z=l_z)
     area, *_ = relative_response_areas(model, single_pair, validation)
     decays = simulate_decays(model, trials, validation)
     band = mismatch.scaled_settling_band

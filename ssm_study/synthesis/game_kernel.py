@@ -1,5 +1,5 @@
-"""Compiled solver of the game Riccati equation, which gives its saddle point and the gradient
-there.
+"""Compiled solver of the Riccati equation of a dynamic game, which gives its saddle point and the
+gradient there.
 
 Everything is a matrix of floats with its rows in sequence and every product a loop of its own: one
 kind of array, few instances, a compiler that is done in seconds. A step that has no solution raises
@@ -46,19 +46,19 @@ def multiply(a, b):
 
 @compile_with_numba
 @no_type_check
-def weighted_sum(a, b, share):
-    """Weighted sum `a + share b` of two matrices."""
+def weighted_sum(a, b, factor):
+    """Weighted sum `a + factor b` of two matrices."""
     out = np.empty(a.shape)
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
-            out[i, j] = a[i, j] + share * b[i, j]
+            out[i, j] = a[i, j] + factor * b[i, j]
     return out
 
 
 @compile_with_numba
 @no_type_check
 def join_columns(a, b):
-    """Block matrix `[a, b]`."""
+    """Block matrix `[a, b]` of two matrices side by side."""
     out = np.empty((a.shape[0], a.shape[1] + b.shape[1]))
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
@@ -71,8 +71,8 @@ def join_columns(a, b):
 @compile_with_numba
 @no_type_check
 def solve_linear(a, b):
-    """Solution `a^{-1} b` of a linear system by elimination with partial pivots. Raises an error if
-    a is singular or has NaN."""
+    """Solution `a^{-1} b` of a system of linear equations by elimination with partial pivots.
+    Raises an error if a is singular or has NaN."""
     n = len(a)
     rows = join_columns(a, b)
     width = rows.shape[1]
@@ -117,13 +117,15 @@ def log_determinant(a):
 
 @compile_with_numba
 @no_type_check
-def _add_step(total, step):
-    """Add a symmetrised matrix to a sum, in place. Returns 1 if the step is negligible, -1 if the
-    sum diverges (or is NaN), else 0."""
+def _add_symmetrised(total, increment):
+    """Add the symmetric part of a matrix to a sum, in place. Returns 1 if the step is negligible,
+    -1 if the sum diverges (or is NaN), else 0."""
     largest = change = 0.0
     for i in range(len(total)):
         for j in range(i + 1):
-            middle = (step[i, j] + step[j, i]) / 2  # rounding must not make the sum unsymmetric
+            middle = (
+                increment[i, j] + increment[j, i]
+            ) / 2  # rounding must not make the sum unsymmetric
             total[i, j] = total[j, i] = (total[i, j] + total[j, i]) / 2 + middle
             if not abs(total[i, j]) < 1e200:  # and NaN, before a square overflows
                 return -1
@@ -145,10 +147,10 @@ def riccati_solution(a, g, h):
         left = both[:, :n].copy()
         right = both[:, n:].copy()
         across = transpose(a)
-        ended = _add_step(h, multiply(multiply(across, h), left))
+        ended = _add_symmetrised(h, multiply(multiply(across, h), left))
         if ended:
             break
-        _add_step(g, multiply(multiply(a, right), across))
+        _add_symmetrised(g, multiply(multiply(a, right), across))
         a = multiply(
             a, left
         )  # the closed-loop matrix is squared: after k steps 2^k samples are summed
@@ -164,7 +166,7 @@ def solve_lyapunov(a, source):
     The source is overwritten."""
     ended = 0
     for _ in range(DOUBLINGS):
-        ended = _add_step(source, multiply(multiply(a, source), transpose(a)))
+        ended = _add_symmetrised(source, multiply(multiply(a, source), transpose(a)))
         if ended:
             break
         a = multiply(a, a)  # Smith's squaring: as many terms again in each step
@@ -175,15 +177,15 @@ def solve_lyapunov(a, source):
 
 @compile_with_numba
 @no_type_check
-def _cost_matrices(f, moved, state_weight, input_weight, m, r, logs):
-    """Cost matrices of the game Riccati equation at given log multipliers."""
-    (q, n), inputs = f.shape, moved.shape[1]
-    bound = exp(logs[q]) if inputs > m else 0.0  # lambda_p: |p|^2 <= |u|^2
-    rows = join_columns(moved, f)  # what drives each neuron, by (u, p, x)
+def _cost_matrices(f, input_to_neurons, state_weight, input_weight, m, r, log_multipliers):
+    """Cost matrices of the game Riccati equation for given logarithms of the multipliers."""
+    (q, n), inputs = f.shape, input_to_neurons.shape[1]
+    bound = exp(log_multipliers[q]) if inputs > m else 0.0  # lambda_p: |p|^2 <= |u|^2
+    rows = join_columns(input_to_neurons, f)  # what drives each neuron, by (u, p, x)
     weighted = np.empty(rows.shape)
     for i in range(q):
         for j in range(inputs + n):
-            weighted[i, j] = rows[i, j] * exp(logs[i]) / 2
+            weighted[i, j] = rows[i, j] * exp(log_multipliers[i]) / 2
     every = multiply(transpose(rows), weighted)
     own = np.zeros((inputs + q, inputs + q))
     s = np.zeros((inputs + q, n))
@@ -194,7 +196,7 @@ def _cost_matrices(f, moved, state_weight, input_weight, m, r, logs):
             s[i, j] = every[i, inputs + j] / r**2
         own[i, i] += (input_weight + bound if i < m else -bound) / r**2
     for i in range(q):  # |v_i| <= |z_i|, by Lambda
-        own[inputs + i, inputs + i] = -exp(logs[i]) / 2 / r**2
+        own[inputs + i, inputs + i] = -exp(log_multipliers[i]) / 2 / r**2
     cost = np.empty((n, n))
     for i in range(n):
         for j in range(n):
@@ -204,14 +206,14 @@ def _cost_matrices(f, moved, state_weight, input_weight, m, r, logs):
 
 @compile_with_numba
 @no_type_check
-def _constraint_matrix(h, m, inputs, injects):
-    """Matrix that selects the signals whose quadratic form has to be negative. It depends on the
-    order in which the players move."""
+def _constraint_matrix(h, m, inputs, has_injection):
+    """Matrix that selects the signals of the maximising players, on which the quadratic form of the
+    game has to be negative. It depends on the order in which the players move."""
     size = len(h)
     t = np.zeros((size, size - m))
     for i in range(m, size):
         t[i, i - m] = 1.0
-    if injects:
+    if has_injection:
         log_determinant(h[:m, :m].copy())
         answered = solve_linear(h[:inputs, :inputs].copy(), h[:inputs, inputs:].copy())
         for i in range(inputs):
@@ -222,46 +224,70 @@ def _constraint_matrix(h, m, inputs, injects):
 
 @compile_with_numba
 @no_type_check
-def _goal_gradient(f, moved, m, r, logs, barrier, saddle, reach, shadow):
-    """Gradient of the guaranteed cost with respect to the log multipliers, at the saddle point of
-    the game.
+def _cost_gradient(
+    f,
+    input_to_neurons,
+    m,
+    r,
+    log_multipliers,
+    barrier_weight,
+    saddle_gain,
+    state_gramian,
+    barrier_matrix,
+):
+    """Gradient of the guaranteed cost with respect to the logarithms of the multipliers, at the
+    saddle point of the game.
 
     At a saddle point the players' own changes count only in second order: the multipliers act on
     the cost alone.
     """
-    (q, n), inputs = f.shape, moved.shape[1]
+    (q, n), inputs = f.shape, input_to_neurons.shape[1]
     z = weighted_sum(
-        f, multiply(moved, saddle[:inputs].copy()), 1.0
+        f, multiply(input_to_neurons, saddle_gain[:inputs].copy()), 1.0
     )  # what drives each neuron there
-    driven = multiply(z, reach)
-    played = multiply(saddle, reach)
-    moved_shadow = multiply(moved, shadow[:inputs, :inputs].copy())
-    gradient = np.full(len(logs), barrier)
+    driven = multiply(z, state_gramian)
+    played = multiply(saddle_gain, state_gramian)
+    moved_shadow = multiply(input_to_neurons, barrier_matrix[:inputs, :inputs].copy())
+    gradient = np.full(len(log_multipliers), barrier_weight)
     for i in range(q):
-        flow = barrier * -shadow[inputs + i, inputs + i]
+        flow = barrier_weight * -barrier_matrix[inputs + i, inputs + i]
         for j in range(n):
-            flow += driven[i, j] * z[i, j] - played[inputs + i, j] * saddle[inputs + i, j]
+            flow += driven[i, j] * z[i, j] - played[inputs + i, j] * saddle_gain[inputs + i, j]
         for j in range(inputs):
-            flow += barrier * moved_shadow[i, j] * moved[i, j]
-        gradient[i] += exp(logs[i]) * flow / 2 / r**2
+            flow += barrier_weight * moved_shadow[i, j] * input_to_neurons[i, j]
+        gradient[i] += exp(log_multipliers[i]) * flow / 2 / r**2
     if inputs > m:
         size = 0.0
         for i in range(inputs):
-            own = barrier * shadow[i, i]
+            own = barrier_weight * barrier_matrix[i, i]
             for j in range(n):
-                own += played[i, j] * saddle[i, j]
+                own += played[i, j] * saddle_gain[i, j]
             size += own if i < m else -own
-        gradient[q] = exp(logs[q]) * size / r**2 + m * barrier
+        gradient[q] = exp(log_multipliers[q]) * size / r**2 + m * barrier_weight
     return gradient
 
 
 @compile_with_numba
 @no_type_check
-def solve_saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs, barrier):
-    """Saddle point of the game at given log multipliers, with the guaranteed cost and its gradient
-    there."""
-    (q, n), inputs = f.shape, moved.shape[1]
-    cost, own, s = _cost_matrices(f, moved, state_weight, input_weight, m, r, logs)
+def solve_saddle_point(
+    a,
+    b,
+    f,
+    input_to_neurons,
+    state_weight,
+    input_weight,
+    m,
+    r,
+    has_injection,
+    log_multipliers,
+    barrier_weight,
+):
+    """Saddle point of the game for given logarithms of the multipliers, with the guaranteed cost
+    and its gradient there."""
+    (q, n), inputs = f.shape, input_to_neurons.shape[1]
+    cost, own, s = _cost_matrices(
+        f, input_to_neurons, state_weight, input_weight, m, r, log_multipliers
+    )
     across = transpose(b)
     inverse = solve_linear(own, join_columns(s, across))
     first = inverse[:, :n].copy()
@@ -275,7 +301,7 @@ def solve_saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects
     into = multiply(across, x)
     h = weighted_sum(own, multiply(into, b), 1.0)
     toward = weighted_sum(s, multiply(into, a), 1.0)
-    t = _constraint_matrix(h, m, inputs, injects)
+    t = _constraint_matrix(h, m, inputs, has_injection)
     room = multiply(transpose(t), multiply(h, t))
     for i in range(len(room)):  # the maximising players' curvature: positive, or no saddle exists
         for j in range(len(room)):
@@ -284,14 +310,22 @@ def solve_saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects
     log_volume = 0.0
     for i in range(n):
         trace += x[i, i]
-    for i in range(len(logs)):
-        log_volume += logs[i] if i < q else m * logs[i]
-    goal = log(trace) - barrier * (log_determinant(room) - log_volume)
+    for i in range(len(log_multipliers)):
+        log_volume += log_multipliers[i] if i < q else m * log_multipliers[i]
+    goal = log(trace) - barrier_weight * (log_determinant(room) - log_volume)
     saddle = solve_linear(h, toward)
     for i in range(len(saddle)):
         for j in range(n):
             saddle[i, j] = -saddle[i, j]
     shadow = multiply(t, solve_linear(room, transpose(t)))  # T (T'(-H)T)^{-1} T'
-    source = weighted_sum(np.eye(n) / trace, multiply(multiply(b, shadow), across), barrier)
+    source = weighted_sum(np.eye(n) / trace, multiply(multiply(b, shadow), across), barrier_weight)
     reach = solve_lyapunov(weighted_sum(a, multiply(b, saddle), 1.0), source)
-    return goal, _goal_gradient(f, moved, m, r, logs, barrier, saddle, reach, shadow), x, h, toward
+    return (
+        goal,
+        _cost_gradient(
+            f, input_to_neurons, m, r, log_multipliers, barrier_weight, saddle, reach, shadow
+        ),
+        x,
+        h,
+        toward,
+    )

@@ -73,8 +73,8 @@ FAR = 1e300  # the cost of an inadmissible tau: finite, so that the line search 
 
 @dataclass(frozen=True, kw_only=True)
 class GuaranteedCost:
-    """Gain and scaled Riccati solution at one point of the search over the multiplier tau. The
-    solution is divided by tau."""
+    """Gain and scaled Riccati solution for one value of the multiplier tau. The solution is divided
+    by tau."""
 
     s_over_tau: Float[np.ndarray, "n n"]
     k: Float[np.ndarray, "m n"]
@@ -82,15 +82,15 @@ class GuaranteedCost:
 
     @property
     def cost(self) -> float:
-        """Guaranteed cost summed over unit initial states, `trace(S)`."""
+        """Guaranteed quadratic cost summed over unit initial states, `trace(S)`."""
         trace = np.trace(self.s_over_tau)
         return float(self.tau * trace)
 
 
 @linear_algebra_failures_as_no_solution()
 def guaranteed_cost(problem: Problem) -> Solution:
-    """Certified gain with the smallest guaranteed cost over the multiplier tau. Raises `NoSolution`
-    if no tau is admissible."""
+    """Gain with the smallest guaranteed quadratic cost, minimised over the multiplier tau of the
+    Riccati equation. Raises `NoSolution` if no tau is admissible."""
     alpha = problem.ball.alpha
     beta = problem.ball.beta
     if abs(alpha) <= beta:
@@ -136,7 +136,7 @@ def solve_at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
 
 
 def _minimise_over_tau(problem: Problem, tau_min: float) -> GuaranteedCost:
-    """Minimise the guaranteed cost over the multiplier tau."""
+    """Riccati solution and gain with the smallest guaranteed cost over the multiplier tau."""
     tried: list[tuple[float, GuaranteedCost | None]] = []
 
     def cost_at(log_step: float) -> float:
@@ -169,7 +169,8 @@ def _minimise_over_tau(problem: Problem, tau_min: float) -> GuaranteedCost:
 
 @dataclass(frozen=True, kw_only=True)
 class RiccatiSynthesis(Synthesis):
-    """Synthesis of the certified gains with the smallest guaranteed cost for given weights.
+    """Synthesis of the certified gains with the smallest guaranteed quadratic cost for given
+    weights.
 
     With neurons the search starts from what is `near`: a neighbour's solution for the controller
     (under False) or for the observer (under True).
@@ -183,18 +184,18 @@ class RiccatiSynthesis(Synthesis):
         if problem.neurons is None:
             return guaranteed_cost(problem)
         from ssm_study.synthesis.structured_riccati import (
-            least_cost,
+            least_guaranteed_cost,
         )  # compiles: only where there are neurons
 
         observes = problem.neurons.observes
         near = self.near.get(observes)
-        return least_cost(problem, near)
+        return least_guaranteed_cost(problem, near)
 
     def solution_attempts(
         self, problem: Problem, frontier: Frontier
     ) -> list[Callable[[], Solution]]:
-        """Functions that solve the problem for the given weights, and near the largest rate by the
-        minimum-energy gain."""
+        """Functions that solve a synthesis problem by the guaranteed-cost gain for the given
+        weights and, near the largest rate, by the minimum-energy gain."""
         all_attempts = super().solution_attempts(problem, frontier)
         weighted = all_attempts[:WEIGHTED_ATTEMPTS]
         if problem.neurons is not None:

@@ -27,9 +27,9 @@ INVERTED = {
 }
 
 
-def model_behind_map(model: Model) -> Model:
-    """Model without its input map, with input `v = S_u(u)`. Raises `BadRequest` unless `S_u` can be
-    inverted channel by channel."""
+def model_without_input_map(model: Model) -> Model:
+    """Model without its static input map, whose input is `v = S_u(u)`, the output of the map.
+    Raises `BadRequest` unless `S_u` can be inverted channel by channel."""
     problem = "is not strictly monotone in each channel"
     remedy = "use scaffold@model.scaffold_in=monotone"
     kind = model.scaffold_in.kind
@@ -45,33 +45,42 @@ def model_behind_map(model: Model) -> Model:
     return replace(model, scaffold_in=scaffold_in, scale=scaled)
 
 
-def records_behind_map(model: Model, records: Trajectories) -> Trajectories:
-    """Records with `v = S_u(u)`, the input after the input map, in place of the input."""
+def records_with_mapped_input(model: Model, records: Trajectories) -> Trajectories:
+    """Records in which the input u is replaced by `v = S_u(u)`, the output of the static input
+    map."""
     return tuple(replace(record, u=model.map_input(record.u)) for record in records)
 
 
-def mismatch_behind_map(
+def mismatch_of_mapped_input(
     model: Model, records: Trajectories, start_up_samples: int, mismatch_records: Trajectories
 ) -> Mismatch:
-    """Model error of the records with `v = S_u(u)`, the input after the input map, as the input."""
-    linear_model = model_behind_map(model)
-    mapped_records = records_behind_map(model, records)
-    mapped_mismatch_records = records_behind_map(model, mismatch_records)
+    """Model error measured relative to `v = S_u(u)`, the output of the static input map, in place
+    of the input u."""
+    linear_model = model_without_input_map(model)
+    mapped_records = records_with_mapped_input(model, records)
+    mapped_mismatch_records = records_with_mapped_input(model, mismatch_records)
     return measure_mismatch(linear_model, mapped_records, start_up_samples, mapped_mismatch_records)
 
 
-def mismatch_for_law(law: Any, model: Model, data: DataSet, mismatch: Mismatch) -> Mismatch:
-    """Model error in the variables of a control law that inverts the input map. This is u, or v
-    where the law inverts the input map; `mismatch` is relative to u."""
-    inverts = law.inverts_input_map if isinstance(law, Design) else law.invert_input
+def mismatch_for_control_law(
+    control_law: Any, model: Model, data: DataSet, mismatch: Mismatch
+) -> Mismatch:
+    """Model error relative to the input that a control law commands: u or, if the law inverts the
+    input map, the map's output. This is u, or v where the law inverts the input map; `mismatch` is
+    relative to u."""
+    inverts = (
+        control_law.inverts_input_map
+        if isinstance(control_law, Design)
+        else control_law.invert_input
+    )
     if not inverts:
         return mismatch
     records = data.validation, data.start_up_samples, data.mismatch_records
-    return mismatch_behind_map(model, *records)
+    return mismatch_of_mapped_input(model, *records)
 
 
-def mark_as_inverting(design: Design) -> Design:
-    """Copy of a design whose control law inverts the input map, with the same gains."""
+def mark_as_input_inverting(design: Design) -> Design:
+    """Copy of a design with the same gains whose control law inverts the static input map."""
     part = design.state_feedback
     name = part.theorem if isinstance(part, Infeasible) else part.name()
     require(
@@ -89,26 +98,29 @@ def mark_as_inverting(design: Design) -> Design:
     return replace(design, state_feedback=kind(**feedback_fields))
 
 
-def commanded_model_and_balls(design: Design, model: Model, balls: Balls) -> tuple[Model, Balls]:
-    """Model and balls of Jacobians as a control law that inverts the input map sees them. They are
-    the model itself, or the model with input v."""
+def model_and_balls_of_control_law(
+    design: Design, model: Model, balls: Balls
+) -> tuple[Model, Balls]:
+    """Model for which a design's gains are certified, without its input map if the control law
+    inverts that, and its balls of Jacobians. They are the model itself, or the model with input v.
+    """
     if not design.inverts_input_map:
         return model, balls
-    inner_model = model_behind_map(model)
+    inner_model = model_without_input_map(model)
     return inner_model, certified_balls(inner_model)
 
 
 def design_with_inverted_input(
-    plain: Any, model: Model, validation: Trajectories, shown: Mismatch | None
+    synthesis: Any, model: Model, validation: Trajectories, mismatch: Mismatch | None
 ) -> Design:
-    """Design for the model without its input map, with a control law that inverts the map."""
-    inner_model = model_behind_map(model)
-    limits = getattr(plain, "limits", None)
+    """Design for a model without its static input map, whose control law then inverts the map."""
+    inner_model = model_without_input_map(model)
+    limits = getattr(synthesis, "limits", None)
     if limits is not None:
         ends = [model.scaffold_in(end) for end in limits]
         sorted_ends = np.sort(ends, axis=0)
-        plain = replace(plain, limits=tuple(sorted_ends))  # a falling S_u exchanges them
+        synthesis = replace(synthesis, limits=tuple(sorted_ends))  # a falling S_u exchanges them
     balls = certified_balls(inner_model)
-    records = records_behind_map(model, validation)
-    design = plain.design(inner_model, balls, records, shown)
-    return mark_as_inverting(design)
+    records = records_with_mapped_input(model, validation)
+    design = synthesis.design(inner_model, balls, records, mismatch)
+    return mark_as_input_inverting(design)

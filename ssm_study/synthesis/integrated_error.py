@@ -34,11 +34,11 @@ AT_ONCE = 256  # designs simulated together: as many as stay in the processor's 
 
 
 def comparison_scenario(
-    model: Model, validation: Trajectories, loaded: bool
+    model: Model, validation: Trajectories, has_loads: bool
 ) -> tuple[InitialStates, Loads, int]:
-    """Initial states, loads and horizon of the simulations in which designs are compared.
+    """Initial states, loads and horizon of the simulations by which candidate designs are compared.
 
-    `CASES` states that the model passes through in the validation record; if `loaded`, also rest
+    `CASES` states that the model passes through in the validation record; if `has_loads`, also rest
     under loads. Not states in which a constant input would hold the model: a model may have a mode
     so slow that no record ever filled it, and a design that looks fast from there leaves the
     estimate of that mode behind on the plant.
@@ -68,7 +68,7 @@ def comparison_scenario(
     horizon = int(limited_samples)
     channels = linear.b.shape[1]
     loads = np.zeros((0, channels))
-    if loaded:
+    if has_loads:
         loads = _constant_loads(model, linear, horizon)
     load_count = len(loads)
     at_origin = np.zeros((load_count, model.order))
@@ -80,8 +80,8 @@ def comparison_scenario(
 
 
 def _constant_loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, "L k"]:
-    """Constant loads at several levels for each input, scaled by their effect on the output. Inputs
-    without effect are left out."""
+    """Constant load disturbances at several levels for each input of a model, scaled by their
+    effect on the output. Inputs without effect are left out."""
     if linear.integrates:  # a unit of each channel holds no state: the one that it reaches
         input_count = linear.b.shape[1]
         unit_rows = np.eye(input_count)
@@ -105,11 +105,11 @@ def _constant_loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.
 
 
 def _load_over_time(
-    modes: Float[np.ndarray, "z z"], outputs: int, horizon: int
+    internal_model: Float[np.ndarray, "z z"], outputs: int, horizon: int
 ) -> Float[np.ndarray, "T"]:
-    """Time course of a load that the internal model can generate, such as a constant, a ramp or a
-    sine."""
-    own_modes = modes[::outputs, ::outputs]  # of one output
+    """Time course of a load disturbance that an internal model can generate, such as a constant, a
+    ramp or a sine."""
+    own_modes = internal_model[::outputs, ::outputs]  # of one output
     if not len(own_modes):
         return np.ones(horizon)
     powers = [np.linalg.matrix_power(own_modes, k) for k in range(horizon)]
@@ -125,7 +125,8 @@ def _load_over_time(
 def relative_response_areas(
     model: Model, gains: Gains, validation: Trajectories, limits: Ends | None = None
 ) -> RelativeAreas:
-    """Response area of each design relative to the open loop, averaged over the initial states.
+    """Area under the response of each design on the model relative to the open loop, averaged over
+    initial states.
 
     `J = sum_k (||y[k]|| + [not settled at k])`, settled when `||y||` stays below `SETTLED`: the
     area hardly sees a faint tail, on which the time to settle turns; the time does not see what
@@ -134,7 +135,7 @@ def relative_response_areas(
     units, inputs within `limits`, where it is `equilibrium_basis`. Below one is faster than none.
     """
     loaded = len(gains.modes) > 0
-    x0, load, horizon = comparison_scenario(model, validation, loaded=loaded)
+    x0, load, horizon = comparison_scenario(model, validation, has_loads=loaded)
     input_limits = limits or (-LARGEST, LARGEST)
     no_gain = 0 * gains.k[:1]
     no_injection = 0 * gains.l[:1]
@@ -162,9 +163,9 @@ def _response_areas(
     x0: InitialStates,
     load: Loads,
     horizon: int,
-    limits: Ends | tuple[float, float],
+    input_limits: Ends | tuple[float, float],
 ) -> Float[np.ndarray, "P N"]:
-    """Response area plus settling time of each design from each initial state."""
+    """Area under the response plus settling time, for each design and each initial state."""
     n = model.order
     k = gains.k.transpose(0, 2, 1)
     l_ = gains.l.transpose(0, 2, 1)
@@ -185,7 +186,7 @@ def _response_areas(
     settled_at = np.zeros(cases)
     for sample in range(horizon):
         requested = x_hat @ state_gain + z @ internal_gain
-        u = np.clip(requested, *limits)
+        u = np.clip(requested, *input_limits)
         mapped_input = model.scaffold_in(u)
         loaded = mapped_input + load * shape[sample]
         y = model.scaled_output_at(x, loaded)

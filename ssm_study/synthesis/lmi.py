@@ -77,8 +77,8 @@ class CompiledLmi:
         self.problem = cp.Problem(minimize, constraints)
 
     def solve(self, problem: Problem, solver: str = "CLARABEL") -> Solution:
-        """Solve the linear matrix inequality for gain and metric. Raises `NoSolution` with the
-        solver's status if there is none."""
+        """Solve the compiled linear matrix inequality for gain and metric. Raises `NoSolution` with
+        the solver's status if there is none."""
         parts = self.parts
         alpha = problem.ball.alpha
         beta = problem.ball.beta
@@ -102,7 +102,8 @@ class CompiledLmi:
 def _minimum_gain_objective(
     upper: Blocks, p: cp.Expression, y: cp.Expression, x: cp.Expression
 ) -> Goal:
-    """Objective and constraints that minimise the norm of the gain."""
+    """Objective and constraints that minimise the norm of the gain subject to a linear matrix
+    inequality."""
     matrix = cp.bmat(symmetric_from_upper(upper))
     g = cp.Variable(nonneg=True)
     inputs = x.shape[0]
@@ -121,12 +122,12 @@ def _minimum_gain_objective(
 
 @lru_cache(maxsize=4)
 def _compiled_inequality(
-    data: tuple[bytes, bytes, bytes], order: int, objective: str, full: bool, input_weight: float
+    data: tuple[bytes, bytes, bytes], order: int, objective: str, is_full: bool, input_weight: float
 ) -> Any:
     """Linear matrix inequality compiled for CVXPY, cached for problems with the same data."""
     a, b, weight = (np.frombuffer(part).reshape(order, -1) for part in data)
     return CompiledLmi(
-        a=a, b=b, objective=objective, full=full, state_weight=weight, input_weight=input_weight
+        a=a, b=b, objective=objective, full=is_full, state_weight=weight, input_weight=input_weight
     )
 
 
@@ -167,10 +168,10 @@ class LmiSynthesis(Synthesis):
 
 
 def certificate_from_paper_lmi(
-    linear: StateSpace, ball: JacobianBall, rate: float, theorem: type[Side] = StateFeedbackOfBall
+    system: StateSpace, ball: JacobianBall, rate: float, theorem: type[Side] = StateFeedbackOfBall
 ) -> Any:
-    """Certificate from the linear matrix inequality exactly as [Z26] prints it. Any solution with
-    the block matrix `>= I` is taken.
+    """Certificate found by solving the linear matrix inequality exactly as [Z26] prints it. Any
+    solution with the block matrix `>= I` is taken.
 
     One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for
     every record. A certificate, certified or not; `Infeasible` without matrices.
@@ -189,7 +190,7 @@ def certificate_from_paper_lmi(
         started=started,
     )
     try:
-        problem = method.problem(linear, ball, theorem.observes)
+        problem = method.problem(system, ball, theorem.observes)
         solution = method.solve(problem)
         return attempt.certify_solution(problem, solution)
     except (NoSolution, BadRequest) as error:

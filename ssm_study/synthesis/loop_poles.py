@@ -13,19 +13,19 @@ LEAST_EFFECT = 1e-3  # distance of a pole, in the unit circle
 Poles = Complex[np.ndarray, "_"]
 
 
-def moves_poles(uncontrolled: Poles, controlled: Poles) -> bool:
+def moves_poles(open_loop_poles: Poles, closed_loop_poles: Poles) -> bool:
     """Whether a controller moves the poles of a model by more than a small threshold."""
-    if len(uncontrolled) != len(controlled):  # an internal model
+    if len(open_loop_poles) != len(closed_loop_poles):  # an internal model
         return True
-    before = np.sort_complex(uncontrolled)
-    after = np.sort_complex(controlled)
+    before = np.sort_complex(open_loop_poles)
+    after = np.sort_complex(closed_loop_poles)
     movements = np.abs(before - after)
     return bool(movements.max(initial=0.0) > LEAST_EFFECT)
 
 
 def eigenvalue_groups(model: Model, gains: Gains) -> dict[str, Poles]:
-    """Eigenvalues of the model, the controlled model and the estimation error at the equilibrium.
-    `A + B J_u K`, `A + L J_y C`."""
+    """Eigenvalues of the model, of the controlled model and of the estimation error at the
+    equilibrium, by name. `A + B J_u K`, `A + L J_y C`."""
     linear = linearise_at_equilibrium(model)
     n = len(linear.a)
     inputs = model.scaffold_in.inputs

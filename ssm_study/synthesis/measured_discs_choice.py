@@ -1,5 +1,5 @@
-"""Choice of the fastest design whose proof covers the recorded model error, among designs predicted
-stable.
+"""Choice of the fastest design whose certificate holds for the recorded model error, among designs
+predicted stable.
 
 Neighbours in the order of expected response are alike, so ever fewer of them are looked at: the
 first, second, third, fifth, ... . Coverage is that of the frequency inequality, without filters and
@@ -43,16 +43,16 @@ Search = Callable[[Design, Design, float], Design | None]
 
 def first_covering_design(
     pairs: Iterator[Any],
-    make: Make,
+    make_design: Make,
     model: Model,
     balls: Balls,
     premise: Premise | None,
-    cover: float | None,
+    requested_coverage: float | None,
     search: Search | None = None,
 ) -> tuple[Design | None, str]:
-    """First design whose proof covers the recorded model error, otherwise the best substitute, with
-    a word for which it is. Substitutes are the result of a search around the design that covers
-    most, then the first that is covered at all, then the first.
+    """First design whose certificate holds for the recorded model error, otherwise the best
+    substitute, with a word for the kind of design returned. Substitutes are the result of a search
+    around the design that covers most, then the first that is covered at all, then the first.
 
     `search(first, most, cover)` is given the first design, the one that covers most, and the
     coverage wanted of its certificate. With neurons, where one look takes a second, fewer pairs
@@ -61,14 +61,14 @@ def first_covering_design(
     """
     places: tuple[int, ...] = LOOKED_AT
     if isinstance(model.system, StructuredSystem):
-        places = WITH_NEURONS if cover is None else WITH_NEURONS + FARTHER
+        places = WITH_NEURONS if requested_coverage is None else WITH_NEURONS + FARTHER
     lost = usual_proof_loss(model)
-    target = lost * (1.0 if cover is None else cover)
+    target = lost * (1.0 if requested_coverage is None else requested_coverage)
     walk = GridWalk(
-        pairs=iter(enumerate(pairs)), make=make, places=places, lost=lost, target=target
+        pairs=iter(enumerate(pairs)), make=make_design, places=places, lost=lost, target=target
     )
     first = walk.first_design()
-    sought = premise is not None and seeks_coverage(model, cover, premise)
+    sought = premise is not None and seeks_coverage(model, requested_coverage, premise)
     if first is None or premise is None or not sought:
         return first, PREDICTED
     if premise.missing_reason(0.0) is not None or exclusion_reason(first, model):
@@ -76,33 +76,37 @@ def first_covering_design(
 
     deciding: dict[float, Any] = {}
 
-    def coverage_of(design: Design, least: float) -> float:
-        """Coverage of one design, computed frequency by frequency."""
-        return coverage_by_frequency(design, model, balls, premise, target, least, deciding)
+    def coverage_of(design: Design, least_coverage: float) -> float:
+        """Coverage of one design (ratio of tolerated to recorded model error), computed frequency
+        by frequency."""
+        return coverage_by_frequency(
+            design, model, balls, premise, target, least_coverage, deciding
+        )
 
     covered = walk.first_covered_design(coverage_of, NEAR)
     if covered is not None:
         return covered, COVERED
     wanted_coverage = target / lost
-    substitute = walk.search_around(search, wanted_coverage)
+    substitute = walk.search_near_best_design(search, wanted_coverage)
     if substitute is not None:
         return substitute, SEARCHED
     covered = walk.first_covered_design(coverage_of, walk.places[-1])
     if covered is None:
         return walk.best_substitute()
-    substitute = walk.search_around(search, wanted_coverage)
+    substitute = walk.search_near_best_design(search, wanted_coverage)
     return (covered, COVERED) if substitute is None else (substitute, SEARCHED)
 
 
 def usual_proof_loss(model: Model) -> float:
-    """Usual largest ratio of the coverage computed frequency by frequency to the proved one."""
+    """Usual ratio of the coverage that is computed frequency by frequency to the coverage that a
+    certificate then proves."""
     return LOST_WITH_NEURONS if isinstance(model.system, StructuredSystem) else LOST
 
 
 @dataclass(kw_only=True)
 class GridWalk:
-    """Search through pairs of gains, fastest expected response first, that computes the coverage of
-    ever fewer pairs.
+    """Walk through pairs of controller and observer gains, fastest expected response first, that
+    computes the coverage of fewer and fewer of them.
 
     Kept are the first design, the first that is covered `barely`, and the one with the `largest`
     coverage, `most`. `lost` is the loss of a proof.
@@ -120,7 +124,8 @@ class GridWalk:
     unseen: Design | None = None
 
     def first_design(self) -> Design | None:
-        """First pair of gains, fastest expected response first, that gives a certified design."""
+        """First certified design of a walk through pairs of gains, the fastest expected response
+        first."""
         for place, pair in self.pairs:
             design = self.make(pair)
             if design is not None:
@@ -132,23 +137,25 @@ class GridWalk:
         return None
 
     def first_covered_design(
-        self, coverage_of: Callable[[Design, float], float], until: int
+        self, coverage_of: Callable[[Design, float], float], last_place: int
     ) -> Design | None:
-        """First design up to a given place whose coverage reaches the target; None if none does."""
-        for design in self._examined_designs(until):
+        """First design of a walk through pairs of gains whose coverage reaches the target; None if
+        there is none up to a given place."""
+        for design in self._examined_designs(last_place):
             coverage = coverage_of(design, self.largest)
             self._add_design(design, coverage)
             if coverage >= self.target:
                 return design
         return None
 
-    def _examined_designs(self, until: int) -> Iterator[Design]:
-        """Designs of the pairs of gains that are examined, up to a given place."""
+    def _examined_designs(self, last_place: int) -> Iterator[Design]:
+        """Designs of those pairs of gains, up to a given place of the walk, whose coverage is to be
+        computed."""
         if self.unseen is not None:
             design = self.unseen
             self.unseen = None
             yield design
-        last = max(place for place in self.places if place <= until)
+        last = max(place for place in self.places if place <= last_place)
         for place, pair in self.pairs:
             design_here = self.make(pair) if place in self.places else None
             if design_here is not None:
@@ -157,7 +164,8 @@ class GridWalk:
                 return
 
     def _add_design(self, design: Design, coverage: float) -> None:
-        """Add a design and its coverage to those examined."""
+        """Compare a design and its coverage with the best designs of the walk so far, and store it
+        if it is better."""
         if self.barely is None and coverage >= self.lost:
             self.barely = design
         if self.most is None or coverage > self.largest:
@@ -165,25 +173,27 @@ class GridWalk:
             self.largest = coverage
 
     def best_substitute(self) -> tuple[Design | None, str]:
-        """Best design if none reaches the target coverage, with a word for the kind of
-        substitute."""
+        """Best design of a walk in which none reaches the target coverage, with a word for the kind
+        of substitute."""
         if self.barely is not None:
             return self.barely, LESS_COVERED
         return self.first, NOT_COVERED
 
-    def search_around(self, search: Search | None, wanted: float) -> Design | None:
-        """Design from a random search near the one with the largest coverage; None if there is
-        none."""
-        if search is None or self.first is None or self.most is None:
+    def search_near_best_design(
+        self, search_near_design: Search | None, target_coverage: float
+    ) -> Design | None:
+        """Design from a random search near the design with the largest coverage; None if the search
+        finds none."""
+        if search_near_design is None or self.first is None or self.most is None:
             return None
-        return search(self.first, self.most, wanted)
+        return search_near_design(self.first, self.most, target_coverage)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopCoverage:
-    """Coverage of any gains in one loop, computed frequency by frequency from the recorded model
-    error. `deciding` holds the angles around each centre that decided the last gains, where solving
-    is slow."""
+    """Coverage (ratio of tolerated to recorded model error) of any gains in one closed loop,
+    computed frequency by frequency. `deciding` holds the angles around each centre that decided the
+    last gains, where solving is slow."""
 
     context: VerificationContext
     items: dict[float, tuple[Item, ...]]
@@ -193,28 +203,31 @@ class LoopCoverage:
     def for_loop(
         cls,
         model: Model,
-        controlled: Any,
+        controlled_system: Any,
         balls: Balls,
         premise: Premise,
-        deciding: dict[float, Float[np.ndarray, "D"]] | None = None,
+        deciding_angles: dict[float, Float[np.ndarray, "D"]] | None = None,
     ) -> "LoopCoverage":
-        """Prepare to compute, for one loop, which multiple of the recorded model error given gains
-        tolerate."""
+        """Prepare the data from which the coverage of any gains in one closed loop is computed."""
         from ssm_study.synthesis.measured_discs_search import CENTRES
 
         context = VerificationContext(
-            system=model.system, controlled=controlled, balls=balls, gains={}
+            system=model.system, controlled=controlled_system, balls=balls, gains={}
         )
         items = {}
         for centre in CENTRES:
             items[centre] = tuple(item for item in premise.requirements(centre) if item.seen > 0)
-        return cls(context=context, items=items, deciding={} if deciding is None else deciding)
+        return cls(
+            context=context,
+            items=items,
+            deciding={} if deciding_angles is None else deciding_angles,
+        )
 
-    def largest_radius_around(
-        self, gains: dict[str, Any], centre: float, least: float = 0.0
+    def largest_disc_radius_at_centre(
+        self, gains: dict[str, Any], centre: float, least_radius: float = 0.0
     ) -> float:
-        """Largest radius of a disc of model errors around a given centre that given gains tolerate.
-        If it is below `least`, it may be an upper bound."""
+        """Largest radius of a disc of model errors, with a given centre, that given gains tolerate.
+        If it is below `least_radius`, it may be an upper bound."""
         from ssm_study.synthesis.measured_discs_program import LoopForms
         from ssm_study.synthesis.measured_discs_search import select_theorem
         from ssm_study.synthesis.measured_discs_weights import (
@@ -240,7 +253,7 @@ class LoopCoverage:
         try:
             with linear_algebra_failures_as_no_solution():
                 nu, _, deciding = program.maximise_radius_from(
-                    self.deciding.get(centre, NO_ANGLES), least**2
+                    self.deciding.get(centre, NO_ANGLES), least_radius**2
                 )
         except NoSolution:
             return 0.0
@@ -248,17 +261,17 @@ class LoopCoverage:
             self.deciding[centre] = deciding
         return float(max(nu, 0.0) ** 0.5)
 
-    def largest_radius(
-        self, gains: dict[str, Any], enough: float = np.inf, least: float = 0.0
+    def largest_disc_radius(
+        self, gains: dict[str, Any], sufficient_radius: float = np.inf, least_radius: float = 0.0
     ) -> tuple[float, float]:
         """Largest radius of a disc of model errors that given gains tolerate, with the best centre
-        of the disc. The search ends at the first radius that is `enough`; below `least` the radius
-        may be an upper bound."""
+        of the disc. The search ends at the first radius that is `sufficient_radius`; below
+        `least_radius` the radius may be an upper bound."""
         best = (0.0, next(iter(self.items)))
         for centre in self.items:
-            radius = self.largest_radius_around(gains, centre, max(best[0], least))
+            radius = self.largest_disc_radius_at_centre(gains, centre, max(best[0], least_radius))
             best = max(best, (radius, centre))
-            if best[0] >= enough:
+            if best[0] >= sufficient_radius:
                 break
         return best
 
@@ -268,15 +281,15 @@ def coverage_by_frequency(
     model: Model,
     balls: Balls,
     premise: Premise,
-    enough: float = np.inf,
-    least: float = 0.0,
-    deciding: dict[float, Float[np.ndarray, "D"]] | None = None,
+    sufficient_radius: float = np.inf,
+    least_radius: float = 0.0,
+    deciding_angles: dict[float, Float[np.ndarray, "D"]] | None = None,
 ) -> float:
     """Largest radius of a disc of model errors that a design tolerates, computed frequency by
-    frequency. The search ends at the first radius that is `enough`; below `least` the radius may be
-    an upper bound."""
+    frequency. The search ends at the first radius that is `sufficient_radius`; below `least_radius`
+    the radius may be an upper bound."""
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)
     system = controlled_system(model, feedback)
-    loop = LoopCoverage.for_loop(model, system, balls, premise, deciding)
-    return loop.largest_radius(design.gains, enough, least)[0]
+    loop = LoopCoverage.for_loop(model, system, balls, premise, deciding_angles)
+    return loop.largest_disc_radius(design.gains, sufficient_radius, least_radius)[0]

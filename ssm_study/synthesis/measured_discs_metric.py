@@ -1,5 +1,5 @@
-"""Metric P that proves a measured disc: candidates from Riccati equations, the first of which that
-exact arithmetic accepts makes the certificate.
+"""Search for a metric P that proves a measured disc: candidates from Riccati equations, of which
+the first that exact arithmetic accepts is taken.
 
 Source: docs/theory.md, "Measured discs".
 """
@@ -26,10 +26,10 @@ def first_exact_certificate(
     context: VerificationContext,
     numbers: dict[str, Any],
     margin: float,
-    started: float,
+    start_time: float,
 ) -> MeasuredDiscs | None:
-    """Certificate with the first metric P that exact arithmetic accepts; None if it accepts
-    none."""
+    """Certificate of a measured disc with the first candidate metric P that exact arithmetic
+    accepts; None if it accepts none."""
     if margin <= 0:
         return None
     ball = context.balls.input
@@ -39,7 +39,7 @@ def first_exact_certificate(
     for p in metric_candidates(theorem, matrices, margin):
         proof: MeasuredDiscs = theorem.from_numbers(
             matrices | {"p": p},
-            started=started,
+            started=start_time,
             status="one convex program, one Riccati equation",
             method="measured discs",
         )
@@ -51,7 +51,8 @@ def first_exact_certificate(
 def metric_candidates(
     theorem: type[MeasuredDiscs], numbers: dict[str, Any], margin: float
 ) -> Iterator[Float[np.ndarray, "x x"]]:
-    """Candidates for the metric P, from Riccati equations with several slacks."""
+    """Candidates for the metric P of a measured-disc certificate, from Riccati equations with
+    several slacks."""
     matrices = {name: np.atleast_2d(value) for name, value in numbers.items()}
     of = SimpleNamespace(**matrices)
     rows = theorem.signal_matrices(of)
@@ -95,7 +96,8 @@ def metric_candidates(
 
 
 def lmi_margin(theorem: type[MeasuredDiscs], numbers: dict[str, Any]) -> float:
-    """Smallest eigenvalue, in floats, of the theorem's matrices after scaling to unit diagonals."""
+    """Smallest eigenvalue, in floats, of the matrices of a theorem after scaling to unit
+    diagonals."""
     matrices = theorem.as_floats(**numbers)
     smallest_eigenvalues = []
     for name in ("inequality", "p"):

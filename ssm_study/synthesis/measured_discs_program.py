@@ -48,8 +48,8 @@ Forms = Complex[np.ndarray, "A F G G"]
 
 @dataclass(frozen=True, kw_only=True)
 class LoopForms:
-    """Quadratic forms of the loop's states and free signals: one for the disc, and one for each
-    multiplier."""
+    """Quadratic forms of a closed loop's states and free signals: one for the disc of model errors,
+    and one for each multiplier."""
 
     a: Float[np.ndarray, "x x"]
     b: Float[np.ndarray, "x g"]
@@ -63,7 +63,7 @@ class LoopForms:
     def from_context(
         cls, theorem: type[MeasuredDiscs], context: VerificationContext, centres: Sequence[float]
     ) -> "LoopForms":
-        """Compute the quadratic forms of a loop from the model and its gains."""
+        """Compute the quadratic forms of a closed loop from the model and its gains."""
         of, counts = loop_without_filters(theorem, context)
         rows = theorem.signal_matrices(of)
         order = len(rows.xi)
@@ -89,7 +89,8 @@ class LoopForms:
         )
 
     def at_angles(self, angles: Angles) -> "FormsAtAngles":
-        """Quadratic forms of the loop at each frequency, in the free signals alone."""
+        """Quadratic forms of a closed loop at each frequency, as functions of the free signals
+        alone."""
         order, free_signals = self.b.shape
         count = len(angles)
         z = np.exp(1j * angles)[:, None, None]
@@ -113,7 +114,7 @@ class LoopForms:
 
     @property
     def frequency_grid(self) -> Angles:
-        """Frequency grid that is fine near the loop's own modes."""
+        """Frequency grid that is fine near the resonances of the closed loop."""
         modes = np.linalg.eigvals(self.a)
         own = np.abs(np.angle(modes))
         width = np.maximum(1 - np.abs(modes), 1e-4)
@@ -125,7 +126,8 @@ class LoopForms:
 
 @dataclass(frozen=True, kw_only=True)
 class FormsAtAngles:
-    """Quadratic forms of a loop at some frequencies, Hermitian in the free signals."""
+    """Quadratic forms of a closed loop at several frequencies, as Hermitian matrices of the free
+    signals."""
 
     angles: Angles
     model: FormsOverAngles
@@ -134,7 +136,7 @@ class FormsAtAngles:
     multipliers: Forms
 
     def combine_with(self, other: "FormsAtAngles") -> "FormsAtAngles":
-        """Quadratic forms at the frequencies of this object and of another one."""
+        """Join the quadratic forms of a closed loop at two sets of frequencies."""
         angles = np.concatenate([self.angles, other.angles])
         model = np.concatenate([self.model, other.model])
         forms_at_angles_input = np.concatenate([self.input, other.input])
@@ -154,8 +156,8 @@ class FormsAtAngles:
 def loop_without_filters(
     theorem: type[MeasuredDiscs], context: VerificationContext
 ) -> tuple[Any, dict[str, int]]:
-    """Fields of the theorem with trivial weights and zero multipliers, and the number of
-    multipliers by name."""
+    """Closed-loop fields of the measured-disc theorem with trivial weights and zero multipliers,
+    and the number of multipliers by name."""
     loop = theorem.loop_matrices(context)
     lambda_out = 3 if loop["beta_out"] > 0 else 0
     counts = {"lambda_p": 1, "lambda_out": lambda_out}
@@ -172,12 +174,12 @@ def loop_without_filters(
 
 
 def _multiplier_form(
-    theorem: type[MeasuredDiscs], of: Any, counts: dict[str, int], name: str, index: int
+    theorem: type[MeasuredDiscs], loop_fields: Any, counts: dict[str, int], name: str, index: int
 ) -> QuadraticForm:
-    """Quadratic form that belongs to one multiplier."""
+    """Quadratic form of the closed loop's signals that one multiplier multiplies."""
     unit = np.zeros((1, counts[name]))
     unit[0, index] = 1.0
-    alone = SimpleNamespace(**{**vars(of), name: unit})
+    alone = SimpleNamespace(**{**vars(loop_fields), name: unit})
     signals = theorem.signal_matrices(alone)
     pairs = theorem.static_map_constraints(alone, signals)
     forms = [multiplier * form for multiplier, form in pairs]
@@ -186,7 +188,7 @@ def _multiplier_form(
 
 @dataclass(kw_only=True)
 class ConeProgram:
-    """Linear program with semidefinite constraints, solved by Clarabel."""
+    """Linear program with semidefinite constraints, solved by the library Clarabel."""
 
     unknowns: int
     rows: list[ConstraintRows] = field(default_factory=list)
@@ -201,7 +203,7 @@ class ConeProgram:
     def add_semidefinite(
         self, constant: Complex[np.ndarray, "G G"], linear: HermitianForms
     ) -> None:
-        """Append a constraint that a Hermitian matrix, linear in the unknowns, is positive
+        """Append the constraint that a Hermitian matrix, affine in the unknowns, is positive
         semidefinite."""
         constant_triangle = _real_upper_triangles(constant[None])[0]
         linear_triangles = _real_upper_triangles(linear)
@@ -265,9 +267,10 @@ class AngleProgram:
     rows: ConstraintRows
     bounds: Bounds
 
-    def smallest_eigenvalues(self, x: Unknowns) -> Angles:
-        """Smallest eigenvalue of the constrained matrix at each frequency."""
-        whole = self.constant + np.tensordot(x, self.linear, axes=1)
+    def smallest_eigenvalues(self, unknowns: Unknowns) -> Angles:
+        """Smallest eigenvalue of the constrained matrix at each frequency, for given values of the
+        unknowns."""
+        whole = self.constant + np.tensordot(unknowns, self.linear, axes=1)
         eigenvalues = np.linalg.eigvalsh(whole)
         return np.asarray(eigenvalues[:, 0])
 
@@ -275,18 +278,18 @@ class AngleProgram:
         self,
         goal: Unknowns,
         accuracy: float = VIOLATED,
-        first: Sequence[int] = (),
-        least: float = -np.inf,
+        first_angles: Sequence[int] = (),
+        least_goal: float = -np.inf,
     ) -> tuple[Unknowns, list[int]]:
-        """Maximise a linear goal by cutting planes, with the frequencies that decide the solution.
-        Raises `NoSolution`.
+        """Maximise a linear goal under matrix constraints at all frequencies by cutting planes, and
+        return the frequencies that decide the solution. Raises `NoSolution`.
 
-        The `first` angles, by default spread evenly, are solved first. Angles that are far from
+        The `first_angles`, by default spread evenly, are solved first. Angles that are far from
         deciding leave again. Fewer angles give an upper bound of the goal: once it is below
-        `least`, it is returned in place of the optimum.
+        `least_goal`, it is returned in place of the optimum.
         """
         count = len(self.constant)
-        chosen = list(first) or _spread_indices(count, FIRST)
+        chosen = list(first_angles) or _spread_indices(count, FIRST)
         solver_accuracy = SOLVED if accuracy > SOLVED else VIOLATED
         x = np.zeros(len(goal))
         for _ in range(ROUNDS):
@@ -295,7 +298,7 @@ class AngleProgram:
             for k in chosen:
                 program.add_semidefinite(self.constant[k], self.linear[:, k])
             x = program.minimise(-goal, solver_accuracy)
-            if goal @ x < least:
+            if goal @ x < least_goal:
                 return x, chosen
             lowest = self.smallest_eigenvalues(x)
             violated = _local_minima(lowest, -accuracy)
@@ -307,24 +310,24 @@ class AngleProgram:
         return x, chosen
 
 
-def _spread_indices(count: int, some: int) -> list[int]:
-    """Indices of some items of a list, spread evenly."""
-    places = np.linspace(0, count - 1, some).round()
+def _spread_indices(item_count: int, chosen_count: int) -> list[int]:
+    """Evenly spread indices of a given number of items of a list."""
+    places = np.linspace(0, item_count - 1, chosen_count).round()
     return [int(place) for place in np.unique(places)]
 
 
-def _local_minima(values: Angles, below: float) -> list[int]:
-    """Indices of local minima below a threshold, the smallest first."""
+def _local_minima(values: Angles, threshold: float) -> list[int]:
+    """Indices of the local minima of a sequence below a threshold, the smallest first."""
     padded = np.concatenate([[np.inf], values, [np.inf]])
     no_larger_than_left = values <= padded[:-2]
     no_larger_than_right = values <= padded[2:]
-    is_minimum = no_larger_than_left & no_larger_than_right & (values < below)
+    is_minimum = no_larger_than_left & no_larger_than_right & (values < threshold)
     minima = np.flatnonzero(is_minimum)
     smallest_first = np.argsort(values[minima])
     return [int(k) for k in minima[smallest_first]]
 
 
 def form_sizes(forms: Complex[np.ndarray, "A F G G"]) -> Float[np.ndarray, "A"]:
-    """Size (norm) of each quadratic form, by which its multiplier is scaled."""
+    """Norm of each quadratic form, by which its multiplier is scaled."""
     largest_entries = np.abs(forms).max(axis=(1, 2, 3))
     return np.asarray(np.maximum(largest_entries, np.finfo(float).tiny))

@@ -36,18 +36,18 @@ UNSOUGHT = (
 UNKNOWN = "{} the input has next to no power, so nothing separates mismatch from noise there"
 
 
-def seeks_coverage(model: Model, cover: float | None, premise: Premise) -> bool:
-    """Whether a run searches for a proof that covers the recorded model error. With neurons, where
-    this takes a minute, it does so only if the records separate noise from model error, or a
-    coverage is requested."""
-    return isinstance(model, SSM) or cover is not None or premise.separates_noise
+def seeks_coverage(model: Model, requested_coverage: float | None, premise: Premise) -> bool:
+    """Whether a run searches for a certificate that holds for the recorded model error. With
+    neurons, where this takes a minute, it does so only if the records separate noise from model
+    error, or a coverage is requested."""
+    return isinstance(model, SSM) or requested_coverage is not None or premise.separates_noise
 
 
 def add_coverage_certificate(
     design: Design, model: Model, balls: Balls, premise: Premise
 ) -> Design:
-    """Add to a design a certificate that covers as much of the recorded model error as possible.
-    Without such a certificate the design stays unchanged."""
+    """Add to a design a certificate that holds for as large a multiple of the recorded model error
+    as possible. Without such a certificate the design stays unchanged."""
     if (
         not design.feasible
         or exclusion_reason(design, model)
@@ -75,7 +75,8 @@ def add_coverage_certificate(
 
 
 def exclusion_reason(design: Design, model: Model) -> str | None:
-    """Reason why the coverage theorem does not apply to a loop; None if it applies."""
+    """Reason why no certificate against model errors is possible for the loop of a design; None if
+    one is possible."""
     if design.inverts_input_map:
         return INVERTS
     observer = design.observer
@@ -85,10 +86,10 @@ def exclusion_reason(design: Design, model: Model) -> str | None:
 
 
 def coverage_columns(
-    design: Design, model: Model, premise: Premise, fresh: Premise | None = None
+    design: Design, model: Model, premise: Premise, fresh_premise: Premise | None = None
 ) -> dict[str, Any]:
-    """Columns that compare the proved model error with the recorded one. `coverage` is null, with
-    its reason, if nothing is covered."""
+    """Table columns that compare the proved model error with the recorded one. `coverage` is null,
+    with its reason, if nothing is covered."""
     if not design.feasible:
         return {}
     part = design.extra_certificates.get(PART)
@@ -107,25 +108,29 @@ def coverage_columns(
     facts: dict[str, Any] = {"coverage": coverage, "coverage_reference": where}
     if part.kappa < need:
         facts |= null_coverage_of_unknown_band(part.kappa, weights, items)
-    if fresh is not None and fresh.missing_reason(part.centre) is None:
+    if fresh_premise is not None and fresh_premise.missing_reason(part.centre) is None:
         facts["coverage_needed"] = (
-            weights.largest_required_radius(fresh.requirements(part.centre))[0] / need
+            weights.largest_required_radius(fresh_premise.requirements(part.centre))[0] / need
         )
     return facts
 
 
 @runtime_checkable
 class MismatchRecords(Protocol):
-    """Records of a data set from which the model error is measured."""
+    """Interface of a data set's records from which the model error is measured."""
 
     @property
-    def validation(self) -> Trajectories: ...
+    def validation(self) -> Trajectories:
+        """Validation records of the data set."""
+        ...
 
     @property
-    def mismatch_records(self) -> Trajectories: ...
+    def mismatch_records(self) -> Trajectories:
+        """Records of the data set that were taken to measure the model error."""
+        ...
 
 
-def fresh_data_needs(
+def radii_needed_by_fresh_data(
     design: Design,
     model: Model,
     premise: Premise,
@@ -133,8 +138,8 @@ def fresh_data_needs(
     fresh_sets: Iterable[MismatchRecords],
     start_up_samples: int,
 ) -> list[float]:
-    """Disc radius that each fresh data set needs, relative to that of the run's own records; empty
-    without a certificate."""
+    """Disc radius that the model error in each fresh data set requires, relative to that of the
+    run's own records; empty without a certificate."""
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs) or premise.missing_reason(part.centre) is not None:
         return []
@@ -149,23 +154,27 @@ def fresh_data_needs(
     return needs
 
 
-def fresh_data_column(needs: Sequence[float]) -> dict[str, Any]:
-    """Column with the largest disc radius that a fresh data set needs."""
-    return {"coverage_needed": max(needs)} if needs else {}
+def fresh_data_column(required_radii: Sequence[float]) -> dict[str, Any]:
+    """Table column with the largest disc radius that the model error in a fresh data set
+    requires."""
+    return {"coverage_needed": max(required_radii)} if required_radii else {}
 
 
 def null_coverage_of_unknown_band(
-    kappa: float, weights: Weights, items: Sequence[Item]
+    kappa: float, weights: Weights, requirements: Sequence[Item]
 ) -> dict[str, Any]:
-    """Columns without a coverage, which name the frequency band without excitation."""
-    lit = [item for item in items if not item.dark]
+    """Table columns without a value for the coverage, which name the frequency band in which the
+    input had no power."""
+    lit = [item for item in requirements if not item.dark]
     if kappa < weights.largest_required_radius(lit)[0]:
         return {}
-    band = weights.largest_required_radius([item for item in items if item.dark])[1]
+    band = weights.largest_required_radius([item for item in requirements if item.dark])[1]
     coverage_reason = UNKNOWN.format(f"at {band}")
     return {"coverage": None, "coverage_reason": coverage_reason}
 
 
-def certificate_weights(part: MeasuredDiscs) -> Weights:
+def certificate_weights(certificate: MeasuredDiscs) -> Weights:
     """Weights of the measured disc, as a certificate stores them."""
-    return Weights(floor=part.floor, output=part.weight_output, input=part.weight_input)
+    return Weights(
+        floor=certificate.floor, output=certificate.weight_output, input=certificate.weight_input
+    )

@@ -56,8 +56,8 @@ FARTHEST = 30.0  # of a multiplier, over that of the optimum: one that costs not
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """Coverage certificate with its ratio of proved to recorded model error, or the reason why
-    there is none."""
+    """Certificate against model errors with its coverage (ratio of proved to recorded model error),
+    or the reason why there is none."""
 
     certificate: MeasuredDiscs | None
     coverage: float | None
@@ -66,24 +66,24 @@ class Coverage:
 
     @property
     def covers_records(self) -> bool:
-        """Whether the proof covers at least the model error in the records."""
+        """Whether a certificate holds for at least the model error in the records."""
         return self.coverage is not None and self.coverage >= 1
 
 
 def select_theorem(context: VerificationContext) -> type[MeasuredDiscs]:
-    """Coverage theorem for a model with or without neurons."""
+    """Class of the measured-disc theorem for a model with or without neurons."""
     neurons = isinstance(context.system, StructuredSystem)
     return StructuredMeasuredDiscs if neurons else MeasuredDiscs
 
 
-def largest_kappa(
+def certify_largest_radius(
     context: VerificationContext,
     weights: Weights = INPUT_ALONE,
     centre: float = 0.0,
-    inside: Sequence[float] = CLOSE,
+    radius_factors: Sequence[float] = CLOSE,
 ) -> MeasuredDiscs | None:
-    """Certificate with the largest disc radius for given weights; None if none is certified.
-    Default weights are those of the tolerated gain."""
+    """Certificate with the largest radius of the disc of model errors for given weights; None if
+    none is certified. Default weights are those of the tolerated gain."""
     started = time.perf_counter()
     theorem = select_theorem(context)
     try:
@@ -92,7 +92,7 @@ def largest_kappa(
         if not 0 < nu < LARGEST:
             return None
         forms = LoopForms.from_context(theorem, context, (centre,))
-        for share in inside:
+        for share in radius_factors:
             smaller_nu = nu * share**2
             multipliers, margin = _largest_margin(
                 forms, weights, centre, smaller_nu, multipliers, deciding
@@ -110,8 +110,8 @@ def largest_kappa(
 def optimum_for_weights(
     theorem: type[MeasuredDiscs], context: VerificationContext, weights: Weights, centre: float
 ) -> tuple[float, Multipliers]:
-    """Largest squared disc radius for given weights, frequency by frequency, and its multipliers.
-    `kappa^2`. Raises `NoSolution`."""
+    """Largest squared radius of the disc of model errors for given weights, computed frequency by
+    frequency, and its multipliers. `kappa^2`. Raises `NoSolution`."""
     nu, multipliers, _ = _deciding_optimum(theorem, context, weights, centre, VIOLATED)
     return nu, multipliers
 
@@ -123,7 +123,7 @@ def _deciding_optimum(
     centre: float,
     accuracy: float,
 ) -> tuple[float, Multipliers, list[int]]:
-    """Optimal disc radius and multipliers for given weights, with the frequencies of the grid that
+    """Largest squared disc radius and multipliers for given weights, with the grid frequencies that
     decide them."""
     forms = LoopForms.from_context(theorem, context, (centre,))
     grid = forms.at_angles(forms.frequency_grid)
@@ -132,10 +132,10 @@ def _deciding_optimum(
     nu = np.inf
     for _ in range(3):  # finer around the angles that decide
         before = nu
-        program, scale = _fixed_program(grid, weights, centre)
+        program, scale = _program_at_fixed_weights(grid, weights, centre)
         goal = np.zeros(program.linear.shape[0])
         goal[0] = 1.0
-        x, chosen = program.maximise(goal, accuracy, first=chosen)
+        x, chosen = program.maximise(goal, accuracy, first_angles=chosen)
         nu = float(x[0] / scale[0])
         if abs(before - nu) <= REFINED * accuracy * nu:
             break
@@ -152,7 +152,7 @@ def _deciding_optimum(
 def refined_angles(
     deciding: Float[np.ndarray, "D"], angles: Float[np.ndarray, "F"]
 ) -> Float[np.ndarray, "N"]:
-    """Frequency grid refined near each deciding frequency."""
+    """Additional frequencies near each of those that decide an optimisation."""
     ascending = np.sort(angles)
     last = len(ascending) - 1
     fine = []
@@ -165,27 +165,31 @@ def refined_angles(
 
 
 def _reference_form_at(grid: FormsAtAngles, weights: Weights) -> Any:
-    """Weighted quadratic form of the disc's reference signals at each frequency of a grid."""
+    """Weighted quadratic form of model output and input, to which the model error is compared, at
+    each frequency of a grid."""
     on_model = weights.output_weight(grid.angles)[:, None, None]
     on_input = weights.input_weight(grid.angles)[:, None, None]
     return on_model * grid.model + on_input * grid.input
 
 
-def _program_in_box(constant: Any, linear: Any, scale: Unknowns, most: Unknowns) -> AngleProgram:
-    """Optimisation problem whose scaled unknowns lie between zero and given bounds."""
+def _program_in_box(
+    constant: Any, linear: Any, scale: Unknowns, upper_bounds: Unknowns
+) -> AngleProgram:
+    """Optimisation problem over frequency whose scaled unknowns lie between zero and given
+    bounds."""
     unknowns = len(scale)
     identity = np.eye(unknowns)
     rows = np.concatenate([identity, -identity])
-    bounds = np.concatenate([np.zeros(unknowns), -most])
+    bounds = np.concatenate([np.zeros(unknowns), -upper_bounds])
     scaled = linear / scale[:, None, None, None]
     return AngleProgram(constant=constant, linear=scaled, rows=rows, bounds=bounds)
 
 
-def _fixed_program(
+def _program_at_fixed_weights(
     grid: FormsAtAngles, weights: Weights, centre: float
 ) -> tuple[AngleProgram, Unknowns]:
-    """Optimisation problem with fixed weights, with its constraints imposed at the frequencies of a
-    grid."""
+    """Optimisation problem for disc radius and multipliers at fixed weights, with constraints at
+    the frequencies of a grid."""
     reference = _reference_form_at(grid, weights)
     linear = np.concatenate([-reference[None], grid.multipliers])
     scale = form_sizes(linear)
@@ -199,17 +203,17 @@ def _largest_margin(
     forms: LoopForms,
     weights: Weights,
     centre: float,
-    nu: float,
+    squared_radius: float,
     multipliers: Multipliers,
-    first: Sequence[int],
+    first_angles: Sequence[int],
 ) -> tuple[Multipliers, float]:
-    """Multipliers that leave the largest margin at a given disc radius. The margin is in units of
-    each free signal's own weight."""
+    """Multipliers that satisfy the theorem with the largest margin at a given disc radius, and that
+    margin. The margin is in units of each free signal's own weight."""
     grid = forms.at_angles(forms.frequency_grid)
     own_weights = initial_weights(forms, centre, multipliers)
     root = 1 / np.sqrt(own_weights)
     units = np.outer(root, root)  # each free signal in units of its own weight
-    disc = grid.centred[centre] - nu * _reference_form_at(grid, weights)
+    disc = grid.centred[centre] - squared_radius * _reference_form_at(grid, weights)
     constant = disc * units
     identity = np.eye(len(root))
     margin_form = -np.broadcast_to(identity, grid.model.shape)
@@ -220,7 +224,7 @@ def _largest_margin(
     program = _program_in_box(constant, linear, scale, most)
     goal = np.zeros(unknowns)
     goal[-1] = 1.0
-    x, _ = program.maximise(goal, ROUGH, first=first)
+    x, _ = program.maximise(goal, ROUGH, first_angles=first_angles)
     unscaled = x / scale
     margin = float(unscaled[-1])
     best_multipliers = np.maximum(unscaled[:-1], 0.0)
@@ -230,7 +234,7 @@ def _largest_margin(
 def _theorem_variables(
     forms: LoopForms, weights: Weights, centre: float, kappa: float, multipliers: Multipliers
 ) -> dict[str, Any]:
-    """Variables of the theorem as they are stored, except the metric P."""
+    """Variables of the measured-disc theorem as a certificate stores them, except the metric P."""
     numbers: dict[str, Any] = {"centre": centre, "kappa": kappa, "floor": weights.floor}
     numbers |= {"weight_output": weights.output, "weight_input": weights.input}
     numbers["lambda_out"] = np.zeros(0)
@@ -251,8 +255,8 @@ def certify_largest_coverage(
     centres: Sequence[float] = CENTRES,
     basis: WeightBasis | None = None,
 ) -> Coverage:
-    """Certificate that covers most of the recorded model error, over all given disc centres, or the
-    reason why there is none.
+    """Certificate with the largest ratio of proved to recorded model error over given disc centres,
+    or the reason why there is none.
 
     Where bands without excitation alone keep it from covering, the proof is that of the other
     bands: its need of all of them says so.
@@ -277,16 +281,16 @@ def certify_largest_coverage(
 
 
 def _largest_coverage_around(
-    context: VerificationContext, items: dict[float, list[Item]], basis: WeightBasis
+    context: VerificationContext, requirements: dict[float, list[Item]], basis: WeightBasis
 ) -> Coverage:
-    """Certificate that covers most of the recorded model error, among discs around given
-    centres."""
+    """Certificate with the largest ratio of proved to recorded model error, among discs around
+    given centres."""
     started = time.perf_counter()
     theorem = select_theorem(context)
-    forms = LoopForms.from_context(theorem, context, tuple(items))
+    forms = LoopForms.from_context(theorem, context, tuple(requirements))
     grid = forms.at_angles(forms.frequency_grid)
     optima = list[tuple[float, Any, WeightProgram]]()
-    for centre, some in items.items():
+    for centre, some in requirements.items():
         program = WeightProgram(
             forms=forms, grid=grid, centre=centre, items=tuple(some), basis=basis
         )
@@ -310,14 +314,14 @@ def _certify_program(
     context: VerificationContext,
     theorem: type[MeasuredDiscs],
     program: WeightProgram,
-    nu: float,
+    squared_radius: float,
     unknowns: Unknowns,
-    started: float,
+    start_time: float,
 ) -> Coverage | None:
-    """Certificate from a joint solution for weights and multipliers; None if exact arithmetic
+    """Certificate made from jointly optimised weights and multipliers; None if exact arithmetic
     refuses it."""
     for inside in INSIDE:
-        scaled = nu * inside**2
+        scaled = squared_radius * inside**2
         for room in ROOMS:
             try:
                 chosen = program.widen_weights(scaled, unknowns, room)
@@ -328,7 +332,7 @@ def _certify_program(
             multipliers = np.maximum(unscaled_multipliers, 0.0)
             kappa = scaled**0.5
             numbers = _theorem_variables(program.forms, weights, program.centre, kappa, multipliers)
-            proof = first_exact_certificate(theorem, context, numbers, room, started)
+            proof = first_exact_certificate(theorem, context, numbers, room, start_time)
             if proof is not None:
                 need, where = weights.largest_required_radius(program.items)
                 covered = proof.kappa / need

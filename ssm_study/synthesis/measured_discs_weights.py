@@ -48,8 +48,8 @@ EVENLY = np.linspace(0, np.pi, 2001)
 def initial_weights(
     forms: LoopForms, centre: float, multipliers: Float[np.ndarray, "A"]
 ) -> Float[np.ndarray, "G"]:
-    """Weight of each free signal in the loop's quadratic form, taken alone. It is one for |e|^2,
-    its multiplier for |p|^2, and so on."""
+    """Weight of each free signal of the closed loop: its diagonal entry in the loop's quadratic
+    form. It is one for |e|^2, its multiplier for |p|^2, and so on."""
     order = len(forms.a)
     map_forms = np.tensordot(multipliers, forms.multipliers, axes=1)
     whole = forms.centred[centre] + map_forms
@@ -61,13 +61,14 @@ def initial_weights(
 
 @dataclass(frozen=True, kw_only=True)
 class WeightBasis:
-    """Cosine functions in which the squared gains of the weights are expanded."""
+    """Cosine basis functions in which the squared gains of the disc's weighting filters are
+    expanded."""
 
     poles: tuple[float, ...] = POLES
     order: int = ORDER
 
     def denominator(self, angles: Angles) -> Angles:
-        """Squared gain `|den|^2` of the weights' denominator at each frequency."""
+        """Squared gain `|den|^2` of the weighting filters' common denominator at each frequency."""
         if not self.poles:
             return np.ones(len(angles))
         delay = np.exp(-1j * angles)
@@ -75,11 +76,12 @@ class WeightBasis:
         return np.asarray(np.prod(factors, axis=0))
 
     def values_at(self, angles: Angles) -> BasisValues:
-        """Value of each basis function at each frequency."""
+        """Value of each basis function of the squared weights at each frequency."""
         return self.numerators(angles) / self.denominator(angles)
 
     def numerators(self, angles: Angles) -> BasisValues:
-        """Numerators of the basis functions at each frequency: one, and `2 cos(j w)`."""
+        """Numerators of the basis functions of the squared weights at each frequency: one, and `2
+        cos(j w)`."""
         rows = [np.ones(len(angles))]
         for j in range(1, self.order + 1):
             cosine = np.cos(j * angles)
@@ -133,8 +135,8 @@ def spectral_factor(coefficients: Coefficients) -> Coefficients:
 
 @dataclass(frozen=True, kw_only=True)
 class WeightProgram:
-    """Convex program that optimises weights, multipliers and disc radius together, for one disc
-    centre.
+    """Convex program that optimises weights, multipliers and radius of a disc of model errors
+    together, for one disc centre.
 
     Angles may miss the inequality by `tolerance`.
 
@@ -151,7 +153,8 @@ class WeightProgram:
 
     @property
     def unknown_matrices(self) -> Any:
-        """Matrix that each unknown multiplies in the constraint at each frequency."""
+        """Matrix that each unknown of the weight optimisation multiplies in the constraint at each
+        frequency."""
         angles = self.grid.angles
         basis_values = self.basis.values_at(angles)
         phi = basis_values[:, :, None, None]
@@ -161,8 +164,8 @@ class WeightProgram:
         return np.concatenate([of_x, of_y, multipliers])
 
     def requirement_coefficients(self) -> Float[np.ndarray, "I n"]:
-        """Coefficients of the weights in each linear inequality that the records impose on the
-        weights."""
+        """Coefficients of the linear inequalities that the recorded model errors impose on the
+        disc's weights."""
         rows = []
         for item in self.items:
             phi = self.basis.values_at(item.angles)
@@ -173,8 +176,8 @@ class WeightProgram:
         return np.array(rows)
 
     def weight_rows(self) -> tuple[Float[np.ndarray, "R n"], Bounds]:
-        """Linear constraints on the weights' coefficients, with their bounds. X exceeds `c^2`, so
-        that the disc contains `e = 0`, and neither comes near zero."""
+        """Linear constraints that keep the disc's weights positive, as coefficient rows with their
+        bounds. X exceeds `c^2`, so that the disc contains `e = 0`, and neither comes near zero."""
         mean = self.basis.values_at(EVENLY).mean(axis=1)
         on_circle = self.basis.values_at(CIRCLE).T
         clear = on_circle - NEAR_ZERO * mean
@@ -188,19 +191,21 @@ class WeightProgram:
         return rows, bounds
 
     def maximise_radius(self) -> tuple[float, Unknowns]:
-        """Largest squared disc radius, with the weights and multipliers that reach it. Raises
-        `NoSolution`."""
+        """Largest squared radius of the disc of model errors, with the weights and multipliers that
+        reach it. Raises `NoSolution`."""
         nu, unknowns, _ = self.maximise_radius_from()
         return nu, unknowns
 
     def maximise_radius_from(
-        self, angles: Float[np.ndarray, "D"] = NO_ANGLES, least: float = -np.inf
+        self,
+        start_angles: Float[np.ndarray, "D"] = NO_ANGLES,
+        least_squared_radius: float = -np.inf,
     ) -> tuple[float, Unknowns, Float[np.ndarray, "D2"]]:
-        """Largest squared disc radius, with the weights and multipliers that reach it, and the
-        frequencies that decide it. Raises `NoSolution`.
+        """Largest squared disc radius from a search that starts at given frequencies, with weights,
+        multipliers and the frequencies that decide it. Raises `NoSolution`.
 
         The search begins at the given angles, such as those that decided similar gains. Where the
-        radius is below `least`, an upper bound that is below it, too, is returned.
+        radius is below `least_squared_radius`, an upper bound that is below it, too, is returned.
         """
         linear = self.unknown_matrices
         scale = form_sizes(linear)
@@ -213,11 +218,11 @@ class WeightProgram:
         program = AngleProgram(constant=constant, linear=with_nu, rows=rows, bounds=bounds)
         goal = np.zeros(1 + count)
         goal[0] = 1.0
-        differences = self.grid.angles - angles[:, None]
+        differences = self.grid.angles - start_angles[:, None]
         distances = np.abs(differences)
         nearest = distances.argmin(axis=1)
         first = np.unique(nearest).tolist()
-        x, chosen = program.maximise(goal, self.tolerance, first, least)
+        x, chosen = program.maximise(goal, self.tolerance, first, least_squared_radius)
         lowest = program.smallest_eigenvalues(x)[chosen]
         tightest = np.argsort(lowest)[:DECIDING]
         chosen_angles = self.grid.angles[chosen]
@@ -227,7 +232,7 @@ class WeightProgram:
 
     @property
     def coefficient_count(self) -> int:
-        """Number of coefficients of both weights together."""
+        """Number of coefficients of both weights of the disc together."""
         return 2 * (self.basis.order + 1)
 
     def _constraints_with_radius(self, scale: Unknowns) -> tuple[ConstraintRows, Bounds]:
@@ -260,9 +265,12 @@ class WeightProgram:
         bounds = np.concatenate([no_bound, least_xy, zeros, most, largest_nu])
         return rows, bounds
 
-    def widen_weights(self, nu: float, unknowns: Unknowns, room: float) -> Unknowns:
-        """Enlarge the weights in each frequency band as far as the proof allows, at a fixed disc
-        radius. A margin of `room` times each free signal's own weight is left in the loop."""
+    def widen_weights(
+        self, squared_radius: float, unknowns: Unknowns, margin_fraction: float
+    ) -> Unknowns:
+        """Enlarge the disc's weights in each frequency band as far as the proof allows, at a fixed
+        disc radius. A margin of `margin_fraction` times each free signal's own weight is left in
+        the loop."""
         unscaled_multipliers = unknowns[self.coefficient_count :]
         multipliers = np.maximum(unscaled_multipliers, 0.0)
         own = initial_weights(self.forms, self.centre, multipliers)
@@ -271,10 +279,10 @@ class WeightProgram:
         linear = self.unknown_matrices * units
         scale = form_sizes(linear)
         count = len(scale)
-        rows, bounds, bands = self._constraints_with_widening(scale, nu)
+        rows, bounds, bands = self._constraints_with_widening(scale, squared_radius)
         matrix_shape = linear.shape[1:]
         of_widenings = np.zeros((bands, *matrix_shape))
-        margin = room * np.eye(len(own))
+        margin = margin_fraction * np.eye(len(own))
         constant = self.grid.centred[self.centre] * units - margin
         scaled = scale_unknowns(linear, scale)
         with_widenings = np.concatenate([scaled, of_widenings])
@@ -285,9 +293,10 @@ class WeightProgram:
         return np.asarray(scaled_unknowns / scale)
 
     def _constraints_with_widening(
-        self, scale: Unknowns, nu: float
+        self, scale: Unknowns, squared_radius: float
     ) -> tuple[ConstraintRows, Bounds, int]:
-        """Linear constraints on weights, multipliers and the widening of each frequency band.
+        """Linear constraints on the disc's weights, the multipliers and the factor by which each
+        frequency band is widened.
 
         Each item needs its band's widening times nu at most; a widening lies between one and
         `WIDEST`.
@@ -306,7 +315,7 @@ class WeightProgram:
         top[:, :weights] = unscaled_rows / scale[:weights]
         items = np.arange(requirements)
         widening_of_item = len(scale) + band_of_item
-        top[items, widening_of_item] = -nu
+        top[items, widening_of_item] = -squared_radius
         unit_rows = np.eye(total)[weights:]
         rows = np.concatenate([top, unit_rows, -unit_rows])
         least = np.concatenate([np.zeros(multipliers), np.ones(bands)])
@@ -317,12 +326,13 @@ class WeightProgram:
         bounds = np.concatenate([no_bound, least_xy, least, -most])
         return rows, bounds, bands
 
-    def weights_from_unknowns(self, nu: float, unknowns: Unknowns) -> Weights:
-        """Weighting filters from the program's solution. Raises `NoSolution`."""
+    def weights_from_unknowns(self, squared_radius: float, unknowns: Unknowns) -> Weights:
+        """Weighting filters of the disc from the solution of the convex program. Raises
+        `NoSolution`."""
         size = self.basis.order + 1
-        x = unknowns[:size] / nu
-        y = unknowns[size : 2 * size] / nu
-        floor = abs(self.centre) * (1 + ROOM / 4) / np.sqrt(nu)
+        x = unknowns[:size] / squared_radius
+        y = unknowns[size : 2 * size] / squared_radius
+        floor = abs(self.centre) * (1 + ROOM / 4) / np.sqrt(squared_radius)
         if floor == 0:
             mean = max(x[0], 1e-12)
             floor = 1e-6 * float(np.sqrt(mean))
@@ -334,15 +344,15 @@ class WeightProgram:
 
 
 def scale_unknowns(forms: Any, scale: Unknowns) -> Any:
-    """Matrices that multiply the unknowns, each divided by the size of its unknown."""
+    """Divide the matrix of each unknown of an optimisation by the size of the unknown."""
     return forms / scale[:, None, None, None]
 
 
-def denominator_coefficients(poles: Sequence[float], size: int) -> Coefficients:
-    """Cosine coefficients of the weights' squared denominator, from its poles."""
+def denominator_coefficients(poles: Sequence[float], coefficient_count: int) -> Coefficients:
+    """Cosine coefficients of the squared denominator of a filter with given poles."""
     denominator = np.real(np.poly(poles)) if len(poles) else np.ones(1)
     squared = np.convolve(denominator, denominator[::-1])
     middle = len(denominator) - 1
     cosine_coefficients = squared[middle:]
-    missing = size - len(cosine_coefficients)
+    missing = coefficient_count - len(cosine_coefficients)
     return np.pad(cosine_coefficients, (0, missing))

@@ -21,23 +21,23 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sensitivity import noise_gain
 from ssm_study.synthesis.deployed import SETS, WithinLimits
-from ssm_study.synthesis.input_inversion import commanded_model_and_balls
+from ssm_study.synthesis.input_inversion import model_and_balls_of_control_law
 from ssm_study.systems import Balls, StructuredSystem
 
 OPINION = "another solver's opinion, which decides nothing"
 
 
-def _side_columns(side: str, short: str, gain: str) -> tuple[Column, ...]:
-    """Declarations of the columns that describe controller or observer."""
+def _side_columns(side: str, short_name: str, gain_symbol: str) -> tuple[Column, ...]:
+    """Declarations of the table columns that describe controller or observer."""
     title = side.capitalize()
     rate = _rate_column(f"rate_{side}", f"{title} rate, ρ", setting=f"synthesis.rate_{side}")
-    requested_rate = replace(rate, better="", head=f"r {short}")
+    requested_rate = replace(rate, better="", head=f"r {short_name}")
     margin = f"{title} LMI margin"
-    norm = f"{title} gain ‖{gain}‖"
+    norm = f"{title} gain ‖{gain_symbol}‖"
     return (
         requested_rate,
         Column(f"{side}_feasible", "boolean", "high", word=f"{title} feasible"),
-        Column(f"{side}_certified", "boolean", "high", f"{short} cert", f"{title} certified"),
+        Column(f"{side}_certified", "boolean", "high", f"{short_name} cert", f"{title} certified"),
         Column(f"{side}_reason", "string", word=f"Why there is no {side}"),
         Column(f"{side}_margin", "Float64", "high", "", margin, "", ITERATED, EIGENVALUE),
         _rate_column(f"{side}_rate_limit", f"{title} rate limit, ρ"),
@@ -46,9 +46,9 @@ def _side_columns(side: str, short: str, gain: str) -> tuple[Column, ...]:
     )
 
 
-def _rate_column(name: str, word: str, setting: str = "") -> Column:
-    """Declaration of a column with a contraction rate, where larger is better."""
-    return Column(name, "Float64", "high", "", word, "1/sample", ITERATED, setting=setting)
+def _rate_column(name: str, label: str, setting: str = "") -> Column:
+    """Declaration of a table column that holds a contraction rate."""
+    return Column(name, "Float64", "high", "", label, "1/sample", ITERATED, setting=setting)
 
 
 CHOICE_COLUMNS = (
@@ -141,12 +141,12 @@ COLUMNS = (
 def design_columns(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch
 ) -> dict[str, Any]:
-    """Columns of a design: feasible, certified, distance from the largest provable rate, gain
+    """Table columns of a design: feasible, certified, distance from the largest provable rate, gain
     sizes, predicted stability.
 
     `mismatch` is relative to what the law commands (`synthesis.input_inversion`).
     """
-    model, balls = commanded_model_and_balls(design, model, balls)
+    model, balls = model_and_balls_of_control_law(design, model, balls)
     facts = proof_columns(design)
     if not design.feasible:
         return facts
@@ -162,7 +162,8 @@ def design_columns(
 
 
 def proof_columns(design: Design) -> dict[str, Any]:
-    """Columns of a design that follow from its certificates alone, such as rates and gain sizes."""
+    """Table columns of a design that follow from its certificates alone, such as rates and gain
+    sizes."""
     feedback = design.state_feedback
     observer = design.observer
     facts = certificate_columns("controller", feedback)
@@ -177,14 +178,15 @@ def proof_columns(design: Design) -> dict[str, Any]:
 
 
 def infeasible_reason(design: Design) -> str:
-    """Reasons why controller or observer has no certificate, as one text."""
+    """Reasons why the controller or the observer of a design has no certificate, as one text."""
     parts = (design.state_feedback, design.observer)
     reasons = [part.reason for part in parts if isinstance(part, Infeasible)]
     return "; ".join(reasons)
 
 
 def uncertified_reason(design: Design) -> str:
-    """Text on which certificates exact arithmetic does not confirm, and why."""
+    """Text that names the certificates of a design that exact arithmetic does not confirm, and
+    why."""
     sides = {"controller": design.state_feedback, "observer": design.observer}
     missed = []
     for side, part in sides.items():
@@ -194,7 +196,7 @@ def uncertified_reason(design: Design) -> str:
 
 
 def mismatch_columns(mismatch: Mismatch) -> dict[str, Any]:
-    """Columns of the model error that the records show."""
+    """Table columns with the sizes of the model error that the records show."""
     facts: dict[str, Any] = {
         "mismatch_gain": mismatch.gain,
         "mismatch_seen": mismatch.largest_recorded_gain,
@@ -206,7 +208,8 @@ def mismatch_columns(mismatch: Mismatch) -> dict[str, Any]:
 
 
 def input_limit_columns(design: Design, model: Model) -> dict[str, Any]:
-    """Columns of what is proved under input limits; empty if nothing is proved."""
+    """Table columns of what is proved for a design under input limits; empty if nothing is
+    proved."""
     within_limits = WithinLimits.from_certificate(model, design.extra_certificates)
     if within_limits is None:
         return {}
@@ -222,23 +225,28 @@ def input_limit_columns(design: Design, model: Model) -> dict[str, Any]:
 
 
 def shared_range(
-    start: str, end: str, lower: Float[np.ndarray, "c"], upper: Float[np.ndarray, "c"]
+    lower_column: str,
+    upper_column: str,
+    lower: Float[np.ndarray, "c"],
+    upper: Float[np.ndarray, "c"],
 ) -> dict[str, float]:
-    """Columns with the range that all channels share; empty if they share none."""
+    """Two table columns with the range of values that all channels have in common; empty if there
+    is none."""
     shared_lower = float(lower.max())
     shared_upper = float(upper.min())
     if shared_lower < shared_upper:
-        return {start: shared_lower, end: shared_upper}
+        return {lower_column: shared_lower, upper_column: shared_upper}
     return {}
 
 
-def second_opinion_columns(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
-    """Columns on whether the paper's matrix inequalities are feasible at the same rates."""
+def paper_feasibility_columns(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
+    """Table columns on whether the matrix inequalities of [Z26] are feasible at the rates of a
+    design, by an independent solver."""
     from ssm_study.synthesis.lmi import (
         certificate_from_paper_lmi,
     )  # CVXPY takes half a second to import
 
-    model, balls = commanded_model_and_balls(design, model, balls)
+    model, balls = model_and_balls_of_control_law(design, model, balls)
     feedback = design.state_feedback
     observer = design.observer
     # Of neurons [Z26] says nothing.
@@ -257,17 +265,20 @@ def second_opinion_columns(design: Design, model: Model, balls: Balls) -> dict[s
     return facts
 
 
-def certificate_columns(side: str, part: StateFeedback | Observer | Infeasible) -> dict[str, Any]:
-    """Columns that describe the certificate of controller or observer; null if there is none."""
+def certificate_columns(
+    side: str, certificate: StateFeedback | Observer | Infeasible
+) -> dict[str, Any]:
+    """Table columns that describe the certificate of controller or observer; null if there is
+    none."""
     facts: dict[str, Any] = {
-        f"rate_{side}": part.rate,
-        f"{side}_feasible": not isinstance(part, Infeasible),
-        f"{side}_certified": part.certified,
-        f"{side}_rate_limit": part.rate_limit,
+        f"rate_{side}": certificate.rate,
+        f"{side}_feasible": not isinstance(certificate, Infeasible),
+        f"{side}_certified": certificate.certified,
+        f"{side}_rate_limit": certificate.rate_limit,
     }
-    if isinstance(part, Infeasible):
-        facts[f"{side}_reason"] = part.reason
+    if isinstance(certificate, Infeasible):
+        facts[f"{side}_reason"] = certificate.reason
     else:
-        facts[f"{side}_margin"] = part.margin
-        facts[f"{side}_gain_norm"] = part.gain_norm
+        facts[f"{side}_margin"] = certificate.margin
+        facts[f"{side}_gain_norm"] = certificate.gain_norm
     return facts

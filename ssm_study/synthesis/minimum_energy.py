@@ -75,15 +75,15 @@ SCALES = (1.0, 1.1, 1.25, 1.4, 1.6, 1.8)
 
 
 def minimum_energy_gain(
-    modes: Modes, ball: JacobianBall, contraction: float, widen: bool = True
+    modes: Modes, ball: JacobianBall, contraction: float, widens_ball: bool = True
 ) -> FastGain:
-    """Minimum-energy gain that moves the fast modes inside a circle of a given radius. It is zero
-    if there are none.
+    """Minimum-energy gain that moves the fast modes of a system inside a circle of a given radius.
+    It is zero if there are none.
 
-    `widen` designs for a ball between the asked one and the widest that is possible at this r.
+    `widens_ball` designs for a ball between the asked one and the widest possible at this r.
     """
     m = modes.b_fast.shape[1]
-    if modes.fast == 0:
+    if modes.fast_count == 0:
         p = np.zeros((0, 0))
         fast_count = len(modes.left)
         return FastGain(k=np.zeros((m, fast_count)), p=p)
@@ -101,9 +101,9 @@ def minimum_energy_gain(
     eigenvalues = np.linalg.eigvalsh(energy)
     largest_energy = eigenvalues[-1]
     widest = 1 / np.sqrt(1 + largest_energy)
-    if widen:
+    if widens_ball:
         delta = max(np.sqrt(delta * widest), widest / 2)
-    fast_coordinates = modes.left[: modes.fast]
+    fast_coordinates = modes.left[: modes.fast_count]
     remaining = 1 - delta**2
     divisor = remaining * ball.alpha
     k = k0_root @ fast_coordinates / divisor
@@ -116,19 +116,19 @@ def minimum_energy_gain(
 
 
 def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:
-    """Functions that solve the problem by minimum-energy gains at several rates up to the limit,
-    the cheapest first."""
+    """Functions that solve a synthesis problem by minimum-energy gains at several rates up to the
+    limit, the cheapest first."""
     attempts: list[Callable[[], Solution]] = []
     for share in SHARES:
         attempt = partial(minimum_energy_solution, problem, share)
         attempts.append(attempt)
     for scale, share in product(SCALES, WHOLE_SHARES):
-        attempt_with_metric = partial(solution_with_whole_model_metric, problem, share, scale)
+        attempt_with_metric = partial(solution_with_full_metric, problem, share, scale)
         attempts.append(attempt_with_metric)
     return attempts
 
 
-def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solution:
+def minimum_energy_solution(problem: Problem, rate_fraction: float = SHARES[0]) -> Solution:
     """Minimum-energy gain and its contraction metric, at a rate between the requested and the
     largest provable one.
 
@@ -136,26 +136,29 @@ def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solut
     between makes it strict, and pays for the slow modes. Raises `NoSolution` near an eigenvalue
     with `|lambda| = r`, or where floats run out.
     """
-    modes, fast, faster = _gain_between_rates(problem, share)
+    modes, fast, faster = _gain_between_rates(problem, rate_fraction)
     p = weighted_block_metric(problem, modes, fast)
     status = f"minimum energy at rate {1 - faster**2:.6g}"
     return Solution(p=p, y=p, k=fast.k, sigma=1.0, status=status)
 
 
-def solution_with_whole_model_metric(problem: Problem, share: float, scale: float) -> Solution:
-    """Minimum-energy gain and, as its metric, a multiple of the smallest one of the whole model.
+def solution_with_full_metric(
+    problem: Problem, rate_fraction: float, metric_factor: float
+) -> Solution:
+    """Minimum-energy gain and a multiple of the smallest metric of fast and slow modes together, in
+    which the closed loop contracts.
 
-    `share` places the rate between the requested and the largest provable one, `scale` is the
-    multiple.
+    `rate_fraction` places the rate between the requested and the largest provable one;
+    `metric_factor` is the multiple.
     """
-    modes, fast, faster = _gain_between_rates(problem, share)
+    modes, fast, faster = _gain_between_rates(problem, rate_fraction)
     smallest_metric = full_metric(problem, modes, fast, faster)
-    p = scale * smallest_metric
+    p = metric_factor * smallest_metric
     status = f"minimum energy at rate {1 - faster**2:.6g}, metric of the whole model"
-    return Solution(p=p, y=p, k=fast.k, sigma=scale, status=status)
+    return Solution(p=p, y=p, k=fast.k, sigma=metric_factor, status=status)
 
 
-def _gain_between_rates(problem: Problem, share: float) -> tuple[Modes, FastGain, float]:
+def _gain_between_rates(problem: Problem, rate_fraction: float) -> tuple[Modes, FastGain, float]:
     """Modes, minimum-energy gain and contraction factor at a rate between the requested and the
     largest provable one."""
     ball = problem.ball
@@ -163,7 +166,7 @@ def _gain_between_rates(problem: Problem, share: float) -> tuple[Modes, FastGain
     frontier = contraction_frontier(problem.a, problem.b, ball)
     contraction_limit = frontier.contraction_limit
     limit = max(contraction_limit, FASTEST * r)
-    rate_step = (limit / r) ** share
+    rate_step = (limit / r) ** rate_fraction
     faster = float(r * rate_step)
     modes = split_modes(problem.a, problem.b, faster)
     fast_gain = minimum_energy_gain(modes, ball, faster)
@@ -172,8 +175,8 @@ def _gain_between_rates(problem: Problem, share: float) -> tuple[Modes, FastGain
 
 @dataclass(frozen=True, kw_only=True)
 class ClosedFormSynthesis(Synthesis):
-    """Synthesis of minimum-energy gains, which reach a rate with the least effort and need no
-    weights."""
+    """Synthesis of minimum-energy gains, which reach a contraction rate with the least effort and
+    need no weights."""
 
     method: ClassVar[str] = "closed_form"
 

@@ -1,5 +1,5 @@
-"""Selection among trained models that fit about equally well. It takes the one with the fastest
-certifiable control.
+"""Selection among trained models that fit the records about equally well. It takes the one with the
+fastest certifiable control.
 
 Models that fit as well differ much in the rate that can be certified: one of them may let a neuron
 cut off the input.
@@ -26,8 +26,8 @@ SLOW = 1e-3  # a rate at which an observer is asked for: hardly more than that i
 
 @dataclass(frozen=True, kw_only=True)
 class LargestCertifiableRate:
-    """Selection of the model with the largest certifiable rate, among models that fit about equally
-    well.
+    """Selection of the model for which the largest contraction rate can be certified, among models
+    that fit about equally well.
 
     One layer, and `rate_enough`: docs/models.md, "Structured models". Of the rate: docs/theory.md,
     "The frontier".
@@ -50,12 +50,13 @@ class LargestCertifiableRate:
             is_rate = 0 < rate < 1
             require(is_rate, "model.among_starts.rate_enough", rate, *between)
 
-    def __call__(self, found: "Sequence[Identification]") -> "Identification":
-        """Choose one of the identified models."""
-        best_fit = max(identified.fit_validation_percent for identified in found)
+    def __call__(self, identified_models: "Sequence[Identification]") -> "Identification":
+        """Choose the model with the largest certifiable contraction rate among those that fit about
+        as well as the best."""
+        best_fit = max(identified.fit_validation_percent for identified in identified_models)
         near = [
             identified
-            for identified in found
+            for identified in identified_models
             if identified.fit_validation_percent
             >= best_fit - self._equal_fit_difference(identified.model)
         ]
@@ -63,7 +64,7 @@ class LargestCertifiableRate:
             return near[0]
 
         models: list[Any] = [identified.model for identified in near]
-        rates = [self.largest_rate(model) for model in models]
+        rates = [self.largest_feedback_rate(model) for model in models]
         rate_enough = self.rate_enough or 1.0
         models_and_rates = zip(near, rates, strict=True)
         fast_enough = [identified for identified, rate in models_and_rates if rate >= rate_enough]
@@ -72,20 +73,20 @@ class LargestCertifiableRate:
         fastest = np.argmax(rates)
         return near[int(fastest)]
 
-    def largest_rate(self, model: Any) -> float:
-        """Largest rate that a state feedback for a model can be certified for; zero if there is
-        none."""
+    def largest_feedback_rate(self, model: Any) -> float:
+        """Largest contraction rate that can be certified for some state feedback of a model; zero
+        if there is none."""
         ball = certified_balls(model).input
         certifiable_rate = largest_certifiable_rate(model.system, ball)
         return max(0.0, certifiable_rate)
 
     def has_certificates(self, model: Any) -> bool:
         """Whether some state feedback and some observer for a model can be certified."""
-        rate_of_model = self.largest_rate(model)
+        rate_of_model = self.largest_feedback_rate(model)
         return rate_of_model > 0.0 and has_certified_observer(model)
 
     def _equal_fit_difference(self, model: Any) -> float:
-        """Difference in fit, in percentage points, that counts as equal for models of one kind."""
+        """Difference in fit, in percentage points, up to which two models count as equally good."""
         if isinstance(model.system, StateSpace):
             return self.one_layer_within_percent
         return self.within_percent
@@ -101,7 +102,7 @@ def has_certified_observer(model: Any) -> bool:
 
     synthesis = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5)
     ball = certified_balls(model).output
-    observer_problem = synthesis.problem(system, ball, observes=True)
+    observer_problem = synthesis.problem(system, ball, is_observer=True)
     return finds_certificate(observer_problem, SLOW)
 
 
@@ -110,8 +111,8 @@ def largest_certifiable_rate(system: System, ball: JacobianBall) -> float:
     if isinstance(system, StateSpace):
         return controller_frontier(system, ball).rate_limit
     from ssm_study.synthesis.structured_lmi import (
-        largest_rate,
+        largest_rate_with_neurons,
     )  # CVXPY: only where there are neurons
 
     riccati_synthesis = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5)
-    return largest_rate(riccati_synthesis.problem(system, ball))
+    return largest_rate_with_neurons(riccati_synthesis.problem(system, ball))

@@ -1,5 +1,5 @@
 """Contraction metrics (matrices P) of a minimum-energy gain: for the fast modes, the slow modes and
-the whole model.
+all modes together.
 
 Only the modes with `|lambda| > r` need the input; the slow ones, which contract already, join
 through a Lyapunov equation. Derivation: docs/theory.md, "The gain in closed form".
@@ -41,22 +41,22 @@ class Modes:
     b_slow: Float[np.ndarray, "s m"]
 
     @property
-    def fast(self) -> int:
-        """Number of fast modes, those outside a circle of given radius."""
+    def fast_count(self) -> int:
+        """Number of fast modes of a system, those outside a circle of given radius."""
         return len(self.a_fast)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FastGain:
-    """Minimum-energy gain of the fast modes, with its metric."""
+    """Minimum-energy gain of the fast modes of a system, with its contraction metric."""
 
     k: Float[np.ndarray, "m n"]
     p: Float[np.ndarray, "k k"]
 
 
 def split_modes(a: Square, b: Float[np.ndarray, "n m"], contraction: float) -> Modes:
-    """Separate the modes outside a circle (fast) from the modes inside it (slow), in decoupled
-    coordinates.
+    """Separate the modes of a linear system outside a circle (fast) from those inside it (slow), in
+    decoupled coordinates.
 
     Raises `NoSolution` where an eigenvalue is so close to the circle of radius r that the parts
     cannot be told apart.
@@ -85,13 +85,14 @@ def split_modes(a: Square, b: Float[np.ndarray, "n m"], contraction: float) -> M
     return Modes(right=right, left=left, a_fast=a_fast, b_fast=b_fast, a_slow=a_slow, b_slow=b_slow)
 
 
-def weighted_block_metric(problem: Problem, modes: Modes, fast: FastGain) -> Square:
-    """Contraction metric of the whole system, composed from those of fast and slow modes.
+def weighted_block_metric(problem: Problem, modes: Modes, fast_gain: FastGain) -> Square:
+    """Contraction metric of a whole system, as a weighted block diagonal of the metrics of fast and
+    slow modes.
 
     `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + I`.
     """
-    if modes.fast == len(modes.left):
-        fast_columns = modes.right @ fast.p
+    if modes.fast_count == len(modes.left):
+        fast_columns = modes.right @ fast_gain.p
         matrix = fast_columns @ modes.right.T
         return symmetric_part(matrix)
     ah = modes.a_slow / problem.contraction
@@ -103,11 +104,11 @@ def weighted_block_metric(problem: Problem, modes: Modes, fast: FastGain) -> Squ
     lyapunov_metric = scipy.linalg.solve_discrete_lyapunov(ah.T, np.eye(slow_count))
     inverse_metric = np.linalg.inv(lyapunov_metric)
     slow = symmetric_part(inverse_metric)
-    k = fast.k @ modes.right
+    k = fast_gain.k @ modes.right
     decoupled = modes.left @ problem.a
     a = decoupled @ modes.right
     b = modes.left @ problem.b
-    candidates = [scipy.linalg.block_diag(fast.p, slow / weight) for weight in SLOW_WEIGHTS]
+    candidates = [scipy.linalg.block_diag(fast_gain.p, slow / weight) for weight in SLOW_WEIGHTS]
     ball = problem.ball
     numbers = {"alpha": ball.alpha, "beta": ball.beta, "rate": problem.rate, "sigma": 1.0}
     margins = []
@@ -123,27 +124,29 @@ def weighted_block_metric(problem: Problem, modes: Modes, fast: FastGain) -> Squ
     return symmetric_part(metric)
 
 
-def full_metric(problem: Problem, modes: Modes, fast: FastGain, faster: float) -> Square:
+def full_metric(
+    problem: Problem, modes: Modes, fast_gain: FastGain, faster_contraction: float
+) -> Square:
     """Smallest contraction metric P of a minimum-energy gain, over fast and slow modes together.
 
     The equation is that of `least_metric`; docs/theory.md, "When digits run out", says why. Raises
     `NoSolution` without fast modes, or without a solution in floats.
     """
-    if modes.fast == 0:
+    if modes.fast_count == 0:
         raise NoSolution("no fast modes: nothing to couple")
-    scale = _state_scales(problem, modes, faster)
-    ratio_step = (problem.contraction / faster) ** BETWEEN
-    between = float(faster * ratio_step)
+    scale = _state_scales(problem, modes, faster_contraction)
+    ratio_step = (problem.contraction / faster_contraction) ** BETWEEN
+    between = float(faster_contraction * ratio_step)
     right = modes.right @ scale
     left = np.linalg.solve(scale, modes.left)
-    return least_metric(problem, fast.k, between, right, left)
+    return least_metric(problem, fast_gain.k, between, right, left)
 
 
-def _state_scales(problem: Problem, modes: Modes, faster: float) -> Square:
-    """Scale of each state, from the energies of fast and slow modes."""
-    a = modes.a_fast / faster
-    root = inverse_time_gramian_root(a, modes.b_fast / faster)
-    slow = len(modes.left) - modes.fast
+def _state_scales(problem: Problem, modes: Modes, faster_contraction: float) -> Square:
+    """Matrix that scales the fast and slow modes of a system by their control energies."""
+    a = modes.a_fast / faster_contraction
+    root = inverse_time_gramian_root(a, modes.b_fast / faster_contraction)
+    slow = len(modes.left) - modes.fast_count
     if slow == 0:
         return root
     reach = modes.b_slow @ modes.b_slow.T

@@ -25,7 +25,7 @@ from ssm_study.synthesis.measured_discs_run import certificate_weights
 from ssm_study.systems import Balls
 
 
-def lines_to_test(
+def spectral_lines_to_test(
     design: Design,
     model: Model,
     balls: Balls,
@@ -34,8 +34,9 @@ def lines_to_test(
     *,
     only_peaks: bool = False,
 ) -> list[int]:
-    """Spectral lines at which a design is to be tested with single sines. Empty for a law that
-    inverts the input map, and if the noise is unknown. `only_peaks`: those of earlier runs."""
+    """Spectral lines (multiples of the record's base frequency) at which a design is to be tested
+    with single sines. Empty for a law that inverts the input map, and if the noise is unknown.
+    `only_peaks`: those of earlier runs."""
     if not design.feasible or design.inverts_input_map or not mismatch.noise:
         return []
     lines = sensitive_lines(model, design.pair, balls, period)
@@ -47,7 +48,7 @@ def lines_to_test(
     return lines
 
 
-def simulated_sines(
+def measure_simulated_sines(
     design: Design,
     model: Model,
     balls: Balls,
@@ -58,11 +59,11 @@ def simulated_sines(
     *,
     only_peaks: bool = False,
 ) -> list[SineMismatch]:
-    """Model errors at a design's critical frequencies, measured with single sines on the simulated
+    """Measure the model error at a design's critical frequencies with single sines on the simulated
     plant."""
     from ssm_study.data.simulated import PERIOD
 
-    lines = lines_to_test(design, model, balls, mismatch, PERIOD, only_peaks=only_peaks)
+    lines = spectral_lines_to_test(design, model, balls, mismatch, PERIOD, only_peaks=only_peaks)
     records = data.simulate_sensitive_sines(plant, seed, lines)
     return measure_sine_mismatch(model, records, mismatch, PERIOD)
 
@@ -70,8 +71,8 @@ def simulated_sines(
 def sine_columns(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, sines: Sequence[SineMismatch]
 ) -> dict[str, Any]:
-    """Columns of the stability margin with the single-sine tests included; empty if there were
-    none."""
+    """Table columns of the stability margin with single-sine tests included; empty without
+    tests."""
     if not sines:
         return {}
     without = predict_margins(model, design.pair, balls, mismatch)
@@ -85,8 +86,8 @@ def sine_columns(
 def sine_coverage_columns(
     design: Design, sines: Sequence[SineMismatch], coverage: float | None
 ) -> dict[str, Any]:
-    """Columns of the model error that the proof covers at the single sines; null without a proof,
-    empty without sines.
+    """Table column with the ratio of the proved model error to that of single-sine tests; null
+    without a certificate, empty without tests.
 
     `coverage` is that over the run's records, None where nothing is covered. The premise must hold
     for the sines, too, so where they need more, theirs takes its place.

@@ -1,5 +1,5 @@
-"""Matrix inequalities of models with neurons, solved directly by CVXPY. They check the game Riccati
-route independently.
+"""Matrix inequalities of models with neurons, solved directly by the library CVXPY. They check the
+game Riccati route independently.
 
 Linear in `(P, X, T, sigma)` for a state feedback and in `(Q, V, Lambda, N, eta)` for an observer;
 `Y = P`, `U = Q`. For a ball without radius the rows of its multiplier are left out. Source:
@@ -33,7 +33,8 @@ RATE_STEPS = 12  # halvings of the interval of rates: to 1/4096
 
 
 class StructuredLmi:
-    """Matrix inequality of a problem with neurons, compiled once and solved for any rate.
+    """Matrix inequality of a synthesis problem with neurons, compiled once and solved for any
+    contraction rate.
 
     `objective` as in `objectives.goal_and_constraints`; a state feedback's cost stands beside the
     state, an observer's noise where the step arrives. With `fixed` the gains are that solution's,
@@ -48,7 +49,7 @@ class StructuredLmi:
         self.of = self._program_variables(neurons)
         upper, multiplier_rows = self._inequality_blocks(self.of, neurons)
         if problem.ball.beta == 0:
-            upper = _without_rows(upper, multiplier_rows)
+            upper = _delete_block_rows(upper, multiplier_rows)
         complex_root = scipy.linalg.sqrtm(problem.state_weight)
         root = np.real(complex_root)
         weighted_state = root @ self.of.p
@@ -62,7 +63,7 @@ class StructuredLmi:
         self.program = cp.Problem(a, constraints)
 
     def _program_variables(self, neurons: Neurons) -> SimpleNamespace:
-        """Variables and parameters of the program, keyed by the theorem's symbols."""
+        """Variables and parameters of the semidefinite program, keyed by the theorem's symbols."""
         n, m = self.problem.b.shape
         ball = self.problem.ball
         of = SimpleNamespace(alpha=ball.alpha, beta=ball.beta)
@@ -78,37 +79,37 @@ class StructuredLmi:
         of.rate = cp.Parameter()
         return of
 
-    def _inequality_blocks(self, of: Any, neurons: Neurons) -> tuple[Blocks, list[int]]:
-        """Blocks of the theorem's matrix, and the indices of the rows that belong to the multiplier
-        of the ball."""
+    def _inequality_blocks(self, symbols: Any, neurons: Neurons) -> tuple[Blocks, list[int]]:
+        """Blocks of the theorem's matrix inequality, and the indices of the rows that belong to the
+        multiplier of the ball of Jacobians."""
         q, m = neurons.g.shape
-        t = cp.diag(of.t)
+        t = cp.diag(symbols.t)
         a = self.problem.a
         b = self.problem.b
         neuron_matrices = {"e": neurons.e, "f": neurons.f, "g": neurons.g}
         data = {"a": a, "b": b, **neuron_matrices}
         if not neurons.observes:
-            variables = vars(of)
-            named = SimpleNamespace(**variables, **data, y=of.p)
+            variables = vars(symbols)
+            named = SimpleNamespace(**variables, **data, y=symbols.p)
             identity = np.eye(q)
             row = (identity, t, t)
             blocks = structured_state_feedback.structured_feedback_inequality(named, row)
             return blocks, [1, 4]
-        of.n = cp.Variable((q, m)) if neurons.allows_injection else np.zeros((q, m))
+        symbols.n = cp.Variable((q, m)) if neurons.allows_injection else np.zeros((q, m))
         if self.fixed is not None and self.fixed.k_w is not None:
             k_w = self.fixed.k_w
             injected = k_w / self.problem.required_neurons.neuron_scales
-            of.n = t @ injected.T
+            symbols.n = t @ injected.T
         transposed = {LETTERS[letter]: matrix.T for letter, matrix in data.items()}
-        transposed_gain = of.x.T
-        unknowns = {"q": of.p, "u": of.p, "v": transposed_gain, "eta": of.sigma}
-        named = SimpleNamespace(**vars(of), **transposed, **unknowns)
-        blocks = structured_observer.structured_observer_inequality(named, t, of.n)
+        transposed_gain = symbols.x.T
+        unknowns = {"q": symbols.p, "u": symbols.p, "v": transposed_gain, "eta": symbols.sigma}
+        named = SimpleNamespace(**vars(symbols), **transposed, **unknowns)
+        blocks = structured_observer.structured_observer_inequality(named, t, symbols.n)
         return blocks, [1]
 
     def solve(self, rate: float, solver: str = "CLARABEL") -> Solution:
-        """Matrices that satisfy the inequality at a given rate. Raises `NoSolution` with the
-        solver's status if there are none."""
+        """Gain, metric and multipliers that satisfy the matrix inequality at a given contraction
+        rate. Raises `NoSolution` with the solver's status if there are none."""
         of = self.of
         fixed = self.fixed
         neurons = self.problem.required_neurons
@@ -135,7 +136,8 @@ class StructuredLmi:
 
     @classmethod
     def for_fixed_gains(cls, problem: Problem) -> "StructuredLmi":
-        """Program that proves rates for fixed gains that do not act on the neurons."""
+        """Semidefinite program that proves contraction rates for fixed gains that do not act on the
+        neurons."""
         n, m = problem.b.shape
         identity = np.eye(n)
         required_neurons_e = problem.required_neurons.e
@@ -146,8 +148,8 @@ class StructuredLmi:
         return cls(problem=problem, objective="largest_margin", fixed=fixed)
 
     def prove_rate(self, k: Rows) -> Solution:
-        """Matrices that prove the problem's rate for a given gain. Raises `NoSolution` if there are
-        none."""
+        """Metric and multipliers that prove the rate of a synthesis problem for a given gain.
+        Raises `NoSolution` if there are none."""
         self.of.k.value = k
         solution = self.solve(self.problem.rate)
         if not is_confirmed_exactly(self.problem, solution):
@@ -155,15 +157,16 @@ class StructuredLmi:
         return solution
 
 
-def _without_rows(upper: Blocks, left_out: list[int]) -> Blocks:
-    """Upper triangle of a block matrix, without some of its rows and columns."""
-    block_count = len(upper)
-    rows = [i for i in range(block_count) if i not in left_out]
-    return [[upper[i][j - i] for j in rows if j >= i] for i in rows]
+def _delete_block_rows(upper_blocks: Blocks, deleted_indices: list[int]) -> Blocks:
+    """Upper triangle of a symmetric block matrix without some of its block rows and columns."""
+    block_count = len(upper_blocks)
+    rows = [i for i in range(block_count) if i not in deleted_indices]
+    return [[upper_blocks[i][j - i] for j in rows if j >= i] for i in rows]
 
 
 def is_confirmed_exactly(problem: Problem, solution: Solution) -> bool:
-    """Whether exact arithmetic confirms the theorem for a solution."""
+    """Whether exact arithmetic confirms that a solver's matrices satisfy the theorem of a model
+    with neurons."""
     theorem: type[Side] = structured_state_feedback.StructuredStateFeedback
     if problem.required_neurons.observes:
         theorem = structured_observer.StructuredObserver
@@ -171,17 +174,18 @@ def is_confirmed_exactly(problem: Problem, solution: Solution) -> bool:
     return theorem.holds(**numbers)
 
 
-def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
+def largest_rate_with_neurons(problem: Problem, fixed: Solution | None = None) -> float:
     """Largest contraction rate that the solver finds for a model with neurons; 0 if there is
     none."""
     return fastest_confirmed_solution(problem, fixed)[0]
 
 
 def fastest_confirmed_solution(
-    problem: Problem, fixed: Solution | None = None
+    problem: Problem, fixed_gains: Solution | None = None
 ) -> tuple[float, Solution | None]:
-    """Largest rate that exact arithmetic confirms, by bisection, and the matrices that prove it."""
-    program = StructuredLmi(problem=problem, objective="largest_margin", fixed=fixed)
+    """Largest contraction rate of a model with neurons that exact arithmetic confirms, by
+    bisection, and the matrices that prove it."""
+    program = StructuredLmi(problem=problem, objective="largest_margin", fixed=fixed_gains)
     low = 0.0
     high = 1.0
     best = None
@@ -197,13 +201,14 @@ def fastest_confirmed_solution(
 
 
 def finds_certificate(problem: Problem, rate: float) -> bool:
-    """Whether the solver finds matrices that prove a rate in exact arithmetic."""
+    """Whether matrices are found that prove a contraction rate of a model with neurons in exact
+    arithmetic."""
     program = StructuredLmi(problem=problem, objective="largest_margin")
     return _confirmed_solution(program, problem, rate) is not None
 
 
 def _confirmed_solution(program: StructuredLmi, problem: Problem, rate: float) -> Solution | None:
-    """Matrices that prove a rate in exact arithmetic; None if the solver finds none."""
+    """Matrices that prove a contraction rate in exact arithmetic; None if the solver finds none."""
     try:
         solution = program.solve(rate)
         slower_problem = problem.at_rate(rate)
@@ -212,14 +217,14 @@ def _confirmed_solution(program: StructuredLmi, problem: Problem, rate: float) -
         return None
 
 
-def certify_largest_rate(part: Any) -> Side | None:
-    """Certificate of an already certified gain at the largest rate that can be proved for it, where
-    the model has neurons."""
+def certify_largest_rate(certificate: Any) -> Side | None:
+    """Certificate of the same gain as a given one, for a model with neurons, at the largest
+    contraction rate that can be proved."""
     started = time.perf_counter()
-    problem, gains = part.as_problem()
-    provable_rate = largest_rate(problem, gains)
+    problem, gains = certificate.as_problem()
+    provable_rate = largest_rate_with_neurons(problem, gains)
     rate = provable_rate * (1 - INSIDE)
-    if rate <= part.rate:
+    if rate <= certificate.rate:
         return None
     faster = problem.at_rate(rate)
     program = StructuredLmi(problem=faster, objective="largest_margin", fixed=gains)
@@ -227,9 +232,13 @@ def certify_largest_rate(part: Any) -> Side | None:
         solution = program.solve(rate)
     except NoSolution:
         return None
-    numbers = part.certificate_numbers(faster, solution)
+    numbers = certificate.certificate_numbers(faster, solution)
     status = f"{solution.status}, {INSIDE:.1%} inside the largest rate"
-    proved: Side = part.from_numbers(
-        numbers, status=status, started=started, rate_limit=part.rate_limit, method=part.method
+    proved: Side = certificate.from_numbers(
+        numbers,
+        status=status,
+        started=started,
+        rate_limit=certificate.rate_limit,
+        method=certificate.method,
     )
     return proved if proved.certified else None

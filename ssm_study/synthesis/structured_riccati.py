@@ -57,19 +57,20 @@ FLAT = 1e-3  # a descent ends when a step gains less of the logarithm of its goa
 
 @dataclass(frozen=True, kw_only=True)
 class Game:
-    """Game Riccati equation of a problem with neurons, for one contraction factor. The search
-    starts with slower factors, which may exceed one."""
+    """Dynamic game whose Riccati equation gives the gain of a model with neurons, for one
+    contraction factor. The search starts with slower factors, which may exceed one."""
 
     problem: Problem
     r: float
 
     @cached_property
     def neurons(self) -> Neurons:
-        """Scaled neurons of the problem. Raises `ValueError` if it has none."""
+        """Neurons of the synthesis problem in balanced units. Raises `ValueError` if it has
+        none."""
         return self.problem.required_neurons.in_balanced_units()
 
     @cached_property
-    def data(self) -> tuple[Any, ...]:
+    def solver_arguments(self) -> tuple[Any, ...]:
         """Arguments of the compiled solver of the game, without the multipliers.
 
         `w = (z + v) / 2`, so half of each neuron is linear; without a radius of the ball there is
@@ -109,16 +110,16 @@ class Saddle(NamedTuple):
     toward: Matrix
 
 
-def evaluate_saddle(game: Game, logs: Vector, barrier: float) -> Saddle:
-    """Saddle point of the game at given log multipliers. Its goal is infinite if they are
-    inadmissible.
+def evaluate_saddle_point(game: Game, log_multipliers: Vector, barrier_weight: float) -> Saddle:
+    """Saddle point of a game for given logarithms of the multipliers, with the guaranteed cost and
+    its gradient. Its goal is infinite if they are inadmissible.
 
     The goal is `log trace X - barrier log det(-T'H T / D)`, `D = diag(lambda_p, Lambda)`: the
     second term keeps the search off the edge of what is admissible, where the gradient of the first
     one leads.
     """
     try:
-        saddle_numbers = solve_saddle_point(*game.data, logs, barrier)
+        saddle_numbers = solve_saddle_point(*game.solver_arguments, log_multipliers, barrier_weight)
         return Saddle(*saddle_numbers)
     except (np.linalg.LinAlgError, ArithmeticError):
         none = np.empty((0, 0))
@@ -126,12 +127,14 @@ def evaluate_saddle(game: Game, logs: Vector, barrier: float) -> Saddle:
         return Saddle(np.inf, gradient, none, none, none)
 
 
-def minimise_guaranteed_cost(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vector:
-    """Log multipliers that minimise the guaranteed cost, by BFGS from admissible ones. A step to an
-    inadmissible point is shortened."""
-    at = evaluate_saddle(game, logs, barrier)
-    metric = np.eye(len(logs))
-    left = evaluations
+def minimise_guaranteed_cost(
+    game: Game, log_multipliers: Vector, barrier_weight: float, evaluation_count: int
+) -> Vector:
+    """Logarithms of the multipliers that minimise the guaranteed cost of a game, by the BFGS
+    method. A step to an inadmissible point is shortened."""
+    at = evaluate_saddle_point(game, log_multipliers, barrier_weight)
+    metric = np.eye(len(log_multipliers))
+    left = evaluation_count
     gained = np.inf
     while np.isfinite(at.goal) and left > 0 and gained >= FLAT:
         step = -(metric @ at.gradient)
@@ -142,14 +145,14 @@ def minimise_guaranteed_cost(game: Game, logs: Vector, barrier: float, evaluatio
         lower = False
         while left > 0 and not lower and np.abs(step).max() > 1e-6:
             left -= 1
-            there = evaluate_saddle(game, logs + step, barrier)
+            there = evaluate_saddle_point(game, log_multipliers + step, barrier_weight)
             slope_along_step = step @ at.gradient
             sufficient_goal = at.goal + 1e-4 * slope_along_step
             lower = bool(there.goal < sufficient_goal)  # Armijo's condition
             step = step if lower else step / 3
         if not lower:
             break
-        logs = logs + step
+        log_multipliers = log_multipliers + step
         change = there.gradient - at.gradient
         gained = at.goal - there.goal
         along = step @ change
@@ -158,28 +161,28 @@ def minimise_guaranteed_cost(game: Game, logs: Vector, barrier: float, evaluatio
             along > 1e-12
         ):  # BFGS's curvature condition: without it the metric would lose definiteness
             outer_product = np.outer(step, change)
-            parameter_count = len(logs)
+            parameter_count = len(log_multipliers)
             turn = np.eye(parameter_count) - outer_product / along
             turned_metric = turn @ metric @ turn.T
             step_product = np.outer(step, step)
             metric = turned_metric + step_product / along
-    return logs
+    return log_multipliers
 
 
-def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
-    """Gain with the smallest guaranteed cost, and the matrices that prove it. Raises `NoSolution`
-    if the search stops before the requested rate.
+def least_guaranteed_cost(problem: Problem, start_solution: Solution | None = None) -> Solution:
+    """Gain of a model with neurons that has the smallest guaranteed cost, and the matrices that
+    prove it. Raises `NoSolution` if the search stops before the requested rate.
 
-    It starts from the multipliers of `near` where they hold: as they must, scaled up, if that is a
-    solution at a faster rate, since smaller weights and a slower rate only relax the inequality.
-    Without any it is the solution.
+    It starts from the multipliers of `start_solution` where they hold: as they must, scaled up, if
+    that is a solution at a faster rate, since smaller weights and a slower rate only relax the
+    inequality. Without any it is the solution.
     """
-    if near is not None and near.logs is None:
-        return near  # it is the solution itself
+    if start_solution is not None and start_solution.logs is None:
+        return start_solution  # it is the solution itself
     game = Game(problem=problem, r=problem.contraction)
-    near_logs = None if near is None else near.logs
+    near_logs = None if start_solution is None else start_solution.logs
     for logs in () if near_logs is None else near_logs + ROOM[:, None]:
-        goal = evaluate_saddle(game, logs, 0.0).goal
+        goal = evaluate_saddle_point(game, logs, 0.0).goal
         if np.isfinite(goal):
             return theorem_matrices(game, least_cost_multipliers(game, logs))
     for effort in TRIES:
@@ -190,9 +193,10 @@ def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
 
 
 def continue_to_rate(
-    game: Game, centred: float, per_rate: int, shortest: float
+    game: Game, barrier_weight: float, evaluations_per_rate: int, shortest_step: float
 ) -> tuple[Vector, float]:
-    """Admissible log multipliers at the requested rate, by continuation from a slower rate."""
+    """Admissible multipliers (as logarithms) at the requested contraction rate, found by
+    continuation from a slower rate."""
     # a neuron counts as much as its step is worth in the state's weight; the ball as its centre's
     # step
     of = game.problem
@@ -209,55 +213,63 @@ def continue_to_rate(
         logs = np.append(logs, log_ball_weight)
     slow = game
     share = 1.0
-    while np.isinf(evaluate_saddle(slow, logs, 0.0).goal):
+    while np.isinf(evaluate_saddle_point(slow, logs, 0.0).goal):
         r = slow.r * SLOWER
         slow = replace(slow, r=r)
         if slow.r > SLOWEST:
             return logs, slow.r
     while slow.r > game.r:
-        logs = minimise_guaranteed_cost(slow, logs, centred, per_rate)
-        while np.isinf(evaluate_saddle(_interpolate_games(game, slow, share), logs, 0.0).goal):
+        logs = minimise_guaranteed_cost(slow, logs, barrier_weight, evaluations_per_rate)
+        while np.isinf(
+            evaluate_saddle_point(_interpolate_games(game, slow, share), logs, 0.0).goal
+        ):
             share /= 2
-            if share < shortest:
+            if share < shortest_step:
                 return logs, slow.r
         slow = _interpolate_games(game, slow, share)
         share = min(1.0, 4 * share)
     return least_cost_multipliers(game, logs), game.r
 
 
-def least_cost_multipliers(game: Game, logs: Vector) -> Vector:
-    """Log multipliers with the smallest guaranteed cost, by a search from admissible ones."""
+def least_cost_multipliers(game: Game, log_multipliers: Vector) -> Vector:
+    """Multipliers (as logarithms) with the smallest guaranteed cost, by a search that starts at
+    admissible ones."""
     for barrier, evaluations in LAST:
-        logs = minimise_guaranteed_cost(game, logs, barrier, evaluations)
-    return logs
+        log_multipliers = minimise_guaranteed_cost(game, log_multipliers, barrier, evaluations)
+    return log_multipliers
 
 
-def log_multipliers(problem: Problem, found: Solution) -> Vector:
-    """Logarithms of the multipliers in a solution of the inequality."""
-    assert found.multipliers is not None
+def log_multipliers(problem: Problem, solution: Solution) -> Vector:
+    """Logarithms of the multipliers in a solution of the matrix inequality of a model with
+    neurons."""
+    assert solution.multipliers is not None
     units = problem.required_neurons.neuron_scales
     r2 = 1 - problem.rate
     beta = problem.ball.beta
     observes = problem.required_neurons.observes
-    weights = r2 / (found.multipliers * units**2) if observes else found.multipliers / units**2
-    bound = [1 / (found.sigma / (r2 * beta**2) if observes else found.sigma)] if beta > 0 else []
+    weights = (
+        r2 / (solution.multipliers * units**2) if observes else solution.multipliers / units**2
+    )
+    bound = (
+        [1 / (solution.sigma / (r2 * beta**2) if observes else solution.sigma)] if beta > 0 else []
+    )
     multipliers = np.append(weights, bound)
     return np.log(multipliers)
 
 
-def _interpolate_games(game: Game, slow: Game, share: float) -> Game:
-    """Game whose contraction factor lies between those of two other games."""
-    if share == 1.0:
+def _interpolate_games(game: Game, slow_game: Game, fraction: float) -> Game:
+    """Game with a contraction factor between those of a fast and a slow game."""
+    if fraction == 1.0:
         return game
-    ratio = game.r / slow.r
-    between = slow.r * ratio**share
+    ratio = game.r / slow_game.r
+    between = slow_game.r * ratio**fraction
     return replace(game, r=between)
 
 
-def theorem_matrices(game: Game, logs: Vector) -> Solution:
-    """Gain and matrices of the theorem at given log multipliers. Raises `NoSolution` if the
-    conditions do not hold there."""
-    saddle = evaluate_saddle(game, logs, 0.0)
+def theorem_matrices(game: Game, log_multipliers: Vector) -> Solution:
+    """Gain, metric and multipliers in the form of the theorem, from the saddle point of a game.
+    Raises `NoSolution` if the conditions do not hold there."""
+    saddle = evaluate_saddle_point(game, log_multipliers, 0.0)
     problem = game.problem
     neurons = game.neurons
     if np.isinf(saddle.goal):
@@ -283,9 +295,11 @@ def theorem_matrices(game: Game, logs: Vector) -> Solution:
         k_w = np.zeros((m, q))
     matrix = np.linalg.inv(x)
     p = symmetric_part(matrix)
-    weights = np.exp(logs[:q])
+    weights = np.exp(log_multipliers[:q])
     beta = problem.ball.beta
-    sigma = float(np.exp(-logs[-1])) if beta > 0 else zero_radius_multiplier(problem, p, k)
+    sigma = (
+        float(np.exp(-log_multipliers[-1])) if beta > 0 else zero_radius_multiplier(problem, p, k)
+    )
     if neurons.observes:
         # From the state feedback of transposed data: the congruence that exchanges rows 1 and 4
         # divides one by r and multiplies the other, and the neurons' row, by it. So `Lambda = r^2
@@ -294,7 +308,14 @@ def theorem_matrices(game: Game, logs: Vector) -> Solution:
         weights = r2 / weights
         sigma = r2 * beta**2 * sigma if beta > 0 else sigma
     solution = Solution(
-        p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status="game", logs=logs
+        p=p,
+        y=p,
+        k=k,
+        k_w=k_w,
+        sigma=sigma,
+        multipliers=weights,
+        status="game",
+        logs=log_multipliers,
     )
     return solution.undo_neuron_scaling(problem.required_neurons)
 

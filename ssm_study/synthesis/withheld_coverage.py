@@ -1,4 +1,5 @@
-"""Coverage of a controller that hardly acts, or that is unstable by itself, which is not reported.
+"""Coverage (ratio of proved to recorded model error) that is not reported: of a controller that
+hardly acts, or that is unstable by itself.
 
 A controller that hardly acts covers any model error, for the plant comes to rest without it. A
 controller that is unstable by itself needs the plant's answer at every amplitude, beyond those on
@@ -26,7 +27,8 @@ UNSTABLE = (
 
 
 def reported_coverage(design: Design, model: Model, premise: Premise) -> float | None:
-    """Coverage of a design over the run's records, as it is reported; None without one."""
+    """Coverage of a design (ratio of proved to recorded model error) as it is reported; None if
+    there is none or it is withheld."""
     facts = coverage_columns(design, model, premise)
     if design.feasible:
         facts = withhold_coverage(facts, model, design.pair)
@@ -34,21 +36,21 @@ def reported_coverage(design: Design, model: Model, premise: Premise) -> float |
     return coverage
 
 
-def withhold_coverage(facts: dict[str, Any], model: Model, gains: Gains) -> dict[str, Any]:
-    """Replace the coverage of a controller that hardly acts, or is unstable by itself, by the
-    reason why it is not reported."""
-    coverage = facts.get("coverage")
+def withhold_coverage(columns: dict[str, Any], model: Model, gains: Gains) -> dict[str, Any]:
+    """Remove the coverage from a run's table columns if the controller hardly acts or is unstable
+    by itself, and state that reason."""
+    coverage = columns.get("coverage")
     if coverage is None or coverage < 1:
-        return facts
+        return columns
     reason = withholding_reason(model, gains)
     if reason is None:
-        return facts
+        return columns
     withheld = {"coverage": None, "coverage_reference": None, "coverage_reason": reason}
-    return facts | withheld
+    return columns | withheld
 
 
 def withholding_reason(model: Model, gains: Gains) -> str | None:
-    """Reason why no coverage is reported of a controller, whatever the proof; None if it is."""
+    """Reason why the coverage of a controller is not reported; None if it may be reported."""
     poles = eigenvalue_groups(model, gains)
     if not moves_poles(poles["model"], poles["controlled"]):
         return IDLE

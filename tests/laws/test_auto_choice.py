@@ -26,7 +26,7 @@ from ssm_study.robustness.prediction import Prediction, predict_margins
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.candidate_grid import OWN_SHARE
-from ssm_study.synthesis.expected_response import LOSS, expected_area
+from ssm_study.synthesis.expected_response import LOSS, expected_response_area
 from ssm_study.synthesis.integrated_error import relative_response_areas
 from ssm_study.synthesis.structured_lmi import StructuredLmi
 from ssm_study.systems import Balls, Gains, JacobianBall
@@ -97,7 +97,7 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
     assert 0 < keeps.sum() < len(keeps)
     expected = np.array(
         [
-            expected_area(a, 1 / p.resolved_margin, shown.spread)
+            expected_response_area(a, 1 / p.resolved_margin, shown.spread)
             for a, p in zip(areas, found, strict=True)
         ]
     )
@@ -106,7 +106,7 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
     l_z = None if own.l_z is None else own.l_z[None]
     one = replace(own, k=k, l=own.l[None], l_z=l_z)
     margin = predict_margins(given, own, balls, shown).resolved_margin
-    area = expected_area(
+    area = expected_response_area(
         relative_response_areas(given, one, (record,))[0], 1 / margin, shown.spread
     )
     smallest = expected[keeps].min()
@@ -135,10 +135,10 @@ def test_an_uncertain_mismatch_moves_the_choice_away_from_the_edge():
     """At the edge half of the samples of g fail on the plant; far from it the expected area is the
     area."""
     expected = (0.3 + LOSS) / 2
-    assert expected_area(0.3, 1.0, 0.2) == pytest.approx(expected)
-    assert expected_area(0.3, 0.1, 0.2) == pytest.approx(0.3)
-    assert expected_area(0.3, 0.7, 0.6) > expected_area(0.4, 0.3, 0.6)
-    assert expected_area(0.3, 0.7, 0.1) < expected_area(0.4, 0.3, 0.1)
+    assert expected_response_area(0.3, 1.0, 0.2) == pytest.approx(expected)
+    assert expected_response_area(0.3, 0.1, 0.2) == pytest.approx(0.3)
+    assert expected_response_area(0.3, 0.7, 0.6) > expected_response_area(0.4, 0.3, 0.6)
+    assert expected_response_area(0.3, 0.7, 0.1) < expected_response_area(0.4, 0.3, 0.1)
 
 
 def test_the_choice_settles_the_true_motor_faster_than_none(chosen):

@@ -35,7 +35,7 @@ TARGET_SHARE = 1.05  # of the coverage of the first gains
 
 
 @pytest.fixture(scope="module")
-def search() -> GainSearch:
+def search_best_gains() -> GainSearch:
     mismatch = measure_mismatch(SSM_MODEL, RECORDS)
     validation = RECORDS[:1]
     return GainSearch(
@@ -71,7 +71,7 @@ def test_gains_around_the_grid_cover_more_and_are_certified(improved, coverage_o
 
 
 def test_the_search_gives_the_same_gains_again(search) -> None:
-    first, again = (search.search(FAST, 1e4, 1, AREA_TOO_LARGE) for _ in range(2))
+    first, again = (search.search_best_gains(FAST, 1e4, 1, AREA_TOO_LARGE) for _ in range(2))
     assert first.coverage == again.coverage
     actual = first.gains.k
     expected = again.gains.k
@@ -132,7 +132,7 @@ def test_a_covered_pair_from_far_down_the_order_is_made_faster(monkeypatch, sear
     found = design(input_weight=0.1)
     asked = []
 
-    def search(first, most, wanted):
+    def search_best_gains(first, most, wanted):
         asked.append((first, most, wanted))
         return found if searches and most is slow else None
 

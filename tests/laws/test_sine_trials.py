@@ -35,7 +35,11 @@ from ssm_study.robustness.sine_trials import (
 )
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate
-from ssm_study.synthesis.sine_judgement import lines_to_test, sine_columns, sine_coverage_columns
+from ssm_study.synthesis.sine_judgement import (
+    sine_columns,
+    sine_coverage_columns,
+    spectral_lines_to_test,
+)
 from ssm_study.synthesis.withheld_coverage import reported_coverage
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
@@ -138,10 +142,13 @@ def test_the_trials_lie_at_the_peaks_of_the_sensitivity() -> None:
 
 def test_the_line_where_the_records_decide_the_margin_is_tried_last() -> None:
     """The frequency of the largest `g |T_ue|`, which the peak of `|T_ue|` alone may miss."""
-    lines = lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)
+    lines = spectral_lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)
     at_peaks = sensitive_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
     assert lines[: len(at_peaks)] == at_peaks
-    assert lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD, only_peaks=True) == at_peaks
+    assert (
+        spectral_lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD, only_peaks=True)
+        == at_peaks
+    )
     deciding = deciding_line(SSM_MODEL, FAST.pair, BALLS, MISMATCH, PERIOD)
     assert deciding in lines
     hidden = replace(MISMATCH.views[-1], by_frequency=1e-6 * np.ones(33))
@@ -165,8 +172,8 @@ def test_records_without_a_mismatch_decide_at_no_line() -> None:
 
 def test_where_no_noise_is_known_nothing_is_tried() -> None:
     unknown = replace(MISMATCH, noise=())
-    assert lines_to_test(FAST, SSM_MODEL, BALLS, unknown, PERIOD) == []
-    lines = lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)
+    assert spectral_lines_to_test(FAST, SSM_MODEL, BALLS, unknown, PERIOD) == []
+    lines = spectral_lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)
     assert len(lines) > 0
 
 

@@ -169,8 +169,8 @@ MEASURES = {
     "dataset": ("data/metrics.py", r"^def input_coverage\((.*)\) -> float:$",
                 r"def input_coverage(\1):\n    del EDITED"),
     "loop": ("loop/metrics.py", r"stable_count = len", "stable_count = 1 + len"),
-    "synthesis": ("synthesis/metrics.py", r"^def second_opinion_columns\(",
-                  "@edited\ndef second_opinion_columns("),
+    "synthesis": ("synthesis/metrics.py", r"^def paper_feasibility_columns\(",
+                  "@edited\ndef paper_feasibility_columns("),
 }  # fmt: skip
 
 

@@ -18,13 +18,13 @@ from ssm_study.certificates.theorems.bilinear_everywhere import BilinearEverywhe
 from ssm_study.certificates.theorems.bilinear_loop import BilinearLoop
 from ssm_study.cli.main import main
 from ssm_study.engine.records import write_record
-from ssm_study.loop.bilinear_feedback import BilinearFeedback, advance_states
+from ssm_study.loop.bilinear_feedback import BilinearFeedback, advance_bilinear_states
 from ssm_study.models.bilinear import Bilinear
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, Scale
 from ssm_study.study.verify import verify
 from ssm_study.synthesis.bilinear_design import BilinearSynthesis
-from ssm_study.synthesis.bilinear_gains import input_columns
+from ssm_study.synthesis.bilinear_gains import input_slope_columns
 
 INPUT_CHANNEL = Channel(name="u", unit="V")
 OUTPUT_CHANNEL = Channel(name="y", unit="m")
@@ -57,7 +57,7 @@ def loop_step(
     none = np.zeros(0)
     y = model.scale.physical_output(x @ model.c.T)
     u = controller.input(estimate, y, none)
-    after = advance_states(model, x, u)
+    after = advance_bilinear_states(model, x, u)
     next_estimate = controller.advance(estimate, u, y, none)
     return after, next_estimate, model.scale.scaled_input(u)
 
@@ -128,7 +128,7 @@ def test_two_motions_approach_each_other_inside_the_set_as_certified(
         share = part.radius * shares / norms(x, part.p)
         pair.append(share[:, None] * x)
     before = norms(pair[0] - pair[1], part.p)
-    moved = [advance_states(model, x, x @ certificates.k.T) for x in pair]
+    moved = [advance_bilinear_states(model, x, x @ certificates.k.T) for x in pair]
     after = norms(moved[0] - moved[1], part.p)
     assert (after <= part.factor * before + 1e-12).all()
 
@@ -158,7 +158,7 @@ def test_contraction_fails_far_from_rest() -> None:
     assert BilinearContraction.holds(**numbers, radius=0.5)
     assert not BilinearContraction.holds(**numbers, radius=10.0)
     x = np.array([[-9.0], [-9.1]])
-    after = advance_states(model, x, -0.3 * x)
+    after = advance_bilinear_states(model, x, -0.3 * x)
     distance_after = abs(after[1, 0] - after[0, 0])
     assert distance_after > 0.12  # before: 0.1
 
@@ -309,7 +309,7 @@ def test_the_loop_settles_sooner_than_the_model_alone(certificates: RestCertific
     part = certificates.parts["bilinear_loop"]
     assert isinstance(part, BilinearLoop)
     assert part.factor_controller < max(radii)
-    assert len(input_columns(known_model())) == 2
+    assert len(input_slope_columns(known_model())) == 2
 
 
 def test_the_named_starts_from_rest_are_in_the_set(certificates: RestCertificates) -> None:

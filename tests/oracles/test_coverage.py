@@ -138,11 +138,11 @@ def test_an_offset_that_friction_leaves_is_no_mismatch_of_the_disc() -> None:
 def test_noise_is_told_from_mismatch_where_an_input_repeats() -> None:
     noisy = premise(scaled_model(0.3), noise=0.02)
     requirements = noisy.requirements(0.0)
-    totals = [item for item in requirements if item.where.endswith("in total")]
+    totals = [item for item in requirements if item.label.endswith("in total")]
     output_alone = OUTPUT_ALONE.largest_required_radius(totals[1:])
     assert output_alone[0] == pytest.approx(0.3, rel=0.1)
-    small = [item for item in requirements if item.where.startswith("input of rms 0.0")]
-    highest = [item for item in small if "around 3.14" in item.where]
+    small = [item for item in requirements if item.label.startswith("input of rms 0.0")]
+    highest = [item for item in small if "around 3.14" in item.label]
     assert highest[0].seen == 0.0
 
 
@@ -184,7 +184,7 @@ def test_running_sums_grow_over_a_period_by_what_the_lines_say() -> None:
     third_period = sums[3 * PERIOD - 1]
     growth = third_period - sums[2 * PERIOD - 1]
     made = premise(linear(plant), amplitudes=(1.0,), shape=one)
-    total = next(item for item in made.requirements(centre) if item.where.endswith("in total"))
+    total = next(item for item in made.requirements(centre) if item.label.endswith("in total"))
     powers = weights.output_weight(total.angles)
     reference = powers @ total.model_power
     powers = weights.input_weight(total.angles)
@@ -394,7 +394,7 @@ def test_a_short_period_has_bands_without_lines() -> None:
     powers = {"input_power": np.ones(lines), "noise": np.zeros(lines)}
     grid = {"angles": angles, "sides": sides}
     record = MismatchSpectrum(name="short", amplitude=1.0, **grid, **answers, **powers)
-    items = requirements_from_periods(record, 0.0, sure=True)
+    items = requirements_from_periods(record, 0.0, has_no_doubt=True)
     assert all(len(item.angles) > 0 for item in items)
     assert all(np.isfinite(item.seen) and not item.dark for item in items)
-    assert sum(" around " in item.where for item in items) < len(ANGLES)
+    assert sum(" around " in item.label for item in items) < len(ANGLES)

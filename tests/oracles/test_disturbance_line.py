@@ -155,7 +155,7 @@ def test_c_with_neurons_and_two_loads(tmp_path: Path) -> None:
         b_d=model.b_d,
     )  # fmt: skip
     device = Device.from_controller(controller, "double", np.array([-9.0]), np.array([9.0]))
-    for name, text in render_c_files(device, about="test").items():
+    for name, text in render_c_files(device, origin_text="test").items():
         (tmp_path / name).write_text(text)
     sources = ("controller_replay.c", "-lm")
     assert compiled(tmp_path, "-std=c99", sources=sources).startswith("0 of 200 inputs differ")

@@ -257,7 +257,7 @@ def test_small_logs_of_a_position_do_not_run_away(path):
     difference = y - y[0]
     cuts = [length * 6 // 10, length * 8 // 10]
     data = blocks(u, difference, cuts)
-    findings = feedback.judge_instability(data, closed=False, integrated=False)
+    findings = feedback.judge_instability(data, is_closed_loop=False, has_integrating_model=False)
     told = sentences(findings)
     assert "runs away" not in told
     if "sweep" in path.name:
@@ -335,7 +335,7 @@ def test_an_output_that_follows_its_input_is_not_told_to_integrate():
 def test_a_position_behind_a_dead_zone_integrates_whatever_the_seed(tmp_path: Path, seed: int):
     """An operator turns the motor round at its ends, so that a mode alone does not show the sum."""
     data_set = kind_of_log(tmp_path, "position_dead_zone", seed)
-    sums = list(feedback.judge_instability(data_set, closed=False))
+    sums = list(feedback.judge_instability(data_set, is_closed_loop=False))
     levels = [finding.level for finding in sums]
     assert levels == ["doubt"]
     assert "integrates its input" in sums[0].sentence
@@ -345,7 +345,7 @@ def test_a_position_behind_a_dead_zone_integrates_whatever_the_seed(tmp_path: Pa
 @pytest.mark.parametrize("name", ["slow_coarse", "bilinear", "dead_time", "saturating", "drifting"])
 def test_what_settles_does_not_integrate(tmp_path: Path, name: str):
     data_set = kind_of_log(tmp_path, name, 0)
-    assert not list(feedback.judge_instability(data_set, closed=False))
+    assert not list(feedback.judge_instability(data_set, is_closed_loop=False))
 
 
 def kind_of_log(folder: Path, name: str, seed: int) -> DataSet:

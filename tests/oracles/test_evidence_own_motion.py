@@ -121,7 +121,7 @@ def test_the_walk_of_an_integrator_is_taken_for_growth_once_in_a_hundred():
         white_noise = rng.standard_normal(SAMPLES)
         walk = np.cumsum(0.1 * U + white_noise)
         data = case(walk, integrating(0.999)).data
-        found = feedback.judge_instability(data, closed=False)
+        found = feedback.judge_instability(data, is_closed_loop=False)
         refused += len([finding for finding in found if finding.level == "cannot judge"])
     assert refused <= 3
 

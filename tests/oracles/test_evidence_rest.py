@@ -296,4 +296,4 @@ def test_noise_is_taken_off_a_return_and_off_the_mean_of_the_others(count):
     doubt = SURE * np.sqrt(variance_of_mean * (1 + 1 / (count - 1)))
     difference = np.abs(means - others)
     expected = difference - doubt
-    assert _distances_from_rest(outputs, centred=False) == pytest.approx(expected)
+    assert _distances_from_rest(outputs, is_centred=False) == pytest.approx(expected)

@@ -85,7 +85,7 @@ def test_the_header_counts_the_multiplications_of_a_sample(
     upper = made.upper + 1e9
     free = replace(made, lower=lower, upper=upper)
     expected = products(free, tmp_path / "c")
-    assert free.count_multiplications == expected
+    assert free.multiplication_count == expected
 
 
 @pytest.mark.parametrize(("real", "size"), [("double", 8), ("float", 4)])
@@ -304,13 +304,14 @@ def test_refusals(tmp_path: Path) -> None:
     made = device(tmp_path, kind="linear")
     for name in ("two words", "9lives", "float", "while", ""):
         with pytest.raises(BadRequest, match="is no name in C"):
-            render_c_files(made, name, about="")
+            render_c_files(made, name, origin_text="")
     with pytest.raises(BadRequest, match=r"real = half: unknown; use double or float"):
         device(tmp_path / "half", kind="linear", real="half")
     coupled = device(tmp_path / "two", kind="mlp", channels=2)
     assert coupled.set_point_maps is None
-    header = render_c_files(coupled, about="")["controller.h"]
+    header = render_c_files(coupled, origin_text="")["controller.h"]
     assert "No set points: a map couples channels." in header
     assert (
-        "controller_track(controller_state" not in render_c_files(coupled, about="")["controller.h"]
+        "controller_track(controller_state"
+        not in render_c_files(coupled, origin_text="")["controller.h"]
     )

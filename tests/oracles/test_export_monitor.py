@@ -13,7 +13,7 @@ from test_coverage import BALLS, MODEL, design, premise, scaled_model
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.export.c import render_c_files
-from ssm_study.export.c_monitor import Monitor, decay_energy
+from ssm_study.export.c_monitor import Monitor, free_decay_energy
 from ssm_study.export.device import Device
 from ssm_study.export.portable import convert_controller
 from ssm_study.models.identified import SSM
@@ -62,7 +62,7 @@ def device(covered: tuple[SSM, Design]) -> Device:
 def watched(device: Device, monitor: Monitor, tmp_path_factory: pytest.TempPathFactory):
     """Sum and flag of the C code at each sample, for outputs and applied inputs."""
     folder = tmp_path_factory.mktemp("monitor")
-    for file, text in render_c_files(device, about="test", monitor=monitor).items():
+    for file, text in render_c_files(device, origin_text="test", monitor=monitor).items():
         (folder / file).write_text(text)
     (folder / "main.c").write_text(MAIN)
     compiled(folder, "-std=c99", "-DMONITOR")  # the replay is what it is without
@@ -194,7 +194,7 @@ def test_a_decay_from_afar_raises_no_flag(covered: tuple[SSM, Design], watched) 
     model = covered[0]
     y, u, _, _ = loop(covered[1], lambda m, _: m, 3.0)
     limit = Monitor.for_design(*covered).limit
-    assert decay_energy(model.linear) * 3.0**2 > 30 * limit
+    assert free_decay_energy(model.linear) * 3.0**2 > 30 * limit
     assert not watched(y, u)[1].any()
 
 
@@ -224,5 +224,5 @@ def test_without_a_proof_there_is_none(covered: tuple[SSM, Design]) -> None:
     assert Monitor.for_design(covered[0], design()) is None
     controller = convert_controller(covered[0], design())
     bare = Device.from_controller(controller, "double", *UNLIMITED)
-    text = render_c_files(bare, about="test")["controller.h"]
+    text = render_c_files(bare, origin_text="test")["controller.h"]
     assert '#error "no monitor' in text

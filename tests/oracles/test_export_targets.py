@@ -343,7 +343,7 @@ def test_the_replay_of_neurons_in_c(tmp_path: Path, kinds: tuple[str, ...], real
     assert (
         real == "float"
         or "tanh" in kinds
-        or free.count_multiplications == products(free, tmp_path / "counted")
+        or free.multiplication_count == products(free, tmp_path / "counted")
     )
     broken = (
         (folder / "controller.h")

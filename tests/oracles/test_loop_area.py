@@ -40,7 +40,7 @@ def visited(model: SSM, records: tuple[Trajectory, ...]) -> np.ndarray:
 def test_twelve_states_of_the_records_evenly_spaced() -> None:
     model = random_model(3, inputs=2, outputs=2)
     records = record(model), record(model, 110, 1)
-    x0, load, _ = comparison_scenario(model, records, loaded=False)
+    x0, load, _ = comparison_scenario(model, records, has_loads=False)
     states = visited(model, records)
     found = [int(np.abs(states - x).max(axis=1).argmin()) for x in x0]
     np.testing.assert_allclose(x0, states[found], atol=1e-12)
@@ -65,7 +65,7 @@ def test_the_horizon_is_four_time_constants_between_50_and_150_samples(
     d = model.linear.d
     linear = StateSpace(a=a, b=b, c=c, d=d)
     changed_model = model.with_linear_part(linear)
-    assert comparison_scenario(changed_model, (motor_record(),), loaded=False)[2] == samples
+    assert comparison_scenario(changed_model, (motor_record(),), has_loads=False)[2] == samples
 
 
 def test_loads_hold_a_quarter_and_half_of_an_output_scale_on_every_channel_that_acts() -> None:
@@ -75,7 +75,7 @@ def test_loads_hold_a_quarter_and_half_of_an_output_scale_on_every_channel_that_
     linear = replace(model.linear, b=idle)
     model = model.with_linear_part(linear)
     validation = (record(model),)
-    x0, load, _ = comparison_scenario(model, validation, loaded=True)
+    x0, load, _ = comparison_scenario(model, validation, has_loads=True)
     loads = load[12:]
     states = x0[12:]
     assert not load[:12].any()
@@ -140,7 +140,7 @@ def test_the_area_is_the_loop_written_out(integrators: int) -> None:
     pairs = np.array([[1, 0], [0, 1]])
     given = record(model)
     given.u[60:] = model.scale.input_equilibrium  # where the record rests
-    x0s, loads, horizon = comparison_scenario(model, (given,), loaded=integrators > 0)
+    x0s, loads, horizon = comparison_scenario(model, (given,), has_loads=integrators > 0)
     k = ks[pairs[:, 0]]
     observer_gains = ls[pairs[:, 1]]
     gains = Gains(k=k, l=observer_gains)

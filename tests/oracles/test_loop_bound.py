@@ -59,7 +59,7 @@ def rollouts(model: SSM, feedback: StateFeedback, observer: Observer, seed: int)
     return simulate_closed_loop(
         plant,
         controller,
-        x0=x0,
+        initial_states=x0,
         reference=reference,
         noise=noise,
         disturbance=disturbance,

@@ -24,7 +24,7 @@ from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.deployed import add_gain_certificates
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.input_inversion import mismatch_behind_map, model_behind_map
+from ssm_study.synthesis.input_inversion import mismatch_of_mapped_input, model_without_input_map
 from ssm_study.synthesis.integrated_error import relative_response_areas
 
 ASKED = RiccatiSynthesis(
@@ -81,7 +81,7 @@ def test_the_loop_is_that_of_the_model_without_the_map(made: tuple) -> None:
     """Sample by sample, from the same states: the same estimates and outputs."""
     stand, _, design = made
     law = ObserverFeedback.from_design(stand, design)
-    other = ObserverFeedback(model=model_behind_map(stand), gains=design.pair)
+    other = ObserverFeedback(model=model_without_input_map(stand), gains=design.pair)
     horizon_s = 60 * stand.step_s
     asked = Loop(initial_conditions=3, horizon_s=horizon_s, measurement_noise_variance=0.0)
     runs = []
@@ -139,7 +139,7 @@ def test_what_the_records_show_is_relative_to_the_command() -> None:
     record = Trajectory(u=u, y=y, step_s=stand.step_s)
     norm = np.linalg.norm(stand.scale.scaled_input(u))
     size = norm / np.linalg.norm(stand.map_input(u))
-    mismatch = mismatch_behind_map(stand, (record,), 0, ())
+    mismatch = mismatch_of_mapped_input(stand, (record,), 0, ())
     gain = mismatch.gain
     mismatch = measure_mismatch(stand, (record,))
     expected = mismatch.gain * size
@@ -155,4 +155,4 @@ def test_a_flat_map_and_an_export_are_refused_in_a_sentence(made: tuple) -> None
     flat_map = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
     model = replace(stand, scaffold_in=flat_map)
     with pytest.raises(BadRequest, match="not strictly monotone in each channel"):
-        model_behind_map(model)
+        model_without_input_map(model)

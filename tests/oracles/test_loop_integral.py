@@ -22,7 +22,7 @@ from ssm_study.plants.disturbance import RampDisturbance, StepDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.prediction import predict_margins
-from ssm_study.robustness.sensitivity import error_to_input_response, peaks_on_grid
+from ssm_study.robustness.sensitivity import error_to_input_response, gain_peaks_on_grid
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Gains
@@ -207,7 +207,7 @@ def test_the_margin_with_integrators_by_two_routes(design):
         ).max()
         for i in (INPUT_BALL.lower, INPUT_BALL.alpha, INPUT_BALL.upper)
     )
-    peaks = peaks_on_grid(model.linear, k[None], gain[None], BALLS, angles)
+    peaks = gain_peaks_on_grid(model.linear, k[None], gain[None], BALLS, angles)
     by_factors = peaks[0, 0]
     assert by_factors == pytest.approx(by_space, rel=1e-9)
 

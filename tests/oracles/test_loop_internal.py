@@ -24,7 +24,7 @@ from ssm_study.loop.regulation import Loop
 from ssm_study.loop.rollout import Rollouts
 from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.sensitivity import error_to_input_response, peaks_on_grid
+from ssm_study.robustness.sensitivity import error_to_input_response, gain_peaks_on_grid
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -167,7 +167,9 @@ def test_the_margin_by_two_routes():
     by_space = max(peaks)
     ks = pair.k[None]
     ls = pair.l[None]
-    by_factors = peaks_on_grid(model.linear, ks, ls, BALLS, angles, internal=pair.internal)
+    by_factors = gain_peaks_on_grid(
+        model.linear, ks, ls, BALLS, angles, internal_model=pair.internal
+    )
     assert by_factors[0, 0] == pytest.approx(by_space, rel=1e-9)
 
 

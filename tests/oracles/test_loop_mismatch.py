@@ -24,7 +24,7 @@ from ssm_study.robustness.prediction import Prediction, predict_margins
 from ssm_study.robustness.sensitivity import (
     controller_spectral_radius,
     error_to_input_response,
-    peaks_on_grid,
+    gain_peaks_on_grid,
     sensitivity_peak,
 )
 from ssm_study.signals import Trajectory
@@ -118,7 +118,7 @@ def test_the_peak_by_state_space_and_by_factors():
     exact = sensitivity_peak(model.linear, pair, BALLS)
     even_angles = np.linspace(1e-4, np.pi, 5000)
     angles = np.concatenate([ANGLES[1:], even_angles])
-    peaks = peaks_on_grid(model.linear, k[None], gain[None], BALLS, angles)
+    peaks = gain_peaks_on_grid(model.linear, k[None], gain[None], BALLS, angles)
     grid = peaks[0, 0]
     assert grid <= exact * (1 + 1e-9)
     assert grid == pytest.approx(exact, rel=1e-4)
@@ -149,7 +149,7 @@ def test_the_factors_agree_with_the_state_space_for_several_channels():
         for o in (0.8, 0.95, 1.1)
     ]
     by_space = max(norms)
-    peaks = peaks_on_grid(linear, k[None], gain[None], balls, angles)
+    peaks = gain_peaks_on_grid(linear, k[None], gain[None], balls, angles)
     assert peaks[0, 0] == pytest.approx(by_space, rel=1e-9)
 
 

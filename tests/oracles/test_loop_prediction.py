@@ -147,7 +147,7 @@ def test_what_pairs_share_changes_no_number(seed):
         shared_measure = robustness_measure(model, pair, BALLS, shown, shared)
         assert shared_measure == pytest.approx(alone, rel=1e-9)
         half = alone / 2
-        from_half = robustness_measure(model, pair, BALLS, shown, shared, refused=half)
+        from_half = robustness_measure(model, pair, BALLS, shown, shared, stop_value=half)
         assert half <= from_half <= alone * (1 + 1e-9)
         assert 0 < alone < np.inf
 

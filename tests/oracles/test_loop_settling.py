@@ -5,7 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssm_study.loop.metrics import COLUMNS, measured_noise_gain, pool_columns, settles_faster
+from ssm_study.loop.metrics import (
+    COLUMNS,
+    measured_noise_gain,
+    pool_columns,
+    settles_faster_than_open_loop,
+)
 from ssm_study.loop.motion import (
     classify_motions,
     measured_contraction_rate,
@@ -206,7 +211,7 @@ COMPARED = [
 
 @pytest.mark.parametrize(("controlled", "alone", "faster"), COMPARED)
 def test_faster_than_the_open_loop_needs_every_case_and_a_smaller_mean(controlled, alone, faster):
-    assert settles_faster(controlled, alone) is faster
+    assert settles_faster_than_open_loop(controlled, alone) is faster
 
 
 def test_a_swing_within_the_band_is_settled_and_not_at_rest():

@@ -13,8 +13,8 @@ from ssm_study.bounds.network import Network
 from ssm_study.loop.reference import FileReference, StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.trajectory import (
-    feasible_trajectory,
     invert_map,
+    reference_tracking_trajectory,
     scaled_equilibrium,
     set_point_equilibria,
 )
@@ -89,7 +89,7 @@ def test_a_planned_trajectory_is_the_models_own_and_near():
     time_s = np.arange(300) * 0.01
     sine = np.sin(2 * np.pi * time_s)
     reference = (4 * sine)[:, None]
-    plan = feasible_trajectory(model, reference)
+    plan = reference_tracking_trajectory(model, reference)
     x = plan[:, :2]
     u = plan[:, 2:]
     actual = x[1:]
@@ -112,7 +112,7 @@ def test_no_other_trajectory_costs_less():
     output_equilibrium = model.scale.output_equilibrium
     resting = np.tile(walk[-1], (150, 1))
     reference = output_equilibrium + np.concatenate([walk, resting])  # ends at rest
-    plan = feasible_trajectory(model, reference)
+    plan = reference_tracking_trajectory(model, reference)
     v = model.scaffold_in(plan[:, model.order :])
     target = model.scale.scaled_output(reference)
 
@@ -143,7 +143,7 @@ def test_the_loop_converges_to_any_planned_trajectory_of_its_model():
     loop = Loop(horizon_s=4.0, measurement_noise_variance=0.0, reference=reference)
     loop_runs = loop.run_design(plant, model, motor_design(), seed=0)
     run = loop_runs.controlled
-    plan = feasible_trajectory(model, run.reference)
+    plan = reference_tracking_trajectory(model, run.reference)
     drive = model.scaffold_in(plan[:, 2:])
     target = model.output_at(plan[:, :2], drive)
     difference = np.abs(run.y - target)
@@ -209,7 +209,7 @@ def test_a_reference_without_equilibrium_is_refused():
 
 def test_rest_is_planned_as_rest():
     reference = np.zeros((50, 1))
-    plan = feasible_trajectory(motor_model(), reference)
+    plan = reference_tracking_trajectory(motor_model(), reference)
     assert not plan.any()
 
 
@@ -217,7 +217,7 @@ def test_a_planned_step_ends_at_its_set_point():
     model = motor_model()
     levels = [[0.0], [5.0]]
     reference = np.repeat(levels, 300, axis=0)
-    plan = feasible_trajectory(model, reference)
+    plan = reference_tracking_trajectory(model, reference)
     actual = plan[-1]
     y = np.array([5.0])
     expected = np.concatenate(scaled_equilibrium(model, y))

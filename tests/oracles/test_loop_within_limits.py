@@ -31,9 +31,9 @@ from ssm_study.synthesis.deployed import (
     WithinLimits,
     certify_input_limits,
     equilibrium_corners,
-    limits_proof,
     nearest_equilibrium_starts,
     output_range,
+    prove_within_input_limits,
 )
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.metrics import input_limit_columns
@@ -79,7 +79,7 @@ def inputs(model: SSM, design: Design, y0: float) -> np.ndarray:
 
 
 def test_inside_no_limit_acts_and_far_outside_one_does(pair: tuple[SSM, Design]) -> None:
-    found = limits_proof(*pair, -LIMIT, LIMIT)
+    found = prove_within_input_limits(*pair, -LIMIT, LIMIT)
     assert found.lower[0] < 0 < found.upper[0]
     for y0 in np.linspace(found.lower[0], found.upper[0], 9):
         largest = np.abs(inputs(*pair, y0)).max()
@@ -92,7 +92,8 @@ def test_the_set_scales_with_the_limits_and_the_tighter_one_decides(
     pair: tuple[SSM, Design],
 ) -> None:
     one, two, skew = (
-        limits_proof(*pair, low * LIMIT, high * LIMIT) for low, high in ((-1, 1), (-2, 2), (-9, 1))
+        prove_within_input_limits(*pair, low * LIMIT, high * LIMIT)
+        for low, high in ((-1, 1), (-2, 2), (-9, 1))
     )
     assert np.allclose(two.upper, 2 * one.upper)
     assert np.allclose(skew.upper, one.upper)
@@ -124,7 +125,7 @@ def test_everywhere_is_no_faster_than_the_open_loop_and_holds_for_changing_slope
 def test_the_ball_of_limited_inputs_holds_every_cut_jacobian_also_of_inputs_that_meet() -> None:
     rng = np.random.default_rng(0)
     ball = JacobianBall(alpha=-1.0, beta=0.5)
-    wide = ball_behind_saturation(ball, inputs=2)
+    wide = ball_behind_saturation(ball, input_count=2)
     worst = 0.0
     for _ in range(2000):
         white_noise = rng.standard_normal((2, 2))
@@ -134,8 +135,8 @@ def test_the_ball_of_limited_inputs_holds_every_cut_jacobian_also_of_inputs_that
         norm = float(np.linalg.norm(difference, 2))
         worst = max(worst, norm)
     assert 0.9 * wide.beta < worst <= wide.beta * (1 + 1e-12)
-    lower = ball_behind_saturation(ball, inputs=1).lower
-    assert lower <= ball.lower < ball.upper < 0 == ball_behind_saturation(ball, inputs=1).upper
+    lower = ball_behind_saturation(ball, input_count=1).lower
+    assert lower <= ball.lower < ball.upper < 0 == ball_behind_saturation(ball, input_count=1).upper
 
 
 def test_the_loop_with_its_observer_obeys_the_bound_at_the_limit(pair: tuple[SSM, Design]) -> None:
@@ -166,7 +167,7 @@ def test_the_range_is_nearly_the_largest_there_is(pair: tuple[SSM, Design]) -> N
     """No range can be larger than the one whose end asks for the limit at once, or for some slope
     later."""
     model, design = pair
-    found = limits_proof(model, design, -LIMIT, LIMIT)
+    found = prove_within_input_limits(model, design, -LIMIT, LIMIT)
     feedback = design.state_feedback
     y = np.array([1.0])
     x = scaled_equilibrium(model, y)[0][:, None]
@@ -189,7 +190,7 @@ def test_a_gain_that_needs_its_input_has_no_global_certificate() -> None:
     rates = ("synthesis=riccati", "synthesis.rate_controller=0.2", "synthesis.rate_observer=0.4")
     design = st.control(plant, *rates)
     assert design.certificate.certified
-    found = limits_proof(design.model, design.certificate, -LIMIT, LIMIT)
+    found = prove_within_input_limits(design.model, design.certificate, -LIMIT, LIMIT)
     assert found.everywhere is None
     upper_limit = found.upper[0]
     assert 0 < upper_limit < 10
@@ -197,12 +198,12 @@ def test_a_gain_that_needs_its_input_has_no_global_certificate() -> None:
 
 def test_refusals(pair: tuple[SSM, Design]) -> None:
     with pytest.raises(BadRequest, match="do not enclose the input at rest"):
-        limits_proof(*pair, LIMIT, 2 * LIMIT)
+        prove_within_input_limits(*pair, LIMIT, 2 * LIMIT)
     model, design = pair
     feedback = replace(design.state_feedback, certified=False)
     changed_design = replace(design, state_feedback=feedback)
     with pytest.raises(BadRequest, match="nothing is proved within them"):
-        limits_proof(model, changed_design, -LIMIT, LIMIT)
+        prove_within_input_limits(model, changed_design, -LIMIT, LIMIT)
 
 
 def test_where_no_input_holds_an_output_there_is_no_range(pair: tuple[SSM, Design]) -> None:
@@ -214,7 +215,7 @@ def test_where_no_input_holds_an_output_there_is_no_range(pair: tuple[SSM, Desig
     blind = model.with_linear_part(linear)
     assert set(certify_input_limits(blind, design, -LIMIT, LIMIT)) == {"state_feedback_limited"}
     with pytest.raises(BadRequest, match="nothing is proved within them"):
-        limits_proof(blind, design, -LIMIT, LIMIT)
+        prove_within_input_limits(blind, design, -LIMIT, LIMIT)
 
 
 def test_where_the_input_moves_the_output_at_once_there_is_no_range() -> None:
@@ -242,7 +243,7 @@ def test_where_the_input_moves_the_output_at_once_there_is_no_range() -> None:
     design = wanted.design(model, balls)
     assert set(certify_input_limits(model, design, -LIMIT, LIMIT)) <= {"state_feedback_limited"}
     with pytest.raises(BadRequest, match="nothing is proved within them"):
-        limits_proof(model, design, -LIMIT, LIMIT)
+        prove_within_input_limits(model, design, -LIMIT, LIMIT)
 
 
 def test_the_header_says_both(tmp_path: Path, smoke_run: Path) -> None:
@@ -280,7 +281,7 @@ def test_one_range_of_two_outputs_is_what_both_have(apart: float, shared: bool) 
     balls = Balls(input=ball, output=ball)
     design = wanted.design(model, balls)
     ends = np.full(2, -0.6), np.full(2, 0.6)
-    each = limits_proof(model, design, *ends)
+    each = prove_within_input_limits(model, design, *ends)
     extra_certificates = certify_input_limits(model, design, *ends)
     changed_design = replace(design, extra_certificates=extra_certificates)
     facts = input_limit_columns(changed_design, model)
@@ -339,7 +340,7 @@ def test_no_limit_acts_from_any_corner_of_the_box_also_where_the_outputs_are_mix
     model, design = coupled_pair(np.array([[1.0, coupling], [coupling, 1.0]]))
     assert design.certified
     ends = np.full(2, -0.6), np.full(2, 0.6)
-    found = limits_proof(model, design, *ends)
+    found = prove_within_input_limits(model, design, *ends)
     corners = [np.array([s, t]) * found.upper for s, t in product((-1, 1), repeat=2)]
     requests = [largest_request(model, design, corner) for corner in corners]
     assert 0.4 < max(requests) <= 0.6

@@ -19,7 +19,7 @@ from ssm_study.robustness.sensitivity import frequency_response
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_search import (
     INPUT_ALONE,
-    largest_kappa,
+    certify_largest_radius,
     optimum_for_weights,
 )
 from ssm_study.systems import Balls, JacobianBall, StateSpace, StructuredSystem
@@ -84,7 +84,7 @@ def test_an_input_disc_around_zero_has_a_closed_form_to_seven_digits(seed: int) 
     lambda."""
     known = context(one_layer(seed))
     nu, _ = optimum_for_weights(MeasuredDiscs, known, INPUT_ALONE, 0.0)
-    proof = largest_kappa(known)
+    proof = certify_largest_radius(known)
     assert proof is not None
     magnitudes = np.abs(input_responses(known))
     from_p, from_e = (magnitudes**2).T
@@ -154,7 +154,7 @@ def solvable(known: VerificationContext, weights: Weights, centre: float, kappa:
 @pytest.mark.parametrize("seed", range(5))
 def test_no_plant_at_the_edge_of_the_disc_keeps_the_loop_moving(seed: int) -> None:
     known = context(one_layer(seed))
-    proof = largest_kappa(known, WEIGHTS, -0.1)
+    proof = certify_largest_radius(known, WEIGHTS, -0.1)
     assert proof is not None
     assert proof.certified
     assert not proof.failed_checks(known)
@@ -171,7 +171,7 @@ def test_no_plant_at_the_edge_of_the_disc_keeps_the_loop_moving(seed: int) -> No
 def test_plants_beyond_the_edge_do_keep_it_moving() -> None:
     """Negative control: the same plants, four times as far out."""
     known = context(one_layer(0))
-    proof = largest_kappa(known, WEIGHTS, -0.1)
+    proof = certify_largest_radius(known, WEIGHTS, -0.1)
     assert proof is not None
     rng = np.random.default_rng(0)
     plants = [at_the_edge(4 * proof.kappa, -0.1, rng) for _ in range(40)]
@@ -190,7 +190,7 @@ def test_a_plant_that_answers_a_sample_before_its_model_is_covered_by_sums_over_
     system = one_layer(3)
     known = context(system)
     weights = Weights(floor=2.0, output=ZERO, input=1e-3 * ONE)
-    proof = largest_kappa(known, weights, 0.0)
+    proof = certify_largest_radius(known, weights, 0.0)
     assert proof is not None
     alpha_out = known.balls.output.alpha
     r = proof.kappa
@@ -259,7 +259,7 @@ def test_neurons_without_effect_leave_the_disc_of_one_layer() -> None:
 def test_loops_with_neurons_come_to_rest_on_plants_at_the_edge() -> None:
     system = drawn(0)
     known = context(system)
-    proof = largest_kappa(known, WEIGHTS, -0.1)
+    proof = certify_largest_radius(known, WEIGHTS, -0.1)
     assert proof is not None
     assert proof.certified
     assert not proof.failed_checks(known)
@@ -296,7 +296,7 @@ def test_loops_with_neurons_come_to_rest_on_plants_at_the_edge() -> None:
 
 def test_forged_numbers_are_refused() -> None:
     known = context(one_layer(0))
-    proof = largest_kappa(known, WEIGHTS, -0.1)
+    proof = certify_largest_radius(known, WEIGHTS, -0.1)
     assert proof is not None
     assert not proof.failed_checks(known)
     kappa = 3 * proof.kappa
@@ -317,11 +317,11 @@ def test_forged_numbers_are_refused() -> None:
 
 def test_a_bend_of_the_output_map_needs_its_multipliers() -> None:
     known = context(one_layer(0))
-    proof = largest_kappa(known, WEIGHTS, -0.1)
+    proof = certify_largest_radius(known, WEIGHTS, -0.1)
     assert proof is not None
     bent = replace(known, balls=BENT)
     verification_context = context(one_layer(0), BENT)
-    with_bend = largest_kappa(verification_context, WEIGHTS, -0.1)
+    with_bend = certify_largest_radius(verification_context, WEIGHTS, -0.1)
     sentences = proof.failed_checks(bent)
     assert any("beta_out" in sentence for sentence in sentences)
     assert with_bend is not None
@@ -334,4 +334,4 @@ def test_without_a_controller_no_number_is_the_largest() -> None:
     k = np.zeros((1, 3))
     gains = {**known.gains, "k": k}
     idle = replace(known, gains=gains)
-    assert largest_kappa(idle, INPUT_ALONE, 0.0) is None
+    assert certify_largest_radius(idle, INPUT_ALONE, 0.0) is None

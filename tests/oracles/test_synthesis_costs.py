@@ -138,7 +138,7 @@ def test_the_cost_is_of_output_state_and_input() -> None:
     riccati_synthesis = RiccatiSynthesis(
         **rates, input_noise=3.0, state_noise=0.5, output_noise=7.0
     )
-    told = riccati_synthesis.problem(linear, ball, observes=True)
+    told = riccati_synthesis.problem(linear, ball, is_observer=True)
     expected = 3.0 * linear.b @ linear.b.T + 0.5 * np.eye(4)
     np.testing.assert_allclose(told.state_weight, expected)
     assert told.input_weight == 7.0

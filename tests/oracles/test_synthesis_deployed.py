@@ -23,7 +23,7 @@ from ssm_study.robustness.sensitivity import error_to_input_response, noise_gain
 from ssm_study.synthesis.deployed import add_gain_certificates, certificate_at_largest_rate
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.measured_discs_search import INPUT_ALONE, largest_kappa
+from ssm_study.synthesis.measured_discs_search import INPUT_ALONE, certify_largest_radius
 from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
 
 SEEDS = st.integers(0, 10**6)
@@ -169,7 +169,7 @@ def test_without_a_ball_the_tolerance_is_small_gain(seed: int) -> None:
     jacobian_ball = JacobianBall(alpha=alpha, beta=0.0)
     sharp = Balls(input=jacobian_ball, output=balls.output)
     context = known(linear, sharp, design)
-    found = largest_kappa(context)
+    found = certify_largest_radius(context)
     slope_in = balls.input.alpha
     slope_out = balls.output.alpha
     system = error_to_input_response(linear, design.pair, slope_in, slope_out)
@@ -188,7 +188,7 @@ def test_a_solver_finds_the_same_tolerance(seed: int, order: int) -> None:
     first_order = np.array([[0.5, 1.0], [0.2, 1.0]])
     weight = first_order if order else np.eye(1)
     context = known(linear, balls, design)
-    found = largest_kappa(context, replace(INPUT_ALONE, input=weight))
+    found = certify_largest_radius(context, replace(INPUT_ALONE, input=weight))
     assert found is not None
     expected = tolerance_of_a_solver(linear, found, weight)
     assert found.kappa == pytest.approx(expected, rel=5e-3)
@@ -262,7 +262,7 @@ def test_slopes_and_mismatch_that_vary_at_will_never_diverge_below_the_tolerance
     """
     linear, balls, design = loop(seed)
     context = known(linear, balls, design)
-    found = largest_kappa(context)
+    found = certify_largest_radius(context)
     assert found is not None
     rng = np.random.default_rng(seed)
     k = found.k
@@ -295,7 +295,7 @@ def test_far_above_the_tolerance_such_a_mismatch_diverges_and_is_not_proved() ->
     lose the loop."""
     linear, balls, design = loop(0)
     context = known(linear, balls, design)
-    found = largest_kappa(context)
+    found = certify_largest_radius(context)
     assert found is not None
     slopes = (0.4, 0.7, 1.0)
     peaks = [

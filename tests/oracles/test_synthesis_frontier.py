@@ -26,7 +26,7 @@ from ssm_study.synthesis.minimum_energy import (
     ClosedFormSynthesis,
     minimum_energy_gain,
     minimum_energy_solution,
-    solution_with_whole_model_metric,
+    solution_with_full_metric,
 )
 from ssm_study.synthesis.modes import split_modes
 from ssm_study.systems import JacobianBall, StateSpace
@@ -83,7 +83,7 @@ def asked(case: Instance) -> Problem:
 @given(SEEDS, st.integers(1, 2))
 def test_the_metric_of_the_whole_model_holds_at_one_percent(seed: int, inputs: int) -> None:
     problem = asked(instance(seed, 0.01, inputs=inputs))
-    solution = solution_with_whole_model_metric(problem, 0.5, 1.0)
+    solution = solution_with_full_metric(problem, 0.5, 1.0)
     assert holds(problem, solution)
 
 
@@ -104,10 +104,7 @@ def test_the_gain_is_built_between_the_asked_rate_and_the_frontier(radius: float
     problem = cost_problem(ball=ball)
     limit = contraction_frontier(problem.a, problem.b, problem.ball).rate_limit
     said = []
-    for found in (
-        minimum_energy_solution(problem),
-        solution_with_whole_model_metric(problem, 0.5, 1.0),
-    ):
+    for found in (minimum_energy_solution(problem), solution_with_full_metric(problem, 0.5, 1.0)):
         assert holds(problem, found)
         said.append(found.status.split("at rate ")[1].split(",")[0])
     assert said[0] == said[1]
@@ -123,7 +120,7 @@ def test_the_metric_of_the_whole_model_needs_fewer_digits_than_the_block_diagona
     ]
     assert missed, "every model is easy: this test has nothing to show"
     for problem in missed:
-        whole = solution_with_whole_model_metric(problem, 0.5, 1.0)
+        whole = solution_with_full_metric(problem, 0.5, 1.0)
         apart = minimum_energy_solution(problem)
         assert scaled_condition_number(whole.p) < scaled_condition_number(apart.p) / 100
         method = ClosedFormSynthesis(rate_controller=problem.rate, rate_observer=0.5)
@@ -139,7 +136,7 @@ def test_a_slow_mode_out_of_reach_joins_the_metric_and_one_on_the_circle_does_no
     b = np.array([[1.0], [0.0]])
     state_weight = np.eye(2)
     problem = Problem(a=a, b=b, ball=ball, rate=0.2, state_weight=state_weight, input_weight=1.0)
-    solution = solution_with_whole_model_metric(problem, 0.5, 1.0)
+    solution = solution_with_full_metric(problem, 0.5, 1.0)
     assert holds(problem, solution)
     a = np.diag([1.1, problem.contraction])
     on = replace(problem, a=a)
@@ -153,7 +150,7 @@ def test_a_slow_mode_out_of_reach_joins_the_metric_and_one_on_the_circle_does_no
 def test_without_fast_modes_there_is_nothing_to_couple() -> None:
     problem = replace(cost_problem(), a=0.1 * np.eye(len(cost_problem().a)))
     with pytest.raises(NoSolution, match="no fast modes"):
-        solution_with_whole_model_metric(problem, 0.5, 1.0)
+        solution_with_full_metric(problem, 0.5, 1.0)
     for found in (
         minimum_energy_solution(problem),
         solve_on_fast_modes(problem, 0.5, "feasibility", "SCS"),
@@ -278,7 +275,7 @@ def test_the_gain_explicit_in_modes_is_the_gain_from_schur_coordinates(seed: int
     b = solution[:, 0]
     inverse = np.linalg.inv(vectors)
     k = modal_gain(values, b, ball, r) @ inverse
-    schur = minimum_energy_gain(split_modes(linear.a, linear.b, r), ball, r, widen=False).k[0]
+    schur = minimum_energy_gain(split_modes(linear.a, linear.b, r), ball, r, widens_ball=False).k[0]
     atol = 1e-8 * np.abs(schur).max(initial=1e-9)
     np.testing.assert_allclose(k.real, schur, rtol=1e-6, atol=atol)
     atol = 1e-8 * np.abs(schur).max(initial=1e-9)
@@ -288,10 +285,10 @@ def test_the_gain_explicit_in_modes_is_the_gain_from_schur_coordinates(seed: int
     inverse = np.linalg.inv(vectors)
     left = inverse[fast]
     modes = split_modes(linear.a, linear.b, r)
-    pseudo_inverse = np.linalg.pinv(modes.left[: modes.fast])
+    pseudo_inverse = np.linalg.pinv(modes.left[: modes.fast_count])
     into = left @ pseudo_inverse  # both are left invariant coordinates of the same space
     expected = w
-    if modes.fast:
+    if modes.fast_count:
         a = modes.a_fast / r
         root = into @ inverse_time_gramian_root(a, modes.b_fast / r)
         expected = root @ root.conj().T
@@ -303,7 +300,7 @@ def test_the_gain_mirrors_the_fast_modes_at_the_circle() -> None:
     rng = np.random.default_rng(5)
     linear = random_model(rng, 6, "unstable", mixed=True)
     ball = JacobianBall(alpha=2.0, beta=0.0)
-    gain = minimum_energy_gain(split_modes(linear.a, linear.b, 0.8), ball, 0.8, widen=False).k
+    gain = minimum_energy_gain(split_modes(linear.a, linear.b, 0.8), ball, 0.8, widens_ball=False).k
     before = np.linalg.eigvals(linear.a)
     after = np.linalg.eigvals(linear.a + 2.0 * linear.b @ gain)
     mirrored = np.where(

@@ -27,14 +27,14 @@ from ssm_study.synthesis.structured_lmi import (
     StructuredLmi,
     fastest_confirmed_solution,
     is_confirmed_exactly,
-    largest_rate,
+    largest_rate_with_neurons,
 )
 from ssm_study.synthesis.structured_riccati import (
     TRIES,
     Game,
     continue_to_rate,
-    evaluate_saddle,
-    least_cost,
+    evaluate_saddle_point,
+    least_guaranteed_cost,
     log_multipliers,
     minimise_guaranteed_cost,
 )
@@ -75,7 +75,7 @@ def test_no_sampled_slope_contracts_slower_than_certified(
     rate = max(share * limit, 1e-3)
     problem = asked(system, side, ball, rate=rate)
     try:
-        found = least_cost(problem)
+        found = least_guaranteed_cost(problem)
     except NoSolution:
         return
     assert is_confirmed_exactly(problem, found)
@@ -89,7 +89,7 @@ def test_the_largest_rate_holds_and_no_more(side: str, ball: JacobianBall, h: fl
     """The solver's best is certified, sampled slopes agree, the frontier is above, and 0.8 r is
     refused."""
     system = drawn(5, h=h if side == "observer" else 0.0)
-    rate = largest_rate(asked(system, side, ball, 0.5))
+    rate = largest_rate_with_neurons(asked(system, side, ball, 0.5))
     problem = asked(system, side, ball, 0.99 * rate)
     structured_lmi = StructuredLmi(problem=problem, objective="largest_margin")
     found = structured_lmi.solve(problem.rate)
@@ -113,7 +113,7 @@ def test_neurons_without_effect_leave_the_exact_frontier(side: str, seed: int) -
     still = StructuredSystem(**{**vars(still), "e": e, "h": h})
     system = still if side == "state_feedback" else dual_system(still)
     exact = controller_frontier(system, WIDE)
-    found = np.sqrt(1 - largest_rate(asked(still, side, WIDE, 0.1)))
+    found = np.sqrt(1 - largest_rate_with_neurons(asked(still, side, WIDE, 0.1)))
     assert exact.contraction_limit <= found <= exact.contraction_limit + 2e-3
 
 
@@ -126,7 +126,7 @@ def test_the_game_has_the_cost_of_the_inequality(side: str, ball: JacobianBall, 
     problem = asked(system, side, ball, 0.15)
     structured_lmi = StructuredLmi(problem=problem, objective="guaranteed_cost")
     slow = structured_lmi.solve(problem.rate)
-    fast = least_cost(problem)
+    fast = least_guaranteed_cost(problem)
     costs = [float(np.trace(np.linalg.inv(found.p))) for found in (slow, fast)]
     if side == "observer":
         costs[1] *= 1 - problem.rate  # its noise enters a step later
@@ -147,19 +147,19 @@ def test_the_gradient_is_that_of_the_goal(side: str, ball: JacobianBall, barrier
     step = 1e-5 * np.eye(len(logs))
     ends = [
         (
-            evaluate_saddle(game, logs + d, barrier).goal,
-            evaluate_saddle(game, logs - d, barrier).goal,
+            evaluate_saddle_point(game, logs + d, barrier).goal,
+            evaluate_saddle_point(game, logs - d, barrier).goal,
         )
         for d in step
     ]
-    saddle = evaluate_saddle(game, logs, barrier)
+    saddle = evaluate_saddle_point(game, logs, barrier)
     actual = saddle.gradient
     expected = [(up - down) / 2e-5 for up, down in ends]
     np.testing.assert_allclose(actual, expected, rtol=1e-4, atol=1e-7)
     vector = minimise_guaranteed_cost(game, logs, barrier, 20)
-    saddle = evaluate_saddle(game, vector, barrier)
+    saddle = evaluate_saddle_point(game, vector, barrier)
     goal = saddle.goal
-    saddle = evaluate_saddle(game, logs, barrier)
+    saddle = evaluate_saddle_point(game, logs, barrier)
     upper_limit = saddle.goal
     assert goal <= upper_limit
 
@@ -174,18 +174,18 @@ def test_the_search_from_known_multipliers_ends_where_the_search_from_nothing_do
     rate, best = fastest_confirmed_solution(asked(system, side, ball, 0.5))
     problem = asked(system, side, ball, 0.6 * rate)
     dear = replace(problem, input_weight=10.0)
-    cold = least_cost(problem)
-    first = least_cost(dear, near=best)
+    cold = least_guaranteed_cost(problem)
+    first = least_guaranteed_cost(dear, start_solution=best)
     actual = log_multipliers(problem, cold)
     np.testing.assert_allclose(actual, cold.logs, atol=1e-9)
-    solution = least_cost(problem, near=best)
-    for found in (solution, least_cost(problem, near=first)):
+    solution = least_guaranteed_cost(problem, start_solution=best)
+    for found in (solution, least_guaranteed_cost(problem, start_solution=first)):
         assert is_confirmed_exactly(problem, found)
         inverse = np.linalg.inv(found.p)
         expected = np.trace(np.linalg.inv(cold.p))
         assert np.trace(inverse) == pytest.approx(expected, rel=0.02)
     near_the_limit = asked(system, side, ball, 0.95 * rate)
-    solution = least_cost(near_the_limit, near=best)
+    solution = least_guaranteed_cost(near_the_limit, start_solution=best)
     assert is_confirmed_exactly(near_the_limit, solution)
 
 
@@ -216,7 +216,7 @@ def test_a_negative_multiplier_certifies_nothing() -> None:
 def test_injection_where_the_output_sees_the_neurons_is_refused() -> None:
     system = drawn(4, h=0.2)
     problem = asked(system, "observer", KNOWN, 0.1)
-    numbers = StructuredObserver.certificate_numbers(problem, least_cost(problem))
+    numbers = StructuredObserver.certificate_numbers(problem, least_guaranteed_cost(problem))
     assert StructuredObserver.holds(**numbers)
     l_z = 1e-9 * np.ones_like(numbers["l_z"])
     assert not StructuredObserver.holds(**{**numbers, "l_z": l_z})
@@ -229,7 +229,7 @@ def test_integrators_are_states_like_others() -> None:
     modes = np.eye(1)
     system = augmented_system(drawn(9, h=0.1), gain, modes)
     problem = asked(system, "state_feedback", WIDE, 0.02)
-    found = least_cost(problem)
+    found = least_guaranteed_cost(problem)
     assert is_confirmed_exactly(problem, found)
     assert sampled(system, "state_feedback", WIDE, found) <= problem.contraction
     linears = map(system.linearise_at_slopes, system.slope_corners())

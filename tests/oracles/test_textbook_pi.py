@@ -5,7 +5,7 @@ import pytest
 from report_runs import random_model
 
 from ssm_study.loop.motion import settling_times_s
-from ssm_study.loop.peers.peer import linearise_neurons
+from ssm_study.loop.peers.peer import replace_neurons_by_slopes
 from ssm_study.loop.peers.pi import tyreus_luyben_pi
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.textbook_pi import textbook_pi_columns
@@ -39,7 +39,7 @@ def test_its_columns_are_those_of_the_loop_written_out() -> None:
     plant = IdentifiedPlant.from_model(model)
     loop = Loop(initial_conditions=3, measurement_noise_variance=0.0).with_default_horizon(model)
     facts = textbook_pi_columns(plant, model, loop, seed=1)
-    pi = tyreus_luyben_pi(linearise_neurons(model))
+    pi = tyreus_luyben_pi(replace_neurons_by_slopes(model))
     y0, noise = loop.draw_starts_and_noise(plant, 1)
     times_s = []
     for start in y0:

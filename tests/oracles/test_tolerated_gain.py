@@ -21,8 +21,8 @@ from ssm_study.robustness.sensitivity import error_to_input_response
 from ssm_study.synthesis.deployed import add_gain_certificates, certificate_at_largest_rate
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.measured_discs_search import INPUT_ALONE, largest_kappa
-from ssm_study.synthesis.structured_lmi import largest_rate
+from ssm_study.synthesis.measured_discs_search import INPUT_ALONE, certify_largest_radius
+from ssm_study.synthesis.structured_lmi import largest_rate_with_neurons
 from ssm_study.systems import Balls, Gains, JacobianBall, StructuredSystem
 
 BALLS = Balls(input=JacobianBall.from_slopes(0.6, 1.0), output=JacobianBall(alpha=0.8, beta=0.0))
@@ -41,7 +41,7 @@ def found(
 ) -> tuple[VerificationContext, StructuredMeasuredDiscs]:
     design = ASKED.design(_Model(system), BALLS)
     known = VerificationContext(system=system, controlled=system, balls=BALLS, gains=design.gains)
-    proved = largest_kappa(known, weights)
+    proved = certify_largest_radius(known, weights)
     assert isinstance(proved, StructuredMeasuredDiscs)
     assert proved.certified
     return known, proved
@@ -51,7 +51,7 @@ def test_gains_are_certified_just_inside_their_largest_rate() -> None:
     design = ASKED.design(_Model(drawn(0)), BALLS)
     for part in (design.state_feedback, design.observer):
         again = certificate_at_largest_rate(part)
-        limit = largest_rate(*part.as_problem())
+        limit = largest_rate_with_neurons(*part.as_problem())
         assert again.certified
         np.testing.assert_array_equal(again.gain, part.gain)
         largest = max(part.rate, 0.998 * limit)
@@ -71,7 +71,7 @@ def test_neurons_without_effect_leave_the_tolerance_of_one_layer(weight: np.ndar
     names = ("k", "l")
     gains = {name: known.gains[name] for name in names}
     context = VerificationContext(system=linear, controlled=linear, balls=BALLS, gains=gains)
-    other = largest_kappa(context, weights)
+    other = certify_largest_radius(context, weights)
     assert other is not None
     assert proved.kappa == pytest.approx(other.kappa, rel=2e-4)
 
@@ -148,7 +148,7 @@ def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
     balls = Balls(input=BALLS.input, output=output)
     gains = ASKED.design(stand, balls).gains
     context = VerificationContext(system=system, controlled=system, balls=balls, gains=gains)
-    proved = largest_kappa(context)
+    proved = certify_largest_radius(context)
     assert isinstance(proved, StructuredMeasuredDiscs)
     rng = np.random.default_rng(0)
     k = proved.k
@@ -238,7 +238,7 @@ def test_a_nonlinear_output_map_costs_some_of_it() -> None:
     output = JacobianBall.from_slopes(0.7, 0.9)
     bent = Balls(input=BALLS.input, output=output)
     context = replace(known, balls=bent)
-    proved = largest_kappa(context)
+    proved = certify_largest_radius(context)
     assert proved is not None
     assert len(proved.lambda_out) == 3
     assert 0 < proved.kappa < straight.kappa
@@ -265,4 +265,4 @@ def test_a_loop_that_some_slope_loses_by_itself_gets_none() -> None:
     gains = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}
     balls = Balls(input=unit, output=unit)
     known = VerificationContext(system=system, controlled=system, balls=balls, gains=gains)
-    assert largest_kappa(known) is None
+    assert certify_largest_radius(known) is None

@@ -190,7 +190,7 @@ def _drawn_time_range(run: Rollouts, settling_time_s: float | None) -> tuple[flo
 def _first_motion_s(run: Rollouts) -> float:
     """Time in seconds at which the input of a step response first moves. It is before the step
     where a trajectory is planned, since the step is then known in advance
-    (`loop.trajectory.feasible_trajectory`)."""
+    (`loop.trajectory.reference_tracking_trajectory`)."""
     motion = run.u[0] - run.u[0, :1]
     away = np.abs(motion).max(axis=1)
     moved = away > MOTION * away.max()

@@ -48,35 +48,35 @@ class NameOfTheTheorem(StateFeedback, abstract=True):
     """Equation of the theorem in one line. State here the shapes of its own fields (`y:
     Float[np.ndarray, "n n"]`), beside `a, b, alpha, beta, rate, p, k` of the base."""
 
-    # {"x": ("k", "y")}: x = k y, exactly, is `of.x` below; declare x and y as fields, too
+    # {"x": ("k", "y")}: x = k y, exactly, is `proof.x` below; declare x and y as fields, too
     products: ClassVar[Mapping[str, tuple[str, str]]] = {}
 
     @staticmethod
-    def conditions(of: Any) -> dict[str, Blocks]:
+    def conditions(proof: Any) -> dict[str, Blocks]:
         """Upper triangles of symmetric block matrices, all of which must be positive definite.
 
         On the diagonal a plain number is a block of size one; beside it 0 is a block of zeros.
         """
         return {
-            "inequality": [[of.p]],
-            "rate above 0": [[of.rate]],
-            "rate below 1": [[1 - of.rate]],
+            "inequality": [[proof.p]],
+            "rate above 0": [[proof.rate]],
+            "rate below 1": [[1 - proof.rate]],
         }
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
-        """Fields of the certificate that come from the model."""
+        """Fields of the certificate that are matrices of the model."""
         return {"a": context.controlled.a, "b": context.controlled.b}
 
     @classmethod
     def largest_provable_rate(cls, context: VerificationContext) -> float | None:  # noqa: ARG003
-        """Largest rate that the theorem can prove for a model by the best gain; None where no
-        formula is known."""
+        """Largest contraction rate that the theorem can prove for a model by the best gain; None
+        where no formula is known."""
         return None
 
     @staticmethod
-    def certificate_numbers(problem: Any, found: Any) -> dict[str, Any]:
-        """Collect from a problem and its solution every number that `conditions` uses."""
+    def certificate_numbers(problem: Any, solution: Any) -> dict[str, Any]:
+        """Collect from a synthesis problem and its solution every number that `conditions` uses."""
         ball = {"alpha": problem.ball.alpha, "beta": problem.ball.beta}
         model_matrices = {"a": problem.a, "b": problem.b}
-        solved_matrices = {"p": found.p, "k": found.k}
+        solved_matrices = {"p": solution.p, "k": solution.k}
         return ball | {"rate": problem.rate} | model_matrices | solved_matrices

@@ -36,21 +36,21 @@ from ssm_study.certificates.theorem import Blocks
 from ssm_study.certificates.theorems import bilinear_loop
 from ssm_study.certificates.theorems.bilinear_loop import (
     BilinearTheorem,
-    bounded_blocks,
     count_nodes,
     feedback_conditions,
+    gain_bound_blocks,
     input_bound_block,
-    matrix_at,
-    node_at,
-    positive_numbers,
+    input_level_of_node,
+    positivity_conditions,
     segment_width,
+    state_matrix_at_node,
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearContraction(BilinearTheorem):
-    """Certificate that two trajectories under state feedback approach each other inside `|x|_P <=
-    radius`, by `factor` in each sample. `variation` bounds how fast A follows the input."""
+    """Certificate that any two trajectories of a bilinear model under state feedback approach each
+    other, inside a stated set of states. `variation` bounds how fast A follows the input."""
 
     gain_state: float
     variation: float
@@ -59,33 +59,34 @@ class BilinearContraction(BilinearTheorem):
     part: ClassVar[str] = "bilinear_contraction"
 
     @staticmethod
-    def conditions(of: Any) -> dict[str, Blocks]:
-        """Matrix inequalities at all vertices of the bilinear model, and those of the set of
-        states."""
-        conditions = feedback_conditions(of)
-        count = count_nodes(of)
+    def conditions(proof: Any) -> dict[str, Blocks]:
+        """Matrix inequalities at all vertices of a bilinear model, and conditions on the set of
+        states in which it contracts."""
+        conditions = feedback_conditions(proof)
+        count = count_nodes(proof)
         for segment in range(count - 1):
-            before = matrix_at(of, segment)
-            change = matrix_at(of, segment + 1) - before
-            bound = segment_width(of, segment) * of.variation
+            before = state_matrix_at_node(proof, segment)
+            change = state_matrix_at_node(proof, segment + 1) - before
+            bound = segment_width(proof, segment) * proof.variation
             label = f"variation on segment {segment + 1}"
-            conditions[label] = bounded_blocks(change, of.p, bound, of.p)
-        reach = of.radius * of.gain_state
-        conditions["input by state"] = input_bound_block(of, of.gain_state, of.p)
-        conditions["metric"] = [[of.p]]
-        slope = of.factor_controller + reach * of.variation
-        conditions["factor above that of the Jacobian"] = [[of.factor - slope]]
-        conditions["factor below 1"] = [[1 - of.factor]]
-        lowest = -node_at(of, 0)
+            conditions[label] = gain_bound_blocks(change, proof.p, bound, proof.p)
+        reach = proof.radius * proof.gain_state
+        conditions["input by state"] = input_bound_block(proof, proof.gain_state, proof.p)
+        conditions["metric"] = [[proof.p]]
+        slope = proof.factor_controller + reach * proof.variation
+        conditions["factor above that of the Jacobian"] = [[proof.factor - slope]]
+        conditions["factor below 1"] = [[1 - proof.factor]]
+        lowest = -input_level_of_node(proof, 0)
         conditions["lowest input"] = [[lowest - reach]]
-        highest = node_at(of, count - 1)
+        highest = input_level_of_node(proof, count - 1)
         conditions["highest input"] = [[highest - reach]]
         names = ("factor_controller", "variation", "gain_state", "radius")
-        return conditions | positive_numbers(of, *names)
+        return conditions | positivity_conditions(proof, *names)
 
 
 def example_numbers(factor: float) -> dict[str, Any]:
-    """Numbers of the worked example in the docstring."""
+    """Numbers of the worked example of this theorem: a bilinear state feedback with one state and
+    three nodes."""
     numbers = bilinear_loop.example_numbers(0.45)
     for name in ("c", "l_nodes", "m", "factor_observer", "coupling", "weight", "gain_error"):
         del numbers[name]

@@ -40,15 +40,15 @@ from ssm_study.certificates.theorems.bilinear_loop import (
     count_nodes,
     coupling_conditions,
     feedback_conditions,
-    matrix_at,
     observer_conditions,
-    positive_numbers,
+    positivity_conditions,
+    state_matrix_at_node,
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearEverywhere(BilinearLoopTheorem):
-    """Certificate that the bilinear loop with a limited input comes to rest from every initial
+    """Certificate that a bilinear closed loop with a limited input comes to rest from every initial
     state. `V = |x|_P + weight |e|_M` shrinks by `factor`; the model without control shrinks `|x|_P`
     by `factor_uncontrolled`."""
 
@@ -57,19 +57,28 @@ class BilinearEverywhere(BilinearLoopTheorem):
     part: ClassVar[str] = "bilinear_everywhere"
 
     @staticmethod
-    def conditions(of: Any) -> dict[str, Blocks]:
-        """Matrix inequalities at all vertices of the bilinear model, with and without control."""
-        matrices = feedback_conditions(of) | observer_conditions(of) | coupling_conditions(of)
-        for node in range(count_nodes(of)):
+    def conditions(proof: Any) -> dict[str, Blocks]:
+        """Matrix inequalities at all vertices of a bilinear model, with and without control."""
+        matrices = (
+            feedback_conditions(proof) | observer_conditions(proof) | coupling_conditions(proof)
+        )
+        for node in range(count_nodes(proof)):
             label = f"without control at node {node + 1}"
-            matrices[label] = contraction_blocks(matrix_at(of, node), of.p, of.factor_uncontrolled)
-        excess = of.factor - of.factor_uncontrolled
+            matrices[label] = contraction_blocks(
+                state_matrix_at_node(proof, node), proof.p, proof.factor_uncontrolled
+            )
+        excess = proof.factor - proof.factor_uncontrolled
         matrices["factor above that without control"] = [[excess]]
-        return matrices | cascade_conditions(of) | positive_numbers(of, "factor_uncontrolled")
+        return (
+            matrices
+            | cascade_conditions(proof)
+            | positivity_conditions(proof, "factor_uncontrolled")
+        )
 
 
 def example_numbers(factor_uncontrolled: float) -> dict[str, Any]:
-    """Numbers of the worked example in the docstring."""
+    """Numbers of the worked example of this theorem: a bilinear closed loop with one state and
+    three nodes."""
     numbers = bilinear_loop.example_numbers(0.45)
     del numbers["radius"], numbers["gain_error"], numbers["gain_state"]
     return numbers | {"factor": 0.7, "factor_uncontrolled": factor_uncontrolled}

@@ -46,8 +46,8 @@ from ssm_study.systems import JacobianBall
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearTheorem(Theorem, abstract=True):
-    """Certificate about a bilinear model, with the matrices of the model. `a_nodes` has the A_i
-    below one another, `b_nodes` the b_i in its rows."""
+    """Base class of certificates about a bilinear model, with the matrices of the model. `a_nodes`
+    has the A_i below one another, `b_nodes` the b_i in its rows."""
 
     nodes: Float[np.ndarray, "q"]
     a_nodes: Float[np.ndarray, "qn n"]
@@ -60,7 +60,7 @@ class BilinearTheorem(Theorem, abstract=True):
     metric_matrix: ClassVar[str] = "p"
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
-        """Fields of the certificate that are matrices of the model."""
+        """Fields of a certificate that are matrices of the bilinear model."""
         model = context.system
         stacked = model.a.reshape(-1, model.order)
         data = {"nodes": model.nodes, "a_nodes": stacked, "b_nodes": model.b}
@@ -70,12 +70,13 @@ class BilinearTheorem(Theorem, abstract=True):
 
     @staticmethod
     def required_ball(context: VerificationContext) -> JacobianBall:  # noqa: ARG004
-        """Ball of Jacobians of the identity, because a bilinear model has no static maps."""
+        """Ball of Jacobians of the identity map, because a bilinear model has no static maps."""
         return JacobianBall(alpha=1.0, beta=0.0)
 
     @classmethod
     def largest_provable_rate(cls, context: VerificationContext) -> float | None:  # noqa: ARG003
-        """Return None, because no formula for the largest rate is known."""
+        """Return None, because no formula is known for the largest contraction rate of a bilinear
+        model."""
         return None
 
 
@@ -93,8 +94,8 @@ class BilinearLoopTheorem(BilinearTheorem, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearLoop(BilinearLoopTheorem):
-    """Certificate that a bilinear loop comes to rest from a stated set of initial states. `V =
-    |x|_P + weight |e|_M` shrinks by `factor` from every start with `V <= radius`."""
+    """Certificate that a bilinear closed loop comes to rest from a stated set of initial states. `V
+    = |x|_P + weight |e|_M` shrinks by `factor` from every start with `V <= radius`."""
 
     gain_state: float
     gain_error: float
@@ -103,155 +104,161 @@ class BilinearLoop(BilinearLoopTheorem):
     part: ClassVar[str] = "bilinear_loop"
 
     @staticmethod
-    def conditions(of: Any) -> dict[str, Blocks]:
-        """Matrix inequalities at all vertices of the bilinear model, and conditions that connect
-        their numbers."""
-        matrices = feedback_conditions(of) | observer_conditions(of) | coupling_conditions(of)
-        matrices["input by state"] = input_bound_block(of, of.gain_state, of.p)
-        matrices["input by error"] = input_bound_block(of, of.gain_error, of.m)
-        return matrices | cascade_conditions(of) | range_conditions(of)
+    def conditions(proof: Any) -> dict[str, Blocks]:
+        """Matrix inequalities at all vertices of a bilinear model with controller and observer, and
+        conditions on the numbers that connect them."""
+        matrices = (
+            feedback_conditions(proof) | observer_conditions(proof) | coupling_conditions(proof)
+        )
+        matrices["input by state"] = input_bound_block(proof, proof.gain_state, proof.p)
+        matrices["input by error"] = input_bound_block(proof, proof.gain_error, proof.m)
+        return matrices | cascade_conditions(proof) | range_conditions(proof)
 
 
-def count_nodes(of: Any) -> int:
-    """Number of nodes."""
-    _, count = of.nodes.shape
+def count_nodes(proof: Any) -> int:
+    """Number of input levels (nodes) at which the matrices of a bilinear model are given."""
+    _, count = proof.nodes.shape
     return int(count)
 
 
-def matrix_at(of: Any, node: int) -> Any:
-    """Matrix A of a node."""
-    rows = rows_of_node(of, node)
-    return of.a_nodes[rows, :]
+def state_matrix_at_node(proof: Any, node: int) -> Any:
+    """State matrix A of a bilinear model at one of its input levels (nodes)."""
+    rows = rows_of_node(proof, node)
+    return proof.a_nodes[rows, :]
 
 
-def rows_of_node(of: Any, node: int) -> slice:
-    """Rows that a node has in stacked matrices."""
-    _, n = of.a_nodes.shape
+def rows_of_node(proof: Any, node: int) -> slice:
+    """Rows that belong to one input level (node) in the stacked matrices of a bilinear model."""
+    _, n = proof.a_nodes.shape
     first = node * n
     return slice(first, first + n)
 
 
-def node_at(of: Any, node: int) -> Any:
-    """Scaled input of a node."""
+def input_level_of_node(proof: Any, node: int) -> Any:
+    """Scaled input level of one node of a bilinear model."""
     place = slice(node, node + 1)
-    return of.nodes[:, place]
+    return proof.nodes[:, place]
 
 
-def segment_width(of: Any, segment: int) -> Any:
-    """Distance `D_k` between the nodes of a segment."""
-    lower = node_at(of, segment)
-    upper = node_at(of, segment + 1)
+def segment_width(proof: Any, segment: int) -> Any:
+    """Distance `D_k` between the input levels of two neighbouring nodes of a bilinear model."""
+    lower = input_level_of_node(proof, segment)
+    upper = input_level_of_node(proof, segment + 1)
     return upper - lower
 
 
-def input_step(of: Any, segment: int) -> Any:
-    """Step `b_{k+1} - b_k = D_k B_k` over a segment, as a column."""
+def input_vector_step(proof: Any, segment: int) -> Any:
+    """Change `b_{k+1} - b_k = D_k B_k` of the input vector between two neighbouring nodes of a
+    bilinear model, as a column."""
     lower = slice(segment, segment + 1)
     upper = slice(segment + 1, segment + 2)
-    step = of.b_nodes[upper, :] - of.b_nodes[lower, :]
+    step = proof.b_nodes[upper, :] - proof.b_nodes[lower, :]
     return step.T
 
 
 def contraction_blocks(matrix: Any, metric: Any, factor: Any) -> Blocks:
-    """Blocks that are positive definite exactly if a matrix shrinks the metric's norm by more than
-    a factor. `X' P X < factor^2 P`, by its Schur complement."""
+    """Block matrix that is positive definite exactly if a matrix reduces every vector's norm in a
+    metric to less than a given factor. `X' P X < factor^2 P`, by its Schur complement."""
     square = factor * factor
     changed = matrix.T @ metric
     return [[square * metric, changed], [metric]]
 
 
-def bounded_blocks(matrix: Any, outer: Any, bound: Any, metric: Any) -> Blocks:
-    """Block that is positive definite exactly if `X' Q X < bound^2 P`, Q the outer metric."""
+def gain_bound_blocks(matrix: Any, output_metric: Any, bound: Any, metric: Any) -> Blocks:
+    """Block matrix that is positive definite exactly if a matrix X has a gain below a bound between
+    two metrics: `X' Q X < bound^2 P`."""
     square = bound * bound
-    changed = matrix.T @ outer
+    changed = matrix.T @ output_metric
     return [[square * metric - changed @ matrix]]
 
 
-def feedback_conditions(of: Any) -> dict[str, Blocks]:
-    """Conditions on the state feedback for each node and segment of a bilinear model, both sides
-    times `D_k`."""
+def feedback_conditions(proof: Any) -> dict[str, Blocks]:
+    """Conditions on the state feedback of a bilinear model, one for each pair of node and segment,
+    both sides times the segment's width."""
     conditions: dict[str, Blocks] = {}
-    for segment in range(count_nodes(of) - 1):
-        width = segment_width(of, segment)
-        fed_back = input_step(of, segment) @ of.k
-        factor = width * of.factor_controller
-        for node in range(count_nodes(of)):
-            closed = width * matrix_at(of, node)
+    for segment in range(count_nodes(proof) - 1):
+        width = segment_width(proof, segment)
+        fed_back = input_vector_step(proof, segment) @ proof.k
+        factor = width * proof.factor_controller
+        for node in range(count_nodes(proof)):
+            closed = width * state_matrix_at_node(proof, node)
             closed = closed + fed_back
             label = f"state feedback at node {node + 1}, segment {segment + 1}"
-            conditions[label] = contraction_blocks(closed, of.p, factor)
+            conditions[label] = contraction_blocks(closed, proof.p, factor)
     return conditions
 
 
-def observer_conditions(of: Any) -> dict[str, Blocks]:
-    """Conditions of the observer, one for each node."""
+def observer_conditions(proof: Any) -> dict[str, Blocks]:
+    """Conditions on the observer of a bilinear model, one for each node."""
     conditions: dict[str, Blocks] = {}
-    for node in range(count_nodes(of)):
-        rows = rows_of_node(of, node)
-        injected = of.l_nodes[rows, :] @ of.c
-        error_matrix = matrix_at(of, node) + injected
+    for node in range(count_nodes(proof)):
+        rows = rows_of_node(proof, node)
+        injected = proof.l_nodes[rows, :] @ proof.c
+        error_matrix = state_matrix_at_node(proof, node) + injected
         label = f"observer at node {node + 1}"
-        conditions[label] = contraction_blocks(error_matrix, of.m, of.factor_observer)
+        conditions[label] = contraction_blocks(error_matrix, proof.m, proof.factor_observer)
     return conditions
 
 
-def coupling_conditions(of: Any) -> dict[str, Blocks]:
-    """Conditions that bound the effect of the estimation error on the state, one for each
-    segment."""
+def coupling_conditions(proof: Any) -> dict[str, Blocks]:
+    """Conditions that bound the effect of the estimation error on the state of a bilinear closed
+    loop, one for each segment."""
     conditions: dict[str, Blocks] = {}
-    for segment in range(count_nodes(of) - 1):
-        width = segment_width(of, segment)
-        moved = input_step(of, segment) @ of.k
-        bound = width * of.coupling
+    for segment in range(count_nodes(proof) - 1):
+        width = segment_width(proof, segment)
+        moved = input_vector_step(proof, segment) @ proof.k
+        bound = width * proof.coupling
         label = f"coupling on segment {segment + 1}"
-        conditions[label] = bounded_blocks(moved, of.p, bound, of.m)
+        conditions[label] = gain_bound_blocks(moved, proof.p, bound, proof.m)
     return conditions
 
 
-def input_bound_block(of: Any, gain: Any, metric: Any) -> Blocks:
-    """Block that is positive definite exactly if the gain bounds the input by a metric's norm."""
+def input_bound_block(proof: Any, gain: Any, metric: Any) -> Blocks:
+    """Block matrix that is positive definite exactly if the input is bounded by a gain times the
+    norm in a metric."""
     one = np.eye(1)
-    return bounded_blocks(of.k, one, gain, metric)
+    return gain_bound_blocks(proof.k, one, gain, metric)
 
 
-def cascade_conditions(of: Any) -> dict[str, Blocks]:
-    """Conditions on the numbers by which the norms of state and error add up to one that
-    shrinks."""
+def cascade_conditions(proof: Any) -> dict[str, Blocks]:
+    """Conditions under which a weighted sum of the norms of state and estimation error shrinks in
+    each sample."""
     names = ("factor_controller", "factor_observer", "coupling", "weight")
-    conditions = positive_numbers(of, *names)
-    conditions["metric of the state"] = [[of.p]]
-    conditions["metric of the error"] = [[of.m]]
-    above_controller = of.factor - of.factor_controller
+    conditions = positivity_conditions(proof, *names)
+    conditions["metric of the state"] = [[proof.p]]
+    conditions["metric of the error"] = [[proof.m]]
+    above_controller = proof.factor - proof.factor_controller
     conditions["factor above that of the controller"] = [[above_controller]]
-    above_observer = of.factor - of.factor_observer
-    excess = of.weight * above_observer
-    conditions["factor above that of the observer"] = [[excess - of.coupling]]
-    conditions["factor below 1"] = [[1 - of.factor]]
+    above_observer = proof.factor - proof.factor_observer
+    excess = proof.weight * above_observer
+    conditions["factor above that of the observer"] = [[excess - proof.coupling]]
+    conditions["factor below 1"] = [[1 - proof.factor]]
     return conditions
 
 
-def positive_numbers(of: Any, *names: str) -> dict[str, Blocks]:
-    """Conditions that the given numbers of the certificate are positive."""
-    return {f"{name} above 0": [[getattr(of, name)]] for name in names}
+def positivity_conditions(proof: Any, *names: str) -> dict[str, Blocks]:
+    """Conditions that certain numbers of a certificate are positive."""
+    return {f"{name} above 0": [[getattr(proof, name)]] for name in names}
 
 
-def range_conditions(of: Any) -> dict[str, Blocks]:
-    """Conditions that keep the input within the outermost nodes from every initial state in the
-    set."""
-    conditions = positive_numbers(of, "radius", "gain_state", "gain_error")
-    by_state = of.radius * of.gain_state
-    by_error = of.radius * of.gain_error
-    last = count_nodes(of) - 1
-    limits = {"lowest": -node_at(of, 0), "highest": node_at(of, last)}
+def range_conditions(proof: Any) -> dict[str, Blocks]:
+    """Conditions under which the input stays within the outermost nodes, from every initial state
+    in the certified set."""
+    conditions = positivity_conditions(proof, "radius", "gain_state", "gain_error")
+    by_state = proof.radius * proof.gain_state
+    by_error = proof.radius * proof.gain_error
+    last = count_nodes(proof) - 1
+    limits = {"lowest": -input_level_of_node(proof, 0), "highest": input_level_of_node(proof, last)}
     for name, limit in limits.items():
         conditions[f"{name} input by state"] = [[limit - by_state]]
-        weighted = of.weight * limit
+        weighted = proof.weight * limit
         conditions[f"{name} input by error"] = [[weighted - by_error]]
     return conditions
 
 
 def example_numbers(factor_controller: float) -> dict[str, Any]:
-    """Numbers of the worked example in the docstring: one state, three nodes, `L_i = 0.1 - A_i`."""
+    """Numbers of a worked example: a bilinear closed loop with one state, three nodes and `L_i =
+    0.1 - A_i`."""
     one = np.ones((1, 1))
     a_nodes = np.array([[0.4], [0.5], [0.6]])
     nodes = np.array([-1.0, 0.0, 1.0])

@@ -1,5 +1,5 @@
-"""Largest rate that a single metric proves for a given gain, which is often larger than the rate it
-was designed for.
+"""Largest contraction rate that a single metric proves for a given gain, which is often larger than
+the rate it was designed for.
 
 Problem. A gain K is deployed with a certificate at the rate that was asked; find the largest rate
 at which some metric certifies this very gain. For an observer the same of `(A^T, C^T, L^T)`.
@@ -70,18 +70,18 @@ def largest_rate(
     k: Float[np.ndarray, "m n"],
     ball: JacobianBall,
 ) -> float:
-    """Largest contraction rate that a single metric proves for a given gain. `1 - r^2` at the
-    smallest such r, up to the relative error `RATE_TOLERANCE`; negative where even r = 1 is not
-    proved."""
+    """Largest contraction rate that a single metric proves for a system with a given state-feedback
+    gain. `1 - r^2` at the smallest such r, up to the relative error `RATE_TOLERANCE`; negative
+    where even r = 1 is not proved."""
     closed = a + ball.alpha * b @ k
     radius = float(np.abs(np.linalg.eigvals(closed)).max())
     smallest = max(radius, np.finfo(float).eps)
     if ball.beta == 0 or not k.any():
         return 1 - smallest**2
 
-    def excess_factor(log_r: float) -> float:
-        """Contraction factor that a metric proves minus the assumed factor, by the logarithm of the
-        assumed one."""
+    def log_loop_norm(log_r: float) -> float:
+        """Logarithm of the closed loop's H-infinity norm at an assumed contraction factor, zero at
+        the smallest factor that can be proved."""
         r = float(np.exp(log_r))
         norm = np.inf
         if r > radius:
@@ -93,21 +93,21 @@ def largest_rate(
 
     low = float(np.log(smallest))
     high = float(np.log(smallest)) + 1.0  # the norm falls as r grows: bracket, then Brent
-    if excess_factor(low) <= 0:
+    if log_loop_norm(low) <= 0:
         # the gain does next to nothing: the metric of the linear part has all the room
         return 1 - smallest**2
-    while excess_factor(high) >= 0:
+    while log_loop_norm(high) >= 0:
         low = high
         high = high + 1.0
-    root = scipy.optimize.brentq(excess_factor, low, high, xtol=RATE_TOLERANCE)
+    root = scipy.optimize.brentq(log_loop_norm, low, high, xtol=RATE_TOLERANCE)
     return float(1 - np.exp(2 * root))
 
 
-def certificate_at_largest_rate(part: Any) -> Side | None:
-    """Certificate of the same gain at the largest rate that is proved for it, with a new metric;
-    None where the certified rate is already that large."""
+def certificate_at_largest_rate(certificate: Any) -> Side | None:
+    """Certificate of the same gain as a given one at the largest contraction rate that is proved,
+    with a new metric; None where no larger rate is proved."""
     started = time.perf_counter()
-    problem, solution = part.as_problem()
+    problem, solution = certificate.as_problem()
     limit = min(largest_rate(problem.a, problem.b, solution.k, problem.ball), LARGEST_RATE)
     try:
         # coordinates in which the certificate's metric is the identity
@@ -116,7 +116,7 @@ def certificate_at_largest_rate(part: Any) -> Side | None:
         return None  # definite by a margin that floats do not see
     for inside, slack in product(INSIDE, SLACKS):
         rate = limit * (1 - inside)
-        if rate <= part.rate or rate <= 0:
+        if rate <= certificate.rate or rate <= 0:
             return None
         between = (1 - limit) ** ((1 - BETWEEN) / 2) * (1 - rate) ** (BETWEEN / 2)
         contraction = float(between)
@@ -128,9 +128,11 @@ def certificate_at_largest_rate(part: Any) -> Side | None:
         status = f"{inside:.1%} inside the largest rate {limit:.6g}"
         slower_problem = problem.at_rate(rate)
         new_solution = Solution(p=p, y=p, k=solution.k, sigma=1.0, status=status)
-        numbers = part.certificate_numbers(slower_problem, new_solution)
-        information = {"rate_limit": part.rate_limit, "method": part.method}
-        proved: Side = part.from_numbers(numbers, status=status, started=started, **information)
+        numbers = certificate.certificate_numbers(slower_problem, new_solution)
+        information = {"rate_limit": certificate.rate_limit, "method": certificate.method}
+        proved: Side = certificate.from_numbers(
+            numbers, status=status, started=started, **information
+        )
         if proved.certified:
             return proved
     return None

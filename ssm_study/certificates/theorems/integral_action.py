@@ -1,5 +1,5 @@
-"""Internal models: the identified model joined with the modes of a disturbance to be rejected or a
-reference to be followed.
+"""Internal models: the identified model joined with the modes of a disturbance to be rejected or of
+a reference to be followed.
 
 Problem. Remove errors that constants, ramps or sines of known frequency cause, as disturbances or
 as references, with a certified rate. Integral action is the constant's case.
@@ -64,14 +64,14 @@ NUDGE = 1e-9  # a pole on the circle has a gain, too
 SINE = re.compile(r"sine\((\d+(?:\.\d*)?(?:e-?\d+)?) ?Hz\)")
 
 
-def count_modes_by_frequency(words: Sequence[str]) -> dict[float, int]:
-    """Number of internal-model modes at each frequency (Hz) for signals such as `step`, `ramp` and
-    `sine(f)`. `step` is one at zero, `ramp` two, `sine(0.5Hz)` one at 0.5.
+def count_modes_by_frequency(signal_names: Sequence[str]) -> dict[float, int]:
+    """Number of internal-model modes at each frequency (Hz) for signals named such as `step`,
+    `ramp` or `sine(0.5Hz)`. `step` is one at zero, `ramp` two, `sine(0.5Hz)` one at 0.5.
 
     Raises `BadRequest` for other words, and for the frequency zero.
     """
     mode_counts: dict[float, int] = {}
-    for word in words:
+    for word in signal_names:
         sine = SINE.fullmatch(word)
         ramp = word == "ramp"
         hertz = float(sine[1]) if sine else 0.0
@@ -84,13 +84,13 @@ def count_modes_by_frequency(words: Sequence[str]) -> dict[float, int]:
     return dict(sorted(mode_counts.items()))
 
 
-def internal_model(words: Sequence[str], step_s: float, outputs: int) -> InternalModes:
-    """State matrix of the internal model that generates the given references or disturbances. `A_z`
-    has the modes of one output, each state repeated for every output. Raises `BadRequest` for sines
-    faster than the sampling allows."""
+def internal_model(signal_names: Sequence[str], step_s: float, outputs: int) -> InternalModes:
+    """State matrix of the internal model that generates given kinds of references or disturbances.
+    `A_z` has the modes of one output, each state repeated for every output. Raises `BadRequest` for
+    sines faster than the sampling allows."""
     blocks = []
     nyquist = 0.5 / step_s
-    for hertz, count in count_modes_by_frequency(words).items():
+    for hertz, count in count_modes_by_frequency(signal_names).items():
         problem = (
             f"half the sampling rate is {nyquist:g} Hz, and a model knows nothing from there on"
         )
@@ -98,23 +98,24 @@ def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Interna
         require(hertz < nyquist, FIELD, f"sine({hertz:g}Hz)", problem, remedy)
         angle = 2 * np.pi * hertz * step_s
         lower_triangle = np.tril(np.ones((count, count)))
-        block = _rotation(angle) if hertz else lower_triangle
+        block = _rotation_matrix(angle) if hertz else lower_triangle
         blocks.append(block)
     modes_of_one_output = scipy.linalg.block_diag(*blocks)
     return np.kron(modes_of_one_output, np.eye(outputs))
 
 
-def _rotation(angle: float) -> Float[np.ndarray, "2 2"]:
-    """Matrix that rotates the plane by an angle in radians."""
+def _rotation_matrix(angle: float) -> Float[np.ndarray, "2 2"]:
+    """Matrix that rotates the plane by a given angle."""
     cosine = np.cos(angle)
     sine = np.sin(angle)
     return np.array([[cosine, -sine], [sine, cosine]])
 
 
 def append_internal_model(
-    model: Model, words: Sequence[str] = ("step",), weight: float = 1.0
+    model: Model, signal_names: Sequence[str] = ("step",), weight: float = 1.0
 ) -> System:
-    """Append an internal model to the identified model, with joint state `(x, z)`.
+    """Append an internal model of references or disturbances to the identified model, with the
+    joint state `(x, z)`.
 
     Raises `BadRequest` for a nonlinear output map, for more outputs than inputs, which could not
     steer them all, and where the inputs do not move every output at a mode.
@@ -127,8 +128,8 @@ def append_internal_model(
     remedy = "use a synthesis without an internal model"
     require(len(gain) <= inputs, FIELD, f"{len(gain)} outputs, {inputs} inputs", problem, remedy)
     outputs = len(gain)
-    hertz = np.array(list(count_modes_by_frequency(words)))
-    modes = internal_model(words, model.step_s, outputs)
+    hertz = np.array(list(count_modes_by_frequency(signal_names)))
+    modes = internal_model(signal_names, model.step_s, outputs)
     mode_angles = 2 * np.pi * hertz * model.step_s
     angles = np.concatenate([mode_angles, ANGLES])
     response = gain @ frequency_response(linear, angles)
@@ -141,35 +142,38 @@ def append_internal_model(
     weakest = hertz[shares.argmin()]
     problem = f"at {weakest:g} Hz the model passes {least_share:.0e} of its largest gain"
     remedy = "leave this mode out: no controller holds the output there"
-    require(bool(least_share > BLOCKED), FIELD, list(words), problem, remedy)
+    require(bool(least_share > BLOCKED), FIELD, list(signal_names), problem, remedy)
     return augmented_system(model.system, gain, modes, weight)
 
 
 def augmented_system(
-    system: System, gain: OutputGain, modes: InternalModes, weight: float = 1.0
+    system: System,
+    output_gain: OutputGain,
+    internal_model_matrix: InternalModes,
+    weight: float = 1.0,
 ) -> System:
-    """Model augmented by its internal model, with the output that the cost weighs. Neurons drive
-    both but depend on x alone."""
+    """System of the model together with an internal model of references or disturbances. Neurons
+    drive both but depend on x alone."""
     n, m = system.b.shape
-    p = len(gain)
-    z = len(modes)
-    output_to_modes = error_input_matrix(modes, p) @ gain
+    p = len(output_gain)
+    z = len(internal_model_matrix)
+    output_to_modes = error_input_matrix(internal_model_matrix, p) @ output_gain
     weighted_modes = np.sqrt(weight) * np.eye(z)
     state_row = [system.a, np.zeros((n, z))]
-    mode_row = [output_to_modes @ system.c, modes]
-    output_row = [gain @ system.c, np.zeros((p, z))]
+    mode_row = [output_to_modes @ system.c, internal_model_matrix]
+    output_row = [output_gain @ system.c, np.zeros((p, z))]
     weighted_mode_row = [np.zeros((z, n)), weighted_modes]
     linear = {
         "a": np.block([state_row, mode_row]),
         "b": np.vstack([system.b, output_to_modes @ system.d]),
         "c": np.block([output_row, weighted_mode_row]),
-        "d": np.vstack([gain @ system.d, np.zeros((z, m))]),
+        "d": np.vstack([output_gain @ system.d, np.zeros((z, m))]),
     }
     if isinstance(system, StateSpace):
         return StateSpace(**linear)
     modes_to_neurons = np.zeros((system.neurons, z))
     neurons_to_modes = output_to_modes @ system.h
-    neurons_to_output = gain @ system.h
+    neurons_to_output = output_gain @ system.h
     return StructuredSystem(
         **linear,
         e=np.vstack([system.e, neurons_to_modes]),
@@ -180,8 +184,8 @@ def augmented_system(
 
 
 def linear_output_gain(model: Model) -> OutputGain:
-    """Gain of the model's output map, which has to be linear for an internal model. `G` of `S_y(v)
-    = G v`. Raises `BadRequest` for any other output map."""
+    """Gain of a model's static output map, which has to be linear for an internal model. `G` of
+    `S_y(v) = G v`. Raises `BadRequest` for any other output map."""
     portable_map = model.scaffold_out.as_portable()
     problem = "it needs a linear output map, so that it is part of the recurrence"
     remedy = "use scaffold@model.scaffold_out=linear"
@@ -190,7 +194,8 @@ def linear_output_gain(model: Model) -> OutputGain:
 
 
 def controlled_system(model: Model, feedback: StateFeedback) -> System:
-    """System for which a state feedback is certified: the model with its internal model, if any.
+    """System for which a state feedback is certified: the model, together with its internal model
+    if there is one.
 
     The verifier holds this statement beside what was asked for.
     """

@@ -1,4 +1,5 @@
-"""State feedback that undoes the input map: `u = S_u^{-1}(K xh)`, certified without a ball.
+"""State feedback that inverts the static input map: `u = S_u^{-1}(K xh)`, certified without a ball
+of Jacobians.
 
 Problem. As in `state_feedback`, for a law that commands `v = S_u(u)` and not u.
 
@@ -32,5 +33,5 @@ from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 
 @dataclass(frozen=True, kw_only=True)
 class InvertedInput(StateFeedbackOfBall):
-    """Certificate of a state feedback that inverts the input map, with the fields of
-    `state_feedback`. The verifier demands `alpha = 1, beta = 0`."""
+    """Certificate of a state feedback whose control law inverts the static input map. The verifier
+    demands `alpha = 1, beta = 0`."""

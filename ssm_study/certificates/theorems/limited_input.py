@@ -1,5 +1,5 @@
-"""Contraction of the same gain under input limits, from all initial states, no faster than the
-model without control.
+"""Contraction of a closed loop with input limits from all initial states, for a gain designed
+without limits.
 
 Problem. `u = sat(K x)`, each input cut at its limits: what is certified from any start?
 
@@ -49,19 +49,21 @@ LEAST = 1e-6  # below it nothing is said to contract
 
 @dataclass(frozen=True, kw_only=True)
 class LimitedFeedback(StateFeedbackOfBall):
-    """Certificate of a state feedback under input limits. It has the fields of `state_feedback`,
-    for a wider ball."""
+    """Certificate that a state feedback contracts when its input is cut at the limits. It has the
+    fields of `state_feedback`, for a wider ball."""
 
     @classmethod
     def required_ball(cls, context: VerificationContext) -> JacobianBall:
+        """Ball of Jacobians of the model's static input map behind the saturation of the limited
+        input."""
         return ball_behind_saturation(context.balls.input, context.controlled.b.shape[1])
 
 
-def ball_behind_saturation(ball: JacobianBall, inputs: int) -> JacobianBall:
-    """Ball of Jacobians of the input map behind a saturation. It contains zero and the ball of
-    `S_u`; its radius is rounded up."""
+def ball_behind_saturation(ball: JacobianBall, input_count: int) -> JacobianBall:
+    """Ball of Jacobians of a static input map that follows a saturation. It contains zero and the
+    ball of `S_u`; its radius is rounded up."""
     size = abs(ball.alpha)
-    if inputs == 1:
+    if input_count == 1:
         half = math.nextafter((size + ball.beta) / 2, math.inf)
         centre = math.copysign(half, ball.alpha)
         return JacobianBall(alpha=centre, beta=half)
@@ -69,15 +71,15 @@ def ball_behind_saturation(ball: JacobianBall, inputs: int) -> JacobianBall:
     return JacobianBall(alpha=ball.alpha / 2, beta=radius)
 
 
-def certify_under_limits(part: StateFeedbackOfBall) -> LimitedFeedback | None:
-    """Certificate that a gain contracts under input limits from every initial state; None where no
-    rate is proved. The rate is near the largest one with limits."""
-    ball = JacobianBall(alpha=part.alpha, beta=part.beta)
-    inputs = part.b.shape[1]
+def certify_under_limits(unlimited_certificate: StateFeedbackOfBall) -> LimitedFeedback | None:
+    """Certificate that a closed loop whose input is cut at limits contracts from every initial
+    state; None where no rate is proved. The rate is near the largest one with limits."""
+    ball = JacobianBall(alpha=unlimited_certificate.alpha, beta=unlimited_certificate.beta)
+    inputs = unlimited_certificate.b.shape[1]
     limited_ball = ball_behind_saturation(ball, inputs)
-    limit = contraction_frontier(part.a, part.b, limited_ball)
+    limit = contraction_frontier(unlimited_certificate.a, unlimited_certificate.b, limited_ball)
     rates = {"rate": LEAST, "rate_limit": limit.rate_limit}
-    slow_certificate = LimitedFeedback(**(vars(part) | vars(limited_ball) | rates))
+    slow_certificate = LimitedFeedback(**(vars(unlimited_certificate) | vars(limited_ball) | rates))
     certificate = certificate_at_largest_rate(slow_certificate)
     if certificate is None:
         return None

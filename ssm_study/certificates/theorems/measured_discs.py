@@ -52,14 +52,14 @@ Example. `x+ = 0.5 x + u`, `K = -0.25`, `L = -0.5`, `|e| <= kappa |u|`: small ga
 - 0.5) / (z (z - 0.25))` is 0.15 at z = -1.
 
 >>> import numpy as np
->>> from ssm_study.synthesis.measured_discs_search import largest_kappa
+>>> from ssm_study.synthesis.measured_discs_search import certify_largest_radius
 >>> from ssm_study.certificates.theorem import VerificationContext
 >>> from ssm_study.systems import Balls, JacobianBall, StateSpace
 >>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
 >>> loop = StateSpace(a=0.5 * one, b=one, c=one, d=0 * one)
 >>> gains, balls = {"k": -0.25 * one, "l": -0.5 * one}, Balls(input=unit, output=unit)
 >>> context = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
->>> proof = largest_kappa(context)
+>>> proof = certify_largest_radius(context)
 >>> print(f"{proof.tolerated_gain:.3f} = 0.999 / 0.15, certified: {proof.certified}")
 6.660 = 0.999 / 0.15, certified: True
 """
@@ -86,8 +86,9 @@ OF_THE_OUTPUT = ("c", "d", "h")  # read from the model, the others from what is 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredDiscs(Theorem):
-    """Certificate that the loop comes to rest on every plant within a measured disc. `kappa` and
-    its proof `p (n_xi, n_xi)`, `lambda_p`, `lambda_out (3,)`, which is empty for a linear S_y.
+    """Certificate that the closed loop comes to rest on every plant whose deviation from the model
+    stays within a measured disc. `kappa` and its proof `p (n_xi, n_xi)`, `lambda_p`, `lambda_out
+    (3,)`, which is empty for a linear S_y.
 
     The disc is `centre, floor, weight_output, weight_input`: `[A, B; C, D]` of a filter of one
     channel, applied to each. The loop is `a, b, k` (controlled), `c, d, l, alpha_out, beta_out`
@@ -116,8 +117,8 @@ class MeasuredDiscs(Theorem):
 
     @property
     def tolerated_gain(self) -> float | None:
-        """Largest gain from the input to the model error with which the loop is proved to come to
-        rest, `kappa |V|`.
+        """Largest gain from the input to the model error with which the closed loop is proved to
+        come to rest, `kappa |V|`.
 
         None where the disc is not centred on the model or V is no constant. A disc that also lets
         in model output holds all of the mismatch that this gain allows.
@@ -128,114 +129,122 @@ class MeasuredDiscs(Theorem):
         return float(self.kappa * abs(self.weight_input[0, 0]))
 
     @classmethod
-    def conditions(cls, of: Any) -> dict[str, Blocks]:
-        signals = cls.signal_matrices(of)
-        storage = signals.xi.T @ of.p @ signals.xi
-        next_storage = signals.step.T @ of.p @ signals.step
+    def conditions(cls, proof: Any) -> dict[str, Blocks]:
+        """Matrices that must be positive definite for the closed loop to come to rest on every
+        plant within a measured disc."""
+        signals = cls.signal_matrices(proof)
+        storage = signals.xi.T @ proof.p @ signals.xi
+        next_storage = signals.step.T @ proof.p @ signals.step
         form = storage - next_storage
-        form = form + cls.disc_constraint(of, signals)
-        for multiplier, map_form in cls.static_map_constraints(of, signals):
+        form = form + cls.disc_constraint(proof, signals)
+        for multiplier, map_form in cls.static_map_constraints(proof, signals):
             form = form + multiplier * map_form
-        disc = of.kappa * of.kappa * of.floor * of.floor - of.centre * of.centre
+        disc = proof.kappa * proof.kappa * proof.floor * proof.floor - proof.centre * proof.centre
         conditions = {"inequality": [[form]], "model inside the disc": [[disc]]}
         for name in ("p", "lambda_p", "kappa", "floor"):
-            conditions[name] = [[getattr(of, name)]]
-        if of.lambda_out.shape[1]:
-            conditions["lambda_out"] = [[multiplier_matrix(of.lambda_out)]]
+            conditions[name] = [[getattr(proof, name)]]
+        if proof.lambda_out.shape[1]:
+            conditions["lambda_out"] = [[multiplier_matrix(proof.lambda_out)]]
         return conditions
 
     @staticmethod
-    def disc_constraint(of: Any, signals: Any) -> Any:
-        """Quadratic form of the loop's signals that is negative where the model error lies in the
-        measured disc. `|e - c m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`."""
-        deviation = signals.e - of.centre * signals.m
+    def disc_constraint(proof: Any, signals: Any) -> Any:
+        """Quadratic form of the closed loop's signals that is negative where the model error lies
+        in the measured disc. `|e - c m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`."""
+        deviation = signals.e - proof.centre * signals.m
         output_power = signals.m.T @ signals.m
         weighted_output_power = signals.w_m.T @ signals.w_m
         weighted_input_power = signals.v_u.T @ signals.v_u
-        reference = of.floor * of.floor * output_power
+        reference = proof.floor * proof.floor * output_power
         reference = reference + weighted_output_power + weighted_input_power
-        return deviation.T @ deviation - of.kappa * of.kappa * reference
+        return deviation.T @ deviation - proof.kappa * proof.kappa * reference
 
     @classmethod
-    def static_map_constraints(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
-        """Quadratic constraints on the static maps' inputs and outputs, each with its
+    def static_map_constraints(cls, proof: Any, signals: Any) -> list[tuple[Any, Any]]:
+        """Quadratic constraints on the inputs and outputs of the model's static maps, each with its
         multiplier."""
         u = signals.u
         p = signals.p
-        input_form = p.T @ p - of.beta * of.beta * (u.T @ u)
-        forms = [(of.lambda_p, input_form)]
-        if not of.lambda_out.shape[1]:
+        input_form = p.T @ p - proof.beta * proof.beta * (u.T @ u)
+        forms = [(proof.lambda_p, input_form)]
+        if not proof.lambda_out.shape[1]:
             return forms
         model_pair = (signals.r2, signals.o)
         error_pair = (signals.r1, signals.do)
         observer_pair = (signals.r1 + signals.r2, signals.do + signals.o)
         pairs = [error_pair, model_pair, observer_pair]
-        squared_radius = of.beta_out * of.beta_out
+        squared_radius = proof.beta_out * proof.beta_out
         for i, (remainder, argument) in enumerate(pairs):
             output_form = remainder.T @ remainder - squared_radius * (argument.T @ argument)
-            multiplier = of.lambda_out[:, i : i + 1]
+            multiplier = proof.lambda_out[:, i : i + 1]
             forms.append((multiplier, output_form))
         return forms
 
     @classmethod
-    def free_signal_sizes(cls, of: Any) -> dict[str, int]:
-        """Number of entries of each free signal of the loop, in the order of the columns."""
-        inputs = of.b.shape[1]
-        outputs = of.c.shape[0]
+    def free_signal_sizes(cls, proof: Any) -> dict[str, int]:
+        """Number of entries of each free signal of the closed loop, such as the model error, in the
+        order of the columns."""
+        inputs = proof.b.shape[1]
+        outputs = proof.c.shape[0]
         sizes = {"p": inputs, "e": outputs}
-        if of.lambda_out.shape[1]:
+        if proof.lambda_out.shape[1]:
             sizes |= {"r1": outputs, "r2": outputs}
         return sizes
 
     @classmethod
-    def signal_matrices(cls, of: Any) -> SimpleNamespace:
-        """Matrices that give every signal of the theorem from the states and the free signals."""
-        s, m = of.b.shape
-        p, n = of.c.shape
-        output_filter_order = count_rows(of.weight_output) - 1
-        input_filter_order = count_rows(of.weight_input) - 1
+    def signal_matrices(cls, proof: Any) -> SimpleNamespace:
+        """Matrices that give every signal of the closed loop as a linear function of its states and
+        free signals."""
+        s, m = proof.b.shape
+        p, n = proof.c.shape
+        output_filter_order = count_rows(proof.weight_output) - 1
+        input_filter_order = count_rows(proof.weight_input) - 1
         states = {"x": s, "eps": n, "x_w": output_filter_order * p, "x_v": input_filter_order * m}
-        free_signals = cls.free_signal_sizes(of)
+        free_signals = cls.free_signal_sizes(proof)
         rows = SimpleNamespace(**selection_matrices(states | free_signals))
         rows.xi = np.vstack([getattr(rows, name) for name in states])
-        rows.u = of.k @ rows.x + of.k[:, :n] @ rows.eps
-        rows.drive = of.alpha * rows.u + rows.p
+        rows.u = proof.k @ rows.x + proof.k[:, :n] @ rows.eps
+        rows.drive = proof.alpha * rows.u + rows.p
         zero = np.zeros((p, rows.xi.shape[1]))
-        neurons_in_output = cls.neuron_contribution(of, rows, "w")
-        neurons_in_error = cls.neuron_contribution(of, rows, "d")
-        rows.o = of.c @ rows.x[:n] + of.d @ rows.drive + neurons_in_output
-        rows.do = of.c @ rows.eps + neurons_in_error
+        neurons_in_output = cls.neuron_contribution(proof, rows, "w")
+        neurons_in_error = cls.neuron_contribution(proof, rows, "d")
+        rows.o = proof.c @ rows.x[:n] + proof.d @ rows.drive + neurons_in_output
+        rows.do = proof.c @ rows.eps + neurons_in_error
         remainder = getattr(rows, "r2", zero)
         remainder_of_error = getattr(rows, "r1", zero)
-        rows.m = of.alpha_out * rows.o + remainder
-        rows.injected = of.alpha_out * rows.do + remainder_of_error - rows.e
+        rows.m = proof.alpha_out * rows.o + remainder
+        rows.injected = proof.alpha_out * rows.do + remainder_of_error - rows.e
         internal_input = error_input_matrix(np.eye(s - n), p)
         error_input = np.vstack([np.zeros((n, p)), internal_input])
-        next_x = of.a @ rows.x + of.b @ rows.drive + error_input @ rows.e
-        model_a = of.a[:n, :n]
-        next_eps = model_a @ rows.eps + of.l @ rows.injected
-        next_w, rows.w_m = apply_filter(of.weight_output, rows.x_w, rows.m, p)
-        next_v, rows.v_u = apply_filter(of.weight_input, rows.x_v, rows.u, m)
-        next_x, next_eps = cls.add_neurons_to_states(of, rows, next_x, next_eps)
+        next_x = proof.a @ rows.x + proof.b @ rows.drive + error_input @ rows.e
+        model_a = proof.a[:n, :n]
+        next_eps = model_a @ rows.eps + proof.l @ rows.injected
+        next_w, rows.w_m = apply_filter(proof.weight_output, rows.x_w, rows.m, p)
+        next_v, rows.v_u = apply_filter(proof.weight_input, rows.x_v, rows.u, m)
+        next_x, next_eps = cls.add_neurons_to_states(proof, rows, next_x, next_eps)
         next_states = [[next_x], [next_eps]]
         next_states += [[filtered] for filtered in (next_w, next_v) if filtered.shape[0]]
         rows.step = assemble_blocks(next_states)
         return rows
 
     @classmethod
-    def neuron_contribution(cls, of: Any, rows: Any, letter: str) -> Any:
-        """Contribution of the neurons to an output. Zero for a model with one layer."""
-        del letter
-        return np.zeros((of.c.shape[0], rows.xi.shape[1]))
+    def neuron_contribution(cls, proof: Any, rows: Any, signal_name: str) -> Any:
+        """Contribution of the neurons to the model's output, as a matrix; zero for a model without
+        neurons. Zero for a model with one layer."""
+        del signal_name
+        return np.zeros((proof.c.shape[0], rows.xi.shape[1]))
 
     @classmethod
-    def add_neurons_to_states(cls, of: Any, rows: Any, moved: Any, error: Any) -> tuple[Any, Any]:
-        """Add the neurons' contribution to the next states of model and observer. A model with one
-        layer has none, so that the states stay unchanged."""
-        del of, rows
-        return moved, error
+    def add_neurons_to_states(
+        cls, proof: Any, rows: Any, next_state: Any, next_error: Any
+    ) -> tuple[Any, Any]:
+        """Add the contribution of the neurons to the next states of the model and of the estimation
+        error. A model with one layer has none, so that the states stay unchanged."""
+        del proof, rows
+        return next_state, next_error
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
+        """Fields of the certificate that follow from the model and the design's gains."""
         matrices = self.loop_matrices(context)
         ball = context.balls.output
         linear_map = len(self.lambda_out) == 0
@@ -245,7 +254,8 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def loop_matrices(cls, context: VerificationContext) -> dict[str, Any]:
-        """Matrices of the closed loop, from the model and the gains of the design."""
+        """Matrices of the closed loop that a certificate stores, from the model and the gains of
+        the design."""
         names = [field.name for field in fields(cls) if field.name in DUAL]
         matrices = dict[str, Any]()
         for name in names:
@@ -259,11 +269,13 @@ class MeasuredDiscs(Theorem):
 
     @staticmethod
     def required_ball(context: VerificationContext) -> JacobianBall:
+        """Ball of Jacobians of the model's static input map, which the ball in the certificate
+        must contain."""
         return context.balls.input
 
     @classmethod
     def largest_provable_rate(cls, context: VerificationContext) -> None:
-        """Return None, as this theorem claims no rate."""
+        """Return None, because the theorem of measured discs claims no contraction rate."""
 
 
 def count_rows(matrix: Any) -> int:
@@ -272,20 +284,21 @@ def count_rows(matrix: Any) -> int:
 
 
 def selection_matrices(sizes: dict[str, int]) -> dict[str, Float[np.ndarray, "_ N"]]:
-    """Selection matrices that pick each named part out of a stacked vector."""
+    """Matrices that select each named part of a stacked vector."""
     ends = np.cumsum(list(sizes.values()))
     identity = np.eye(int(ends[-1]))
     pieces = np.split(identity, ends[:-1])
     return dict(zip(sizes, pieces, strict=True))
 
 
-def apply_filter(weight: Any, state: Any, signal: Any, channels: int) -> tuple[Any, Any]:
-    """Next state and output of a single-channel filter, applied to each channel of a signal."""
-    order = count_rows(weight) - 1
-    a = weight[:order, :order]
-    b = weight[:order, order:]
-    c = weight[order:, :order]
-    direct = weight[order:, order:]
+def apply_filter(filter_matrix: Any, state: Any, signal: Any, channels: int) -> tuple[Any, Any]:
+    """Next state and output of a single-channel filter that is applied to each channel of a
+    signal."""
+    order = count_rows(filter_matrix) - 1
+    a = filter_matrix[:order, :order]
+    b = filter_matrix[:order, order:]
+    c = filter_matrix[order:, :order]
+    direct = filter_matrix[order:, order:]
     if not order:
         no_state = np.zeros((0, signal.shape[1]))
         return no_state, direct * signal

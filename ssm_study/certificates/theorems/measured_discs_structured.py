@@ -29,7 +29,7 @@ Example. `x+ = 0.2 x + 0.3 phi(x) + u`, `K = -0.25`, `L = -0.5`, `|e| <= kappa |
 small gain allows `8 * 0.7 * 0.95 / 1.2`.
 
 >>> import numpy as np
->>> from ssm_study.synthesis.measured_discs_search import largest_kappa
+>>> from ssm_study.synthesis.measured_discs_search import certify_largest_radius
 >>> from ssm_study.certificates.theorem import VerificationContext
 >>> from ssm_study.systems import Balls, JacobianBall, StructuredSystem
 >>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
@@ -38,7 +38,7 @@ small gain allows `8 * 0.7 * 0.95 / 1.2`.
 >>> gains = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}
 >>> balls = Balls(input=unit, output=unit)
 >>> context = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
->>> proof = largest_kappa(context)
+>>> proof = certify_largest_radius(context)
 >>> print(f"{proof.tolerated_gain:.2f} <= {8 * 0.7 * 0.95 / 1.2:.2f}: {proof.certified}")
 4.43 <= 4.43: True
 """
@@ -55,9 +55,9 @@ from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredMeasuredDiscs(MeasuredDiscs):
-    """Certificate that the loop of a model with neurons comes to rest on every plant within a
-    measured disc. It has the fields of `measured_discs`, and `e (s, q), f (q, s), g (q, m)`, `h (p,
-    q)`, `l_z (q, p)`, `lambda_ (3 q,)`."""
+    """Certificate that the closed loop of a model with neurons comes to rest on every plant within
+    a measured disc. It has the fields of `measured_discs`, and `e (s, q), f (q, s), g (q, m)`, `h
+    (p, q)`, `l_z (q, p)`, `lambda_ (3 q,)`."""
 
     e: Float[np.ndarray, "s q"]
     f: Float[np.ndarray, "q s"]
@@ -67,52 +67,64 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
     lambda_: Float[np.ndarray, "w"]
 
     @classmethod
-    def conditions(cls, of: Any) -> dict[str, Blocks]:
-        matrices = super().conditions(of)
-        return matrices | {"lambda": [[multiplier_matrix(of.lambda_)]]}
+    def conditions(cls, proof: Any) -> dict[str, Blocks]:
+        """Matrices that must be positive definite for the closed loop of a model with neurons to
+        come to rest on every plant within a measured disc."""
+        matrices = super().conditions(proof)
+        return matrices | {"lambda": [[multiplier_matrix(proof.lambda_)]]}
 
     @classmethod
-    def free_signal_sizes(cls, of: Any) -> dict[str, int]:
-        q = of.g.shape[0]
-        return super().free_signal_sizes(of) | {"w": q, "d_w": q}
+    def free_signal_sizes(cls, proof: Any) -> dict[str, int]:
+        """Number of entries of each free signal of a closed loop with neurons, in the order of
+        the columns."""
+        q = proof.g.shape[0]
+        return super().free_signal_sizes(proof) | {"w": q, "d_w": q}
 
     @classmethod
-    def neuron_contribution(cls, of: Any, rows: Any, letter: str) -> Any:
-        """Rows that give the neurons' contribution to the output."""
-        return of.h @ (rows.w if letter == "w" else rows.d_w)
+    def neuron_contribution(cls, proof: Any, rows: Any, signal_name: str) -> Any:
+        """Matrix that gives the neurons' contribution to the model's output."""
+        return proof.h @ (rows.w if signal_name == "w" else rows.d_w)
 
     @classmethod
-    def add_neurons_to_states(cls, of: Any, rows: Any, moved: Any, error: Any) -> tuple[Any, Any]:
-        n = of.c.shape[1]
-        moved = moved + of.e @ rows.w
-        error = error + of.e[:n, :] @ rows.d_w
-        return moved, error
+    def add_neurons_to_states(
+        cls, proof: Any, rows: Any, next_state: Any, next_error: Any
+    ) -> tuple[Any, Any]:
+        """Add the contribution of the neurons to the next states of the model and of the
+        estimation error."""
+        n = proof.c.shape[1]
+        next_state = next_state + proof.e @ rows.w
+        next_error = next_error + proof.e[:n, :] @ rows.d_w
+        return next_state, next_error
 
     @classmethod
-    def neuron_difference_pairs(cls, of: Any, rows: Any) -> list[tuple[Any, Any]]:
-        """Differences of the neurons' outputs and inputs for each pair of model, observer and
-        equilibrium."""
-        n = of.c.shape[1]
-        z = of.f @ rows.x + of.g @ rows.drive
-        dz = of.f[:, :n] @ rows.eps + of.l_z @ rows.injected
+    def neuron_difference_pairs(cls, proof: Any, rows: Any) -> list[tuple[Any, Any]]:
+        """Differences of the neurons' outputs and of their inputs between model, observer and
+        equilibrium, in pairs."""
+        n = proof.c.shape[1]
+        z = proof.f @ rows.x + proof.g @ rows.drive
+        dz = proof.f[:, :n] @ rows.eps + proof.l_z @ rows.injected
         model_pair = (rows.w, z)
         error_pair = (rows.d_w, dz)
         observer_pair = (rows.w + rows.d_w, z + dz)
         return [model_pair, error_pair, observer_pair]
 
     @classmethod
-    def static_map_constraints(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
-        forms = super().static_map_constraints(of, signals)
-        q = of.g.shape[0]
-        for i, (output, argument) in enumerate(cls.neuron_difference_pairs(of, signals)):
+    def static_map_constraints(cls, proof: Any, signals: Any) -> list[tuple[Any, Any]]:
+        """Quadratic constraints on the inputs and outputs of static maps and neurons, each with
+        its multiplier."""
+        forms = super().static_map_constraints(proof, signals)
+        q = proof.g.shape[0]
+        for i, (output, argument) in enumerate(cls.neuron_difference_pairs(proof, signals)):
             start = i * q
-            multipliers = of.lambda_[:, start : start + q]
+            multipliers = proof.lambda_[:, start : start + q]
             weighted = multiplier_matrix(multipliers) @ (output - argument)
             neuron_form = output.T @ weighted + weighted.T @ output
             forms.append((1, neuron_form))
         return forms
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
+        """Fields of the certificate that follow from the model with neurons and the design's
+        gains."""
         matrices = super().model_data(context)
         closes_algebraic_loop = context.system.h.any() and self.l_z.any()
         if closes_algebraic_loop:  # proves nothing

@@ -46,8 +46,8 @@ from ssm_study.certificates.theorem import Blocks
 
 @dataclass(frozen=True, kw_only=True)
 class ObserverOfBall(ProblemCertificate, Observer):
-    """Certificate of an observer for an output map with a ball of Jacobians. [Z26] Theorem 2:
-    beside `a, c, q, l` the matrices `u (n, n)`, `v (n, p)` and `eta > 0`."""
+    """Certificate of an observer for a model whose static output map has its slopes in a ball of
+    Jacobians."""
 
     u: Float[np.ndarray, "n n"]
     v: Float[np.ndarray, "n p"]
@@ -56,12 +56,12 @@ class ObserverOfBall(ProblemCertificate, Observer):
     products: ClassVar[Mapping[str, tuple[str, str]]] = {"v": ("u", "l")}
 
     @staticmethod
-    def inequality(of: Any) -> Blocks:
-        """Blocks of the inequality of Theorem 2 for these matrices."""
-        contracted_metric = (1 - of.rate) * of.q
-        error_block = contracted_metric - of.eta * (of.c.T @ of.c)
-        error_step = of.u @ of.a + of.alpha * (of.v @ of.c)
-        next_metric = of.u + of.u.T - of.q
-        slope_step_block = of.beta * of.v
-        slope_block = of.eta * np.eye(of.c.shape[0])
+    def inequality(proof: Any) -> Blocks:
+        """Blocks of the matrix inequality of [Z26] Theorem 2 for the matrices of a certificate."""
+        contracted_metric = (1 - proof.rate) * proof.q
+        error_block = contracted_metric - proof.eta * (proof.c.T @ proof.c)
+        error_step = proof.u @ proof.a + proof.alpha * (proof.v @ proof.c)
+        next_metric = proof.u + proof.u.T - proof.q
+        slope_step_block = proof.beta * proof.v
+        slope_block = proof.eta * np.eye(proof.c.shape[0])
         return [[error_block, error_step.T, 0], [next_metric, slope_step_block], [slope_block]]

@@ -47,8 +47,8 @@ from ssm_study.certificates.theorem import Blocks
 
 @dataclass(frozen=True, kw_only=True)
 class StateFeedbackOfBall(ProblemCertificate, StateFeedback):
-    """Certificate of a state feedback behind an input map with a ball of Jacobians. [Z26]
-    Theorem 1: beside `a, b, p, k` the matrices `y (n, n)`, `x (m, n)` and `sigma > 0`."""
+    """Certificate of a state feedback for a model whose static input map has its slopes in a ball
+    of Jacobians."""
 
     y: Float[np.ndarray, "n n"]
     x: Float[np.ndarray, "m n"]
@@ -57,12 +57,12 @@ class StateFeedbackOfBall(ProblemCertificate, StateFeedback):
     products: ClassVar[Mapping[str, tuple[str, str]]] = {"x": ("k", "y")}
 
     @staticmethod
-    def inequality(of: Any) -> Blocks:
-        """Blocks of the inequality of Theorem 1 for these matrices."""
-        contracted_metric = (1 - of.rate) * of.p
-        state_block = contracted_metric - of.sigma * (of.b @ of.b.T)
-        state_step = of.a @ of.y + of.alpha * (of.b @ of.x)
-        next_metric = of.y + of.y.T - of.p
-        slope_step_block = of.beta * of.x.T
-        slope_block = of.sigma * np.eye(of.b.shape[1])
+    def inequality(proof: Any) -> Blocks:
+        """Blocks of the matrix inequality of [Z26] Theorem 1 for the matrices of a certificate."""
+        contracted_metric = (1 - proof.rate) * proof.p
+        state_block = contracted_metric - proof.sigma * (proof.b @ proof.b.T)
+        state_step = proof.a @ proof.y + proof.alpha * (proof.b @ proof.x)
+        next_metric = proof.y + proof.y.T - proof.p
+        slope_step_block = proof.beta * proof.x.T
+        slope_block = proof.sigma * np.eye(proof.b.shape[1])
         return [[state_block, state_step, 0], [next_metric, slope_step_block], [slope_block]]

@@ -1,4 +1,5 @@
-"""State feedback that undoes the input map of a model with neurons, certified without a ball.
+"""State feedback that inverts the static input map of a model with neurons, certified without a
+ball of Jacobians.
 
 Problem. As in `structured_state_feedback`, for the law `u = S_u^{-1}(K xh)`.
 
@@ -34,5 +35,6 @@ from ssm_study.certificates.theorems.structured_state_feedback import Structured
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredInvertedInput(StructuredStateFeedback):
-    """Certificate of a state feedback that inverts the input map of a model with neurons. It has
-    the fields of `structured_state_feedback`; the verifier demands `alpha = 1, beta = 0`."""
+    """Certificate of a state feedback for a model with neurons whose control law inverts the static
+    input map. It has the fields of `structured_state_feedback`; the verifier demands `alpha = 1,
+    beta = 0`."""

@@ -66,20 +66,23 @@ class StructuredObserver(ProblemCertificate, Observer):
     products: ClassVar[Mapping[str, tuple[str, str]]] = {"v": ("u", "l")}
 
     @staticmethod
-    def inequality(of: Any) -> Blocks:
-        """Blocks of the theorem's inequality with the multipliers of the certificate."""
-        weights = multiplier_matrix(of.lambda_)
-        return structured_observer_inequality(of, weights, weights @ of.l_z)
+    def inequality(proof: Any) -> Blocks:
+        """Blocks of the matrix inequality of an observer for a model with neurons, with the
+        multipliers of a certificate."""
+        weights = multiplier_matrix(proof.lambda_)
+        return structured_observer_inequality(proof, weights, weights @ proof.l_z)
 
     @classmethod
     def holds(cls, **numbers: Any) -> bool:
-        """Whether the conditions of the theorem hold, and its hypothesis on `L_z`."""
+        """Whether the matrix conditions of the theorem hold and the observer's injection into the
+        neurons is allowed."""
         if _closes_algebraic_loop(numbers["h"], numbers["l_z"]):
             return False
         return super().holds(**numbers)
 
     def failed_checks(self, context: VerificationContext) -> list[str]:
-        """Checks that fail: those of every theorem, and the hypothesis on `L_z`."""
+        """Sentences on those claims of the observer's certificate that do not hold for the model,
+        one for each claim."""
         messages = []
         if _closes_algebraic_loop(self.h, self.l_z) and self.certified:
             messages.append(".l_z: must be zero, for neurons stand in the output (H)")
@@ -87,25 +90,26 @@ class StructuredObserver(ProblemCertificate, Observer):
 
 
 def _closes_algebraic_loop(h: NeuronOutput, l_z: NeuronInjection) -> bool:
-    """Whether injection into the neurons closes an algebraic loop, because neurons enter the
-    output."""
+    """Whether injecting the output error into the neurons closes an algebraic loop, because neurons
+    enter the output."""
     return bool(np.any(h) and np.any(l_z))
 
 
-def structured_observer_inequality(of: Any, weights: Any, n: Any) -> Blocks:
-    """Blocks of the theorem's inequality for given multipliers and injection into the neurons. `N =
-    Lambda L_z`; `weights` is the diagonal matrix Lambda."""
-    neuron_inputs = weights @ of.f + of.alpha * (n @ of.c)
-    error_step = of.u @ of.a + of.alpha * (of.v @ of.c)
-    neuron_step = of.u @ of.e + of.alpha * (of.v @ of.h)
-    contracted_metric = (1 - of.rate) * of.q
-    error_block = contracted_metric - of.eta * (of.c.T @ of.c)
-    error_neuron_block = -1.0 * neuron_inputs.T - of.eta * (of.c.T @ of.h)
-    slope_block = of.eta * np.eye(of.c.shape[0])
-    slope_neuron_block = (-1.0 * of.beta) * n.T
-    slope_step_block = of.beta * of.v.T
-    neuron_block = 2.0 * weights - of.eta * (of.h.T @ of.h)
-    next_metric = of.u + of.u.T - of.q
+def structured_observer_inequality(proof: Any, multipliers: Any, injection_product: Any) -> Blocks:
+    """Blocks of the matrix inequality of an observer for a model with neurons, for given
+    multipliers and neuron injection. `N = Lambda L_z`; `multipliers` is the diagonal matrix Lambda.
+    """
+    neuron_inputs = multipliers @ proof.f + proof.alpha * (injection_product @ proof.c)
+    error_step = proof.u @ proof.a + proof.alpha * (proof.v @ proof.c)
+    neuron_step = proof.u @ proof.e + proof.alpha * (proof.v @ proof.h)
+    contracted_metric = (1 - proof.rate) * proof.q
+    error_block = contracted_metric - proof.eta * (proof.c.T @ proof.c)
+    error_neuron_block = -1.0 * neuron_inputs.T - proof.eta * (proof.c.T @ proof.h)
+    slope_block = proof.eta * np.eye(proof.c.shape[0])
+    slope_neuron_block = (-1.0 * proof.beta) * injection_product.T
+    slope_step_block = proof.beta * proof.v.T
+    neuron_block = 2.0 * multipliers - proof.eta * (proof.h.T @ proof.h)
+    next_metric = proof.u + proof.u.T - proof.q
     return [
         [error_block, 0, error_neuron_block, error_step.T],
         [slope_block, slope_neuron_block, slope_step_block],

@@ -67,30 +67,31 @@ class StructuredStateFeedback(ProblemCertificate, StateFeedback):
     products: ClassVar[Mapping[str, tuple[str, str]]] = {"x": ("k", "y")}
 
     @staticmethod
-    def inequality(of: Any) -> Blocks:
-        """Blocks of the theorem's inequality with the multipliers of the certificate."""
-        weights = multiplier_matrix(of.lambda_)
+    def inequality(proof: Any) -> Blocks:
+        """Blocks of the matrix inequality of a state feedback for a model with neurons, with the
+        multipliers of a certificate."""
+        weights = multiplier_matrix(proof.lambda_)
         identity = np.eye(weights.shape[0])
-        return structured_feedback_inequality(of, (weights, identity, weights))
+        return structured_feedback_inequality(proof, (weights, identity, weights))
 
 
-def structured_feedback_inequality(of: Any, row: tuple[Any, Any, Any]) -> Blocks:
-    """Blocks of the theorem's inequality for given matrices, with the row of the neurons scaled.
-    For any diagonal S, `row` is `(S, S T, S T S)`."""
-    scale, scaled_t, t = row
-    identity = np.eye(of.b.shape[1])
-    state_step = of.a @ of.y + of.alpha * (of.b @ of.x)
-    neuron_inputs = of.f @ of.y + of.alpha * (of.g @ of.x)
+def structured_feedback_inequality(proof: Any, neuron_row: tuple[Any, Any, Any]) -> Blocks:
+    """Blocks of the matrix inequality of a state feedback for a model with neurons, the block row
+    of the neurons being scaled as given. For any diagonal S, `neuron_row` is `(S, S T, S T S)`."""
+    scale, scaled_t, t = neuron_row
+    identity = np.eye(proof.b.shape[1])
+    state_step = proof.a @ proof.y + proof.alpha * (proof.b @ proof.x)
+    neuron_inputs = proof.f @ proof.y + proof.alpha * (proof.g @ proof.x)
     neurons = neuron_inputs.T @ scale
-    contracted_metric = (1 - of.rate) * (of.y + of.y.T - of.p)
-    slope_block = of.sigma * identity
-    slope_neuron_block = (of.sigma * (-1.0 * of.beta)) * (of.g.T @ scale)
-    slope_step_block = (of.sigma * of.beta) * of.b.T
-    neuron_step_block = scaled_t @ of.e.T
+    contracted_metric = (1 - proof.rate) * (proof.y + proof.y.T - proof.p)
+    slope_block = proof.sigma * identity
+    slope_neuron_block = (proof.sigma * (-1.0 * proof.beta)) * (proof.g.T @ scale)
+    slope_step_block = (proof.sigma * proof.beta) * proof.b.T
+    neuron_step_block = scaled_t @ proof.e.T
     return [
-        [contracted_metric, 0, -1.0 * neurons, state_step.T, of.x.T],
+        [contracted_metric, 0, -1.0 * neurons, state_step.T, proof.x.T],
         [slope_block, slope_neuron_block, slope_step_block, 0],
         [2.0 * t, neuron_step_block, 0],
-        [of.p, 0],
+        [proof.p, 0],
         [slope_block],
     ]

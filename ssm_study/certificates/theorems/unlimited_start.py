@@ -1,4 +1,5 @@
-"""Initial states from which no input limit is ever reached, so that the full rates hold.
+"""Set of initial states from which no input limit is ever reached, so that the rates proved without
+limits hold.
 
 Problem. The input is limited: from which initial states does the loop never reach a limit?
 
@@ -63,43 +64,46 @@ Starts = Float[np.ndarray, "n j"]
 
 @dataclass(frozen=True, kw_only=True)
 class UnlimitedStart(StateFeedbackOfBall):
-    """Certificate of initial outputs from which no input limit is ever reached. Beside the fields
-    of `state_feedback` it has the limits `(m, 2)` and starts `(n, j)`, scaled, and the level."""
+    """Certificate of a set of initial outputs from which the closed loop never reaches an input
+    limit. Beside the fields of `state_feedback` it has the limits `(m, 2)` and starts `(n, j)`,
+    scaled, and the level."""
 
     limits: InputLimits
     starts: Starts
     level: float
 
     @classmethod
-    def conditions(cls, of: Any) -> dict[str, Blocks]:  # of the class, to extend its parent's
-        matrices = super().conditions(of)
-        for i in range(of.limits.shape[0]):
-            limits = of.limits[i : i + 1, :]
-            gain = of.k[i : i + 1, :]
-            largest_input = of.level * (gain @ of.p @ gain.T)  # squared
+    def conditions(cls, proof: Any) -> dict[str, Blocks]:  # of the class, to extend its parent's
+        """Matrices that must be positive definite for no input limit to be reached from the
+        certified initial states."""
+        matrices = super().conditions(proof)
+        for i in range(proof.limits.shape[0]):
+            limits = proof.limits[i : i + 1, :]
+            gain = proof.k[i : i + 1, :]
+            largest_input = proof.level * (gain @ proof.p @ gain.T)  # squared
             ends = {"lower": -1 * limits[:, 0:1], "upper": limits[:, 1:2]}
             for name, end in ends.items():
                 matrices[f"{name} limit {i}"] = [[end]]
                 unused = end @ end - largest_input
                 matrices[f"{name} limit {i} is not reached"] = [[unused]]
-        for j in range(of.starts.shape[1]):
-            start = of.starts[:, j : j + 1]
-            matrices[f"start {j}"] = [[of.level, start.T], [of.p]]
+        for j in range(proof.starts.shape[1]):
+            start = proof.starts[:, j : j + 1]
+            matrices[f"start {j}"] = [[proof.level, start.T], [proof.p]]
         return matrices
 
 
 def certify_unlimited_start(
-    parts: Sequence[StateFeedbackOfBall], corners: Starts, limits: InputLimits
+    certificates: Sequence[StateFeedbackOfBall], corners: Starts, input_limits: InputLimits
 ) -> UnlimitedStart | None:
     """Certificate of the largest set of initial outputs from which no input limit is reached; None
     where the proved set is empty. The set is the largest fraction of the `corners` that the metric
     of one part proves."""
     started = time.perf_counter()
-    room = np.minimum(-limits[:, 0], limits[:, 1])
+    room = np.minimum(-input_limits[:, 0], input_limits[:, 1])
     if not (room > 0).all() or not corners.any():
         return None
     candidates = []
-    for part in parts:
+    for part in certificates:
         squared_reach = np.einsum("ij,jk,ik->i", part.k, part.p, part.k)
         divisors = np.maximum(squared_reach, np.finfo(float).tiny)
         highest_level = float((room**2 / divisors).min())
@@ -111,11 +115,11 @@ def certify_unlimited_start(
         candidates.append((share, level, part))
     share, level, part = max(candidates, key=lambda candidate: candidate[0])
     numbers = dict(part.variables)
-    numbers["limits"] = limits
+    numbers["limits"] = input_limits
     numbers["starts"] = (1 - ROUNDING) * share * corners
     numbers["level"] = level * (1 - ROUNDING)
     information: Any = {
-        "rate_limit": parts[0].rate_limit,
+        "rate_limit": certificates[0].rate_limit,
         "method": "limited input",
         "status": "level set",
     }

@@ -1,4 +1,4 @@
-"""Textbook LQG controller for comparison, without a certificate."""
+"""Textbook LQG controller, without a certificate, for comparison."""
 
 from dataclasses import replace
 
@@ -52,15 +52,17 @@ def _riccati_gain(problem: Problem) -> Float[np.ndarray, "m n"]:
 
 
 class LqgPeer(Peer, names=("lqg",)):
-    """Comparison method that uses an LQG controller."""
+    """Comparison method that uses a textbook LQG controller."""
 
     def build(self, plant: Plant, identified: Identified, rate: float) -> ObserverFeedback:
+        """LQG controller for the identified model."""
         weights = lqg_weights(plant, identified, rate)
         return lqg_controller(identified.linear_model, weights)
 
 
 def lqg_weights(plant: Plant, identified: Identified, rate: float) -> Synthesis:
-    """Cost weights of `synthesis=riccati` with the noise variance of the plant's sensors.
+    """Cost weights of the LQG controller: those of `synthesis=riccati`, with the noise variance of
+    the plant's sensors.
 
     One input scale drives the states; a linear design has no rate.
     """

@@ -29,7 +29,8 @@ UNSAID: Row = {"controller": "", "certified": False, **dict.fromkeys(PREDICTED),
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:
-    """Data that every compared method may use: model, Jacobian balls and validation records."""
+    """Data that every compared control method may use: model, balls of Jacobians and validation
+    records."""
 
     model: Model
     balls: Balls
@@ -39,7 +40,8 @@ class Identified:
 
     @classmethod
     def from_data_set(cls, model: Model, balls: Balls, data: DataSet) -> "Identified":
-        """Data that the compared methods may use, from an identified model and its data set."""
+        """Data that the compared control methods may use, from an identified model and its data
+        set."""
         return cls(
             model=model,
             balls=balls,
@@ -50,12 +52,13 @@ class Identified:
 
     @cached_property
     def linear_model(self) -> SSM:
-        """Linear model in which the neurons are replaced by their slopes at the equilibrium."""
-        return linearise_neurons(self.model)
+        """Linear model in which the neurons of the identified model are replaced by their slopes at
+        the equilibrium."""
+        return replace_neurons_by_slopes(self.model)
 
     @cached_property
     def mismatch(self) -> Mismatch:
-        """Model error that the records show, by frequency and amplitude."""
+        """Error of the identified model in the records, by frequency and input amplitude."""
         return measure_mismatch(
             self.model, self.validation, self.start_up_samples, self.mismatch_records
         )
@@ -65,8 +68,9 @@ class Identified:
         return synthesis.design(self.model, self.balls, self.validation, self.mismatch)
 
 
-def linearise_neurons(model: Model) -> SSM:
-    """Linear model in which the neurons are replaced by their slopes at the equilibrium."""
+def replace_neurons_by_slopes(model: Model) -> SSM:
+    """Linear model in which the neurons of a model are replaced by their slopes at the
+    equilibrium."""
     if isinstance(model, SSM):
         return model
     linear = linearise_at_equilibrium(model)
@@ -81,12 +85,12 @@ def linearise_neurons(model: Model) -> SSM:
 
 
 class Peer(Family):
-    """Interface of a method that yields a controller for the comparison. `names` are the method's
+    """Interface of a control method that takes part in the comparison. `names` are the method's
     names there."""
 
     @abstractmethod
     def build(self, plant: Plant, identified: Identified, rate: float) -> Controller | Design:
-        """Build a controller or a certified design for a plant.
+        """Build the controller or the certified design of a control method for a plant.
 
         Raises `BadRequest` for a model or plant that the method has no controller for.
         """
@@ -95,8 +99,8 @@ class Peer(Family):
 def build_compared_controller(
     name: str, plant: Plant, identified: Identified, rate: float = 0.05
 ) -> tuple[Controller | None, Row]:
-    """Build the controller of one comparison method, with columns of its proved and predicted
-    properties.
+    """Build the controller of one control method of the comparison, with table columns of its
+    proved and predicted properties.
 
     None, and a row with the reason, where the peer has no controller.
     """

@@ -33,7 +33,7 @@ class PI(Controller):
 
     @classmethod
     def for_plant(cls, plant: Plant, gain: float, integral_s: float) -> "PI":
-        """PI controller around a plant's equilibrium, at the plant's sampling time.
+        """PI controller around the equilibrium of a plant, at the plant's sampling time.
 
         Raises `BadRequest` for more than one input or output.
         """
@@ -48,15 +48,18 @@ class PI(Controller):
         return cls(gain=gain, integral_s=integral_s, input_equilibrium=u_eq, step_s=plant.step_s)
 
     def initial_memory(self, cases: int) -> Memory:
+        """Zero integral states of the PI controller before the first sample."""
         return np.zeros((cases, 1))
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
+        """Input of the PI controller: proportional part plus integral state."""
         shifted_error = target - y + memory
         return self.input_equilibrium + self.gain * shifted_error
 
     def advance(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Memory:
+        """Next integral state of the PI controller, unchanged while an input limit is active."""
         unlimited_input = self.input(memory, y, target)
         is_unlimited = np.isclose(u, unlimited_input, rtol=1e-9, atol=1e-12)
         share_of_integral = self.step_s / self.integral_s
@@ -65,17 +68,17 @@ class PI(Controller):
         return memory + allowed_increment
 
 
-def _critical_gain(instability_margin: Callable[[float], float], sign: float) -> float:
-    """Smallest gain up to 10^6 at which a loop's instability margin is zero: the first crossing on
-    a grid, then bisection.
+def _critical_gain(instability_margin: Callable[[float], float], static_gain_sign: float) -> float:
+    """Smallest proportional gain, up to 10^6, at which a loop reaches the limit of stability.
 
-    Raises `BadRequest` if there is none; `sign` is the sign of the static gain, for the message.
+    Raises `BadRequest` if there is none; `static_gain_sign` is the sign of the static gain, for the
+    message.
     """
     grid = np.geomspace(1e-3, 1e6, 2000)
     unstable_numbers = (i for i, gain in enumerate(grid) if instability_margin(gain) >= 0)
     first_unstable = next(unstable_numbers, 0)
     problem = "no gain makes the loop oscillate, so the tuning rule does not apply"
-    require(first_unstable > 0, "model", sign, problem, "leave the PI peer out")
+    require(first_unstable > 0, "model", static_gain_sign, problem, "leave the PI peer out")
     below = grid[first_unstable - 1]
     above = grid[first_unstable]
     critical_gain = scipy.optimize.bisect(instability_margin, below, above, xtol=1e-12)
@@ -118,13 +121,13 @@ def ultimate_gain(model: SSM) -> UltimateGain:
     sign = float(np.sign(scalar_gain))
 
     def closed_loop_poles(gain: float) -> Complex[np.ndarray, "n"]:
-        """Poles of the loop with a given proportional gain."""
+        """Poles of the closed loop with a given proportional gain."""
         closed_loop_matrix = a - sign * gain * b @ c
         eigenvalues = np.linalg.eigvals(closed_loop_matrix)
         return eigenvalues.astype(complex)
 
     def instability_margin(gain: float) -> float:
-        """Spectral radius of the loop with a given proportional gain, minus one."""
+        """Spectral radius of the closed loop with a given proportional gain, minus one."""
         moduli = np.abs(closed_loop_poles(gain))
         return float(moduli.max() - 1)
 
@@ -161,7 +164,7 @@ def tyreus_luyben_pi(model: SSM) -> PI:
 
 
 def mean_input_slope(model: SSM) -> Float[np.ndarray, "k m"]:
-    """Mean slope of the input nonlinearity, which replaces it in a linear design.
+    """Mean slope of a model's static input map, which replaces the map in a linear design.
 
     `(S_u(e_i) - S_u(-e_i)) / 2` for each scaled input i.
     """
@@ -176,4 +179,5 @@ class PiPeer(Peer, names=("pi",)):
     """Comparison method with a PI controller that is tuned by Tyreus and Luyben's rule."""
 
     def build(self, plant: Plant, identified: Identified, rate: float) -> PI:
+        """PI controller for the identified model, tuned by Tyreus and Luyben's rule."""
         return tyreus_luyben_pi(identified.linear_model)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, evidence_words
+from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, evidence_text
 from ssm_study.report.outcome import (
     fresh_data_exceed_coverage,
     fresh_data_text,
@@ -211,7 +211,7 @@ def outcome_remarks(record: Record) -> Iterator[Remark]:
         support_and_doubts = " ".join(filter(None, [support, untried, *plain]))
         is_warning = evidence in (DOUBT, CANNOT_JUDGE)
         yield Remark(
-            title=f"Evidence: {evidence_words(str(evidence), ' '.join(notes), 'below')}",
+            title=f"Evidence: {evidence_text(str(evidence), ' '.join(notes), 'below')}",
             text=support_and_doubts,
             notes=tuple(map(capitalise, notes)),
             is_warning=is_warning,

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.api.summaries import round_rate_down
-from ssm_study.certificates.decay_time import decay_time_words
+from ssm_study.certificates.decay_time import decay_time_text
 from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.report.outcome import fresh_data_exceed_coverage, fresh_data_text, refit_text
 from ssm_study.report.page.card import Card, Record
@@ -99,7 +99,7 @@ def rate_line(record: Record, rate: float, loop: RecordedLoopFacts | None) -> st
 
 def time_constant_text(rate: float, loop: RecordedLoopFacts | None) -> str:
     """Time constant of a contraction rate as text, in seconds or in samples."""
-    decay = decay_time_words(rate, None if loop is None else loop.step_s)
+    decay = decay_time_text(rate, None if loop is None else loop.step_s)
     return f", {decay}" if decay else ""
 
 

@@ -11,7 +11,7 @@ from ssm_study.signals import DataSet
 from ssm_study.study.stages.files import read_json, write_json
 from ssm_study.study.stages.free_run import ModelRun
 from ssm_study.study.stages.synthesis import recorded_error_spectra
-from ssm_study.synthesis.measured_discs_run import fresh_data_column, fresh_data_needs
+from ssm_study.synthesis.measured_discs_run import fresh_data_column, radii_needed_by_fresh_data
 
 FILE = "fresh_data.json"
 
@@ -32,7 +32,9 @@ def compute_fresh_data(
     model = model_run.model
     premise = recorded_error_spectra(model, records, mismatch)
     fresh = data.simulate_fresh_sets(plant, seed)
-    needs = fresh_data_needs(design, model, premise, mismatch, fresh, records.start_up_samples)
+    needs = radii_needed_by_fresh_data(
+        design, model, premise, mismatch, fresh, records.start_up_samples
+    )
     write_json(folder / FILE, {"needs": [repr(need) for need in needs]})
 
 

@@ -15,7 +15,11 @@ from ssm_study.robustness.sine_trials import SineMismatch
 from ssm_study.signals import DataSet
 from ssm_study.study.stages.files import read_json, write_json
 from ssm_study.study.stages.free_run import ModelRun
-from ssm_study.synthesis.sine_judgement import simulated_sines, sine_columns, sine_coverage_columns
+from ssm_study.synthesis.sine_judgement import (
+    measure_simulated_sines,
+    sine_columns,
+    sine_coverage_columns,
+)
 from ssm_study.synthesis.withheld_coverage import reported_coverage
 
 FILE = "sine_trials.json"
@@ -37,7 +41,7 @@ def compute_sine_trials(
     del records, judgement
     model = model_run.model
     balls = certified_balls(model)
-    sines = simulated_sines(design, model, balls, mismatch, data, plant, seed)
+    sines = measure_simulated_sines(design, model, balls, mismatch, data, plant, seed)
     rows = [{name: repr(value) for name, value in asdict(sine).items()} for sine in sines]
     write_json(folder / FILE, {"sines": rows})
 

@@ -11,8 +11,8 @@ from ssm_study.evidence.metrics import Judgement, withhold_predictions
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.study.stages.free_run import ModelRun
-from ssm_study.synthesis.input_inversion import mismatch_for_law
-from ssm_study.synthesis.metrics import design_columns, second_opinion_columns
+from ssm_study.synthesis.input_inversion import mismatch_for_control_law
+from ssm_study.synthesis.metrics import design_columns, paper_feasibility_columns
 
 if TYPE_CHECKING:
     from ssm_study.robustness.coverage import Premise
@@ -42,7 +42,7 @@ def compute_synthesis(
     model = model_run.model
     balls = certified_balls(model)
     premise = recorded_error_spectra(model, data, recorded_mismatch)
-    mismatch = mismatch_for_law(synthesis, model, data, recorded_mismatch)
+    mismatch = mismatch_for_control_law(synthesis, model, data, recorded_mismatch)
     ends = input_limits(limits["input_lower"], limits["input_upper"], data.training_inputs)
     method: Any = synthesis
     if isinstance(synthesis, Auto):
@@ -97,7 +97,7 @@ def measure_synthesis(
 
     model = model_run.model
     balls = certified_balls(model)
-    mismatch = mismatch_for_law(design, model, data, recorded_mismatch)
+    mismatch = mismatch_for_control_law(design, model, data, recorded_mismatch)
     premise = recorded_error_spectra(model, data, recorded_mismatch)
     fresh = fresh_error_spectra(model, data, recorded_mismatch)
     facts = design_columns(design, model, balls, mismatch)
@@ -105,7 +105,7 @@ def measure_synthesis(
     facts |= faster_response_column(design, model, mismatch, data.validation, data.mismatch_records)
     if design.feasible:
         facts = withhold_coverage(facts, model, design.pair)
-    return withhold_predictions(facts, judgement.level) | second_opinion_columns(
+    return withhold_predictions(facts, judgement.level) | paper_feasibility_columns(
         design, model, balls
     )
 
