@@ -269,25 +269,10 @@ def _cost_gradient(
 
 @compile_with_numba
 @no_type_check
-def solve_saddle_point(
-    a,
-    b,
-    f,
-    input_to_neurons,
-    state_weight,
-    input_weight,
-    m,
-    r,
-    has_injection,
-    log_multipliers,
-    barrier_weight,
-):
-    """Saddle point of the game for given logarithms of the multipliers, with the guaranteed cost
-    and its gradient there."""
-    (q, n), inputs = f.shape, input_to_neurons.shape[1]
-    cost, own, s = _cost_matrices(
-        f, input_to_neurons, state_weight, input_weight, m, r, log_multipliers
-    )
+def solve_saddle_point(a, b, f, drive, state_weight, input_weight, m, r, injects, logs, barrier):
+    """Saddle point of the game for given log multipliers, with guaranteed cost and gradient."""
+    (q, n), inputs = f.shape, drive.shape[1]
+    cost, own, s = _cost_matrices(f, drive, state_weight, input_weight, m, r, logs)
     across = transpose(b)
     inverse = solve_linear(own, join_columns(s, across))
     first = inverse[:, :n].copy()
@@ -301,7 +286,7 @@ def solve_saddle_point(
     into = multiply(across, x)
     h = weighted_sum(own, multiply(into, b), 1.0)
     toward = weighted_sum(s, multiply(into, a), 1.0)
-    t = _constraint_matrix(h, m, inputs, has_injection)
+    t = _constraint_matrix(h, m, inputs, injects)
     room = multiply(transpose(t), multiply(h, t))
     for i in range(len(room)):  # the maximising players' curvature: positive, or no saddle exists
         for j in range(len(room)):
@@ -310,22 +295,15 @@ def solve_saddle_point(
     log_volume = 0.0
     for i in range(n):
         trace += x[i, i]
-    for i in range(len(log_multipliers)):
-        log_volume += log_multipliers[i] if i < q else m * log_multipliers[i]
-    goal = log(trace) - barrier_weight * (log_determinant(room) - log_volume)
+    for i in range(len(logs)):
+        log_volume += logs[i] if i < q else m * logs[i]
+    goal = log(trace) - barrier * (log_determinant(room) - log_volume)
     saddle = solve_linear(h, toward)
     for i in range(len(saddle)):
         for j in range(n):
             saddle[i, j] = -saddle[i, j]
     shadow = multiply(t, solve_linear(room, transpose(t)))  # T (T'(-H)T)^{-1} T'
-    source = weighted_sum(np.eye(n) / trace, multiply(multiply(b, shadow), across), barrier_weight)
+    source = weighted_sum(np.eye(n) / trace, multiply(multiply(b, shadow), across), barrier)
     reach = solve_lyapunov(weighted_sum(a, multiply(b, saddle), 1.0), source)
-    return (
-        goal,
-        _cost_gradient(
-            f, input_to_neurons, m, r, log_multipliers, barrier_weight, saddle, reach, shadow
-        ),
-        x,
-        h,
-        toward,
-    )
+    gradient = _cost_gradient(f, drive, m, r, logs, barrier, saddle, reach, shadow)
+    return goal, gradient, x, h, toward

@@ -266,10 +266,10 @@ def _interpolate_games(game: Game, slow_game: Game, fraction: float) -> Game:
     return replace(game, r=between)
 
 
-def theorem_matrices(game: Game, log_multipliers: Vector) -> Solution:
-    """Gain, metric and multipliers in the form of the theorem, from the saddle point of a game.
-    Raises `NoSolution` if the conditions do not hold there."""
-    saddle = evaluate_saddle_point(game, log_multipliers, 0.0)
+def theorem_matrices(game: Game, logs: Vector) -> Solution:
+    """Gain, metric and multipliers of the theorem, from the saddle point of a game. Raises
+    `NoSolution` if the conditions do not hold there."""
+    saddle = evaluate_saddle_point(game, logs, 0.0)
     problem = game.problem
     neurons = game.neurons
     if np.isinf(saddle.goal):
@@ -295,11 +295,9 @@ def theorem_matrices(game: Game, log_multipliers: Vector) -> Solution:
         k_w = np.zeros((m, q))
     matrix = np.linalg.inv(x)
     p = symmetric_part(matrix)
-    weights = np.exp(log_multipliers[:q])
+    weights = np.exp(logs[:q])
     beta = problem.ball.beta
-    sigma = (
-        float(np.exp(-log_multipliers[-1])) if beta > 0 else zero_radius_multiplier(problem, p, k)
-    )
+    sigma = float(np.exp(-logs[-1])) if beta > 0 else zero_radius_multiplier(problem, p, k)
     if neurons.observes:
         # From the state feedback of transposed data: the congruence that exchanges rows 1 and 4
         # divides one by r and multiplies the other, and the neurons' row, by it. So `Lambda = r^2
@@ -308,14 +306,7 @@ def theorem_matrices(game: Game, log_multipliers: Vector) -> Solution:
         weights = r2 / weights
         sigma = r2 * beta**2 * sigma if beta > 0 else sigma
     solution = Solution(
-        p=p,
-        y=p,
-        k=k,
-        k_w=k_w,
-        sigma=sigma,
-        multipliers=weights,
-        status="game",
-        logs=log_multipliers,
+        p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status="game", logs=logs
     )
     return solution.undo_neuron_scaling(problem.required_neurons)
 
