@@ -125,8 +125,8 @@ def warn_if_two_level(data: DataSet) -> str | None:
         if levels <= 2:
             sentence = (
                 f"excitation of {channel.name}: {levels} levels only, so the slopes of a "
-                "nonlinear S_u between them are not identifiable; train on a multilevel signal "
-                "(excitation=aprbs)."
+                "nonlinear S_u between them are not identifiable; train on many levels "
+                "(`ssm-study excite` for a log, excitation=aprbs for a simulated plant)."
             )
             warnings.warn(sentence, SlopesNotIdentifiable, stacklevel=2)
             return sentence

@@ -17,6 +17,10 @@ from ssm_study.models.warm_start import preceding_log
 from ssm_study.signals import Trajectory
 
 BY_INPUT = 0.5  # share of the output's power that must follow from the input
+UNPREDICTED = (
+    "Neither the input nor where each piece begins predicts the pieces that validate and test: "
+    "it moves by itself, or something else moves it there. Excite it more, if it can rest."
+)
 FORGOTTEN = 0.1  # share that a piece's own state may add to it: noise leaves both equally little
 
 
@@ -25,6 +29,8 @@ def judge_autonomous_motion(case: Case) -> list[Finding]:
     shares = predicted_power_shares(case)
     if shares is None or shares[1] >= BY_INPUT or shares[0] - shares[1] <= FORGOTTEN:
         return []
+    if shares[0] <= FORGOTTEN:
+        return [Finding(level="cannot judge", sentence=UNPREDICTED)]
     own, by_input = (f"{100 * max(share, 0.0):.0f} %" for share in shares)
     statement = (
         f"Of the output's power {own} follow from where each piece begins, {by_input} from the "

@@ -30,6 +30,9 @@ CHOICES: dict[str, str] = {
 }  # fmt: skip
 
 
+ZERO_BESIDE_BOUND = 1e-9  # share of the bound below which a number is printed as zero
+
+
 def choice_label(choice: object) -> str:
     """Printed name of a controller, test condition or plant, such as `paper's LMI` for
     `paper_lmi`."""
@@ -77,7 +80,10 @@ def prediction_text(margin: float | None, radius: float | None, noise: float | N
 
 
 def format_beside_bound(value: float, bound: float = 1.0) -> str:
-    """Text of a number with enough digits to show on which side of a bound the number lies."""
+    """Text of a number with enough digits to show on which side of a bound the number lies. Numbers
+    that are zero beside the bound are printed as such."""
+    if abs(value) < ZERO_BESIDE_BOUND * abs(bound):
+        return "0"
     for digits in range(3, 17):
         text = f"{value:.{digits}g}"
         rounded = float(text)

@@ -22,10 +22,11 @@ from ssm_study.training.candidates import (
     try_linear_model,
     try_structured_model,
 )
-from ssm_study.training.folds import FOLDS
+from ssm_study.training.folds import FOLDS, SHORTEST_FOLD
 
 STRUCTURED = "structured"
 PRODUCTS = "products of input and state"
+TOO_SHORT = f"as no record beside the test has {FOLDS * SHORTEST_FOLD} samples"
 LINEAR_KINDS = (LINEAR, REGRESSION)
 
 
@@ -48,11 +49,11 @@ class Choice:
 
     def describe(self, automatic: Sequence[str]) -> str:
         """Text on the settings that were chosen from the records, and from how many candidates."""
-        if not self.rows:
-            return ""
         settings = ", ".join(
             f"{setting_text(name)} {setting_text(getattr(self.spec, name))}" for name in automatic
         )
+        if not self.rows:
+            return f"nothing, {TOO_SHORT}; the defaults: {settings}" if settings else ""
         compared = f"of {len(self.rows)} models compared on {FOLDS} folds"
         predicts = f"; {PRODUCTS} predict" if self.predictor is not None else ""
         return f"{settings}: {compared}{predicts}"

@@ -135,6 +135,10 @@ def test_short_records_choose_nothing() -> None:
     structured_spec = StructuredSpec(order=5, neurons=5)
     expected = Choice(spec=structured_spec)
     assert choice == expected
+    message = choice.describe(["order", "neurons"])
+    assert message.startswith("nothing, as no record beside the test has 240 samples")
+    assert message.endswith("the defaults: order 5, neurons 5")
+    assert choice.describe([]) == ""
 
 
 def test_what_is_fixed_stays_fixed() -> None:

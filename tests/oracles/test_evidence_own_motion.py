@@ -157,3 +157,14 @@ def test_of_records_that_cannot_be_judged_no_coverage_is_claimed():
     assert withheld["coverage_needed"] is None
     assert withheld["coverage_reason"] == NO_JUDGEMENT
     assert withheld["predicted_stable"] is None
+
+
+def test_what_neither_run_predicts_may_be_moved_by_something_else(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Short pieces at rest: both runs miss more than there is."""
+    judged = case(drifting_phase(0.0), swinging(0.9995))
+    monkeypatch.setattr(own_motion, "predicted_power_shares", lambda _: (-0.2, -1.5))
+    (found,) = own_motion.judge_autonomous_motion(judged)
+    assert found.level == "cannot judge"
+    assert found.sentence.startswith("Neither the input nor where each piece begins predicts")
