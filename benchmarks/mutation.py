@@ -65,7 +65,8 @@ def theorems(*names: str) -> tuple[str, ...]:
     return modules_of("certificates/theorems", *names)
 
 
-REFUSES = "tests/refusals/test_synthesis_refuses.py"
+TAMPERED = "tests/refusals/test_synthesis_tampered.py"
+REFUSES = f"tests/refusals/test_synthesis_refuses.py {TAMPERED}"
 EXACT = "tests/oracles/test_synthesis_exact.py"
 BOUNDS = "tests/oracles/test_bounds_by_hand.py tests/oracles/test_bounds_slopes.py"
 BOUNDS += " tests/oracles/test_bounds_reduction.py"

@@ -55,6 +55,7 @@ WHOLE_RUNS = {
     "test_extensions",
     "test_log_to_device",
     "test_loop_within_limits",
+    "test_loop_within_limits_of_two_outputs",
     "test_overlay",
     "test_results_verify",
     "test_study_answers",
@@ -294,7 +295,7 @@ def smoke_study(shared_folder: Path) -> Path:
     results = shared_folder / "results"
     with FileLock(shared_folder / "smoke.lock"):
         runs_path = results / "smoke" / "runs.parquet"
-        if not (runs_path).exists():
+        if not runs_path.exists():
             with shapes_unchecked():
                 assert (
                     main(["run", "experiment=smoke", f"results_dir={results}", "progress=false"])

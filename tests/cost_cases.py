@@ -16,7 +16,10 @@ def cost_problem(rate: float = 0.1, ball: JacobianBall | None = None) -> Problem
     """Mixed stable modes, an output weight, and slopes from 0.4 to 1 unless others are given."""
     rng = np.random.default_rng(2)
     linear = random_model(rng, 4, "stable", mixed=True)
-    state_weight = linear.c.T @ linear.c + 1e-2 * np.eye(4)
+    output_weight = linear.c.T
+    identity = np.eye(4)
+    state_cost = 1e-2 * identity
+    state_weight = output_weight @ linear.c + state_cost
     ball = ball or JacobianBall.from_slopes(0.4, 1.0)
     return Problem(
         a=linear.a, b=linear.b, ball=ball, rate=rate, state_weight=state_weight, input_weight=0.5

@@ -34,14 +34,16 @@ class _Flow:
     def __init__(self, motor: DCMotor, modes: Modes, v_eff: float, load_nm: float) -> None:
         p = motor.constants
         f = np.zeros((5, 5))
-        current_row = np.array([-p.resistance, -p.k, 0.0, 0.0, v_eff])
+        coefficients = [-p.resistance, -p.k, 0.0, 0.0, v_eff]
+        current_row = np.array(coefficients)
         f[0] = current_row * p.per_inductance
         f[3, 1:3] = 1.0, -1.0
         self.modes = modes
         self.limit = p.coulomb
         difference = -p.damping - p.motor_viscous
         of_motor = [p.k, difference, p.damping, -p.stiffness, 0.0]
-        of_load = [0.0, p.damping, -p.damping - p.load_viscous, p.stiffness, -load_nm]
+        load_damping = -p.damping - p.load_viscous
+        of_load = [0.0, p.damping, load_damping, p.stiffness, -load_nm]
         self.torque = np.array([
             of_motor,
             of_load,
@@ -49,19 +51,26 @@ class _Flow:
         inertias = (motor.motor_inertia_kgm2, motor.load_inertia_kgm2)
         for body, inertia in enumerate(inertias):
             if modes[body] != 0:
-                f[1 + body] = self.torque[body] / inertia
-                f[1 + body, 4] -= modes[body] * p.coulomb / inertia
+                torque_row = self.torque[body]
+                f[1 + body] = torque_row / inertia
+                friction = modes[body] * p.coulomb / inertia
+                f[1 + body, 4] -= friction
         self.f = f
 
     def at(self, z: Float[np.ndarray, "5"], t: float) -> Float[np.ndarray, "5"]:
-        return expm(self.f * t) @ z
+        exponent = self.f * t
+        transition = expm(exponent)
+        return transition @ z
 
     def keeps(self, z: Float[np.ndarray, "5"], body: int) -> float:
         """Positive while the body stays in its mode: speed along its sign, or friction reserve
         while stuck."""
         if self.modes[body] != 0:
-            return float(self.modes[body] * z[1 + body])
-        difference = self.limit - abs(self.torque[body] @ z)
+            signed_speed = self.modes[body] * z[1 + body]
+            return float(signed_speed)
+        torque = self.torque[body]
+        size_of_torque = abs(torque @ z)
+        difference = self.limit - size_of_torque
         return float(difference)
 
 
@@ -76,12 +85,14 @@ def _end_within(flow: _Flow, z: Float[np.ndarray, "5"], body: int, span: float) 
     tolerance later."""
 
     def keeps(t: float) -> float:
-        return flow.keeps(flow.at(z, t), body)
+        state = flow.at(z, t)
+        return flow.keeps(state, body)
 
     earliest = 0.0 if keeps(0.0) > 0.0 else SWITCH_TIME_TOLERANCE_S
     if keeps(earliest) < 0.0:
         return earliest
-    return float(brentq(keeps, earliest, span, xtol=SWITCH_TIME_TOLERANCE_S, rtol=1e-14))
+    end = brentq(keeps, earliest, span, xtol=SWITCH_TIME_TOLERANCE_S, rtol=1e-14)
+    return float(end)
 
 
 def _first_end(
@@ -89,18 +100,20 @@ def _first_end(
 ) -> tuple[float, int] | None:
     """The first time within `span` at which a body leaves its mode, and which body; None if neither
     does."""
-    intervals = int(np.ceil(span / scan))
+    looks_needed = np.ceil(span / scan)
+    intervals = int(looks_needed)
     looks = max(1, intervals)
-    transition = expm(flow.f * (span / looks))
+    generator = flow.f * (span / looks)
+    transition = expm(generator)
     before = z
     for look in range(looks):
         after = transition @ before
         bodies = (0, 1)
-        ends = [
-            (_end_within(flow, before, body, span / looks), body)
-            for body in bodies
-            if flow.keeps(after, body) < 0.0
-        ]
+        ends = []
+        for body in bodies:
+            if flow.keeps(after, body) < 0.0:
+                end = _end_within(flow, before, body, span / looks)
+                ends.append((end, body))
         if ends:
             t, body = min(ends)
             return look * span / looks + t, body
@@ -115,22 +128,31 @@ def _period(
     limit = motor.constants.coulomb
     t = 0.0
     ends: list[float] = []
-    torque = _Flow(motor, (0, 0), v, load).torque
-    modes = [_mode(z[1 + b], float(torque[b] @ z), limit) for b in (0, 1)]
+    stuck = (0, 0)
+    stuck_flow = _Flow(motor, stuck, v, load)
+    torque = stuck_flow.torque
+    modes = []
+    for body in (0, 1):
+        speed = z[1 + body]
+        torque_of_body = float(torque[body] @ z)
+        modes.append(_mode(speed, torque_of_body, limit))
     while True:
-        flow = _Flow(motor, (modes[0], modes[1]), v, load)
+        both_modes = (modes[0], modes[1])
+        flow = _Flow(motor, both_modes, v, load)
         span = motor.step_s - t
         scan = motor.step_s / SCANS_PER_STEP
         end = _first_end(flow, z, span, scan)
         if end is None:
             difference = motor.step_s - t
-            return flow.at(z, difference), ends
+            last_state = flow.at(z, difference)
+            return last_state, ends
         after, body = end
         z = flow.at(z, after)
         t = t + after
         z[1 + body] = 0.0
         torque_of_body = float(torque[body] @ z)
-        friction = limit if modes[body] != 0 else 0.0
+        slips = modes[body] != 0
+        friction = limit if slips else 0.0
         modes[body] = _mode(0.0, torque_of_body, friction)
         ends.append(t)
 
@@ -144,14 +166,21 @@ def simulate_exactly(
     """`x[k]` for `k = 0 .. T` under voltage `u` and load torque `d`, switch times to 1e-10 s."""
     load = np.zeros_like(u) if d is None else d
     dead_zone = motor.constants.dead_zone
-    difference = np.abs(u[:, 0]) - dead_zone
-    v_eff = np.sign(u[:, 0]) * np.maximum(difference, 0.0)
+    voltage = u[:, 0]
+    size_of_voltage = np.abs(voltage)
+    difference = size_of_voltage - dead_zone
+    effective = np.maximum(difference, 0.0)
+    v_eff = np.sign(voltage) * effective
     z = np.append(x0, 1.0)
     states = [x0]
     times = []
     for k, v in enumerate(v_eff):
-        z, ends = _period(motor, z, float(v), float(load[k, 0]))
-        states.append(z[:4].copy())
+        load_now = load[k, 0]
+        load_torque = float(load_now)
+        z, ends = _period(motor, z, float(v), load_torque)
+        state = z[:4]
+        states.append(state.copy())
         times += [k * motor.step_s + t for t in ends]
     switch_times_s = np.array(times)
-    return ExactRun(x=np.array(states), switch_times_s=switch_times_s)
+    states_at_samples = np.array(states)
+    return ExactRun(x=states_at_samples, switch_times_s=switch_times_s)

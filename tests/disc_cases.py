@@ -11,7 +11,8 @@ ONE = np.ones((1, 1))
 
 
 def first_order(gain: float, pole: float, direct: float) -> np.ndarray:
-    return np.array([[pole, 1.0], [gain, direct]])
+    rows = [[pole, 1.0], [gain, direct]]
+    return np.array(rows)
 
 
 OUTPUT_WEIGHT = first_order(0.2, 0.7, 0.4)
@@ -37,13 +38,20 @@ def on_the_plant(
         m = alpha_out * (system.c @ x + system.d @ drive)
         entering = np.concatenate([m, u])
         e = mismatch.c @ delta + mismatch.d @ entering
-        predicted_output = system.c @ xh + system.d @ drive
+        state_part = system.c @ xh
+        direct_part = system.d @ drive
+        predicted_output = state_part + direct_part
         difference = alpha_out * predicted_output - m
         injected = difference - e
-        x = system.a @ x + system.b @ drive
+        free_motion = system.a @ x
+        driven_motion = system.b @ drive
+        x = free_motion + driven_motion
         correction = gains["l"] @ injected
-        xh = system.a @ xh + system.b @ drive + correction
-        delta = mismatch.a @ delta + mismatch.b @ entering
+        predicted_free = system.a @ xh
+        xh = predicted_free + driven_motion + correction
+        mismatch_free = mismatch.a @ delta
+        mismatch_driven = mismatch.b @ entering
+        delta = mismatch_free + mismatch_driven
         inputs[k] = u[0]
     return inputs
 
@@ -56,25 +64,39 @@ def at_the_edge(kappa: float, centre: float, rng: np.random.Generator) -> StateS
     parts = []
     for i in range(3):
         pole = rng.uniform(-0.95, 0.95)
-        sign = rng.choice([-1.0, 1.0])
-        gain = np.array([[1 - pole**2]])
-        all_pass = (np.array([[pole]]), gain, np.array([[1.0]]), -pole * ONE)
-        parts.append((all_pass, sign * share[i]))
-    floor = weight_system(np.eye(0), WEIGHTS.floor)
+        signs = [-1.0, 1.0]
+        sign = rng.choice(signs)
+        input_gain = 1 - pole**2
+        rows_of_gain = [[input_gain]]
+        gain = np.array(rows_of_gain)
+        pole_matrix = np.array([[pole]])
+        unit = np.array([[1.0]])
+        all_pass = (pole_matrix, gain, unit, -pole * ONE)
+        signed_share = sign * share[i]
+        parts.append((all_pass, signed_share))
+    no_weight = np.eye(0)
+    floor = weight_system(no_weight, WEIGHTS.floor)
     of_output = weight_system(WEIGHTS.output, 1.0)
     of_input = weight_system(WEIGHTS.input, 1.0)
     filters = [floor, of_output, of_input]
     blocks = []
-    for (all_pass, size), weight, column in zip(parts, filters, (0, 0, 1), strict=True):
+    columns = (0, 0, 1)
+    for (all_pass, size), weight, column in zip(parts, filters, columns, strict=True):
         into = np.zeros((1, 2))
         into[0, column] = 1.0
-        blocks.append(weight_then_all_pass(weight, all_pass, into, kappa * size))
-    centre_gain = np.array([[centre, 0.0]])
-    direct = sum(block.d for block in blocks) + centre_gain
+        block_of_disc = weight_then_all_pass(weight, all_pass, into, kappa * size)
+        blocks.append(block_of_disc)
+    row = [[centre, 0.0]]
+    centre_gain = np.array(row)
+    direct_of_blocks = sum(block.d for block in blocks)
+    direct = direct_of_blocks + centre_gain
     states = [block.a for block in blocks]
     inputs = [block.b for block in blocks]
     outputs = [block.c for block in blocks]
-    return StateSpace(a=block_diag(*states), b=np.vstack(inputs), c=np.hstack(outputs), d=direct)
+    a = block_diag(*states)
+    b = np.vstack(inputs)
+    c = np.hstack(outputs)
+    return StateSpace(a=a, b=b, c=c, d=direct)
 
 
 def weight_system(weight: np.ndarray, gain: float) -> StateSpace:
@@ -98,9 +120,19 @@ def weight_then_all_pass(
 ) -> StateSpace:
     """Series of a filter and an all-pass times `size`, driven by the signal that `into` picks."""
     aa, ab, ac, ad = all_pass
-    no_coupling = np.zeros((len(weight.a), 1))
-    a = np.block([[weight.a, no_coupling], [ab @ weight.c, aa]])
-    b = np.vstack([weight.b, ab @ weight.d]) @ into
-    c = size * np.hstack([ad @ weight.c, ac])
-    d = size * ad @ weight.d @ into
+    states = len(weight.a)
+    no_coupling = np.zeros((states, 1))
+    weight_row = [weight.a, no_coupling]
+    driven_by_weight = ab @ weight.c
+    all_pass_row = [driven_by_weight, aa]
+    a = np.block([weight_row, all_pass_row])
+    through_weight = ab @ weight.d
+    rows_of_b = [weight.b, through_weight]
+    driven = np.vstack(rows_of_b)
+    b = driven @ into
+    seen_weight = ad @ weight.c
+    columns_of_c = [seen_weight, ac]
+    c = size * np.hstack(columns_of_c)
+    direct = size * ad @ weight.d
+    d = direct @ into
     return StateSpace(a=a, b=b, c=c, d=d)

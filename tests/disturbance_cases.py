@@ -22,15 +22,20 @@ SAMPLES = 900
 def motor_log(folder: Path) -> Path:
     """A motor with a dead zone under a voltage and a load torque that change on their own."""
     rng = np.random.default_rng(0)
-    voltage = rng.uniform(-3, 3, SAMPLES // 10).repeat(10)
-    torque = rng.uniform(0, 2, SAMPLES // 25).repeat(25)
+    voltages = rng.uniform(-3, 3, SAMPLES // 10)
+    voltage = voltages.repeat(10)
+    torques = rng.uniform(0, 2, SAMPLES // 25)
+    torque = torques.repeat(25)
     speed = np.zeros(SAMPLES + 1)
     for k in range(SAMPLES):
-        largest = max(abs(voltage[k]) - 0.4, 0.0)
-        inside = np.sign(voltage[k]) * largest
-        speed[k + 1] = 0.85 * speed[k] + 0.4 * inside - 0.5 * torque[k]
+        beyond_the_zone = max(abs(voltage[k]) - 0.4, 0.0)
+        inside = np.sign(voltage[k]) * beyond_the_zone
+        driven = 0.85 * speed[k] + 0.4 * inside
+        load = 0.5 * torque[k]
+        speed[k + 1] = driven - load
     noise = 0.01 * rng.standard_normal(SAMPLES)
-    columns = {"voltage": voltage, "torque": torque, "speed": speed[:-1] + noise}
+    noisy_speed = speed[:-1] + noise
+    columns = {"voltage": voltage, "torque": torque, "speed": noisy_speed}
     path = folder / "motor.csv"
     table = pd.DataFrame(columns)
     table.to_csv(path, index=False)
@@ -39,24 +44,28 @@ def motor_log(folder: Path) -> Path:
 
 def recorded(folder: Path, **fields: object) -> RecordedData:
     """The log as the command reads it."""
-    told = {"input": "voltage", "output": "speed", "step_s": STEP_S, "start_up_samples": 10}
+    settings = {"input": "voltage", "output": "speed", "step_s": STEP_S, "start_up_samples": 10}
     path = str(motor_log(folder))
-    return RecordedData(path=path, **told | fields)  # type: ignore[arg-type]
+    return RecordedData(path=path, **settings | fields)  # type: ignore[arg-type]
 
 
 def random_model(seed: int, neurons: bool, kind: str = "tanh") -> SSM | StructuredSSM:
     """One input through a bent map, one output, two measured disturbances."""
     rng = np.random.default_rng(seed)
     system = drawn(seed, radius=0.8)
-    breakpoints = np.array([[-0.5, 0.7]])
-    slopes = np.array([[0.5, 1.0, 0.5]])
+    row_of_breakpoints = [[-0.5, 0.7]]
+    breakpoints = np.array(row_of_breakpoints)
+    row_of_slopes = [[0.5, 1.0, 0.5]]
+    slopes = np.array(row_of_slopes)
     bent = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
     input_scale = np.array([2.0])
     output_scale = np.array([0.5])
     input_equilibrium = np.array([1.0])
     output_equilibrium = np.array([3.0])
-    disturbance_scale = np.array([0.3, 4.0])
-    disturbance_equilibrium = np.array([20.0, -1.0])
+    scales = [0.3, 4.0]
+    disturbance_scale = np.array(scales)
+    equilibria = [20.0, -1.0]
+    disturbance_equilibrium = np.array(equilibria)
     scale = Scale(
         input_scale=input_scale,
         output_scale=output_scale,
@@ -67,7 +76,7 @@ def random_model(seed: int, neurons: bool, kind: str = "tanh") -> SSM | Structur
     )
     scaffold_out = LinearScaffold.identity(1)
     b_d = rng.normal(size=(system.order, 2))
-    shared = {
+    common_parts = {
         "scaffold_in": bent,
         "scaffold_out": scaffold_out,
         "scale": scale,
@@ -77,9 +86,11 @@ def random_model(seed: int, neurons: bool, kind: str = "tanh") -> SSM | Structur
     if neurons:
         bias = rng.normal(size=system.neurons)
         structured_ssm_neurons = (kind, kind)
-        return StructuredSSM(**vars(system), bias=bias, neurons=structured_ssm_neurons, **shared)
+        return StructuredSSM(
+            **vars(system), bias=bias, neurons=structured_ssm_neurons, **common_parts
+        )
     linear = StateSpace(a=system.a, b=system.b, c=system.c, d=system.d)
-    return SSM(linear=linear, **shared)
+    return SSM(linear=linear, **common_parts)
 
 
 def far_disturbance(model: SSM | StructuredSSM, samples: int, seed: int = 1) -> np.ndarray:
@@ -87,7 +98,9 @@ def far_disturbance(model: SSM | StructuredSSM, samples: int, seed: int = 1) -> 
     scale = model.scale
     rng = np.random.default_rng(seed)
     levels = rng.uniform(-5, 5, (samples // 5, scale.disturbances))
-    return scale.disturbance_equilibrium + scale.disturbance_scale * levels.repeat(5, axis=0)
+    held_levels = levels.repeat(5, axis=0)
+    deviation = scale.disturbance_scale * held_levels
+    return scale.disturbance_equilibrium + deviation
 
 
 def differences_of_loops(
@@ -95,8 +108,10 @@ def differences_of_loops(
 ) -> np.ndarray:
     """State and estimate of two loops, one minus the other, sample by sample."""
     rng = np.random.default_rng(4)
-    k = -0.1 * rng.normal(size=(1, model.order))
-    l_ = -0.1 * rng.normal(size=(model.order, 1))
+    row = rng.normal(size=(1, model.order))
+    k = -0.1 * row
+    column = rng.normal(size=(model.order, 1))
+    l_ = -0.1 * column
     neurons = isinstance(model, StructuredSSM)
     gains = gains or Gains(k=k, l=l_, l_z=np.zeros((2, 1)) if neurons else None)
     law = ObserverFeedback(model=model, gains=gains)
@@ -109,12 +124,16 @@ def differences_of_loops(
     rows = []
     for sample in range(samples):
         difference = x[0] - x[1]
-        rows.append(np.concatenate([difference, memory[0] - memory[1]]))
-        y = model.output_at(x, np.zeros((2, 1)))
+        difference_of_memory = memory[0] - memory[1]
+        both = [difference, difference_of_memory]
+        rows.append(np.concatenate(both))
+        no_input = np.zeros((2, 1))
+        y = model.output_at(x, no_input)
         u = law.input(memory, y, target)
         load = () if d is None else (d[sample],)
         memory = law.advance(memory, u, y, target, *load)
-        x = model.advance(x, model.map_input(u)) + (
-            0.0 if d is None else model.disturbance_contribution(d[sample])
-        )
+        mapped_input = model.map_input(u)
+        x = model.advance(x, mapped_input)
+        if d is not None:
+            x = x + model.disturbance_contribution(d[sample])
     return np.array(rows)

@@ -14,10 +14,12 @@ from rich.console import Console
 from ssm_study.report.outcome import print_outcome
 from ssm_study.report.run_facts import RunFacts
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
+REPOSITORY = Path(__file__).resolve().parents[1]
+DOCS = REPOSITORY / "docs"
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 NEAR = 0.1  # share by which a number may differ on another processor
-TEXT_BLOCK = re.compile(r"^```text\n(.*?)^```", re.M | re.S)
+FLAGS = re.M | re.S
+TEXT_BLOCK = re.compile(r"^```text\n(.*?)^```", FLAGS)
 
 
 def printed_outcome(record: Mapping[str, Any], facts: RunFacts) -> str:
@@ -46,24 +48,34 @@ def assert_outcome_holds(on_page: str, printed: str) -> None:
 
     Words agree exactly; a number may differ by `NEAR` of itself.
     """
-    text = " ".join(on_page.split())
+    page_words = on_page.split()
+    text = " ".join(page_words)
     words = NUMBER.sub("#", text)
-    begun = " ".join(printed.split())
-    place = NUMBER.sub("#", begun).find(words)
+    printed_words = printed.split()
+    begun = " ".join(printed_words)
+    printed_pattern = NUMBER.sub("#", begun)
+    place = printed_pattern.find(words)
     assert place >= 0, f"the program prints other words:\n{printed}"
-    skipped = NUMBER.sub("#", begun)[:place].count("#")
+    skipped_words = printed_pattern[:place]
+    skipped = skipped_words.count("#")
     numbers = NUMBER.findall(on_page)
     stated = [float(number) for number in numbers]
     numbers = NUMBER.findall(printed)
-    actual = [float(number) for number in numbers][skipped:]
-    for number, other in zip(stated, actual, strict=False):
-        assert number == pytest.approx(other, rel=NEAR), f"{number} on the page, {other} printed"
+    all_printed = [float(number) for number in numbers]
+    actual = all_printed[skipped:]
+    pairs = zip(stated, actual, strict=False)
+    for number, other in pairs:
+        near = pytest.approx(other, rel=NEAR)
+        assert number == near, f"{number} on the page, {other} printed"
 
 
 def table_on_page(page: str, column: str) -> pd.DataFrame:
     """The table of runs on a page whose headings name this column, between two spaces or more."""
     blocks = [block for block in text_blocks(page) if block.startswith("run  ")]
-    (block,) = [block for block in blocks if f"  {column}  " in block.partition("\n")[0]]
-    lines = block.partition("\n\n")[0].splitlines()
+    headings = {block: block.partition("\n")[0] for block in blocks}
+    (block,) = [block for block in blocks if f"  {column}  " in headings[block]]
+    parts_of_block = block.partition("\n\n")
+    first_part = parts_of_block[0]
+    lines = first_part.splitlines()
     heads, *rows = [re.split(r"\s{2,}", line.strip()) for line in lines]
     return pd.DataFrame(rows, columns=heads)

@@ -34,10 +34,12 @@ def compute(folder: Path, *_: float, **asked: Any) -> None:
     ledger = folder.parents[2] / "ledger"
     with ledger.open("a") as stream:
         stream.write(f"{folder.parent.name} {asked}\n")
-    seconds = float(os.environ.get("WORK_S", "0"))
+    work_s = os.environ.get("WORK_S", "0")
+    seconds = float(work_s)
     time.sleep(seconds)
     number = 10.0 * asked["seed"]
-    text = json.dumps({"number": number})
+    content = {"number": number}
+    text = json.dumps(content)
     (folder / "number.json").write_text(text)
 
 
@@ -66,7 +68,8 @@ class Badly(Task[Settings]):
         BEHAVIOUR[request.do](run)
         number = run.facts["number"]
         model_path = run.path / "model.json"
-        text = json.dumps({"number": number})
+        content = {"number": number}
+        text = json.dumps(content)
         model_path.write_text(text)
         fit_test_percent = number + request.rate
         return {
@@ -76,7 +79,9 @@ class Badly(Task[Settings]):
         }
 
     def preload_modules(self, stages_to_compute: Set[str]) -> None:  # noqa: ARG002
-        for module in filter(None, os.environ.get("WARM", "").split()):
+        warm_modules = os.environ.get("WARM", "")
+        modules = filter(None, warm_modules.split())
+        for module in modules:
             importlib.import_module(module)
 
 
@@ -110,7 +115,8 @@ def _segfault(_: Run) -> None:
 
 def _exhaust(_: Run) -> None:
     """The system refuses more memory: Python raises MemoryError."""
-    resource.setrlimit(resource.RLIMIT_AS, (1 << 33, 1 << 33))
+    limits = (1 << 33, 1 << 33)
+    resource.setrlimit(resource.RLIMIT_AS, limits)
     bytearray(1 << 34)
 
 
@@ -118,23 +124,24 @@ def _devour(_: Run) -> None:
     """The system grants more memory than there is, and kills when it is used."""
     taken = []
     while True:
-        taken.append(b"x" * (1 << 24))
+        chunk = b"x" * (1 << 24)
+        taken.append(chunk)
 
 
 def _infeasible(run: Run) -> None:
     run.add_columns(status="infeasible", infeasible_reason="the rate is below the limit")
 
 
-BEHAVIOUR = {
-    "work": lambda _: None,
-    "threads": lambda _: None,
-    "raise": _raise,
-    "exit": lambda _: sys.exit(3),
-    "os_exit": lambda _: os._exit(4),
+HARMLESS = {"work": lambda _: None, "threads": lambda _: None}
+EXITS = {"exit": lambda _: sys.exit(3), "os_exit": lambda _: os._exit(4)}
+SIGNALS = {
     "kill": lambda _: os.kill(os.getpid(), 9),
     "terminate": lambda _: os.kill(os.getpid(), 15),
     "realtime": lambda _: os.kill(os.getpid(), 35),
     "interrupt": lambda _: os.kill(os.getpid(), 2),
+}
+BAD_JOBS = {
+    "raise": _raise,
     "segfault": _segfault,
     "memory": _exhaust,
     "devour": _devour,
@@ -142,6 +149,7 @@ BEHAVIOUR = {
     "wait": _wait,
     "infeasible": _infeasible,
 }
+BEHAVIOUR = {**HARMLESS, **EXITS, **SIGNALS, **BAD_JOBS}
 
 if __name__ == "__main__":
     main(Badly(), SETTINGS)

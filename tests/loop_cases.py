@@ -34,25 +34,31 @@ def flat(by_frequency: np.ndarray, gain: float) -> Mismatch:
 
 @cache
 def motor() -> DCMotor:
-    conf_path = Path(__file__).parents[1] / "conf"
-    plant_path = conf_path / "plant"
-    dc_motor_path = plant_path / "dc_motor.yaml"
+    repository = Path(__file__).parents[1]
+    dc_motor_path = repository / "conf" / "plant" / "dc_motor.yaml"
     text = dc_motor_path.read_text()
     values = yaml.safe_load(text)
-    return DCMotor(**{name: value for name, value in values.items() if name != "_target_"})
+    settings = values.items()
+    parameters = {name: value for name, value in settings if name != "_target_"}
+    return DCMotor(**parameters)
 
 
 @cache
 def motor_model() -> SSM:
     """Second order, dead-zone and friction as one flat piece of S_u; least squares on
     `motor_record`, 84 % fit."""
-    a = np.array([[0.973, 0.1], [0.0, -0.495]])
-    b = np.array([[0.04], [0.44]])
-    c = np.array([[1.0, 0.0]])
+    rows_of_a = [[0.973, 0.1], [0.0, -0.495]]
+    a = np.array(rows_of_a)
+    column_of_b = [[0.04], [0.44]]
+    b = np.array(column_of_b)
+    row_of_c = [1.0, 0.0]
+    c = np.array([row_of_c])
     d = np.zeros((1, 1))
     linear = StateSpace(a=a, b=b, c=c, d=d)
-    breakpoints = np.array([[-0.39, 0.39]])
-    slopes = np.array([[1.0, 0.12, 1.0]])
+    row_of_breakpoints = [-0.39, 0.39]
+    breakpoints = np.array([row_of_breakpoints])
+    row_of_slopes = [1.0, 0.12, 1.0]
+    slopes = np.array([row_of_slopes])
     scaffold_in = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
     gain = np.eye(1)
     scaffold_out = LinearScaffold(gain=gain)
@@ -76,11 +82,16 @@ def motor_record() -> Trajectory:
     """Levels held for 2 to 30 samples, noise of variance 0.02: a validation record as the study
     draws them."""
     rng = np.random.default_rng(3)
-    u = np.repeat(rng.uniform(-3, 3, 120), rng.integers(2, 30, 120))[:800, None]
+    levels = rng.uniform(-3, 3, 120)
+    holds = rng.integers(2, 30, 120)
+    held_levels = np.repeat(levels, holds)
+    u = held_levels[:800, None]
     response = motor().simulate(u[None])
     y = response[1][0]
     white_noise = rng.standard_normal(y.shape)
-    return Trajectory(u=u, y=y + np.sqrt(0.02) * white_noise, step_s=0.01)
+    standard_deviation = np.sqrt(0.02)
+    noise = standard_deviation * white_noise
+    return Trajectory(u=u, y=y + noise, step_s=0.01)
 
 
 @cache
@@ -100,8 +111,11 @@ def random_model(seed: int, *, inputs: int = 1, outputs: int = 1, order: int = 4
     a = rng.standard_normal((order, order))
     eigenvalues = np.linalg.eigvals(a)
     spectral_radius = np.abs(eigenvalues).max()
-    a *= rng.uniform(0.5, 0.97) / spectral_radius
-    breakpoints = np.sort(rng.uniform(-1, 1, (inputs, 3)), axis=1)
+    drawn_radius = rng.uniform(0.5, 0.97)
+    factor = drawn_radius / spectral_radius
+    a *= factor
+    drawn_points = rng.uniform(-1, 1, (inputs, 3))
+    breakpoints = np.sort(drawn_points, axis=1)
     b = rng.standard_normal((order, inputs))
     c = rng.standard_normal((outputs, order))
     d = np.zeros((outputs, inputs))

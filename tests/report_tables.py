@@ -48,28 +48,38 @@ def empty() -> pd.DataFrame:
 
 def _row(k: int, rng: np.random.Generator) -> dict[str, Any]:
     """One run: every seventeenth failed, infeasible where the rate lies beyond the limit."""
-    slope = float(rng.choice([0.01, 0.05, 0.2, 0.5]))
-    rate = float(rng.choice([0.02, 0.05, 0.1, 0.2, 0.3, 0.4]))
+    slopes = [0.01, 0.05, 0.2, 0.5]
+    slope = float(rng.choice(slopes))
+    rates = [0.02, 0.05, 0.1, 0.2, 0.3, 0.4]
+    rate = float(rng.choice(rates))
     smallest_ratio = 0.97 * (1 - slope) / (1 + slope)
-    limit = float(1 - smallest_ratio**2) * rng.uniform(0.9, 1.1)
-    order = 4 + 4 * (k % 3)
-    hidden_width = int(rng.choice([8, 16, 32]))
-    synthesis_method = str(rng.choice(["lmi", "riccati", "closed_form"]))
-    known = {
-        "study": "sweep", "run": f"order{4 + 4 * (k % 3)}_{k:04d}", "seed": k % 5,
-        "order": order,
-        "hidden_width": hidden_width, "slope_lower": slope, "slope_upper": 1.0,
-        "scaffold_in": "mlp",
-        "excitation": "aprbs", "rate_controller": rate, "rate_observer": 0.2,
-        "synthesis_method": synthesis_method,
-    }  # fmt: skip
+    largest_rate = 1 - smallest_ratio**2
+    limit = float(largest_rate) * rng.uniform(0.9, 1.1)
+    growth = 4 * (k % 3)
+    order = 4 + growth
+    widths = [8, 16, 32]
+    hidden_width = int(rng.choice(widths))
+    methods = ["lmi", "riccati", "closed_form"]
+    synthesis_method = str(rng.choice(methods))
+    row: dict[str, Any] = {"study": "sweep", "seed": k % 5}
+    row["run"] = f"order{4 + 4 * (k % 3)}_{k:04d}"
+    row["order"] = order
+    row["hidden_width"] = hidden_width
+    row["slope_lower"] = slope
+    row["slope_upper"] = 1.0
+    row["scaffold_in"] = "mlp"
+    row["excitation"] = "aprbs"
+    row["rate_controller"] = rate
+    row["rate_observer"] = 0.2
+    row["synthesis_method"] = synthesis_method
     if k % 17 == 11:
-        return {**known, "status": "failed"}
+        return {**row, "status": "failed"}
     fit = float(rng.uniform(70, 92))
     model = _model_columns(fit, slope, rate, limit)
     if rate >= limit:
-        return {**known, **model, "status": "infeasible"}
-    return {**known, **model, **_loop_columns(fit, rate, rng), "status": "ok"}
+        return {**row, **model, "status": "infeasible"}
+    loop_columns = _loop_columns(fit, rate, rng)
+    return {**row, **model, **loop_columns, "status": "ok"}
 
 
 def _model_columns(fit: float, slope: float, rate: float, limit: float) -> dict[str, Any]:
@@ -87,10 +97,14 @@ def _model_columns(fit: float, slope: float, rate: float, limit: float) -> dict[
 
 
 def _loop_columns(fit: float, rate: float, rng: np.random.Generator) -> dict[str, Any]:
-    difference = 14 - 20 * rate - (92 - fit) / 5
+    undisturbed = 14 - 20 * rate
+    penalty = (92 - fit) / 5
+    difference = undisturbed - penalty
     drawn_count = rng.normal(difference, 1.5)
-    stable = int(np.clip(drawn_count, 0, 10))
-    time_s = 0.19 * (1 - rate) + 0.01 * rng.uniform()
+    clipped = np.clip(drawn_count, 0, 10)
+    stable = int(clipped)
+    drawn_time = rng.uniform()
+    time_s = 0.19 * (1 - rate) + 0.01 * drawn_time
     controller_gain_norm = 10 ** (3 * rate)
     settling_time_mean_s = time_s if stable else None
     settling_time_worst_s = 1.4 * time_s if stable else None
@@ -117,8 +131,13 @@ def _loop_columns(fit: float, rate: float, rng: np.random.Generator) -> dict[str
 def write_study(folder: Path, frame: pd.DataFrame) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     frame.to_parquet(folder / "runs.parquet")
-    for row in frame.astype(object).where(frame.notna(), None).to_dict("records"):
-        run = folder / str(row["run"])
+    objects = frame.astype(object)
+    is_present = frame.notna()
+    filled = objects.where(is_present, None)
+    rows = filled.to_dict("records")
+    for row in rows:
+        run_name = str(row["run"])
+        run = folder / run_name
         run.mkdir(exist_ok=True)
         record = {str(name): value for name, value in row.items()}
         write_record(run, record, durable=False)

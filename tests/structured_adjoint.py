@@ -55,12 +55,15 @@ def _simulate(k, v, still, x, w, slope, z):
         for i in range(q):
             if k.kinds[i] == 0:  # tanh by one exponential: four times as fast, to 4e-16
                 for r in range(AT_ONCE):
-                    value = 1.0 - 2.0 / (exp(2.0 * z[i, r]) + 1.0)
+                    activation = z[i, r]
+                    growth = exp(2.0 * activation)
+                    value = 1.0 - 2.0 / (growth + 1.0)
                     w[t, i, r] = value - still[i]
                     slope[t, i, r] = 1.0 - value * value
                 continue
             for r in range(AT_ONCE):
-                value, slope[t, i, r] = activation_and_slope(k.kinds[i], z[i, r])
+                kind = k.kinds[i]
+                value, slope[t, i, r] = activation_and_slope(kind, z[i, r])
                 w[t, i, r] = value - still[i]
         x[t + 1] = 0.0
         _add(k.a, x[t], x[t + 1])
@@ -88,11 +91,14 @@ def _accumulate(k, v, rest, x, w, slope, g, sums):
     """Backwards over one block of records, the derivatives added to `sums`."""
     da, de, df, db, dg, dbias, dc, dd, dh = sums
     n, q = k.e.shape
-    dw = np.empty((q, AT_ONCE))
-    dz = np.empty((q, AT_ONCE))
-    ahead = np.zeros((n, AT_ONCE))
-    here = np.empty((n, AT_ONCE))
-    for t in range(v.shape[0] - 1, -1, -1):
+    shape_of_neurons = (q, AT_ONCE)
+    dw = np.empty(shape_of_neurons)
+    dz = np.empty(shape_of_neurons)
+    shape_of_states = (n, AT_ONCE)
+    ahead = np.zeros(shape_of_states)
+    here = np.empty(shape_of_states)
+    last = v.shape[0] - 1
+    for t in range(last, -1, -1):
         dw[:] = 0.0
         here[:] = 0.0
         _add(k.e.T, ahead, dw)
@@ -130,15 +136,17 @@ def _derivatives(k, v, x0, y, weight):
     de = np.zeros((n, q, AT_ONCE))
     df = np.zeros((q, n, AT_ONCE))
     dg = np.zeros((q, m, AT_ONCE))
-    dbias = np.zeros((q, AT_ONCE))
+    shape_of_bias = (q, AT_ONCE)
+    dbias = np.zeros(shape_of_bias)
     dc = np.zeros((p, n, AT_ONCE))
     dd = np.zeros((p, m, AT_ONCE))
     dh = np.zeros((p, q, AT_ONCE))
     x = np.empty((samples + 1, n, AT_ONCE))
     g = np.empty((samples, p, AT_ONCE))
-    w = np.empty((samples, q, AT_ONCE))
-    slope = np.empty((samples, q, AT_ONCE))
-    z = np.empty((q, AT_ONCE))
+    shape_of_w = (samples, q, AT_ONCE)
+    w = np.empty(shape_of_w)
+    slope = np.empty(shape_of_w)
+    z = np.empty(shape_of_bias)
     still = np.empty(q)
     rest = np.empty(q)
     for i in range(q):
@@ -157,12 +165,18 @@ def gradient(one, theta, derivatives=_derivatives):  # type: ignore[no-untyped-d
     integrator."""
 
     def blocks(side):  # type: ignore[no-untyped-def]
-        empty = np.zeros((-len(side) % AT_ONCE, *side.shape[1:]))  # records of no weight
+        missing = -len(side) % AT_ONCE
+        empty = np.zeros((missing, *side.shape[1:]))  # records of no weight
         side = np.concatenate([side, empty])
-        return np.ascontiguousarray(np.moveaxis(side.reshape(-1, AT_ONCE, *side.shape[1:]), 1, -1))
+        grouped = side.reshape(-1, AT_ONCE, *side.shape[1:])
+        records_last = np.moveaxis(grouped, 1, -1)
+        return np.ascontiguousarray(records_last)
 
     u, y, weight = map(blocks, one.records)
-    parts = derivatives(one.matrices(theta), u, blocks(one.initial_conditions(theta)[0]), y, weight)
+    matrices = one.matrices(theta)
+    initial_conditions = one.initial_conditions(theta)
+    first_states = blocks(initial_conditions[0])
+    parts = derivatives(matrices, u, first_states, y, weight)
     names = ("a", "e", "f", "b", "g", "bias", "c", "d", "h")
     return {name: part.sum(axis=-1) for name, part in zip(names, parts, strict=True)}
 

@@ -31,19 +31,22 @@ def drawn(
     c = rng.normal(size=(1, n))
     d = np.zeros((1, m))
     directions = rng.normal(size=(n, q))
-    e = size * directions / np.sqrt(n)
-    f = size * rng.normal(size=(q, n))
-    g = 0.3 * rng.normal(size=(q, m))
-    feedthrough = h * rng.normal(size=(1, q))
-    return StructuredSystem(
-        a=a * radius / spectral_radius, b=b, c=c, d=d, e=e, f=f, g=g, h=feedthrough
-    )
+    root = np.sqrt(n)
+    e = size * directions / root
+    rows = rng.normal(size=(q, n))
+    f = size * rows
+    input_rows = rng.normal(size=(q, m))
+    g = 0.3 * input_rows
+    output_row = rng.normal(size=(1, q))
+    feedthrough = h * output_row
+    scaled_a = a * radius / spectral_radius
+    return StructuredSystem(a=scaled_a, b=b, c=c, d=d, e=e, f=f, g=g, h=feedthrough)
 
 
 def asked(system: StructuredSystem, side: str, ball: JacobianBall, rate: float) -> Problem:
     """The problem of a state feedback or an observer with unit weights and cheap inputs."""
     feeds = side == "state_feedback"
-    one = np.eye(system.order)
+    identity = np.eye(system.order)
     system = system if feeds else dual_system(system)
     neurons = Neurons(e=system.e, f=system.f, g=system.g, observes=not feeds)
     return Problem(
@@ -52,7 +55,7 @@ def asked(system: StructuredSystem, side: str, ball: JacobianBall, rate: float) 
         neurons=neurons,
         ball=ball,
         rate=rate,
-        state_weight=one,
+        state_weight=identity,
         input_weight=0.1,
     )
 
@@ -61,14 +64,21 @@ def slopes_of_all(system: StructuredSystem, seed: int, random: int) -> np.ndarra
     """Every corner of the neurons' slopes, and random ones between."""
     rng = np.random.default_rng(seed)
     inside = rng.uniform(size=(random, system.neurons))
-    return np.concatenate([system.slope_corners(), inside])
+    corners = system.slope_corners()
+    parts = [corners, inside]
+    return np.concatenate(parts)
 
 
 def slowest(metric: np.ndarray, steps: list[np.ndarray]) -> float:
     """The largest factor by which any of these matrices stretches, in the metric."""
-    root = np.linalg.cholesky(metric).T
+    factor = np.linalg.cholesky(metric)
+    root = factor.T
     inverse = np.linalg.inv(root)
-    norms = [float(np.linalg.norm(root @ step @ inverse, 2)) for step in steps]
+    norms = []
+    for step in steps:
+        changed = root @ step @ inverse
+        norm = float(np.linalg.norm(changed, 2))
+        norms.append(norm)
     return max(norms)
 
 
@@ -77,8 +87,11 @@ def controlled_steps(
 ) -> list:
     """`A + E S F + (B + E S G) J K` at both ends and the centre of the ball."""
     ends = (ball.lower, ball.alpha, ball.upper)
-    at = [system.linearise_at_slopes(row) for row in slopes]
-    return [linear.a + slope * linear.b @ k for linear in at for slope in ends]
+    steps = []
+    for row in slopes:
+        linear = system.linearise_at_slopes(row)
+        steps += [linear.a + slope * linear.b @ k for slope in ends]
+    return steps
 
 
 def observing_steps(
@@ -91,11 +104,36 @@ def observing_steps(
     """`A + L J C + E S (F + L_z J C)`, and with H: `A + E S F + L J (C + H S F)`."""
     steps = []
     for row in slopes:
-        for slope in (ball.lower, ball.alpha, ball.upper):
+        ends = (ball.lower, ball.alpha, ball.upper)
+        for slope in ends:
             linear = system.linearise_at_slopes(row)
-            neurons_seen = (system.e * row) @ l_z @ system.c
-            steps.append(linear.a + slope * (l_ @ linear.c + neurons_seen))
+            weighted = system.e * row
+            neurons_seen = weighted @ l_z @ system.c
+            linear_part = l_ @ linear.c
+            correction = slope * (linear_part + neurons_seen)
+            steps.append(linear.a + correction)
     return steps
+
+
+def dead_zone() -> MonotoneScaffold:
+    """An input map that is flatter about zero."""
+    breakpoints = np.array([[-0.2, 0.2]])
+    slopes = np.array([[1.0, 0.4, 0.9]])
+    return MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
+
+
+def physical_units() -> Scale:
+    """Scales and equilibria that are neither one nor zero."""
+    input_scale = np.array([2.0])
+    output_scale = np.array([3.0])
+    input_equilibrium = np.array([0.5])
+    output_equilibrium = np.array([1.0])
+    return Scale(
+        input_scale=input_scale,
+        output_scale=output_scale,
+        input_equilibrium=input_equilibrium,
+        output_equilibrium=output_equilibrium,
+    )
 
 
 def model(neurons: tuple[str, ...] = ("tanh", "softplus"), seed: int = 0) -> StructuredSSM:
@@ -107,23 +145,19 @@ def model(neurons: tuple[str, ...] = ("tanh", "softplus"), seed: int = 0) -> Str
     b = rng.normal(size=(3, 1))
     c = rng.normal(size=(1, 3))
     d = np.zeros((1, 1))
-    e = 0.2 * rng.normal(size=(3, q))
-    f = 0.4 * rng.normal(size=(q, 3))
-    g = 0.3 * rng.normal(size=(q, 1))
+    columns = rng.normal(size=(3, q))
+    e = 0.2 * columns
+    rows = rng.normal(size=(q, 3))
+    f = 0.4 * rows
+    input_rows = rng.normal(size=(q, 1))
+    g = 0.3 * input_rows
     h = np.zeros((1, q))
     bias = rng.normal(size=q)
-    breakpoints = np.array([[-0.2, 0.2]])
-    slopes = np.array([[1.0, 0.4, 0.9]])
-    scaffold_in = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
-    scaffold_out = LinearScaffold(gain=np.eye(1))
-    scale = Scale(
-        input_scale=np.array([2.0]),
-        output_scale=np.array([3.0]),
-        input_equilibrium=np.array([0.5]),
-        output_equilibrium=np.array([1.0]),
-    )
+    scaled_a = 0.6 * a / norm
+    identity = np.eye(1)
+    scaffold_out = LinearScaffold(gain=identity)
     return StructuredSSM(
-        a=0.6 * a / norm,
+        a=scaled_a,
         b=b,
         c=c,
         d=d,
@@ -133,8 +167,8 @@ def model(neurons: tuple[str, ...] = ("tanh", "softplus"), seed: int = 0) -> Str
         h=h,
         bias=bias,
         neurons=neurons,
-        scaffold_in=scaffold_in,
+        scaffold_in=dead_zone(),
         scaffold_out=scaffold_out,
-        scale=scale,
+        scale=physical_units(),
         step_s=0.01,
     )

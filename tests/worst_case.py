@@ -42,16 +42,18 @@ def worst_jacobian(
     jacobians = [scaffold.jacobian(v) for v in points]
     distances = [_distance(jacobian, ball.alpha) for jacobian in jacobians]
     order = np.argsort(distances)
-    best = order[::-1][:starts]
-    found = [(distances[i], points[i]) for i in best]
+    best_first = order[::-1]
+    best = best_first[:starts]
+    candidates = [(distances[i], points[i]) for i in best]
     network = getattr(scaffold, "network", None)
     if isinstance(network, Network):
         for i in best:
             alpha = _own_centre(scaffold, ball)
             v = _climb(network, alpha, points[i])
             jacobian = scaffold.jacobian(v)
-            found.append((_distance(jacobian, ball.alpha), v))
-    distance, v = max(found, key=lambda pair: pair[0])
+            distance_after = _distance(jacobian, ball.alpha)
+            candidates.append((distance_after, v))
+    distance, v = max(candidates, key=lambda pair: pair[0])
     return Worst(v=v, distance=distance)
 
 
@@ -61,7 +63,9 @@ def _own_centre(scaffold: Scaffold, ball: JacobianBall) -> float:
 
 
 def _distance(jacobian: Float[np.ndarray, "m m"], alpha: float) -> float:
-    difference = jacobian - alpha * np.eye(len(jacobian))
+    identity = np.eye(len(jacobian))
+    centre = alpha * identity
+    difference = jacobian - centre
     norm = np.linalg.norm(difference, 2)
     return float(norm)
 
@@ -69,9 +73,8 @@ def _distance(jacobian: Float[np.ndarray, "m m"], alpha: float) -> float:
 def _climb(network: Network, alpha: float, start: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
     v = start
     for temperature in TEMPERATURES:
-        search = scipy.optimize.minimize(
-            _nearness, v, args=(network, alpha, temperature), method="L-BFGS-B"
-        )
+        arguments = (network, alpha, temperature)
+        search = scipy.optimize.minimize(_nearness, v, args=arguments, method="L-BFGS-B")
         v = np.asarray(search.x)
     return v
 
@@ -99,7 +102,8 @@ def _smooth_jacobian(
         z = w @ d + b
         share = scipy.special.expit(z / temperature)
         slope = low + (high - low) * share
-        product = slope[:, None] * (w @ product)
+        slopes = slope[:, None]
+        product = slopes * (w @ product)
         slope_at_z = np.where(z >= 0, high, low)
         slope_at_rest = np.where(b >= 0, high, low)
         d = slope_at_z * z - slope_at_rest * b

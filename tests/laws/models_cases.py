@@ -9,15 +9,15 @@ from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.systems import StateSpace
 
-SOFT_DEAD_ZONE = MonotoneScaffold(
-    breakpoints=np.array([[-0.4, 0.4]]), slopes=np.array([[1.0, 0.2, 1.0]])
-)
-TWO_POLES = StateSpace(
-    a=np.array([[0.9, 0.1], [-0.1, 0.8]]),
-    b=np.array([[1.0], [0.5]]),
-    c=np.array([[0.3, 0.2]]),
-    d=np.zeros((1, 1)),
-)
+BREAKPOINTS = np.array([[-0.4, 0.4]])
+SLOPES = np.array([[1.0, 0.2, 1.0]])
+SOFT_DEAD_ZONE = MonotoneScaffold(breakpoints=BREAKPOINTS, slopes=SLOPES)
+ROWS_OF_A = [[0.9, 0.1], [-0.1, 0.8]]
+A = np.array(ROWS_OF_A)
+B = np.array([[1.0], [0.5]])
+C = np.array([[0.3, 0.2]])
+D = np.zeros((1, 1))
+TWO_POLES = StateSpace(a=A, b=B, c=C, d=D)
 
 
 def true_system() -> SSM:
@@ -42,7 +42,10 @@ def true_system() -> SSM:
 
 
 def held_levels(rng: np.random.Generator, samples: int, hold: int) -> np.ndarray:
-    return np.repeat(rng.uniform(-2, 2, size=-(-samples // hold)), hold)[:samples, None]
+    number_of_levels = -(-samples // hold)
+    levels = rng.uniform(-2, 2, size=number_of_levels)
+    held = np.repeat(levels, hold)
+    return held[:samples, None]
 
 
 def data_set(
@@ -53,9 +56,12 @@ def data_set(
 
     def record(name: str) -> Trajectory:
         input_equilibrium = system.scale.input_equilibrium
-        u = held_levels(rng, samples, hold) + input_equilibrium
+        levels = held_levels(rng, samples, hold)
+        u = levels + input_equilibrium
         y = system.simulate(u)
-        return Trajectory(u=u, y=y + noise * rng.normal(size=y.shape), step_s=0.01, name=name)
+        white_noise = rng.normal(size=y.shape)
+        measured = y + noise * white_noise
+        return Trajectory(u=u, y=measured, step_s=0.01, name=name)
 
     training = tuple(record(f"training_{i}") for i in range(records))
     validation = (record("validation"),)

@@ -27,8 +27,12 @@ def records(model: Bilinear) -> DataSet:
     rng = np.random.default_rng(0)
     y = model.simulate(u)
     noise = rng.standard_normal(y.shape)
-    whole = Trajectory(u=u, y=y + 0.005 * noise, step_s=0.1)
-    parts = (whole[:260],), (whole[260:340],), (whole[340:],)
+    measured = y + 0.005 * noise
+    whole = Trajectory(u=u, y=measured, step_s=0.1)
+    training = whole[:260]
+    validation = whole[260:340]
+    test = whole[340:]
+    parts = (training,), (validation,), (test,)
     zero = np.zeros(1)
     rest = (zero, zero)
     return assemble_dataset(parts, rest, CHANNELS, 20)
@@ -53,40 +57,50 @@ def test_the_folds_prefer_products_on_a_plant_that_has_them(data: DataSet) -> No
     search = search_on(data)
     chosen = choose_products(search, data)
     assert chosen is not None
-    assert (chosen.order, chosen.nodes) == (2, 3)
+    size_of_model = (chosen.order, chosen.nodes)
+    expected_size = (2, 3)
+    assert size_of_model == expected_size
     (linear, *products) = search.tried
     assert len(products) == 2
-    assert products[0].mean_error_percent < 0.5 * linear.mean_error_percent
-    row = search.candidate_rows(search.chosen)[1]
+    error_of_products = products[0].mean_error_percent
+    half_the_error = 0.5 * linear.mean_error_percent
+    assert error_of_products < half_the_error
+    rows = search.candidate_rows(search.chosen)
+    row = rows[1]
     assert row["model"] == "products of input and state"
     assert row["chosen"]
     choice = search.make_choice(linear)
-    words = replace(choice, predictor=chosen).describe(["order"])
+    changed_choice = replace(choice, predictor=chosen)
+    words = changed_choice.describe(["order"])
     assert words.endswith("products of input and state predict")
 
 
 def test_a_linear_plant_keeps_its_model() -> None:
     model = known_model()
-    same = np.stack([model.a[1]] * 3)
-    slope = model.b[2] - model.b[1]
-    linear = replace(model, a=same, b=model.nodes[:, None] * slope)
+    at_rest = model.a[1]
+    same = np.stack([at_rest] * 3)
+    above = model.b[2]
+    below = model.b[1]
+    slope = above - below
+    column = model.nodes[:, None]
+    b = column * slope
+    linear = replace(model, a=same, b=b)
     data = records(linear)
     search = search_on(data)
     assert choose_products(search, data) is None
     assert search.chosen == []
 
 
-@pytest.mark.parametrize(
-    ("settings", "decided"),
-    [
-        ({"order": 3}, {}),
-        ({"neurons": 2}, {}),
-        ({"members": 2}, {}),
-        ({}, {"dead_time": 3}),
-        ({}, {"feedthrough": True}),
-        ({}, {"integrating_output": True}),
-    ],
-)
+SET_BY_THE_USER = [({"order": 3}, {}), ({"neurons": 2}, {}), ({"members": 2}, {})]
+LACKING_IN_THE_CLASS = [
+    ({}, {"dead_time": 3}),
+    ({}, {"feedthrough": True}),
+    ({}, {"integrating_output": True}),
+]
+NOT_OVERRULED = SET_BY_THE_USER + LACKING_IN_THE_CLASS
+
+
+@pytest.mark.parametrize(("settings", "decided"), NOT_OVERRULED)
 def test_what_the_class_lacks_or_the_user_set_is_not_overruled(
     data: DataSet, settings: dict, decided: dict
 ) -> None:

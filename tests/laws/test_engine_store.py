@@ -39,11 +39,8 @@ def refuse_to_compute(folder: Path) -> None:
 
 def content_of(folder: Path) -> dict[str, bytes]:
     paths = folder.rglob("*")
-    return {
-        p.relative_to(folder).as_posix(): p.read_bytes()
-        for p in paths
-        if p.is_file() and p.name != MANIFEST
-    }
+    files = [path for path in paths if path.is_file() and path.name != MANIFEST]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
 def test_a_stage_is_computed_once_and_then_found(tmp_path: Path) -> None:
@@ -61,8 +58,11 @@ def test_equal_meanings_have_equal_keys() -> None:
     c = [1, 2.5]
     a = {"c": c, "d": 2}
     c = (1, 2.5)
-    reordered = {"a": {"d": 2.0, "c": c}, "b": 2.0}
-    assert digest_of_value({"b": 2, "a": a}) == digest_of_value(reordered)
+    reordered_part = {"d": 2.0, "c": c}
+    reordered = {"a": reordered_part, "b": 2.0}
+    plain = {"b": 2, "a": a}
+    digest = digest_of_value(plain)
+    assert digest == digest_of_value(reordered)
     assert canonical_json(True) != canonical_json(1)
     assert canonical_json("1") != canonical_json(1)
 
@@ -82,10 +82,14 @@ def test_the_canonical_text_does_not_depend_on_the_order_of_keys(value: object) 
             return {key: reversed_keys(node[key]) for key in reversed(node)}
         return [reversed_keys(item) for item in node] if isinstance(node, list) else node
 
-    assert canonical_json(reversed_keys(value)) == canonical_json(value)
+    text = canonical_json(reversed_keys(value))
+    assert text == canonical_json(value)
 
 
-@pytest.mark.parametrize("damage", ["flip", "truncate", "extend", "remove"])
+DAMAGES = ["flip", "truncate", "extend", "remove"]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
 @pytest.mark.parametrize("name", [*CONTENT, MANIFEST])
 def test_damage_is_never_silent(tmp_path: Path, name: str, damage: str) -> None:
     store = Store(tmp_path)
@@ -118,13 +122,15 @@ def test_no_flipped_bit_anywhere_in_a_stage_is_silent(tmp_path: Path) -> None:
     silent = []
     for name in [*CONTENT, MANIFEST]:
         original = (stage.path / name).read_bytes()
-        smallest = min(150, 8 * len(original))
-        bits = rng.choice(8 * len(original), size=smallest, replace=False)
+        bits_of_file = 8 * len(original)
+        smallest = min(150, bits_of_file)
+        bits = rng.choice(bits_of_file, size=smallest, replace=False)
         for bit in bits:
             flipped = bytearray(original)
             flipped[bit // 8] ^= 1 << (bit % 8)
             (stage.path / name).write_bytes(flipped)
-            if intact_manifest(stage.path) is not None:
+            manifest = intact_manifest(stage.path)
+            if manifest is not None:
                 silent.append((name, bit))
         (stage.path / name).write_bytes(original)
     assert silent == []
@@ -166,7 +172,8 @@ def test_four_processes_compute_a_stage_once(tmp_path: Path) -> None:
     command = [sys.executable, "-c", SLOWLY, store_path, ledger_path]
     workers = [subprocess.Popen(command) for _ in range(4)]
     expected = [0] * 4
-    assert [worker.wait(timeout=120) for worker in workers] == expected
+    exit_codes = [worker.wait(timeout=120) for worker in workers]
+    assert exit_codes == expected
     text = (tmp_path / "ledger").read_text()
     lines = text.splitlines()
     assert len(lines) == 1
@@ -202,9 +209,12 @@ def test_two_nodes_that_do_not_see_each_others_locks_share_their_stages(tmp_path
     def nodes(**keys: str) -> list[str]:
         ledger.write_text("")
         command = [sys.executable, "-c", UNREACHED, str(store), str(ledger)]
-        workers = [subprocess.Popen([*command, node, asked]) for node, asked in keys.items()]
+        workers = [
+            subprocess.Popen([*command, node, keys_of_node]) for node, keys_of_node in keys.items()
+        ]
         expected = [0] * len(workers)
-        assert [worker.wait(timeout=120) for worker in workers] == expected
+        exit_codes = [worker.wait(timeout=120) for worker in workers]
+        assert exit_codes == expected
         return ledger.read_text().splitlines()
 
     nodes_of_reversed = nodes(a="012345", b="543210")
@@ -296,9 +306,8 @@ with file_lock(Path(sys.argv[1])):
 def test_a_lock_is_seen_and_dies_with_its_holder(tmp_path: Path) -> None:
     path = tmp_path / ".lock"
     assert not is_locked(path)
-    holder = subprocess.Popen(
-        [sys.executable, "-c", HOLDING, str(path)], stdout=subprocess.PIPE, text=True
-    )
+    command = [sys.executable, "-c", HOLDING, str(path)]
+    holder = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert holder.stdout is not None
     assert holder.stdout.readline() == "held\n"
     assert is_locked(path)
@@ -325,10 +334,10 @@ def test_a_plan_computes_nothing_and_knows_every_key(tmp_path: Path) -> None:
     def planned() -> list[list[str]]:
         """Rows of the plan by stage: needed, there, to compute, seconds of each."""
         walks = [lambda s, r=r: line(s, r) for r in range(20)]
-        saids = plan_lines(store, walks, 20, 0)[3:6]
-        return [said.split() for said in saids]
+        texts = plan_lines(store, walks, 20, 0)[3:6]
+        return [text.split() for text in texts]
 
-    rows = ["data", *"101"], ["model", *"101"], ["synthesis", "20", "0", "20"]
+    rows = [["data", *"101"], ["model", *"101"], ["synthesis", "20", "0", "20"]]
     expected = [[*row, "unknown"] for row in rows]
     assert planned() == expected
     assert not tmp_path.joinpath("model").exists()
@@ -337,7 +346,8 @@ def test_a_plan_computes_nothing_and_knows_every_key(tmp_path: Path) -> None:
     assert real == expected
     after = planned()
     expected = {"data": "0", "model": "0", "synthesis": "15"}
-    assert {name: missing for name, _, _, missing, *_ in after} == expected
+    missing_by_stage = {name: missing for name, _, _, missing, *_ in after}
+    assert missing_by_stage == expected
     assert all(row[-1] == "s" for row in after)
 
 
@@ -347,8 +357,8 @@ def test_a_plan_reckons_with_the_mean_of_what_was_timed(
     """Three missing stages of 14 s, two at a time; a stage that was never timed makes of it a lower
     bound."""
     store = Store(tmp_path)
-    known = {"model": 14.0}
-    monkeypatch.setattr(planning, "mean_stage_seconds", lambda _, stage: known.get(stage))
+    mean_seconds = {"model": 14.0}
+    monkeypatch.setattr(planning, "mean_stage_seconds", lambda _, stage: mean_seconds.get(stage))
 
     def walk(name: str, number: int) -> object:
         return lambda stages: stages.stage_result(
@@ -358,17 +368,18 @@ def test_a_plan_reckons_with_the_mean_of_what_was_timed(
     walks = [walk("model", k) for k in range(3)]
     plan = plan_lines(store, walks, 3, 0, 2)
     assert plan[-1] == "estimated time: about 21 s with 2 at a time"
-    with_unknown = plan_lines(store, [*walks, walk("data", 0)], 3, 0, 2)
+    unknown_walk = walk("data", 0)
+    with_unknown = plan_lines(store, [*walks, unknown_walk], 3, 0, 2)
     assert with_unknown[-1] == "estimated time: at least 21 s with 2 at a time"
-    for seconds, said in (
+    for seconds, duration in (
         (66.0, "99 s"),
         (200 / 3, "2 min"),
         (2000.0, "50 min"),
         (4000.0, "1.7 h"),
     ):
-        known["model"] = seconds
+        mean_seconds["model"] = seconds
         plan_of_known = plan_lines(store, walks, 3, 0, 2)
-        assert plan_of_known[-1] == f"estimated time: about {said} with 2 at a time"
+        assert plan_of_known[-1] == f"estimated time: about {duration} with 2 at a time"
 
 
 @pytest.mark.parametrize("name", ["../model", "a/b", "", ".hidden"])
@@ -377,7 +388,10 @@ def test_a_stage_name_cannot_leave_the_store(tmp_path: Path, name: str) -> None:
         Store(tmp_path).stage_result(name, KEY, {}, write_content)
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), object(), {1, 2}])
+NOT_CANONICAL = [float("nan"), float("inf"), object(), {1, 2}]
+
+
+@pytest.mark.parametrize("value", NOT_CANONICAL)
 def test_a_configuration_without_a_canonical_text_is_refused(value: object) -> None:
     with pytest.raises(BadRequest, match="config"):
         canonical_json({"x": value})

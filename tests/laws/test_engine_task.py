@@ -21,8 +21,10 @@ from ssm_study.study.preload import modules_to_preload
 from ssm_study.table.gather import gather
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "docs" / "engine.md").read_text()
-PROGRAM = re.findall(r'```python title="dice.py"\n(.*?)```', PAGE, re.DOTALL)[0]
+ENGINE_PAGE = ROOT / "docs" / "engine.md"
+PAGE = ENGINE_PAGE.read_text()
+PROGRAMS = re.findall(r'```python title="dice.py"\n(.*?)```', PAGE, re.DOTALL)
+PROGRAM = PROGRAMS[0]
 FOREIGN = (
     "torch",
     "lightning",
@@ -37,7 +39,8 @@ WATCHED = PROGRAM + f"    import sys\n    assert not set(sys.modules) & set({FOR
 
 def dice(folder: Path, *words: str) -> "subprocess.CompletedProcess[str]":
     command = [sys.executable, "dice.py", "-m", *words]
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "HYDRA_FULL_ERROR": "1"}
+    variables = {"PYTHONPATH": str(ROOT), "HYDRA_FULL_ERROR": "1"}
+    environment = os.environ | variables
     return subprocess.run(
         command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120
     )
@@ -50,35 +53,44 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_a_sweep_is_run_resumed_and_gathered(folder: Path) -> None:
-    returncode = dice(folder, "seed=0,1", "sides=6").returncode
+    first_sweep = dice(folder, "seed=0,1", "sides=6")
+    returncode = first_sweep.returncode
     assert returncode == 0
     planned = dice(folder, "seed=0,1,2", "sides=6", "dry_run=true")
     assert "3 runs: 2 finished, 1 to do" in planned.stdout, planned.stderr
-    returncode = dice(folder, "seed=0,1,2", "sides=6").returncode
+    second_sweep = dice(folder, "seed=0,1,2", "sides=6")
+    returncode = second_sweep.returncode
     assert returncode == 0
     table = gather(folder / "results" / "study")
     expected = ["ok"] * 3
-    assert table["status"].to_list() == expected
+    statuses = table["status"].to_list()
+    assert statuses == expected
     expected = [1] * 3
-    assert table["attempt"].to_list() == expected
-    assert table["mean"].between(1, 6).all()
+    attempts = table["attempt"].to_list()
+    assert attempts == expected
+    is_a_mean = table["mean"].between(1, 6).all()
+    assert is_a_mean
 
 
 def test_a_failure_is_a_row_and_a_wrong_request_starts_nothing(folder: Path) -> None:
     refused = dice(folder, "sides=6,-1")
     assert "sides (of the run sides=-1) = -1: a die has sides" in refused.stderr
     study_path = folder / "results" / "study"
-    assert not (study_path).exists()
+    assert not study_path.exists()
     watched = WATCHED.replace("random.Random(seed + i)", "random.Random(1 // seed)")
     (folder / "dice.py").write_text(watched)
-    returncode = dice(folder, "seed=0,1", "sides=6").returncode
+    sweep = dice(folder, "seed=0,1", "sides=6")
+    returncode = sweep.returncode
     assert returncode == 0
-    paths = sorted(study_path.glob("*/record.json"))
+    record_paths = study_path.glob("*/record.json")
+    paths = sorted(record_paths)
     records = [read_record(path.parent) for path in paths]
     expected = ["failed", "ok"]
-    assert sorted((r or {})["status"] for r in records) == expected
+    statuses = sorted((r or {})["status"] for r in records)
+    assert statuses == expected
     (folder / "dice.py").write_text(WATCHED)
-    returncode = dice(folder, "seed=0,1", "sides=6", "retry_failed=true").returncode
+    sweep_again = dice(folder, "seed=0,1", "sides=6", "retry_failed=true")
+    returncode = sweep_again.returncode
     assert returncode == 0
     study = folder / "results" / "study"
     status = gather(study)["status"]
@@ -94,20 +106,22 @@ def test_a_job_finds_the_versions_of_the_code_that_its_server_has_read(tmp_path:
     job = Job(overrides=[], settings=settings, folder=r_path)
     code.code_version.cache_clear()
     preload_for_jobs(task, [job])
-    read = code.code_version.cache_info().misses
+    cache_before = code.code_version.cache_info()
+    read = cache_before.misses
     stages = Store(tmp_path / ".store")
     task.stages(settings, stages)
-    misses = code.code_version.cache_info().misses
+    cache_after = code.code_version.cache_info()
+    misses = cache_after.misses
     assert misses == read > 0
 
 
 def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -> None:
     """Two jobs on one model: its training is one job's own matter, unlike the data of two seeds."""
-    asked = []
+    preloaded = []
 
     class Asked(Badly):
         def preload_modules(self, stages_to_compute: Set[str]) -> None:
-            asked.append(stages_to_compute)
+            preloaded.append(stages_to_compute)
 
     def job(run: str, seed: int, rate: int) -> Job:
         made = Settings(
@@ -116,14 +130,18 @@ def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -
         job_folder = tmp_path / "s" / run
         return Job(overrides=[], settings=made, folder=job_folder)
 
-    preload_for_jobs(Asked(), [job("a", 1, 1), job("b", 1, 2)])
-    preload_for_jobs(Asked(), [job("a", 1, 1), job("c", 2, 1)])
+    job_a = job("a", 1, 1)
+    job_b = job("b", 1, 2)
+    preload_for_jobs(Asked(), [job_a, job_b])
+    job_c = job("c", 2, 1)
+    preload_for_jobs(Asked(), [job_a, job_c])
     first = job("a", 1, 1)
     stages = Store(tmp_path / ".store")
     Asked().stages(first.settings, stages)
     preload_for_jobs(Asked(), [first, job("c", 2, 1)])
-    expected = [{"model"}, {"data", "model"}, set()]
-    assert asked == expected
+    both = {"data", "model"}
+    expected = [{"model"}, both, set()]
+    assert preloaded == expected
 
 
 def test_a_sweep_that_trains_nothing_imports_nothing_that_trains() -> None:
@@ -131,19 +149,19 @@ def test_a_sweep_that_trains_nothing_imports_nothing_that_trains() -> None:
         "import sys; from ssm_study.study.preload import preload_modules; preload_modules(set()); "
     )
     program += "print({'cvxpy', 'torch', 'lightning'} & set(sys.modules))"
-    ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True
-    )
+    command = [sys.executable, "-c", program]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     assert ended.stdout.strip() == "set()"
 
 
-@pytest.mark.parametrize(
-    ("again", "solver", "trainer"), [(set(), 0, 0), ({"synthesis"}, 1, 0), ({"model"}, 0, 1)]
-)
+IMPORTED = [(set(), 0, 0), ({"synthesis"}, 1, 0), ({"model"}, 0, 1)]
+
+
+@pytest.mark.parametrize(("again", "solver", "trainer"), IMPORTED)
 def test_what_solves_and_what_trains_is_imported_where_several_jobs_do(
     again: set[str], solver: int, trainer: int
 ) -> None:
-    asked = list(modules_to_preload(again))
-    assert asked.count("ssm_study.synthesis.lmi") == solver
-    assert asked.count("ssm_study.training.fit") == trainer
-    assert asked.count("ssm_study.loop.rollout") == 1
+    modules = list(modules_to_preload(again))
+    assert modules.count("ssm_study.synthesis.lmi") == solver
+    assert modules.count("ssm_study.training.fit") == trainer
+    assert modules.count("ssm_study.loop.rollout") == 1

@@ -11,21 +11,30 @@ from ssm_study.synthesis.loop_poles import moves_poles
 from ssm_study.synthesis.withheld_coverage import IDLE, UNSTABLE, withhold_coverage
 from ssm_study.systems import Gains, StateSpace
 
-A = np.array([[0.9, 0.1], [0.0, 0.8]])
-B = np.array([[0.0], [1.0]])
-C = np.array([[1.0, 0.0]])
-K = np.array([[-0.1, -0.5]])
-L = np.array([[-0.5], [-0.1]])
+ROWS_OF_A = [[0.9, 0.1], [0.0, 0.8]]
+A = np.array(ROWS_OF_A)
+COLUMN_OF_B = [[0.0], [1.0]]
+B = np.array(COLUMN_OF_B)
+ROW_OF_C = [1.0, 0.0]
+C = np.array([ROW_OF_C])
+ROW_OF_K = [-0.1, -0.5]
+K = np.array([ROW_OF_K])
+COLUMN_OF_L = [[-0.5], [-0.1]]
+L = np.array(COLUMN_OF_L)
 SLOPES = (0.8, 1.2)
 NO_DIRECT_PATH = np.zeros((1, 1))
 
 
 @pytest.fixture(scope="module")
 def proof() -> st.Certification:
-    return st.certify(A, B, C, K=K, L=L, slopes=SLOPES, output_slopes=(0.9, 1.1))
+    output_slopes = (0.9, 1.1)
+    return st.certify(A, B, C, K=K, L=L, slopes=SLOPES, output_slopes=output_slopes)
 
 
-@pytest.mark.parametrize("side", ["controller", "observer"])
+SIDES = ["controller", "observer"]
+
+
+@pytest.mark.parametrize("side", SIDES)
 def test_distances_contract_in_the_metric(proof: st.Certification, side: str) -> None:
     """The metric of both sides, at both extreme slopes and for a whole walk between them."""
     gain = getattr(proof, side)
@@ -33,9 +42,12 @@ def test_distances_contract_in_the_metric(proof: st.Certification, side: str) ->
     metric = gain.metric
     for slope in gain.slopes:
         step = A + slope * through
-        contracted = (1 - gain.rate) * metric
-        slack = contracted - step.T @ metric @ step
-        least = np.linalg.eigvalsh(slack).min()
+        decrease = 1 - gain.rate
+        contracted = decrease * metric
+        metric_of_step = step.T @ metric @ step
+        slack = contracted - metric_of_step
+        eigenvalues = np.linalg.eigvalsh(slack)
+        least = eigenvalues.min()
         assert least > 0
     rng = np.random.default_rng(0)
     start = rng.normal(size=(2, 200))
@@ -43,52 +55,71 @@ def test_distances_contract_in_the_metric(proof: st.Certification, side: str) ->
     growth = 0.0
     for _ in range(30):
         slope = rng.uniform(*gain.slopes)
-        distance = (A + slope * through) @ distance
+        closed_loop = A + slope * through
+        distance = closed_loop @ distance
         start_norms = np.linalg.norm(start, axis=0)
-        ratio = np.linalg.norm(distance, axis=0) / start_norms
-        growth = max(growth, ratio.max())
+        distance_norms = np.linalg.norm(distance, axis=0)
+        ratio = distance_norms / start_norms
+        largest_ratio = ratio.max()
+        growth = max(growth, largest_ratio)
     assert growth <= gain.overshoot
-    assert "Euclidean distances grow at most" in proof.summary()[f"{side}, overshoot"]
+    summary = proof.summary()
+    label = f"{side}, overshoot"
+    assert "Euclidean distances grow at most" in summary[label]
 
 
 def test_p_itself_is_no_metric() -> None:
     """A reader who takes `p` for the metric finds the inequality broken."""
-    a = np.array([[1.05, 0.2, 0.0], [-0.1, 0.9, 0.3], [0.0, -0.05, 0.7]])
-    b = np.array([[0.1], [0.3], [1.0]])
-    k = np.array([[-1.5, -1.5, -0.6]])
+    rows_of_a = [[1.05, 0.2, 0.0], [-0.1, 0.9, 0.3], [0.0, -0.05, 0.7]]
+    a = np.array(rows_of_a)
+    column_of_b = [[0.1], [0.3], [1.0]]
+    b = np.array(column_of_b)
+    row_of_k = [-1.5, -1.5, -0.6]
+    k = np.array([row_of_k])
     proof_of_k = st.certify(a, b, K=k, slopes=SLOPES)
     gain = proof_of_k.controller
     assert gain is not None
     assert gain.certificate is not None
     p = gain.certificate.p
     step = a + 0.8 * b @ k
-    contracted = (1 - gain.rate) * p
-    slack = contracted - step.T @ p @ step
-    least = np.linalg.eigvalsh(slack).min()
+    decrease = 1 - gain.rate
+    contracted = decrease * p
+    after_the_step = step.T @ p @ step
+    slack = contracted - after_the_step
+    eigenvalues = np.linalg.eigvalsh(slack)
+    least = eigenvalues.min()
     assert least < 0
     product = gain.metric @ p
-    assert np.allclose(product, np.eye(3))
+    identity = np.eye(3)
+    assert np.allclose(product, identity)
 
 
 def test_a_gain_without_a_certificate_has_no_metric() -> None:
-    unproved = st.certify(A, B, K=[[1.0, 1.0]], slopes=SLOPES)
+    unstable_row = [1.0, 1.0]
+    unstable_gain = [unstable_row]
+    unproved = st.certify(A, B, K=unstable_gain, slopes=SLOPES)
     gain = unproved.controller
     assert gain is not None
     assert gain.metric is None
     assert gain.overshoot is None
 
 
-@pytest.mark.parametrize(
-    ("k", "slopes", "words"),
-    [
-        (-1.2, (0.3, 1.7), "not stable at slope 0.3 (spectral radius 1.14)"),
-        (1.2, (0.9, 1.1), "stable with the opposite sign: gains enter as u = K x"),
-    ],
-)
+WIDE_SLOPES = (0.3, 1.7)
+NARROW_SLOPES = (0.9, 1.1)
+LOST = [
+    (-1.2, WIDE_SLOPES, "not stable at slope 0.3 (spectral radius 1.14)"),
+    (1.2, NARROW_SLOPES, "stable with the opposite sign: gains enter as u = K x"),
+]
+
+
+@pytest.mark.parametrize(("k", "slopes", "words"), LOST)
 def test_a_reason_names_the_slope_that_is_lost(
     k: float, slopes: tuple[float, float], words: str
 ) -> None:
-    proof = st.certify([[1.5]], [[1.0]], K=[[k]], slopes=slopes)
+    a = [[1.5]]
+    b = [[1.0]]
+    gain = [[k]]
+    proof = st.certify(a, b, K=gain, slopes=slopes)
     assert proof.controller is not None
     assert words in proof.controller.reason
 
@@ -100,7 +131,9 @@ def test_a_gain_is_compared_with_none(proof: st.Certification) -> None:
     assert summary["controller, without it"] == summary["controller, this gain"]
     assert proof.controller is not None
     open_loop_rate = 1 - 0.9**2
-    assert proof.controller.rate_without == pytest.approx(open_loop_rate)
+    rate_without = proof.controller.rate_without
+    expected_rate = pytest.approx(open_loop_rate)
+    assert rate_without == expected_rate
 
 
 def test_certificates_print_what_they_prove_and_no_matrices(proof: st.Certification) -> None:
@@ -121,7 +154,11 @@ def test_certificates_print_what_they_prove_and_no_matrices(proof: st.Certificat
 
 def test_a_rate_that_the_open_loop_has_too_is_called_no_gain() -> None:
     """The lag contracts at 0.19 by itself, and a gain that costs much adds nothing to that."""
-    lag = ([[0.9]], [[1.0]], [[0.1]], [[0.0]], 0.1)
+    a = [[0.9]]
+    b = [[1.0]]
+    c = [[0.1]]
+    d = [[0.0]]
+    lag = (a, b, c, d, 0.1)
     costly = st.control(lag, rate=0.05, input_weight=1e4)
     slow = costly.summary()["without control"]
     assert slow.endswith("rates below 0.189: the controller's rate shows no gain")
@@ -129,22 +166,28 @@ def test_a_rate_that_the_open_loop_has_too_is_called_no_gain() -> None:
     fast = cheap.summary()["without control"]
     assert fast == "the model contracts at rates below 0.189"
     facts = {"limited_rate": 0.18, "limit_lower": -1.0, "limit_upper": 1.0}
-    line = summarise_input_limits(facts, 0.19)["controller, input limited"]
+    lines_of_equal = summarise_input_limits(facts, 0.19)
+    line = lines_of_equal["controller, input limited"]
     assert line.endswith("(no more than without control)")
-    line = summarise_input_limits(facts, 0.1)["controller, input limited"]
+    lines_of_faster = summarise_input_limits(facts, 0.1)
+    line = lines_of_faster["controller, input limited"]
     assert line == "rate 0.18 per sample with inputs from -1 to 1"
 
 
 def test_an_idle_controller_is_not_praised() -> None:
-    a = np.array([[0.0, 1.0], [0.0, 0.0]])
+    rows_of_a = [[0.0, 1.0], [0.0, 0.0]]
+    a = np.array(rows_of_a)
     system = (a, B, C, NO_DIRECT_PATH, 0.1)
     idle = st.control(system, rate=0.3)
     words = "hardly any: the poles are those without control"
-    assert idle.summary()["effect of the controller"] == words
+    summary_of_idle = idle.summary()
+    effect = summary_of_idle["effect of the controller"]
+    assert effect == words
     facts = {"coverage": 2700.0, "resolved_margin": 3e8, "evidence": "sound"}
     facts |= {"predicted_stable": True}
     lines = summarise_prediction(facts, controller_acts=False)
-    text = " ".join(lines.values())
+    sentences = lines.values()
+    text = " ".join(sentences)
     assert "withheld: the controller hardly acts" in text
     assert "margin" not in text
     praised = summarise_prediction(facts, controller_acts=True)
@@ -154,25 +197,31 @@ def test_an_idle_controller_is_not_praised() -> None:
     withheld = withhold_coverage(covered, idle.model, gains)
     assert withheld["coverage"] is None
     assert withheld["coverage_reason"] == IDLE
-    assert summarise_prediction(withheld, controller_acts=False)["covered by the proof"] == IDLE
+    withheld_lines = summarise_prediction(withheld, controller_acts=False)
+    covered_by_the_proof = withheld_lines["covered by the proof"]
+    assert covered_by_the_proof == IDLE
     system_of_active = (A, B, C, NO_DIRECT_PATH, 0.1)
     active = st.control(system_of_active, rate=0.5)
     assert "effect of the controller" not in active.summary()
-    assert "rates below 0.189" in active.summary()["without control"]
-    facts_of_active = withhold_coverage(facts, active.model, active.certificate.pair)
+    summary_of_active = active.summary()
+    comparison = summary_of_active["without control"]
+    assert "rates below 0.189" in comparison
+    gains_of_active = active.certificate.pair
+    facts_of_active = withhold_coverage(facts, active.model, gains_of_active)
     assert facts_of_active == facts
 
 
 def test_the_coverage_of_a_controller_that_is_unstable_by_itself_is_withheld() -> None:
     """`xh+ = (a + b k + l c) xh` at a plant that holds still: -1.2 with these gains, while the loop
     on the model contracts."""
-    one = np.ones((1, 1))
-    lag = StateSpace(a=0.5 * one, b=one, c=one, d=0 * one)
+    unit = np.ones((1, 1))
+    lag = StateSpace(a=0.5 * unit, b=unit, c=unit, d=0 * unit)
     model = SSM.from_linear(lag, 0.1)
-    stable = Gains(k=-0.4 * one, l=-0.4 * one)
-    unstable = Gains(k=-0.85 * one, l=-0.85 * one)
+    stable = Gains(k=-0.4 * unit, l=-0.4 * unit)
+    unstable = Gains(k=-0.85 * unit, l=-0.85 * unit)
     facts = {"coverage": 1.2, "coverage_reference": "input"}
-    assert withhold_coverage(facts, model, stable) == facts
+    unchanged = withhold_coverage(facts, model, stable)
+    assert unchanged == facts
     withheld = withhold_coverage(facts, model, unstable)
     assert withheld["coverage"] is None
     assert withheld["coverage_reason"] == UNSTABLE
@@ -182,26 +231,34 @@ def test_the_coverage_of_a_controller_that_is_unstable_by_itself_is_withheld() -
 
 def test_poles_that_move_are_an_effect() -> None:
     poles = np.array([0.9 + 0j, 0.8 + 0j])
-    assert not moves_poles(poles, poles[::-1])
+    reversed_poles = poles[::-1]
+    moved = moves_poles(poles, reversed_poles)
+    assert not moved
     assert moves_poles(poles, poles - 0.01)
 
 
 def test_no_gain_is_promised_where_an_unstable_mode_is_out_of_reach() -> None:
     """Fewer states would hide the mode: the certificate would be of a plant that explodes."""
-    unstable = np.diag([1.1, 0.5])
-    c = np.array([[0.0, 1.0]])
-    design = st.control((unstable, B, c, NO_DIRECT_PATH, 0.1), rate=0.3)
+    modes = [1.1, 0.5]
+    unstable = np.diag(modes)
+    row_of_c = [0.0, 1.0]
+    c = np.array([row_of_c])
+    unstable_system = (unstable, B, c, NO_DIRECT_PATH, 0.1)
+    design = st.control(unstable_system, rate=0.3)
     printed = repr(design)
     assert "a mode of modulus 1.1 is not stable and the input does not reach it" in printed
     assert "the output does not show it, so no gain stabilises it" in printed
     assert "fewer states" not in printed
-    slow = np.diag([0.99, 0.5])
-    design = st.control((slow, B, c, NO_DIRECT_PATH, 0.1), rate=0.3)
+    slow_modes = [0.99, 0.5]
+    slow = np.diag(slow_modes)
+    slow_system = (slow, B, c, NO_DIRECT_PATH, 0.1)
+    design = st.control(slow_system, rate=0.3)
     printed = repr(design)
     assert "allows only rates below 0.0199" in printed
 
 
 def test_limits_of_a_bare_system_are_refused() -> None:
     system = (A, B, C, NO_DIRECT_PATH, 0.1)
+    input_limits = (-1.0, 1.0)
     with pytest.raises(BadRequest, match="of a bare system nothing is proved there; leave them"):
-        st.control(system, rate=0.5, input_limits=(-1.0, 1.0))
+        st.control(system, rate=0.5, input_limits=input_limits)

@@ -26,7 +26,8 @@ Evaluation = Callable[..., torch.Tensor]
 
 def draw_normal(rng: np.random.Generator, *shape: int) -> torch.Tensor:
     """Independent standard normal numbers in double precision."""
-    return torch.from_numpy(rng.normal(size=shape))
+    values = rng.normal(size=shape)
+    return torch.from_numpy(values)
 
 
 def by_steps(
@@ -34,12 +35,18 @@ def by_steps(
 ) -> torch.Tensor:
     """One sample after the other, as deployed: the oracle."""
     turn = torch.exp(modes.decay)
-    x = torch.zeros(u.shape[0], len(turn), dtype=modes.b.dtype) if x0 is None else x0
+    if x0 is None:
+        x0 = torch.zeros(u.shape[0], len(turn), dtype=modes.b.dtype)
+    x = x0
     y = []
     for sample in u.unbind(1):
-        output = (x @ modes.c.T).real + sample @ modes.d.T
+        output_matrix = modes.c.T
+        state_part = x @ output_matrix
+        direct_part = sample @ modes.d.T
+        output = state_part.real + direct_part
         y.append(output)
-        input_part = sample.to(modes.b.dtype) @ modes.b.T
+        dtype = modes.b.dtype
+        input_part = sample.to(dtype) @ modes.b.T
         x = turn * x + input_part
     return torch.stack(y, 1)
 
@@ -61,15 +68,18 @@ def unit(
 
 @st.composite
 def cases(draw: st.DrawFn) -> tuple[int, int, int, int, int, int]:
-    seed = draw(st.integers(0, 10_000))
-    m = draw(st.integers(1, 3))
-    p = draw(st.integers(1, 3))
-    pairs = draw(st.integers(0, 3))
-    real = draw(st.integers(0, 3))
-    order = max(2 * pairs + real, 1)
+    seeds = st.integers(0, 10_000)
+    seed = draw(seeds)
+    widths = st.integers(1, 3)
+    m = draw(widths)
+    p = draw(widths)
+    numbers_of_modes = st.integers(0, 3)
+    pairs = draw(numbers_of_modes)
+    real = draw(numbers_of_modes)
     order = max(2 * pairs + real, 1)
     real_modes = order - 2 * pairs
-    samples = draw(st.integers(2, 300))
+    lengths = st.integers(2, 300)
+    samples = draw(lengths)
     return (seed, order, real_modes, m, p, samples)
 
 
@@ -81,7 +91,8 @@ def drawn(
     lru = unit(seed, order, real, m, p)
     rng = np.random.default_rng(seed + 1)
     with torch.no_grad():
-        lru.d += draw_normal(rng, p, m)
+        direct_part = draw_normal(rng, p, m)
+        lru.d += direct_part
     u = draw_normal(rng, 2, samples, m)
     x0 = draw_normal(rng, 2, order)
     return lru, u, x0
@@ -110,28 +121,36 @@ def test_the_real_state_space_is_the_same_system(case: tuple[int, ...]) -> None:
     with torch.no_grad():
         modes = lru.modal_form()
         start = lru.to_modal_state(x0)
-        stepped = by_steps(modes, u, start).numpy()
+        stepped_outputs = by_steps(modes, u, start)
+        stepped = stepped_outputs.numpy()
     system = lru.to_state_space()
 
-    simulated, _ = system.simulate(u.numpy(), x0.numpy())
+    inputs = u.numpy()
+    start_states = x0.numpy()
+    simulated, _ = system.simulate(inputs, start_states)
 
     np.testing.assert_allclose(simulated, stepped, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", EVALUATIONS)
 def test_single_precision_stays_within_its_rounding(name: str) -> None:
-    lru = unit(1, 16, 2, 1, 1, radius=(0.9, 0.999))
+    radius = (0.9, 0.999)
+    lru = unit(1, 16, 2, 1, 1, radius=radius)
     rng = np.random.default_rng(2)
     u = draw_normal(rng, 2, 5000, 1)
     evaluate = EVALUATIONS[name]
 
     with torch.no_grad():
         exact = by_steps(lru.modal_form(), u)
-        rounded_modes = lru.float().modal_form()
-        single = evaluate(rounded_modes, u.float()).double()
+        rounded = lru.float()
+        rounded_modes = rounded.modal_form()
+        rounded_u = u.float()
+        rounded_output = evaluate(rounded_modes, rounded_u)
+        single = rounded_output.double()
 
     # the modes themselves are rounded to float32: |d lambda| = 6e-8 over a memory of 1000 samples
-    largest_error = (single - exact).abs().max()
+    error = (single - exact).abs()
+    largest_error = error.max()
     largest_output = exact.abs().max()
     assert largest_error <= 1e-4 * largest_output
 
@@ -140,22 +159,26 @@ def test_single_precision_stays_within_its_rounding(name: str) -> None:
 def test_single_precision_adds_little_to_the_rounding_of_slow_modes(name: str) -> None:
     """A memory of 10,000 samples and more: a power of a rounded mode taken in float32 loses its
     phase."""
-    lru = unit(1, 8, 2, 1, 1, radius=(0.9999, 0.99999))
-    modes = lru.float().modal_form()
+    radius = (0.9999, 0.99999)
+    lru = unit(1, 8, 2, 1, 1, radius=radius)
+    rounded = lru.float()
+    modes = rounded.modal_form()
     rng = np.random.default_rng(2)
     u = draw_normal(rng, 2, 5000, 1).float()
-    double_parts = {
-        part: values.to(torch.promote_types(values.dtype, torch.float64))
-        for part, values in vars(modes).items()
-    }
+    double_parts = {}
+    for part, values in vars(modes).items():
+        dtype = torch.promote_types(values.dtype, torch.float64)
+        double_parts[part] = values.to(dtype)
     double_modes = recurrence.ModalForm(**double_parts)
     evaluate = EVALUATIONS[name]
 
     with torch.no_grad():
         exact = by_steps(double_modes, u.double())
-        single = evaluate(modes, u).double()
+        single_output = evaluate(modes, u)
+        single = single_output.double()
 
-    largest_error = (single - exact).abs().max()
+    error = (single - exact).abs()
+    largest_error = error.max()
     largest_output = exact.abs().max()
     assert largest_error <= 2e-6 * largest_output
 
@@ -163,13 +186,17 @@ def test_single_precision_adds_little_to_the_rounding_of_slow_modes(name: str) -
 @pytest.mark.parametrize("name", EVALUATIONS)
 def test_gradients_agree_with_stepping(name: str) -> None:
     lru = unit(3, 7, 3, 2, 2)
-    u = draw_normal(np.random.default_rng(4), 2, 130, 2)
-    target = draw_normal(np.random.default_rng(5), 2, 130, 2)
+    rng = np.random.default_rng(4)
+    u = draw_normal(rng, 2, 130, 2)
+    target_rng = np.random.default_rng(5)
+    target = draw_normal(target_rng, 2, 130, 2)
 
     def gradient(evaluate: Evaluation) -> list[torch.Tensor]:
         lru.zero_grad()
-        output = evaluate(lru.modal_form(), u)
-        loss = ((output - target) ** 2).sum()
+        modal_form = lru.modal_form()
+        output = evaluate(modal_form, u)
+        squared_errors = (output - target) ** 2
+        loss = squared_errors.sum()
         loss.backward()
         return [p.grad.clone() for p in lru.parameters() if p.grad is not None]
 
@@ -179,39 +206,56 @@ def test_gradients_agree_with_stepping(name: str) -> None:
         torch.testing.assert_close(ours, oracle, rtol=1e-8, atol=1e-8)
 
 
-@given(seed=st.integers(0, 10_000))
+SEEDS = st.integers(0, 10_000)
+
+
+@given(seed=SEEDS)
 def test_every_value_of_the_free_parameters_is_stable(seed: int) -> None:
     lru = unit(seed, 6, 2, 1, 1)
     with torch.no_grad():
         for parameter in lru.parameters():
             rng = np.random.default_rng(seed)
-            parameter += 3 * draw_normal(rng, *parameter.shape)
+            change = draw_normal(rng, *parameter.shape)
+            parameter += 3 * change
         lru.nu[0] = -60.0  # a radius that rounds to one
     system = lru.to_state_space()
     assert system.spectral_radius < 1
 
 
-@given(seed=st.integers(0, 1000), samples=st.integers(1, 2000))
+FEWER_SEEDS = st.integers(0, 1000)
+LENGTHS = st.integers(1, 2000)
+
+
+@given(seed=FEWER_SEEDS, samples=LENGTHS)
 def test_power_sums_are_the_powers_summed(seed: int, samples: int) -> None:
     rng = np.random.default_rng(seed)
     radius = rng.uniform(0.1, 0.999, 5)
     angle = rng.uniform(-np.pi, np.pi, 5)
-    decay = np.log(radius) + 1j * angle
-    weights = rng.normal(size=(2, 5)) + 1j * rng.normal(size=(2, 5))
-    powers = np.exp(decay[:, None] * np.arange(samples))
+    log_radius = np.log(radius)
+    decay = log_radius + 1j * angle
+    shape = (2, 5)
+    real_part = rng.normal(size=shape)
+    imaginary_part = rng.normal(size=shape)
+    weights = real_part + 1j * imaginary_part
+    exponents = decay[:, None] * np.arange(samples)
+    powers = np.exp(exponents)
     summed = (weights @ powers).real
 
-    tables = recurrence.power_tables(torch.from_numpy(decay), samples)
-    response = recurrence.modal_impulse_response(torch.from_numpy(weights), tables)
+    decay_tensor = torch.from_numpy(decay)
+    tables = recurrence.power_tables(decay_tensor, samples)
+    weights_tensor = torch.from_numpy(weights)
+    response = recurrence.modal_impulse_response(weights_tensor, tables)
 
-    np.testing.assert_allclose(response[:, :samples].numpy(), summed, atol=1e-10)
+    responses = response[:, :samples].numpy()
+    np.testing.assert_allclose(responses, summed, atol=1e-10)
+
+
+SIZES = [(1, 1, 17), (2, 3, 70), (1, 1, 1), (2, 1, 2), (1, 1, 64)]
 
 
 @pytest.mark.parametrize("moving", [True, False])
 @pytest.mark.parametrize("name", ["convolution", "chunks"])
-@pytest.mark.parametrize(
-    ("m", "p", "samples"), [(1, 1, 17), (2, 3, 70), (1, 1, 1), (2, 1, 2), (1, 1, 64)]
-)
+@pytest.mark.parametrize(("m", "p", "samples"), SIZES)
 def test_the_derivatives_written_out_are_those_of_the_law(
     name: str, m: int, p: int, samples: int, moving: bool
 ) -> None:
@@ -264,7 +308,9 @@ def _operands(m: int, p: int, samples: int) -> tuple[torch.Tensor, ...]:
     def draw_gaussian(*shape: int, dtype: torch.dtype = torch.float64) -> torch.Tensor:
         return torch.randn(*shape, generator=generator, dtype=dtype)
 
-    decay = torch.complex(-0.5 * draw_real(3) - 0.01, 3 * draw_real(3))
+    damping = -0.5 * draw_real(3) - 0.01
+    frequency = 3 * draw_real(3)
+    decay = torch.complex(damping, frequency)
     b = draw_gaussian(3, m, dtype=torch.complex128)
     c = draw_gaussian(p, 3, dtype=torch.complex128)
     x0 = draw_gaussian(2, 3, dtype=torch.complex128)
@@ -293,10 +339,13 @@ def test_a_start_is_nearer_to_its_records_than_no_model(
         training_y = y[:240, None] + 0.001 * white_noise
         records = [(training_u, training_y)]
 
-        start = estimate_initial_system(records, order, np.random.default_rng(0), feedthrough)
+        start_rng = np.random.default_rng(0)
+        start = estimate_initial_system(records, order, start_rng, feedthrough)
         simulated = start.simulate_output(training_u)
 
-        assert np.abs(simulated).max() < 10 * np.abs(y).max()
+        largest_output = np.abs(simulated).max()
+        largest_record = np.abs(y).max()
+        assert largest_output < 10 * largest_record
         remaining_error = np.linalg.norm(simulated - training_y)
         without_model = np.linalg.norm(training_y)
         assert remaining_error <= without_model * (1 + 1e-9)

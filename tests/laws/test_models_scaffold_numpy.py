@@ -39,7 +39,9 @@ def network(
 
 def random_scaffold(kind: str, seed: int, channels: int) -> Scaffold:
     rng = np.random.default_rng(seed)
-    widths = tuple(int(h) for h in rng.integers(1, 7, size=rng.integers(1, 4)))
+    layers = rng.integers(1, 4)
+    drawn_widths = rng.integers(1, 7, size=layers)
+    widths = tuple(int(h) for h in drawn_widths)
     if kind == "linear":
         gain = rng.normal(size=(channels, channels))
         return LinearScaffold(gain=gain)
@@ -58,18 +60,24 @@ def random_scaffold(kind: str, seed: int, channels: int) -> Scaffold:
     )
 
 
+SEEDS = st.integers(0, 10_000)
+CHANNELS = st.integers(1, 4)
+
+
 @pytest.mark.parametrize("kind", KINDS)
-@given(seed=st.integers(0, 10_000), channels=st.integers(1, 4))
+@given(seed=SEEDS, channels=CHANNELS)
 def test_zero_maps_to_zero_exactly(kind: str, seed: int, channels: int) -> None:
     scaffold = random_scaffold(kind, seed, channels)
     rng = np.random.default_rng(seed)
     zeros = rng.normal(size=(7, channels))
     zeros[3] = 0.0
-    assert (scaffold(zeros)[3] == 0.0).all()
+    mapped = scaffold(zeros)[3]
+    is_zero = mapped == 0.0
+    assert is_zero.all()
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@given(seed=st.integers(0, 10_000), channels=st.integers(1, 4))
+@given(seed=SEEDS, channels=CHANNELS)
 def test_the_jacobian_is_the_derivative(kind: str, seed: int, channels: int) -> None:
     scaffold = random_scaffold(kind, seed, channels)
     rng = np.random.default_rng(seed + 1)
@@ -85,26 +93,34 @@ def test_the_jacobian_is_the_derivative(kind: str, seed: int, channels: int) -> 
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@given(seed=st.integers(0, 10_000), channels=st.integers(1, 4))
+@given(seed=SEEDS, channels=CHANNELS)
 def test_json_keeps_every_bit(kind: str, seed: int, channels: int) -> None:
     scaffold = random_scaffold(kind, seed, channels)
-    text = json.dumps(scaffold.to_json())
+    document = scaffold.to_json()
+    text = json.dumps(document)
     content = json.loads(text)
     again = Scaffold.from_json(content)
     rng = np.random.default_rng(seed)
     v = rng.normal(size=(20, channels))
-    assert (again(v) == scaffold(v)).all()
-    assert again.to_json() == scaffold.to_json()
+    is_equal = again(v) == scaffold(v)
+    assert is_equal.all()
+    expected = scaffold.to_json()
+    assert again.to_json() == expected
 
 
-@given(seed=st.integers(0, 10_000), channels=st.integers(1, 3))
+FEWER_CHANNELS = st.integers(1, 3)
+
+
+@given(seed=SEEDS, channels=FEWER_CHANNELS)
 def test_a_monotone_scaffold_is_the_integral_of_its_slopes(seed: int, channels: int) -> None:
     scaffold = random_scaffold("monotone", seed, channels)
     assert isinstance(scaffold, MonotoneScaffold)
     for c in range(channels):
-        inside = np.clip(scaffold.breakpoints[c], -3, 3)
+        breakpoints = scaffold.breakpoints[c]
+        inside = np.clip(breakpoints, -3, 3)
         knots = np.concatenate([[-3.0], inside, [3.0]])
-        on_every_channel = np.repeat(knots[:, None], channels, axis=1)
+        column = knots[:, None]
+        on_every_channel = np.repeat(column, channels, axis=1)
         values = scaffold(on_every_channel)[:, c]
         actual = np.diff(values)
         differences = np.diff(knots)
@@ -112,7 +128,10 @@ def test_a_monotone_scaffold_is_the_integral_of_its_slopes(seed: int, channels: 
         np.testing.assert_allclose(actual, expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("gain", [0.5, 3.0, -0.5, -3.0])
+GAINS = [0.5, 3.0, -0.5, -3.0]
+
+
+@pytest.mark.parametrize("gain", GAINS)
 def test_gains_around_a_monotone_scaffold_become_part_of_it(gain: float) -> None:
     scaffold = random_scaffold("monotone", 0, 1)
     even_points = np.linspace(-3, 3, 41)
@@ -130,7 +149,8 @@ def random_model(seed: int, kind_in: str = "mlp", kind_out: str = "linear") -> S
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(4, 4))
     eigenvalues = np.linalg.eigvals(a)
-    spectral_radius = np.abs(eigenvalues).max()
+    moduli = np.abs(eigenvalues)
+    spectral_radius = moduli.max()
     a *= 0.9 / spectral_radius
     b = rng.normal(size=(4, 2))
     c = rng.normal(size=(3, 4))
@@ -138,10 +158,14 @@ def random_model(seed: int, kind_in: str = "mlp", kind_out: str = "linear") -> S
     linear = StateSpace(a=a, b=b, c=c, d=d)
     scaffold_in = random_scaffold(kind_in, seed, 2)
     scaffold_out = random_scaffold(kind_out, seed + 1, 3)
-    input_scale = np.array([2.0, 0.5])
-    output_scale = np.array([1.0, 3.0, 0.1])
-    input_equilibrium = np.array([0.3, -1.0])
-    output_equilibrium = np.array([5.0, 0.0, 1.0])
+    input_scales = [2.0, 0.5]
+    input_scale = np.array(input_scales)
+    output_scales = [1.0, 3.0, 0.1]
+    output_scale = np.array(output_scales)
+    input_equilibria = [0.3, -1.0]
+    input_equilibrium = np.array(input_equilibria)
+    output_equilibria = [5.0, 0.0, 1.0]
+    output_equilibrium = np.array(output_equilibria)
     scale = Scale(
         input_scale=input_scale,
         output_scale=output_scale,
@@ -161,7 +185,8 @@ def test_a_model_rests_at_its_equilibrium_and_survives_json(kind_out: str) -> No
     response = model.simulate(resting)
     expected = model.scale.output_equilibrium
     assert (response == expected).all()
-    text = json.dumps(model.to_json())
+    document = model.to_json()
+    text = json.dumps(document)
     content = json.loads(text)
     again = SSM.from_json(content)
     rng = np.random.default_rng(0)
@@ -181,7 +206,8 @@ def test_stepping_the_pieces_is_the_simulation() -> None:
     expected = model.simulate(u, x)
     for sample in u:
         ubar = model.map_input(sample)
-        y.append(model.output_at(x, ubar))
+        output = model.output_at(x, ubar)
+        y.append(output)
         x = model.advance(x, ubar)
     actual = np.stack(y)
     np.testing.assert_allclose(actual, expected, rtol=1e-12)

@@ -42,17 +42,24 @@ def drawn(
     shapes = {"b": b, "c": c, "d": d, "e": e, "f": f, "g": g, "h": h, "bias": (q,)}
     a = rng.normal(size=(n, n))
     norm = np.linalg.norm(a, 2)
-    matrices = {name: 0.3 * rng.normal(size=shape) for name, shape in shapes.items()}
+    matrices = {}
+    for name, shape in shapes.items():
+        matrices[name] = 0.3 * rng.normal(size=shape)
     scaffold_in = monotone(rng, m)
     scaffold_out = monotone(rng, p)
+    input_scale = rng.uniform(0.5, 2, m)
+    output_scale = rng.uniform(0.5, 2, p)
+    input_equilibrium = rng.normal(size=m)
+    output_equilibrium = rng.normal(size=p)
     scale = Scale(
-        input_scale=rng.uniform(0.5, 2, m),
-        output_scale=rng.uniform(0.5, 2, p),
-        input_equilibrium=rng.normal(size=m),
-        output_equilibrium=rng.normal(size=p),
+        input_scale=input_scale,
+        output_scale=output_scale,
+        input_equilibrium=input_equilibrium,
+        output_equilibrium=output_equilibrium,
     )
+    scaled_a = 0.6 * a / norm
     return StructuredSSM(
-        a=0.6 * a / norm,
+        a=scaled_a,
         **matrices,
         neurons=kinds,
         scaffold_in=scaffold_in,
@@ -62,11 +69,18 @@ def drawn(
     )
 
 
+SEEDS = st.integers(0, 2**31)
+ORDERS = st.integers(1, 5)
+WIDTHS = st.integers(1, 3)
+
+
 @settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 2**31), n=st.integers(1, 5), m=st.integers(1, 3), p=st.integers(1, 3))
+@given(seed=SEEDS, n=ORDERS, m=WIDTHS, p=WIDTHS)
 def test_the_compiled_run_is_the_stepped_one(seed: int, n: int, m: int, p: int) -> None:
     rng = np.random.default_rng(seed)
-    kinds = tuple(rng.choice(KINDS, size=rng.integers(0, 6)).tolist())
+    neurons = rng.integers(0, 6)
+    drawn_kinds = rng.choice(KINDS, size=neurons)
+    kinds = tuple(drawn_kinds.tolist())
     model = drawn(seed, n, m, p, kinds)
     input_equilibrium = model.scale.input_equilibrium
     deviation = rng.normal(size=(2, 40, m))
@@ -74,7 +88,8 @@ def test_the_compiled_run_is_the_stepped_one(seed: int, n: int, m: int, p: int) 
     x = rng.normal(size=(2, n))
     compiled = model.simulate(u, x)
     for k in range(40):
-        ubar = model.map_input(u[:, k])
+        input_now = u[:, k]
+        ubar = model.map_input(input_now)
         actual = model.output_at(x, ubar)
         expected = compiled[:, k]
         np.testing.assert_allclose(actual, expected, atol=1e-12, rtol=1e-12)
@@ -84,10 +99,11 @@ def test_the_compiled_run_is_the_stepped_one(seed: int, n: int, m: int, p: int) 
 def test_rest_stays_at_rest_whatever_the_bias() -> None:
     model = drawn(0)
     input_equilibrium = model.scale.input_equilibrium
-    resting_input = np.tile(input_equilibrium, (20, 1))
+    samples = (20, 1)
+    resting_input = np.tile(input_equilibrium, samples)
     y = model.simulate(resting_input)
     output_equilibrium = model.scale.output_equilibrium
-    resting_output = np.tile(output_equilibrium, (20, 1))
+    resting_output = np.tile(output_equilibrium, samples)
     assert np.array_equal(y, resting_output)
 
 
@@ -96,7 +112,8 @@ def test_a_stored_model_of_one_layer_is_the_case_without_neurons() -> None:
     names = ("scaffold_in", "scaffold_out", "scale")
     parts = {name: getattr(rich, name) for name in names}
     plain = SSM(linear=rich.linear, step_s=0.01, **parts)
-    same = StructuredSSM.from_json(plain.to_json())
+    document = plain.to_json()
+    same = StructuredSSM.from_json(document)
     rng = np.random.default_rng(1)
     u = rng.normal(size=(200, 2))
     assert same.neurons == ()
@@ -105,27 +122,40 @@ def test_a_stored_model_of_one_layer_is_the_case_without_neurons() -> None:
     np.testing.assert_allclose(actual, expected, atol=1e-12, rtol=1e-12)
 
 
-@pytest.mark.parametrize("kinds", [KINDS, ()])
+KINDS_OF_NEURONS = [KINDS, ()]
+
+
+@pytest.mark.parametrize("kinds", KINDS_OF_NEURONS)
 def test_a_model_reads_back_to_the_same_bits(kinds: tuple[str, ...]) -> None:
     model = drawn(2, kinds=kinds)
-    text = json.dumps(model.to_json())
+    document = model.to_json()
+    text = json.dumps(document)
     content = json.loads(text)
     back = read_model_json(content)
     rng = np.random.default_rng(2)
     u = rng.normal(size=(50, 2))
     assert isinstance(back, StructuredSSM)
     response = back.simulate(u)
-    assert np.array_equal(response, model.simulate(u))
+    expected = model.simulate(u)
+    assert np.array_equal(response, expected)
 
 
-@given(kind=st.sampled_from(KINDS), z=st.floats(-50, 50), gap=st.floats(1e-3, 5))
+ONE_KIND = st.sampled_from(KINDS)
+POINTS = st.floats(-50, 50)
+GAPS = st.floats(1e-3, 5)
+
+
+@given(kind=ONE_KIND, z=POINTS, gap=GAPS)
 def test_secants_of_a_neuron_lie_in_the_unit_interval(kind: str, z: float, gap: float) -> None:
-    points = np.array([[z], [z + gap]])
-    low, high = evaluate_activations((kind,), points)[:, 0]
+    far_point = [z + gap]
+    points = np.array([[z], far_point])
+    activations = evaluate_activations((kind,), points)
+    low, high = activations[:, 0]
     upper_limit = (high - low) / gap
     assert -1e-12 <= upper_limit <= 1 + 1e-9
     at_low = np.array([z])
-    slope = evaluate_activations((kind,), at_low, "slope")[0]
+    slopes = evaluate_activations((kind,), at_low, "slope")
+    slope = slopes[0]
     assert 0 <= slope <= 1
     code = KINDS.index(kind)
     actual = activation_and_slope(code, z)
@@ -135,7 +165,8 @@ def test_secants_of_a_neuron_lie_in_the_unit_interval(kind: str, z: float, gap: 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_slope_is_the_derivative(kind: str) -> None:
-    even = np.linspace(-3, 3, 41)[:, None]
+    grid = np.linspace(-3, 3, 41)
+    even = grid[:, None]
     z = even + 0.013
     above = evaluate_activations((kind,), z + 1e-6)
     below = evaluate_activations((kind,), z - 1e-6)
@@ -144,10 +175,13 @@ def test_the_slope_is_the_derivative(kind: str) -> None:
     np.testing.assert_allclose(actual, difference, atol=1e-6)
 
 
+WRONG_SHAPE = np.zeros((3, 4))
+NOT_FINITE = np.full(5, np.nan)
+UNKNOWN_NEURON = ("tanh", "tanh", "tanh", "tanh", "sine")
 UNFIT = [
-    ("e", np.zeros((3, 4)), "of shape"),
-    ("bias", np.full(5, np.nan), "finite"),
-    ("neurons", ("tanh",) * 4 + ("sine",), "unknown neuron"),
+    ("e", WRONG_SHAPE, "of shape"),
+    ("bias", NOT_FINITE, "finite"),
+    ("neurons", UNKNOWN_NEURON, "unknown neuron"),
 ]
 
 
@@ -157,7 +191,10 @@ def test_what_does_not_fit_is_refused(field: str, value: object, word: str) -> N
         replace(drawn(5), **{field: value})
 
 
-@pytest.mark.parametrize(("field", "value"), [("neurons", "tanh"), ("f", [[1.0]]), ("h", None)])
+DAMAGED = [("neurons", "tanh"), ("f", [[1.0]]), ("h", None)]
+
+
+@pytest.mark.parametrize(("field", "value"), DAMAGED)
 def test_a_damaged_document_is_refused(field: str, value: object) -> None:
     data = drawn(6).to_json()
     with pytest.raises(BadRequest):

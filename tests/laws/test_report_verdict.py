@@ -14,7 +14,8 @@ def row(**values: object) -> dict[str, object]:
         "observer_certified": True,
         "stable_fraction": 1.0,
     }
-    return good | {"settling_time_mean_s": 0.1, "fit_test_percent": 90.0} | values
+    measures = {"settling_time_mean_s": 0.1, "fit_test_percent": 90.0}
+    return good | measures | values
 
 
 def test_a_fast_loop_without_certificate_never_beats_a_certified_one() -> None:
@@ -23,7 +24,8 @@ def test_a_fast_loop_without_certificate_never_beats_a_certified_one() -> None:
     bare = row(run="bare", settling_time_mean_s=0.01, controller_certified=False)
     lost = row(run="lost", settling_time_mean_s=0.02, stable_fraction=0.9)
     failed = {"run": "failed", "status": "failed"}
-    table = pd.DataFrame([failed, bare, slow, lost, quick])
+    rows = [failed, bare, slow, lost, quick]
+    table = pd.DataFrame(rows)
     run = sort_best_first(table)["run"]
     order = run.tolist()
     expected = ["quick", "slow", "lost", "bare", "failed"]
@@ -32,9 +34,12 @@ def test_a_fast_loop_without_certificate_never_beats_a_certified_one() -> None:
 
 def test_a_baseline_that_is_only_scored_is_identified_not_uncertified() -> None:
     baseline = {"run": "gru", "status": "ok", "fit_test_percent": 95.0}
-    table = pd.DataFrame([baseline, row(run="ours")])
+    ours = row(run="ours")
+    table = pd.DataFrame([baseline, ours])
     expected = ["identified", "certified, settles"]
-    assert words.verdict_words(table).tolist() == expected
+    words_of_table = words.verdict_words(table)
+    verdicts = words_of_table.tolist()
+    assert verdicts == expected
 
 
 def test_a_certified_run_without_a_loop_is_not_said_to_miss_a_start() -> None:
@@ -45,24 +50,37 @@ def test_a_certified_run_without_a_loop_is_not_said_to_miss_a_start() -> None:
         "fit_test_percent": 95.0,
     }
     table = pd.DataFrame([untried])
-    assert words.verdict_words(table).tolist() == ["certified, not tried"]
-    table = pd.DataFrame([untried, row(stable_fraction=0.5)])
+    words_of_untried = words.verdict_words(table)
+    assert words_of_untried.tolist() == ["certified, not tried"]
+    half = row(stable_fraction=0.5)
+    table = pd.DataFrame([untried, half])
     expected = words.LOST.word
-    assert words.verdict_words(table).tolist()[1] == expected
+    words_of_both = words.verdict_words(table)
+    said_of_both = words_of_both.tolist()
+    assert said_of_both[1] == expected
 
 
 def test_an_unknown_status_counts_as_failed_not_as_fine() -> None:
-    for status in ("failed", "lost", "corrupt", "running", None):
-        table = pd.DataFrame([row(status=status)])
+    statuses = ("failed", "lost", "corrupt", "running", None)
+    for status in statuses:
+        unknown = row(status=status)
+        table = pd.DataFrame([unknown])
         expected = [words.FAILED.word]
-        assert words.verdict_words(table).tolist() == expected
+        words_of_unknown = words.verdict_words(table)
+        said_of_unknown = words_of_unknown.tolist()
+        assert said_of_unknown == expected
 
 
 def test_counts_add_up() -> None:
     table = report_tables.table(50)
-    parts = words.verdict_counts(table).split(": ")[1].split("; ")
-    assert sum(int(part.split()[0]) for part in parts) == 50
-    assert words.verdict_counts(report_tables.empty()) == "0 runs"
+    sentence = words.verdict_counts(table)
+    after_the_colon = sentence.split(": ")
+    parts = after_the_colon[1].split("; ")
+    total = sum(int(part.split()[0]) for part in parts)
+    assert total == 50
+    empty = report_tables.empty()
+    said_of_empty = words.verdict_counts(empty)
+    assert said_of_empty == "0 runs"
 
 
 def test_where_nobody_could_judge_a_large_margin_predicts_nothing() -> None:
@@ -70,4 +88,5 @@ def test_where_nobody_could_judge_a_large_margin_predicts_nothing() -> None:
         run="unjudged", mismatch_margin=7.9, predicted_stable=None, evidence="cannot judge"
     )
     table = pd.DataFrame([unjudged])
-    assert predicted_stable(table).tolist() == [False]
+    predictions = predicted_stable(table).tolist()
+    assert predictions == [False]

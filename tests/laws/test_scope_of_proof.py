@@ -16,7 +16,12 @@ from ssm_study.api.scope_of_proof import (
 )
 from ssm_study.api.summaries import summarise_gain_certificate
 
-LAG = (np.array([[0.9]]), np.array([[1.0]]), np.array([[0.1]]), np.array([[0.0]]), 1.0)
+ROWS_OF_A = [[0.9]]
+A = np.array(ROWS_OF_A)
+B = np.array([[1.0]])
+C = np.array([[0.1]])
+D = np.array([[0.0]])
+LAG = (A, B, C, D, 1.0)
 UNEXCITED = "note: The input has no power in 3 of 33 bands, from 0.25 Hz: the mismatch is unknown."
 
 
@@ -25,15 +30,15 @@ def design() -> Design:
     return st.control(LAG, rate=0.3)
 
 
-@pytest.mark.parametrize(
-    ("reference", "words"),
-    [
-        ("input of rms 0.98, around 2.36 rad/sample", "at 0.376 Hz"),
-        ("input of rms 0.98, 0.31 to 0.63 rad/sample", "from 0.0493 to 0.1 Hz"),
-        ("input of rms 0.98, around 0.00 rad/sample", "at the lowest frequencies"),
-        ("input of rms 0.98, in total", ""),
-    ],
-)
+FREQUENCIES = [
+    ("input of rms 0.98, around 2.36 rad/sample", "at 0.376 Hz"),
+    ("input of rms 0.98, 0.31 to 0.63 rad/sample", "from 0.0493 to 0.1 Hz"),
+    ("input of rms 0.98, around 0.00 rad/sample", "at the lowest frequencies"),
+    ("input of rms 0.98, in total", ""),
+]
+
+
+@pytest.mark.parametrize(("reference", "words"), FREQUENCIES)
 def test_a_frequency_is_given_in_hertz(reference: str, words: str) -> None:
     assert describe_frequency(reference, 1.0) == words
 
@@ -41,15 +46,19 @@ def test_a_frequency_is_given_in_hertz(reference: str, words: str) -> None:
 def test_the_coverage_names_its_frequency_and_the_missing_power_there(design: Design) -> None:
     """The note of the evidence stands beside the coverage only from its first frequency on."""
     facts = {"coverage_reference": "input of rms 0.98, around 2.36 rad/sample"}
-    loaded = replace(design, stored_record=facts | {"evidence_reasons": UNEXCITED})
+    reasons_of_record = {"evidence_reasons": UNEXCITED}
+    record = facts | reasons_of_record
+    loaded = replace(design, stored_record=record)
     words = describe_deciding_band(loaded)
     assert words.startswith(", decided at 0.376 Hz with an input of rms 0.98 input scales")
     assert words.endswith("(the input has no power in 3 of 33 bands, from 0.25 Hz)")
     facts["coverage_reference"] = "input of rms 0.98, around 1.00 rad/sample"
-    loaded = replace(design, stored_record=facts | {"evidence_reasons": UNEXCITED})
+    loaded = replace(design, stored_record=facts | reasons_of_record)
     assert "no power" not in describe_deciding_band(loaded)
     reasons = "note: All records have one amplitude (0.97 input scales, rms)"
-    loaded = replace(design, stored_record=facts | {"evidence_reasons": reasons})
+    other_reasons = {"evidence_reasons": reasons}
+    other_record = facts | other_reasons
+    loaded = replace(design, stored_record=other_record)
     assert describe_deciding_band(loaded) == ", decided at 0.159 Hz"
 
 
@@ -65,8 +74,14 @@ def test_what_was_simulated_is_said_with_its_means(design: Design) -> None:
 
 def test_a_plant_that_is_not_covered_is_not_proved_to_rest(design: Design) -> None:
     words = "that the plant itself comes to rest"
-    assert words in describe_unproved(replace(design, stored_record={"coverage": 0.8}))
-    assert words not in describe_unproved(replace(design, stored_record={"coverage": 2.2}))
+    too_little = {"coverage": 0.8}
+    uncovered = replace(design, stored_record=too_little)
+    unproved = describe_unproved(uncovered)
+    assert words in unproved
+    enough = {"coverage": 2.2}
+    covered = replace(design, stored_record=enough)
+    unproved_of_covered = describe_unproved(covered)
+    assert words not in unproved_of_covered
 
 
 def test_a_rate_other_than_the_requested_one_names_both(design: Design) -> None:
@@ -75,13 +90,14 @@ def test_a_rate_other_than_the_requested_one_names_both(design: Design) -> None:
     chosen = replace(design, overrides=("synthesis=auto",))
     assert requested_rate(chosen, "state_feedback") is None
     words = ("synthesis=auto", "synthesis.rate_controller=0.4")
-    asked = replace(design, overrides=words)
-    assert requested_rate(asked, "state_feedback") == 0.4
-    assert requested_rate(asked, "observer") is None
+    with_rate = replace(design, overrides=words)
+    assert requested_rate(with_rate, "state_feedback") == 0.4
+    assert requested_rate(with_rate, "observer") is None
     part = design.certificate.state_feedback
-    line = summarise_gain_certificate("controller", part, 0.48, 1.0, 0.4)["controller"]
+    side = summarise_gain_certificate("controller", part, 0.48, 1.0, 0.4)
+    line = side["controller"]
     assert line.startswith("rate 0.48 (asked 0.4) per sample (to 37 % in")
-    assert (
-        "asked" not in summarise_gain_certificate("controller", part, 0.4, 1.0, 0.4)["controller"]
-    )
+    side_at_the_rate = summarise_gain_certificate("controller", part, 0.4, 1.0, 0.4)
+    line_at_the_rate = side_at_the_rate["controller"]
+    assert "asked" not in line_at_the_rate
     assert "any gain: below" in line

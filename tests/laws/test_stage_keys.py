@@ -1,8 +1,7 @@
 """Keys of stages: an edit makes stale exactly the stages whose result it can change.
 
 Each row of the table edits one file and walks a request down the line, without computing. A key
-that
-is too wide costs time; one that is too narrow costs truth: the second half of this file.
+that is too wide costs time; one that is too narrow costs truth: the second half of this file.
 """
 
 import re
@@ -47,7 +46,9 @@ def _each_text_is_scanned_once() -> Iterator[None]:
     scanned: dict[tuple[bytes, str, bool], fingerprint.Module] = {}
 
     def scan_once(path: Path, module: str) -> fingerprint.Module:
-        key = path.read_bytes(), module, path.name == "__init__.py"
+        content = path.read_bytes()
+        is_package = path.name == "__init__.py"
+        key = content, module, is_package
         if key not in scanned:
             scanned[key] = scan(path, module)
         return scanned[key]
@@ -78,11 +79,13 @@ class KeysOfStages(Stages):
 def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the package, to be edited; each test leaves it as it was."""
     to = tmp_path_factory.mktemp("sources") / "ssm_study"
-    return Path(shutil.copytree(ROOT / "ssm_study", to, ignore=shutil.ignore_patterns("*.pyc")))
+    unwanted = shutil.ignore_patterns("*.pyc")
+    return Path(shutil.copytree(ROOT / "ssm_study", to, ignore=unwanted))
 
 
 def request_of(*overrides: str) -> Specification:
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+    configuration = str(ROOT / "conf")
+    with initialize_config_dir(configuration, version_base="1.3"):
         number = ["study=s", *overrides]
         config = compose("study", number)
         return Specification.from_config(config)
@@ -100,7 +103,8 @@ def keys_of(
     sources = CodeReader({"ssm_study": package})
 
     def version(*roots: Callable[..., Any] | type | str) -> str:
-        symbols = sorted({find_symbol(root) for root in roots})
+        unique_symbols = {find_symbol(root) for root in roots}
+        symbols = sorted(unique_symbols)
         return sources.code_digest(*symbols)
 
     stages = KeysOfStages(folder=folder)
@@ -144,34 +148,41 @@ def stages_among(names: list[str]) -> list[str]:
 
 DOCSTRING = (r'\A"""', '"""Edited. ')
 NEW_CODE = (r"^from pathlib import Path$", "from pathlib import Path\nEDITED = 1\nprint(EDITED)")
+EDITED_END = (r"\Z", "\nEDITED = 1\nprint(EDITED)\n")
+COMMENT = (r"^import numpy as np$", "# why\nimport numpy as np\n")
+OTHER_BASES = (r"^class CascadedTanks\(", "class CascadedTanks(object, ")
 NOWHERE = {
     "docstring": ("study/stages/dataset.py", *DOCSTRING),
     "docstring of a theorem": ("certificates/theorems/state_feedback.py", *DOCSTRING),
-    "comment": ("plants/dc_motor.py", r"^import numpy as np$", "# why\nimport numpy as np\n"),
-    "figure": ("report/figures/closed_loop_responses.py", r"\Z", "\nEDITED = 1\nprint(EDITED)\n"),
-    "page": ("report/page/data.py", r"\Z", "\nEDITED = 1\nprint(EDITED)\n"),
+    "comment": ("plants/dc_motor.py", *COMMENT),
+    "figure": ("report/figures/closed_loop_responses.py", *EDITED_END),
+    "page": ("report/page/data.py", *EDITED_END),
     "command": ("cli/run.py", *NEW_CODE),
     "table": ("table/gather.py", *NEW_CODE),
-    "verification": ("study/claims.py", r"\Z", "\nEDITED = 1\nprint(EDITED)\n"),
+    "verification": ("study/claims.py", *EDITED_END),
     "line": ("study/line.py", *NEW_CODE),
-    "another plant": ("plants/cascaded_tanks.py", r"^class CascadedTanks\(",
-                      "class CascadedTanks(object, "),
-    "a reader of logs": ("data/readers/text.py", r"\Z", "\nEDITED = 1\nprint(EDITED)\n"),
-}  # fmt: skip
+    "another plant": ("plants/cascaded_tanks.py", *OTHER_BASES),
+    "a reader of logs": ("data/readers/text.py", *EDITED_END),
+}
 
 
 @pytest.mark.parametrize("row", NOWHERE)
 def test_what_no_result_depends_on(row: str, scratch: Path, simulated: Specification) -> None:
-    assert stale(simulated, scratch, *NOWHERE[row]) == []
+    stale_stages = stale(simulated, scratch, *NOWHERE[row])
+    assert stale_stages == []
 
 
+INPUT_COVERAGE = (
+    r"^def input_coverage\((.*)\) -> float:$",
+    r"def input_coverage(\1):\n    del EDITED",
+)
+STABLE_COUNT = (r"stable_count = len", "stable_count = 1 + len")
+PAPER_FEASIBILITY = (r"^def paper_feasibility_columns\(", "@edited\ndef paper_feasibility_columns(")
 MEASURES = {
-    "dataset": ("data/metrics.py", r"^def input_coverage\((.*)\) -> float:$",
-                r"def input_coverage(\1):\n    del EDITED"),
-    "loop": ("loop/metrics.py", r"stable_count = len", "stable_count = 1 + len"),
-    "synthesis": ("synthesis/metrics.py", r"^def paper_feasibility_columns\(",
-                  "@edited\ndef paper_feasibility_columns("),
-}  # fmt: skip
+    "dataset": ("data/metrics.py", *INPUT_COVERAGE),
+    "loop": ("loop/metrics.py", *STABLE_COUNT),
+    "synthesis": ("synthesis/metrics.py", *PAPER_FEASIBILITY),
+}
 
 
 @pytest.mark.parametrize("stage", MEASURES)
@@ -179,32 +190,39 @@ def test_a_measure_makes_its_columns_stale(
     stage: str, scratch: Path, simulated: Specification
 ) -> None:
     expected = [stage + COLUMNS]
-    assert stale(simulated, scratch, *MEASURES[stage]) == expected
+    stale_stages = stale(simulated, scratch, *MEASURES[stage])
+    assert stale_stages == expected
 
 
+def decorate(definition: str) -> tuple[str, str]:
+    """Pattern of a function's or class's first line, and what puts a decorator over it."""
+    return rf"^{definition}", r"@edited\n\g<0>"
+
+
+NEW_FIELD = (r"^class Mismatch:$", "class Mismatch:\n    edited: float = 0.0\n")
+ANY_CLASS = decorate(r"class \w+\(")
+SECOND_BASE = (r"^class DCMotor\(", "class DCMotor(object, ")
+MISMATCH_MEASURE = decorate(r"def measure_mismatch\(")
+INITIAL_STATES = decorate(r"class InitialStates\(")
+SIMULATED_DATA = decorate("class SimulatedData")
+CLOSED_LOOP = decorate(r"def simulate_closed_loop\(")
+FINDINGS = decorate(r"def collect_findings\(")
+FROM_MODEL = ALL[1:]
+FROM_MISMATCH = ALL[4:]
+FROM_EVIDENCE = ALL[5:]
+FROM_SYNTHESIS = ALL[6:]
+# File, pattern, what stands there instead, and the stages that become stale.
 ROWS = {
-    "mismatch": ("robustness/mismatch.py", r"^def measure_mismatch\(",
-                 "@edited\ndef measure_mismatch(", ALL[4:]),
-    "a field of the mismatch": (
-        "robustness/mismatch.py", r"^class Mismatch:$",
-        "class Mismatch:\n    edited: float = 0.0\n", ALL[4:]
-    ),
-    "theorem": (
-        "certificates/theorems/state_feedback.py", r"^class StateFeedbackTheorem\(|^class \w+\(",
-        r"@edited\n\g<0>", ALL[6:]
-    ),
-    "auto": ("synthesis/auto.py", r"^class Auto\b", "@edited\nclass Auto", ALL[6:]),
-    "training": ("training/fit.py", r"^class InitialStates\(", "@edited\nclass InitialStates(",
-                 ALL[1:]),
-    "plant": ("plants/dc_motor.py", r"^class DCMotor\(", "class DCMotor(object, ", ALL),
-    "simulated data": ("data/simulated.py", r"^class SimulatedData", "@edited\nclass SimulatedData",
-                       ALL),
-    "loop": ("loop/rollout.py", r"^def simulate_closed_loop\(",
-             "@edited\ndef simulate_closed_loop(",
-             ["textbook_pi", "loop"]),
-    "evidence": ("evidence/metrics.py", r"^def collect_findings\(",
-                 "@edited\ndef collect_findings(", ALL[5:]),
-}  # fmt: skip
+    "mismatch": ("robustness/mismatch.py", *MISMATCH_MEASURE, FROM_MISMATCH),
+    "a field of the mismatch": ("robustness/mismatch.py", *NEW_FIELD, FROM_MISMATCH),
+    "theorem": ("certificates/theorems/state_feedback.py", *ANY_CLASS, FROM_SYNTHESIS),
+    "auto": ("synthesis/auto.py", *decorate(r"class Auto\b"), FROM_SYNTHESIS),
+    "training": ("training/fit.py", *INITIAL_STATES, FROM_MODEL),
+    "plant": ("plants/dc_motor.py", *SECOND_BASE, ALL),
+    "simulated data": ("data/simulated.py", *SIMULATED_DATA, ALL),
+    "loop": ("loop/rollout.py", *CLOSED_LOOP, ["textbook_pi", "loop"]),
+    "evidence": ("evidence/metrics.py", *FINDINGS, FROM_EVIDENCE),
+}
 
 
 @pytest.mark.parametrize("row", ROWS)
@@ -218,7 +236,9 @@ def test_a_rule_that_leaves_the_evidence_as_it_was_makes_no_design_stale(
     scratch: Path, simulated: Specification, tmp_path: Path
 ) -> None:
     """Once judged anew, the content of evidence.json decides: the same words, the same design."""
-    file = tmp_path / EVIDENCE.name / EVIDENCE.files[0]
+    evidence_folder = tmp_path / EVIDENCE.name
+    file_name = EVIDENCE.files[0]
+    file = evidence_folder / file_name
     file.parent.mkdir()
     file.write_text('{"level": "sound"}')
     *change, _ = ROWS["evidence"]
@@ -227,8 +247,9 @@ def test_a_rule_that_leaves_the_evidence_as_it_was_makes_no_design_stale(
     before = keys_of(simulated, scratch, tmp_path)
     file.write_text('{"level": "doubt"}')
     after = keys_of(simulated, scratch, tmp_path)
-    expected = ALL[6:]
-    assert [name for name in ALL if after[name] != before[name]] == expected
+    expected = FROM_SYNTHESIS
+    stale_stages = [name for name in ALL if after[name] != before[name]]
+    assert stale_stages == expected
 
 
 @pytest.fixture
@@ -236,18 +257,19 @@ def recorded(tmp_path: Path) -> Specification:
     log = tmp_path / "log.csv"
     text = "".join(f"{0.1 * k},{k % 3},{k % 5}\n" for k in range(200))
     log.write_text("time,u,y\n" + text)
-    words = ("data=recorded", f"data.path={log}", "data.input=u", "data.output=y", "model=ssm")
+    path_setting = f"data.path={log}"
+    words = ("data=recorded", path_setting, "data.input=u", "data.output=y", "model=ssm")
     return request_of(*words, "model.order=2")
 
 
-@pytest.mark.parametrize(
-    ("file", "pattern"),
-    [
-        ("data/splits.py", r"^def periodic_segments\("),
-        ("data/readers/text.py", r"^class \w+\("),
-        ("data/recorded.py", r"^class RecordedData\("),
-    ],
-)
+READERS_AND_SPLITS = [
+    ("data/splits.py", r"^def periodic_segments\("),
+    ("data/readers/text.py", r"^class \w+\("),
+    ("data/recorded.py", r"^class RecordedData\("),
+]
+
+
+@pytest.mark.parametrize(("file", "pattern"), READERS_AND_SPLITS)
 def test_reader_and_split_make_all_stale(
     file: str, pattern: str, scratch: Path, recorded: Specification
 ) -> None:
@@ -260,40 +282,38 @@ def test_more_fresh_data_sets_train_nothing_again(scratch: Path, simulated: Spec
     before = keys_of(simulated, scratch)
     more = request_of("experiment=smoke", "data.fresh_sets=7")
     after = keys_of(more, scratch)
-    assert [name for name in ALL if after[name] != before[name]] == ["fresh_data"]
+    stale_stages = [name for name in ALL if after[name] != before[name]]
+    assert stale_stages == ["fresh_data"]
     request = request_of("experiment=smoke", "data.noise_variance=0.5")
     other_noise = keys_of(request, scratch)
-    assert [name for name in ALL if other_noise[name] != before[name]] == ALL
+    stale_stages = [name for name in ALL if other_noise[name] != before[name]]
+    assert stale_stages == ALL
 
 
+GAIN_CERTIFICATES = decorate(r"def add_gain_certificates\(")
+PLANT_KERNEL = decorate(r"def advance_batch\(")
+DESIGN_KERNEL = decorate(r"def solve_linear\(")
+REDUCTION = decorate("class Reduction")
+CONSTANT = (r"^(HOLDS|[A-Z_]{4,}) = ", r"EDITED = 1\n\1 = EDITED * ")
 TOO_NARROW = {
-    "a class that the configuration names": (
-        "bounds/reduction.py", r"^class Reduction", "@edited\nclass Reduction", "bounds"
-    ),
+    "a class that the configuration names": ("bounds/reduction.py", *REDUCTION, "bounds"),
     "a function imported inside a function": (
-        "synthesis/deployed.py", r"^def add_gain_certificates\(",
-        "@edited\ndef add_gain_certificates(", "synthesis"
+        "synthesis/deployed.py",
+        *GAIN_CERTIFICATES,
+        "synthesis",
     ),
-    "a compiled kernel of the plant": (
-        "plants/dc_motor_kernel.py", r"^def advance_batch\(", "@edited\ndef advance_batch(",
-        "dataset"
-    ),
-    "a compiled kernel of the design": (
-        "synthesis/game_kernel.py", r"^def solve_linear\(", "@edited\ndef solve_linear(",
-        "synthesis"
-    ),
-    "a constant": ("robustness/mismatch.py", r"^(HOLDS|[A-Z_]{4,}) = ",
-                   r"EDITED = 1\n\1 = EDITED * ", "mismatch"),
-    "a member found by its file": (
-        "models/scaffolds/mlp.py", r"^class \w+\(", r"@edited\n\g<0>", "model"
-    ),
-}  # fmt: skip
+    "a compiled kernel of the plant": ("plants/dc_motor_kernel.py", *PLANT_KERNEL, "dataset"),
+    "a compiled kernel of the design": ("synthesis/game_kernel.py", *DESIGN_KERNEL, "synthesis"),
+    "a constant": ("robustness/mismatch.py", *CONSTANT, "mismatch"),
+    "a member found by its file": ("models/scaffolds/mlp.py", *ANY_CLASS, "model"),
+}
 
 
 @pytest.mark.parametrize("row", TOO_NARROW)
 def test_no_dependency_is_overlooked(row: str, scratch: Path, simulated: Specification) -> None:
     *change, stage = TOO_NARROW[row]
-    assert stage in stale(simulated, scratch, *change)
+    stale_stages = stale(simulated, scratch, *change)
+    assert stage in stale_stages
 
 
 PLUG_IN = """
@@ -307,14 +327,14 @@ class OwnTheorem:
 """
 
 
-@pytest.mark.parametrize(
-    ("file", "pattern", "instead"),
-    [
-        ("own/theorem.py", "return factor", "return 2 * factor"),
-        ("own/gains.py", "return x", "return -x"),
-        ("ssm_study/synthesis/guaranteed_cost.py", r"^def guaranteed_cost\(", "@edited\n\\g<0>"),
-    ],
-)
+EDITS_OF_A_PLUG_IN = [
+    ("own/theorem.py", "return factor", "return 2 * factor"),
+    ("own/gains.py", "return x", "return -x"),
+    ("ssm_study/synthesis/guaranteed_cost.py", r"^def guaranteed_cost\(", "@edited\n\\g<0>"),
+]
+
+
+@pytest.mark.parametrize(("file", "pattern", "instead"), EDITS_OF_A_PLUG_IN)
 def test_a_plug_in_counts_also_what_it_imports_by_an_old_name(
     file: str, pattern: str, instead: str, scratch: Path, tmp_path: Path
 ) -> None:
@@ -332,7 +352,8 @@ def test_a_plug_in_counts_also_what_it_imports_by_an_old_name(
         return code.code_digest(root)
 
     before = version()
-    package = scratch.parent if file.startswith("ssm_study") else tmp_path
+    is_ours = file.startswith("ssm_study")
+    package = scratch.parent if is_ours else tmp_path
     text = edit(package, file, pattern, instead)
     after = version()
     (package / file).write_text(text)

@@ -25,10 +25,14 @@ def slower(of: StructuredSSM) -> StructuredSSM:
     """The same with a mode that no input reaches."""
     a = of.a.copy()
     b = of.b.copy()
-    a[0], a[:, 0], b[0] = 0.0, 0.0, 0.0
+    a[0] = 0.0
+    a[:, 0] = 0.0
+    b[0] = 0.0
     a[0, 0] = 0.99
-    without_first = 0.0 * of.e[:1]
-    e = np.vstack([without_first, of.e[1:]])
+    first = of.e[:1]
+    without_first = 0.0 * first
+    others = of.e[1:]
+    e = np.vstack([without_first, others])
     return replace(of, a=a, b=b, e=e)
 
 
@@ -37,10 +41,13 @@ def test_nearly_equal_fits_leave_the_choice_to_the_rate_and_a_better_fit_does_no
     slow = slower(model())
     rule = LargestCertifiableRate(within_percent=0.3)
     slow_trained = trained(slow, 98.0)
-    found = [slow_trained, trained(fast, 97.8), trained(fast, 97.6)]
-    assert rule(found) is found[1]
-    assert rule([trained(slow, 98.0), trained(fast, 97.6)]).model is slow
-    assert LargestCertifiableRate(within_percent=0.0)(found) is found[0]
+    fast_trained = trained(fast, 97.8)
+    models = [slow_trained, fast_trained, trained(fast, 97.6)]
+    assert rule(models) is models[1]
+    far_behind = [slow_trained, trained(fast, 97.6)]
+    assert rule(far_behind).model is slow
+    best_fit = LargestCertifiableRate(within_percent=0.0)
+    assert best_fit(models) is models[0]
 
 
 def test_neurons_must_gain_a_percent_point() -> None:
@@ -55,21 +62,28 @@ def test_neurons_must_gain_a_percent_point() -> None:
     bias = slow.bias[:0]
     none = {"e": e, "f": f, "g": g, "h": h, "bias": bias}
     plain = replace(model(), **none, neurons=())
-    assert rule([trained(slow, 98.0), trained(plain, 97.1)]).model is plain
-    assert rule([trained(slow, 98.0), trained(plain, 96.9)]).model is slow
+    with_neurons = trained(slow, 98.0)
+    nearly_as_good = [with_neurons, trained(plain, 97.1)]
+    assert rule(nearly_as_good).model is plain
+    not_as_good = [with_neurons, trained(plain, 96.9)]
+    assert rule(not_as_good).model is slow
 
 
 def test_every_other_start_has_half_the_states_and_the_last_no_neurons() -> None:
     spec = StructuredSpec(order=5, neurons=4, starts=3, among_starts=LargestCertifiableRate())
-    sizes = [
-        (one.order, one.neurons) for one in map(spec.for_training_run, range(spec.training_count))
-    ]
+    runs = [spec.for_training_run(k) for k in range(spec.training_count)]
+    sizes = [(run.order, run.neurons) for run in runs]
 
-    expected = [(5, 4), (3, 4), (5, 4), (3, 0)]
+    large = (5, 4)
+    small = (3, 4)
+    without_neurons = (3, 0)
+    expected = [large, small, (5, 4), without_neurons]
     assert sizes == expected
     best = replace(spec, among_starts=None)
     expected = [best] * 3
-    assert [best.for_training_run(k) for k in range(best.training_count)] == expected
+    numbers_of_runs = range(best.training_count)
+    specs = [best.for_training_run(k) for k in numbers_of_runs]
+    assert specs == expected
 
 
 def test_neurons_that_do_nothing_leave_the_exact_limit() -> None:
@@ -79,7 +93,9 @@ def test_neurons_that_do_nothing_leave_the_exact_limit() -> None:
     slopes = np.zeros(idle.neurons)
     system = idle.linearise_at_slopes(slopes)
     exact = largest_certifiable_rate(system, BALL)
-    assert largest_certifiable_rate(idle, BALL) == pytest.approx(exact, abs=2e-3)
+    rate_of_idle = largest_certifiable_rate(idle, BALL)
+    expected_rate = pytest.approx(exact, abs=2e-3)
+    assert rate_of_idle == expected_rate
     assert largest_certifiable_rate(idle, BALL) <= exact
 
 
@@ -89,22 +105,27 @@ def test_of_those_that_are_fast_enough_the_best_fit_is_kept() -> None:
     best = trained(slow, 98.0)
     first = trained(fast, 97.8)
     second = trained(fast, 97.9)
-    limits = [
-        largest_certifiable_rate(one.system, certified_balls(one).input) for one in (slow, fast)
-    ]
+    limits = []
+    for candidate in (slow, fast):
+        balls = certified_balls(candidate)
+        limits.append(largest_certifiable_rate(candidate.system, balls.input))
     assert limits[0] < limits[1]
-    found = [best, first, second]
-    half_of_the_sum = LargestCertifiableRate(rate_enough=0.5 * sum(limits))
-    assert half_of_the_sum(found) is second
-    nearly_the_first = LargestCertifiableRate(rate_enough=0.9 * limits[0])
-    assert nearly_the_first(found) is best
-    beyond_both = LargestCertifiableRate(rate_enough=0.5 * (1 + limits[1]))
-    assert beyond_both(found) is first  # none is: the fastest
+    models = [best, first, second]
+    middle = 0.5 * sum(limits)
+    half_of_the_sum = LargestCertifiableRate(rate_enough=middle)
+    assert half_of_the_sum(models) is second
+    nearly_slow = 0.9 * limits[0]
+    nearly_the_first = LargestCertifiableRate(rate_enough=nearly_slow)
+    assert nearly_the_first(models) is best
+    beyond = 0.5 * (1 + limits[1])
+    beyond_both = LargestCertifiableRate(rate_enough=beyond)
+    assert beyond_both(models) is first  # none is: the fastest
 
 
-@pytest.mark.parametrize(
-    ("name", "value"), [("within_percent", -1.0), ("rate_enough", 1.5), ("rate_enough", 0.0)]
-)
+OUT_OF_RANGE = [("within_percent", -1.0), ("rate_enough", 1.5), ("rate_enough", 0.0)]
+
+
+@pytest.mark.parametrize(("name", "value"), OUT_OF_RANGE)
 def test_a_share_or_rate_out_of_range_is_refused(name: str, value: float) -> None:
     with pytest.raises(BadRequest, match=name):
         LargestCertifiableRate(**{name: value})

@@ -36,7 +36,8 @@ def random_ssm(seed: int, channels: int = 1, output_floor: float = 0.6) -> SSM:
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(4, 4))
     eigenvalues = np.linalg.eigvals(a)
-    spectral_radius = np.abs(eigenvalues).max()
+    moduli = np.abs(eigenvalues)
+    spectral_radius = moduli.max()
     b = rng.normal(size=(4, channels))
     c = rng.normal(size=(channels, 4))
     d = rng.normal(size=(channels, channels))
@@ -69,28 +70,39 @@ def closed_loop(
     """States and estimates of the noise-free model under `u = K xh`, as [Z26] eq. (14) writes
     it."""
     rng = np.random.default_rng(seed)
-    x = rng.normal(size=(cases, 4))
-    xh = rng.normal(size=(cases, 4))
+    shape = (cases, 4)
+    x = rng.normal(size=shape)
+    xh = rng.normal(size=shape)
     states = []
     estimates = []
     for _ in range(steps):
         states.append(x)
         estimates.append(xh)
         state_feedback_k = design.state_feedback.k
-        ubar = model.scaffold_in(xh @ state_feedback_k.T)
+        feedback = xh @ state_feedback_k.T
+        ubar = model.scaffold_in(feedback)
         scaled = model.scaled_output_at(xh, ubar)
-        innovation = scaled - model.scaled_output_at(x, ubar)
+        plant_output = model.scaled_output_at(x, ubar)
+        innovation = scaled - plant_output
         x = model.advance(x, ubar)
         observer_l = design.observer.l
-        xh = model.advance(xh, ubar) + innovation @ observer_l.T
-    return np.stack(states, axis=1), np.stack(estimates, axis=1)
+        predicted = model.advance(xh, ubar)
+        correction = innovation @ observer_l.T
+        xh = predicted + correction
+    all_states = np.stack(states, axis=1)
+    all_estimates = np.stack(estimates, axis=1)
+    return all_states, all_estimates
 
 
-METHODS = st.sampled_from([RiccatiSynthesis, ClosedFormSynthesis])
+METHODS_OF_GAINS = [RiccatiSynthesis, ClosedFormSynthesis]
+METHODS = st.sampled_from(METHODS_OF_GAINS)
+
+
+CHANNELS = st.integers(1, 2)
 
 
 @settings(max_examples=15)
-@given(SEEDS, st.integers(1, 2), METHODS)
+@given(SEEDS, CHANNELS, METHODS)
 def test_the_separation_bound_holds_on_the_model(seed: int, channels: int, method: type) -> None:
     """Nonlinear S_y and D != 0 included; and the observer's error shrinks by its own rate."""
     model = random_ssm(seed, channels)
@@ -98,13 +110,18 @@ def test_the_separation_bound_holds_on_the_model(seed: int, channels: int, metho
     x, xh = closed_loop(model, design, seed)
     assert isinstance(design.state_feedback, StateFeedback)
     assert isinstance(design.observer, Observer)
-    assert count_bound_violations(x, xh, design.state_feedback, design.observer) == 0
+    violations = count_bound_violations(x, xh, design.state_feedback, design.observer)
+    assert violations == 0
     _, error = metric_distances(x, xh, design.state_feedback, design.observer)
     contraction = design.observer.contraction
-    contracted = contraction * error[:, :-1]
-    rounding = 1e-12 * error[:, :1]
-    upper_limit = contracted * (1 + 1e-9) + rounding
-    assert (error[:, 1:] <= upper_limit).all()
+    earlier = error[:, :-1]
+    contracted = contraction * earlier
+    first = error[:, :1]
+    rounding = 1e-12 * first
+    widened = contracted * (1 + 1e-9)
+    upper_limit = widened + rounding
+    later = error[:, 1:]
+    assert (later <= upper_limit).all()
 
 
 def test_a_rate_that_is_not_certified_breaks_the_bound() -> None:
@@ -117,7 +134,8 @@ def test_a_rate_that_is_not_certified_breaks_the_bound() -> None:
     controller = replace(design.state_feedback, rate=0.95)
     observer = replace(design.observer, rate=0.999)
     bold = (controller, observer)
-    assert count_bound_violations(x, xh, *bold) > 0
+    violations = count_bound_violations(x, xh, *bold)
+    assert violations > 0
 
 
 def test_the_bound_starts_at_the_initial_distance_and_is_not_vacuous() -> None:
@@ -133,8 +151,10 @@ def test_the_bound_starts_at_the_initial_distance_and_is_not_vacuous() -> None:
     actual = bound[:, 0]
     expected = d[:, 0]
     np.testing.assert_array_equal(actual, expected)
-    upper_limit = 1e-3 * bound.max(axis=1)
-    assert (bound[:, -1] < upper_limit).all()
+    largest = bound.max(axis=1)
+    upper_limit = 1e-3 * largest
+    last = bound[:, -1]
+    assert (last < upper_limit).all()
 
 
 def steps_in(metric: np.ndarray, part: StateFeedback, count: int = 400) -> np.ndarray:
@@ -144,22 +164,29 @@ def steps_in(metric: np.ndarray, part: StateFeedback, count: int = 400) -> np.nd
     ratios = []
     for _ in range(count):
         v = rng.normal(size=len(metric))
-        sign = rng.choice([-1, 1])
-        slope = part.alpha + part.beta * sign
-        driven = slope * part.b @ (part.k @ v)
-        step = root @ (part.a @ v + driven)
+        signs = [-1, 1]
+        sign = rng.choice(signs)
+        deviation = part.beta * sign
+        slope = part.alpha + deviation
+        feedback = part.k @ v
+        driven = slope * part.b @ feedback
+        free_part = part.a @ v
+        step = root @ (free_part + driven)
         norm = np.linalg.norm(step)
-        ratios.append(norm / np.linalg.norm(root @ v))
+        norm_before = np.linalg.norm(root @ v)
+        ratios.append(norm / norm_before)
     return np.array(ratios)
 
 
 @settings(max_examples=15)
 @given(SEEDS)
 def test_distances_shrink_by_the_root_of_one_minus_the_rate(seed: int) -> None:
-    part = certified_design(random_ssm(seed)).state_feedback
+    design = certified_design(random_ssm(seed))
+    part = design.state_feedback
     assert isinstance(part, StateFeedback)
     metric = np.linalg.inv(part.p)
-    largest = steps_in(metric, part).max()
+    ratios = steps_in(metric, part)
+    largest = ratios.max()
     upper_limit = part.contraction * (1 + 1e-7)
     assert largest <= upper_limit
 
@@ -167,22 +194,30 @@ def test_distances_shrink_by_the_root_of_one_minus_the_rate(seed: int) -> None:
 def test_the_metric_is_the_inverse_of_p_and_not_p() -> None:
     """The printed proof contracts `delta^T P delta`; for this certificate that grows. The LMI is
     the dual form."""
-    ratios = [steps_in(part.p, part).max() / part.contraction for part in _feedbacks()]
+    ratios = []
+    for part in _feedbacks():
+        steps = steps_in(part.p, part)
+        ratios.append(steps.max() / part.contraction)
     worst = max(ratios)
     assert worst > 1.05
+
+
+def shrinks_slower_than_the_square(part: StateFeedback) -> bool:
+    """Whether a step leaves more of the distance than `1 - rho`."""
+    metric = np.linalg.inv(part.p)
+    largest = steps_in(metric, part).max()
+    return largest > 1.02 * (1 - part.rate)
 
 
 def test_the_rate_is_of_the_square_and_not_of_the_distance() -> None:
     """[Z26]'s lemma reuses rho as the distance factor; the factor is `sqrt(1 - rho)`, larger than
     `1 - rho`."""
-    assert any(
-        steps_in(np.linalg.inv(part.p), part).max() > 1.02 * (1 - part.rate)
-        for part in _feedbacks()
-    )
+    assert any(map(shrinks_slower_than_the_square, _feedbacks()))
 
 
 def _feedbacks() -> list[StateFeedback]:
-    parts = [certified_design(random_ssm(seed)).state_feedback for seed in range(6)]
+    designs = [certified_design(random_ssm(seed)) for seed in range(6)]
+    parts = [design.state_feedback for design in designs]
     return [part for part in parts if isinstance(part, StateFeedback)]
 
 
@@ -190,9 +225,10 @@ def test_singular_values_are_not_enough() -> None:
     """A falling S_u has singular values in [mu, nu] too; the certificate for the rising ball breaks
     on it."""
     a = np.array([[0.99]])
-    b = np.ones((1, 1))
-    c = np.ones((1, 1))
-    d = np.zeros((1, 1))
+    shape = (1, 1)
+    b = np.ones(shape)
+    c = np.ones(shape)
+    d = np.zeros(shape)
     linear = StateSpace(a=a, b=b, c=c, d=d)
     rising = JacobianBall.from_slopes(0.5, 1.0)
     falling = JacobianBall.from_slopes(-1.0, -0.5)
@@ -201,7 +237,9 @@ def test_singular_values_are_not_enough() -> None:
     down = method.state_feedback(linear, falling)
     assert isinstance(up, StateFeedback)
     assert isinstance(down, StateFeedback)
-    difference = abs(0.99 - 0.75 * up.k[0, 0])
+    gain = up.k[0, 0]
+    change = 0.75 * gain
+    difference = abs(0.99 - change)
     assert difference > 1  # the same gain on the falling map: unstable
     np.testing.assert_allclose(down.k, -up.k, rtol=1e-12)  # the ball with sign gives the right gain
     assert down.certified
@@ -209,7 +247,8 @@ def test_singular_values_are_not_enough() -> None:
 
 def assert_between(along: np.ndarray, linear: np.ndarray, ball: JacobianBall) -> None:
     """The Gramian lies between the linear one times the squares of smallest and largest slope."""
-    slack = 1e-9 * np.abs(linear).max()
+    sizes = np.abs(linear)
+    slack = 1e-9 * sizes.max()
     lower_bound = ball.lower**2 * linear
     above_lower = np.linalg.eigvalsh(along - lower_bound)
     upper_bound = ball.upper**2 * linear
@@ -218,7 +257,7 @@ def assert_between(along: np.ndarray, linear: np.ndarray, ball: JacobianBall) ->
     assert below_upper[0] >= -slack
 
 
-@given(SEEDS, st.integers(1, 2))
+@given(SEEDS, CHANNELS)
 def test_gramians_along_trajectories_stay_between_their_bounds(seed: int, channels: int) -> None:
     """`mu^2 W' <= W <= nu^2 W'` for the variational dynamics along a random trajectory ([Z26]
     Propositions 1, 2)."""
@@ -226,21 +265,27 @@ def test_gramians_along_trajectories_stay_between_their_bounds(seed: int, channe
     rng = np.random.default_rng(seed)
     steps = 4
     balls = certified_balls(model)
-    w = np.zeros((4, 4))
-    o = np.zeros((4, 4))
+    shape = (4, 4)
+    w = np.zeros(shape)
+    o = np.zeros(shape)
     power = np.eye(4)
     for _ in range(steps):
-        j_in = model.scaffold_in.jacobian(rng.normal(size=channels))
-        j_out = model.scaffold_out.jacobian(rng.normal(size=channels))
-        into = power @ model.linear.b @ j_in
-        out = j_out @ model.linear.c @ power
+        input_point = rng.normal(size=channels)
+        j_in = model.scaffold_in.jacobian(input_point)
+        output_point = rng.normal(size=channels)
+        j_out = model.scaffold_out.jacobian(output_point)
+        reached = power @ model.linear.b
+        into = reached @ j_in
+        mapped_output = j_out @ model.linear.c
+        out = mapped_output @ power
         w = w + into @ into.T
         o = o + out.T @ out
         power = power @ model.linear.a
     a = model.linear.a
     b = model.linear.b
     c = model.linear.c
-    assert_between(w, controllability_gramian(a, b, steps), balls.input)
+    linear_gramian = controllability_gramian(a, b, steps)
+    assert_between(w, linear_gramian, balls.input)
     gramian = controllability_gramian(a.T, c.T, steps)
     assert_between(o, gramian, balls.output)
     local = bound_local_controllability(a, b, balls.input)
@@ -250,7 +295,8 @@ def test_gramians_along_trajectories_stay_between_their_bounds(seed: int, channe
     assert local.lower <= upper_limit
     upper_limit = local.upper * (1 + 1e-9)
     assert eigenvalues[-1] <= upper_limit
-    assert bound_local_controllability(a.T, c.T, balls.output).holds
+    dual_bound = bound_local_controllability(a.T, c.T, balls.output)
+    assert dual_bound.holds
 
 
 WITHOUT_AUTHORITY = [((0.0, 1.0), 1.0), ((-0.5, 1.0), 1.0), ((0.5, 1.0), 0.0)]
@@ -260,10 +306,12 @@ WITHOUT_AUTHORITY = [((0.0, 1.0), 1.0), ((-0.5, 1.0), 1.0), ((0.5, 1.0), 0.0)]
 def test_local_controllability_is_not_claimed_without_authority(
     slopes: tuple[float, float], b: float
 ) -> None:
-    a = np.diag([0.9, 0.5])
+    modes = [0.9, 0.5]
+    a = np.diag(modes)
     c = np.ones((1, 2))
     d = np.zeros((1, 1))
-    gains = np.array([[b], [1.0]])
+    rows = [[b], [1.0]]
+    gains = np.array(rows)
     linear = StateSpace(a=a, b=gains, c=c, d=d)
     ball = JacobianBall.from_slopes(*slopes)
     local = bound_local_controllability(linear.a, linear.b, ball)

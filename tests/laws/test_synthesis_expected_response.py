@@ -26,7 +26,8 @@ AREAS = np.array([0.3, 1.0, 2.4, 0.1])
 LOOP_GAINS = (0.95, 0.01, 0.01, 1.5)
 RNG = np.random.default_rng(0)
 START = np.array([0.5, 0.0])
-PAIRS = np.array([[0, 0], [1, 0], [2, 0], [3, 0]])
+ROWS_OF_PAIRS = [[0, 0], [1, 0], [2, 0], [3, 0]]
+PAIRS = np.array(ROWS_OF_PAIRS)
 
 
 @pytest.fixture
@@ -50,7 +51,8 @@ def order_of(response: ExpectedResponse) -> list[int]:
     pairs = response.pairs_by_expected_response(peaks, (), None)
     ranked = list(islice(pairs, 10))
     for pair, is_faster in ranked:
-        expected = expected_response.relative_response_areas()[pair[0]] < expected_response.FASTER
+        areas = expected_response.relative_response_areas()
+        expected = areas[pair[0]] < expected_response.FASTER
         assert is_faster == expected
     return [int(pair[0]) for pair, _ in ranked]
 
@@ -89,7 +91,10 @@ def test_a_pair_that_only_stirs_up_a_decay_comes_after_the_others(response, monk
     peaks = np.zeros((4, 1))
     rankeds = response.pairs_by_expected_response(peaks, (), None)
     pairs = [(int(ranked.pair[0]), ranked.is_faster) for ranked in rankeds]
-    expected = [(1, True), (2, False), (0, False)]
+    first = (1, True)
+    second = (2, False)
+    third = (0, False)
+    expected = [first, second, third]
     assert pairs == expected
 
 
@@ -97,8 +102,11 @@ def test_the_compared_pairs_are_the_fastest_and_some_of_the_rest():
     areas = np.linspace(1.0, 0.0, 1000)
     compared = indices_to_compare(areas, areas >= FASTER)
     assert compared[0] == 999
-    expected = set(range(800, 1000))
-    assert set(compared[:200]) == expected
+    fastest = range(800, 1000)
+    expected = set(fastest)
+    first_compared = compared[:200]
+    set_of_first = set(first_compared)
+    assert set_of_first == expected
     assert min(compared) < 10  # the slowest are among them
     slow = np.array([True, False])
     expected = [1, 0]
@@ -111,13 +119,16 @@ def test_a_decay_is_answered_by_the_model_alone():
     model = motor_model()
     linear = model.linear
     input_equilibrium = model.scale.input_equilibrium
-    u = np.tile(input_equilibrium, (200, 1))
-    resting_input = np.tile(input_equilibrium, (200, 1))
+    samples = (200, 1)
+    u = np.tile(input_equilibrium, samples)
+    resting_input = np.tile(input_equilibrium, samples)
     y = model.simulate(resting_input, START)
     trial = Trajectory(u=u, y=y, step_s=model.step_s)
-    rng = RNG.standard_normal((400, linear.b.shape[1]))
+    shape_of_b = linear.b.shape
+    rng = RNG.standard_normal((400, shape_of_b[1]))
     u = input_equilibrium + rng
-    y = np.zeros((400, len(linear.c)))
+    outputs = len(linear.c)
+    y = np.zeros((400, outputs))
     excited = Trajectory(u=u, y=y, step_s=model.step_s)
     decays = simulate_decays(model, (trial,), (excited,))
     assert len(decays) == 1
@@ -125,8 +136,10 @@ def test_a_decay_is_answered_by_the_model_alone():
     no_injection = np.zeros((1, model.order, 1))
     none = Gains(k=k, l=no_injection)
     ratios = largest_settling_time_ratios(model, none, decays, 0.05)
-    assert ratios == pytest.approx([1.0])
-    assert not largest_settling_time_ratios(model, none, NO_DECAYS, 0.05).any()
+    expected_ratios = pytest.approx([1.0])
+    assert ratios == expected_ratios
+    no_ratios = largest_settling_time_ratios(model, none, NO_DECAYS, 0.05)
+    assert not no_ratios.any()
     u = trial.u + 1.0
     moving = replace(trial, u=u)
     simulated = simulate_decays(model, (moving,), (excited,))

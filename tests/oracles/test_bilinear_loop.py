@@ -55,11 +55,13 @@ def loop_step(
     """Next states and estimates, and the scaled inputs that led there."""
     model = controller.model
     none = np.zeros(0)
-    y = model.scale.physical_output(x @ model.c.T)
+    output_matrix = model.c.T
+    y = model.scale.physical_output(x @ output_matrix)
     u = controller.input(estimate, y, none)
     after = advance_bilinear_states(model, x, u)
     next_estimate = controller.advance(estimate, u, y, none)
-    return after, next_estimate, model.scale.scaled_input(u)
+    scaled_input = model.scale.scaled_input(u)
+    return after, next_estimate, scaled_input
 
 
 def random_starts(part: BilinearLoop | BilinearEverywhere, size: float) -> tuple:
@@ -67,7 +69,8 @@ def random_starts(part: BilinearLoop | BilinearEverywhere, size: float) -> tuple
     rng = np.random.default_rng(0)
     x = rng.standard_normal((CASES, 2))
     error = rng.standard_normal((CASES, 2))
-    of_error = part.weight * norms(error, part.m)
+    norm_of_error = norms(error, part.m)
+    of_error = part.weight * norm_of_error
     norm = norms(x, part.p) + of_error
     share = (size / norm)[:, None]
     return share * x, share * error
@@ -86,9 +89,11 @@ def test_the_loop_comes_to_rest_as_certified(
         unlimited = estimate @ certificates.k.T
         x, estimate, scaled = loop_step(controller, x, estimate)
         np.testing.assert_allclose(scaled, unlimited, atol=1e-12)
-        of_error = part.weight * norms(estimate - x, part.m)
+        norm_of_error = norms(estimate - x, part.m)
+        of_error = part.weight * norm_of_error
         after = norms(x, part.p) + of_error
-        assert (after <= part.factor * norm + 1e-12).all()
+        upper_limit = part.factor * norm + 1e-12
+        assert (after <= upper_limit).all()
         norm = after
 
 
@@ -106,9 +111,11 @@ def test_from_far_away_the_cut_loop_comes_to_rest_as_certified(
         x, estimate, scaled = loop_step(controller, x, estimate)
         is_cut = np.abs(scaled - unlimited) > 0.1
         cut += int(is_cut.sum())
-        of_error = part.weight * norms(estimate - x, part.m)
+        norm_of_error = norms(estimate - x, part.m)
+        of_error = part.weight * norm_of_error
         after = norms(x, part.p) + of_error
-        assert (after <= part.factor * norm + 1e-12).all()
+        upper_limit = part.factor * norm + 1e-12
+        assert (after <= upper_limit).all()
         norm = after
     assert cut > CASES
     assert norm.max() < 0.1
@@ -121,35 +128,37 @@ def test_two_motions_approach_each_other_inside_the_set_as_certified(
     assert isinstance(part, BilinearContraction)
     model = known_model()
     rng = np.random.default_rng(1)
-    drawn = rng.standard_normal((2, CASES, 2))
+    directions = rng.standard_normal((2, CASES, 2))
     pair = []
-    for x in drawn:
+    for x in directions:
         shares = rng.uniform(0.0, 1.0, CASES)
         share = part.radius * shares / norms(x, part.p)
         pair.append(share[:, None] * x)
-    before = norms(pair[0] - pair[1], part.p)
+    distance = pair[0] - pair[1]
+    before = norms(distance, part.p)
     moved = [advance_bilinear_states(model, x, x @ certificates.k.T) for x in pair]
-    after = norms(moved[0] - moved[1], part.p)
-    assert (after <= part.factor * before + 1e-12).all()
+    distance_after = moved[0] - moved[1]
+    after = norms(distance_after, part.p)
+    upper_limit = part.factor * before + 1e-12
+    assert (after <= upper_limit).all()
 
 
 def test_contraction_fails_far_from_rest() -> None:
     """Both vertices contract at 0.9, the loop's slope is -1.5."""
     scale_of_one = Scale.identity(1, 1)
-    model = Bilinear(
-        nodes=np.array([-4.0, 0.0, 4.0]),
-        a=np.array([[[0.9]], [[0.9]], [[-0.9]]]),
-        b=np.zeros((3, 1)),
-        c=np.ones((1, 1)),
-        scale=scale_of_one,
-        step_s=0.1,
-    )
+    nodes = np.array([-4.0, 0.0, 4.0])
+    a = np.array([[[0.9]], [[0.9]], [[-0.9]]])
+    no_input = np.zeros((3, 1))
+    one = np.ones((1, 1))
+    model = Bilinear(nodes=nodes, a=a, b=no_input, c=one, scale=scale_of_one, step_s=0.1)
+    flat_a = model.a.reshape(-1, 1)
+    k = np.array([[-0.3]])
     numbers = {
         "nodes": model.nodes,
-        "a_nodes": model.a.reshape(-1, 1),
+        "a_nodes": flat_a,
         "b_nodes": model.b,
-        "k": np.array([[-0.3]]),
-        "p": np.ones((1, 1)),
+        "k": k,
+        "p": one,
         "factor_controller": 0.91,
         "gain_state": 0.31,
         "variation": 0.46,
@@ -157,7 +166,8 @@ def test_contraction_fails_far_from_rest() -> None:
     }
     assert BilinearContraction.holds(**numbers, radius=0.5)
     assert not BilinearContraction.holds(**numbers, radius=10.0)
-    x = np.array([[-9.0], [-9.1]])
+    states = [[-9.0], [-9.1]]
+    x = np.array(states)
     after = advance_bilinear_states(model, x, -0.3 * x)
     distance_after = abs(after[1, 0] - after[0, 0])
     assert distance_after > 0.12  # before: 0.1
@@ -174,11 +184,14 @@ def test_the_vertices_hold_between_the_nodes(certificates: RestCertificates) -> 
         if v == 0.0:
             continue
         at_the_input = np.array([[v]])
-        hats = model.hats(at_the_input)[0]
+        all_hats = model.hats(at_the_input)
+        hats = all_hats[0]
         a = np.einsum("q,qij->ij", hats, model.a)
         b = hats @ model.b / v
-        closed = a + np.outer(b, certificates.k)
-        shrinkage = np.linalg.norm(root @ closed @ inverse, 2)
+        correction = np.outer(b, certificates.k)
+        closed = a + correction
+        shifted = root @ closed @ inverse
+        shrinkage = np.linalg.norm(shifted, 2)
         assert shrinkage <= part.factor_controller
 
 
@@ -189,13 +202,17 @@ def test_what_is_not_so_is_refused(certificates: RestCertificates, label: str) -
     numbers = part.variables
     assert type(part).holds(**numbers)
     claims = {"factor": 0.5, "factor_controller": 0.9, "factor_observer": 0.9, "coupling": 0.5}
-    claims |= {"gain_state": 0.5, "gain_error": 0.5, "radius": 1.5, "variation": 0.5}
-    claims |= {"factor_uncontrolled": 0.9, "weight": 0.5}
+    claims_of_gains = {"gain_state": 0.5, "gain_error": 0.5, "radius": 1.5, "variation": 0.5}
+    claims |= claims_of_gains
+    other_claims = {"factor_uncontrolled": 0.9, "weight": 0.5}
+    claims |= other_claims
     changed = [name for name in claims if name in numbers]
     assert len(changed) >= 5
     for name in changed:
-        more = numbers | {name: claims[name] * numbers[name]}
-        assert not type(part).holds(**more), name
+        larger = claims[name] * numbers[name]
+        more = numbers | {name: larger}
+        still_holds = type(part).holds(**more)
+        assert not still_holds, name
 
 
 def test_a_stored_design_is_verified_and_a_lie_is_named(
@@ -228,7 +245,8 @@ def test_a_record_beside_a_saved_design_is_named_and_not_shown(
     design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
     folder = design.save(tmp_path / "design")
     assert "channels.json" in verify(folder).unchecked
-    write_record(folder, {"status": "ok", "fit_test_percent": 99.9, "coverage": 9.0})
+    content = {"status": "ok", "fit_test_percent": 99.9, "coverage": 9.0}
+    write_record(folder, content)
     (folder / "proof.txt").write_text("settled on hardware")
     failing = {finding.claim for finding in verify(folder) if not finding.holds}
     assert failing == {"record.json", "proof.txt"}
@@ -261,11 +279,13 @@ def test_a_certificate_of_another_model_or_gain_is_refused(certificates: RestCer
     content = certificates.to_json()
     model = known_model()
     assert failed_rest_checks(content, model) == []
-    other = replace(model, a=0.99 * model.a)
+    larger_a = 0.99 * model.a
+    other = replace(model, a=larger_a)
     (first, *_) = failed_rest_checks(content, other)
     assert "a_nodes: differs from what the model" in first
     larger_gain = 1.1 * certificates.k
-    deployed = content | {"k": (larger_gain).tolist()}
+    list_of_gains = larger_gain.tolist()
+    deployed = content | {"k": list_of_gains}
     assert any(
         "not the one that is deployed" in words for words in failed_rest_checks(deployed, model)
     )
@@ -290,7 +310,10 @@ def test_a_model_that_no_gain_steadies_is_told() -> None:
 def test_an_input_with_its_rest_at_an_end_is_certified_with_the_cut_alone() -> None:
     model = known_model()
     upper = slice(1, None)
-    one_sided = replace(model, nodes=model.nodes[upper], a=model.a[upper], b=model.b[upper])
+    upper_nodes = model.nodes[upper]
+    upper_a = model.a[upper]
+    upper_b = model.b[upper]
+    one_sided = replace(model, nodes=upper_nodes, a=upper_a, b=upper_b)
     certificates = BilinearSynthesis().design(one_sided)
     assert list(certificates.parts) == ["bilinear_everywhere"]
     assert "an end of the inputs" in certificates.reasons["bilinear_loop"]
@@ -299,17 +322,20 @@ def test_an_input_with_its_rest_at_an_end_is_certified_with_the_cut_alone() -> N
 
 def test_the_loop_settles_sooner_than_the_model_alone(certificates: RestCertificates) -> None:
     design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
-    table = design.simulate([0.5, -0.5], horizon_s=3.0)
+    starts = [0.5, -0.5]
+    table = design.simulate(starts, horizon_s=3.0)
     assert list(table) == ["case", "time_s", "u", "y"]
     assert len(table) == 60
     last = table[table.time_s > 2.85]
-    assert last.y.abs().max() < 0.01
+    sizes_of_outputs = last.y.abs()
+    assert sizes_of_outputs.max() < 0.01
     moduli = [np.abs(np.linalg.eigvals(a)) for a in known_model().a]
     radii = [of_node.max() for of_node in moduli]
     part = certificates.parts["bilinear_loop"]
     assert isinstance(part, BilinearLoop)
     assert part.factor_controller < max(radii)
-    assert len(input_slope_columns(known_model())) == 2
+    columns = input_slope_columns(known_model())
+    assert len(columns) == 2
 
 
 def test_the_named_starts_from_rest_are_in_the_set(certificates: RestCertificates) -> None:
@@ -336,11 +362,15 @@ def test_the_compiled_controller_does_the_same(
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler")
+    input_scale = np.array([2.0])
+    output_scale = np.array([3.0])
+    input_equilibrium = np.array([1.0])
+    output_equilibrium = np.array([-4.0])
     scale = Scale(
-        input_scale=np.array([2.0]),
-        output_scale=np.array([3.0]),
-        input_equilibrium=np.array([1.0]),
-        output_equilibrium=np.array([-4.0]),
+        input_scale=input_scale,
+        output_scale=output_scale,
+        input_equilibrium=input_equilibrium,
+        output_equilibrium=output_equilibrium,
     )
     model = replace(known_model(), scale=scale)
     design = RestDesign(model=model, certificates=certificates, channels=CHANNELS)
@@ -350,13 +380,14 @@ def test_the_compiled_controller_does_the_same(
     replay = tmp_path / "law_replay.c"
     program = tmp_path / "replay"
     flags = ["-std=c99", "-O2", "-ffp-contract=off", "-pedantic", "-Wall", "-Wextra", "-Werror"]
-    subprocess.run([compiler, *flags, replay, "-o", program], check=True)
+    compilation = [compiler, *flags, replay, "-o", program]
+    subprocess.run(compilation, check=True)
     done = subprocess.run([program], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
     wrong = text.replace("v < law_nodes[0]", "v < 0")
     assert wrong != text
     header.write_text(wrong)
-    subprocess.run([compiler, *flags, replay, "-o", program], check=True)
+    subprocess.run(compilation, check=True)
     returncode = subprocess.run([program], capture_output=True).returncode
     assert returncode == 1
 

@@ -32,7 +32,8 @@ def test_the_fitted_loop_is_certified_and_says_only_that_it_comes_to_rest(
     u = levels(SAMPLES, 7)
     plant = known_model()
     y = plant.simulate(u)
-    assert model.score(u, y) > 95
+    score = model.score(u, y)
+    assert score > 95
     assert design.certified
     text = repr(design)
     assert "the loop comes to rest from every start" in text
@@ -45,24 +46,35 @@ def test_a_saved_design_is_loaded_and_simulated(design: st.RestDesign, tmp_path:
     again = st.load(folder)
     assert isinstance(again, st.RestDesign)
     equilibrium = design.model.scale.output_equilibrium
-    starts = equilibrium + np.array([[0.2], [-0.2]])
+    offsets = [[0.2], [-0.2]]
+    deviation = np.array(offsets)
+    starts = equilibrium + deviation
     expected = st.simulate(design, starts)
     actual = st.simulate(again, starts)
     np.testing.assert_array_equal(actual.y, expected.y)
-    last = actual.y[actual.time_s == actual.time_s.max()]
-    assert (last - equilibrium[0]).abs().max() < 0.01
+    end = actual.time_s.max()
+    is_last = actual.time_s == end
+    last = actual.y[is_last]
+    distances = (last - equilibrium[0]).abs()
+    largest = distances.max()
+    assert largest < 0.01
 
 
-@pytest.mark.parametrize(
-    ("arguments", "problem"),
-    [
-        ({"rate": 0.1}, "rate = 0.1: is for other models"),
-        ({"method": "riccati"}, "method = riccati: is for other models"),
-        ({"input_limits": (-1, 1)}, "is for other models"),
-        ({"input_weight": -1.0}, "input_weight = -1.0: must be positive"),
-        ({"weight": 1.0}, "weight = weight: unknown; use input_weight or sensor_noise"),
-    ],
-)
+A_RATE = {"rate": 0.1}
+A_METHOD = {"method": "riccati"}
+LIMITS = {"input_limits": (-1, 1)}
+NEGATIVE_WEIGHT = {"input_weight": -1.0}
+UNKNOWN_WORD = {"weight": 1.0}
+OF_NO_USE = [
+    (A_RATE, "rate = 0.1: is for other models"),
+    (A_METHOD, "method = riccati: is for other models"),
+    (LIMITS, "is for other models"),
+    (NEGATIVE_WEIGHT, "input_weight = -1.0: must be positive"),
+    (UNKNOWN_WORD, "weight = weight: unknown; use input_weight or sensor_noise"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "problem"), OF_NO_USE)
 def test_a_request_that_it_has_no_use_for_is_refused(
     model: st.Model, arguments: dict[str, Any], problem: str
 ) -> None:

@@ -2,6 +2,7 @@
 
 import copy
 import json
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -29,81 +30,79 @@ def stored() -> tuple[dict, StateSpace]:
     design = synthesis.design(model, MOTOR_BALLS)
     whole = add_gain_certificates(design, model, MOTOR_BALLS, limits)
     expected = {"state_feedback_deployed", "observer_deployed", "tolerance"}
-    assert set(whole.extra_certificates) == {
-        *expected,
-        "state_feedback_limited",
-        "state_feedback_unlimited",
-    }
-    text = json.dumps(whole.to_json())
+    names = set(whole.extra_certificates)
+    all_expected = {*expected, "state_feedback_limited", "state_feedback_unlimited"}
+    assert names == all_expected
+    document = whole.to_json()
+    text = json.dumps(document)
     content = json.loads(text)
     return content, model.linear
 
 
 def test_what_is_stored_is_verified_from_the_file(stored: tuple[dict, StateSpace]) -> None:
     content, linear = stored
-    assert failed_checks(content, linear, MOTOR_BALLS) == []
+    broken = failed_checks(content, linear, MOTOR_BALLS)
+    assert broken == []
     certified_rate = content["state_feedback"]["certified_rate"]
     assert certified_rate == content["state_feedback_deployed"]["rate"]
 
 
-TAMPERED = [
-    (
-        "tolerance",
-        "kappa",
-        lambda kappa: 1.01 * kappa,
-        "tolerance.certified = True: in exact arithmetic the inequality fails",
-    ),
-    ("tolerance", "kappa", lambda kappa: -kappa, "fails (kappa)"),
-    ("tolerance", "kappa", lambda kappa: 0.5 * kappa, None),  # less than is proved is proved
-    ("tolerance", "lambda_p", lambda value: -value, "fails (inequality, lambda_p)"),
-    ("tolerance", "p", lambda p: [[-value for value in row] for row in p], "fails"),
-    (
-        "tolerance",
-        "k",
-        lambda k: [[0.5 * value for value in row] for row in k],
-        "tolerance.k: differs",
-    ),
-    ("tolerance", "alpha_out", lambda value: 0.5 * value, "tolerance.alpha_out: differs"),
-    ("tolerance", "beta", lambda value: 0.5 * value, "tolerance.alpha, beta"),
-    ("tolerance", "weight_input", lambda w: [[10 * w[0][0]]], "fails (inequality)"),
-    ("state_feedback_deployed", "rate", lambda rate: rate * 1.01, "fails (inequality)"),
-    ("state_feedback_deployed", "theorem", lambda _: "observer", "is of another part"),
-    (
-        "observer_deployed",
-        "l",
-        lambda gain: [[0.99 * v for v in row] for row in gain],
-        "not the one that is deployed",
-    ),
-    ("state_feedback_limited", "rate", lambda rate: rate * 1.01, "fails (inequality)"),
-    (
-        "state_feedback_limited",
-        "beta",
-        lambda beta: 0.99 * beta,
-        "state_feedback_limited.alpha, beta",
-    ),
-    ("state_feedback_limited", "theorem", lambda _: "state_feedback", "is of another part"),
-    (
-        "state_feedback_unlimited",
-        "starts",
-        lambda x: [[1.01 * v for v in row] for row in x],
-        "fails (start 0)",
-    ),
-    ("state_feedback_unlimited", "level", lambda level: 1.01 * level, "limit 0 is not reached"),
-    (
-        "state_feedback_unlimited",
-        "limits",
-        lambda ends: [[-ends[0][0], ends[0][1]]],
-        "fails (lower limit 0",
-    ),
-    (
-        "state_feedback_unlimited",
-        "k",
-        lambda k: [[0.5 * v for v in row] for row in k],
-        "not the one that is deployed",
-    ),
-    ("state_feedback", "certified_rate", lambda rate: rate * 1.01, "state_feedback.certified_rate"),
-    ("tolerance", "rate", lambda _: 0.1, "is not part of a certificate"),
+def scale_by(factor: float) -> Callable[[float], float]:
+    return lambda number: factor * number
+
+
+def scale_entries_by(factor: float) -> Callable[[list[list[float]]], list[list[float]]]:
+    return lambda rows: [[factor * value for value in row] for row in rows]
+
+
+def turn_lower_limit(ends: list[list[float]]) -> list[list[float]]:
+    lower, upper = ends[0]
+    return [[-lower, upper]]
+
+
+def replace_by(value: object) -> Callable[[object], object]:
+    return lambda _: value
+
+
+FAILS = "fails (inequality)"
+NOT_DEPLOYED = "not the one that is deployed"
+FAILS_EXACTLY = "tolerance.certified = True: in exact arithmetic the inequality fails"
+TAMPERED_TOLERANCE = [
+    ("kappa", scale_by(1.01), FAILS_EXACTLY),
+    ("kappa", scale_by(-1), "fails (kappa)"),
+    ("kappa", scale_by(0.5), None),  # less than is proved is proved
+    ("lambda_p", scale_by(-1), "fails (inequality, lambda_p)"),
+    ("p", scale_entries_by(-1), "fails"),
+    ("k", scale_entries_by(0.5), "tolerance.k: differs"),
+    ("alpha_out", scale_by(0.5), "tolerance.alpha_out: differs"),
+    ("beta", scale_by(0.5), "tolerance.alpha, beta"),
+    ("weight_input", scale_entries_by(10), FAILS),
+    ("rate", replace_by(0.1), "is not part of a certificate"),
 ]
+TAMPERED_DEPLOYED = [
+    ("rate", scale_by(1.01), FAILS),
+    ("theorem", replace_by("observer"), "is of another part"),
+]
+TAMPERED_LIMITED = [
+    ("rate", scale_by(1.01), FAILS),
+    ("beta", scale_by(0.99), "state_feedback_limited.alpha, beta"),
+    ("theorem", replace_by("state_feedback"), "is of another part"),
+]
+TAMPERED_UNLIMITED = [
+    ("starts", scale_entries_by(1.01), "fails (start 0)"),
+    ("level", scale_by(1.01), "limit 0 is not reached"),
+    ("limits", turn_lower_limit, "fails (lower limit 0"),
+    ("k", scale_entries_by(0.5), NOT_DEPLOYED),
+]
+TAMPERED_BY_PART = {
+    "tolerance": TAMPERED_TOLERANCE,
+    "state_feedback_deployed": TAMPERED_DEPLOYED,
+    "observer_deployed": [("l", scale_entries_by(0.99), NOT_DEPLOYED)],
+    "state_feedback_limited": TAMPERED_LIMITED,
+    "state_feedback_unlimited": TAMPERED_UNLIMITED,
+    "state_feedback": [("certified_rate", scale_by(1.01), "state_feedback.certified_rate")],
+}
+TAMPERED = [(part, *row) for part, rows in TAMPERED_BY_PART.items() for row in rows]
 
 
 @pytest.mark.parametrize(("part", "name", "change", "found"), TAMPERED)
@@ -120,7 +119,8 @@ def test_tampering_is_found(
     if found is None:
         assert broken == []
     else:
-        assert any(found in claim for claim in broken), broken
+        is_found = any(found in claim for claim in broken)
+        assert is_found, broken
 
 
 def test_a_withdrawn_part_of_an_older_file_is_kept_and_not_checked(
@@ -134,27 +134,38 @@ def test_a_withdrawn_part_of_an_older_file_is_kept_and_not_checked(
     design = Design.from_json(content)
     expected = {"noise", "tolerance_by_frequency"}
     assert set(design.withdrawn) == expected
-    assert not set(design.withdrawn) & set(design.certificates_by_name)
+    withdrawn = set(design.withdrawn)
+    claimed = set(design.certificates_by_name)
+    assert not withdrawn & claimed
     assert design.to_json() == content
-    assert failed_checks(content, linear, MOTOR_BALLS) == []
+    broken = failed_checks(content, linear, MOTOR_BALLS)
+    assert broken == []
     content["tolerance"]["kappa"] *= 1.01  # what is still claimed is still checked beside it
-    assert failed_checks(content, linear, MOTOR_BALLS) != []
+    broken = failed_checks(content, linear, MOTOR_BALLS)
+    assert broken != []
 
 
-@pytest.mark.parametrize("theorem", ["tolerance", "structured_tolerance", None])
+THEOREMS = ["tolerance", "structured_tolerance", None]
+
+
+@pytest.mark.parametrize("theorem", THEOREMS)
 def test_a_tolerance_of_an_older_theorem_is_withdrawn(
     stored: tuple[dict, StateSpace], theorem: str | None
 ) -> None:
     content = copy.deepcopy(stored[0])
     linear = stored[1]
     named = {} if theorem is None else {"theorem": theorem}
-    older = {"s": 0.1, "weight": [[1.0]]}
+    one_by_one = [[1.0]]
+    older = {"s": 0.1, "weight": one_by_one}
     content["tolerance"] = older | named
     design = Design.from_json(content)
-    assert set(design.withdrawn) == {"tolerance"}
-    assert failed_checks(content, linear, MOTOR_BALLS) == []
+    withdrawn = set(design.withdrawn)
+    assert withdrawn == {"tolerance"}
+    broken = failed_checks(content, linear, MOTOR_BALLS)
+    assert broken == []
     content["observer"]["theorem"] = "tolerance"  # a side is never withdrawn
-    assert failed_checks(content, linear, MOTOR_BALLS) != []
+    broken = failed_checks(content, linear, MOTOR_BALLS)
+    assert broken != []
 
 
 def test_a_smaller_weight_states_no_larger_gain(stored: tuple[dict, StateSpace]) -> None:
@@ -162,8 +173,11 @@ def test_a_smaller_weight_states_no_larger_gain(stored: tuple[dict, StateSpace])
     design = Design.from_json(stored[0])
     part = design.extra_certificates["tolerance"]
     assert isinstance(part, MeasuredDiscs)
-    smaller = replace(part, weight_input=0.1 * part.weight_input)
-    assert smaller.tolerated_gain == pytest.approx(0.1 * part.tolerated_gain)
+    weight_input = 0.1 * part.weight_input
+    smaller = replace(part, weight_input=weight_input)
+    tenth = 0.1 * part.tolerated_gain
+    expected = pytest.approx(tenth)
+    assert smaller.tolerated_gain == expected
     elsewhere = replace(part, centre=-0.25)
     assert elsewhere.tolerated_gain is None
 
@@ -173,7 +187,8 @@ def test_a_part_under_a_name_that_is_none_is_refused(stored: tuple[dict, StateSp
     linear = stored[1]
     content["extra"] = content["tolerance"]
     claims = failed_checks(content, linear, MOTOR_BALLS)
-    assert any("certificate.extra" in claim for claim in claims)
+    is_found = any("certificate.extra" in claim for claim in claims)
+    assert is_found
 
 
 def test_a_file_claims_no_tolerance_of_a_nonlinear_output_map(
@@ -183,4 +198,5 @@ def test_a_file_claims_no_tolerance_of_a_nonlinear_output_map(
     output = JacobianBall(alpha=OUTPUT_BALL.alpha, beta=0.01)
     wider = Balls(input=INPUT_BALL, output=output)
     claims = failed_checks(content, motor, wider)
-    assert any("tolerance.beta_out" in claim for claim in claims)
+    is_found = any("tolerance.beta_out" in claim for claim in claims)
+    assert is_found

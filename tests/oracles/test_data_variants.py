@@ -32,18 +32,20 @@ MILLISECONDS = Variant(
 )
 
 
-@settings(
-    max_examples=40,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.filter_too_much],
-)
+SUPPRESSED = [HealthCheck.function_scoped_fixture, HealthCheck.filter_too_much]
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=SUPPRESSED)
 @given(variant=variants)
 def test_every_spelling_is_read(tmp_path: Path, variant: Variant) -> None:
-    end, said = outcome(variant, tmp_path)
-    assert end == "read", said
+    end, message = outcome(variant, tmp_path)
+    assert end == "read", message
 
 
-@pytest.mark.parametrize("separator", [",", " "])
+SEPARATORS = [",", " "]
+
+
+@pytest.mark.parametrize("separator", SEPARATORS)
 def test_quotes_tell_a_comma_between_numbers_from_one_within(
     tmp_path: Path, separator: str
 ) -> None:
@@ -58,7 +60,9 @@ def test_a_clock_in_the_wrong_unit_is_counted_as_wrong(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The check itself is checked: milliseconds taken for seconds are noticed."""
-    assert outcome(MILLISECONDS, tmp_path)[0] == "read"
+    result = outcome(MILLISECONDS, tmp_path)
+    end = result[0]
+    assert end == "read"
     monkeypatch.setattr(clock_column, "clock_unit_s", lambda *_: 1.0)
     expected = ("wrong", "step 10")
     assert outcome(MILLISECONDS, tmp_path) == expected
@@ -75,12 +79,18 @@ def test_numbers_that_are_names_and_places_of_different_columns(tmp_path: Path) 
     recorded_data = RecordedData(**fields)
     with pytest.raises(BadRequest, match=r"is the name of column 0 .*data\.header=true"):
         recorded_data.read_pieces(path)
-    recorded_data = RecordedData(**(fields | {"input": 2, "output": 3, "header": True}))
+    names_of_columns = {"input": 2, "output": 3, "header": True}
+    named_fields = fields | names_of_columns
+    recorded_data = RecordedData(**named_fields)
     named = recorded_data.read_pieces(path)
-    named_u = named[0][0].u
+    first_named = named[0][0]
+    named_u = first_named.u
     assert named_u[1, 0] == 7.5
     recorded_data = RecordedData(**fields, header=False)
     counted = recorded_data.read_pieces(path)
-    counted_u = counted[0][0].u
+    first_counted = counted[0][0]
+    counted_u = first_counted.u
     expected = [2.0, 0.5]
-    assert counted_u[:2, 0].tolist() == expected
+    first_inputs = counted_u[:2, 0]
+    values = first_inputs.tolist()
+    assert values == expected

@@ -29,36 +29,45 @@ def swinging(radius: float) -> StateSpace:
     """A resonance at `ANGLE` a sample whose swing keeps `radius` of itself."""
     cosine = np.cos(ANGLE)
     sine = np.sin(ANGLE)
-    second_row = [np.sin(ANGLE), np.cos(ANGLE)]
-    turn = radius * np.array([[cosine, -sine], second_row])
-    b = np.array([[0.0], [0.1]])
-    c = np.array([[1.0, 0.0]])
+    first_row = [cosine, -sine]
+    second_row = [sine, cosine]
+    rotation = np.array([first_row, second_row])
+    turn = radius * rotation
+    column = [[0.0], [0.1]]
+    b = np.array(column)
+    row = [1.0, 0.0]
+    c = np.array([row])
     d = np.zeros((1, 1))
     return StateSpace(a=turn, b=b, c=c, d=d)
 
 
 def integrating(pole: float) -> StateSpace:
-    one = np.ones((1, 1))
-    return StateSpace(a=pole * one, b=0.1 * one, c=one, d=0 * one)
+    unit = np.ones((1, 1))
+    return StateSpace(a=pole * unit, b=0.1 * unit, c=unit, d=0 * unit)
 
 
 def case(y: np.ndarray, system: StateSpace, cut=split_by_time, log: int = 1) -> Case:
     u = U[:, None]
-    record = Trajectory(u=u, y=y[:, None], step_s=0.1, log=log)
-    parts = (
-        split_into_blocks(record) if cut is split_into_blocks else split_by_time(record, 0.2, 0.2)
-    )
+    outputs = y[:, None]
+    record = Trajectory(u=u, y=outputs, step_s=0.1, log=log)
+    is_in_blocks = cut is split_into_blocks
+    parts = split_into_blocks(record) if is_in_blocks else split_by_time(record, 0.2, 0.2)
     channels = tuple((Channel(name=name, unit=""),) for name in "uy")
-    rest = (np.zeros(1), np.zeros(1))
+    input_equilibrium = np.zeros(1)
+    output_equilibrium = np.zeros(1)
+    rest = (input_equilibrium, output_equilibrium)
     data = assemble_dataset(parts, rest, channels, SKIP)
     model = replace(linear_model(0), linear=system)
     names = ("validation", "test")
-    free = {name: Simulation.simulate_records(model, getattr(data, name), SKIP) for name in names}
+    free = {}
+    for name in names:
+        free[name] = Simulation.simulate_records(model, getattr(data, name), SKIP)
     return Case(data=data, model=model, **free)
 
 
 def measured(system: StateSpace, noise: float, start: np.ndarray) -> np.ndarray:
-    response = system.simulate(U[:, None], start)
+    inputs = U[:, None]
+    response = system.simulate(inputs, start)
     y = response[0][:, 0]
     standard_deviation = np.std(y)
     white_noise = RNG.standard_normal(SAMPLES)
@@ -69,49 +78,70 @@ def drifting_phase(noise: float) -> np.ndarray:
     """A swing of constant size whose phase walks: no input says where it is."""
     white_noise = RNG.standard_normal(SAMPLES)
     running_sum = np.cumsum(0.08 * white_noise)
-    phase = ANGLE * np.arange(SAMPLES) + running_sum
+    samples = np.arange(SAMPLES)
+    steady_phase = ANGLE * samples
+    phase = steady_phase + running_sum
     cosine = np.cos(phase)
     white_noise = RNG.standard_normal(SAMPLES)
     return cosine + noise * white_noise
 
 
-@pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
-@pytest.mark.parametrize("noise", [0.0, 0.1])
+CUTS = [split_by_time, split_into_blocks]
+NOISES = [0.0, 0.1]
+
+
+@pytest.mark.parametrize("cut", CUTS)
+@pytest.mark.parametrize("noise", NOISES)
 def test_a_swing_that_goes_on_by_itself_cannot_be_judged(cut, noise):
     log = case(drifting_phase(noise), swinging(0.9995), cut)
-    (found,) = own_motion.judge_autonomous_motion(log)
-    assert found.level == "cannot judge"
-    assert "it moves by itself" in found.sentence
+    (finding,) = own_motion.judge_autonomous_motion(log)
+    assert finding.level == "cannot judge"
+    assert "it moves by itself" in finding.sentence
 
 
-@pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
+@pytest.mark.parametrize("cut", CUTS)
 def test_a_steady_swing_is_not_taken_for_the_inputs_because_the_model_carries_its_phase(cut):
     """An undamped model predicts it from the state in which the log begins."""
-    y = np.cos(ANGLE * np.arange(SAMPLES))
+    samples = np.arange(SAMPLES)
+    phase = ANGLE * samples
+    y = np.cos(phase)
     log = case(y, swinging(0.99995), cut)
-    (found,) = own_motion.judge_autonomous_motion(log)
-    assert found.level == "cannot judge"
-    assert "it moves by itself" in found.sentence
+    (finding,) = own_motion.judge_autonomous_motion(log)
+    assert finding.level == "cannot judge"
+    assert "it moves by itself" in finding.sentence
 
 
-@pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
-@pytest.mark.parametrize("noise", [0.0, 0.1, 1.5])
-@pytest.mark.parametrize("radius", [0.9, 0.99, 0.9995])
+MORE_NOISES = [0.0, 0.1, 1.5]
+RADII = [0.9, 0.99, 0.9995]
+
+
+@pytest.mark.parametrize("cut", CUTS)
+@pytest.mark.parametrize("noise", MORE_NOISES)
+@pytest.mark.parametrize("radius", RADII)
 def test_a_resonance_that_the_input_moves_is_judged_however_noisy(radius, noise, cut):
     system = swinging(radius)
     offset = np.array([3.0, 0.0])
-    judged = case(measured(system, noise, offset), system, cut)
+    noisy = measured(system, noise, offset)
+    judged = case(noisy, system, cut)
     assert own_motion.judge_autonomous_motion(judged) == []
-    assert not [found for found in feedback.judge_feedback(judged) if found.level == "cannot judge"]
+    findings = feedback.judge_feedback(judged)
+    levels = [finding.level for finding in findings]
+    assert "cannot judge" not in levels
 
 
-@pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
-@pytest.mark.parametrize("pole", [0.999, 1.0])
+POLES = [0.999, 1.0]
+
+
+@pytest.mark.parametrize("cut", CUTS)
+@pytest.mark.parametrize("pole", POLES)
 def test_what_integrates_keeps_an_offset_and_is_judged(pole, cut):
-    y = measured(integrating(pole), 0.02, np.array([10.0]))
+    offset = np.array([10.0])
+    y = measured(integrating(pole), 0.02, offset)
     judged = case(y, integrating(0.9995), cut)
     assert own_motion.judge_autonomous_motion(judged) == []
-    assert not [found for found in feedback.judge_feedback(judged) if found.level == "cannot judge"]
+    findings = feedback.judge_feedback(judged)
+    levels = [finding.level for finding in findings]
+    assert "cannot judge" not in levels
 
 
 def test_the_walk_of_an_integrator_is_taken_for_growth_once_in_a_hundred():
@@ -119,28 +149,44 @@ def test_the_walk_of_an_integrator_is_taken_for_growth_once_in_a_hundred():
     for seed in range(100):
         rng = np.random.default_rng(seed)
         white_noise = rng.standard_normal(SAMPLES)
-        walk = np.cumsum(0.1 * U + white_noise)
-        data = case(walk, integrating(0.999)).data
-        found = feedback.judge_instability(data, is_closed_loop=False)
-        refused += len([finding for finding in found if finding.level == "cannot judge"])
+        steps = 0.1 * U + white_noise
+        walk = np.cumsum(steps)
+        walking_case = case(walk, integrating(0.999))
+        data = walking_case.data
+        findings = feedback.judge_instability(data, is_closed_loop=False)
+        refusals = [finding for finding in findings if finding.level == "cannot judge"]
+        refused += len(refusals)
     assert refused <= 3
 
 
-@pytest.mark.parametrize(("pole", "refused"), [(1.002, True), (1.004, True), (1.0005, False)])
+GROWING = [(1.002, True), (1.004, True), (1.0005, False)]
+
+
+@pytest.mark.parametrize(("pole", "refused"), GROWING)
 def test_what_grows_is_refused_once_the_log_is_long_enough_to_show_it(pole, refused):
-    y = measured(integrating(pole), 0.01, np.zeros(1))
+    start = np.zeros(1)
+    y = measured(integrating(pole), 0.01, start)
     log = case(y, integrating(0.999), split_into_blocks)
-    found = [one.sentence for one in feedback.judge_feedback(log)]
-    assert any("runs away by itself (a mode at 1.00" in one for one in found) == refused
+    findings = feedback.judge_feedback(log)
+    sentences = [finding.sentence for finding in findings]
+    runs_away = any("runs away by itself (a mode at 1.00" in sentence for sentence in sentences)
+    assert runs_away == refused
 
 
-@pytest.mark.parametrize(("noise", "share"), [(0.0, 1.0), (0.5, 0.8)])
+SHARES = [(0.0, 1.0), (0.5, 0.8)]
+
+
+@pytest.mark.parametrize(("noise", "share"), SHARES)
 def test_of_a_plant_that_the_input_moves_both_runs_predict_all_but_the_noise(noise, share):
     system = swinging(0.9)
-    log = case(measured(system, noise, np.zeros(2)), system)
-    found = own_motion.predicted_power_shares(log)
+    start = np.zeros(2)
+    noisy = measured(system, noise, start)
+    log = case(noisy, system)
+    shares = own_motion.predicted_power_shares(log)
     expected = (share, share)
-    assert found == pytest.approx(expected, abs=0.1 if noise else 1e-4)
+    tolerance = 0.1 if noise else 1e-4
+    expected_shares = pytest.approx(expected, abs=tolerance)
+    assert shares == expected_shares
 
 
 def test_pieces_of_no_common_log_say_nothing():

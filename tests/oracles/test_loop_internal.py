@@ -22,21 +22,22 @@ from ssm_study.loop.metrics import certificate_columns
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import Loop
 from ssm_study.loop.rollout import Rollouts
+from ssm_study.models.identified import SSM
 from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.sensitivity import error_to_input_response, gain_peaks_on_grid
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import StateSpace
+from ssm_study.systems import Gains, StateSpace
 
 HERTZ = 0.5
 STEP_S = 0.01
-LOADS = {
-    ("step", "sine(0.5Hz)"): PeriodicDisturbance(amplitude=0.005, frequency_hz=HERTZ),
-    ("ramp",): RampDisturbance(slope_per_s=0.002, from_s=1.0, until_s=100.0),
-}
-TURNING = {"reference": StepReference(before=0.0, after=8.0, at_s=0.0)}
+SWINGING_LOAD = PeriodicDisturbance(amplitude=0.005, frequency_hz=HERTZ)
+RISING_LOAD = RampDisturbance(slope_per_s=0.002, from_s=1.0, until_s=100.0)
+LOADS = {("step", "sine(0.5Hz)"): SWINGING_LOAD, ("ramp",): RISING_LOAD}
+STEP_UP = StepReference(before=0.0, after=8.0, at_s=0.0)
+TURNING = {"reference": STEP_UP}
 QUIET = {"initial_conditions": 1, "horizon_s": 8.0, "measurement_noise_variance": 0.0}
 
 
@@ -50,7 +51,8 @@ def made(*words: str) -> Design:
 
 def simulated(loop: Loop, design: Design) -> Rollouts:
     law = ObserverFeedback.from_design(motor_model(), design)
-    return loop.simulate(motor(), law, *loop.draw_starts_and_noise(motor(), seed=0))
+    starts_and_noise = loop.draw_starts_and_noise(motor(), seed=0)
+    return loop.simulate(motor(), law, *starts_and_noise)
 
 
 def test_the_modes_are_those_of_the_signals():
@@ -59,18 +61,25 @@ def test_the_modes_are_those_of_the_signals():
     words = ["sine(0.5Hz)", "ramp", "step"]
     modes = internal_model(words, STEP_S, outputs=2)
     k = np.arange(60)
-    angle = 2 * np.pi * HERTZ * STEP_S
+    whole_turn = 2 * np.pi
+    angle = whole_turn * HERTZ * STEP_S
     rotation = np.exp(1j * angle)
-    roots = [1, 1, rotation, np.exp(-1j * angle)]
-    actual = np.poly(modes[::2, ::2])
+    opposite_rotation = np.exp(-1j * angle)
+    roots = [1, 1, rotation, opposite_rotation]
+    modes_of_one_output = modes[::2, ::2]
+    actual = np.poly(modes_of_one_output)
     coefficients = np.poly(roots).real
     np.testing.assert_allclose(actual, coefficients, atol=1e-12)
-    powers = [np.linalg.matrix_power(modes, int(i)) for i in k]
-    free = np.stack([power[::2, ::2].sum(axis=1) for power in powers])
+    free_signals = []
+    for i in k:
+        power = np.linalg.matrix_power(modes, int(i))
+        free_signals.append(power[::2, ::2].sum(axis=1))
+    free = np.stack(free_signals)
     cosine = np.cos(angle * k)
     sine = np.sin(angle * k)
     constant = np.ones(60)
-    signals = np.stack([constant, k, cosine, sine], axis=1)
+    columns = [constant, k, cosine, sine]
+    signals = np.stack(columns, axis=1)
     least_squares = np.linalg.lstsq(signals, free, rcond=None)
     fitted = signals @ least_squares[0]
     difference = np.abs(fitted - free)
@@ -94,63 +103,83 @@ def test_the_certificate_is_the_theorem_on_the_augmented_pair(words):
         a=system.a, b=system.b, alpha=INPUT_BALL.alpha, beta=INPUT_BALL.beta, **numbers
     )
     controlled = controlled_system(model, part_)
-    assert failed_checks(design.to_json(), model.linear, BALLS, controlled) == []
+    document = design.to_json()
+    broken = failed_checks(document, model.linear, BALLS, controlled)
+    assert broken == []
     shift = 1e-6 * np.eye(len(part_.a))
     a = part_.a + shift
     state_feedback = replace(part_, a=a)
     other = replace(design, state_feedback=state_feedback)
     controlled_by_other = controlled_system(model, other.state_feedback)
-    assert failed_checks(other.to_json(), model.linear, BALLS, controlled_by_other)
+    document_of_other = other.to_json()
+    assert failed_checks(document_of_other, model.linear, BALLS, controlled_by_other)
 
 
 @pytest.mark.parametrize(("words", "load"), LOADS.items())
 def test_on_the_motor_the_load_is_removed_and_without_its_mode_it_is_not(words, load):
     """Route one: the true motor at 8 rad/s."""
     left = {}
-    for law in (words, ("step",)):
+    laws = (words, ("step",))
+    for law in laws:
         loop = Loop(**QUIET, **TURNING, disturbance=load)
-        run = simulated(loop, made(*law))
-        difference = np.abs(run.y - run.reference)
-        left[law] = difference[:, -200:].max()
+        designed = made(*law)
+        run = simulated(loop, designed)
+        error = run.y - run.reference
+        difference = np.abs(error)
+        last_errors = difference[:, -200:]
+        left[law] = last_errors.max()
     upper_limit = 1e-3 * (5 if len(words) == 2 else 1e-3)
     assert left[words] < upper_limit
     assert left[("step",)] > 0.02
+
+
+def load_to_output(model: SSM, pair: Gains, slope: float) -> StateSpace:
+    """The linear loop of plant, observer and internal model, from a load at the input to the
+    output."""
+    n = model.order
+    z = len(pair.modes)
+    a = model.linear.a
+    b = slope * model.linear.b
+    c = model.linear.c
+    from_estimate = b @ pair.k[:, :n]
+    from_modes = b @ pair.k[:, n:]
+    injected = pair.l @ c
+    observer_loop = a + from_estimate + injected
+    fed = np.ones((z, 1)) @ c
+    no_coupling = np.zeros((z, n))
+    plant_row = [a, from_estimate, from_modes]
+    observer_row = [-injected, observer_loop, from_modes]
+    modes_row = [fed, no_coupling, pair.modes]
+    loop_matrix = np.block([plant_row, observer_row, modes_row])
+    no_load_on_controller = np.zeros((n + z, 1))
+    into = np.vstack([b, no_load_on_controller])
+    no_output_of_controller = np.zeros((1, n + z))
+    read = np.hstack([c, no_output_of_controller])
+    d = np.zeros((1, 1))
+    return StateSpace(a=loop_matrix, b=into, c=read, d=d)
 
 
 def test_at_its_frequency_the_model_passes_no_load():
     """Route two: the linear loop from a load at the input to the output, at constant slopes of S_u,
     by hand."""
     model = motor_model()
-    frequency = 2 * np.pi * HERTZ * STEP_S
+    whole_turn = 2 * np.pi
+    frequency = whole_turn * HERTZ * STEP_S
     angle = np.array([frequency])
     passed = {}
-    for words in (("step", "sine(0.5Hz)"), ("step",)):
+    internal_models = (("step", "sine(0.5Hz)"), ("step",))
+    for words in internal_models:
         pair = made(*words).pair
-        found = []
-        n = model.order
-        z = len(pair.modes)
-        for slope in (INPUT_BALL.lower, INPUT_BALL.upper):
-            a = model.linear.a
-            b = slope * model.linear.b
-            c = model.linear.c
-            fed = np.ones((z, 1)) @ c
-            state_loop = b @ pair.k[:, :n]
-            from_modes = b @ pair.k[:, n:]
-            rows = [[a, state_loop, from_modes]]
-            rows += [[-pair.l @ c, a + b @ pair.k[:, :n] + pair.l @ c, b @ pair.k[:, n:]]]
-            rows += [[fed, np.zeros((z, n)), pair.modes]]
-            no_load_on_controller = np.zeros((n + z, 1))
-            into = np.vstack([b, no_load_on_controller])
-            no_output_of_controller = np.zeros((1, n + z))
-            read = np.hstack([c, no_output_of_controller])
-            block_matrix = np.block(rows)
-            d = np.zeros((1, 1))
-            loop = StateSpace(a=block_matrix, b=into, c=read, d=d)
+        gains = []
+        slopes = (INPUT_BALL.lower, INPUT_BALL.upper)
+        for slope in slopes:
+            loop = load_to_output(model, pair, slope)
             assert loop.spectral_radius < 1
-            magnitudes = np.abs(frequency_response(loop, angle))
+            response = frequency_response(loop, angle)
+            magnitudes = np.abs(response)
             largest = float(magnitudes.max())
-            found.append(largest)
-        passed[len(words)] = max(found)
+            gains.append(largest)
+        passed[len(words)] = max(gains)
     assert passed[2] < 1e-9
     assert passed[1] > 0.01
 
@@ -160,17 +189,19 @@ def test_the_margin_by_two_routes():
     pair = made("ramp", "sine(0.5Hz)").pair
     angles = np.geomspace(1e-3, np.pi, 200)
     slopes = (INPUT_BALL.lower, INPUT_BALL.alpha, INPUT_BALL.upper)
-    peaks = [
-        largest_gains(error_to_input_response(model.linear, pair, slope, 1.0), angles).max()
-        for slope in slopes
-    ]
+    peaks = []
+    for slope in slopes:
+        response = error_to_input_response(model.linear, pair, slope, 1.0)
+        peaks.append(largest_gains(response, angles).max())
     by_space = max(peaks)
     ks = pair.k[None]
     ls = pair.l[None]
     by_factors = gain_peaks_on_grid(
         model.linear, ks, ls, BALLS, angles, internal_model=pair.internal
     )
-    assert by_factors[0, 0] == pytest.approx(by_space, rel=1e-9)
+    peak_by_factors = by_factors[0, 0]
+    expected_peak = pytest.approx(by_space, rel=1e-9)
+    assert peak_by_factors == expected_peak
 
 
 def test_a_ramp_that_meets_a_limit_does_not_wind_up():
@@ -181,11 +212,15 @@ def test_a_ramp_that_meets_a_limit_does_not_wind_up():
     limited = replace(free, input_lower=-0.8, input_upper=1.6)
     loops = (limited, free)
     run, other = (simulated(loop, made("ramp")) for loop in loops)
-    assert (run.u == -0.8).sum() > 3
+    at_the_limit = run.u == -0.8
+    samples_at_the_limit = at_the_limit.sum()
+    assert samples_at_the_limit > 3
     smallest = other.u.min()
     assert smallest < -1.0
-    difference = np.abs(run.y - other.y)
-    largest = difference[:, -50:].max()
+    error = run.y - other.y
+    difference = np.abs(error)
+    last_errors = difference[:, -50:]
+    largest = last_errors.max()
     assert largest < 0.05
 
 
@@ -200,8 +235,8 @@ def test_the_certified_bound_holds_with_a_sine():
 
 def test_auto_takes_the_words_and_weighs_what_they_make():
     auto_internal_model = ("step", "sine(0.5Hz)")
-    asked = Auto(internal_model=auto_internal_model)
-    assert asked.modes == ("step", "sine(0.5Hz)")
+    auto_with_sine = Auto(internal_model=auto_internal_model)
+    assert auto_with_sine.modes == ("step", "sine(0.5Hz)")
     assert Auto().modes == ()
     auto = Auto(integral_weights=(1e-3,))
     modes = auto.modes
@@ -237,13 +272,16 @@ def test_a_sine_beyond_half_the_sampling_rate_is_refused():
 def test_a_mode_at_a_zero_of_the_model_is_refused():
     """`x+ = 0.9 x + ...` behind a notch at 2 Hz: nothing that the input does shows in the output
     there."""
-    angle = 2 * np.pi * 2.0 * STEP_S
-    poles = np.poly([0.9, 0.5, 0.3])
+    whole_turn = 2 * np.pi
+    angle = whole_turn * 2.0 * STEP_S
+    roots = [0.9, 0.5, 0.3]
+    poles = np.poly(roots)
     cosine = np.cos(angle)
     middle = -2 * cosine
     numerator = np.array([[1.0, middle, 1.0]])
     delays = np.eye(2, 3)
-    a = np.vstack([-poles[1:], delays])
+    rows_of_a = [-poles[1:], delays]
+    a = np.vstack(rows_of_a)
     b = np.eye(3, 1)
     d = np.zeros((1, 1))
     linear = StateSpace(a=a, b=b, c=numerator, d=d)
@@ -270,8 +308,9 @@ def test_the_command_takes_a_sine_without_quotes():
         'synthesis.internal_model=["sine(1Hz)"]',
         "seed=range(3)",
     ]
-    expected = ["synthesis.internal_model=[step,'sine(0.5Hz)']", *words[1:]]
+    other_words = words[1:]
+    expected = ["synthesis.internal_model=[step,'sine(0.5Hz)']", *other_words]
     assert quote_sines(words) == expected
     settings = {"_target_": "ssm_study.synthesis.auto.Auto", "internal_model": ["ramp"]}
-    found = construct_part("synthesis", settings)
-    assert found.modes == ("ramp",)
+    part = construct_part("synthesis", settings)
+    assert part.modes == ("ramp",)

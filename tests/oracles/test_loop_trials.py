@@ -27,31 +27,39 @@ def looped(
     at rest."""
     controller = ObserverFeedback.from_design(model, design)
     rng = np.random.default_rng(0)
-    reference = np.zeros((samples, 1))
+    shape = (samples, 1)
+    reference = np.zeros(shape)
     plan = controller.reference_targets(reference)
     memory = controller.initial_memory(1)
     x = np.ones(model.order)
-    u = np.zeros((samples, 1))
-    y = np.zeros((samples, 1))
+    u = np.zeros(shape)
+    y = np.zeros(shape)
     for k in range(samples):
-        said = model.linear.c @ x
+        output = model.linear.c @ x
         white_noise = rng.standard_normal(1)
-        friction = relay * np.tanh(50 * said)
-        y[k] = said + friction + noise * white_noise
-        inputs = controller.input(memory, y[k : k + 1], plan[k])
+        relay_output = np.tanh(50 * output)
+        friction = relay * relay_output
+        y[k] = output + friction + noise * white_noise
+        output_now = y[k : k + 1]
+        inputs = controller.input(memory, output_now, plan[k])
         u[k] = inputs[0]
-        memory = controller.advance(memory, u[k : k + 1], y[k : k + 1], plan[k])
+        input_now = u[k : k + 1]
+        memory = controller.advance(memory, input_now, output_now, plan[k])
         linear_a = model.linear.a
         linear_b = model.linear.b
-        x = linear_a @ x + linear_b @ u[k]
+        driven = linear_b @ u[k]
+        x = linear_a @ x + driven
     return Trajectory(u=u, y=y, step_s=model.step_s, closed_loop=True)
 
 
 def slow_model() -> SSM:
     """Three lags, read before the input acts."""
-    a = np.array([[0.9, 0.1, 0.0], [0.0, 0.8, 0.2], [0.0, 0.0, 0.7]])
-    b = np.array([[0.0], [0.0], [0.3]])
-    c = np.array([[1.0, 0.0, 0.0]])
+    rows_of_a = [[0.9, 0.1, 0.0], [0.0, 0.8, 0.2], [0.0, 0.0, 0.7]]
+    a = np.array(rows_of_a)
+    column_of_b = [[0.0], [0.0], [0.3]]
+    b = np.array(column_of_b)
+    row_of_c = [1.0, 0.0, 0.0]
+    c = np.array([row_of_c])
     d = np.zeros((1, 1))
     linear = StateSpace(a=a, b=b, c=c, d=d)
     return replace(linear_model(0), linear=linear)
@@ -68,31 +76,38 @@ def recorded(noise: float = 0.01) -> Trajectory:
     """White input at full amplitude, twice: the model is exact on it, but for noise."""
     rng = np.random.default_rng(1)
     white_noise = rng.standard_normal((1024, 1))
-    u = np.tile(3 * white_noise, (2, 1))
+    twice = (2, 1)
+    u = np.tile(3 * white_noise, twice)
     response = MODEL.simulate(u)
     white_noise = rng.standard_normal(u.shape)
     y = response + noise * white_noise
     return Trajectory(u=u, y=y, step_s=MODEL.step_s)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.01])
+NOISES = [0.0, 0.01]
+
+
+@pytest.mark.parametrize("noise", NOISES)
 def test_a_loop_that_oscillates_refutes_its_own_design(noise):
     """Harmonic balance: the gain in the loop times |T_ue| is one at the cycle, so the margin falls
     below one."""
     trial = looped(MODEL, FAST, 0.3, noise)
     record = recorded(noise)
-    known = measure_mismatch(MODEL, (record,))
-    shown = measure_mismatch(MODEL, (record,), 0, (trial,))
-    resolved_margin = predict_margins(MODEL, FAST.pair, ONES, known).resolved_margin
+    mismatch_of_record = measure_mismatch(MODEL, (record,))
+    mismatch = measure_mismatch(MODEL, (record,), 0, (trial,))
+    margins = predict_margins(MODEL, FAST.pair, ONES, mismatch_of_record)
+    resolved_margin = margins.resolved_margin
     assert resolved_margin > 1
-    resolved_margin = predict_margins(MODEL, FAST.pair, ONES, shown).resolved_margin
+    margins = predict_margins(MODEL, FAST.pair, ONES, mismatch)
+    resolved_margin = margins.resolved_margin
     assert resolved_margin < 1
-    assert shown.loop is not None
-    expected = shown.loop.gain
-    assert shown.largest_recorded_gain == expected > 5 * known.largest_recorded_gain
+    assert mismatch.loop is not None
+    expected = mismatch.loop.gain
+    assert mismatch.largest_recorded_gain == expected > 5 * mismatch_of_record.largest_recorded_gain
     peak = sensitivity_peak(MODEL.linear, FAST.pair, ONES)
-    assert shown.loop.gain > 0.9 / peak
-    resolved_margin = predict_margins(MODEL, CALM.pair, ONES, shown).resolved_margin
+    assert mismatch.loop.gain > 0.9 / peak
+    margins = predict_margins(MODEL, CALM.pair, ONES, mismatch)
+    resolved_margin = margins.resolved_margin
     assert resolved_margin > 1
 
 
@@ -112,35 +127,44 @@ def test_a_motion_asked_of_a_good_loop_shows_little():
     """A trial with a moving set point counts, and what it shows is what the noise leaves, not 1 /
     |T_ue|."""
     trial = looped(MODEL, FAST, 0.0, noise=0.05)
-    sine = np.sin(np.arange(SAMPLES) / 7)
+    angles = np.arange(SAMPLES)
+    sine = np.sin(angles / 7)
     moved = 2 * sine[:, None]
     u = trial.u + moved
     response = MODEL.simulate(moved)
     y = trial.y + response
     changed_trial = replace(trial, u=u, y=y)
-    shown = measure_mismatch(MODEL, (recorded(0.05),), 0, (changed_trial,))
-    assert shown.loop is not None
-    assert shown.loop.gain < 0.05
+    records = (recorded(0.05),)
+    mismatch = measure_mismatch(MODEL, records, 0, (changed_trial,))
+    assert mismatch.loop is not None
+    assert mismatch.loop.gain < 0.05
 
 
-@pytest.mark.parametrize("size", [0.0, 0.008])
+SIZES = [0.0, 0.008]
+
+
+@pytest.mark.parametrize("size", SIZES)
 def test_of_a_moving_loop_the_noise_goes_in_every_band(size):
     """At its ends, 0 and pi, Welch's density has half of white noise: no more is taken there, and
     an offset stays."""
     trial = looped(MODEL, FAST, 0.0, noise=0.05)
-    k = np.arange(SAMPLES)[:, None]
+    samples = np.arange(SAMPLES)
+    k = samples[:, None]
     sine = np.sin(k / 7)
     moved = 2 * sine
     response = MODEL.simulate(moved)
     cosine = np.cos(np.pi * k)
-    y = trial.y + response + size * (1 + cosine)
+    swing = size * (1 + cosine)
+    y = trial.y + response + swing
     u = trial.u + moved
     changed_trial = replace(trial, u=u, y=y)
     mismatch = measure_mismatch(MODEL, (recorded(0.05),), 0, (changed_trial,))
-    shown = mismatch.loop
-    assert shown is not None
-    actual = shown.by_frequency > 0
-    ends_of_the_band = np.isin(np.arange(33), [0, 32])
+    loop_mismatch = mismatch.loop
+    assert loop_mismatch is not None
+    actual = loop_mismatch.by_frequency > 0
+    bands = np.arange(33)
+    ends = [0, 32]
+    ends_of_the_band = np.isin(bands, ends)
     expected = (size > 0) & ends_of_the_band
     np.testing.assert_array_equal(actual, expected)
 
@@ -150,23 +174,26 @@ def test_where_no_record_measured_the_noise_the_quietest_bands_do():
     goes."""
     trial = looped(MODEL, FAST, 0.3, noise=0.02)
     record = recorded()[:1500]
-    mismatch = measure_mismatch(MODEL, (recorded(0.02),), 0, (trial,))
+    records = (recorded(0.02),)
+    mismatch = measure_mismatch(MODEL, records, 0, (trial,))
     measured = mismatch.loop
     mismatch = measure_mismatch(MODEL, (record,), 0, (trial,))
     guessed = mismatch.loop
-    assert guessed.gain == pytest.approx(measured.gain, rel=0.05)
+    expected_gain = pytest.approx(measured.gain, rel=0.05)
+    assert guessed.gain == expected_gain
 
 
 def test_the_start_of_a_loop_is_no_mismatch():
     """From far out, at rest before the end: the model explains the whole of it by its initial
     state."""
     quiet = looped(MODEL, CALM, 0.0)
-    mismatch = measure_mismatch(MODEL, (recorded(),), 0, (quiet,))
+    records = (recorded(),)
+    mismatch = measure_mismatch(MODEL, records, 0, (quiet,))
     loop = mismatch.loop
     assert loop is None
     short = looped(MODEL, CALM, 0.0, samples=30)  # still on its way at the end
-    shown = measure_mismatch(MODEL, (recorded(),), 0, (short,))
-    assert shown.loop is None or shown.loop.gain < 0.02
+    later_mismatch = measure_mismatch(MODEL, records, 0, (short,))
+    assert later_mismatch.loop is None or later_mismatch.loop.gain < 0.02
 
 
 def test_the_records_about_the_loop_stay_as_they_are():
@@ -184,15 +211,20 @@ def test_the_records_about_the_loop_stay_as_they_are():
 def test_the_record_with_the_most_power_is_the_largest():
     """Also where its input is negative: its scatter and its bands are those that are told."""
     rng = np.random.default_rng(0)
-    sine = np.sin(np.arange(900) / 300)
-    falling = -1 - np.abs(sine)[:, None]
+    angles = np.arange(900)
+    sine = np.sin(angles / 300)
+    size = np.abs(sine)[:, None]
+    falling = -1 - size
     white_noise = rng.standard_normal((900, 1))
-    weak, strong = (
-        Trajectory(u=u, y=MODEL.simulate(u) + 0.01 * rng.standard_normal((900, 1)), step_s=0.01)
-        for u in (1 + 0.1 * white_noise, falling)
-    )
-    both, alone, other = (
-        measure_mismatch(MODEL, records) for records in ((weak, strong), (strong,), (weak,))
-    )
+    rising = 1 + 0.1 * white_noise
+    outputs = []
+    for u in (rising, falling):
+        noise = 0.01 * rng.standard_normal((900, 1))
+        outputs.append(MODEL.simulate(u) + noise)
+    weak = Trajectory(u=rising, y=outputs[0], step_s=0.01)
+    strong = Trajectory(u=falling, y=outputs[1], step_s=0.01)
+    both = measure_mismatch(MODEL, (weak, strong))
+    alone = measure_mismatch(MODEL, (strong,))
+    other = measure_mismatch(MODEL, (weak,))
     assert both.spread == alone.spread != other.spread
     assert both.unexcited == alone.unexcited

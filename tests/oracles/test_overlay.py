@@ -22,7 +22,9 @@ def runs(tmp_path: Path) -> list[Path]:
     """Three runs: two of one record, one of another."""
     names = ("order4-seed0-aa", "order8-seed0-bb", "order4-seed1-cc")
     folders = [tmp_path / name for name in names]
-    for seed, folder in zip((0, 0, 1), folders, strict=True):
+    seeds = (0, 0, 1)
+    seeds_and_folders = zip(seeds, folders, strict=True)
+    for seed, folder in seeds_and_folders:
         run = random_run(folder, kind="mlp", channels=1, seed=1)
         write_recordings(run, seed=seed)
         (folder / "record.json").write_text("{}")
@@ -34,13 +36,19 @@ def test_the_table_has_the_fit_of_each_runs_own_recording(runs: list[Path]) -> N
     run_folder = RunFolder(path=runs[0])
     test = run_folder.test
     assert test is not None
-    own_fit = fit_percent(test["measured"][0], test["simulated"][0])
+    measured = test["measured"][0]
+    simulated = test["simulated"][0]
+    own_fit = fit_percent(measured, simulated)
     expected = [own_fit, own_fit]
-    assert comparison.table["fit_percent"].tolist() == pytest.approx(expected)
+    column = comparison.table["fit_percent"]
+    fits = column.tolist()
+    expected_fits = pytest.approx(expected)
+    assert fits == expected_fits
     index = comparison.table.index
     expected = {"order4-aa", "order8-bb"}
     assert set(index) == expected
-    assert isinstance(comparison.plot(), Figure)
+    figure = comparison.plot()
+    assert isinstance(figure, Figure)
 
 
 def test_runs_of_different_records_are_refused_in_a_sentence(runs: list[Path]) -> None:
@@ -58,26 +66,39 @@ def test_the_command_prints_the_table_and_draws(
     runs: list[Path], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     picture = tmp_path / "both.png"
-    assert main(["overlay", str(runs[0]), str(runs[1]), "--picture", str(picture)]) == 0
+    first_run = str(runs[0])
+    second_run = str(runs[1])
+    arguments = ["overlay", first_run, second_run, "--picture", str(picture)]
+    status = main(arguments)
+    assert status == 0
     printed = capsys.readouterr().out
     assert "fit_percent" in printed
     assert "order8-bb" in printed
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    assert main(["overlay", str(runs[0]), str(runs[2])]) == 2
+    content = picture.read_bytes()
+    assert content.startswith(b"\x89PNG")
+    first_run = str(runs[0])
+    third_run = str(runs[2])
+    other_arguments = ["overlay", first_run, third_run]
+    status_of_different = main(other_arguments)
+    assert status_of_different == 2
 
 
 def test_runs_of_two_studies_are_named_with_them_and_their_baseline_stands_below(
     runs: list[Path], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """Models with and without a measured load are told apart in the table."""
-    loaded = runs[0].parent / "loaded" / runs[1].name
+    study = runs[0].parent
+    loaded = study / "loaded" / runs[1].name
     shutil.copytree(runs[1], loaded)
-    write_record(runs[0], {"fit_baseline_percent": 91.25, "baseline": "an ARX model"})
-    write_record(
-        loaded, {"fit_baseline_percent": 95.04, "baseline": "NARX", "disturbances": "load"}
-    )
+    record_of_first = {"fit_baseline_percent": 91.25, "baseline": "an ARX model"}
+    write_record(runs[0], record_of_first)
+    record_of_loaded = {"fit_baseline_percent": 95.04, "baseline": "NARX", "disturbances": "load"}
+    write_record(loaded, record_of_loaded)
     picture = tmp_path / "both.png"
-    assert main(["overlay", str(runs[0]), str(loaded), "--picture", str(picture)]) == 0
+    first_run = str(runs[0])
+    arguments = ["overlay", first_run, str(loaded), "--picture", str(picture)]
+    status = main(arguments)
+    assert status == 0
     printed = capsys.readouterr().out
     assert "loaded/order8-bb" in printed
     assert f"{runs[0].parent.name}/order4-aa" in printed
@@ -89,7 +110,8 @@ def test_names_of_runs_in_two_studies_that_are_alike_say_their_study(runs: list[
     other_path = runs[0].parent / "other"
     other = other_path / runs[0].name
     shutil.copytree(runs[0], other)
-    names = distinguishing_run_names([runs[0], other])
+    both_runs = [runs[0], other]
+    names = distinguishing_run_names(both_runs)
     paths = (runs[0], other)
     expected = [f"{path.parent.name}/{path.name}" for path in paths]
     assert names == expected
@@ -97,7 +119,8 @@ def test_names_of_runs_in_two_studies_that_are_alike_say_their_study(runs: list[
 
 def test_several_records_are_scored_together_and_the_longest_is_drawn() -> None:
     rng = np.random.default_rng(0)
-    measured = [rng.standard_normal((n, 1)) for n in (50, 80)]
+    lengths = (50, 80)
+    measured = [rng.standard_normal((n, 1)) for n in lengths]
     good = [0.9 * y for y in measured]
     bad = [0.1 * y for y in measured]
     simulated = {"good": good, "bad": bad}
@@ -107,8 +130,12 @@ def test_several_records_are_scored_together_and_the_longest_is_drawn() -> None:
     )
     index = list(comparison.table.index)
     assert index == ["good", "bad"]
-    whole = np.concatenate([y[10:] for y in measured])
+    scored = [y[10:] for y in measured]
+    whole = np.concatenate(scored)
     expected = fit_percent(whole, 0.9 * whole)
-    assert comparison.table.loc["good", "fit_percent"] == pytest.approx(expected)
+    scores = comparison.table.loc
+    fit_of_good = scores["good", "fit_percent"]
+    expected_fit = pytest.approx(expected)
+    assert fit_of_good == expected_fit
     expected = len(comparison.time_s)
     assert len(comparison.measured) == expected == 80

@@ -21,42 +21,59 @@ def test_quadruple_tank_rests_where_johansson_says_with_his_time_constants() -> 
     rest = plant.equilibrium()
     expected = [12.4, 12.7, 1.8, 1.4]
     np.testing.assert_allclose(rest.x, expected, rtol=0.1)  # table 2, measured levels
-    area_ratio = np.array(plant.area_cm2) / np.array(plant.outlet_cm2)
-    t = area_ratio * np.sqrt(2 * rest.x / 981.0)
+    areas = np.array(plant.area_cm2)
+    outlets = np.array(plant.outlet_cm2)
+    area_ratio = areas / outlets
+    fall_times = np.sqrt(2 * rest.x / 981.0)
+    t = area_ratio * fall_times
     expected = [62, 90, 23, 30]
     np.testing.assert_allclose(t, expected, rtol=0.06)
     bumps = rest.x + 0.01 * np.eye(4)
     resting_inputs = np.tile(rest.u, (4, 1))
-    bumped = plant.advance(bumps, resting_inputs, np.zeros((4, 2))) - rest.x
+    no_load = np.zeros((4, 2))
+    after_a_step = plant.advance(bumps, resting_inputs, no_load)
+    bumped = after_a_step - rest.x
     actual = np.diag(bumped) / 0.01
-    expected = np.exp(-plant.step_s / t)
+    decay = -plant.step_s / t
+    expected = np.exp(decay)
     np.testing.assert_allclose(actual, expected, rtol=2e-3)
 
 
 def test_quadruple_tank_agrees_with_a_general_solver() -> None:
     plant = from_yaml("plant", "quadruple_tank")
-    u = np.array([[2.2, 3.7]])
-    d = np.array([[3.0, -2.0]])
+    row_of_u = [2.2, 3.7]
+    u = np.array([row_of_u])
+    row_of_d = [3.0, -2.0]
+    d = np.array([row_of_d])
     area = np.array(plant.area_cm2)
     out = np.array(plant.outlet_cm2)
     k = np.array(plant.pump_cm3_per_vs)
     g = np.array(plant.share_below)
 
     def rate(_: float, h: np.ndarray) -> np.ndarray:
-        q = out * np.sqrt(2 * 981.0 * h)
-        flow_left = g[0] * k[0] * 2.2
-        flow_right = g[1] * k[1] * 3.7
-        pumped = np.array([flow_left, flow_right, (1 - g[1]) * k[1] * 3.7, (1 - g[0]) * k[0] * 2.2])
-        inflow = np.array([q[2] + 3.0, q[3] - 2.0, 0.0, 0.0])
+        speeds = np.sqrt(2 * 981.0 * h)
+        q = out * speeds
+        left_share = g[0] * k[0]
+        flow_left = left_share * 2.2
+        right_share = g[1] * k[1]
+        flow_right = right_share * 3.7
+        flow_to_upper_left = (1 - g[1]) * k[1] * 3.7
+        flow_to_upper_right = (1 - g[0]) * k[0] * 2.2
+        pumped = np.array([flow_left, flow_right, flow_to_upper_left, flow_to_upper_right])
+        into_left = q[2] + 3.0
+        into_right = q[3] - 2.0
+        inflow = np.array([into_left, into_right, 0.0, 0.0])
         difference = pumped + inflow - q
         return difference / area
 
     x = plant.equilibrium().x
     duration_s = 10 * plant.step_s
-    ivp = solve_ivp(rate, (0, duration_s), x, rtol=1e-11, atol=1e-12)
+    span = (0, duration_s)
+    ivp = solve_ivp(rate, span, x, rtol=1e-11, atol=1e-12)
     there = ivp.y[:, -1]
-    constant_input = np.tile(u, (1, 11, 1))
-    constant_disturbance = np.tile(d, (1, 11, 1))
+    repetitions = (1, 11, 1)
+    constant_input = np.tile(u, repetitions)
+    constant_disturbance = np.tile(d, repetitions)
     response = plant.simulate(constant_input, x0=x[None], d=constant_disturbance)
     here = response[0][0, -1]
     np.testing.assert_allclose(here, there, rtol=1e-6)
@@ -65,8 +82,10 @@ def test_quadruple_tank_agrees_with_a_general_solver() -> None:
 def test_quadruple_tank_starts_with_the_upper_levels_at_rest() -> None:
     plant = from_yaml("plant", "quadruple_tank")
     rest = plant.equilibrium()
-    y0 = np.array([[5.0, 7.0], [6.0, 6.5]])
-    actual = plant.equilibrium_states(rest.y[None])
+    levels = [[5.0, 7.0], [6.0, 6.5]]
+    y0 = np.array(levels)
+    resting_outputs = rest.y[None]
+    actual = plant.equilibrium_states(resting_outputs)
     expected = rest.x[None]
     np.testing.assert_allclose(actual, expected)
     x0 = plant.equilibrium_states(y0)
@@ -93,10 +112,12 @@ def test_tanks_agree_with_a_general_solver_below_the_brim(tanks: CascadedTanks) 
 
     x = tanks.equilibrium().x
     duration_s = 20 * tanks.step_s
-    ivp = solve_ivp(rate, (0, duration_s), x, rtol=1e-11, atol=1e-12)
+    span = (0, duration_s)
+    ivp = solve_ivp(rate, span, x, rtol=1e-11, atol=1e-12)
     there = ivp.y[:, -1]
-    d = np.full((1, 21, 1), 1e-3)
-    constant_input = np.full((1, 21, 1), 2.0)
+    shape = (1, 21, 1)
+    d = np.full(shape, 1e-3)
+    constant_input = np.full(shape, 2.0)
     response = tanks.simulate(constant_input, x0=x[None], d=d)
     here = response[0][0, -1]
     np.testing.assert_allclose(here, there, rtol=1e-8)
@@ -108,7 +129,8 @@ def test_tanks_overflow_and_the_spill_reaches_the_lower_tank(tanks: CascadedTank
     assert x.max() == tanks.brim_v  # full to the brim, never over
     changed_tanks = replace(tanks, spill_share=0.0)
     dry, _ = changed_tanks.simulate(u)
-    is_full = x[0, :, 0] == tanks.brim_v
+    upper_level = x[0, :, 0]
+    is_full = upper_level == tanks.brim_v
     position_of_largest = np.argmax(is_full)
     first_full = int(position_of_largest)
     actual = dry[0, : first_full - 1]
@@ -120,10 +142,12 @@ def test_tanks_overflow_and_the_spill_reaches_the_lower_tank(tanks: CascadedTank
 
 
 def test_the_pump_never_sucks(tanks: CascadedTanks) -> None:
-    negative_voltage = np.full((1, 50, 1), -3.0)
+    shape = (1, 50, 1)
+    negative_voltage = np.full(shape, -3.0)
     response = tanks.simulate(negative_voltage)
     actual = response[0]
-    response = tanks.simulate(np.zeros((1, 50, 1)))
+    no_voltage = np.zeros(shape)
+    response = tanks.simulate(no_voltage)
     expected = response[0]
     np.testing.assert_array_equal(actual, expected)
 
@@ -141,39 +165,51 @@ def drive() -> StribeckDrive:
 def test_the_drive_converges_with_order_one_to_a_general_solver(drive: StribeckDrive) -> None:
     def rate(_: float, x: np.ndarray) -> list[float]:
         w = np.array([x[1]])
-        friction = drive.friction_nm(w)[0]
+        friction_torques = drive.friction_nm(w)
+        friction = friction_torques[0]
         driving_torque = drive.torque_constant_nm_per_a * x[0]
         viscous_torque = drive.viscous_nms_per_rad * x[1]
         difference = driving_torque - viscous_torque
         torque = difference - friction
-        current_rate = (1.5 - x[0]) / drive.current_lag_s
+        missing_current = 1.5 - x[0]
+        current_rate = missing_current / drive.current_lag_s
         return [current_rate, torque / drive.inertia_kgm2]
 
     duration_s = 20 * drive.step_s
-    ivp = solve_ivp(rate, (0, duration_s), [0.0, 5.0], rtol=1e-11, atol=1e-12)
+    span = (0, duration_s)
+    start_state = [0.0, 5.0]
+    ivp = solve_ivp(rate, span, start_state, rtol=1e-11, atol=1e-12)
     there = ivp.y[1, -1]
     constant_input = np.full((1, 21, 1), 1.5)
-    start = np.array([[0.0, 5.0]])
-    errors = [
-        abs(replace(drive, substeps=n).simulate(constant_input, x0=start)[1][0, -1, 0] - there)
-        for n in (20, 40, 80)
-    ]
+    start_row = [0.0, 5.0]
+    start = np.array([start_row])
+    errors = []
+    for substeps in (20, 40, 80):
+        finer_drive = replace(drive, substeps=substeps)
+        response = finer_drive.simulate(constant_input, x0=start)
+        error = response[1][0, -1, 0] - there
+        errors.append(abs(error))
     upper_limit = 0.02 * abs(there)
     assert errors[0] < upper_limit
-    coarser = np.array(errors[:-1])
-    finer = np.array(errors[1:])
+    first_errors = errors[:-1]
+    coarser = np.array(first_errors)
+    last_errors = errors[1:]
+    finer = np.array(last_errors)
     actual = np.log2(coarser / finer)
     np.testing.assert_allclose(actual, 1.0, atol=0.1)
 
 
 def test_the_drive_sticks_up_to_the_static_torque_and_not_beyond(drive: StribeckDrive) -> None:
     hold_a = drive.static_torque_nm / drive.torque_constant_nm_per_a
-    below_the_hold = np.full((1, 100, 1), 0.99 * hold_a)
+    shape = (1, 100, 1)
+    below_the_hold = np.full(shape, 0.99 * hold_a)
     response = drive.simulate(below_the_hold)
-    assert (response[1] == 0.0).all()
-    above_the_hold = np.full((1, 100, 1), 1.1 * hold_a)
+    rests = response[1] == 0.0
+    assert rests.all()
+    above_the_hold = np.full(shape, 1.1 * hold_a)
     response = drive.simulate(above_the_hold)
-    assert response[1][0, -1, 0] > 0.1  # and then runs away from rest
+    last_speed = response[1][0, -1, 0]
+    assert last_speed > 0.1  # and then runs away from rest
 
 
 def test_the_drive_starts_on_both_sides_of_rest(drive: StribeckDrive) -> None:
@@ -183,10 +219,11 @@ def test_the_drive_starts_on_both_sides_of_rest(drive: StribeckDrive) -> None:
 
 def test_the_drive_saturates(drive: StribeckDrive) -> None:
     limit = drive.current_limit_a
-    beyond_the_limit = np.full((1, 50, 1), 3 * limit)
+    shape = (1, 50, 1)
+    beyond_the_limit = np.full(shape, 3 * limit)
     response = drive.simulate(beyond_the_limit)
     actual = response[0]
-    at_the_limit = np.full((1, 50, 1), limit)
+    at_the_limit = np.full(shape, limit)
     response = drive.simulate(at_the_limit)
     expected = response[0]
     np.testing.assert_array_equal(actual, expected)
@@ -207,5 +244,6 @@ def test_a_loops_disturbance_enters_the_first_of_the_tanks_inflows(
         loop.simulate(plant, mock, equilibrium.y[None], no_disturbance)
     disturbance = close_loop.call_args.kwargs["disturbance"]
     actual = disturbance[0]
-    expected = [[2.0, 0.0]] * 5
+    row = [2.0, 0.0]
+    expected = [row] * 5
     np.testing.assert_array_equal(actual, expected)

@@ -14,7 +14,8 @@ SAMPLES = 40
 
 
 def test_the_plain_plants_are_there() -> None:
-    assert set(PLAIN) <= set(choices("plant"))
+    plants = set(choices("plant"))
+    assert set(PLAIN) <= plants
 
 
 @pytest.fixture(params=PLAIN)
@@ -24,54 +25,71 @@ def plant(request: pytest.FixtureRequest) -> Plant:
 
 def inputs(plant: Plant, cases: int = 2) -> np.ndarray:
     rng = np.random.default_rng(0)
-    levels = rng.uniform(-1, 1, (cases, SAMPLES, len(plant.inputs)))
-    deviation = levels * np.array(plant.input_amplitude)
+    channels = len(plant.inputs)
+    levels = rng.uniform(-1, 1, (cases, SAMPLES, channels))
+    amplitude = np.array(plant.input_amplitude)
+    deviation = levels * amplitude
     return plant.equilibrium().u + deviation
 
 
 def test_saturation_clips(plant: Plant) -> None:
     rest = plant.equilibrium().u
-    half = 0.5 * np.array(plant.input_amplitude)
+    amplitude = np.array(plant.input_amplitude)
+    half = 0.5 * amplitude
     lower = list(rest - half)
     upper = list(rest + half)
     limited = SaturatedInput(plant=plant, lower=lower, upper=upper)
     u = inputs(plant)
-    actual = limited.simulate(u)[1]
+    limited_run = limited.simulate(u)
+    actual = limited_run[1]
     clipped = np.clip(u, rest - half, rest + half)
     response = plant.simulate(clipped)
     expected = response[1]
     np.testing.assert_array_equal(actual, expected)
     response = limited.simulate(u)
-    assert not np.array_equal(response[1], plant.simulate(u)[1])
+    free_run = plant.simulate(u)
+    assert not np.array_equal(response[1], free_run[1])
 
 
-@pytest.mark.parametrize("samples", [1, 3])
+NUMBERS_OF_SAMPLES = [1, 3]
+
+
+@pytest.mark.parametrize("samples", NUMBERS_OF_SAMPLES)
 def test_delay_shifts(plant: Plant, samples: int) -> None:
     u = inputs(plant)
-    waiting = np.tile(plant.equilibrium().u, (2, samples, 1))
-    shifted = np.concatenate([waiting, u[:, :-samples]], axis=1)
+    equilibrium = plant.equilibrium()
+    waiting = np.tile(equilibrium.u, (2, samples, 1))
+    undelayed = u[:, :-samples]
+    both = [waiting, undelayed]
+    shifted = np.concatenate(both, axis=1)
     delayed = DelayedInput(plant=plant, samples=samples)
-    actual = delayed.simulate(u)[1]
-    expected = plant.simulate(shifted)[1]
+    delayed_run = delayed.simulate(u)
+    actual = delayed_run[1]
+    shifted_run = plant.simulate(shifted)
+    expected = shifted_run[1]
     np.testing.assert_array_equal(actual, expected)
 
 
 def test_a_random_disturbance_holds_and_repeats() -> None:
     disturbance = RandomDisturbance(amplitude=2.0, hold_s=0.05, seed=1)
-    d = disturbance.signal(np.arange(1000) * 0.01)
+    time_s = np.arange(1000) * 0.01
+    d = disturbance.signal(time_s)
     differences = np.diff(d)
     indices = np.flatnonzero(differences)
     differences = np.diff(indices)
-    assert (differences % 5 == 0).all()
-    largest = np.abs(d).max()
+    is_a_multiple = differences % 5 == 0
+    assert is_a_multiple.all()
+    sizes = np.abs(d)
+    largest = sizes.max()
     assert 1.5 < largest <= 2.0
-    expected = disturbance.signal(np.arange(1000) * 0.01)
+    expected = disturbance.signal(time_s)
     np.testing.assert_array_equal(d, expected)
 
 
 def test_wrappers_stack(plant: Plant) -> None:
     rest = plant.equilibrium().u
-    reach = 2 * np.array(plant.input_amplitude)
+    amplitude = np.array(plant.input_amplitude)
+    reach = 2 * amplitude
     lower = list(rest - reach)
     upper = list(rest + reach)
     limited = SaturatedInput(plant=plant, lower=lower, upper=upper)
@@ -79,19 +97,40 @@ def test_wrappers_stack(plant: Plant) -> None:
     x, y = stack.simulate(inputs(plant))
     expected = len(stack.states)
     states_and_delays = len(plant.states) + 2 * len(plant.inputs)
-    assert x.shape[2] == expected == states_and_delays
+    number_of_states = x.shape[2]
+    assert number_of_states == expected == states_and_delays
     delayed_input = DelayedInput(plant=plant, samples=2)
     response = delayed_input.simulate(inputs(plant))
     expected = response[1]
     np.testing.assert_array_equal(y, expected)
 
 
+def reach_only_beyond_rest(plant: Plant) -> object:
+    return SaturatedInput(plant=plant, lower=1.0, upper=2.0)
+
+
+def limit_two_inputs(plant: Plant) -> object:
+    return SaturatedInput(plant=plant, lower=[-1.0, -1.0], upper=1.0)
+
+
+def delay_by_nothing(plant: Plant) -> object:
+    return DelayedInput(plant=plant, samples=0)
+
+
+def hold_for_no_time(_: Plant) -> object:
+    return RandomDisturbance(amplitude=1.0, hold_s=0.0)
+
+
+def repeat_never(_: Plant) -> object:
+    return PeriodicDisturbance(amplitude=1.0, frequency_hz=0.0)
+
+
 REFUSED_WRAPPERS = [
-    (lambda p: SaturatedInput(plant=p, lower=1.0, upper=2.0), "do not enclose rest"),
-    (lambda p: SaturatedInput(plant=p, lower=[-1.0, -1.0], upper=1.0), "there are 1 inputs"),
-    (lambda p: DelayedInput(plant=p, samples=0), "samples = 0"),
-    (lambda _: RandomDisturbance(amplitude=1.0, hold_s=0.0), "hold_s = 0.0"),
-    (lambda _: PeriodicDisturbance(amplitude=1.0, frequency_hz=0.0), "frequency_hz = 0.0"),
+    (reach_only_beyond_rest, "do not enclose rest"),
+    (limit_two_inputs, "there are 1 inputs"),
+    (delay_by_nothing, "samples = 0"),
+    (hold_for_no_time, "hold_s = 0.0"),
+    (repeat_never, "frequency_hz = 0.0"),
 ]
 
 

@@ -44,7 +44,8 @@ def loop(seed: int, inputs: int = 1, order: int = 3) -> tuple[StateSpace, Balls,
     output = JacobianBall(alpha=0.8, beta=0.0)
     balls = Balls(input=jacobian_ball, output=output)
     synthesis = RiccatiSynthesis(rate_controller=0.15, rate_observer=0.15, input_weight=0.3)
-    return linear, balls, synthesis.design(_Model(linear), balls)
+    design = synthesis.design(_Model(linear), balls)
+    return linear, balls, design
 
 
 class _Model:
@@ -71,7 +72,8 @@ def feasible(part: StateFeedback, rate: float) -> bool:
     lmi = cp.bmat([first_row, second_row, third_row])
     a = cp.Maximize(t)
     size = 2 * n + m
-    b = [lmi >> t * np.eye(size), t <= 1]
+    identity = np.eye(size)
+    b = [lmi >> t * identity, t <= 1]
     problem = cp.Problem(a, b)
     problem.solve(solver="CLARABEL")
     return problem.status in ("optimal", "optimal_inaccurate") and float(t.value) > 0
@@ -79,7 +81,8 @@ def feasible(part: StateFeedback, rate: float) -> bool:
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_largest_rate_is_where_the_solver_stops_finding_a_metric(seed: int) -> None:
-    part = loop(seed, order=2)[2].state_feedback
+    design = loop(seed, order=2)[2]
+    part = design.state_feedback
     assert isinstance(part, StateFeedback)
     jacobian_ball = JacobianBall(alpha=part.alpha, beta=part.beta)
     limit = largest_rate(part.a, part.b, part.k, jacobian_ball)
@@ -156,9 +159,9 @@ def test_a_mode_that_the_gain_does_not_reach_does_not_hide_what_the_ball_costs(s
     b = np.array([[0.0], [1.0]])
     k = np.array([[0.0, -0.5]])
     jacobian_ball = JacobianBall(alpha=1.0, beta=0.3)
-    found = largest_rate(a, b, k, jacobian_ball)
+    rate = largest_rate(a, b, k, jacobian_ball)
     expected = 1 - (slow + 0.05) ** 2
-    assert found == pytest.approx(expected, abs=1e-5)
+    assert rate == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
@@ -169,15 +172,15 @@ def test_without_a_ball_the_tolerance_is_small_gain(seed: int) -> None:
     jacobian_ball = JacobianBall(alpha=alpha, beta=0.0)
     sharp = Balls(input=jacobian_ball, output=balls.output)
     context = known(linear, sharp, design)
-    found = certify_largest_radius(context)
+    certificate = certify_largest_radius(context)
     slope_in = balls.input.alpha
     slope_out = balls.output.alpha
     system = error_to_input_response(linear, design.pair, slope_in, slope_out)
     peak = hinf_norm(system)
-    assert found is not None
-    assert found.certified
-    assert found.kappa * peak == pytest.approx(0.999, rel=1e-5)
-    assert found.tolerated_gain == found.kappa
+    assert certificate is not None
+    assert certificate.certified
+    assert certificate.kappa * peak == pytest.approx(0.999, rel=1e-5)
+    assert certificate.tolerated_gain == certificate.kappa
 
 
 @pytest.mark.parametrize(("seed", "order"), [(0, 0), (1, 0), (2, 1)])
@@ -188,10 +191,10 @@ def test_a_solver_finds_the_same_tolerance(seed: int, order: int) -> None:
     first_order = np.array([[0.5, 1.0], [0.2, 1.0]])
     weight = first_order if order else np.eye(1)
     context = known(linear, balls, design)
-    found = certify_largest_radius(context, replace(INPUT_ALONE, input=weight))
-    assert found is not None
-    expected = tolerance_of_a_solver(linear, found, weight)
-    assert found.kappa == pytest.approx(expected, rel=5e-3)
+    certificate = certify_largest_radius(context, replace(INPUT_ALONE, input=weight))
+    assert certificate is not None
+    expected = tolerance_of_a_solver(linear, certificate, weight)
+    assert certificate.kappa == pytest.approx(expected, rel=5e-3)
 
 
 def loop_with_weight(
@@ -242,9 +245,9 @@ def tolerance_of_a_solver(linear: StateSpace, proved: MeasuredDiscs, weight: np.
     of_weight = mu * seen_by_weight.T @ seen_by_weight
     storage = p - of_map - of_weight
     zero = np.zeros((len(a), 1))
-    one = np.ones((1, 1))
-    map_row = [zero.T, cp.reshape(lam, (1, 1), "C"), 0 * one]
-    supply = cp.bmat([[storage, zero, zero], map_row, [zero.T, 0 * one, one]])
+    unit = np.ones((1, 1))
+    map_row = [zero.T, cp.reshape(lam, (1, 1), "C"), 0 * unit]
+    supply = cp.bmat([[storage, zero, zero], map_row, [zero.T, 0 * unit, unit]])
     dissipated = supply - ab.T @ p @ ab
     problem = cp.Problem(cp.Maximize(mu), [dissipated >> 0, p >> 0])
     problem.solve(solver="CLARABEL")
@@ -262,29 +265,29 @@ def test_slopes_and_mismatch_that_vary_at_will_never_diverge_below_the_tolerance
     """
     linear, balls, design = loop(seed)
     context = known(linear, balls, design)
-    found = certify_largest_radius(context)
-    assert found is not None
+    certificate = certify_largest_radius(context)
+    assert certificate is not None
     rng = np.random.default_rng(seed)
-    k = found.k
-    b = found.b
-    l = found.l  # noqa: E741
+    k = certificate.k
+    b = certificate.b
+    l = certificate.l  # noqa: E741
     xi = rng.normal(size=6)
     energies = []
     for _ in range(100):
-        energies.append(xi @ found.p @ xi)
+        energies.append(xi @ certificate.p @ xi)
         estimate = xi[:3] + xi[3:]
-        u = k @ (estimate)
+        u = k @ estimate
         options = []
-        difference = found.alpha - found.beta
-        for slope in (difference, found.alpha, found.alpha + found.beta):
+        difference = certificate.alpha - certificate.beta
+        for slope in (difference, certificate.alpha, certificate.alpha + certificate.beta):
             for sign in (-1, 0, 1):
-                e = sign * found.kappa * u
+                e = sign * certificate.kappa * u
                 applied = slope * b @ u
                 x = linear.a @ xi[:3] + applied
                 output_error = 0.8 * l @ (linear.c @ xi[3:])
                 eps = linear.a @ xi[3:] + output_error - l @ e
                 options.append(np.concatenate([x, eps]))
-        xi = max(options, key=lambda after: after @ found.p @ after)
+        xi = max(options, key=lambda after: after @ certificate.p @ after)
     energies = np.array(energies)
     upper_limit = energies[:-1]
     assert (energies[1:] < upper_limit).all()
@@ -295,17 +298,17 @@ def test_far_above_the_tolerance_such_a_mismatch_diverges_and_is_not_proved() ->
     lose the loop."""
     linear, balls, design = loop(0)
     context = known(linear, balls, design)
-    found = certify_largest_radius(context)
-    assert found is not None
+    certificate = certify_largest_radius(context)
+    assert certificate is not None
     slopes = (0.4, 0.7, 1.0)
     peaks = [
         hinf_norm(error_to_input_response(linear, design.pair, slope, 0.8)) for slope in slopes
     ]
     assert (
-        found.kappa * max(peaks) <= 1
+        certificate.kappa * max(peaks) <= 1
     )  # what holds for slopes that vary is no more than what holds for constant ones
     kappa = 1.001 / max(peaks)
-    changed = found.variables | {"kappa": kappa}
+    changed = certificate.variables | {"kappa": kappa}
     assert not MeasuredDiscs.holds(**changed)
 
 

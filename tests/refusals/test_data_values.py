@@ -56,39 +56,39 @@ def test_a_clock_shorter_than_the_sampling_time() -> None:
 def test_a_small_file_that_unpacks_to_gigabytes_is_refused_before_it_does(tmp_path: Path) -> None:
     """Zeros pack to nothing. MCAP's test: tests/oracles/test_data_mcap.py."""
     zeros = np.zeros(10_000_000)
-    savemat(tmp_path / "a.mat", {"u": zeros, "y": zeros}, do_compression=True)
+    signals = {"u": zeros, "y": zeros}
+    savemat(tmp_path / "a.mat", signals, do_compression=True)
     u = zeros[:1_000_000]
     y = zeros[:1_000_000]
     table = pa.table({"u": u, "y": y})
     with parquet.ParquetWriter(tmp_path / "a.parquet", table.schema) as writer:
         for _ in range(40):
             writer.write_table(table)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    usage_before = resource.getrusage(resource.RUSAGE_SELF)
+    before = usage_before.ru_maxrss
     cases = (("a.mat", "more than 128 MiB"), ("a.parquet", "40000000 rows are more than 16777216"))
     for name, words in cases:
-        st_size = (tmp_path / name).stat().st_size
+        file_facts = (tmp_path / name).stat()
+        st_size = file_facts.st_size
         assert st_size < 2**20
-        wanted = {"u": "", "y": ""}
+        columns = {"u": "", "y": ""}
         with pytest.raises(BadRequest, match=words):
-            read_table(tmp_path / name, wanted)
-    ru_maxrss = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+            read_table(tmp_path / name, columns)
+    usage_after = resource.getrusage(resource.RUSAGE_SELF)
+    ru_maxrss = usage_after.ru_maxrss
     difference = ru_maxrss - before
     assert difference < 350_000  # kilobytes
 
 
+NINE_ONES = np.ones(9)
+TWO_COLUMNS = np.ones((9, 2))
+COLUMN_TWICE = pd.DataFrame(TWO_COLUMNS, columns=["a", "a"])
+COLUMN_A = pd.Series(NINE_ONES, name="a")
 NO_LOGS = [
-    (
-        pd.DataFrame(np.ones((9, 2)), columns=["a", "a"]),
-        np.ones(9),
-        r"u, y = \['a', 'a', 'y'\]: .*one name",
-    ),
-    (
-        pd.Series(np.ones(9), name="a"),
-        pd.Series(np.ones(9), name="a"),
-        r"u, y = \['a', 'a'\]: .*one name",
-    ),
+    (COLUMN_TWICE, NINE_ONES, r"u, y = \['a', 'a', 'y'\]: .*one name"),
+    (COLUMN_A, COLUMN_A, r"u, y = \['a', 'a'\]: .*one name"),
     ([], [], r"u = shape \(0,\): not a signal; give an array \(T, channels\)"),
-    ("speed", np.ones(9), r"u = str: not a table of numbers"),
+    ("speed", NINE_ONES, r"u = str: not a table of numbers"),
 ]
 
 
@@ -98,7 +98,9 @@ def test_arrays_that_are_no_log(tmp_path: Path, u: object, y: object, says: str)
         write_log_files(u, y, tmp_path)
 
 
-NO_SCALES = [{"input_scale": [0.0, 1.0]}, {"output_equilibrium": [np.nan]}]
+ZERO_SCALE = {"input_scale": [0.0, 1.0]}
+NO_EQUILIBRIUM = {"output_equilibrium": [np.nan]}
+NO_SCALES = [ZERO_SCALE, NO_EQUILIBRIUM]
 
 
 @pytest.mark.parametrize("change", NO_SCALES)
@@ -110,19 +112,24 @@ def test_scales_that_are_none(change: dict[str, list[float]]) -> None:
         "output_scale": [1.0],
         "input_equilibrium": input_equilibrium,
     }
-    numbers = sides | {"output_equilibrium": [0.0]} | change
-    arrays = {name: np.array(values) for name, values in numbers.items()}
+    all_sides = sides | {"output_equilibrium": [0.0]}
+    numbers = all_sides | change
+    sides_and_values = numbers.items()
+    arrays = {name: np.array(values) for name, values in sides_and_values}
     with pytest.raises(
         BadRequest, match="needs positive scales, and one finite equilibrium value for each"
     ):
         Scale(**arrays)
 
 
-@pytest.mark.parametrize("part", ["training", "validation", "test"])
+PARTS = ["training", "validation", "test"]
+
+
+@pytest.mark.parametrize("part", PARTS)
 def test_experiments_without_a_recording(part: str) -> None:
     recording = Recording(path="log.csv", input="u", output="y", step_s=0.01)
-    one = [recording]
-    parts = dict.fromkeys(("training", "validation", "test"), one)
+    recordings = [recording]
+    parts = dict.fromkeys(PARTS, recordings)
     RecordedExperiments(benchmark="own", **parts)
     fields = parts | {part: []}
     with pytest.raises(

@@ -9,18 +9,23 @@ from disturbance_cases import STEP_S, motor_log, recorded
 import ssm_study as st
 from ssm_study.refusal import BadRequest
 
+INPUT_TOO = {"disturbance": "voltage"}
+OUTPUT_TOO = {"disturbance": ["speed"]}
+CLOCK_TOO = {"disturbance": "torque", "time": "torque"}
+TWICE = {"disturbance": ["torque", "torque"]}
+SET_POINT_TOO = {"disturbance": "torque", "reference": "torque"}
+UNKNOWN = {"disturbance": "load"}
+NO_DISTURBANCES = [
+    (INPUT_TOO, "is an input too"),
+    (OUTPUT_TOO, "is an output too"),
+    (CLOCK_TOO, "is the clock too"),
+    (TWICE, "the same column twice"),
+    (SET_POINT_TOO, "is the set point too"),
+    (UNKNOWN, "load"),
+]
 
-@pytest.mark.parametrize(
-    ("fields", "sentence"),
-    [
-        ({"disturbance": "voltage"}, "is an input too"),
-        ({"disturbance": ["speed"]}, "is an output too"),
-        ({"disturbance": "torque", "time": "torque"}, "is the clock too"),
-        ({"disturbance": ["torque", "torque"]}, "the same column twice"),
-        ({"disturbance": "torque", "reference": "torque"}, "is the set point too"),
-        ({"disturbance": "load"}, "load"),
-    ],
-)
+
+@pytest.mark.parametrize(("fields", "sentence"), NO_DISTURBANCES)
 def test_a_column_that_is_no_disturbance_is_refused(
     tmp_path: Path, fields: dict[str, object], sentence: str
 ) -> None:
@@ -28,7 +33,10 @@ def test_a_column_that_is_no_disturbance_is_refused(
         recorded(tmp_path, **fields).build(0)
 
 
-@pytest.mark.parametrize("model", ["arx", "narx", "output_error", "gru"])
+MODELS = ["arx", "narx", "output_error", "gru"]
+
+
+@pytest.mark.parametrize("model", MODELS)
 def test_a_model_without_a_path_for_it_is_refused(tmp_path: Path, model: str) -> None:
     log = pd.read_csv(motor_log(tmp_path))
     with pytest.raises(BadRequest, match="has no path for measured disturbances"):

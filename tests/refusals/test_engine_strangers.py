@@ -16,6 +16,7 @@ from ssm_study.refusal import BadRequest
 from ssm_study.study.allow_list import PLUGINS, is_allowed_target, refuse_foreign_targets
 
 ROOT = Path(__file__).resolve().parents[2]
+LOADERS = ("torch.load", "np.load", "numpy.load", "pd.read_pickle", "eval", "exec")
 EVIL_TARGETS = [
     "os.system",
     "subprocess.run",
@@ -51,45 +52,43 @@ EVIL_TARGETS = [
 @pytest.mark.parametrize("target", EVIL_TARGETS)
 def test_foreign_targets_are_refused_wherever_they_stand(target: object) -> None:
     assert not is_allowed_target(target)
-    model = {"scaffold": {"_target_": target}}
+    scaffold = {"_target_": target}
+    model = {"scaffold": scaffold}
     b = [{"_target_": target}]
     a = [{"b": b}]
-    callbacks = {"c": {"_target_": target}}
+    evil = {"_target_": target}
+    callbacks = {"c": evil}
     hydra = {"callbacks": callbacks}
     launcher = {"_target_": target}
-    for tree in (
-        {"_target_": target},
-        {"model": model},
-        {"a": a},
-        {"hydra": hydra},
-        {"hydra": {"launcher": launcher}},
-    ):
+    section = {"launcher": launcher}
+    trees = ({"_target_": target}, {"model": model}, {"a": a}, {"hydra": hydra}, {"hydra": section})
+    for tree in trees:
         config = OmegaConf.create({"x": "os.system", **tree})
         with pytest.raises(BadRequest, match="_target_"):
             refuse_foreign_targets(config)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "a: ${oc.env:HOME}",
-        "a: '${oc.create:{_target_: os.system}}'",
-        "a: '${oc.decode:\"{_target_: os.system}\"}'",
-        "b: {_target_x: 1}\na: {c: '${oc.env:SECRET,none}'}",
-        "{study: env, results_dir: 'L_${oc.${study}:SECRET}'}",
-        "{study: oc, a: '${${study}.env:SECRET}'}",
-        "{study: decode, a: '${oc.${study}:\"{_target_: os.system}\"}'}",
-        "{study: create, a: ['${oc.${study}:{_target_: os.system}}']}",
-        "a: '${ oc.env :SECRET}'",
-        "a: '${oc.select:b,1}'",
-        "hydra: {job: {name: '${oc.env:SECRET}'}}",
-        "hydra: {launcher: {submitit_folder: '${oc.${study}:SECRET}'}}",
-        "hydra: {job_logging: {handlers: {x: {'()': os.system}}}}",
-        "hydra: {job_logging: {handlers: {x: {class: subprocess.Popen}}}}",
-        "hydra: {job: {env_set: {LD_PRELOAD: evil.so}}}",
-        "hydra: {sweeper: {_target_: hydra_plugins.evil}}",
-    ],
-)
+OTHER_WAYS_IN = [
+    "a: ${oc.env:HOME}",
+    "a: '${oc.create:{_target_: os.system}}'",
+    "a: '${oc.decode:\"{_target_: os.system}\"}'",
+    "b: {_target_x: 1}\na: {c: '${oc.env:SECRET,none}'}",
+    "{study: env, results_dir: 'L_${oc.${study}:SECRET}'}",
+    "{study: oc, a: '${${study}.env:SECRET}'}",
+    "{study: decode, a: '${oc.${study}:\"{_target_: os.system}\"}'}",
+    "{study: create, a: ['${oc.${study}:{_target_: os.system}}']}",
+    "a: '${ oc.env :SECRET}'",
+    "a: '${oc.select:b,1}'",
+    "hydra: {job: {name: '${oc.env:SECRET}'}}",
+    "hydra: {launcher: {submitit_folder: '${oc.${study}:SECRET}'}}",
+    "hydra: {job_logging: {handlers: {x: {'()': os.system}}}}",
+    "hydra: {job_logging: {handlers: {x: {class: subprocess.Popen}}}}",
+    "hydra: {job: {env_set: {LD_PRELOAD: evil.so}}}",
+    "hydra: {sweeper: {_target_: hydra_plugins.evil}}",
+]
+
+
+@pytest.mark.parametrize("text", OTHER_WAYS_IN)
 def test_other_ways_in_are_refused(text: str) -> None:
     with pytest.raises(BadRequest):
         refuse_foreign_targets(OmegaConf.create(text))
@@ -97,20 +96,23 @@ def test_other_ways_in_are_refused(text: str) -> None:
 
 def test_everything_we_ship_is_allowed() -> None:
     targets = []
-    for path in (ROOT / "conf").rglob("*.yaml"):
+    paths = (ROOT / "conf").rglob("*.yaml")
+    for path in paths:
         text = path.read_text()
         for line in text.splitlines():
             word = line.strip().removeprefix("- ")
             if word.startswith("_target_:"):
-                targets.append((path.parent, word.split(":", 1)[1].split("#")[0].strip()))
+                name, *_ = word.removeprefix("_target_:").split("#")
+                targets.append((path.parent, name.strip()))
     assert len(targets) > 5
     # Hydra's own section may name our plugins, nothing else may.
     plugins = ROOT / "conf" / "hydra" / "launcher"
-    assert [
-        name
-        for folder, name in targets
-        if not (is_allowed_target(name) or (folder == plugins and PLUGINS.fullmatch(name)))
-    ] == []
+    refused = []
+    for folder, name in targets:
+        is_plugin = folder == plugins and PLUGINS.fullmatch(name)
+        if not (is_allowed_target(name) or is_plugin):
+            refused.append(name)
+    assert refused == []
 
 
 EVIL_STUDY = """
@@ -130,7 +132,9 @@ hydra:
 
 def test_an_evil_configuration_is_refused_before_hydra_touches_it(tmp_path: Path) -> None:
     marker = tmp_path / "marker"
-    (tmp_path / "study.yaml").write_text(EVIL_STUDY % (marker, marker))
+    markers = (marker, marker)
+    evil_study = EVIL_STUDY % markers
+    (tmp_path / "study.yaml").write_text(evil_study)
     with pytest.raises(BadRequest, match="_target_"):
         compose_request([], tmp_path, "study")
     with pytest.raises(BadRequest, match=r"hydra\.callbacks"):
@@ -149,13 +153,11 @@ def test_an_evil_experiment_given_to_the_command_does_nothing(
     evil = f"# @package _global_\nstudy: evil\nhydra:\n  callbacks:\n    evil: {touch}\n"
     evil_path = tmp_path / "experiment" / "evil.yaml"
     evil_path.write_text(evil)
-    words = [
-        "--config-dir",
-        str(tmp_path),
-        "experiment=evil",
-        f"results_dir={tmp_path / 'results'}",
-    ]
-    assert main(["run", *words]) == 2
+    results_word = f"results_dir={tmp_path / 'results'}"
+    words = ["--config-dir", str(tmp_path), "experiment=evil", results_word]
+    arguments = ["run", *words]
+    status = main(arguments)
+    assert status == 2
     assert "may not create this class" in capsys.readouterr().err
     assert not marker.exists()
 
@@ -165,7 +167,8 @@ class Evil:
         self.marker = marker
 
     def __reduce__(self) -> tuple[object, ...]:
-        return (Path.touch, (self.marker,))
+        arguments = (self.marker,)
+        return (Path.touch, arguments)
 
 
 def test_an_evil_record_is_only_corrupt(tmp_path: Path) -> None:
@@ -175,15 +178,18 @@ def test_an_evil_record_is_only_corrupt(tmp_path: Path) -> None:
     assert marker.exists(), "the trap does not work"
     marker.unlink()
     text = pickle.dumps(Evil(marker))
-    for content in (
+    record = {"sha256": 1}
+    record_text = json.dumps(record)
+    contents = (
         text,
         b'{"status": "ok"}',
         b"[]",
         b"",
         b"null",
-        json.dumps({"sha256": 1}).encode(),
+        record_text.encode(),
         b"[" * 100_000,
-    ):
+    )
+    for content in contents:
         expected = {"status": "corrupt"}
         assert parse_record(content) == expected
     assert not marker.exists()
@@ -192,26 +198,19 @@ def test_an_evil_record_is_only_corrupt(tmp_path: Path) -> None:
 def test_no_pickle_anywhere_and_torch_load_only_for_weights() -> None:
     """Static: no module of the package imports pickle or calls a loader that runs code."""
     offences = []
-    for path in (ROOT / "ssm_study").rglob("*.py"):
+    paths = (ROOT / "ssm_study").rglob("*.py")
+    for path in paths:
         text = path.read_text()
-        for node in ast.walk(ast.parse(text)):
-            names = (
-                [alias.name for alias in node.names]
-                if isinstance(node, (ast.Import, ast.ImportFrom))
-                else []
-            )
-            if {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"} & {
-                name.split(".")[0] for name in names
-            }:
+        tree = ast.parse(text)
+        nodes = ast.walk(tree)
+        for node in nodes:
+            imports = (ast.Import, ast.ImportFrom)
+            names = [alias.name for alias in node.names] if isinstance(node, imports) else []
+            forbidden = {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"}
+            if forbidden & {name.split(".")[0] for name in names}:
                 offences.append(f"{path.name}:{node.lineno} imports {names}")
-            if isinstance(node, ast.Call) and ast.unparse(node.func) in (
-                "torch.load",
-                "np.load",
-                "numpy.load",
-                "pd.read_pickle",
-                "eval",
-                "exec",
-            ):
+            called = ast.unparse(node.func) if isinstance(node, ast.Call) else None
+            if called in LOADERS:
                 safe = "weights_only=True" in ast.unparse(
                     node
                 ) or "allow_pickle=False" in ast.unparse(node)

@@ -21,20 +21,26 @@ from ssm_study.systems import Gains, JacobianBall, StateSpace
 LOOP = Loop(horizon_s=1.0, measurement_noise_variance=0.0)
 
 
-@pytest.mark.parametrize(
-    ("values", "names"),
-    [
-        ({"initial_conditions": 0}, "initial_conditions"),
-        ({"horizon_s": 0.0}, "horizon_s"),
-        ({"measurement_noise_variance": -1.0}, "measurement_noise_variance"),
-        ({"bound_in_initial_ranges": 0.5}, "bound_in_initial_ranges"),
-        ({"input_lower": 1.0, "input_upper": -1.0}, "input_lower"),
-    ],
-)
+NO_STARTS = {"initial_conditions": 0}
+NO_HORIZON = {"horizon_s": 0.0}
+NEGATIVE_VARIANCE = {"measurement_noise_variance": -1.0}
+SMALL_BOUND = {"bound_in_initial_ranges": 0.5}
+CROSSED_LIMITS = {"input_lower": 1.0, "input_upper": -1.0}
+OUT_OF_RANGE = [
+    (NO_STARTS, "initial_conditions"),
+    (NO_HORIZON, "horizon_s"),
+    (NEGATIVE_VARIANCE, "measurement_noise_variance"),
+    (SMALL_BOUND, "bound_in_initial_ranges"),
+    (CROSSED_LIMITS, "input_lower"),
+]
+
+
+@pytest.mark.parametrize(("values", "names"), OUT_OF_RANGE)
 def test_values_out_of_range(values, names):
-    settings = {"horizon_s": 1.0, "measurement_noise_variance": 0.02} | values
+    in_range = {"horizon_s": 1.0, "measurement_noise_variance": 0.02}
+    settings = in_range | values
     with pytest.raises(BadRequest, match=names):
-        Loop(**(settings))
+        Loop(**settings)
 
 
 def test_a_controller_for_other_dimensions():
@@ -114,14 +120,19 @@ def test_a_diverging_loop_is_stopped_and_labelled():
     assert columns["settling_time_mean_s"] is None
     assert columns["settling_time_worst_s"] is None
     assert columns["unsettled_as"] == "10 lost"
-    finite = [isinstance(value, str | None) or np.isfinite(value) for value in columns.values()]
+    values = columns.values()
+    finite = [isinstance(value, str | None) or np.isfinite(value) for value in values]
     assert all(finite)
     run = result.controlled
     magnitudes = np.abs(run.y)
-    assert (magnitudes <= run.bound).all()
-    for case, at in enumerate(run.left_at_sample):
+    is_within = magnitudes <= run.bound
+    assert is_within.all()
+    leaving = enumerate(run.left_at_sample)
+    for case, at in leaving:
         expected = run.y[case, at - 1]
-        assert (run.y[case, at:] == expected).all()
+        after_leaving = run.y[case, at:]
+        is_held = after_leaving == expected
+        assert is_held.all()
 
 
 def test_an_unstable_observer_is_stopped_before_it_overflows():
@@ -134,7 +145,8 @@ def test_an_unstable_observer_is_stopped_before_it_overflows():
     loop_runs = loop.run_on_plant(motor(), wild, seed=0)
     run = loop_runs.controlled
     assert not run.stayed_within_bound.any()
-    assert np.isfinite(run.estimate).all()
+    is_finite = np.isfinite(run.estimate)
+    assert is_finite.all()
 
 
 def test_references_out_of_order():

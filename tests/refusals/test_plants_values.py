@@ -8,22 +8,25 @@ from plants_cases import from_yaml
 from ssm_study.plants.disturbance import StepDisturbance
 from ssm_study.refusal import BadRequest
 
+IMPOSSIBLE_BODIES = [
+    ("resistance_ohm", 0.0),
+    ("load_inertia_kgm2", -1e-4),
+    ("coulomb_torque_nm", -1e-3),
+    ("dead_zone_v", -0.4),
+]
+IMPOSSIBLE_STEPS = [
+    ("step_s", 0.0),
+    ("step_s", float("nan")),
+    ("speed_noise_variance", -0.02),
+    ("solver_step_s", 1e-3),
+]
+IMPOSSIBLE = IMPOSSIBLE_BODIES + IMPOSSIBLE_STEPS
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("resistance_ohm", 0.0),
-        ("load_inertia_kgm2", -1e-4),
-        ("coulomb_torque_nm", -1e-3),
-        ("dead_zone_v", -0.4),
-        ("step_s", 0.0),
-        ("step_s", float("nan")),
-        ("speed_noise_variance", -0.02),
-        ("solver_step_s", 1e-3),
-    ],
-)
+
+@pytest.mark.parametrize(("field", "value"), IMPOSSIBLE)
 def test_refused(field: str, value: float) -> None:
-    with pytest.raises(BadRequest, match=rf"^{field} = .*\.$"):
+    sentence = rf"^{field} = .*\.$"
+    with pytest.raises(BadRequest, match=sentence):
         replace(from_yaml("plant", "dc_motor"), **{field: value})
 
 

@@ -36,23 +36,34 @@ def forged(study: Path) -> None:
     path.write_text(text)
 
 
+def damage_table(study: Path) -> None:
+    (study / "runs.parquet").write_bytes(b"PAR1")
+
+
+def damage_model(study: Path) -> None:
+    (run_of(study) / "model.json").write_text("{")
+
+
+def damage_configuration(study: Path) -> None:
+    (run_of(study) / ".hydra/config.yaml").write_text("a: [b")
+
+
 DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
-    "table": (lambda study: (study / "runs.parquet").write_bytes(b"PAR1"), "the table is damaged"),
-    "model": (lambda study: (run_of(study) / "model.json").write_text("{"), "the file is damaged"),
-    "yaml": (
-        lambda study: (run_of(study) / ".hydra/config.yaml").write_text("a: [b"),
-        "run the study again",
-    ),
+    "table": (damage_table, "the table is damaged"),
+    "model": (damage_model, "the file is damaged"),
+    "yaml": (damage_configuration, "run the study again"),
 }
 
 
 @pytest.mark.parametrize("what", DAMAGES)
 def test_damage_is_one_sentence(what: str, study: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    damage, said = DAMAGES[what]
+    damage, message = DAMAGES[what]
     damage(study)
-    assert main(["report", str(study), "--only", "learned_dead_zone"]) == 2
+    arguments = ["report", str(study), "--only", "learned_dead_zone"]
+    status = main(arguments)
+    assert status == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     lines = error.splitlines()
     assert len(lines) == 1
 
@@ -74,10 +85,15 @@ def test_a_full_disk_is_one_sentence(
 
     (study / "runs.csv").unlink()
     monkeypatch.setattr(gather, "write_atomically", full)
-    assert main(["gather", str(study)]) == 2
+    arguments = ["gather", str(study)]
+    status = main(arguments)
+    assert status == 2
     assert "No space left on device" in capsys.readouterr().err
-    assert main(["show", str(study)]) == 0, "a table can be looked at without being written"
+    show_arguments = ["show", str(study)]
+    status_of_show = main(show_arguments)
+    assert status_of_show == 0, "a table can be looked at without being written"
     assert "1 run: 1 ok" in capsys.readouterr().out
     monkeypatch.setattr(gather, "write_atomically", nameless)
-    assert main(["gather", str(study)]) == 2
+    status_again = main(arguments)
+    assert status_again == 2
     assert f"command = gather {str(study)[:40]}" in capsys.readouterr().err

@@ -18,9 +18,11 @@ from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 @pytest.fixture(scope="module")
 def stored() -> dict:
     riccati_synthesis = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5)
-    design = riccati_synthesis.design(model(), certified_balls(model()))
+    balls = certified_balls(model())
+    design = riccati_synthesis.design(model(), balls)
     assert design.certified
-    text = json.dumps(design.to_json())
+    document = design.to_json()
+    text = json.dumps(document)
     return json.loads(text)
 
 
@@ -40,70 +42,89 @@ def altered(stored: dict, side: str, name: str, value: object) -> list[str]:
 def test_what_was_written_holds(stored: dict) -> None:
     system = model().system
     balls = certified_balls(model())
-    assert failed_checks(stored, system, balls) == []
+    broken = failed_checks(stored, system, balls)
+    assert broken == []
     of_feedback = set(stored["state_feedback"])
-    assert {"e", "f", "g", "lambda"} <= of_feedback
+    neuron_matrices = {"e", "f", "g", "lambda"}
+    assert neuron_matrices <= of_feedback
     of_observer = set(stored["observer"])
-    assert {"e", "f", "h", "l_z", "lambda"} <= of_observer
+    neuron_matrices_of_observer = {"e", "f", "h", "l_z", "lambda"}
+    assert neuron_matrices_of_observer <= of_observer
 
 
-ALTERED = [
-    ("state_feedback", "e", 0.5, "state_feedback.e: differs"),
-    ("state_feedback", "f", 0.5, "state_feedback.f: differs"),
-    ("state_feedback", "g", 0.5, "state_feedback.g: differs"),
-    ("state_feedback", "lambda", -1.0, "the inequality fails"),
-    ("state_feedback", "k", 100.0, "the inequality fails"),
-    ("observer", "h", np.nan, "observer.h"),
-    ("observer", "e", 0.5, "observer.e: differs"),
-    ("observer", "eta", -1.0, "the inequality fails"),
-    ("observer", "l_z", 100.0, "the inequality fails"),
-    ("observer", "lambda", 1e-3, "the inequality fails"),
+FAILS = "the inequality fails"
+ALTERED_FEEDBACK = [
+    ("e", 0.5, "state_feedback.e: differs"),
+    ("f", 0.5, "state_feedback.f: differs"),
+    ("g", 0.5, "state_feedback.g: differs"),
+    ("lambda", -1.0, FAILS),
+    ("k", 100.0, FAILS),
 ]
+ALTERED_OBSERVER = [
+    ("h", np.nan, "observer.h"),
+    ("e", 0.5, "observer.e: differs"),
+    ("eta", -1.0, FAILS),
+    ("l_z", 100.0, FAILS),
+    ("lambda", 1e-3, FAILS),
+]
+ALTERED = [("state_feedback", *row) for row in ALTERED_FEEDBACK]
+ALTERED += [("observer", *row) for row in ALTERED_OBSERVER]
 
 
 @pytest.mark.parametrize(("side", "name", "factor", "found"), ALTERED)
 def test_an_altered_number_is_named(
     stored: dict, side: str, name: str, factor: float, found: str
 ) -> None:
-    number = np.array(stored[side][name])
+    original = stored[side][name]
+    number = np.array(original)
     value = (number * factor).tolist() if np.isfinite(factor) else [[1.0, 1.0]]
     claims = altered(stored, side, name, value)
-    assert any(found in claim for claim in claims)
+    is_named = any(found in claim for claim in claims)
+    assert is_named
 
 
-@pytest.mark.parametrize("side", ["state_feedback", "observer"])
+SIDES = ["state_feedback", "observer"]
+
+
+@pytest.mark.parametrize("side", SIDES)
 def test_a_rate_that_the_matrices_do_not_prove_is_refused(stored: dict, side: str) -> None:
-    faster = 1 - 0.64 * (1 - 0.97)
+    slower = 0.64 * (1 - 0.97)
+    faster = 1 - slower
     claims = altered(stored, side, "rate", faster)
-    assert any("the inequality fails" in claim for claim in claims)
+    is_refused = any("the inequality fails" in claim for claim in claims)
+    assert is_refused
 
 
-@pytest.mark.parametrize("side", ["state_feedback", "observer"])
+@pytest.mark.parametrize("side", SIDES)
 def test_a_theorem_without_neurons_proves_nothing_of_a_model_with_them_and_the_reverse(
     stored: dict, side: str
 ) -> None:
     """Every matrix that the file shares with the model is the model's, and each inequality holds:
     of another loop."""
     stand = model()
-    none = {name: getattr(stand, name)[:, :0] for name in "eh"} | {
-        name: getattr(stand, name)[:0] for name in "fg"
-    }
+    no_columns = {name: getattr(stand, name)[:, :0] for name in "eh"}
+    no_rows = {name: getattr(stand, name)[:0] for name in "fg"}
+    none = no_columns | no_rows
     bias = stand.bias[:0]
     alone = replace(stand, neurons=(), bias=bias, **none)
     riccati_synthesis = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
     plain = riccati_synthesis.design(alone, certified_balls(alone))
-    text = json.dumps(plain.to_json())
+    document = plain.to_json()
+    text = json.dumps(document)
     other = json.loads(text)
-    limits = {
-        name: part["rate_limit"]
-        for name, part in (("plain", other[side]), ("stored", stored[side]))
-    }
-    cases = ((other[side], "stored", stored), (stored[side], "plain", other))
+    plain_part = other[side]
+    stored_part = stored[side]
+    limits = {"plain": plain_part["rate_limit"], "stored": stored_part["rate_limit"]}
+    cases = ((plain_part, "stored", stored), (stored_part, "plain", other))
     for part, limit, beside in cases:
-        forged = part | {"rate_limit": limits[limit]}
+        other_limit = {"rate_limit": limits[limit]}
+        forged = part | other_limit
         digest = certificate_digest(forged)
-        content = beside | {side: forged | {"digest": digest}}
-        system = (stand if beside is stored else alone).system
+        own_digest = {"digest": digest}
+        signed = forged | own_digest
+        content = beside | {side: signed}
+        carrier = stand if beside is stored else alone
+        system = carrier.system
         claims = failed_checks(content, system, certified_balls(stand))
         assert f"{side}: the matrices do not fit the model" in claims
 
@@ -119,7 +140,8 @@ def test_another_injection_than_the_deployed_one_proves_nothing_of_it(stored: di
     assert other.certified
     extra_certificates = {"observer_deployed": other}
     changed_design = replace(design, extra_certificates=extra_certificates)
-    text = json.dumps(changed_design.to_json())
+    document = changed_design.to_json()
+    text = json.dumps(document)
     forged = json.loads(text)
     system = model().system
     balls = certified_balls(model())

@@ -20,99 +20,126 @@ B = [[0.0], [1.0]]
 C = [[1.0, 0.0]]
 D = [[0.0]]
 SYSTEM = (A, B, C, D, 0.1)
-CERTIFIED = {
-    "A": A,
-    "B": B,
-    "C": C,
-    "K": [[-0.1, -0.2]],
-    "L": [[-0.4], [-0.1]],
-    "slopes": (0.8, 1.2),
-    "output_slopes": (0.9, 1.1),
-}
-CONTROLLED: dict[str, Any] = {"model": SYSTEM, "rate": 0.5, "slopes": (0.8, 1.2)}
-LATER = {"observer_rate": 0.5, "method": "riccati", "output_slopes": (1.0, 1.0)}
-LATER["input_limits"] = (None, None)
-CONTROLLED |= LATER
-FITTED: dict[str, Any] = {"u": np.sin(np.arange(200.0)), "y": np.cos(np.arange(200.0))}
-FITTED |= {"step_s": 0.1, "model": "nonsense"}  # refused before any work
-KINDS = {
-    "a text": "text",
+GAINS = {"K": [[-0.1, -0.2]], "L": [[-0.4], [-0.1]]}
+BOUNDS = {"slopes": (0.8, 1.2), "output_slopes": (0.9, 1.1)}
+CERTIFIED = {"A": A, "B": B, "C": C, **GAINS, **BOUNDS}
+CONTROLLED: dict[str, Any] = {"model": SYSTEM, "rate": 0.5}
+CONTROLLED["slopes"] = (0.8, 1.2)
+CONTROLLED["observer_rate"] = 0.5
+CONTROLLED["method"] = "riccati"
+CONTROLLED["output_slopes"] = (1.0, 1.0)
+CONTROLLED["input_limits"] = (None, None)
+TIME = np.arange(200.0)
+FITTED: dict[str, Any] = {"u": np.sin(TIME), "y": np.cos(TIME)}
+FITTED["step_s"] = 0.1
+FITTED["model"] = "nonsense"  # refused before any work
+ARGUMENTS = {"certify": CERTIFIED, "control": CONTROLLED, "fit": FITTED}
+THIRD_IS_MASKED = np.arange(200) == 3
+MASKED = np.ma.masked_array(np.ones(200), mask=THIRD_IS_MASKED)
+TEXTS = {"a": ["x"] * 200}
+DENOMINATOR = [1, 0.5]
+IMPROPER_NUMERATOR = [1, 2, 3]
+FREQUENCIES = [1, 2]
+RESPONSES = [1, 2]
+COMPLEX_TRANSFER_FUNCTION = signal.TransferFunction([1j], DENOMINATOR, dt=0.1)
+IMPROPER_TRANSFER_FUNCTION = control.tf(IMPROPER_NUMERATOR, DENOMINATOR, 0.1)
+ZEROS_AND_POLES = signal.ZerosPolesGain([], [0.5], 1, dt=0.1)
+NUMBERS = {
     "a number": 0.5,
     "a complex number": 1 + 2j,
     "NaN": float("nan"),
     "infinity": float("inf"),
     "a number beyond floats": 10**400,
+    "a time difference": timedelta(days=-1),
+}
+COLLECTIONS = {
     "three numbers": (1.0, 2.0, 3.0),
     "a falling pair": (2.0, 1.0),
     "a complex pair": (1j, 2.0),
     "an empty list": [],
-    "a tensor with gradients": torch.ones(2, requires_grad=True),
     "a ragged list": [[1.0, 2.0], [3.0]],
     "a mapping": {"a": 1},
     "a set": {1, 2},
+}
+OBJECTS = {
+    "a text": "text",
     "an object": object(),
     "a function": len,
     "a path": Path("/nonexistent/x"),
-    "three dimensions": np.ones((4, 2, 2)),
-    "masked": np.ma.masked_array(np.ones(200), mask=np.arange(200) == 3),
-    "complex numbers": np.ones(200) * 1j,
-    "a frame of texts": pd.DataFrame({"a": ["x"] * 200}),
-    "a time difference": timedelta(days=-1),
-    "a complex transfer function": signal.TransferFunction([1j], [1, 0.5], dt=0.1),
-    "a transfer function in continuous time": control.tf([1], [1, 0.5]),
-    "an improper transfer function": control.tf([1, 2, 3], [1, 0.5], 0.1),
-    "a measured response": control.frd([1, 2], [1, 2]),
-    "SciPy's zeros and poles": signal.ZerosPolesGain([], [0.5], 1, dt=0.1),
 }
+ARRAYS = {
+    "a tensor with gradients": torch.ones(2, requires_grad=True),
+    "three dimensions": np.ones((4, 2, 2)),
+    "masked": MASKED,
+    "complex numbers": np.ones(200) * 1j,
+    "a frame of texts": pd.DataFrame(TEXTS),
+}
+SYSTEMS = {
+    "a complex transfer function": COMPLEX_TRANSFER_FUNCTION,
+    "a transfer function in continuous time": control.tf([1], DENOMINATOR),
+    "an improper transfer function": IMPROPER_TRANSFER_FUNCTION,
+    "a measured response": control.frd(FREQUENCIES, RESPONSES),
+    "SciPy's zeros and poles": ZEROS_AND_POLES,
+}
+KINDS: dict[str, Any] = {**NUMBERS, **COLLECTIONS, **OBJECTS, **ARRAYS, **SYSTEMS}
 
 
 def cases() -> list[Any]:
     """Every argument of each function with every kind."""
-    functions = {"certify": CERTIFIED, "control": CONTROLLED, "fit": FITTED}
-    return [
-        pytest.param(function, argument, id=f"{function}({argument})")
-        for function, arguments in functions.items()
-        for argument in arguments
-    ]
+    parameters = []
+    for function, arguments in ARGUMENTS.items():
+        for argument in arguments:
+            case = pytest.param(function, argument, id=f"{function}({argument})")
+            parameters.append(case)
+    return parameters
 
 
 @pytest.mark.parametrize(("function", "argument"), cases())
 def test_a_wrong_kind_is_refused_in_a_sentence(function: str, argument: str) -> None:
     """Whatever is not refused is taken: it answers. Nothing else is raised."""
-    arguments = {"certify": CERTIFIED, "control": CONTROLLED, "fit": FITTED}[function]
+    arguments = ARGUMENTS[function]
     sentences = []
     for kind in KINDS.values():
         try:
-            getattr(st, function)(**arguments | {argument: kind})
+            changed_arguments = arguments | {argument: kind}
+            getattr(st, function)(**changed_arguments)
         except st.BadRequest as refusal:
             sentences.append(str(refusal))
-    assert len(sentences) > len(KINDS) / 2, "most of these fit nowhere"
-    assert not [sentence for sentence in sentences if "\n" in sentence]
+    half_of_the_kinds = len(KINDS) / 2
+    assert len(sentences) > half_of_the_kinds, "most of these fit nowhere"
+    sentences_of_several_lines = [sentence for sentence in sentences if "\n" in sentence]
+    assert not sentences_of_several_lines
 
 
-@pytest.mark.parametrize(
-    ("system", "words"),
-    [
-        (KINDS["a complex transfer function"], "has complex coefficients; give real ones"),
-        (KINDS["an improper transfer function"], "has no realisation"),
-        (KINDS["SciPy's zeros and poles"], "is no model and no linear system"),
-    ],
-)
+NOT_REALISED = [
+    (COMPLEX_TRANSFER_FUNCTION, "has complex coefficients; give real ones"),
+    (IMPROPER_TRANSFER_FUNCTION, "has no realisation"),
+    (ZEROS_AND_POLES, "is no model and no linear system"),
+]
+
+
+@pytest.mark.parametrize(("system", "words"), NOT_REALISED)
 def test_a_system_that_cannot_be_realised_says_why(system: object, words: str) -> None:
     with pytest.raises(st.BadRequest, match=words):
         st.control(system, rate=0.5)
 
 
 def test_a_transfer_function_of_scipy_is_that_of_python_control() -> None:
-    ours = control.tf([1.0], [1.0, -0.5], 0.1)
-    theirs = signal.TransferFunction([1.0], [1.0, -0.5], dt=0.1)
-    gains = [st.control(system, rate=0.5).certificate.pair for system in (ours, theirs)]
-    assert np.array_equal(gains[0].k, gains[1].k)
+    denominator = [1.0, -0.5]
+    ours = control.tf([1.0], denominator, 0.1)
+    theirs = signal.TransferFunction([1.0], denominator, dt=0.1)
+    our_design = st.control(ours, rate=0.5)
+    their_design = st.control(theirs, rate=0.5)
+    our_gain = our_design.certificate.pair.k
+    their_gain = their_design.certificate.pair.k
+    assert np.array_equal(our_gain, their_gain)
 
 
 def test_slopes_of_a_fit_are_two_numbers() -> None:
+    u = FITTED["u"]
+    y = FITTED["y"]
     with pytest.raises(st.BadRequest, match=r"slopes = 0\.5: are no two numbers; give \(lowest"):
-        st.fit(FITTED["u"], FITTED["y"], 0.1, model="ssm", slopes=0.5)
+        st.fit(u, y, 0.1, model="ssm", slopes=0.5)
 
 
 def test_a_keyword_is_refused_by_its_own_name() -> None:
@@ -125,38 +152,45 @@ def test_a_keyword_is_refused_by_its_own_name() -> None:
         st.control(SYSTEM, "synthesis.foo=3", rate=0.5)
     with pytest.raises(st.BadRequest, match=r"^neurons = 4: .*belong to model='structured'"):
         st.fit(u, y, 0.1, model="ssm", neurons=4)
+    falling_slopes = (1.2, 0.8)
     with pytest.raises(st.BadRequest, match=r"^slopes = \(1\.2, 0\.8\): the lower slope must"):
-        st.fit(u, y, 0.1, model="ssm", slopes=(1.2, 0.8))
+        st.fit(u, y, 0.1, model="ssm", slopes=falling_slopes)
 
 
-@pytest.mark.parametrize("models", [3, "text", [], [SYSTEM], {"a": 1}])
+NO_MODELS = [3, "text", [], [SYSTEM], {"a": 1}]
+
+
+@pytest.mark.parametrize("models", NO_MODELS)
 def test_only_models_are_compared(models: object) -> None:
+    signal_of_ones = np.ones(10)
     with pytest.raises(st.BadRequest, match=r"give a list of models, as st\.fit returns them"):
-        st.compare(models, np.ones(10), np.ones(10))
+        st.compare(models, signal_of_ones, signal_of_ones)
 
 
-@pytest.mark.parametrize("kind", [3, "text", None, [1.0]])
+NO_PLANTS = [3, "text", None, [1.0]]
+
+
+@pytest.mark.parametrize("kind", NO_PLANTS)
 def test_only_models_and_designs_are_simulated_and_only_on_plants(kind: object) -> None:
+    input_signal = np.ones(10)
     with pytest.raises(st.BadRequest, match="is no model and no design"):
-        st.simulate(kind, np.ones(10))
+        st.simulate(kind, input_signal)
     if kind is not None:
         design = st.control(SYSTEM, rate=0.5)
-        for run in (
-            lambda: st.simulate(design, [1.0], plant=kind),
-            lambda: design.plot(plant=kind),
-        ):
-            with pytest.raises(st.BadRequest, match="is no plant"):
-                run()
+        with pytest.raises(st.BadRequest, match="is no plant"):
+            st.simulate(design, [1.0], plant=kind)
+        with pytest.raises(st.BadRequest, match="is no plant"):
+            design.plot(plant=kind)
 
 
-@pytest.mark.parametrize(
-    ("path", "settings", "words"),
-    [
-        (3, {}, "is no path"),
-        ("log.csv", {"step_s": "fast"}, "is no sampling time"),
-        ("log.csv", {"settings": {"separator": ","}}, "are no TextSettings"),
-    ],
-)
+NO_LOGS = [
+    (3, {}, "is no path"),
+    ("log.csv", {"step_s": "fast"}, "is no sampling time"),
+    ("log.csv", {"settings": {"separator": ","}}, "are no TextSettings"),
+]
+
+
+@pytest.mark.parametrize(("path", "settings", "words"), NO_LOGS)
 def test_a_log_is_looked_at_with_the_right_kinds(
     path: object, settings: dict[str, Any], words: str
 ) -> None:
@@ -164,23 +198,34 @@ def test_a_log_is_looked_at_with_the_right_kinds(
         st.look(path, **settings)
 
 
-@pytest.mark.parametrize("settings", [3, "hidden_width", [1, 2], {1: 2}])
+NO_SETTINGS = [3, "hidden_width", [1, 2], {1: 2}]
+
+
+@pytest.mark.parametrize("settings", NO_SETTINGS)
 def test_settings_of_an_estimator_are_named(settings: object) -> None:
     estimator = st.Estimator(step_s=0.1, settings=settings)
     with pytest.raises(st.BadRequest, match="are no settings by name"):
         estimator.fit(FITTED["u"], FITTED["y"])
 
 
-@pytest.mark.parametrize("points", [0.5, "many", True, 0])
+NO_NUMBERS_OF_FREQUENCIES = [0.5, "many", True, 0]
+
+
+@pytest.mark.parametrize("points", NO_NUMBERS_OF_FREQUENCIES)
 def test_a_frequency_response_has_a_number_of_points(points: object) -> None:
     system = control.StateSpace(A, B, C, D, 0.1)
     with pytest.raises(st.BadRequest, match="is no number of frequencies"):
         tabulate_frequency_response(system, ["u"], ["y"], points)
 
 
-@pytest.mark.parametrize("value", [[], "text", np.inf, [1.0, 2.0], np.ones((2, 2))])
+TWO_BY_TWO = (2, 2)
+NO_NUMBERS = [[], "text", np.inf, [1.0, 2.0], np.ones(TWO_BY_TWO)]
+
+
+@pytest.mark.parametrize("value", NO_NUMBERS)
 def test_limits_and_steps_of_a_design_are_finite_numbers(value: object) -> None:
     design = st.control(SYSTEM, rate=0.5)
-    for call in (lambda: design.within_limits(value, 3.0), lambda: design.step(value)):
-        with pytest.raises(st.BadRequest, match="number"):
-            call()
+    with pytest.raises(st.BadRequest, match="number"):
+        design.within_limits(value, 3.0)
+    with pytest.raises(st.BadRequest, match="number"):
+        design.step(value)
