@@ -130,9 +130,7 @@ def is_positive_definite(matrix: Exact) -> bool:
     return has_positive_leading_minors(integer)
 
 
-def _is_definite_in_intervals(
-    matrix: arb_mat,
-) -> bool | None:  # What these balls prove; None where one of them leaves it open
+def _is_definite_in_intervals(matrix: arb_mat) -> bool | None:
     """Whether all matrices whose entries lie in given intervals are positive definite; None if
     interval arithmetic cannot decide it."""
     rows = matrix.tolist()

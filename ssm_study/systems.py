@@ -187,12 +187,12 @@ class JacobianBall:
 
     @property
     def lower(self) -> float:
-        """Smallest slope that the ball allows for a scalar static map."""
+        """Smallest slope that a ball of Jacobians allows for a scalar static map."""
         return self.alpha - self.beta
 
     @property
     def upper(self) -> float:
-        """Largest slope that the ball allows for a scalar static map."""
+        """Largest slope that a ball of Jacobians allows for a scalar static map."""
         return self.alpha + self.beta
 
     @property

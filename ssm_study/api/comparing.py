@@ -24,7 +24,7 @@ Models = TypeAliasType("Models", Sequence[Model] | Mapping[str, Model])
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class ModelComparison:
-    """Free runs of several models on one record, with the fit and the error of each.
+    """Free-run simulations of several models on one record, with the fit and the error of each.
 
     `print(comparison)` shows the table, `comparison.plot()` draws the runs with their residuals.
     `table` has one row per model: fit in percent of each output and in total, root mean square

@@ -15,14 +15,15 @@ from ssm_study.engine.store import MANIFEST, Store
 
 @dataclass(frozen=True)
 class PlannedStages(Stages):
-    """Store of stages for a dry run: notes which stages of a run are needed and which are already
+    """Replacement for the store of results in a dry run: notes which steps of a run are needed and
     stored, and computes none."""
 
     store: Store
     noted: dict[str, StageResult] = field(default_factory=dict)
 
     def stage_result(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
-        """Note that a run needs a stage and whether it is stored already, without computing it."""
+        """Note that a run needs a computing step and whether its result is stored, without
+        computing the step."""
         if key in self.noted:  # many runs share a stage: its folder is looked for once
             return self.noted[key]
         folder = self.store.stage_folder(name, key)
@@ -34,12 +35,12 @@ class PlannedStages(Stages):
 
 
 class KeyedStages(PlannedStages):
-    """Store of stages for a dry run that also determines the keys under which the columns of each
-    stage are stored. For this, all code on which the columns depend is read."""
+    """Replacement for the store of results in a dry run that also determines the keys of table
+    columns. For this, all code on which the columns depend is read."""
 
     def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
-        """Determine the key under which the columns of a stage are stored, without computing the
-        columns."""
+        """Determine the key under which the table columns of a computing step are stored, without
+        computing them."""
         columns_key(output, before)
         return {}
 
@@ -82,7 +83,7 @@ def plan_lines(
 
 
 def mean_stage_seconds(store: Store, stage: str) -> float | None:
-    """Mean computing time of one stage in seconds, from earlier results in the store."""
+    """Mean computing time of one step (stage) of a run in seconds, from earlier stored results."""
     seconds = []
     for manifest in store.root.glob(f"{stage}/[!.]*/{MANIFEST}"):
         with suppress(OSError, ValueError, KeyError, TypeError):

@@ -56,7 +56,8 @@ class Run:
     def record_stage(
         self, stage: StageResult, files: Iterable[str], facts: Mapping[str, Any]
     ) -> None:
-        """Record a finished stage of a run and copy its files into the run folder."""
+        """Note a finished computing step in the record of a run and copy its files into the run
+        folder."""
         about = {"key": stage.key, "seconds": stage.seconds, "reused": stage.reused}
         self.add_columns(
             **facts, **{f"stage_{stage.name}_{name}": value for name, value in about.items()}
@@ -68,7 +69,8 @@ class Run:
             raise FileNotFoundError(errno.ENOENT, "was removed", str(stage.path))
 
     def is_missing_a_stage(self) -> bool:
-        """Whether the stored folder of a stage that this run uses was removed."""
+        """Whether the stored result of a computing step that a run uses was removed from the
+        store."""
         return not all(folder.is_dir() for folder in self.stage_folders)
 
 

@@ -27,9 +27,9 @@ def no_columns(*_: Any) -> Any:
 
 @dataclass(frozen=True)
 class Stage(Generic[T]):
-    """Description of one step of a run, such as training: how the step is computed, read back and
-    described by table columns. `compute(folder, *before, **parts)` writes files, `read(folder)`
-    returns the value in them.
+    """Description of one computing step (stage) of a run, such as training: how the step is
+    computed, read back and described by table columns. `compute(folder, *before, **parts)` writes
+    files, `read(folder)` returns the value in them.
 
     `measure(value, *before)` gives columns of the record; it has a key of its own, so a new column
     computes nothing again. `before` are the values of earlier stages. `compute` may return the
@@ -50,7 +50,8 @@ class Stage(Generic[T]):
 
 @dataclass(frozen=True, kw_only=True)
 class StageResult:
-    """Folder of a finished stage, its computing time, and whether a stored result was reused."""
+    """Folder of a finished computing step (stage), its computing time, and whether a stored result
+    was reused."""
 
     path: Path
     key: str
@@ -61,8 +62,8 @@ class StageResult:
 
 @dataclass(frozen=True)
 class StageOutput(Generic[T]):
-    """Output of a finished stage of a run, whose value is read from its folder when it is first
-    needed."""
+    """Output of a finished computing step (stage) of a run, whose value is read from its folder
+    when first needed."""
 
     stage: Stage[T]
     result: StageResult
@@ -71,13 +72,15 @@ class StageOutput(Generic[T]):
 
     @cached_property
     def value(self) -> T:
-        """Value that a stage of a run computed, read from its folder when it is first needed."""
+        """Value that a computing step of a run wrote, read from its folder when it is first
+        needed."""
         return self.computed[0] if self.computed else self.stage.read(self.result.path)
 
     @cached_property
     def value_key(self) -> str:
-        """Key by which later stages identify the value of a stage. It is the key of the stage, or a
-        checksum of its files, and the version of its reader."""
+        """Key by which later computing steps (stages) of a run identify the value of an earlier
+        one. It is the key of the stage, or a checksum of its files, and the version of its
+        reader."""
         origin: Any = self.result.key
         files = [self.result.path / name for name in self.stage.files]
         if self.stage.known_by_content and all(path.is_file() for path in files):
@@ -86,8 +89,9 @@ class StageOutput(Generic[T]):
 
 
 class Stages(ABC):
-    """Interface of stores of stages, which compute the stages of a run or only plan them. `Store`
-    computes and stores them, `PlannedStages` only notes which would be computed."""
+    """Interface for running the computing steps (stages) of a run, which are computed and stored or
+    only planned. `Store` computes and stores them, `PlannedStages` only notes which would be
+    computed."""
 
     def run_stage(
         self,
@@ -96,8 +100,8 @@ class Stages(ABC):
         parts: Mapping[str, Any] | None = None,
         *before: StageOutput[Any],
     ) -> StageOutput[T]:
-        """Compute one stage of a run, or read it from the store, for given settings. `compute`
-        receives them as `parts` (the settings themselves where that is None).
+        """Compute one step (stage) of a run, or reuse its stored result if the settings are the
+        same. `compute` receives them as `parts` (the settings themselves where that is None).
 
         Of the two the key depends on `settings` alone: what changes no result stands in `parts`. A
         plan has no files, so values may be asked for only inside the functions of a stage.
@@ -106,8 +110,8 @@ class Stages(ABC):
         computed: list[T] = []
 
         def compute(folder: Path) -> None:
-            """Compute a stage from the values of the stages before it, and write its files into a
-            folder."""
+            """Compute a step of a run from the values of the steps before, and write its files into
+            a folder."""
             values = [output.value for output in before]
             value = stage.compute(folder, *values, **arguments)
             if value is not None:
@@ -126,19 +130,21 @@ class Stages(ABC):
 
     @abstractmethod
     def stage_result(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:
-        """Result of the stage with a given key, computed if it is not stored yet. `note` says from
-        what the key was made."""
+        """Result of the computing step (stage) with a given key, computed if it is not stored yet.
+        `note` says from what the key was made."""
 
     def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:  # noqa: ARG002
-        """Table columns that describe a finished stage; empty where stages are only planned."""
+        """Table columns that describe a finished computing step; empty where steps are only
+        planned."""
         return {}
 
     def unrecorded_store(self) -> "Stages":
-        """Copy of a store of stages that does not note its stages in the run's record."""
+        """The same store of results, without the part that notes each computing step in the run's
+        record."""
         return self
 
 
 def columns_key(output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> str:
-    """Key under which the table columns of a stage are stored."""
+    """Key under which the table columns of a computing step (stage) are stored."""
     earlier_keys = [earlier.value_key for earlier in before]
     return digest_of_value([output.value_key, earlier_keys, code_version(output.stage.measure)])

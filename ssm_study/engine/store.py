@@ -37,8 +37,9 @@ CHECKPOINT = "last.ckpt"
 
 @dataclass(frozen=True)
 class Store(Stages):
-    """Folder of stored stages, in which equal stages are computed only once. `root/<stage>/<key>/`
-    holds the files of one stage and `manifest.json` with the SHA-256 digest of each.
+    """Folder with stored results of computing steps (stages), so that equal steps are computed only
+    once. `root/<stage>/<key>/` holds the files of one stage and `manifest.json` with the SHA-256
+    digest of each.
 
     A folder under its final name is complete: it was written as `.tmp-*` beside, synchronised, and
     renamed. Only one process computes a key at a time (flock). Where the lock does not reach from
@@ -48,7 +49,8 @@ class Store(Stages):
     root: Path
 
     def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
-        """Table columns of a stage, read from a stored file, or else computed and stored.
+        """Table columns of a computing step (stage), read from a stored file, or else computed and
+        stored.
 
         A damaged file is measured again.
         """
@@ -70,8 +72,8 @@ class Store(Stages):
     def stage_result(
         self, name: str, key: str, note: dict[str, Any], compute: Compute
     ) -> StageResult:
-        """Result of the stage with a given key, computed if it is missing or damaged in the store.
-        `compute(folder)` computes it.
+        """Result of the computing step (stage) with a given key, computed if it is missing or
+        damaged in the store. `compute(folder)` computes it.
 
         Whatever `compute` raises is raised; nothing half-written is ever seen under the final name.
         """
@@ -90,7 +92,8 @@ class Store(Stages):
             return self._compute_stage(name, key, note, compute)
 
     def find_stage(self, name: str, key: str) -> StageResult | None:
-        """Find the stored stage with a given key; None if it is missing or damaged."""
+        """Find the stored result of the computing step (stage) with a given key; None if it is
+        missing or damaged."""
         folder = self.stage_folder(name, key)
         manifest = intact_manifest(folder)
         # The name holds 32 of its 64 digits only.
@@ -100,7 +103,7 @@ class Store(Stages):
         return StageResult(path=folder, key=key, seconds=seconds, reused=True, name=name)
 
     def stage_folder(self, name: str, key: str) -> Path:
-        """Folder in which the stage with a given key is stored."""
+        """Folder in which the result of the computing step (stage) with a given key is stored."""
         is_plain = name.replace("_", "").replace("-", "").isalnum()
         require(is_plain, "stage", name, "not a plain name", "use letters and digits")
         return self.root / name / key[:32]
@@ -108,7 +111,8 @@ class Store(Stages):
     def _compute_stage(
         self, name: str, key: str, note: dict[str, Any], compute: Compute
     ) -> StageResult:
-        """Compute a stage in a temporary folder, seal it, and move it to its place."""
+        """Compute a step (stage) of a run in a temporary folder, seal the folder with checksums,
+        and move it to its place."""
         final = self.stage_folder(name, key)
         temporary = final.with_name(f".tmp-{final.name}-{machine_name()}-{secrets.token_hex(4)}")
         # Beside its final name: a rename cannot leave the file system.
@@ -134,8 +138,8 @@ class Store(Stages):
 
 
 def _move_into_place(temporary: Path, final: Path) -> None:
-    """Rename the folder of a finished stage to its final name in one step, so that it is complete
-    or absent."""
+    """Rename the folder of a finished result to its final name in one step, so that the folder is
+    complete or absent."""
     try:
         temporary.rename(final)
     except OSError:

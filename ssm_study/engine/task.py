@@ -31,8 +31,8 @@ _CHECKED: dict[Path, Any] = {}
 
 
 class Task(ABC, Generic[R]):
-    """Base class of a program's task: checks a configuration, runs the stages of a run, and
-    completes the record.
+    """Base class of a program's task: checks a configuration, runs the computing steps of a run,
+    and completes the record.
 
     Hydra calls `job`. The settings have the keys `study`, `results_dir`, `run` (`${run_name:...}`),
     `retry_failed` and `dry_run`; all others are the task's own. `libraries` are the distributions
@@ -48,11 +48,12 @@ class Task(ABC, Generic[R]):
 
     @abstractmethod
     def stages(self, request: R, stages: Stages) -> None:
-        """Run, or only plan, every stage of a run, depending on the given store of stages."""
+        """Run, or only plan, every computing step (stage) of a run, depending on the given store of
+        results."""
 
     def run(self, request: R, run: Run) -> Facts:  # noqa: ARG002
-        """Compute those columns of a run's record that need the results of all stages. `run.facts`
-        holds the stages' columns, `status` may be `infeasible`."""
+        """Compute those columns of a run's record that need the results of all computing steps.
+        `run.facts` holds the stages' columns, `status` may be `infeasible`."""
         return {}
 
     def parameters(self, request: R) -> Facts:  # noqa: ARG002
@@ -125,7 +126,8 @@ class Task(ABC, Generic[R]):
         request = self.request(settings)
 
         def run_stages(run: Run) -> Facts:
-            """Run every stage of a run, and return the columns that complete its record."""
+            """Run every computing step of a run, and return the columns that complete its
+            record."""
             announces = settings.get("progress") is True and sys.stderr.isatty()
             self.stages(request, RunStages(shared_store(settings).root, run, announces))
             return self.run(request, run)
@@ -170,8 +172,8 @@ class Task(ABC, Generic[R]):
 
 @dataclass(frozen=True)
 class RunStages(Store):
-    """Store of stages that notes each stage in the record of a run and copies its files into the
-    run folder. So the run stays complete when the store is removed."""
+    """Store of results that notes each computing step in the record of a run and copies its files
+    into the run folder. So the run stays complete when the store is removed."""
 
     run: Run
     announces: bool = False
@@ -179,11 +181,11 @@ class RunStages(Store):
     def stage_result(
         self, name: str, key: str, note: dict[str, Any], compute: Compute
     ) -> StageResult:
-        """Result of a stage of a run, read from the store or else computed after the stage's name
-        is printed."""
+        """Result of a computing step of a run, read from the store, or computed after the step's
+        name is printed."""
 
         def compute_announced_stage(folder: Path) -> None:
-            """Print the name of a stage and compute the stage."""
+            """Print the name of a computing step, then compute the step."""
             if self.announces:
                 print(f"ssm-study: {name} ...", file=sys.stderr, flush=True)
             compute(folder)
@@ -193,7 +195,7 @@ class RunStages(Store):
         return result
 
     def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
-        """Table columns of a stage from the store, noted in the record of the run."""
+        """Table columns that describe a computing step of a run, noted in the run's record."""
         facts = super().stage_columns(output, before)
         self.run.record_stage(
             output.result, output.stage.files, facts
@@ -201,7 +203,8 @@ class RunStages(Store):
         return facts
 
     def unrecorded_store(self) -> Store:
-        """Plain store of stages, which does not note its stages in the run's record."""
+        """The same store of results, without the part that notes each computing step in the run's
+        record."""
         return Store(self.root)
 
 
@@ -227,7 +230,7 @@ def files_checksum(files: list[Path]) -> str:
 
 
 def shared_store(config: DictConfig | Settings) -> Store:
-    """Store of stages at `results_dir/.store`, shared by all studies in the results folder."""
+    """Store of computed results that all studies in a results folder share."""
     return Store(Path(str(config["results_dir"])) / ".store")
 
 

@@ -57,8 +57,8 @@ class Study(Task["Specification"]):
             require(key in known_keys, key, config[key], "is no part of a study", remedy)
 
     def input_files(self, settings: Settings) -> list[Path]:
-        # By its name: building the data to ask them would import what a finished run does without.
         """Files, such as logs of measurements, on whose content the results of a run depend."""
+        # By its name: building the data to ask them would import what a finished run does without.
         simulated = str(settings["data"].get("_target_", "")).endswith(".SimulatedData")
         if simulated and "'path'" not in str(settings):
             return []
@@ -114,7 +114,7 @@ class Study(Task["Specification"]):
         return any(stage.name == "model" and not stage.reused for stage in planned.noted.values())
 
     def stages(self, request: "Specification", stages: Stages) -> None:
-        """Run, or only plan, all stages of a run in their order.
+        """Run, or only plan, all computing steps (stages) of a run in their order.
 
         A baseline is scored, and there it ends. With `refine` the design is tried before it is
         chosen again.
@@ -150,7 +150,8 @@ class Study(Task["Specification"]):
         *,
         with_fresh_data: bool = False,
     ) -> tuple[StageOutput["Design"], StageOutput[Any]]:
-        """Run the stages that design controller and observer and that simulate the closed loop."""
+        """Run the computing steps that design controller and observer and that simulate the closed
+        loop."""
         from ssm_study.study.stages.evidence import EVIDENCE
         from ssm_study.study.stages.fresh_data import FRESH_DATA
         from ssm_study.study.stages.loop import LOOP
@@ -187,8 +188,8 @@ class Study(Task["Specification"]):
     def identify_model(
         self, request: "Specification", stages: Stages
     ) -> tuple[StageOutput["DataSet"], StageOutput["Trained"], StageOutput["ModelRun"]]:
-        """Run the stages that lead from the recorded data to the identified model and its free
-        runs."""
+        """Run the computing steps that lead from the recorded data to the identified model and its
+        free-run simulations."""
         from ssm_study.study.stages.bounds import BOUNDS
         from ssm_study.study.stages.dataset import DATASET
         from ssm_study.study.stages.free_run import SCORE

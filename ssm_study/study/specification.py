@@ -166,8 +166,8 @@ class Specification:
     def stage_settings(
         self, *names: str, computed: Mapping[str, Any] = NONE, unkeyed: Mapping[str, Any] = NONE
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings that form the cache key of a stage, and the arguments with which the stage is
-        computed.
+        """Settings by which a stored computing step is found again, and the arguments with which
+        the step is computed.
 
         The settings, of which its key is made, are those of the named parts and the `computed`
         values; the arguments the parts themselves, the same values, and those that are `unkeyed`.
@@ -180,18 +180,18 @@ class Specification:
         return Settings({**settings, **checksums, **computed}), arguments
 
     def dataset_stage_settings(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings and call arguments of the stage that simulates or reads the records."""
+        """Settings and call arguments of the computing step that simulates or reads the records."""
         plant = ("plant", "excitation") if self.plant else ()
         return self._stage_settings_with_data("seed", *plant)
 
     def sine_stage_settings(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings and call arguments of the stage that tests a controller with single sines on a
-        simulated plant."""
+        """Settings and call arguments of the computing step that tests a controller with single
+        sines on a simulated plant."""
         return self._stage_settings_with_data("seed", "plant")
 
     def _stage_settings_with_data(self, *names: str) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings for the cache key, and call arguments, of a stage that also reads the data
-        source. The number of fresh data sets is left out."""
+        """Settings and call arguments of a computing step that also reads the data source. The
+        number of fresh data sets is left out."""
         settings, arguments = self.stage_settings("data", *names)
         if isinstance(self.data, SimulatedData):
             own = {name: value for name, value in settings["data"].items() if name != "fresh_sets"}

@@ -56,7 +56,7 @@ class Verification:
 
     @property
     def holds(self) -> bool:
-        """Whether no claim of a run was found wrong."""
+        """Whether every checked claim of a run holds."""
         return all(finding.holds for finding in self.findings)
 
     def require_valid(self, field: str, value: Any) -> None:
@@ -186,7 +186,7 @@ def verify_files(run: RunFiles) -> Verification:
 def _findings_of_sections(
     run: RunFiles,
 ) -> Iterator[Checked | DerivedColumns | RepeatedSettings | NotChecked]:
-    """Findings of all checks that apply to a run; an error in a check becomes a failed claim."""
+    """Results of all checks that apply to a run; an error in a check becomes a failed claim."""
     for section in (check_form, *_applicable_sections(run)):
         try:
             yield from section(run)
@@ -214,8 +214,8 @@ def _applicable_sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]
 def judge_column(
     name: str, record: Mapping[str, Any], derived: Mapping[str, Any], unchecked: Mapping[str, str]
 ) -> Checked | str:
-    """Finding on one column of a run's record, or the reason why the column is not checked. It is
-    empty if the record claims nothing."""
+    """Verdict of the check of one value in a run's record, or the reason why the value is not
+    checked. It is empty if the record claims nothing."""
     column = find_declaration(name)
     stored = record.get(name)
     if name in ADDED_COLUMNS and name not in record and record.get("record_version") == 1:
@@ -234,7 +234,7 @@ def judge_column(
 
 
 def compare_column(name: str, stored: Any, value: Any) -> Checked:
-    """Finding on whether a value in a run's record equals the recomputed one."""
+    """Verdict on whether a value in a run's record equals the recomputed one."""
     column = find_declaration(name) or Column(name, "Float64")
     value = storable_value(
         name, value

@@ -125,7 +125,7 @@ def column_lines(table: pd.DataFrame) -> list[str]:
 
 
 def stage_costs(table: pd.DataFrame) -> pd.DataFrame:
-    """Table of the computing time of each stage of a study, the longest first.
+    """Table of the computing time of each step (stage) of a study, the longest first.
 
     Each distinct one counts once, here or in an earlier study: how many runs needed it, how many
     distinct ones, what these took, and what reuse saved.
@@ -152,7 +152,7 @@ def stage_costs(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def cost_lines(table: pd.DataFrame) -> list[str]:
-    """Text lines with the computing time of each stage of a study.
+    """Text lines with the computing time of each step (stage) of a study.
 
     Stage, runs, how many are distinct, how many reused, time of each, of all, time saved.
     """

@@ -42,7 +42,7 @@ def draw(study: StudyFolder) -> Figure:
     else:
         table = study.table
         method = text_column(table, "synthesis_method")
-    panels = create_panels(table, study.units)
+    panels = create_peer_panels(table, study.units)
     numbers = pd.concat([panel.values for panel in panels], axis=1)
     is_measured = numbers.notna().any(axis=1)
     has_value = method.ne("") & is_measured
@@ -70,11 +70,11 @@ def draw(study: StudyFolder) -> Figure:
     return fig
 
 
-def create_panels(table: pd.DataFrame, units: Units = NO_UNITS) -> list[PeerPanel]:
+def create_peer_panels(table: pd.DataFrame, units: Units = NO_UNITS) -> list[PeerPanel]:
     """Panels of a figure that compares controllers: fraction of settled loops, relative settling
     time, peak input."""
-    share = create_panel(table, "stable_fraction", (-0.05, 1.05))
-    peak = create_panel(table, "input_peak_v", (0.0, None))
+    share = create_peer_panel(table, "stable_fraction", (-0.05, 1.05))
+    peak = create_peer_panel(table, "input_peak_v", (0.0, None))
     time_s = numeric_column(table, "settling_time_mean_s")
     open_loop_s = numeric_column(table, "settling_time_open_loop_s")
     ratio = time_s / open_loop_s
@@ -86,7 +86,9 @@ def create_panels(table: pd.DataFrame, units: Units = NO_UNITS) -> list[PeerPane
     return [share, relative_time, peak]
 
 
-def create_panel(table: pd.DataFrame, name: str, limits: tuple[float, float | None]) -> PeerPanel:
+def create_peer_panel(
+    table: pd.DataFrame, name: str, limits: tuple[float, float | None]
+) -> PeerPanel:
     """Panel of a figure that compares controllers by one column of the comparison table."""
     values = numeric_column(table, name)
     label = printed_column_name(name)

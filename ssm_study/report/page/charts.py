@@ -197,7 +197,7 @@ def _reference_heights(panel: ScatterPlot, table: pd.DataFrame) -> list[float]:
 
 def _stage_time_bars() -> alt.Chart:
     """Layer of a chart with one short bar for each run that shows the computing times of its
-    stages."""
+    steps."""
     hint = alt.TooltipContent("data")
     chart = alt.Chart(alt.NamedData("ticks"))
     return chart.mark_tick(orient="horizontal", tooltip=hint, **BAR_LOOK)

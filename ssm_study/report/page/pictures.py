@@ -113,9 +113,9 @@ def legend_entries(panel: PicturePanel) -> list[LegendEntry]:
     return list(dict.fromkeys(named))
 
 
-def guide_line_dashes(rule: GuideLine) -> tuple[int, ...]:
+def guide_line_dashes(guide_line: GuideLine) -> tuple[int, ...]:
     """Lengths of dash and gap with which a guide line is drawn; none for a solid line."""
-    return tuple(DASH) if rule.dashed else ()
+    return tuple(DASH) if guide_line.dashed else ()
 
 
 def dash_text(dashes: tuple[int, ...]) -> str:
@@ -159,14 +159,14 @@ def series_layer(series: Series, panel: PicturePanel, axes: Spec) -> Spec:
     return layer
 
 
-def guide_line_layer(rule: GuideLine) -> Spec:
+def guide_line_layer(guide_line: GuideLine) -> Spec:
     """Vega-Lite layer that draws a guide line across a panel."""
     axis = "x"
-    place = rule.x
+    place = guide_line.x
     if place is None:
         axis = "y"
-        place = rule.y
-    mark = STROKES | {"color": INK, "strokeDash": guide_line_dashes(rule)}
+        place = guide_line.y
+    mark = STROKES | {"color": INK, "strokeDash": guide_line_dashes(guide_line)}
     return {"data": {"values": [{}]}, "mark": mark, "encoding": {axis: {"datum": place}}}
 
 

@@ -115,9 +115,9 @@ def animated_response_layers() -> list[Spec]:
     return [whole, past, point]
 
 
-def layer_over_time(part: Spec) -> Spec:
+def layer_over_time(marks: Spec) -> Spec:
     """Layer of a Vega-Lite chart that draws data over time with given marks."""
-    return {"data": ROWS, "encoding": time_axes(), **part}
+    return {"data": ROWS, "encoding": time_axes(), **marks}
 
 
 def parallel_coordinates(table: pd.DataFrame) -> Spec | None:
