@@ -78,7 +78,7 @@ class GainCertificate:
 
     def __repr__(self) -> str:
         name = "observer" if self.observes else "gain"
-        rows = gain_lines(name, self)
+        rows = gain_certificate_lines(name, self)
         lines = pd.Series(rows, dtype=object)
         return render_text_table("GainCertificate", lines)
 
@@ -151,7 +151,7 @@ class Certification:
         lines: dict[str, str] = {}
         for name, gain in (("controller", self.controller), ("observer", self.observer)):
             if gain is not None:
-                lines |= gain_lines(name, gain)
+                lines |= gain_certificate_lines(name, gain)
         if "loop" in self.verdicts:
             lines["loop of both"] = describe_loop_verdict(
                 self.verdicts, self.unknown_maps, self.unstable_example
@@ -166,7 +166,7 @@ class Certification:
         return html_table("Certification", self.summary())
 
 
-def gain_lines(name: str, gain: GainCertificate) -> dict[str, str]:
+def gain_certificate_lines(name: str, gain: GainCertificate) -> dict[str, str]:
     """Rows of a printed table on one certified gain: its rate, slopes, overshoot and limits. `name`
     is controller or observer."""
     lines = {name: f"nothing is proved: {gain.reason}"}

@@ -277,9 +277,9 @@ class Parts:
         try:
             return construct_part(part, tree)
         except BadRequest as error:
-            raise self._name_argument(error) from error.__cause__
+            raise self._name_argument_in_error(error) from error.__cause__
 
-    def _name_argument(self, error: BadRequest) -> BadRequest:
+    def _name_argument_in_error(self, error: BadRequest) -> BadRequest:
         """Copy of an error about a setting that names the function argument from which the value
         came."""
         field = error.field.partition(",")[0]

@@ -50,14 +50,14 @@ def simulate_given_record(
     require(has_expected_shape, "y", outputs.shape, problem, remedy)
     measured = disturbance_values(disturbance, model.disturbance_names, len(inputs))
     output_samples = len(outputs)
-    start_up = read_start_up(start_up_samples, data.start_up_samples, output_samples)
+    start_up = read_start_up_samples(start_up_samples, data.start_up_samples, output_samples)
     record = Trajectory(u=inputs, y=outputs, d=measured, step_s=data.step_s)
     members = model.identification.members or (model.simulator,)
     runs = [Simulation.simulate_records(member, (record,), start_up) for member in members]
     return runs[0] if len(runs) == 1 else mean_of_runs(runs)
 
 
-def read_start_up(start_up_samples: Any, default: int, samples: int) -> int:
+def read_start_up_samples(start_up_samples: Any, default: int, samples: int) -> int:
     """Number of samples at the beginning of a record that serve to estimate the initial state; a
     default if none is given. Raises `BadRequest` for what is no number of samples, and where
     nothing is left to score."""

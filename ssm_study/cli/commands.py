@@ -108,12 +108,12 @@ def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
 
 def gather_study(options: argparse.Namespace) -> None:
     """Build the table of a study again from the records of its runs."""
-    from ssm_study.table.doubts import study_doubts
+    from ssm_study.table.doubts import row_count_doubts
     from ssm_study.table.gather import gather
 
     table = gather(options.study, anew=True)
     print(f"{len(table)} runs in {options.study / 'runs.parquet'}")
-    for line in study_doubts(options.study, table):
+    for line in row_count_doubts(options.study, table):
         print(line)
 
 

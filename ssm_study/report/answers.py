@@ -44,13 +44,13 @@ def question_answers(table: pd.DataFrame) -> list[Answer]:
     """Questions that the results of a study can answer, each with its answer."""
     all_answers = [
         Answer("Where does feasibility end, and why?", feasibility_sentences(table)),
-        Answer("Does a better fit mean a better loop?", fit_sentences(table)),
+        Answer("Does a better fit mean a better loop?", fit_correlation_sentences(table)),
         Answer("Does the prediction hold on the plant?", prediction_sentences(table)),
     ]
     return [answer for answer in all_answers if answer.sentences]
 
 
-def parameters_line(table: pd.DataFrame) -> str:
+def swept_settings_line(table: pd.DataFrame) -> str:
     """Text line that names the swept settings of a study and their values, such as `Swept: model
     order (4, 8, 12); ...`. Without a sweep it says so."""
     parts = []
@@ -105,7 +105,7 @@ def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
     failed = beyond | missed
     if not has_both.any() or (side == "observer" and not failed.any()):
         return
-    yield limit_sentence(side, limit)
+    yield rate_limit_sentence(side, limit)
     if beyond.any():
         yield exceeded_limit_sentence(
             int(beyond.sum()), int(has_both.sum()), int((beyond & certified).sum())
@@ -119,7 +119,7 @@ def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
         yield f"Inside it, {count} got no certificate: there the method fell short."
 
 
-def limit_sentence(side: str, limit: pd.Series) -> str:
+def rate_limit_sentence(side: str, limit: pd.Series) -> str:
     """Sentence on the range of the largest certifiable contraction rate over the models of a study,
     and on what determines the limit."""
     reach = f"{limit.max():.3g}"
@@ -144,16 +144,16 @@ def exceeded_limit_sentence(exceeding_count: int, request_count: int, certified_
     return f"{exceeding_count} of {request_count} requests lie beyond it, and {outcome}."
 
 
-def fit_sentences(table: pd.DataFrame) -> tuple[str, ...]:
+def fit_correlation_sentences(table: pd.DataFrame) -> tuple[str, ...]:
     """Sentences on whether a better model fit goes with a better closed loop, for each plant of a
     study. They correlate the fit with the share of settled initial states, or with the settling
     time."""
     if len(table) < 2:
         return ()
-    return tuple(prefix + fit_sentence(runs) for prefix, runs in group_by_plant(table))
+    return tuple(prefix + fit_correlation_sentence(runs) for prefix, runs in group_by_plant(table))
 
 
-def fit_sentence(table: pd.DataFrame) -> str:
+def fit_correlation_sentence(table: pd.DataFrame) -> str:
     """Sentence on the rank correlation (Spearman) between model fit and closed-loop result over the
     runs of a study."""
     certified = boolean_column(table, "controller_certified") & boolean_column(

@@ -73,10 +73,10 @@ def result_file_names(folder: Path) -> set[str]:
     """Names of the files in a run folder that count as results of the run."""
     paths = [path for path in folder.rglob("*") if path.is_file()]
     names = [path.relative_to(folder).as_posix() for path in paths]
-    return {name for name in names if not is_kept_beside_results(name)}
+    return {name for name in names if not is_not_a_result(name)}
 
 
-def is_kept_beside_results(name: str) -> bool:
+def is_not_a_result(name: str) -> bool:
     """Whether a file in a run folder is no result of the run, such as a log, a checkpoint or a
     figure. Also a trace, exported code, Hydra's files, files of an earlier attempt, and names that
     begin with a dot."""

@@ -42,7 +42,7 @@ def check_form(run: RunFiles) -> Claims:
         column = find_declaration(name)
         if column is None or column.is_pattern:  # those of one pattern may differ in kind
             continue
-        if not has_declared_kind(column, value):
+        if not has_declared_type(column, value):
             observation = f"is a {type(value).__name__}, not a {column.kind}"
             yield Checked(claim=f"{name} kind", holds=False, found=observation)
     yield from _check_unreduced_fit(run)
@@ -52,7 +52,7 @@ def check_form(run: RunFiles) -> Claims:
         yield from _check_settling_bands(run)
 
 
-def has_declared_kind(column: Column, value: Any) -> bool:
+def has_declared_type(column: Column, value: Any) -> bool:
     """Whether a recorded value is null or of the type that its table column declares."""
     if value is None or column.kind is None:
         return True

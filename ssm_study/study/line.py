@@ -222,7 +222,7 @@ class Study(Task["Specification"]):
 
         A number stands where the configuration has it (`Column.setting`).
         """
-        from ssm_study.study.trials import lineage_columns
+        from ssm_study.study.trials import refinement_columns
         from ssm_study.table.columns import SETTINGS  # pandas: a refusal does without
 
         configuration = request.configuration
@@ -231,13 +231,13 @@ class Study(Task["Specification"]):
         numbers = {name: value for name, value in values.items() if is_number_or_none(value)}
         model_kind = model.get("cell")  # gru and lstm share a class
         return numbers | {
-            "model": model_kind or (kind_of_part(model) or "").removesuffix("spec"),
-            "scaffold_in": kind_of_part(model.get("scaffold_in")),
-            "scaffold_out": kind_of_part(model.get("scaffold_out")),
+            "model": model_kind or (class_name_of_part(model) or "").removesuffix("spec"),
+            "scaffold_in": class_name_of_part(model.get("scaffold_in")),
+            "scaffold_out": class_name_of_part(model.get("scaffold_out")),
             "plant": type(request.plant).__name__ if request.plant else None,
             "excitation": request.excitation.kind if request.plant else None,
             "synthesis_method": type(request.synthesis).method,
-            **lineage_columns(configuration),
+            **refinement_columns(configuration),
             "rates_chosen": gains_with_automatic_rate(values),
         }
 
@@ -290,7 +290,7 @@ def undeclared_number_columns(configuration: Mapping[str, Any], keys: Iterable[s
     for path in sorted(path for path in paths if "." in path):
         value = value_at_path(configuration, path)
         if not is_number_or_none(value):
-            value = kind_of_part(value) or str(value)
+            value = class_name_of_part(value) or str(value)
         facts[path.replace(".", "__")] = value
     return facts
 
@@ -309,7 +309,7 @@ def gains_with_automatic_rate(values: Mapping[str, Any]) -> str:
     return ", ".join(sides) or "neither"
 
 
-def kind_of_part(part: Any) -> str | None:
+def class_name_of_part(part: Any) -> str | None:
     """Short name of the class that a configuration names, such as `monotone` for
     `...scaffolds.monotone.Monotone`."""
     target = str(part.get("_target_", "")) if isinstance(part, dict) else ""

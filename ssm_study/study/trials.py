@@ -139,7 +139,7 @@ def repeat_trials(request: "Specification", run: Path) -> Trajectories:
     return tuple(trials)
 
 
-def lineage_columns(settings: Any) -> Facts:
+def refinement_columns(settings: Any) -> Facts:
     """Table columns on the refinement of a run: the number of refinements, and the run that was
     refined.
 

@@ -22,7 +22,7 @@ from ssm_study.table.columns import (
     setting_path,
     text_column,
 )
-from ssm_study.table.doubts import study_doubts
+from ssm_study.table.doubts import row_count_doubts
 from ssm_study.table.filters import filter_rows as filtered
 from ssm_study.table.gather import gather, rows_differ_from_records
 from ssm_study.table.over_seeds import seed_statistics_lines
@@ -76,7 +76,7 @@ def show_table(
     for line in seed_statistics_lines(rows):
         print(line)
     shown_count = len(rows)
-    for line in [*summary_lines(table, printed_count=shown_count), *study_doubts(study, table)]:
+    for line in [*summary_lines(table, printed_count=shown_count), *row_count_doubts(study, table)]:
         print(SUMMARY_LINES.fill(line))
     return table
 

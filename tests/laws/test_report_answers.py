@@ -5,7 +5,7 @@ import pytest
 import report_tables
 import scipy
 
-from ssm_study.report.answers import parameters_line, question_answers
+from ssm_study.report.answers import question_answers, swept_settings_line
 from ssm_study.report.page.charts import panel_contents, unplotted_answers
 from ssm_study.report.page.data import listed_columns, page_title
 from ssm_study.report.page.failures import merge_number_ranges
@@ -173,10 +173,10 @@ def test_what_differs_between_runs_is_named_with_its_values() -> None:
     rows = [row(order=4, seed=0), row(order=8, seed=0)]
     table = pd.DataFrame(rows)
     assert swept_settings(table) == ["order"]
-    assert parameters_line(table) == "Swept: model order (4, 8)."
+    assert swept_settings_line(table) == "Swept: model order (4, 8)."
     seeds = [row(seed=k) for k in range(3, 12)]
     many = pd.DataFrame(seeds)
-    assert parameters_line(many) == "Swept: seed (9 values, 3 to 11)."
+    assert swept_settings_line(many) == "Swept: seed (9 values, 3 to 11)."
 
 
 def test_a_rate_is_swept_where_it_was_requested_and_auto_is_one_of_its_values() -> None:
@@ -196,7 +196,7 @@ def test_a_rate_is_swept_where_it_was_requested_and_auto_is_one_of_its_values() 
         for rate in rates
     ]
     table = pd.DataFrame(rows)
-    assert parameters_line(table) == "Swept: controller rate, ρ (0.1, 0.3, auto); seed (0, 1)."
+    assert swept_settings_line(table) == "Swept: controller rate, ρ (0.1, 0.3, auto); seed (0, 1)."
     assert page_title(table) == "What changes with the controller rate?"
 
 

@@ -18,7 +18,12 @@ from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet
-from ssm_study.study.stages.model import MEMBERS, compute_model, measure_model, read_trained_model
+from ssm_study.study.stages.model import (
+    MEMBERS,
+    compute_model,
+    read_trained_model,
+    training_result_columns,
+)
 from ssm_study.training.metrics import Identification, records_fit_percent
 
 SMALL = {"order": 2, "neurons": 1, "knots": 0, "draws": 1, "start_steps": (5, 3, 3)}
@@ -42,7 +47,7 @@ def folder(data: DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_mean_is_scored_by_two_routes(folder: Path, data: DataSet) -> None:
     trained = read_trained_model(folder)
-    facts = measure_model(trained, data)
+    facts = training_result_columns(trained, data)
     outputs = [model.simulate(data.test[0].u) for model in trained.members]
     test_y = data.test[0].y
     error = test_y - sum(outputs) / len(outputs)

@@ -13,7 +13,7 @@ from ssm_study.columns import Column
 from ssm_study.data.mcap import read_mcap, write_mcap
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
-from ssm_study.study.form import has_declared_kind
+from ssm_study.study.form import has_declared_type
 from ssm_study.study.verify import verify
 
 Lie = Callable[[Path, dict[str, Any]], None]
@@ -139,4 +139,4 @@ KINDS = [
 @pytest.mark.parametrize(("kind", "value", "expected"), KINDS)
 def test_kinds_of_columns(kind: Any, value: Any, expected: bool) -> None:
     column = Column("x", kind)
-    assert has_declared_kind(column, value) is expected
+    assert has_declared_type(column, value) is expected

@@ -61,7 +61,7 @@ def draw(study: StudyFolder) -> Figure:
     for axes, panel in zip(places, panels, strict=True):
         for row, name in enumerate(methods):
             values = panel.values[method == name]
-            draw_row(axes, row, values.dropna())
+            draw_controller_row(axes, row, values.dropna())
         axes.set(xlabel=panel.label, ylim=(rows - 0.5, -0.5), **panel.scale)
         if axes.get_xscale() == "log":
             label_decades(axes)
@@ -95,7 +95,7 @@ def create_peer_panel(
     return PeerPanel(values=values, label=label, scale={"xlim": limits})
 
 
-def draw_row(axes: Axes, row: int, values: pd.Series) -> None:
+def draw_controller_row(axes: Axes, row: int, values: pd.Series) -> None:
     """Draw the results of one controller in a row: a dot for each run, and a bar at the median if
     there are several. Many dots are faint, so that they can be seen through each other."""
     several = len(values) > 1

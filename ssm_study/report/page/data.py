@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from ssm_study.report.answers import Answer, parameters_line
+from ssm_study.report.answers import Answer, swept_settings_line
 from ssm_study.report.page.amplitudes import with_physical_amplitudes
 from ssm_study.report.page.chart_looks import LOOK
 from ssm_study.report.page.compared import comparison_json
@@ -48,7 +48,7 @@ from ssm_study.table.columns import (
     swept_settings,
     text_column,
 )
-from ssm_study.table.doubts import study_doubts
+from ssm_study.table.doubts import row_count_doubts
 from ssm_study.table.rank import sort_best_first
 
 MOST_TRAJECTORIES = 200  # best runs whose trajectories are embedded: about 10 kB each
@@ -190,7 +190,7 @@ def page_texts(
     parts["question"] = page_title(table)
     counts = verdict_counts(table)
     subject = f"{plants_and_data_text(table)}{log_text(study)}"
-    parts["swept"] = f"{subject}{counts}. {parameters_line(table)}"
+    parts["swept"] = f"{subject}{counts}. {swept_settings_line(table)}"
     parts["several"] = len(table) > 1
     parts["answers"] = unplotted
     parts["provenance"] = provenance_lines(study, table)
@@ -205,7 +205,7 @@ def page_texts(
         parts["settings"] = settings_line(table)
         parts["runner_up"] = choose_runner_up(table)
         parts["cards"] = outcome_cards(
-            first, loop_facts(study, first), noise_free_test=is_test_noise_free(study)
+            first, read_loop_facts(study, first), noise_free_test=is_test_noise_free(study)
         )
         parts["remarks"] = [*table_remarks(study, table), *outcome_remarks(first)]
     return parts
@@ -213,13 +213,14 @@ def page_texts(
 
 def table_remarks(study: StudyFolder, table: pd.DataFrame) -> list[Remark]:
     """Remark on runs of a study that are counted twice or are missing; empty if there are none."""
-    sentences = [] if study.others else study_doubts(study.folder, table)
+    sentences = [] if study.others else row_count_doubts(study.folder, table)
     text = " ".join(sentences)
     return [Remark(title="Runs", text=text, is_warning=True)] if sentences else []
 
 
-def loop_facts(study: StudyFolder, record: dict[str, Any]) -> RecordedLoopFacts | None:
-    """Recorded facts on the closed loop of a run; None if the run left no recording of the loop."""
+def read_loop_facts(study: StudyFolder, record: dict[str, Any]) -> RecordedLoopFacts | None:
+    """Read facts on the closed loop of a run from its recording; None if the run left no recording
+    of the loop."""
     name = record.get("run")
     recording = study.run(name).closed_loop if name else None
     return None if recording is None else RecordedLoopFacts.from_recording(recording)

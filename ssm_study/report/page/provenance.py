@@ -22,7 +22,7 @@ TREE = {
 def log_text(study: StudyFolder) -> str:
     """Sentence on the file, signals and sampling time of the log from which the best run was
     made."""
-    data = logged_data(study)
+    data = log_data_settings(study)
     if not data:
         return ""
     parts = [str(data["path"])]
@@ -33,7 +33,7 @@ def log_text(study: StudyFolder) -> str:
     return f"Log: {', '.join(parts)}. "
 
 
-def logged_data(study: StudyFolder) -> dict[str, Any]:
+def log_data_settings(study: StudyFolder) -> dict[str, Any]:
     """Settings of the data of a study's best run if a log was read, else none."""
     data = {} if study.best_run is None else study.best_run.config.get("data") or {}
     return data if data.get("path") else {}
@@ -46,7 +46,7 @@ def configuration_text(study: StudyFolder) -> str:
         return ""
     config = study.best_run.path / ".hydra" / "config.yaml"
     text = config.read_text() if config.is_file() else ""
-    if not logged_data(study):
+    if not log_data_settings(study):
         return text
     return re.sub(r"^(?:plant|excitation):.*\n(?: +.*\n)*", "", text, flags=re.MULTILINE)
 
@@ -64,13 +64,13 @@ def provenance_lines(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str,
             facts.append((title, " or ".join(values)))
     if len(table):
         best = text_column(table, "run").iloc[0]
-        folder, run = run_address(study, best)
+        folder, run = run_location(study, best)
         command = f"ssm-study verify results/{folder}/{run}"
         facts.append(("to check the best run", command))
     return facts
 
 
-def run_address(study: StudyFolder, name: str) -> tuple[str, str]:
+def run_location(study: StudyFolder, name: str) -> tuple[str, str]:
     """Study folder and folder name of a run, which may belong to another study."""
     other = re.match(r"\.\./([^/]+)/", name)
     folder = other[1] if other else study.folder.resolve().name

@@ -9,7 +9,7 @@ from ssm_study.study.stages.free_run import SIMULATED, ModelRun, compute_free_ru
 from ssm_study.study.stages.model import Trained
 
 
-def measure_bounds(model_run: ModelRun, data: DataSet, trained: Trained) -> Facts:
+def certified_model_columns(model_run: ModelRun, data: DataSet, trained: Trained) -> Facts:
     """Table columns that describe a certified model: its fits, linear part and slopes."""
     facts = free_run_columns(model_run, data, trained)
     _, test_before_reduction = simulate_validation_and_test(trained.model, data)
@@ -17,4 +17,4 @@ def measure_bounds(model_run: ModelRun, data: DataSet, trained: Trained) -> Fact
     return facts | model_bound_columns(model_run.model)
 
 
-BOUNDS = Stage("bounds", compute_free_runs, ModelRun, measure_bounds, SIMULATED)
+BOUNDS = Stage("bounds", compute_free_runs, ModelRun, certified_model_columns, SIMULATED)

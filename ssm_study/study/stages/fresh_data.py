@@ -44,9 +44,11 @@ def read_fresh_data_needs(folder: Path) -> list[float]:
     return [float(need) for need in read_json(folder / FILE)["needs"]]
 
 
-def measure_fresh_data(needs: list[float], *_: Any) -> Facts:
+def fresh_data_result_columns(needs: list[float], *_: Any) -> Facts:
     """Table column with the largest disc of model error that a fresh data set needs."""
     return fresh_data_column(needs)
 
 
-FRESH_DATA = Stage("fresh_data", compute_fresh_data, read_fresh_data_needs, measure_fresh_data)
+FRESH_DATA = Stage(
+    "fresh_data", compute_fresh_data, read_fresh_data_needs, fresh_data_result_columns
+)

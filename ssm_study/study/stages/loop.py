@@ -69,7 +69,7 @@ def read_loop(folder: Path) -> Experiment | None:
     return read_experiment(folder) if (folder / ON_PLANT).is_file() else None
 
 
-def measure_loop(
+def loop_result_columns(
     experiment: Experiment | None, _data: DataSet, _bounded: ModelRun, design: Design
 ) -> Facts:
     """Table columns that describe a run's closed loop; empty if no loop was closed."""
@@ -79,4 +79,4 @@ def measure_loop(
     return {"loop_on": loop_on} | behaviour_columns(closed) | certificate_columns(closed, design)
 
 
-LOOP = Stage("loop", compute_loop, read_loop, measure_loop, LOOPS)
+LOOP = Stage("loop", compute_loop, read_loop, loop_result_columns, LOOPS)

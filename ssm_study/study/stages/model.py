@@ -71,7 +71,7 @@ def read_trained_model(folder: Path) -> Trained:
     return Trained(read_model(folder), members=read_averaged_models(folder), **facts)
 
 
-def measure_model(trained: Trained, data: DataSet) -> Facts:
+def training_result_columns(trained: Trained, data: DataSet) -> Facts:
     """Table columns on a model's training: its duration, its end, the model's size, chosen
     settings, and a baseline's fit."""
     facts = training_columns(trained.seconds, trained.ended) | size_columns(trained.model)
@@ -108,6 +108,6 @@ MODEL = Stage(
     "model",
     compute_model,
     read_trained_model,
-    measure_model,
+    training_result_columns,
     ("training_curve.json", "choice.json", MEMBERS),
 )

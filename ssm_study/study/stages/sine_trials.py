@@ -52,7 +52,7 @@ def read_sine_trials(folder: Path) -> list[SineMismatch]:
     return [SineMismatch(**{name: float(text) for name, text in row.items()}) for row in rows]
 
 
-def measure_sine_trials(
+def sine_trial_result_columns(
     sines: list[SineMismatch],
     records: DataSet,
     model_run: ModelRun,
@@ -72,4 +72,4 @@ def measure_sine_trials(
     return withhold_predictions(facts, judgement.level)
 
 
-SINE_TRIALS = Stage("sine_trials", compute_sine_trials, read_sine_trials, measure_sine_trials)
+SINE_TRIALS = Stage("sine_trials", compute_sine_trials, read_sine_trials, sine_trial_result_columns)

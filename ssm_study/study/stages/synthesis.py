@@ -83,7 +83,7 @@ def read_design(folder: Path) -> Design:
     return Design.load(folder / "certificate.json")
 
 
-def measure_synthesis(
+def synthesis_result_columns(
     design: Design,
     data: DataSet,
     model_run: ModelRun,
@@ -111,5 +111,5 @@ def measure_synthesis(
 
 
 SYNTHESIS = Stage(
-    "synthesis", compute_synthesis, read_design, measure_synthesis, ("certificate.json",)
+    "synthesis", compute_synthesis, read_design, synthesis_result_columns, ("certificate.json",)
 )

@@ -28,9 +28,11 @@ def read_textbook_pi(folder: Path) -> Facts:
     return dict(read_json(folder / FILE))
 
 
-def measure_textbook_pi(facts: Facts, *_: Any) -> Facts:
+def textbook_pi_result_columns(facts: Facts, *_: Any) -> Facts:
     """Table columns of the textbook PI controller, as they are stored."""
     return facts
 
 
-TEXTBOOK_PI = Stage("textbook_pi", compute_textbook_pi, read_textbook_pi, measure_textbook_pi)
+TEXTBOOK_PI = Stage(
+    "textbook_pi", compute_textbook_pi, read_textbook_pi, textbook_pi_result_columns
+)
