@@ -119,8 +119,8 @@ class Design:
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        """Numbers that describe a design by the names of the results table's columns: rates,
-        limits, gains and predictions.
+        """Numbers on a design by the results table's column names: rates, limits, gains and
+        predictions.
 
         A bare system has no records, hence no predictions; a loaded design has its run's columns.
         """

@@ -62,7 +62,7 @@ class Model:
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        """Numbers that describe data and model, by the names of the results table's columns."""
+        """Numbers on data and model, keyed by the column names of the results table."""
         data = self.data
         validation, test = simulate_validation_and_test(self.simulator, data)
         training = self.identification

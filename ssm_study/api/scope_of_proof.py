@@ -79,8 +79,8 @@ def describe_deciding_band(design: "Design") -> str:
 
 
 def describe_frequency(reference: str, step_s: float) -> str:
-    """Text in Hz on the frequency range that stands in the name of a coverage requirement; empty
-    where none does."""
+    """Text in Hz on the frequency range where the proof tolerates the least model error; empty
+    where no range is named."""
     angles = ANGLE.search(reference)
     if angles is None:
         return ""
@@ -92,9 +92,9 @@ def describe_frequency(reference: str, step_s: float) -> str:
 
 
 def describe_input_power(design: "Design", reference: str) -> str:
-    """Text that says whether the record which decides the coverage has too little input power in
-    the deciding frequency band. Of a loaded design its evidence is quoted, if the band lies above
-    the first that is not excited."""
+    """Text that says whether the record for which the proof tolerates the least model error lacks
+    input power in the deciding frequency band. Of a loaded design its evidence is quoted, if the
+    band lies above the first that is not excited."""
     from ssm_study.api.steps import measure_coverage_premise
     from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 

@@ -279,7 +279,7 @@ def _distributions_with_files() -> list[tuple[metadata.Distribution, str]]:
 
 
 def _scan_module(path: Path, module: str) -> Module:
-    """Scan a source file for names and dependencies, or read the result from the cache."""
+    """Scan a source file for names and dependencies, or read the result of an earlier scan."""
     content = path.read_bytes()
     digest = hashlib.sha256(FORM.encode() + content).hexdigest()
     file = CACHE / f"{hashlib.sha256(str(path).encode()).hexdigest()[:32]}.json"

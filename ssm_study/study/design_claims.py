@@ -118,8 +118,8 @@ def columns_of_later_versions(run: RunFiles) -> dict[str, str]:
 
 
 def unrepeated_coverage_search(run: RunFiles) -> dict[str, str]:
-    """Claim that no proof of coverage was found, where the search for one is too slow to be
-    repeated, with the reason; otherwise empty."""
+    """Claim that no proof covers the recorded model error, where the search for a proof is too slow
+    to be repeated, with the reason; otherwise empty."""
     is_unproved = run.record.get("coverage_reason") == UNPROVED
     if not is_unproved or is_search_repeated(run):
         return {}
@@ -128,8 +128,8 @@ def unrepeated_coverage_search(run: RunFiles) -> dict[str, str]:
 
 
 def lacks_coverage(run: RunFiles) -> bool:
-    """Whether a run's record is of an earlier version and neither the record nor the certificate
-    states a coverage."""
+    """Whether a run's record is of an earlier version and does not state how much model error the
+    proof covers, nor does the certificate."""
     is_claimed = any(run.record.get(name) is not None for name in COVERAGE_COLUMNS[:2])
     is_old = run.record_version < VERSION
     return is_old and not is_claimed and MeasuredDiscs.part not in run.design.extra_certificates
@@ -236,8 +236,8 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
 
 
 def is_search_repeated(run: RunFiles) -> bool:
-    """Whether a run records that no proof of coverage was found, and the search is fast enough to
-    be repeated.
+    """Whether a run records that no proof covers its model error, and the search for a proof is
+    fast enough to be repeated.
 
     With neurons it takes a minute and more; another version may have searched less.
     """

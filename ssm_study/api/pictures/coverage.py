@@ -88,8 +88,8 @@ def record_names(premise: Premise, input_scale: InputScale | None) -> dict[str, 
 
 
 def coverage_requirement_text(requirement: str, labels: dict[str, str], step_s: float) -> str:
-    """Text that names the record and frequency band which decide the coverage, with amplitudes in
-    physical units and frequencies in Hz."""
+    """Text that names the record and frequency band in which the proof tolerates the least model
+    error, in physical units."""
     record, _, place = requirement.partition(", ")
     turn_s = 2 * np.pi * step_s
     hertz_per_angle = 1 / turn_s
@@ -146,7 +146,7 @@ def _coverage_curve(
 
 
 def _smallest_coverage_dot(band: CoverageBand, kappa: float, step_s: float) -> Series:
-    """Dot of a picture at the frequency band with the smallest coverage."""
+    """Dot of a picture at the frequency band in which the proof tolerates the least model error."""
     turn_s = 2 * np.pi * step_s
     hertz = band.frequency / turn_s
     coverage = [kappa / band.need]

@@ -33,8 +33,8 @@ def with_physical_amplitudes(study: StudyFolder, table: pd.DataFrame) -> pd.Data
 
 
 def physical_coverage_reference(text: str, run: RunFolder | None, unit: str) -> str:
-    """Name of the record and frequency band that decide a coverage, with the input amplitude in
-    physical units."""
+    """Name of the record and frequency band in which the proof tolerates the least model error,
+    with the input amplitude in physical units."""
     record, _, _ = text.partition(", ")
     number = NUMBER.search(record)
     if number is None or not AMPLITUDE.fullmatch(record):

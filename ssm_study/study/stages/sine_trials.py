@@ -60,8 +60,8 @@ def sine_trial_result_columns(
     judgement: Judgement,
     design: Design,
 ) -> Facts:
-    """Table columns of stability margin, prediction and coverage, measured again with single
-    sines."""
+    """Table columns of stability margin, prediction and covered model error, measured again with
+    single sines."""
     model = model_run.model
     start_up = records.start_up_samples
     trials = records.mismatch_records
