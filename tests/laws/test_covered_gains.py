@@ -35,7 +35,7 @@ TARGET_SHARE = 1.05  # of the coverage of the first gains
 
 
 @pytest.fixture(scope="module")
-def search_best_gains() -> GainSearch:
+def search() -> GainSearch:
     mismatch = measure_mismatch(SSM_MODEL, RECORDS)
     validation = RECORDS[:1]
     return GainSearch(
