@@ -223,10 +223,15 @@ MADE_AGAIN = (
 )
 
 
-def once(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, asked once for equal arguments; what it would yield one by one comes at
+# What those functions returned, for all test files of this process.
+RESULTS: dict[str, dict[bytes, Any]] = {}
+
+
+def once(place: str) -> Callable[..., Any]:
+    """The function there, asked once for equal arguments; what it would yield one by one comes at
     once."""
-    known: dict[bytes, Any] = {}
+    function = resolve_name(place)
+    known = RESULTS.setdefault(place, {})
 
     def made(*given: Any, **named: Any) -> Any:
         text = pickle.dumps((given, named))
@@ -239,9 +244,10 @@ def once(function: Callable[..., Any]) -> Callable[..., Any]:
     return made
 
 
-def once_for_content(read: Callable[[Path], Any]) -> Callable[[Path], Any]:
-    """The reader of a file, asked once for equal content."""
-    known: dict[bytes, Any] = {}
+def once_for_content(place: str) -> Callable[[Path], Any]:
+    """The reader of a file there, asked once for equal content."""
+    read = resolve_name(place)
+    known = RESULTS.setdefault(place, {})
 
     def read_once(path: Path) -> Any:
         key = hashlib.sha256(path.read_bytes()).digest() if path.is_file() else b""
@@ -263,8 +269,16 @@ def made_once() -> Iterator[None]:
     reader = "ssm_study.study.recordings.read_mcap"
     with pytest.MonkeyPatch.context() as patch:
         for place in MADE_AGAIN:
-            patch.setattr(place, once(resolve_name(place)))
-        patch.setattr(reader, once_for_content(resolve_name(reader)))
+            patch.setattr(place, once(place))
+        patch.setattr(reader, once_for_content(reader))
+        yield
+
+
+@pytest.fixture(scope="module")
+def without_baselines() -> Iterator[None]:
+    """Runs of a log fit no simple models to compare theirs with: a quarter of a short run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ssm_study.models.best_baseline.baseline_columns", lambda _: None)
         yield
 
 

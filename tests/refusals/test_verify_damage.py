@@ -12,27 +12,40 @@ from ssm_study.study.verify import verify
 
 pytestmark = pytest.mark.usefixtures("made_once")
 
-DAMAGES: dict[str, Callable[[Path], object]] = {
-    "a part is null": lambda run: edited(
-        run / "certificate.json", lambda c: c.update(observer=None)
-    ),
-    "a part is a list": lambda run: edited(
-        run / "certificate.json", lambda c: c.update(state_feedback=[1])
-    ),
-    "a number of 400 digits": lambda run: edited(
-        run / "certificate.json", lambda c: c["observer"].update(eta=10**400)
-    ),
-    "a matrix of such": lambda run: edited(run / "model.json", lambda m: m.update(a=[[10**400]])),
-    "the model is a list": lambda run: (run / "model.json").write_text("[]"),
-    "the model is no json": lambda run: (run / "model.json").write_text("{"),
-    "broken yaml": lambda run: (run / ".hydra" / "config.yaml").write_text("a: [b"),
-    "yaml of another kind": lambda run: (run / ".hydra" / "config.yaml").write_text("- 1"),
-    "a recording cut": lambda run: (run / "test.mcap").write_bytes(
-        (run / "test.mcap").read_bytes()[:-500]
-    ),
-    "an empty manifest": lambda run: (run / "manifest.json").write_text(""),
-    "a list as manifest": lambda run: (run / "manifest.json").write_text("[]"),
-}
+Damage = Callable[[Path], object]
+HUGE = 10**400
+CERTIFICATE = "certificate.json"
+CONFIGURATION = ".hydra/config.yaml"
+
+
+def changing(name: str, change: Callable[[dict[str, Any]], object]) -> Damage:
+    """Damage that changes the content of a JSON file."""
+    return lambda run: edited(run / name, change)
+
+
+def writing(name: str, text: str) -> Damage:
+    """Damage that puts another text in the place of a file."""
+    return lambda run: (run / name).write_text(text)
+
+
+def cut_recording(run: Path) -> None:
+    path = run / "test.mcap"
+    content = path.read_bytes()
+    path.write_bytes(content[:-500])
+
+
+DAMAGES: dict[str, Damage] = {}
+DAMAGES["a part is null"] = changing(CERTIFICATE, lambda c: c.update(observer=None))
+DAMAGES["a part is a list"] = changing(CERTIFICATE, lambda c: c.update(state_feedback=[1]))
+DAMAGES["a number of 400 digits"] = changing(CERTIFICATE, lambda c: c["observer"].update(eta=HUGE))
+DAMAGES["a matrix of such"] = changing("model.json", lambda m: m.update(a=[[HUGE]]))
+DAMAGES["the model is a list"] = writing("model.json", "[]")
+DAMAGES["the model is no json"] = writing("model.json", "{")
+DAMAGES["broken yaml"] = writing(CONFIGURATION, "a: [b")
+DAMAGES["yaml of another kind"] = writing(CONFIGURATION, "- 1")
+DAMAGES["a recording cut"] = cut_recording
+DAMAGES["an empty manifest"] = writing("manifest.json", "")
+DAMAGES["a list as manifest"] = writing("manifest.json", "[]")
 
 
 @pytest.mark.parametrize("what", DAMAGES)
@@ -41,51 +54,54 @@ def test_a_damaged_file_is_a_claim_that_does_not_hold(what: str, copied_run: Pat
     assert not verify(copied_run).holds
 
 
-def shorter(run: Path, part: str, *names: str) -> None:
-    """These matrices without their last row, those that are square without their last column,
-    too."""
+def without_last(rows: list[list[float]]) -> list[list[float]]:
+    """A matrix without its last row; a square one without its last column, too."""
+    fewer = rows[:-1]
+    is_square = len(rows[0]) == len(rows)
+    return [row[:-1] for row in fewer] if is_square else fewer
+
+
+def shorter(part: str, *names: str) -> Damage:
+    """Damage that shortens these matrices of a part of the certificate."""
 
     def change(content: dict[str, Any]) -> None:
         for name in names:
             rows = content[part][name]
-            content[part][name] = [row[:-1] if len(row) == len(rows) else row for row in rows[:-1]]
+            content[part][name] = without_last(rows)
 
-    edited(run / "certificate.json", change)
+    return changing(CERTIFICATE, change)
 
 
-def finding(run: Path, entry: dict[str, Any]) -> None:
+def finding(entry: dict[str, Any]) -> Damage:
+    """Damage that puts one finding in the place of all evidence."""
     text = json.dumps([entry])
-    (run / "evidence.json").write_text(text)
+    return writing("evidence.json", text)
 
 
-PLAIN: dict[str, tuple[Callable[[Path], object], str]] = {
-    "a shape": (
-        lambda run: shorter(run, "observer", "l"),
-        "certificate.observer.l (shape) = (3, 1): is to be n by p, and n is 4 in a; "
-        "synthesise again.",
-    ),
-    "a part": (
-        lambda run: shorter(run, "state_feedback_unlimited", "a", "b", "p", "starts"),
-        "certificate.state_feedback_unlimited.k (shape) = (1, 4): is to be m by n, and n is "
-        "3 in a; synthesise again.",
-    ),
-    "a weight": (
-        lambda run: shorter(run, "tolerance", "p"),
-        "tolerance: the matrices do not fit the model",
-    ),
-    "a part is a text": (
-        lambda run: edited(run / "certificate.json", lambda c: c.update(observer="x")),
-        "certificate.observer = x: is no object; synthesise again.",
-    ),
-    "a word": (
-        lambda run: finding(run, {"level": "grave", "sentence": "The log is short."}),
-        "evidence.json [0].level = grave: unknown; use note, doubt or cannot judge.",
-    ),
-    "a key": (
-        lambda run: finding(run, {"levl": "note"}),
-        "evidence.json [0] = {'levl': 'note'}: is no finding; run the study again.",
-    ),
-}
+PLAIN: dict[str, tuple[Damage, str]] = {}
+PLAIN["a shape"] = (
+    shorter("observer", "l"),
+    "certificate.observer.l (shape) = (3, 1): is to be n by p, and n is 4 in a; synthesise again.",
+)
+PLAIN["a part"] = (
+    shorter("state_feedback_unlimited", "a", "b", "p", "starts"),
+    "certificate.state_feedback_unlimited.k (shape) = (1, 4): is to be m by n, and n is 3 in a; "
+    "synthesise again.",
+)
+PLAIN["a weight"] = (shorter("tolerance", "p"), "tolerance: the matrices do not fit the model")
+PLAIN["a part is a text"] = (
+    changing(CERTIFICATE, lambda c: c.update(observer="x")),
+    "certificate.observer = x: is no object; synthesise again.",
+)
+PLAIN["a word"] = (
+    finding({"level": "grave", "sentence": "The log is short."}),
+    "evidence.json [0].level = grave: unknown; use note, doubt or cannot judge.",
+)
+PLAIN["a key"] = (
+    finding({"levl": "note"}),
+    "evidence.json [0] = {'levl': 'note'}: is no finding; run the study again.",
+)
+FOREIGN_WORDS = ("operand", "dimension", "tuple", "attribute", "argument")
 
 
 @pytest.mark.parametrize("what", PLAIN)
@@ -93,10 +109,7 @@ def test_a_wrong_shape_or_word_is_told_in_a_sentence_of_ours(what: str, copied_r
     """Not in NumPy's or Python's words."""
     damage, sentence = PLAIN[what]
     damage(copied_run)
-    found = [one.found for one in verify(copied_run) if not one.holds]
-    assert any(one.endswith(sentence) for one in found), found
-    assert not any(
-        word in one
-        for one in found
-        for word in ("operand", "dimension", "tuple", "attribute", "argument")
-    )
+    failures = [finding.found for finding in verify(copied_run) if not finding.holds]
+    assert any(text.endswith(sentence) for text in failures), failures
+    text = " ".join(failures)
+    assert not any(word in text for word in FOREIGN_WORDS)
