@@ -90,7 +90,7 @@ def products(device: Device, folder: Path, monitor: Monitor | None = None) -> in
     counts."""
     text = render_c_files(device, origin_text="counted", monitor=monitor)["controller.h"]
     header = text.replace("#include <math.h>", "")
-    words = ("-w", *["-DMONITOR"] * (monitor is not None))
+    words = ("-w", "-O0", *["-DMONITOR"] * (monitor is not None))
     outputs = device.controller.scale.outputs
     inputs = device.controller.scale.inputs
     sizes = (outputs, outputs, inputs)
