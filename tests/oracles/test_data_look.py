@@ -39,19 +39,19 @@ SAYS = {
 
 
 @pytest.mark.parametrize("name", SAYS)
-@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_what_is_true_is_said_and_what_is_false_is_not(
     tmp_path: Path, name: str, seed: int
 ) -> None:
     path = tmp_path / "log.csv"
     kind_named(name).log(seed).to_csv(path, index=False)
     said, unsaid = SAYS[name]
-    text = str(look(path))
+    log_look = look(path)
+    text = str(log_look)
     assert said in text
     assert unsaid not in text
     assert f"step {kind_named(name).step_s:g} s" in text
-    command = look(path).command
-    assert text.endswith(command)
+    assert text.endswith(log_look.command)
 
 
 def test_a_closed_loop_is_called_one(tmp_path: Path) -> None:

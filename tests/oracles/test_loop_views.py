@@ -107,7 +107,7 @@ def radius(model: SSM, pair: Gains, factor: float) -> float:
     return float(spectral_radius)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_linear_mismatch_is_all_phase_and_the_loop_is_judged_exactly(seed):
     """The plant is the model plus its own answer times a factor: with a phase the verdict is the
     loop's own."""
@@ -172,7 +172,7 @@ def test_of_the_two_conditions_the_better_one_counts():
     assert small_gain == {True, False}
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
     """The loop run with an offset of the output, sample by sample, against the margin; integrators
     leave nothing."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.linalg
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthesis_modal import ModalLmiSynthesis, modal_energy, modal_gain, solve_on_fast_modes
 from synthesis_ratio import ratio_limit
@@ -40,6 +40,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
 
 SEEDS = st.integers(0, 10**6)
+# Of the examples of the other laws, where each costs a large part of a second.
+A_THIRD = settings(max_examples=max(1, settings.default.max_examples // 3))
 
 
 def instance(
@@ -58,6 +60,7 @@ def design(method: type, case: Instance, **options) -> StateFeedback | Infeasibl
     )
 
 
+@A_THIRD
 @given(
     SEEDS,
     st.sampled_from([RiccatiSynthesis, ClosedFormSynthesis, ModalLmiSynthesis]),
@@ -80,6 +83,7 @@ def asked(case: Instance) -> Problem:
     return closed_form_synthesis.problem(case.linear, case.ball)
 
 
+@A_THIRD
 @given(SEEDS, st.integers(1, 2))
 def test_the_metric_of_the_whole_model_holds_at_one_percent(seed: int, inputs: int) -> None:
     problem = asked(instance(seed, 0.01, inputs=inputs))
@@ -159,6 +163,7 @@ def test_without_fast_modes_there_is_nothing_to_couple() -> None:
         assert holds(problem, found)
 
 
+@A_THIRD
 @given(SEEDS, st.integers(1, 2))
 def test_one_percent_beyond_nothing_is_certified_and_the_lmi_never_contradicts(
     seed: int, inputs: int
@@ -173,6 +178,7 @@ def test_one_percent_beyond_nothing_is_certified_and_the_lmi_never_contradicts(
     assert not opinion.certified
 
 
+@A_THIRD
 @given(SEEDS)
 def test_wherever_the_solver_certifies_the_rate_lies_inside(seed: int) -> None:
     """The verdict of the LMI, where it is one, against the closed form: ten percent inside and
@@ -207,6 +213,7 @@ def test_the_ratio_limit_by_product_and_by_riccati(
     assert ratio_limit(linear.a, linear.b, contraction) == pytest.approx(expected, rel=1e-3)
 
 
+@A_THIRD
 @given(SEEDS, st.sampled_from(list(KINDS)), st.integers(1, 3), st.floats(0.05, 0.95))
 def test_the_frontier_is_where_the_ratio_limit_crosses(
     seed: int, kind: str, inputs: int, ratio: float

@@ -63,7 +63,7 @@ def sampled(system: StructuredSystem, side: str, ball: JacobianBall, found) -> f
     h=st.sampled_from([0.0, 0.3]),
     share=st.floats(0.1, 0.9),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20)
 def test_no_sampled_slope_contracts_slower_than_certified(
     seed: int, side: str, ball, h: float, share: float
 ) -> None:
