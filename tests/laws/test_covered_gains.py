@@ -132,7 +132,7 @@ def test_a_covered_pair_from_far_down_the_order_is_made_faster(monkeypatch, sear
     found = design(input_weight=0.1)
     asked = []
 
-    def search_best_gains(first, most, wanted):
+    def search(first, most, wanted):
         asked.append((first, most, wanted))
         return found if searches and most is slow else None
 
