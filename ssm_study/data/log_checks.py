@@ -1,12 +1,12 @@
 """Checks of a log before its dynamics are measured: pieces that are too short or stand still, and
 angles that start again after a turn."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.signals import Trajectory
+from ssm_study.data.command_words import column_index
 
 TURNS = (360.0, 2.0 * np.pi)  # degrees, radians
 PART_OF_TURN = 0.3  # share of a turn that an angle itself moves in a sample, at most
@@ -26,16 +26,18 @@ def unmeasured_reason(u: Signal, y: Signal, fewest: int) -> str:
     return "the output stands still throughout the longest piece" if np.ptp(y) == 0 else ""
 
 
-def angle_sentences(records: Sequence[Trajectory]) -> list[str]:
-    """Sentence on an output that jumps by a whole turn, as an angle that starts again does; none
-    without such jumps."""
-    outputs = [record.y[:, 0] for record in records]
-    lowest = min(float(y.min()) for y in outputs)
-    highest = max(float(y.max()) for y in outputs)
-    jumps = np.concatenate([np.abs(np.diff(y)) for y in outputs])
+def angle_sentences(columns: Mapping[str, Signal], output: str) -> list[str]:
+    """Sentence on an output, as it stands in the file, that jumps by a whole turn, as an angle that
+    starts again does; none without such jumps."""
+    place = column_index(list(columns), output)
+    y = np.empty(0) if place is None else list(columns.values())[place]
+    finite = y[np.isfinite(y)]
+    if len(finite) < 2:
+        return []
+    jumps = np.abs(np.diff(finite))
     for turn in TURNS:
         starts = (0.0, -turn / 2)
-        is_within = any(start <= lowest and highest <= start + turn for start in starts)
+        is_within = any(start <= finite.min() and finite.max() <= start + turn for start in starts)
         count = int((jumps > WHOLE_TURN * turn).sum())
         moves_less = int((jumps > PART_OF_TURN * turn).sum()) == count
         if is_within and moves_less and count >= FEWEST_TURNS:

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.log_checks import angle_sentences, unmeasured_reason
+from ssm_study.data.log_checks import unmeasured_reason
 from ssm_study.data.splits import rest_segments
 from ssm_study.signals import Trajectory
 
@@ -78,15 +78,10 @@ def describe_log_dynamics(
     u = record.u[:, 0]
     y = record.y[:, 0]
     reason = unmeasured_reason(u, y, 4 * LAGS)
-    angles = angle_sentences(records)
     if reason:
-        return [*angles, f"{reason}: no dynamics measured"]
+        return [f"{reason}: no dynamics measured"]
     shares = input_shares(u, y)
-    sentences = [
-        *angles,
-        *standstill_sentences(records),
-        input_return_sentence(count_rests(records)),
-    ]
+    sentences = [*standstill_sentences(records), input_return_sentence(count_rests(records))]
     fed_back = feedback_share(u, y)
     answer = response_delay_sentence(u, y, shares)
     if FEEDTHROUGH in answer and is_interpolated:

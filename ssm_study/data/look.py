@@ -22,6 +22,7 @@ from ssm_study.data.clock_column import (
 )
 from ssm_study.data.column_facts import ColumnFacts, column_facts
 from ssm_study.data.command_words import column_index, quote_for_command, unit_settings
+from ssm_study.data.log_checks import angle_sentences
 from ssm_study.data.log_dynamics import FEEDTHROUGH, INTEGRATOR, describe_log_dynamics
 from ssm_study.data.readers.reader import Table, choose_reader
 from ssm_study.data.recorded import RecordedData
@@ -178,6 +179,7 @@ def look_with_settings(path: Path, stated: LogSettings) -> LogLook:
         source = stated.as_data_source(path, u, y)
         reading = examine_signals(path, table, clock, source)
         sentences += reading.sentences
+        sentences += angle_sentences(table.columns, y)
         counters = [column.name for column in facts if is_counter(column, table)]
         others = other_signal_names(facts, clock, (u, y, stated.disturbance))
         others = [name for name in others if name not in counters]
@@ -268,7 +270,7 @@ def set_point_sentences(
     facts: Sequence[ColumnFacts], signals: tuple[str, str], stated: LogSettings
 ) -> list[str]:
     """Sentences on columns whose titles are those of a set point."""
-    names = [column.name for column in facts if is_set_point_title(column.name)]
+    names = [fact.name for fact in facts if fact.levels > 1 and is_set_point_title(fact.name)]
     others = [name for name in names if name not in (*signals, stated.time)]
     if not others:
         return []
@@ -299,8 +301,7 @@ def examine_signals(path: Path, table: Table, clock: str | None, source: Recorde
         if concerns_step or clock is not None:
             sentences += clock_sentences(table, clock)
         if error.field != "data.step_s" or error.value is not None:
-            clock_is_known = clock is not None
-            return Reading(records=[], step_is_known=clock_is_known, sentences=sentences)
+            return Reading(records=[], step_is_known=clock is not None, sentences=sentences)
         try:
             records, _ = replace(source, step_s=1.0).read_pieces(path)
         except BadRequest:
@@ -395,5 +396,5 @@ def command_with_disturbance(
 def study_name(path: Path) -> str:
     """Name of a study for a log: the name of its file in plain letters, without suffix."""
     letters = unicodedata.normalize("NFKD", path.stem).encode("ascii", "ignore").decode()
-    plain = re.sub(r"[^A-Za-z0-9_-]+", "_", letters).strip("_-")
-    return plain[:MOST_LETTERS].strip("_-") or "log"
+    plain = re.sub(r"[^A-Za-z0-9_-]+", "_", letters)
+    return plain.strip("_-")[:MOST_LETTERS].strip("_-") or "log"

@@ -44,20 +44,27 @@ def guess_signals(facts: Sequence[ColumnFacts], clock: str | None) -> tuple[str 
 
 
 def output_score(column: ColumnFacts, input_name: str) -> tuple[float, bool, bool]:
-    """Score of how much a column looks like the output: by the words of its title, then by the
-    number that it shares with the input's (`Heater 2`, `Temperature 2`), then by its levels."""
+    """Score of how much a column looks like the output: by the words of its title, then by what it
+    shares with the input's (`Heater 2`, `Temperature 2`; `leftCommand`, `leftSpeed`), then by its
+    levels."""
     by_words = title_word_score(column.name, OUTPUT_WORDS)
     if by_words < title_word_score(column.name, INPUT_WORDS):
         by_words = -1.0
-    number = title_number(input_name)
-    same_number = number != "" and number == title_number(column.name)
-    return by_words, same_number, level_score(column) < LIKE_AN_INPUT
+    has_same_place = not place_words(input_name).isdisjoint(place_words(column.name))
+    return by_words, has_same_place, level_score(column) < LIKE_AN_INPUT
 
 
-def title_number(name: str) -> str:
-    """Number at the end of the words of a title; empty if there is none."""
-    found = re.search(r"[A-Za-z]\W?(\d+)\b", name)
-    return found.group(1) if found else ""
+def place_words(name: str) -> set[str]:
+    """Numbers and words of a title that say which of several signals it is."""
+    numbers = re.findall(r"[A-Za-z]\W?(\d+)\b", name)
+    own_words = [word for word in title_parts(name) if word not in (*INPUT_WORDS, *OUTPUT_WORDS)]
+    return {*numbers, *(word for word in own_words if len(word) > 1)}
+
+
+def title_parts(name: str) -> list[str]:
+    """Words of letters in a title, in lower case."""
+    spaced = re.sub(WORD_STARTS, " ", name)
+    return [part for part in re.split(r"[^a-z]+", spaced.lower()) if part]
 
 
 def is_set_point_title(name: str) -> bool:
@@ -84,8 +91,7 @@ def level_score(column: ColumnFacts) -> float:
 def title_word_score(name: str, words: tuple[str, ...]) -> float:
     """Score of how well a column's title matches a list of words. One if a word of the title is in
     the list, a half if one begins with a word in the list."""
-    spaced = re.sub(WORD_STARTS, " ", name)
-    parts = [part for part in re.split(r"[^a-z]+", spaced.lower()) if part]
+    parts = title_parts(name)
     if any(part in words for part in parts):
         return 1.0
     long_words = tuple(word for word in words if len(word) > 3)

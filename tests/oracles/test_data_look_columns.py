@@ -26,6 +26,12 @@ def test_an_angle_that_starts_again_is_named(tmp_path: Path) -> None:
     angle = np.cumsum(5.0 * table["y"] + 8.0) % 360.0
     table.assign(y=angle).to_csv(path, index=False)
     assert "jumps by a turn of 360 in " in str(look(path))
+    late_ms = np.sin(np.arange(400) / 30)
+    late = table.assign(y=angle, **{"time (ms)": table["time (ms)"] + late_ms})
+    late.to_csv(path, index=False)
+    seen = str(look(path))
+    assert "samples interpolated" in seen
+    assert "jumps by a turn of 360 in " in seen
     white_noise = rng.standard_normal(400)
     scaled = np.clip(white_noise, -3.0, 3.0)
     table.assign(y=scaled).to_csv(path, index=False)
@@ -61,6 +67,7 @@ GUESSES = {
     "Heater 1,Heater 2,Temperature 1,Temperature 2": ("Heater 1", "Temperature 1"),
     "1,2,3,4": ("0", "2"),
     "motorCommand,targetSpeed,leftSpeed,rightSpeed": ("motorCommand", "leftSpeed"),
+    "rightCommand,pad,leftSpeed,rightSpeed": ("rightCommand", "rightSpeed"),
     "Ph,Pw,Ta,yTi": ("Ph", "yTi"),
 }
 
@@ -83,7 +90,9 @@ def test_a_constant_set_point_or_nameless_column_hinders_no_guess(tmp_path: Path
     table = held_levels_log()
     named = table.assign(targetSpeed=200.0)
     named.to_csv(tmp_path / "log.csv", index=False)
-    assert look(tmp_path / "log.csv").input == "u"
+    seen = look(tmp_path / "log.csv")
+    assert seen.input == "u"
+    assert "data.reference" not in str(seen)
     signals = np.column_stack([table["u"], table["y"], np.zeros(400)])
     scipy.io.savemat(tmp_path / "log.mat", {"dataAll": signals})
     seen = look(tmp_path / "log.mat")
