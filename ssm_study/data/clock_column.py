@@ -127,8 +127,8 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     clocks = [title for title in named if is_clock_column(table, title)]
     strict = [title for title in clocks if is_strict_clock(table, title)]
     if clocks:
-        first = (strict or clocks)[0]
-        return dated_clock_of_another_span(table, first, free) or first
+        clock = (strict or clocks)[0]
+        return dated_clock_of_another_span(table, clock, free) or clock
     for title in free:
         if has_clock_word(title) and is_strict_clock(table, title):
             return title
