@@ -206,10 +206,10 @@ def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
     noise = np.full(noise_shape, 0.01)
     reference = np.zeros((5, 1))
     disturbance = np.zeros(noise_shape)
-    arguments = {"x0": x0, "reference": reference, "noise": noise, "disturbance": disturbance}
+    signals = {"reference": reference, "noise": noise, "disturbance": disturbance}
     bound = np.full(1, 10.0)
     uncontrolled = Uncontrolled.for_plant(plant)
-    run = simulate_closed_loop(plant, uncontrolled, **arguments, bound=bound)
+    run = simulate_closed_loop(plant, uncontrolled, initial_states=x0, bound=bound, **signals)
     expected = [0, STAYED]
     assert run.left_at_sample.tolist() == expected
     start = plant.output(x0)
@@ -218,8 +218,8 @@ def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
     assert difference > 10
     resting_input = [[0.7]]
     measured_start = (run.measured, start + 0.01)
-    signals = ((run.u, resting_input), (run.y, start), measured_start, (run.states, x0))
-    for signal, expected_signal in signals:
+    rows = ((run.u, resting_input), (run.y, start), measured_start, (run.states, x0))
+    for signal, expected_signal in rows:
         samples = (5, 1)
         expected = np.tile(expected_signal[0], samples)
         np.testing.assert_array_equal(signal[0], expected)
