@@ -34,7 +34,8 @@ def random_run(
     model = random_model(rng, kind, channels)
     design = random_design(rng, model, integral)
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(model.to_json())
+    content = model.to_json()
+    text = json.dumps(content)
     (folder / "model.json").write_text(text)
     design.save(folder / "certificate.json")
     return folder
@@ -50,21 +51,19 @@ def random_model(rng: np.random.Generator, kind: str, channels: int) -> SSM:
     spectral_radius = np.abs(eigenvalues).max()
     scaled = 0.6 * a / spectral_radius
     linear = StateSpace(a=scaled, b=b, c=c, d=d)
-    scaffold_in = random_scaffold(rng, kind, channels)
-    scaffold_out = random_scaffold(rng, kind, channels)
+    scaffolds = {
+        "scaffold_in": random_scaffold(rng, kind, channels),
+        "scaffold_out": random_scaffold(rng, kind, channels),
+    }
     input_scale = rng.uniform(0.5, 2, channels)
     output_scale = rng.uniform(0.5, 2, channels)
+    scales = {"input_scale": input_scale, "output_scale": output_scale}
     input_equilibrium = rng.standard_normal(channels)
     output_equilibrium = rng.standard_normal(channels)
     scale = Scale(
-        input_scale=input_scale,
-        output_scale=output_scale,
-        input_equilibrium=input_equilibrium,
-        output_equilibrium=output_equilibrium,
+        **scales, input_equilibrium=input_equilibrium, output_equilibrium=output_equilibrium
     )
-    return SSM(
-        linear=linear, scaffold_in=scaffold_in, scaffold_out=scaffold_out, scale=scale, step_s=0.01
-    )
+    return SSM(linear=linear, scale=scale, step_s=0.01, **scaffolds)
 
 
 def random_scaffold(rng: np.random.Generator, kind: str, channels: int) -> Scaffold:
@@ -74,12 +73,13 @@ def random_scaffold(rng: np.random.Generator, kind: str, channels: int) -> Scaff
         return LinearScaffold(gain=gain)
     if kind == "mlp":
         hidden = (5, 6)
-        mlp_scaffold_network = _network(rng, channels, hidden)
-        return MlpScaffold(network=mlp_scaffold_network)
+        network = _network(rng, channels, hidden)
+        return MlpScaffold(network=network)
     if kind == "monotone":
         white_noise = rng.standard_normal((channels, 5))
         breaks = np.sort(white_noise, axis=1)
-        slopes = rng.uniform(0.1, 1, (channels, 6))
+        shape = (channels, 6)
+        slopes = rng.uniform(0.1, 1, shape)
         return MonotoneScaffold(breakpoints=breaks, slopes=slopes)
     network = _network(rng, channels, (5,))
     multipliers = (np.ones(5),)
@@ -88,93 +88,113 @@ def random_scaffold(rng: np.random.Generator, kind: str, channels: int) -> Scaff
 
 def _network(rng: np.random.Generator, channels: int, hidden: tuple[int, ...]) -> Network:
     widths = (channels, *hidden, channels)
-    pairs = list(zip(widths[1:], widths[:-1], strict=True))
-    weights = tuple(rng.standard_normal(shape) / np.sqrt(shape[1]) for shape in pairs)
-    biases = tuple(rng.standard_normal(h) for h in hidden)
-    negative_slopes = tuple(np.full(h, 0.1) for h in hidden)
-    positive_slopes = tuple(rng.uniform(0.5, 1, h) for h in hidden)
-    return Network(
-        weights=weights,
-        biases=biases,
-        negative_slopes=negative_slopes,
-        positive_slopes=positive_slopes,
-    )
+    weights = []
+    for rows, columns in zip(widths[1:], widths[:-1], strict=True):
+        white_noise = rng.standard_normal((rows, columns))
+        weights.append(white_noise / np.sqrt(columns))
+    biases = tuple(rng.standard_normal(width) for width in hidden)
+    negative_slopes = tuple(np.full(width, 0.1) for width in hidden)
+    positive_slopes = tuple(rng.uniform(0.5, 1, width) for width in hidden)
+    slopes = {"negative_slopes": negative_slopes, "positive_slopes": positive_slopes}
+    return Network(weights=tuple(weights), biases=biases, **slopes)
+
+
+PLACEHOLDER_NUMBERS = {"alpha": 0.5, "beta": 0.1, "rate": 0.2, "rate_limit": 0.4}
+PLACEHOLDER_OUTCOME = {"certified": True, "margin": 0.1, "condition": 1.0}
+PLACEHOLDER_WORDS = {"method": "placeholder", "solver_status": "none", "seconds": 0.0}
+PLACEHOLDERS = PLACEHOLDER_NUMBERS | PLACEHOLDER_OUTCOME | PLACEHOLDER_WORDS
+
+
+def add_internal_model(model: SSM, integral: bool | list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """State and input matrix with an internal model: of one output a ramp and a sine, of several
+    outputs constants, unless named."""
+    linear = model.linear
+    outputs = model.scale.outputs
+    if isinstance(integral, list):
+        signals = integral
+    elif outputs == 1:
+        signals = ["ramp", "sine(5Hz)"]
+    else:
+        signals = ["step"]
+    modes = internal_model(signals, model.step_s, outputs)
+    gain_of_errors = 0.7 * np.eye(outputs)
+    error_inputs = error_input_matrix(modes, outputs) @ gain_of_errors
+    no_coupling = np.zeros((len(linear.a), len(modes)))
+    own_states = [linear.a, no_coupling]
+    model_states = [error_inputs @ linear.c, modes]
+    a = np.block([own_states, model_states])
+    b = np.vstack([linear.b, error_inputs @ linear.d])
+    return a, b
 
 
 def random_design(rng: np.random.Generator, model: SSM, integral: bool | list[str]) -> Design:
-    linear_b = model.linear.b
-    outputs = model.scale.outputs
-    n, m = linear_b.shape
-    p = outputs
     linear = model.linear
-    shared = {
-        "alpha": 0.5,
-        "beta": 0.1,
-        "rate": 0.2,
-        "certified": True,
-        "margin": 0.1,
-        "condition": 1.0,
-    }
-    shared |= {"rate_limit": 0.4, "method": "placeholder", "solver_status": "none", "seconds": 0.0}
+    n, m = linear.b.shape
+    p = model.scale.outputs
     a = linear.a
     b = linear.b
-    if integral:  # of one output a ramp and a sine, of several outputs constants, unless named
-        if isinstance(integral, list):
-            named = integral
-        else:
-            named = ["ramp", "sine(5Hz)"] if p == 1 else ["step"]
-        modes = internal_model(named, model.step_s, p)
-        gain_of_errors = 0.7 * np.eye(p)
-        fed = error_input_matrix(modes, p) @ (gain_of_errors)
-        no_coupling = np.zeros((n, len(modes)))
-        a = np.block([[a, no_coupling], [fed @ linear.c, modes]])
-        b = np.vstack([b, fed @ linear.d])
+    if integral:
+        a, b = add_internal_model(model, integral)
     white_noise = rng.standard_normal((m, len(a)))
     k = 0.1 * white_noise
     white_noise = rng.standard_normal((n, p))
     l = 0.05 * white_noise  # noqa: E741
     wide = np.eye(len(a))
     eye = np.eye(n)
-    state_feedback = StateFeedbackOfBall(a=a, b=b, p=wide, y=wide, x=k, sigma=1.0, k=k, **shared)
-    observer = ObserverOfBall(a=linear.a, c=linear.c, q=eye, u=eye, v=l, eta=1.0, l=l, **shared)
+    variables = {"p": wide, "y": wide, "x": k, "sigma": 1.0}
+    state_feedback = StateFeedbackOfBall(a=a, b=b, k=k, **variables, **PLACEHOLDERS)
+    variables = {"q": eye, "u": eye, "v": l, "eta": 1.0}
+    observer = ObserverOfBall(a=linear.a, c=linear.c, l=l, **variables, **PLACEHOLDERS)
     return Design(state_feedback=state_feedback, observer=observer)
+
+
+TIME_S = np.arange(200) * 0.01
+VOLT = (Channel(name="armature_voltage", unit="V"),)
+SPEED = (Channel(name="load_speed", unit="rad/s"),)
+
+
+def make_group(topic: str, channels: tuple[Channel, ...], values: np.ndarray) -> SignalGroup:
+    """Signals of one topic, at the times that all made-up records share."""
+    return SignalGroup(topic=topic, time_s=TIME_S, channels=channels, values=values)
+
+
+def make_closed_loop_case(i: int, start: float) -> list[SignalGroup]:
+    """One made-up closed loop that decays from its start."""
+    envelope = np.exp(-TIME_S / 0.05)
+    decay = start * envelope[:, None]
+    slow_decay = np.sqrt(np.abs(decay))
+    reference = make_group(f"/case_{i}/reference", SPEED, 0 * decay)
+    output = make_group(f"/case_{i}/output", SPEED, decay)
+    applied = make_group(f"/case_{i}/input", VOLT, -decay)
+    uncontrolled = make_group(f"/case_{i}/uncontrolled", SPEED, slow_decay)
+    return [reference, output, applied, uncontrolled]
 
 
 def write_recordings(run: Path, *, seed: int = 0) -> Path:
     """`validation.mcap`, `excitation.mcap` and `closed_loop.mcap` with ten made-up cases, as a
     study leaves them."""
     rng = np.random.default_rng(seed)
-    time_s = np.arange(200) * 0.01
     white_noise = rng.standard_normal((200, 1))
     u = np.sign(white_noise) * 5
     y = rng.standard_normal((200, 1))
-    channel = Channel(name="armature_voltage", unit="V")
-    volt = (channel,)
-    channel = Channel(name="load_speed", unit="rad/s")
-    speed = (channel,)
-
-    def group(topic: str, channels: tuple[Channel, ...], values: np.ndarray) -> SignalGroup:
-        return SignalGroup(topic=topic, time_s=time_s, channels=channels, values=values)
-
-    signals = [("/input", volt, u), ("/measured", speed, y), ("/simulated", speed, 0.9 * y)]
+    simulated = 0.9 * y
+    groups = (
+        make_group("/input", VOLT, u),
+        make_group("/measured", SPEED, y),
+        make_group("/simulated", SPEED, simulated),
+    )
     for name in ("validation", "test"):
-        written = tuple(group(*signal) for signal in signals)
         metadata = {"step_s": "0.01"}
-        write_mcap(run / f"{name}.mcap", written, metadata)
-    records = [group(f"/record_{i}/input", volt, rng.uniform(-5, 5, (200, 1))) for i in range(3)]
+        write_mcap(run / f"{name}.mcap", groups, metadata)
+    records = []
+    for i in range(3):
+        levels = rng.uniform(-5, 5, (200, 1))
+        records.append(make_group(f"/record_{i}/input", VOLT, levels))
     write_mcap(run / "excitation.mcap", tuple(records), {})
-    cases = []
+    cases: list[SignalGroup] = []
     start_outputs = rng.uniform(-4, 4, 11)
     for i, start in enumerate(start_outputs):
-        envelope = np.exp(-time_s / 0.05)
-        decay = start * envelope[:, None]
-        signal_group = group(f"/case_{i}/reference", speed, 0 * y)
-        cases += [signal_group, group(f"/case_{i}/output", speed, decay)]
-        signal_group = group(f"/case_{i}/input", volt, -decay)
-        cases += [signal_group]
-        slow_decay = np.sqrt(np.abs(decay))
-        signal_group = group(f"/case_{i}/uncontrolled", speed, slow_decay)
-        cases += [signal_group]
+        cases += make_closed_loop_case(i, start)
     metadata = {"settling_band": "0.5"}
     write_mcap(run / "closed_loop.mcap", tuple(cases), metadata)
     write_comparison(run)
@@ -183,12 +203,14 @@ def write_recordings(run: Path, *, seed: int = 0) -> Path:
 
 def write_comparison(run: Path) -> None:
     """`comparison.csv` of two controllers in two situations, and a `training_curve.json`."""
-    names = ("pi", "auto")
-    rows = [f"{name},{case},0.9,0.1,0.2,3.0" for name in names for case in ("nominal", "delay")]
-    head = "controller,situation,stable_fraction,"
-    head += "settling_time_mean_s,settling_time_open_loop_s,input_peak_v"
-    text = "\n".join([head, *rows])
-    (run / "comparison.csv").write_text(text + "\n")
+    rows = ["controller,situation,stable_fraction,"]
+    rows[0] += "settling_time_mean_s,settling_time_open_loop_s,input_peak_v"
+    for name in ("pi", "auto"):
+        rows.append(f"{name},nominal,0.9,0.1,0.2,3.0")
+        rows.append(f"{name},delay,0.9,0.1,0.2,3.0")
+    text = "\n".join(rows)
+    path = run / "comparison.csv"
+    path.write_text(text + "\n")
     curve = [{"epoch": k, "loss_training": 1 / (k + 1)} for k in range(9)]
     text = json.dumps(curve)
     (run / "training_curve.json").write_text(text)

@@ -30,25 +30,23 @@ from ssm_study.study.run_files import RunFiles
 from ssm_study.systems import StateSpace
 
 LEVEL = st.floats(-1e3, 1e3)
+WIDTH = st.floats(0.1, 1e3)
+SHARE = st.floats(0.05, 0.95)
+STEP_S = st.floats(0.001, 10.0)
+SETTLING = st.integers(20, 200)
+SEED = st.integers(0, 9)
 
 
-@given(
-    LEVEL,
-    st.floats(0.1, 1e3),
-    st.floats(0.05, 0.95),
-    st.floats(0.001, 10.0),
-    st.integers(20, 200),
-    st.integers(0, 9),
-)
+@given(LEVEL, WIDTH, SHARE, STEP_S, SETTLING, SEED)
 def test_the_signal(
     lower: float, width: float, share: float, step_s: float, samples: int, seed: int
 ) -> None:
     upper = lower + width
     rest = lower + share * width
     settle_s = samples * step_s * (1 + 1e-9)
-    record = OwnPlantRecord(
-        lower=lower, upper=upper, rest=rest, step_s=step_s, settle_s=settle_s, seed=seed
-    )
+    limits = {"lower": lower, "upper": upper, "rest": rest}
+    times = {"step_s": step_s, "settle_s": settle_s}
+    record = OwnPlantRecord(**limits, **times, seed=seed)
     u = record.signal()
     smallest = u.min()
     assert lower <= smallest < u.max() <= upper
@@ -61,13 +59,15 @@ def test_the_signal(
     signal_samples = len(u) - at_rest
     period = signal_samples // (PERIODS * parts)
     reaches = []
-    for part in range(len(AMPLITUDES)):
+    for part in range(parts):
         samples_at_rest = 2 * samples * (part + 1)
         start = samples_at_rest + part * PERIODS * period
-        first = u[start : start + period]
-        again = u[start + period : start + 2 * period]
+        middle = start + period
+        first = u[start:middle]
+        again = u[middle : middle + period]
         assert np.array_equal(first, again)
-        assert len(np.unique(first)) > 30
+        values = np.unique(first)
+        assert len(values) > 30
         difference = np.abs(first - rest)
         largest_difference = difference.max()
         reaches.append(largest_difference)
@@ -75,25 +75,48 @@ def test_the_signal(
     assert reaches == expected
 
 
+SIGNAL = {"lower": -1.0, "upper": 3.0, "rest": 1.0}
+TIMES = {"step_s": 0.1, "settle_s": 3.0}
+EQUILIBRIA = {"input_equilibrium": [1.0], "output_equilibrium": [0.0]}
+READING = {"input": "u", "output": "y", "step_s": 0.1}
+
+
+def read_log(path: Path, u: np.ndarray, y: np.ndarray) -> DataSet:
+    """Write a log of the record and read it with its equilibrium."""
+    table = pd.DataFrame({"u": u, "y": y})
+    table.to_csv(path, index=False)
+    options = READING | EQUILIBRIA
+    recorded_data = RecordedData(path=str(path), start_up_samples=20, **options)
+    return recorded_data.build(0)
+
+
+def lag_model(gain: float) -> SSM:
+    """The lag of pole 0.8 with this input gain, at rest at input one."""
+    a = np.array([[0.8]])
+    b = np.array([[gain]])
+    c = np.eye(1)
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
+    unit_scale = Scale.identity(1, 1)
+    input_equilibrium = np.ones(1)
+    scale = replace(unit_scale, input_equilibrium=input_equilibrium)
+    return SSM.from_linear(linear, 0.1, scale)
+
+
 def log_of(folder: Path, *more: float) -> DataSet:
     """The log of a lag driven by the record, with noise; `more` inputs follow before the last
     rest."""
-
-    own = OwnPlantRecord(lower=-1.0, upper=3.0, rest=1.0, step_s=0.1, settle_s=3.0)
+    own = OwnPlantRecord(**SIGNAL, **TIMES)
     added_levels = np.repeat(more, 10)
-    added_rest = np.full(60 * bool(more), 1.0)
+    rest_samples = 60 * bool(more)
+    added_rest = np.full(rest_samples, 1.0)
     u = np.concatenate([own.signal(), added_levels, added_rest])
     deviation = u - 1
     filtered_signal = scipy.signal.lfilter([0, 0.2], [1, -0.8], deviation)
     rng = np.random.default_rng(0)
     white_noise = rng.standard_normal(len(u))
     y = filtered_signal + 0.05 * white_noise
-    table = pd.DataFrame({"u": u, "y": y})
-    table.to_csv(folder / "log.csv", index=False)
-    path = str(folder / "log.csv")
-    read = {"path": path, "input": "u", "output": "y", "step_s": 0.1, "start_up_samples": 20}
-    recorded_data = RecordedData(**read, input_equilibrium=[1.0], output_equilibrium=[0.0])
-    return recorded_data.build(0)
+    return read_log(folder / "log.csv", u, y)
 
 
 def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(
@@ -102,24 +125,18 @@ def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(
     """A model with three quarters of the gain misses a third of its own output, whatever the
     noise."""
     data = log_of(tmp_path)
-    a = np.array([[0.8]])
-    b = np.array([[0.15]])
-    c = np.eye(1)
-    d = np.zeros((1, 1))
-    linear = StateSpace(a=a, b=b, c=c, d=d)
-    scale = Scale.identity(1, 1)
-    input_equilibrium = np.ones(1)
-    identity = replace(scale, input_equilibrium=input_equilibrium)
-    model = SSM.from_linear(linear, 0.1, identity)
-    shown = measure_mismatch(model, data.validation, data.start_up_samples, data.mismatch_records)
-    assert len(shown.views) == len(AMPLITUDES)
-    amplitudes = [view.amplitude for view in shown.views]
-    actual = np.divide(amplitudes, amplitudes[-1])
-    np.testing.assert_allclose(actual, sorted(AMPLITUDES), rtol=0.25)
-    for view in shown.views:
-        actual = np.abs(view.linear[1:5])
-        np.testing.assert_allclose(actual, 1 / 3, rtol=0.15)
-    assert shown.plant_comes_to_rest
+    model = lag_model(0.15)
+    records = (data.validation, data.start_up_samples, data.mismatch_records)
+    mismatch = measure_mismatch(model, *records)
+    assert len(mismatch.views) == len(AMPLITUDES)
+    amplitudes = [view.amplitude for view in mismatch.views]
+    relative = np.divide(amplitudes, amplitudes[-1])
+    expected = sorted(AMPLITUDES)
+    np.testing.assert_allclose(relative, expected, rtol=0.25)
+    for view in mismatch.views:
+        gains = np.abs(view.linear[1:5])
+        np.testing.assert_allclose(gains, 1 / 3, rtol=0.15)
+    assert mismatch.plant_comes_to_rest
 
 
 HIDDEN = (0.3, 0.9)  # rad/sample
@@ -128,23 +145,18 @@ HIDDEN = (0.3, 0.9)  # rad/sample
 def log_with_sines(folder: Path, hidden: float) -> DataSet:
     """The log of a lag behind a filter of gain `1 + hidden` at the first of two frequencies, driven
     by the record with sines at both."""
-    own = OwnPlantRecord(lower=-1.0, upper=3.0, rest=1.0, step_s=0.1, settle_s=3.0, sines=HIDDEN)
-    moved = own.signal() - 1
+    own = OwnPlantRecord(**SIGNAL, **TIMES, sines=HIDDEN)
+    u = own.signal()
+    moved = u - 1
     frequency = HIDDEN[0] / np.pi
     resonant = scipy.signal.iirpeak(frequency, 30)
     resonance = scipy.signal.lfilter(*resonant, moved)
     moved = moved + hidden * resonance
     y = scipy.signal.lfilter([0, 0.2], [1, -0.8], moved)
-    white_noise = np.random.default_rng(0).standard_normal(len(y))
+    rng = np.random.default_rng(0)
+    white_noise = rng.standard_normal(len(y))
     y += 0.002 * white_noise
-    u = own.signal()
-    log = pd.DataFrame({"u": u, "y": y})
-    log.to_csv(folder / "log.csv", index=False)
-    path = str(folder / "log.csv")
-    read = {"path": path, "input": "u", "output": "y", "step_s": 0.1}
-    read["start_up_samples"] = 20
-    source = RecordedData(**read, input_equilibrium=[1.0], output_equilibrium=[0.0])
-    return source.build(0)
+    return read_log(folder / "log.csv", u, y)
 
 
 @pytest.mark.parametrize("hidden", [0.0, 1.0])
@@ -154,65 +166,50 @@ def test_its_sines_raise_the_mismatch_at_their_frequency_alone(
     """A narrow resonance that random levels average over: the sine there meets all of it, in the
     mismatch and in the premise of the coverage."""
     data = log_with_sines(tmp_path, hidden)
-    pole = np.array([[0.8]])
-    gain = np.array([[0.2]])
-    no_feedthrough = np.zeros((1, 1))
-    output = np.eye(1)
-    linear = StateSpace(a=pole, b=gain, c=output, d=no_feedthrough)
-    unit_scale = Scale.identity(1, 1)
-    scale = replace(unit_scale, input_equilibrium=np.ones(1))
-    model = SSM.from_linear(linear, 0.1, scale)
-    records = data.validation, data.start_up_samples, data.mismatch_records
-    shown = measure_mismatch(model, *records)
+    model = lag_model(0.2)
+    records = (data.validation, data.start_up_samples, data.mismatch_records)
+    mismatch = measure_mismatch(model, *records)
+    views = mismatch.views
     point = np.exp(1j * HIDDEN[0])
     lag = np.abs(0.2 / (point - 0.8))
-    last_line = len(shown.views[0].by_frequency) - 1
+    last_line = len(views[0].by_frequency) - 1
     near = round(HIDDEN[0] / np.pi * last_line)
-    near_the_sine = [view.by_frequency[near] for view in shown.views]
-    largest = max(near_the_sine)
-    assert (largest > 0.9 * lag) == bool(hidden)
-    assert len(shown.views) == len(AMPLITUDES) + 1  # the smallest sines are below all levels
-    premise = measure_premise(
-        model, data.validation, shown, data.start_up_samples, data.mismatch_records
-    )
+    near_the_sine = [view.by_frequency[near] for view in views]
+    is_visible = max(near_the_sine) > 0.9 * lag
+    assert is_visible == bool(hidden)
+    assert len(views) == len(AMPLITUDES) + 1  # the smallest sines are below all levels
+    validation, *others = records
+    premise = measure_premise(model, validation, mismatch, *others)
     assert len(premise.repeating) == len(AMPLITUDES)
     number_of_sines = len(HIDDEN) * len(SINE_AMPLITUDES)
     assert len(premise.sines) == number_of_sines
-    seen = {}
+    ratios: dict[str, float] = {}
     for item in premise.requirements(0.0):
         is_sine = item.place.startswith("one sine")
-        if is_sine and item.model_power.sum() > 0:
-            model_power = item.model_power.sum()
+        model_power = item.model_power.sum()
+        if is_sine and model_power > 0:
             ratio = np.sqrt(item.seen / model_power)
-            largest_so_far = seen.get(item.place, 0.0)
-            seen[item.place] = max(largest_so_far, ratio)
-    assert seen["one sine at 0.90 rad/sample"] < 0.1
-    assert (seen["one sine at 0.30 rad/sample"] > 0.5) == bool(hidden)
+            largest_so_far = ratios.get(item.place, 0.0)
+            ratios[item.place] = max(largest_so_far, ratio)
+    assert ratios["one sine at 0.90 rad/sample"] < 0.1
+    is_missed = ratios["one sine at 0.30 rad/sample"] > 0.5
+    assert is_missed == bool(hidden)
 
 
 def test_equal_pulses_in_another_log_do_not_stand_for_it(tmp_path: Path) -> None:
     data_set = log_of(tmp_path, 0.5, 2.0, 1.5)
     trials = data_set.mismatch_records
-    kept = [trial for trial in trials if not is_return_to_rest(trial)]
-    assert kept == []
+    in_motion = [trial for trial in trials if not is_return_to_rest(trial)]
+    assert in_motion == []
 
 
 def test_the_command_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [
-        "--lower",
-        "0",
-        "--upper",
-        "100",
-        "--rest",
-        "40",
-        "--step-s",
-        "0.5",
-        "--settle-s",
-        "60",
-    ]
-    input_path = str(tmp_path / "input.csv")
-    assert main(["excite", "--to", input_path, *words]) == 0
-    table = pd.read_csv(tmp_path / "input.csv")
+    path = tmp_path / "input.csv"
+    limits = ["--lower", "0", "--upper", "100", "--rest", "40"]
+    times = ["--step-s", "0.5", "--settle-s", "60"]
+    command = ["excite", "--to", str(path), *limits, *times]
+    assert main(command) == 0
+    table = pd.read_csv(path)
     expected = ["time_s", "input"]
     assert list(table) == expected
     differences = np.diff(table["time_s"])
@@ -224,29 +221,34 @@ def test_a_first_log_gives_what_is_not_given(smoke_run: Path, tmp_path: Path) ->
     """Its own range with rest, its sampling time, and holds that its model's response asks for."""
     file = tmp_path / "input.csv"
     run_files = RunFiles(path=smoke_run, record={})
-    known = run_files.excitation
-    assert main(["excite", "--to", str(file), "--after", str(smoke_run)]) == 0
+    excitation = run_files.excitation
+    command = ["excite", "--to", str(file), "--after", str(smoke_run)]
+    assert main(command) == 0
     table = pd.read_csv(file)
     smallest = table["input"].min()
     largest = table["input"].max()
-    assert known["lower"] <= smallest < known["rest"] < largest <= known["upper"]
+    rest = excitation["rest"]
+    assert excitation["lower"] <= smallest < rest
+    assert rest < largest <= excitation["upper"]
     differences = np.diff(table["time_s"])
-    assert np.allclose(differences, known["step_s"])
+    assert np.allclose(differences, excitation["step_s"])
     settlings_per_amplitude = PERIODS * PERIOD_IN_SETTLINGS + 2
     settlings = 2 + len(AMPLITUDES) * settlings_per_amplitude
-    samples_per_settling = round(known["settle_s"] / known["step_s"])
+    step_s = excitation["step_s"]
+    samples_per_settling = round(excitation["settle_s"] / step_s)
     of_levels = settlings * samples_per_settling
     angles = run_files.sine_angles
     assert 1 <= len(angles) <= 2
     signal = table["input"].to_numpy()
-    last = signal[of_levels:] - known["rest"]
-    spectrum = np.abs(np.fft.rfft(last))
-    loudest_line = np.argmax(spectrum)
+    last = signal[of_levels:] - rest
+    spectrum = np.fft.rfft(last)
+    loudest_line = np.argmax(np.abs(spectrum))
     loudest = 2 * np.pi * loudest_line / len(last)
     deviations = [abs(loudest / angle - 1) for angle in angles]
     assert min(deviations) < 0.15
-    assert main(["excite", "--to", str(file), "--after", str(smoke_run), "--upper", "1"]) == 0
-    largest = pd.read_csv(file)["input"].max()
+    assert main([*command, "--upper", "1"]) == 0
+    table = pd.read_csv(file)
+    largest = table["input"].max()
     assert largest <= 1
 
 
@@ -256,23 +258,25 @@ def test_without_a_log_each_number_is_asked_for(
     input_path = str(tmp_path / "input.csv")
     words = ["excite", "--to", input_path, "--lower", "0", "--rest", "1"]
     assert main(words) == 2
-    assert (
-        "--upper = not given: it is needed when no earlier run is named; give it, or --after RUN"
-        in capsys.readouterr().err
-    )
+    need = "it is needed when no earlier run is named; give it, or --after RUN"
+    message = capsys.readouterr().err
+    assert f"--upper = not given: {need}" in message
 
 
-REFUSED_SIGNALS = [
-    ({"rest": 5.0}, "rest must lie strictly between"),
-    ({"upper": math.inf}, "rest must lie strictly between"),
+STRICTLY_BETWEEN = "rest must lie strictly between"
+REFUSED_LEVELS = [({"rest": 5.0}, STRICTLY_BETWEEN), ({"upper": math.inf}, STRICTLY_BETWEEN)]
+TOO_FEW_SAMPLES = "fewer than twenty samples, too few to see its dynamics; sample faster"
+REFUSED_TIMES = [
     ({"settle_s": math.inf}, "settle_s = inf: must be positive and finite"),
     ({"step_s": 0.0}, "must be positive"),
-    ({"settle_s": 1.9}, "fewer than twenty samples, too few to see its dynamics; sample faster"),
+    ({"settle_s": 1.9}, TOO_FEW_SAMPLES),
 ]
+SOUND_LEVELS = {"lower": -1.0, "upper": 1.0, "rest": 0.0}
+SOUND_TIMES = {"step_s": 0.1, "settle_s": 5.0}
 
 
-@pytest.mark.parametrize(("changed", "said"), REFUSED_SIGNALS)
-def test_refusals(changed: dict[str, float], said: str) -> None:
-    sound = {"lower": -1.0, "upper": 1.0, "rest": 0.0, "step_s": 0.1, "settle_s": 5.0}
-    with pytest.raises(BadRequest, match=said):
+@pytest.mark.parametrize(("changed", "words"), [*REFUSED_LEVELS, *REFUSED_TIMES])
+def test_refusals(changed: dict[str, float], words: str) -> None:
+    sound = SOUND_LEVELS | SOUND_TIMES
+    with pytest.raises(BadRequest, match=words):
         OwnPlantRecord(**(sound | changed))

@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "ssm_study"
 PAGES = [*ROOT.glob("docs/*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 SETTINGS = [*ROOT.glob("conf/**/*.yaml"), ROOT / "mkdocs.yml", ROOT / "Makefile"]
 FOLDERS = (
     "ssm_study|hydra_plugins|benchmarks|conf|docs|examples|experiments|tests|results/reference"
 )
-ROOM_NAMES = [path.name for path in (ROOT / "ssm_study").iterdir() if path.is_dir()]
+ROOM_NAMES = [path.name for path in PACKAGE.iterdir() if path.is_dir()]
 ROOMS = "|".join(sorted(ROOM_NAMES))
 FILE = re.compile(rf"(?<![\w./-])((?:{FOLDERS}|{ROOMS})/[\w./*-]*\w)")
 MODULE = re.compile(r"(?<![\w./-])ssm_study((?:\.\w+)+)")
@@ -24,27 +25,26 @@ TO_WRITE = re.compile(r'(?:title|file)="([^"]+)"|# (conf/\S+\.yaml):')
 
 
 def named_files(text: str) -> set[str]:
-    to_write = {
-        found
-        for page in PAGES
-        for pair in TO_WRITE.findall(page.read_text())
-        for found in pair
-        if found
-    }
+    to_write: set[str] = set()
+    for page in PAGES:
+        for pair in TO_WRITE.findall(page.read_text()):
+            to_write.update(pair)
     names = FILE.findall(text)
     return {name for name in names if name not in to_write}
 
 
 def named_modules(text: str) -> set[str]:
     to_write = TO_WRITE.findall(text)
-    own = tuple(found.removesuffix(".py").replace("/", ".") for found, _ in to_write if found)
+    files = [file for file, _ in to_write if file]
+    own = tuple(file.removesuffix(".py").replace("/", ".") for file in files)
     paths = MODULE.findall(text)
     return {path for path in paths if not f"ssm_study{path}".startswith(own or "\0")}
 
 
 def exists(file: str) -> bool:
-    bases = (ROOT, ROOT / "ssm_study", ROOT / "conf")
-    return any(True for base in bases for _ in base.glob(file))
+    bases = (ROOT, PACKAGE, ROOT / "conf")
+    matches = [list(base.glob(file)) for base in bases]
+    return any(matches)
 
 
 def defined(dotted: str) -> bool:
@@ -52,12 +52,9 @@ def defined(dotted: str) -> bool:
     follows."""
     parts = dotted.strip(".").split(".")
     for length in range(len(parts), -1, -1):
-        base = ROOT.joinpath("ssm_study", *parts[:length])
-        module = (
-            base.with_suffix(".py")
-            if length and base.with_suffix(".py").exists()
-            else base / "__init__.py"
-        )
+        base = PACKAGE.joinpath(*parts[:length])
+        file = base.with_suffix(".py")
+        module = file if length and file.exists() else base / "__init__.py"
         if module.exists():
             if length == len(parts):
                 return True
@@ -66,7 +63,10 @@ def defined(dotted: str) -> bool:
     return False
 
 
-@pytest.mark.parametrize("page", [*PAGES, *SETTINGS], ids=lambda path: str(path.relative_to(ROOT)))
+EVERYWHERE = [*PAGES, *SETTINGS]
+
+
+@pytest.mark.parametrize("page", EVERYWHERE, ids=lambda path: str(path.relative_to(ROOT)))
 def test_what_a_page_names_is_there(page: Path) -> None:
     text = page.read_text()
     names = sorted(named_files(text))

@@ -12,14 +12,9 @@ def study(**more: object) -> pd.DataFrame:
     rate_controller = [0.1] * 3 + [0.3] * 3
     fit_test_percent = [90.0, 91.0, 92.0, 90.0, 91.0, 92.0]
     resolved_margin = [2.0, 3.0, 4.0, 1.5, 2.5, None]
-    table = pd.DataFrame(
-        {
-            "seed": seed,
-            "rate_controller": rate_controller,
-            "fit_test_percent": fit_test_percent,
-            "resolved_margin": resolved_margin,
-        }
-    )
+    settings = {"seed": seed, "rate_controller": rate_controller}
+    outcomes = {"fit_test_percent": fit_test_percent, "resolved_margin": resolved_margin}
+    table = pd.DataFrame(settings | outcomes)
     return table.assign(**more)
 
 
@@ -27,9 +22,11 @@ def test_each_setting_has_its_mean_and_deviation() -> None:
     lines = seed_statistics_lines(study())
     expected = ["", "mean ± deviation over seeds"]
     assert lines[:2] == expected
-    first, second = (line.split() for line in lines[-2:])
-    expected = ["0.1", "3", "91", "±", "1", "3", "±", "1", "-", "-"]
-    assert first == expected
+    first = lines[-2].split()
+    second = lines[-1].split()
+    rate_and_fit = ["0.1", "3", "91", "±", "1"]
+    margin = ["3", "±", "1", "-", "-"]
+    assert first == [*rate_and_fit, *margin]
     expected = ["2", "±", "0.71"]
     assert second[5:8] == expected, "a seed without a result is left out"
 
@@ -41,7 +38,10 @@ def test_one_seed_or_one_run_a_setting_has_no_deviation() -> None:
     assert seed_statistics_lines(table) == []
 
 
-@pytest.mark.parametrize(("values", "words"), [([], "-"), ([2.0], "2"), ([1.0, 2.0], "1.5 ± 0.71")])
+GROUPS = [([], "-"), ([2.0], "2"), ([1.0, 2.0], "1.5 ± 0.71")]
+
+
+@pytest.mark.parametrize(("values", "words"), GROUPS)
 def test_the_words_of_a_group(values: list[float], words: str) -> None:
     series = pd.Series(values, dtype=float)
     assert mean_and_deviation(series) == words

@@ -9,73 +9,82 @@ from ssm_study.table.gather import table_from_records
 from ssm_study.table.show import cost_lines, render_table, stage_costs, summary_lines
 
 
+def render_records(rows: list[dict[str, object]], **layout: int) -> list[str]:
+    """The lines of the table of these records."""
+    table = table_from_records(rows)
+    text = render_table(table, **layout)
+    return text.splitlines()
+
+
+def make_wide_row(i: int) -> dict[str, object]:
+    """One run of many settings."""
+    row: dict[str, object] = {"run": f"order{i}-width32-seed0-0123456789"}
+    row |= {"status": "infeasible", "rate_controller": i / 9}
+    row |= {"seed": i, "order": i, "hidden_width": i}
+    row |= {"slope_lower": i / 7, "slope_upper": i / 3}
+    return row
+
+
 def test_a_wide_table_is_cut_to_eighty_columns() -> None:
-    wide = [
-        {
-            "run": f"order{i}-width32-seed0-0123456789",
-            "status": "infeasible",
-            "seed": i,
-            "order": i,
-            "hidden_width": i,
-            "slope_lower": i / 7,
-            "slope_upper": i / 3,
-            "rate_controller": i / 9,
-        }
-        for i in range(3)
-    ]
-    lines = render_table(table_from_records(wide)).splitlines()
+    rows = [make_wide_row(i) for i in range(3)]
+    lines = render_records(rows)
     largest = max(map(len, lines))
     assert largest <= 80
 
 
+def make_sweep_row(i: int, is_infeasible: bool) -> dict[str, object]:
+    """The i-th run of a sweep over order and rate."""
+    row: dict[str, object] = {"run": f"order{i}-width32-seed0-{i:010d}"}
+    row |= {"order": i, "rate_controller": i / 100}
+    row |= {"rate_observer": 0.1, "status": "ok"}
+    row |= {"stable_count": 9, "initial_conditions": 10}
+    row["infeasible_reason"] = None
+    if is_infeasible:
+        row["status"] = "infeasible"
+        row["stable_count"] = None
+        row["infeasible_reason"] = "too fast"
+    return row
+
+
 def sweep(count: int) -> pd.DataFrame:
     """`count` runs that differ in order and rate, the faster half infeasible for one reason."""
-    rows = [
-        {
-            "run": f"order{i}-width32-seed0-{i:010d}",
-            "order": i,
-            "rate_controller": i / 100,
-            "rate_observer": 0.1,
-            "status": "ok" if i < count / 2 else "infeasible",
-            "stable_count": 9 if i < count / 2 else None,
-            "initial_conditions": 10,
-            "infeasible_reason": None if i < count / 2 else "too fast",
-        }
-        for i in range(count)
-    ]
+    rows = [make_sweep_row(i, i >= count / 2) for i in range(count)]
     return table_from_records(rows)
 
 
 def test_what_was_swept_stands_before_what_came_of_it() -> None:
-    lines = render_table(sweep(6)).splitlines()
-    heads, first = lines[:2]
-    expected = ["run", "status", "order", "r", "ctl", "settled"]
-    assert heads.split()[:6] == expected
+    table = sweep(6)
+    lines = render_table(table).splitlines()
+    heads = lines[0].split()
+    first_row = lines[1].split()
+    swept = ["run", "status", "order", "r", "ctl"]
+    assert heads[:5] == swept
+    assert heads[5] == "settled"
     expected = ["0000000000", "ok", "0", "0", "9/10"]
-    assert first.split() == expected
+    assert first_row == expected
 
 
 def test_settings_of_the_command_tell_runs_apart() -> None:
     """Settings that no column of their own repeats tell runs apart: in `show`, in filters and on
     the page."""
-    sampling_times_s = (0.005, 0.02)
-    settings = [(step_s, undone) for step_s in sampling_times_s for undone in (False, True)]
-    table = table_from_records(
-        {
-            "run": f"r-{i}",
-            "status": "ok",
-            "plant__step_s": step_s,
-            "synthesis__invert_input": undone,
-            "loop__peer": "pi",
-        }
-        for i, (step_s, undone) in enumerate(settings)
-    )
+    settings = [(0.005, False), (0.005, True), (0.02, False), (0.02, True)]
+    rows = []
+    for i, (step_s, undone) in enumerate(settings):
+        row: dict[str, object] = {"run": f"r-{i}", "status": "ok"}
+        row["plant__step_s"] = step_s
+        row["synthesis__invert_input"] = undone
+        row["loop__peer"] = "pi"
+        rows.append(row)
+    table = table_from_records(rows)
     expected = ["plant__step_s", "synthesis__invert_input"]
     assert swept_settings(table) == expected
     assert page_title(table) == "What changes with plant.step_s and synthesis.invert_input?"
-    run = filter_rows(table, "plant__step_s > 0.01 and synthesis__invert_input")["run"]
-    assert run.tolist() == ["r-3"]
-    heads, *_, last = render_table(table).splitlines()
+    fine = "plant__step_s > 0.01 and synthesis__invert_input"
+    filtered = filter_rows(table, fine)
+    assert filtered["run"].tolist() == ["r-3"]
+    lines = render_table(table).splitlines()
+    heads = lines[0]
+    last = lines[-1]
     expected = ["run", "status", "step_s", "invert_input"]
     assert heads.split() == expected
     expected = ["3", "ok", "0.02", "yes"]
@@ -84,105 +93,123 @@ def test_settings_of_the_command_tell_runs_apart() -> None:
 
 def test_a_side_that_nobody_certified_is_not_said_to_be() -> None:
     verdicts = [(True, True), (True, None), (None, True), (None, None)]
-    rows = [
-        {
-            "run": f"r-{i}",
-            "status": "ok",
-            "controller_certified": controller,
-            "observer_certified": observer,
-        }
-        for i, (controller, observer) in enumerate(verdicts)
-    ]
-    lines = render_table(table_from_records(rows)).splitlines()[1:]
-    expected = ["both", "ctl", "obs", "-"]
-    assert [line.split()[2] for line in lines] == expected
+    rows = []
+    for i, (controller, observer) in enumerate(verdicts):
+        row: dict[str, object] = {"run": f"r-{i}", "status": "ok"}
+        row["controller_certified"] = controller
+        row["observer_certified"] = observer
+        rows.append(row)
+    _, *lines = render_records(rows)
+    certified_sides = [line.split()[2] for line in lines]
+    assert certified_sides == ["both", "ctl", "obs", "-"]
+
+
+NONLINEAR_SETTINGS = {"hidden_width": 32, "scaffold_in": "monotone", "scaffold_out": "linear"}
+NONLINEAR_RUN = {
+    "run": "r-1",
+    "status": "ok",
+    "model": "ssm",
+    "order": 4,
+    "slope_lower": 0.01,
+    "fit_test_percent": 96.3,
+    "resolved_margin": 2.156,
+}
+STRUCTURED_RUN = {
+    "run": "r-2",
+    "status": "ok",
+    "model": "structured",
+    "order": 5,
+    "slope_lower": 0.1,
+    "fit_test_percent": 97.2,
+    "resolved_margin": 1.697,
+}
+STABLE = {"stable_count": 10, "initial_conditions": 10, "predicted_stable": True}
 
 
 def test_a_setting_that_follows_from_another_gives_way_to_the_outcomes() -> None:
     """Two model classes differ in five settings: one says which is which, and the reader wants the
     fit."""
-    rows = [
-        {"run": "r-1", "status": "ok", "model": "ssm", "order": 4, "hidden_width": 32,
-         "slope_lower": 0.01,
-         "scaffold_in": "monotone", "scaffold_out": "linear", "fit_test_percent": 96.3,
-         "stable_count": 10,
-         "initial_conditions": 10, "resolved_margin": 2.156, "predicted_stable": True},
-        {"run": "r-2", "status": "ok", "model": "structured", "order": 5, "slope_lower": 0.1,
-         "fit_test_percent": 97.2,
-         "stable_count": 10, "initial_conditions": 10, "resolved_margin": 1.697,
-         "predicted_stable": True},
-    ]  # fmt: skip
-    lines = render_table(table_from_records(rows)).splitlines()
+    nonlinear_run = NONLINEAR_RUN | NONLINEAR_SETTINGS | STABLE
+    structured_run = STRUCTURED_RUN | STABLE
+    rows = [nonlinear_run, structured_run]
+    lines = render_records(rows)
     heads = lines[0].split()
     assert heads[2] == "model"
     expected = ["settled", "fit", "%", "margin", "predicted"]
     assert heads[-5:] == expected
     assert "scaffold_out" not in heads
-    # Where there is room.
-    lines = render_table(table_from_records(rows), width=160).splitlines()
-    assert "scaffold_out" in lines[0]
+    wide_lines = render_records(rows, width=160)  # where there is room
+    assert "scaffold_out" in wide_lines[0]
 
 
 def test_one_reason_is_told_once() -> None:
-    lines = summary_lines(sweep(20), printed_count=20)
+    table = sweep(20)
+    lines = summary_lines(table, printed_count=20)
     assert lines[1] == "20 runs: 10 ok, 10 infeasible"
-    told = [f"{i:010d}" for i in range(10, 15)]
-    assert lines[2:] == [f"  infeasible {', '.join(told)} and 5 more: too fast"]
-    assert summary_lines(sweep(1), printed_count=1)[1] == "1 run: 1 ok"
+    keys = [f"{i:010d}" for i in range(10, 15)]
+    listed = ", ".join(keys)
+    assert lines[2:] == [f"  infeasible {listed} and 5 more: too fast"]
+    single = sweep(1)
+    summary = summary_lines(single, printed_count=1)
+    assert summary[1] == "1 run: 1 ok"
+
+
+def make_fold_row(k: int, order: int, fold: int, fit: float | None) -> dict[str, object]:
+    """One run of a fold, with its rate."""
+    row: dict[str, object] = {"run": f"r-{k}", "status": "ok"}
+    row |= {"order": order, "fold": fold}
+    row |= {"fit_test_percent": fit, "rate_controller": k}
+    return row
 
 
 def test_folds_are_told_with_their_mean_and_deviation() -> None:
     """Other rates and methods of a fold are the same model: they weigh no more than one."""
-    scores = [(2, 0, 80.0), (2, 0, 80.0), (2, 1, 90.0), (4, 0, 85.0), (4, 1, None)]
     rows = [
-        {
-            "run": f"r-{k}",
-            "status": "ok",
-            "order": order,
-            "fold": fold,
-            "fit_test_percent": fit,
-            "rate_controller": k,
-        }
-        for k, (order, fold, fit) in enumerate(scores)
+        make_fold_row(0, 2, 0, 80.0),
+        make_fold_row(1, 2, 0, 80.0),
+        make_fold_row(2, 2, 1, 90.0),
     ]
-    told = summary_lines(table_from_records(rows), 5)[2:]
-    assert told[0] == "  2 folds: mean test fit 85 %, deviation 7.071 %, order 2"
-    assert told[1] == "  1 folds: mean test fit 85 %, deviation - %, order 4"
-    records = rows[:2]
-    assert len(summary_lines(table_from_records(records), 2)) == 2  # one fold is no spread
+    rows.append(make_fold_row(3, 4, 0, 85.0))
+    rows.append(make_fold_row(4, 4, 1, None))
+    table = table_from_records(rows)
+    summary = summary_lines(table, 5)
+    assert summary[2] == "  2 folds: mean test fit 85 %, deviation 7.071 %, order 2"
+    assert summary[3] == "  1 folds: mean test fit 85 %, deviation - %, order 4"
+    of_one_fold = table_from_records(rows[:2])
+    summary = summary_lines(of_one_fold, 2)
+    assert len(summary) == 2  # one fold is no spread
 
 
 def test_reasons_that_differ_in_a_number_are_one_line_with_its_range() -> None:
-    rows = [
-        {
-            "run": f"r-{k}",
-            "status": "infeasible",
-            "infeasible_reason": f"rate {k / 10} of S_u2 is above 0.25; ask 3e-1",
-        }
-        for k in (9, 4, 7)
-    ]
-    assert summary_lines(table_from_records(rows), 3)[2:] == [
-        "  infeasible 9, 4, 7: rate 0.4 to 0.9 of S_u2 is above 0.25; ask 3e-1"
-    ]
+    rows = []
+    for k in (9, 4, 7):
+        reason = f"rate {k / 10} of S_u2 is above 0.25; ask 3e-1"
+        row = {"run": f"r-{k}", "status": "infeasible"}
+        row["infeasible_reason"] = reason
+        rows.append(row)
+    table = table_from_records(rows)
+    reasons = summary_lines(table, 3)[2:]
+    expected = "  infeasible 9, 4, 7: rate 0.4 to 0.9 of S_u2 is above 0.25; ask 3e-1"
+    assert reasons == [expected]
 
 
 def test_costs_count_each_stage_once() -> None:
-    runs = [
-        {
-            "run": f"{i}",
-            "stage_model_key": "m",
-            "stage_model_seconds": 10.0,
-            "stage_loop_key": f"l{i}",
-            "stage_loop_seconds": 1.0,
-        }
-        for i in range(20)
-    ]
-    costs = stage_costs(table_from_records(runs))
-    expected = [1, 10.0, 190.0]
-    assert costs.loc["model", ["distinct", "spent_s", "saved_s"]].tolist() == expected
-    expected = [20, 20.0, 0.0]
-    assert costs.loc["loop", ["distinct", "spent_s", "saved_s"]].tolist() == expected
+    rows = []
+    for i in range(20):
+        row: dict[str, object] = {"run": f"{i}"}
+        row |= {"stage_model_key": "m", "stage_model_seconds": 10.0}
+        row |= {"stage_loop_key": f"l{i}", "stage_loop_seconds": 1.0}
+        rows.append(row)
+    table = table_from_records(rows)
+    costs = stage_costs(table)
+    counted = costs[["distinct", "spent_s", "saved_s"]]
+    of_the_model = counted.loc["model"].tolist()
+    assert of_the_model == [1, 10.0, 190.0]
+    of_the_loop = counted.loc["loop"].tolist()
+    assert of_the_loop == [20, 20.0, 0.0]
     assert costs.index[0] == "loop"
+    together = cost_lines(table)[-1]
     expected = ["together", "30", "s", "3", "min"]
-    assert cost_lines(table_from_records(runs))[-1].split() == expected
-    assert cost_lines(table_from_records([]))
+    assert together.split() == expected
+    empty = table_from_records([])
+    assert cost_lines(empty)

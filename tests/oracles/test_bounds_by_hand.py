@@ -17,6 +17,17 @@ from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
 from ssm_study.systems import JacobianBall, StateSpace
 
+Layers = tuple[np.ndarray, ...]
+LayerSlopes = tuple[Layers, Layers]
+
+
+def make_network(
+    weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...], slopes: LayerSlopes
+) -> Network:
+    """A network of these layers; of each, the slopes below and above its neurons' kinks."""
+    below, above = slopes
+    return Network(weights=weights, biases=biases, negative_slopes=below, positive_slopes=above)
+
 
 def test_a_bias_of_minus_one_is_negative() -> None:
     """`s1(v - 1) - s1(-1)` is v/4 up to one and `v - 3/4` beyond; the second neuron turns at 1/2,
@@ -24,14 +35,9 @@ def test_a_bias_of_minus_one_is_negative() -> None:
     one = np.ones((1, 1))
     weights = (one, one, one)
     biases = (np.array([-1.0]), np.array([-0.5]))
-    negative_slopes = (np.array([0.25]), np.array([0.5]))
-    positive_slopes = (np.ones(1), np.ones(1))
-    net = Network(
-        weights=weights,
-        biases=biases,
-        negative_slopes=negative_slopes,
-        positive_slopes=positive_slopes,
-    )
+    below = (np.array([0.25]), np.array([0.5]))
+    above = (np.ones(1), np.ones(1))
+    net = make_network(weights, biases, (below, above))
     expected = (Fraction(1, 8), Fraction(1))
     assert slope_interval(net) == expected
 
@@ -44,14 +50,9 @@ def test_the_smoothed_copy_that_a_search_climbs_becomes_the_network(seed: int) -
     shapes = ((4, 2), (5, 4), (3, 5), (2, 3))
     weights = tuple(rng.normal(size=shape) for shape in shapes)
     biases = tuple(rng.normal(size=h) for h in widths)
-    negative_slopes = tuple(np.full(h, 0.1) for h in widths)
-    positive_slopes = tuple(np.full(h, 1.5) for h in widths)
-    net = Network(
-        weights=weights,
-        biases=biases,
-        negative_slopes=negative_slopes,
-        positive_slopes=positive_slopes,
-    )
+    below = tuple(np.full(width, 0.1) for width in widths)
+    above = tuple(np.full(width, 1.5) for width in widths)
+    net = make_network(weights, biases, (below, above))
     points = rng.uniform(-5, 5, size=(20, 2))
     for v in points:
         actual = worst_case._smooth_jacobian(net, v, 1e-7)
@@ -60,15 +61,11 @@ def test_the_smoothed_copy_that_a_search_climbs_becomes_the_network(seed: int) -
     one = np.ones((1, 1))
     weights = (one, one)
     biases = (np.zeros(1),)
-    negative_slopes = (np.array([0.1]),)
-    positive_slopes = (np.array([1.5]),)
-    single = Network(
-        weights=weights,
-        biases=biases,
-        negative_slopes=negative_slopes,
-        positive_slopes=positive_slopes,
-    )
-    jacobian = worst_case._smooth_jacobian(single, np.zeros(1), 1.0)
+    below = (np.array([0.1]),)
+    above = (np.array([1.5]),)
+    single = make_network(weights, biases, (below, above))
+    zero = np.zeros(1)
+    jacobian = worst_case._smooth_jacobian(single, zero, 1.0)
     assert jacobian[0, 0] == pytest.approx(0.8)
 
 
@@ -79,13 +76,14 @@ def test_the_refusal_names_the_value_of_the_last_state_that_was_to_be_kept() -> 
     c = np.ones((1, 3))
     d = np.zeros((1, 1))
     linear = StateSpace(a=a, b=b, c=c, d=d)
-    values = hankel_singular_values(linear)
-    upper_limit = 1e-8 * values[0]
-    assert values[2] < upper_limit < values[1]
+    first, second, third = hankel_singular_values(linear)
+    upper_limit = 1e-8 * first
+    assert third < upper_limit
+    assert upper_limit < second
     with pytest.raises(BadRequest, match="at most 2") as refused:
         balanced_realization(linear)
-    third = pytest.approx(values[2], rel=1e-3)
-    assert refused.value.value == third
+    expected = pytest.approx(third, rel=1e-3)
+    assert refused.value.value == expected
     order = balanced_realization(linear, 2).order
     assert order == 2
 
@@ -96,14 +94,9 @@ def test_the_papers_figure_is_the_product_of_the_extreme_singular_values_and_slo
     outer = np.diag([0.5, 4.0])
     weights = (inner, outer)
     biases = (np.ones(2),)
-    negative_slopes = (np.array([0.1, 0.2]),)
-    positive_slopes = (np.array([1.0, 0.9]),)
-    net = Network(
-        weights=weights,
-        biases=biases,
-        negative_slopes=negative_slopes,
-        positive_slopes=positive_slopes,
-    )
+    below = (np.array([0.1, 0.2]),)
+    above = (np.array([1.0, 0.9]),)
+    net = make_network(weights, biases, (below, above))
     expected = (0.1, 12.0)
     assert spectral_norm_bound(net) == pytest.approx(expected)
 
@@ -116,8 +109,8 @@ def test_local_gramians_lie_between_the_squares_of_the_slopes() -> None:
     ball = JacobianBall.from_slopes(0.2, 0.5)
     local = bound_local_controllability(a, b, ball)
     assert local.holds
-    expected = (0.16, 1.0)
-    assert (local.lower, local.upper) == pytest.approx(expected)
+    assert local.lower == pytest.approx(0.16)
+    assert local.upper == pytest.approx(1.0)
 
 
 def test_a_falling_map_has_an_inverse() -> None:
@@ -127,8 +120,8 @@ def test_a_falling_map_has_an_inverse() -> None:
     falling = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
     inverse = invert_map(falling.as_portable())
     assert inverse is not None
-    scaffold = np.array([[5.0], [0.5], [-2.0]])
-    actual = inverse(scaffold)
+    values = np.array([[5.0], [0.5], [-2.0]])
+    actual = inverse(values)
     expected = [[-3.0], [-0.5], [3.0]]
     np.testing.assert_allclose(actual, expected, atol=1e-12)
 
@@ -139,14 +132,9 @@ def test_a_map_that_couples_its_channels_has_no_inverse_by_channel() -> None:
     second_output_alone = np.array([[0.0], [1.0]])
     weights = (first_input_alone, second_output_alone)
     biases = (np.array([0.5]),)
-    negative_slopes = (np.array([0.1]),)
-    positive_slopes = (np.ones(1),)
-    net = Network(
-        weights=weights,
-        biases=biases,
-        negative_slopes=negative_slopes,
-        positive_slopes=positive_slopes,
-    )
+    below = (np.array([0.1]),)
+    above = (np.ones(1),)
+    net = make_network(weights, biases, (below, above))
     linear = np.eye(2)
     portable = PortableMap(linear=linear, network=net)
     assert invert_map(portable) is None

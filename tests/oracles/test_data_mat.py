@@ -17,12 +17,14 @@ from ssm_study.data.recorded import RecordedData
 from ssm_study.refusal import BadRequest
 
 KINDS = ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", ">f8"]
+KIND = st.sampled_from(KINDS)
+KINDS_OF_VERSION_4 = ["f8", "f4", "i4", "i2", "u2", "u1"]
+KIND_OF_VERSION_4 = st.sampled_from(KINDS_OF_VERSION_4)
+SIDE = st.integers(0, 5)
+SHAPE = st.tuples(SIDE, SIDE)
 
 
-SHAPE = st.tuples(st.integers(0, 5), st.integers(0, 5))
-
-
-@given(kind=st.sampled_from(KINDS), shape=SHAPE, compressed=st.booleans(), data=st.data())
+@given(kind=KIND, shape=SHAPE, compressed=st.booleans(), data=st.data())
 def test_version_5(
     tmp_path_factory: pytest.TempPathFactory,
     kind: str,
@@ -34,64 +36,88 @@ def test_version_5(
     matrix = data.draw(entries)
     path = tmp_path_factory.mktemp("mat") / "a.mat"
     b = np.arange(3.0)
-    savemat(path, {"matrix_1": matrix, "b": b}, do_compression=compressed)
-    mine = parse_mat_file(path)
+    variables = {"matrix_1": matrix, "b": b}
+    savemat(path, variables, do_compression=compressed)
+    ours = parse_mat_file(path)
     theirs = loadmat(path)
-    expected = ["matrix_1", "b"]
-    assert list(mine) == expected
-    np.testing.assert_array_equal(mine["matrix_1"], theirs["matrix_1"])
-    np.testing.assert_array_equal(mine["b"], theirs["b"])
+    assert list(ours) == list(variables)
+    for name, value in ours.items():
+        np.testing.assert_array_equal(value, theirs[name])
 
 
-@given(kind=st.sampled_from(["f8", "f4", "i4", "i2", "u2", "u1"]), data=st.data())
+@given(kind=KIND_OF_VERSION_4, data=st.data())
 def test_version_4(
     tmp_path_factory: pytest.TempPathFactory, kind: str, data: st.DataObject
 ) -> None:
-    entries = arrays(np.dtype(kind), (3, 2))
+    dtype = np.dtype(kind)
+    entries = arrays(dtype, (3, 2))
     matrix = data.draw(entries)
     path = tmp_path_factory.mktemp("mat") / "a.mat"
     c = np.ones(2) * 1j
     e = scipy.sparse.eye_array(2, format="csc")
     others = {"c": c, "s": "text", "e": e}
     y = np.arange(4.0)
-    savemat(path, {"x": matrix, **others, "y": y}, format="4")
-    mine = parse_mat_file(path)
-    np.testing.assert_array_equal(mine["x"], matrix)
+    variables = {"x": matrix, **others, "y": y}
+    savemat(path, variables, format="4")
+    ours = parse_mat_file(path)
+    np.testing.assert_array_equal(ours["x"], matrix)
     expected = [np.arange(4.0)]
-    np.testing.assert_array_equal(mine["y"], expected)
-    expected = ["complex", "text", "a sparse matrix"]
-    assert [mine[name] for name in others] == expected
+    np.testing.assert_array_equal(ours["y"], expected)
+    kinds = [ours[name] for name in others]
+    assert kinds == ["complex", "text", "a sparse matrix"]
+
+
+def write_version_4(path: Path, byte_order: int) -> None:
+    """Write `x = [1; 2]` as a machine of this byte order does."""
+    header = struct.pack(">5i", byte_order, 2, 1, 0, 2)
+    two_doubles = struct.pack(">2d", 1.0, 2.0)
+    path.write_bytes(header + b"x\0" + two_doubles)
 
 
 def test_version_4_of_another_byte_order(tmp_path: Path) -> None:
     """`x = [1; 2]` of a machine whose greatest byte is first, and of a VAX, whose numbers are not
     read."""
-    cases = ((1000, [1.0, 2.0]), (2000, None))
-    for order, numbers in cases:
-        header = struct.pack(">5i", order, 2, 1, 0, 2)
-        two_doubles = struct.pack(">2d", 1.0, 2.0)
-        content = header + b"x\0" + two_doubles
-        (tmp_path / "a.mat").write_bytes(content)
-        if numbers is None:
-            with pytest.raises(BadRequest, match=r"not a complete MAT file: .*byte ordering"):
-                MatReader().read(tmp_path / "a.mat", ["x"])
-        else:
-            table = MatReader().read(tmp_path / "a.mat", ["x"])
-            columns = table.columns
-            actual = columns["x"]
-            np.testing.assert_array_equal(actual, numbers)
+    path = tmp_path / "a.mat"
+    write_version_4(path, 1000)
+    columns = MatReader().read(path, ["x"]).columns
+    np.testing.assert_array_equal(columns["x"], [1.0, 2.0])
+    write_version_4(path, 2000)
+    words = r"not a complete MAT file: .*byte ordering"
+    with pytest.raises(BadRequest, match=words):
+        MatReader().read(path, ["x"])
 
 
 def test_what_is_no_matrix_is_named(tmp_path: Path) -> None:
-    s = {"f": 1.0}
-    c = np.array(["ab", 1.0], dtype=object)
-    savemat(tmp_path / "a.mat", {"s": s, "c": c, "t": "text", "z": 1j})
-    values = parse_mat_file(tmp_path / "a.mat")
-    expected = {"c{1}": "text", "t": "text", "z": "complex"}
+    structure = {"f": 1.0}
+    cells = np.array(["ab", 1.0], dtype=object)
+    variables = {"s": structure, "c": cells, "t": "text", "z": 1j}
+    path = tmp_path / "a.mat"
+    savemat(path, variables)
+    values = parse_mat_file(path)
     refusals = {name: value for name, value in values.items() if isinstance(value, str)}
+    expected = {"c{1}": "text", "t": "text", "z": "complex"}
     assert refusals == expected
     assert values["s.f"] == 1.0
     assert values["c{2}"] == 1.0
+
+
+def encode_element(kind: int, data: bytes) -> bytes:
+    """One element of a MAT file, filled up to eight bytes."""
+    size = len(data)
+    header = struct.pack("<II", kind, size)
+    padding = b"\0" * (-size % 8)
+    return header + data + padding
+
+
+def encode_opaque(name: bytes) -> bytes:
+    """A variable that is a time series of the new class."""
+    classes = struct.pack("<II", 17, 0)
+    flags = encode_element(6, classes)
+    class_of_object = encode_element(1, b"MCOS")
+    name_of_class = encode_element(1, b"timeseries")
+    opaque = flags + encode_element(1, name)
+    opaque += class_of_object + name_of_class
+    return encode_element(14, opaque)
 
 
 def test_an_object_that_cannot_be_read_is_skipped_by_name(tmp_path: Path) -> None:
@@ -99,27 +125,22 @@ def test_an_object_that_cannot_be_read_is_skipped_by_name(tmp_path: Path) -> Non
     element without shape, written here by hand."""
     u = np.arange(30.0)
     record = [(u[:, None], 0.1)]
-    fields = np.array(record, dtype=[("InputData", "O"), ("Ts", "O")])
+    dtype = [("InputData", "O"), ("Ts", "O")]
+    fields = np.array(record, dtype=dtype)
     iddata = scipy.io.matlab.MatlabObject(fields, "iddata")
     m = np.ones((30, 2))
-    savemat(tmp_path / "a.mat", {"z": iddata, "u": u, "m": m})
-
-    def element(kind: int, data: bytes) -> bytes:
-        padding = b"\0" * (-len(data) % 8)
-        return struct.pack("<II", kind, len(data)) + data + padding
-
-    flags = element(6, struct.pack("<II", 17, 0))
-    class_of_object = element(1, b"MCOS")
-    name_of_class = element(1, b"timeseries")
-    opaque = flags + element(1, b"tt") + class_of_object + name_of_class
-    with (tmp_path / "a.mat").open("ab") as stream:
-        stream.write(element(14, opaque))
-    table = MatReader().read(tmp_path / "a.mat", ["z.InputData", "u", "m:2"])
+    path = tmp_path / "a.mat"
+    savemat(path, {"z": iddata, "u": u, "m": m})
+    opaque = encode_opaque(b"tt")
+    with path.open("ab") as stream:
+        stream.write(opaque)
+    table = MatReader().read(path, ["z.InputData", "u", "m:2"])
     actual = table.columns["z.InputData"]
     np.testing.assert_array_equal(actual, u)
-    with pytest.raises(BadRequest, match=r"\(variable\) = tt: is an object"):
-        MatReader().read(tmp_path / "a.mat", ["tt"])
-    contents = MatReader().read_all_columns(tmp_path / "a.mat")
+    words = r"\(variable\) = tt: is an object"
+    with pytest.raises(BadRequest, match=words):
+        MatReader().read(path, ["tt"])
+    contents = MatReader().read_all_columns(path)
     columns = list(contents.columns)
     expected = ["z.InputData", "u", "m:1", "m:2"]
     assert columns == expected
@@ -131,22 +152,28 @@ def test_an_object_that_cannot_be_read_is_skipped_by_name(tmp_path: Path) -> Non
 @pytest.mark.parametrize("name", ["DATA_EMPS", "DATA_EMPS_PULSES"])
 def test_the_servo_files(benchmark_data: Path, name: str) -> None:
     path = benchmark_data / "emps" / f"{name}.mat"
-    mine = parse_mat_file(path)
+    ours = parse_mat_file(path)
     theirs = loadmat(path)
     for variable in ("t", "vir", "qm", "kp"):
-        np.testing.assert_array_equal(mine[variable], theirs[variable])
+        expected = theirs[variable]
+        np.testing.assert_array_equal(ours[variable], expected)
 
 
-NO_MATRICES = [b"", b"MATLAB 7.3 MAT-file" + bytes(200), b"\x89HDF\r\n" + bytes(100), b"x" * 200]
+OF_VERSION_7_3 = b"MATLAB 7.3 MAT-file" + bytes(200)
+HDF5_ALONE = b"\x89HDF\r\n" + bytes(100)
+NO_MATRICES = [b"", OF_VERSION_7_3, HDF5_ALONE, b"x" * 200]
 
 
 @pytest.mark.parametrize("content", NO_MATRICES)
 def test_refused(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "a.mat").write_bytes(content)
-    with pytest.raises(
-        BadRequest, match=r"a\.mat: not a complete MAT file: .*; save it again with -v7"
-    ):
-        MatReader().read(tmp_path / "a.mat", ["x"])
+    path = tmp_path / "a.mat"
+    path.write_bytes(content)
+    words = r"a\.mat: not a complete MAT file: .*; save it again with -v7"
+    with pytest.raises(BadRequest, match=words):
+        MatReader().read(path, ["x"])
+
+
+SAMPLING_TIMES = {"seconds": 20.0, "milliseconds": 0.02, "": 20.0}
 
 
 def test_the_sampling_time_that_an_object_states(tmp_path: Path) -> None:
@@ -155,24 +182,26 @@ def test_the_sampling_time_that_an_object_states(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     u = rng.standard_normal((400, 1))
     running_sum = np.cumsum(u, axis=0)
-    log = {"InputData": u, "OutputData": running_sum, "Ts": 20.0}
+    log = {"InputData": u, "OutputData": running_sum}
+    log["Ts"] = 20.0
     path = tmp_path / "log.mat"
-    fields: dict[str, object] = {"path": str(path), "input": "id.InputData"}
-    fields["output"] = "id.OutputData"
-    cases = (("seconds", 20.0), ("milliseconds", 0.02), ("", 20.0))
-    for unit, step_s in cases:
+    fields: dict[str, object] = {"path": str(path)}
+    fields |= {"input": "id.InputData", "output": "id.OutputData"}
+    for unit, step_s in SAMPLING_TIMES.items():
         with_unit = log | {"TimeUnit": unit}
-        scipy.io.savemat(path, {"id": with_unit})
+        savemat(path, {"id": with_unit})
         recorded_data = RecordedData(**fields)
         pieces, remark = recorded_data.read_pieces(path)
         assert pieces[0].step_s == pytest.approx(step_s)
         assert f"its Ts is {step_s:g} s" in remark
     recorded_data = RecordedData(**fields, step_s=0.1)
-    with pytest.raises(BadRequest, match=r"the times of log.mat show 20 s"):
+    words = r"the times of log.mat show 20 s"
+    with pytest.raises(BadRequest, match=words):
         recorded_data.read_pieces(path)
     other = log | {"Ts": 1.0}
-    scipy.io.savemat(path, {"id": log, "other": other})
-    recorded_data = RecordedData(**(fields | {"output": "other.OutputData"}))
+    savemat(path, {"id": log, "other": other})
+    fields["output"] = "other.OutputData"
+    recorded_data = RecordedData(**fields)
     with pytest.raises(BadRequest, match="the sampling time is unknown"):
         recorded_data.read_pieces(path)
 

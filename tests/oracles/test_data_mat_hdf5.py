@@ -14,7 +14,9 @@ from ssm_study.refusal import BadRequest
 TIMES = 0.01 * np.arange(200)
 U = np.repeat([0.0, 1.0, -1.0, 0.5], 50)
 IMPULSE_RESPONSE = 0.2 * 0.8 ** np.arange(40)
-Y = np.convolve(U, IMPULSE_RESPONSE)[:200]
+RESPONSE = np.convolve(U, IMPULSE_RESPONSE)
+Y = RESPONSE[:200]
+COMPLEX = [("real", "f8"), ("imag", "f8")]
 
 
 def hdf5_log(folder: Path) -> Path:
@@ -41,9 +43,10 @@ def hdf5_log(folder: Path) -> Path:
         put("stamp", no_date, "datetime", MATLAB_object_decode=3)
         empty = np.zeros((1, 2), dtype=np.uint64)
         put("nothing", empty, "double", MATLAB_empty=1)
-        parts = np.zeros((200, 1), dtype=[("real", "f8"), ("imag", "f8")])
+        parts = np.zeros((200, 1), dtype=COMPLEX)
         put("z", parts, "double")
-        file.create_group("log").attrs["MATLAB_class"] = np.bytes_("struct")
+        structure = file.create_group("log")
+        structure.attrs["MATLAB_class"] = np.bytes_("struct")
         put("log/y", Y[:, None], "double")
         file.create_group("#refs#")
     content = path.read_bytes()
@@ -54,7 +57,8 @@ def hdf5_log(folder: Path) -> Path:
 
 def test_a_file_of_version_7_3_is_read(tmp_path: Path) -> None:
     path = hdf5_log(tmp_path)
-    source = RecordedData(path=str(path), input="u", output="log.y", time="t")
+    signals = {"input": "u", "output": "log.y", "time": "t"}
+    source = RecordedData(path=str(path), **signals)
     (piece,), remark = source.read_pieces(path)
     assert piece.step_s == pytest.approx(0.01)
     actual = piece.u[:, 0]
@@ -62,8 +66,8 @@ def test_a_file_of_version_7_3_is_read(tmp_path: Path) -> None:
     actual = piece.y[:, 0]
     np.testing.assert_array_equal(actual, Y)
     table = MatReader().read(path, ["data:1", "data:2"])
-    columns = table.columns
-    np.testing.assert_array_equal(columns["data:2"], Y)
+    second_column = table.columns["data:2"]
+    np.testing.assert_array_equal(second_column, Y)
     skipped = MatReader().read_all_columns(path).skipped
     expected = {
         "note": "is text, not real numbers",
@@ -78,12 +82,14 @@ def test_a_file_of_version_7_3_is_refused_in_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = hdf5_log(tmp_path)
-    source = RecordedData(path=str(path), input="note", output="log.y", step_s=0.01)
+    signals = {"input": "note", "output": "log.y"}
+    source = RecordedData(path=str(path), step_s=0.01, **signals)
     with pytest.raises(BadRequest, match="is text, not real numbers"):
         source.read_pieces(path)
     with pytest.raises(ValueError, match="holds more than 0 MiB"):
         mat_hdf5.parse_hdf5(path, 100)
-    path.write_bytes(path.read_bytes()[:2000])
+    content = path.read_bytes()
+    path.write_bytes(content[:2000])
     with pytest.raises(BadRequest, match="not a complete MAT file"):
         source.read_pieces(path)
     modules = __import__("sys").modules
@@ -98,18 +104,20 @@ def test_a_workbook_is_read(tmp_path: Path) -> None:
     times = pd.date_range("2026-01-01", periods=200, freq="1min")
     measured: list[object] = list(Y)
     measured[100] = None
-    rows = [["time", "u", "y"], ["", "V", "rpm"]]
+    heads = ["time", "u", "y"]
+    units = ["", "V", "rpm"]
+    rows = [heads, units]
     rows += [list(row) for row in zip(times, U, measured, strict=True)]
     path = tmp_path / "log.xlsx"
     table = pd.DataFrame(rows, dtype=object)
     table.to_excel(path, header=False, index=False)
     recorded_data = RecordedData(path=str(path), input="u", output="y")
     pieces, remark = recorded_data.read_pieces(path)
-    expected = [100, 99]
-    assert [len(piece) for piece in pieces] == expected
-    assert pieces[0].step_s == 60.0
-    pieces_y = pieces[1].y
-    actual = pieces_y[:, 0]
+    first, second = pieces
+    assert len(first) == 100
+    assert len(second) == 99
+    assert first.step_s == 60.0
+    actual = second.y[:, 0]
     expected = Y[101:]
     np.testing.assert_allclose(actual, expected)
     assert "clock time (dates)" in remark

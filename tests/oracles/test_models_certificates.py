@@ -24,52 +24,63 @@ def lipschitz_matrix(scaffold: ResidualScaffold) -> np.ndarray:
     multipliers = scaffold.multipliers
     sizes = [w.shape[1] for w in weights]
     running_sum = np.cumsum(sizes)
-    offsets = np.concatenate([[0], running_sum])
-    size = offsets[-1]
+    size = running_sum[-1]
     matrix = np.zeros((size, size))
-    block = [slice(offsets[i], offsets[i + 1]) for i in range(len(sizes))]
-    matrix[block[0], block[0]] = np.eye(sizes[0])
+    block = []
+    for width, end in zip(sizes, running_sum, strict=True):
+        block.append(slice(end - width, end))
+    first = block[0]
+    matrix[first, first] = np.eye(sizes[0])
     for layer, t in enumerate(multipliers, start=1):
-        matrix[block[layer], block[layer]] += 2 * np.diag(t)
+        outer = block[layer]
+        inner = block[layer - 1]
+        matrix[outer, outer] += 2 * np.diag(t)
         cross = -t[:, None] * weights[layer - 1]
-        matrix[block[layer], block[layer - 1]] += cross
-        matrix[block[layer - 1], block[layer]] += cross.T
-    matrix[block[-1], block[-1]] -= weights[-1].T @ weights[-1]
+        matrix[outer, inner] += cross
+        matrix[inner, outer] += cross.T
+    last = block[-1]
+    matrix[last, last] -= weights[-1].T @ weights[-1]
     return matrix
+
+
+def smallest_eigenvalue(scaffold: ResidualScaffold) -> float:
+    """The smallest eigenvalue of the matrix of eq. (10)."""
+    matrix = lipschitz_matrix(scaffold)
+    eigenvalues = np.linalg.eigvalsh(matrix)
+    return float(eigenvalues.min())
+
+
+def freeze_residual(
+    rng: np.random.Generator, channels: int, width: int, depth: int
+) -> ResidualScaffold:
+    """A residual map as it is before training, with slopes in [0.1, 1]."""
+    slopes = (0.1, 1.0)
+    samples = rng.normal(size=(50, channels))
+    frame = MapContext(width=width, slopes=slopes, samples=samples)
+    residual = Residual(depth=depth)
+    frozen = residual.build(frame, rng).freeze()
+    assert isinstance(frozen, ResidualScaffold)
+    return frozen
 
 
 @pytest.mark.parametrize("depth", [1, 2, 3])
 @pytest.mark.parametrize("seed", range(3))
 def test_the_stored_multipliers_prove_the_residual_map_1_lipschitz(depth: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    slopes = (0.1, 1.0)
-    samples = rng.normal(size=(50, 3))
-    frame = MapContext(width=6, slopes=slopes, samples=samples)
-    residual = Residual(depth=depth)
-    frozen = residual.build(frame, rng).freeze()
-    assert isinstance(frozen, ResidualScaffold)
-    eigenvalues = np.linalg.eigvalsh(lipschitz_matrix(frozen))
-    smallest = eigenvalues.min()
-    assert smallest > -1e-9
+    frozen = freeze_residual(rng, 3, 6, depth)
+    assert smallest_eigenvalue(frozen) > -1e-9
     data = frozen.to_json()
-    larger = 1.2 * np.array(data["weights"][0])
-    data["weights"][0] = larger.tolist()
+    weights = data["weights"]
+    larger = 1.2 * np.array(weights[0])
+    weights[0] = larger.tolist()
     scaffold = ResidualScaffold.from_json(data)
-    eigenvalues = np.linalg.eigvalsh(lipschitz_matrix(scaffold))
-    smallest = eigenvalues.min()
-    assert smallest < -1e-3
+    assert smallest_eigenvalue(scaffold) < -1e-3
 
 
 def trained_like(channels: int, depth: int = 1) -> ResidualScaffold:
     """A residual map with slopes in [0.1, 1], as training leaves one."""
     rng = np.random.default_rng(channels)
-    slopes = (0.1, 1.0)
-    samples = rng.normal(size=(50, channels))
-    frame = MapContext(width=8, slopes=slopes, samples=samples)
-    residual = Residual(depth=depth)
-    frozen = residual.build(frame, rng).freeze()
-    assert isinstance(frozen, ResidualScaffold)
-    return frozen
+    return freeze_residual(rng, channels, 8, depth)
 
 
 def with_smaller_ball(honest: ResidualScaffold, factor: float) -> ResidualScaffold:
@@ -89,23 +100,25 @@ def test_a_ball_that_the_multipliers_do_not_prove_is_not_believed(channels: int)
     liar = with_smaller_ball(honest, 64.0)
     rng = np.random.default_rng(0)
     points = rng.uniform(-3, 3, size=(200, channels))
-    np.testing.assert_allclose(liar(points), honest(points), rtol=1e-12)
+    expected = honest(points)
+    np.testing.assert_allclose(liar(points), expected, rtol=1e-12)
     assert is_proved_nonexpansive(honest.network, honest.multipliers)
-    assert jacobian_ball(honest).method == "construction"
-    ball = jacobian_ball(honest).ball
+    honest_bound = jacobian_ball(honest)
+    assert honest_bound.method == "construction"
     expected = JacobianBall(alpha=honest.alpha, beta=honest.beta)
-    assert ball == expected
+    assert honest_bound.ball == expected
     for scale in (1.0, 64.0, 4096.0):  # whatever multipliers stand beside it
         multipliers = tuple(scale * t for t in liar.multipliers)
-        told = replace(liar, multipliers=multipliers)
-        bound = jacobian_ball(told)
-        jacobians = [told.jacobian(point) for point in points]
+        scaled_liar = replace(liar, multipliers=multipliers)
+        bound = jacobian_ball(scaled_liar)
+        jacobians = [scaled_liar.jacobian(point) for point in points]
         alpha = bound.ball.alpha
-        eye = alpha * np.eye(channels)
-        distances = [float(np.linalg.norm(j - eye, 2)) for j in jacobians]
+        centre = alpha * np.eye(channels)
+        distances = [np.linalg.norm(jacobian - centre, 2) for jacobian in jacobians]
         farthest = max(distances)
         assert bound.method != "construction"
-        assert liar.beta < farthest <= bound.ball.beta * (1 + 1e-9)
+        proved_radius = bound.ball.beta * (1 + 1e-9)
+        assert liar.beta < farthest <= proved_radius
 
 
 def test_neurons_steeper_than_one_are_not_believed_either() -> None:
@@ -114,6 +127,12 @@ def test_neurons_steeper_than_one_are_not_believed_either() -> None:
     steep = tuple(64.0 * slopes for slopes in positive_slopes)
     network = replace(honest.network, positive_slopes=steep)
     assert not is_proved_nonexpansive(network, honest.multipliers)
+
+
+def slopes_at(scaffold, points) -> list[float]:  # type: ignore[no-untyped-def]
+    """Slopes of a map of one channel."""
+    jacobians = [scaffold.jacobian(np.array([point])) for point in points]
+    return [jacobian[0, 0] for jacobian in jacobians]
 
 
 def test_a_certificate_with_the_small_ball_of_an_honest_map_is_refused() -> None:
@@ -126,19 +145,24 @@ def test_a_certificate_with_the_small_ball_of_an_honest_map_is_refused() -> None
     d = np.zeros((1, 1))
     system = StateSpace(a=a, b=b, c=c, d=d)
     exact = JacobianBall(alpha=1.0, beta=0.0)
-    balls_input = JacobianBall(alpha=liar.alpha, beta=liar.beta)
-    small = Balls(input=balls_input, output=exact)
-    wanted = RiccatiSynthesis(rate_controller=0.85, rate_observer=0.5, input_weight=1e-3)
-    simple_namespace = SimpleNamespace(linear=system)
-    design = wanted.design(simple_namespace, small)
+    small_ball = JacobianBall(alpha=liar.alpha, beta=liar.beta)
+    small = Balls(input=small_ball, output=exact)
+    rates = {"rate_controller": 0.85, "rate_observer": 0.5}
+    synthesis = RiccatiSynthesis(input_weight=1e-3, **rates)
+    model = SimpleNamespace(linear=system)
+    design = synthesis.design(model, small)
     assert design.certified
-    text = json.dumps(design.to_json())
+    stored = design.to_json()
+    text = json.dumps(stored)
     content = json.loads(text)
     assert failed_checks(content, system, small) == []  # what was believed before
     points = np.linspace(-3, 3, 400)
-    slopes = [liar.jacobian(np.array([v]))[0, 0] for v in points]
     k = design.state_feedback.k
-    radii = [np.abs(np.linalg.eigvals(system.a + s * system.b @ k)).max() for s in slopes]
+    radii = []
+    for slope in slopes_at(liar, points):
+        closed_loop = system.a + slope * system.b @ k
+        eigenvalues = np.linalg.eigvals(closed_loop)
+        radii.append(np.abs(eigenvalues).max())
     assert max(radii) > 1
     ball = jacobian_ball(liar).ball
     derived = Balls(input=ball, output=exact)
@@ -157,8 +181,10 @@ def test_the_perceptron_of_one_channel_can_saturate() -> None:
     rng = np.random.default_rng(0)
     scaffold = mlp.build(frame, rng)
     scaffold.base_0.data.fill_(-30.0)
-    scaffold.jumps_0.data[0], scaffold.jumps_0.data[-1] = 200.0, -200.0
+    jumps = scaffold.jumps_0.data
+    jumps[0] = 200.0
+    jumps[-1] = -200.0
     frozen = scaffold.freeze()
-    slopes = [frozen.jacobian(np.array([v]))[0, 0] for v in (-5.0, 0.0, 5.0)]
+    slopes = slopes_at(frozen, (-5.0, 0.0, 5.0))
     expected = [0.1, 1.0, 0.1]
     np.testing.assert_allclose(slopes, expected, atol=1e-9)

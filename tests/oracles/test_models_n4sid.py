@@ -10,12 +10,11 @@ from ssm_study.signals import Channel, Trajectory
 from ssm_study.systems import StateSpace
 
 RNG = np.random.default_rng(0)
-TRUE = StateSpace(
-    a=np.array([[0.9, 0.2], [-0.2, 0.8]]),
-    b=RNG.normal(size=(2, 2)),
-    c=RNG.normal(size=(1, 2)),
-    d=np.zeros((1, 2)),
-)
+A = np.array([[0.9, 0.2], [-0.2, 0.8]])
+B = RNG.normal(size=(2, 2))
+C = RNG.normal(size=(1, 2))
+D = np.zeros((1, 2))
+TRUE = StateSpace(a=A, b=B, c=C, d=D)
 
 
 def test_the_input_matrix_is_recovered_from_records_with_unknown_starts() -> None:
@@ -39,21 +38,24 @@ def test_a_system_without_feedthrough_is_identified_without_it() -> None:
         u = RNG.normal(size=(400, 1))
         y = system.simulate(u)[0]
         white_noise = RNG.normal(size=y.shape)
-        trajectory = Trajectory(u=u, y=y + 0.02 * white_noise, step_s=0.1, name=name)
+        measured = y + 0.02 * white_noise
+        trajectory = Trajectory(u=u, y=measured, step_s=0.1, name=name)
         records.append((trajectory,))
     channel = Channel(name="u", unit="V")
     output_channel = Channel(name="y", unit="m")
     channels = (channel,), (output_channel,)
-    parts = (records[0], records[1], records[2])
-    rest = (np.zeros(1), np.zeros(1))
+    training, validation, test = records
+    parts = (training, validation, test)
+    zero = np.zeros(1)
+    rest = (zero, zero)
     data = assemble_dataset(parts, rest, channels, 0)
     n4_sid = N4SID(order=2, block_rows=10)
     model = n4_sid.solve(data)
     linear_d = model.linear.d
     assert not linear_d.any()
-    test_u = data.test[0].u
-    response = system.simulate(test_u)
-    u, y = test_u, response[0]
+    u = data.test[0].u
+    response = system.simulate(u)
+    y = response[0]
     difference = model.simulate(u) - y
     mean = np.mean(difference**2)
     upper_limit = 0.02 * y.std()

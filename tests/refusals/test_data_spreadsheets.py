@@ -11,8 +11,10 @@ from ssm_study.refusal import BadRequest
 
 
 def source(path: Path, **settings: object) -> RecordedData:
-    fields: dict[str, object] = {"path": str(path), "input": "u", "output": "y"}
-    return RecordedData(**(fields | settings))  # type: ignore[arg-type]
+    fields: dict[str, object] = {"path": str(path)}
+    fields |= {"input": "u", "output": "y"}
+    fields |= settings
+    return RecordedData(**fields)  # type: ignore[arg-type]
 
 
 def test_a_sheet_is_read_as_a_text_with_its_names_units_and_dates(
@@ -21,29 +23,34 @@ def test_a_sheet_is_read_as_a_text_with_its_names_units_and_dates(
     """Table of an engine: a sheet of objects with a line of names and one of units."""
     times = pd.date_range("2026-01-01", periods=200, freq="1min")
     u = np.repeat([0.0, 1.0, -1.0, 0.5], 50)
-    rows = [["time", "u", "y"], ["", "V", "rpm"]]
+    heads = ["time", "u", "y"]
+    units = ["", "V", "rpm"]
+    rows = [heads, units]
     running_sum = np.cumsum(u)
     rows += [list(row) for row in zip(times, u, running_sum, strict=True)]
     sheet = pd.DataFrame(rows, dtype=object)
     monkeypatch.setattr(pd, "read_excel", lambda *_, **__: sheet)
     path = tmp_path / "log.xlsx"
     path.write_bytes(b"PK")
-    pieces, remark = source(path).read_pieces(path)
+    recorded_data = source(path)
+    pieces, remark = recorded_data.read_pieces(path)
     assert pieces[0].step_s == 60.0
     pieces_y = pieces[0].y
     actual = pieces_y[:, 0]
-    expected = np.cumsum(u)
+    expected = running_sum
     np.testing.assert_array_equal(actual, expected)
     assert "clock time (dates)" in remark
 
 
-@pytest.mark.parametrize(
-    ("raised", "says"),
-    [
-        (ImportError("openpyxl"), r"no reader of spreadsheets; save the sheet as CSV, or pip"),
-        (ValueError("bad zip"), r"not a complete spreadsheet \(bad zip\)"),
-    ],
-)
+NO_ENGINE = ImportError("openpyxl")
+NO_SPREADSHEET = ValueError("bad zip")
+FAILURES = [
+    (NO_ENGINE, r"no reader of spreadsheets; save the sheet as CSV, or pip"),
+    (NO_SPREADSHEET, r"not a complete spreadsheet \(bad zip\)"),
+]
+
+
+@pytest.mark.parametrize(("raised", "says"), FAILURES)
 def test_a_sheet_without_an_engine_or_damaged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, raised: Exception, says: str
 ) -> None:

@@ -9,9 +9,28 @@ from report_runs import random_run
 from ssm_study.export.targets import write_controller
 from ssm_study.refusal import BadRequest
 
+NO_MODEL = r"it has no model\.json; name the folder of a run"
+BEYOND_FRONTIER = r"rate 0\.9 lies beyond the frontier 0\.2; export another"
+INFEASIBLE_PART = {
+    "theorem": "state_feedback",
+    "alpha": 0.5,
+    "beta": 0.4,
+    "rate": 0.9,
+    "rate_limit": 0.2,
+    "seconds": 0.0,
+}
+INFEASIBLE_OUTCOME = {
+    "proved": True,
+    "feasible": False,
+    "certified": False,
+    "reason": "rate 0.9 lies beyond the frontier 0.2",
+    "method": "frontier",
+    "solver_status": "none",
+}
+
 
 def test_a_run_without_controller(tmp_path: Path) -> None:
-    with pytest.raises(BadRequest, match=r"it has no model\.json; name the folder of a run"):
+    with pytest.raises(BadRequest, match=NO_MODEL):
         write_controller(tmp_path, tmp_path / "out")
 
 
@@ -19,18 +38,10 @@ def test_an_infeasible_run_gives_its_reason(tmp_path: Path) -> None:
     run = random_run(tmp_path / "run", kind="linear", channels=1, seed=0)
     text = (run / "certificate.json").read_text()
     certificate = json.loads(text)
-    certificate["state_feedback"] = {
-        "theorem": "state_feedback", "alpha": 0.5, "beta": 0.4, "rate": 0.9, "rate_limit": 0.2,
-        "proved": True,
-        "reason": "rate 0.9 lies beyond the frontier 0.2", "method": "frontier",
-        "solver_status": "none",
-        "seconds": 0.0, "feasible": False, "certified": False,
-    }  # fmt: skip
+    certificate["state_feedback"] = INFEASIBLE_PART | INFEASIBLE_OUTCOME
     text = json.dumps(certificate)
     (run / "certificate.json").write_text(text)
-    with pytest.raises(
-        BadRequest, match=r"rate 0\.9 lies beyond the frontier 0\.2; export another"
-    ):
+    with pytest.raises(BadRequest, match=BEYOND_FRONTIER):
         write_controller(run, tmp_path / "out")
 
 

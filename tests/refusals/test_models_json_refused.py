@@ -22,7 +22,8 @@ def stored() -> dict[str, Any]:
     linear = StateSpace(a=a, b=b, c=c, d=d)
     identity = LinearScaffold.identity(1)
     scale = Scale.identity(1, 1)
-    ssm = SSM(linear=linear, scaffold_in=identity, scaffold_out=identity, scale=scale, step_s=0.01)
+    scaffolds = {"scaffold_in": identity, "scaffold_out": identity}
+    ssm = SSM(linear=linear, scale=scale, step_s=0.01, **scaffolds)
     return ssm.to_json()
 
 
@@ -34,20 +35,16 @@ def test_a_missing_entry_is_named(key: str) -> None:
         SSM.from_json(data)
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("a", [[1.0, 2.0], [3.0]]),
-        ("a", "evil"),
-        ("b", [1.0]),
-        ("input_scale", [0.0]),
-        ("output_scale", [float("nan")]),
-        ("step_s", -0.1),
-    ],
-)
+MALFORMED_MATRICES = [("a", [[1.0, 2.0], [3.0]]), ("a", "evil"), ("b", [1.0])]
+MALFORMED_NUMBERS = [("input_scale", [0.0]), ("output_scale", [float("nan")]), ("step_s", -0.1)]
+
+
+@pytest.mark.parametrize(("key", "value"), [*MALFORMED_MATRICES, *MALFORMED_NUMBERS])
 def test_a_malformed_entry_is_named(key: str, value: Any) -> None:
+    data = stored()
+    data[key] = value
     with pytest.raises(BadRequest, match=key):
-        SSM.from_json({**stored(), key: value})
+        SSM.from_json(data)
 
 
 def test_an_unknown_scaffolding_is_refused() -> None:
@@ -57,7 +54,8 @@ def test_an_unknown_scaffolding_is_refused() -> None:
 
 def test_a_scaffolding_that_does_not_fit_the_linear_part_is_refused() -> None:
     data = copy.deepcopy(stored())
-    data["scaffold_in"]["gain"] = np.eye(2).tolist()
+    two_channels = np.eye(2)
+    data["scaffold_in"]["gain"] = two_channels.tolist()
     with pytest.raises(BadRequest, match="scaffold_in"):
         SSM.from_json(data)
 
@@ -65,8 +63,9 @@ def test_a_scaffolding_that_does_not_fit_the_linear_part_is_refused() -> None:
 def test_a_monotone_scaffolding_with_crossed_break_points_is_refused() -> None:
     breakpoints = [[1.0, 0.0]]
     slopes = [[1.0, 1.0, 1.0]]
+    pieces = {"breakpoints": breakpoints, "slopes": slopes}
     with pytest.raises(BadRequest, match="breakpoints"):
-        Scaffold.from_json({"kind": "monotone", "breakpoints": breakpoints, "slopes": slopes})
+        Scaffold.from_json({"kind": "monotone", **pieces})
 
 
 def test_a_residual_scaffolding_without_its_certificate_is_refused() -> None:
@@ -81,7 +80,7 @@ def test_a_residual_scaffolding_without_its_certificate_is_refused() -> None:
         "positive_slopes": positive_slopes,
     }
     multipliers = [[-1.0]]
+    ball = {"alpha": 1.0, "beta": 0.5}
+    stored_map = {"kind": "residual", "multipliers": multipliers, **ball, **layer}
     with pytest.raises(BadRequest, match="multipliers"):
-        Scaffold.from_json(
-            {"kind": "residual", "alpha": 1.0, "beta": 0.5, "multipliers": multipliers, **layer}
-        )
+        Scaffold.from_json(stored_map)
