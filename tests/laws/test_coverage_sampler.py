@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 import coverage_samples as sampler
 
 SEEDS = range(6)
-PLANTS = 12  # of each model, at the edge and beyond it
+PLANTS = 6  # of each model, at the edge and beyond it
 random_model = cache(sampler.of_random_model)
 
 

@@ -78,7 +78,7 @@ def input_responses(known: VerificationContext) -> Complex[np.ndarray, "F 2"]:
     return frequency_response(loop, angles)[:, 0]
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_an_input_disc_around_zero_has_a_closed_form_to_seven_digits(seed: int) -> None:
     """`(nu + lambda beta^2) |u|^2 <= lambda |p|^2 + |e|^2` at every angle, the largest over
     lambda."""
@@ -151,7 +151,7 @@ def solvable(known: VerificationContext, weights: Weights, centre: float, kappa:
     return problem.status in ("optimal", "optimal_inaccurate") and float(margin.value) > 1e-7
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_no_plant_at_the_edge_of_the_disc_keeps_the_loop_moving(seed: int) -> None:
     known = context(one_layer(seed))
     proof = certify_largest_radius(known, WEIGHTS, -0.1)
@@ -159,7 +159,7 @@ def test_no_plant_at_the_edge_of_the_disc_keeps_the_loop_moving(seed: int) -> No
     assert proof.certified
     assert not proof.failed_checks(known)
     rng = np.random.default_rng(seed)
-    for case in range(16):
+    for case in range(8):
         plant = at_the_edge(proof.kappa, -0.1, rng)
         slopes = rng.choice([0.6, 1.0], 1500) if case % 2 else np.full(1500, rng.choice([0.6, 1.0]))
         inputs = on_the_plant(known, plant, slopes, case)
@@ -174,7 +174,7 @@ def test_plants_beyond_the_edge_do_keep_it_moving() -> None:
     proof = certify_largest_radius(known, WEIGHTS, -0.1)
     assert proof is not None
     rng = np.random.default_rng(0)
-    plants = [at_the_edge(4 * proof.kappa, -0.1, rng) for _ in range(40)]
+    plants = [at_the_edge(4 * proof.kappa, -0.1, rng) for _ in range(12)]
     with np.errstate(over="ignore", invalid="ignore"):
         ends = [np.abs(on_the_plant(known, one, np.ones(1500), 0)[-100:]).max() for one in plants]
     assert any(not end < 1e-2 for end in ends)
@@ -267,14 +267,14 @@ def test_loops_with_neurons_come_to_rest_on_plants_at_the_edge() -> None:
     gains = known.gains
     alpha_out = known.balls.output.alpha
     maps = [np.tanh, lambda z: np.clip(z, -0.3, 0.3), lambda z: np.maximum(z, 0.0), lambda z: z]
-    for case in range(8):
-        phi = maps[case % 4]
+    for case in range(4):
+        phi = maps[case]
         plant = at_the_edge(proof.kappa, -0.1, rng)
         white_noise = rng.standard_normal((2, 3))
         x, xh = 3 * white_noise
         delta = np.zeros(plant.order)
         sizes = []
-        for _ in range(2500):
+        for _ in range(1500):
             u = gains["k"] @ xh
             drive = rng.choice([0.6, 1.0]) * u
             m = alpha_out * system.c @ x
