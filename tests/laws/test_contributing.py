@@ -6,12 +6,11 @@ The files go into a copy of the project. A guide whose example another page show
 
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from textwrap import dedent
 
 import pytest
+from fresh_programs import start_program
 
 ROOT = Path(__file__).resolve().parents[2]
 GUIDE = re.compile(r"^### (?:an?) ([a-z]+)\n(.*?)(?=^##)", re.M | re.S)
@@ -87,6 +86,19 @@ def copy(tmp_path_factory: pytest.TempPathFactory, smoke_study: Path) -> Path:
     return folder
 
 
+# Pytest in a process of its own, where the copy is imported in place of the project.
+JUDGE = """
+import os, sys
+import pytest
+for name in [name for name in os.environ if name.startswith("PYTEST_XDIST")]:
+    del os.environ[name]
+os.environ["HYPOTHESIS_PROFILE"] = "few"
+os.chdir(COPY)
+sys.path[:0] = [COPY, COPY + "/tests"]
+sys.exit(pytest.main(WORDS))
+"""
+
+
 @pytest.fixture(scope="module")
 def judged(copy: Path) -> list[str]:
     """The checks that passed in the copy: one line each."""
@@ -95,21 +107,10 @@ def judged(copy: Path) -> list[str]:
     paths = sorted({path for laws in LAWS.values() for path in laws.split()})
     # Without the check of shapes: it is put on every function of the package when that is imported.
     words = ["-o", "addopts=--timeout=300 --strict-markers", "-n", "0", "-p", "no:randomly"]
-    text = " or ".join([*LAWS, FOUND])
-    words += ["-q", "-rp", "-k", text]
-    environment = {
-        "PATH": "/usr/bin:/bin",
-        "PYTHONPATH": f"{copy}:{copy / 'tests'}",
-        "HOME": str(copy),
-    }
-    env = environment | {"HYPOTHESIS_PROFILE": "few"}
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", *words, *paths, "tests/laws/test_here.py"],
-        cwd=copy,
-        env=env,
-        capture_output=True,
-        text=True,
-    )
+    words += ["-q", "-rp", "-k", " or ".join([*LAWS, FOUND])]
+    words += [*paths, "tests/laws/test_here.py"]
+    program = JUDGE.replace("COPY", repr(str(copy))).replace("WORDS", repr(words))
+    done = start_program(program, copy / "program").wait(timeout_s=250)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
     lines = done.stdout.splitlines()
     return [line for line in lines if line.startswith("PASSED")]

@@ -27,16 +27,24 @@ from ssm_study.study.allow_list import refuse_foreign_targets
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "tclab_study"
 SMALL = [
-    "data.samples=300",
-    "data.validation_samples=300",
-    "data.test_samples=300",
-    "training.max_epochs=3",
+    "data.samples=200",
+    "data.validation_samples=200",
+    "data.test_samples=200",
+    "training.max_epochs=2",
 ]
-SMALL += ["synthesis=reserved", "model.order=2", "~loop.comparison", "progress=false"]
-SMALL += ["loop.initial_conditions=2"]
+OF_THE_LABORATORY = [*SMALL, "data.trajectories=2", "data.fresh_sets=0", "+data.trials=false"]
+OF_THE_LABORATORY += ["synthesis=reserved", "model.order=2"]
+OF_THE_LABORATORY += ["~loop.comparison", "loop.initial_conditions=2"]
 # The command, but for the two figures that a run draws.
-UNDRAWN = "import sys; from ssm_study.cli import summary; from ssm_study.cli.main import main; "
-UNDRAWN += "summary.RUN_FIGURES = (); sys.exit(main(sys.argv[1:]))"
+UNDRAWN = """
+import os, sys
+os.chdir(ROOT)
+sys.path.insert(0, PLACE)
+from ssm_study.cli import summary
+from ssm_study.cli.main import main
+summary.RUN_FIGURES = ()
+sys.exit(main(WORDS))
+"""
 
 
 @pytest.fixture
@@ -121,16 +129,17 @@ sys.exit(pytest.main(WORDS))
 
 def judge(place: Path, folder: Path, *words: object, **environment: str) -> Ended:
     """Pytest in a process of its own, asked as the owner of a package in `place` would ask."""
-    values = {
-        "ENVIRONMENT": repr(environment),
-        "ROOT": repr(str(ROOT)),
-        "PLACE": repr(str(place)),
-        "WORDS": repr([str(word) for word in words]),
-    }
-    text = JUDGE
+    text = JUDGE.replace("ENVIRONMENT", repr(environment))
+    return do_beside(place, folder, text, *words)
+
+
+def do_beside(place: Path, folder: Path, program: str, *words: object) -> Ended:
+    """Do a program with the words, where the packages in `place` can be imported."""
+    texts = [str(word) for word in words]
+    values = {"ROOT": str(ROOT), "PLACE": str(place), "WORDS": texts}
     for name, value in values.items():
-        text = text.replace(name, value)
-    return start_program(text, folder).wait(timeout_s=250)
+        program = program.replace(name, repr(value))
+    return start_program(program, folder).wait(timeout_s=250)
 
 
 def fingerprint() -> str:
@@ -146,12 +155,11 @@ def test_an_installed_package_goes_the_whole_way(
     installed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = fingerprint()
-    asked = ["run", "experiment=tclab", *SMALL, f"results_dir={tmp_path}"]
+    place = f"results_dir={tmp_path}"
+    asked = ["run", "experiment=tclab", *OF_THE_LABORATORY, "progress=false", place]
     assert main(asked) == 2
     assert "there is no experiment/tclab" in capsys.readouterr().err
-    command = [sys.executable, "-c", UNDRAWN, *asked]
-    environment = os.environ | {"PYTHONPATH": str(installed)}
-    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    done = do_beside(installed, tmp_path / "program", UNDRAWN, *asked)
     assert done.returncode == 0, done.stderr
     (path,) = tmp_path.glob("tclab/*/record.json")
     text = path.read_text()
@@ -178,7 +186,7 @@ def test_a_folder_of_ones_own_runs_as_it_was_made(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["new", "own_study"]) == 0
-    asked = ["run", "experiment=own_study", *SMALL[:4], "progress=false"]
+    asked = ["run", "experiment=own_study", *SMALL, "progress=false"]
     plant = {"_target_": "own_study.plant.OwnPlant"}
     named = OmegaConf.create({"plant": plant})
     with monkeypatch.context() as there:
