@@ -17,12 +17,18 @@ from ssm_study.study.verify import verify
 TINY = [
     "experiment=smoke",
     "progress=false",
-    "data.samples=300",
-    "data.test_samples=300",
+    "data.trajectories=2",
+    "data.samples=200",
+    "data.validation_samples=200",
+    "data.test_samples=200",
+    "data.fresh_sets=0",
     "training.max_epochs=2",
+    "loop.initial_conditions=2",
 ]
+# Records for the mismatch alone: a search over rates chooses by them.
+NO_TRIALS = "+data.trials=false"
 # Without the search over rates, and without trials: the case is another part.
-QUICK = ("synthesis=riccati", "+data.trials=false")
+QUICK = ("synthesis=riccati", NO_TRIALS)
 
 
 # Grids of one or two points each for a search over rates and weights: judged is the line from data
@@ -44,14 +50,14 @@ def run_choices() -> list[tuple[str, ...]]:
     words: list[tuple[str, ...]] = []
     for group, option in OPTIONS.items():
         words += [(*QUICK, f"{option}={name}") for name in list_choices(group)]
-    words += [(*small_grids(name), f"synthesis={name}") for name in list_choices("synthesis")]
+    words += [(*shorten_synthesis(name), f"synthesis={name}") for name in list_choices("synthesis")]
     for folder in extension_configuration_folders():
         words += [(f"experiment={path.stem}",) for path in folder.glob("experiment/*.yaml")]
     return words
 
 
-def small_grids(synthesis: str) -> tuple[str, ...]:
-    """Words that shorten the search of a choice of `synthesis/`; none where it does not search."""
+def shorten_synthesis(synthesis: str) -> tuple[str, ...]:
+    """Words that shorten a choice of `synthesis/`: small grids if it searches, else no trials."""
     texts = []
     for folder in configuration_folders():
         path = folder / "synthesis" / f"{synthesis}.yaml"
@@ -59,7 +65,7 @@ def small_grids(synthesis: str) -> tuple[str, ...]:
             texts.append(path.read_text())
     text = texts[0]
     if SEARCH not in text:
-        return ()
+        return (NO_TRIALS,)
     if "integral_weights" not in text:
         return SMALL_GRIDS
     return (*SMALL_GRIDS, SMALL_INTEGRAL_GRID)
