@@ -6,6 +6,7 @@ import re
 import shlex
 import shutil
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from textwrap import dedent
 
@@ -33,9 +34,9 @@ INDENTED = re.compile(rf"^    ({OURS})$", re.M)
 SWEEPS = ("experiment=smoke", "experiment=order_by_rate")
 # The sweep of seeds starts processes, as the launcher does by default; these run in this process.
 IN_THIS_PROCESS = ("study=first_sweep", "experiment=order_by_rate")
-# Sizes that a log would decide by training on its folds. README's log decides them; for the log
-# under these names they are set.
-SIZED = "study=heater"
+# Sizes that a log would decide by training on its folds. A log decides them in
+# tests/laws/test_models_yaml.py (`log`) and test_training_choice.py; here they are set.
+SIZED = ("study=heater", "study=mine")
 SIZES = {
     "model.order": 2,
     "model.neurons": 1,
@@ -53,6 +54,7 @@ SMALL = {
     "data.samples": 200,
     "data.validation_samples": 200,
     "data.test_samples": 200,
+    "data.fresh_sets": 0,
     "training.max_epochs": 2,
     "loop.initial_conditions": 2,
     "loop.horizon_s": 0.3,
@@ -77,7 +79,6 @@ FEWER = (
 # instead of its own.
 SMALL_OPTIONS = {
     "loop_batch.py": "--cases 3 --samples 20 --one-by-one 1",
-    "results_gather.py": "--runs 20",
     "synthesis_agreement.py": "--count 2",
     "synthesis_certified.py": "--count 2 --gaps 0.1 -0.01",
     "synthesis_paper_lmi.py": "--minutes 0.01",
@@ -126,10 +127,10 @@ AS_IT_IS = {
     "synthesis_figures.py",
     "training_targets.py",
 }
-ELSEWHERE = {  # what a test cannot have, by name
-    "STUDY --only feasibility_map": "needs a study of several runs: test_report_figures draws it",
-    "STUDY --only robustness": "needs a study of several runs: test_report_figures draws it",
-    "STUDY --only peers": "needs a study of several runs: test_report_figures draws it",
+ELSEWHERE = {  # what a test cannot have, or has already, by name
+    "verify results/smoke/RUN": "every claim of this run: tests/oracles/test_results_verify.py",
+    "results_gather.py --runs": "twenty thousand runs; its table is committed",
+    "report STUDY": "`report results/paper` runs; the figures' names are looked up",
     "-m benchmarks.coverage_by_seed": "a minute a line; its tables are committed",
     "exchanger.csv": "a public record that is not part of the project: docs/data.md",
     "experiment=tclab": "runs where its package is installed: tests/laws/test_extensions.py",
@@ -166,6 +167,12 @@ def commands(page: Path) -> Iterator[str]:
     yield from (" ".join(found.split()) for found in inline + indented)
 
 
+# One figure of any study. `test_report_figures` draws every figure that there is: here its name is
+# looked up.
+ONE_FIGURE = re.compile(r"ssm-study report STUDY --only (\w+)")
+
+
+@cache
 def every_command() -> dict[str, str]:
     """Command: the first page that shows it."""
     return {

@@ -19,6 +19,7 @@ import pytest
 from docs_commands import (
     ELSEWHERE,
     FEW,
+    ONE_FIGURE,
     ROOT,
     composed,
     every_command,
@@ -152,6 +153,12 @@ def test_it_runs(
     conf = tmp_path / "conf"
     with FileLock(clone.parent / f"{lock_of(command)}.lock"):
         executed(command, clone, conf if conf.is_dir() else None)
+
+
+def test_every_figure_that_a_page_draws_of_any_study_is_there() -> None:
+    drawn = [name for command in COMMANDS for name in ONE_FIGURE.findall(command)]
+    assert len(drawn) > 10
+    assert set(drawn) <= set(figures.figure_names())
 
 
 def test_the_tutorial_makes_the_log_that_it_names(
