@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import control
+import docs_commands
 import numpy as np
 import pandas as pd
 import pytest
@@ -25,8 +26,6 @@ from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
 
 STEP_S = 0.1
-
-
 QUICK = (
     "model.order=2",
     "model.slope_lower=0.5",
@@ -34,8 +33,6 @@ QUICK = (
     "model.hidden_width=4",
     "training.max_epochs=3",
 )
-
-
 GIVEN = ("synthesis=riccati", "synthesis.rate_controller=0.3", "synthesis.rate_observer=0.5")
 
 
@@ -58,6 +55,14 @@ def design(log: pd.DataFrame, tmp_path_factory: pytest.TempPathFactory) -> Desig
 
 
 MODULES = ("certifying", "comparing", "controlling", "fitting")
+SHORT = ("training.max_epochs=10", "model.starts=1", "model.draws=1")
+# A log decides them by training on its folds: tests/laws/test_training_choice.py.
+SIZES = tuple(f"{name}={value}" for name, value in docs_commands.SIZES.items())
+
+
+@pytest.fixture(autouse=True)
+def _no_figures_after_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ssm_study.cli.summary.RUN_FIGURES", ())
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -66,9 +71,8 @@ def test_docstrings_run(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = parts.Parts.__init__
 
     def shortened(self: parts.Parts, choices: dict[str, str], words: tuple[str, ...] = ()) -> None:
-        short = ("training.max_epochs=10", "model.starts=1", "model.draws=1")
-        is_structured = choices.get("model") in ("structured", "log")
-        whole(self, choices, (*short, *words) if is_structured else words)
+        short = (*SHORT, *SIZES) if choices.get("model") == "log" else ()
+        whole(self, choices, (*short, *words))
 
     monkeypatch.setattr(parts.Parts, "__init__", shortened)
     result = doctest.testmod(import_module(f"ssm_study.api.{name}"))
@@ -233,18 +237,12 @@ def test_control_refuses(log: pd.DataFrame) -> None:
         infeasible.to_c("never.h")
     with pytest.raises(BadRequest, match="is a baseline: it can be scored, but"):
         st.control(st.fit(u, y, STEP_S, "model=gru", "training.max_epochs=1"))
-    a = [[0.9]]
-    b = [[1.0]]
-    c = [[1.0]]
-    d = [[0.0]]
-    plant = control.StateSpace(a, b, c, d, 0.1)
+    one = [[1.0]]
+    zero = [[0.0]]
+    plant = control.StateSpace([[0.9]], one, one, zero, STEP_S)
     with pytest.raises(BadRequest, match="needs a validation record to choose by, and there is"):
         st.control(plant, method="auto")
-    a = [[-0.9]]
-    b = [[1.0]]
-    c = [[1.0]]
-    d = [[0.0]]
-    state_space = control.StateSpace(a, b, c, d)
+    state_space = control.StateSpace([[-0.9]], one, one, zero)
     with pytest.raises(BadRequest, match="not a sampling time"):
         st.control(state_space, *GIVEN)
 

@@ -20,13 +20,14 @@ NOTEBOOKS = sorted(
 FEW_WORDS = ", ".join(f'"+synthesis.{name}={values}"' for name, values in FEW.items())
 SHORTER = {
     "your_own_data": {
-        "STEP_S, **SETTINGS": 'STEP_S, "training.max_epochs=12", **SETTINGS',
+        "STEP_S, **SETTINGS": 'STEP_S, "training.max_epochs=4", **SETTINGS',
         "st.control(model)": f"st.control(model, {FEW_WORDS})",
     },
     "reading_a_sweep": {
         '"progress=false"]': '"progress=false", "hydra/launcher=basic"]',
         '"model.slope_lower=0.01,0.2"': '"model.slope_lower=0.2", "training.max_epochs=2"',
     },
+    "strange_log": {'"training.max_epochs=10"': '"training.max_epochs=2"'},
 }
 
 

@@ -327,18 +327,19 @@ def test_shared_compositions_are_hydras_own() -> None:
         hydra_config = HydraConfig.instance()
         hydra_config.set_config(sweep_config)
         composer = Composer(loader, sweep_config, check_configuration=lambda _: None)
-        for overrides in JOBS * 2:
-            settings = composer.settings(overrides, 0)
-            theirs = loader.load_sweep_config(sweep_config, overrides)
-            set_hydra_config(theirs)
+        hydras_own = [loader.load_sweep_config(sweep_config, overrides) for overrides in JOBS]
+        for theirs in hydras_own:
             with open_dict(theirs):
                 theirs.hydra.job.id = theirs.hydra.job.num = 0
+        for overrides, theirs in [*zip(JOBS, hydras_own, strict=True)] * 2:
+            set_hydra_config(theirs)
+            settings = composer.settings(overrides, 0)
             dict_config = composer.compose(overrides, 0)
             ours = OmegaConf.to_container(dict_config, resolve=False)
-            expected = OmegaConf.to_container(theirs, resolve=False)
-            assert ours == expected
-            expected = list(plain_settings(theirs))
-            assert list(settings) == expected
-            assert settings == plain_settings(theirs)
+            assert ours == OmegaConf.to_container(theirs, resolve=False)
+            set_hydra_config(theirs)
+            expected = plain_settings(theirs)
+            assert list(settings) == list(expected)
+            assert settings == expected
         expected = len(JOBS) - 1
         assert len(composer.composed) == expected, "jobs of the same choices and names share one"

@@ -40,8 +40,9 @@ def test_a_finished_run_is_told_again_without_pandas_until_its_study_changes(
     study = tmp_path / "smoke"
     shutil.copytree(smoke_run.parent, study)
     program = (
-        "import sys; from ssm_study.cli.main import main; print(main(sys.argv[1:]), 'pandas' in "
-        "sys.modules)"
+        "import sys; from ssm_study.cli import summary; from ssm_study.cli.main import main; "
+        "summary.RUN_FIGURES = (); "  # as in this process
+        "print(main(sys.argv[1:]), 'pandas' in sys.modules)"
     )
     words = ["run", "experiment=smoke", f"results_dir={tmp_path}", "progress=false"]
 

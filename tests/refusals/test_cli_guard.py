@@ -31,6 +31,9 @@ RAISED = (RuntimeError("a"), RecursionError(), struct.error("b"), yaml.YAMLError
           np.linalg.LinAlgError("d"), NotImplementedError(), AssertionError())  # fmt: skip
 DEEP = "[" * 100_000
 
+# Each damage is one file of a copy of the same run.
+pytestmark = pytest.mark.usefixtures("made_once")
+
 
 @pytest.fixture
 def study(smoke_study: Path, tmp_path: Path) -> Path:
@@ -88,17 +91,31 @@ def cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
 
+def write_in_run(name: str, content: str) -> Callable[[Path], object]:
+    """A damage: a file of the study's run with another content."""
+    return lambda study: (run_of(study) / name).write_text(content)
+
+
+def cut_in_run(name: str) -> Callable[[Path], object]:
+    """A damage: half of a file of the study's run."""
+    return lambda study: cut(run_of(study) / name)
+
+
+def write_no_table(study: Path) -> None:
+    """A damage: rows of different lengths, and a letter in no encoding."""
+    path = run_of(study) / "comparison.csv"
+    path.write_bytes(b'a,b\n1,2,3\n"\xff')
+
+
 DAMAGES: dict[str, Callable[[Path], object]] = {
-    "model nested": lambda study: (run_of(study) / "model.json").write_text(DEEP),
-    "certificate nested": lambda study: (run_of(study) / "certificate.json").write_text(DEEP),
-    "record cut": lambda study: cut(run_of(study) / "record.json"),
-    "manifest cut": lambda study: cut(run_of(study) / "manifest.json"),
-    "yaml": lambda study: (run_of(study) / ".hydra/config.yaml").write_text("a: [b"),
-    "closed loop": lambda study: cut(run_of(study) / "closed_loop.mcap"),
-    "validation": lambda study: (run_of(study) / "validation.mcap").write_bytes(b""),
-    "comparison": lambda study: (run_of(study) / "comparison.csv").write_bytes(
-        b'a,b\n1,2,3\n"\xff'
-    ),
+    "model nested": write_in_run("model.json", DEEP),
+    "certificate nested": write_in_run("certificate.json", DEEP),
+    "record cut": cut_in_run("record.json"),
+    "manifest cut": cut_in_run("manifest.json"),
+    "yaml": write_in_run(".hydra/config.yaml", "a: [b"),
+    "closed loop": cut_in_run("closed_loop.mcap"),
+    "validation": write_in_run("validation.mcap", ""),
+    "comparison": write_no_table,
     "table": lambda study: cut(study / "runs.parquet"),
     "index": lambda study: (study / ".gathered.json").write_text(DEEP),
 }
