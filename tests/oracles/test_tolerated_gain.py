@@ -3,6 +3,7 @@ without neurons, frozen slopes, simulated loops, a forged file."""
 
 import json
 from dataclasses import replace
+from functools import cache
 from itertools import product
 
 import cvxpy as cp
@@ -47,6 +48,12 @@ def found(
     return known, proved
 
 
+@cache
+def small_loop(seed: int, h: float) -> tuple[VerificationContext, StructuredMeasuredDiscs]:
+    """A loop of three states and two neurons, shared by the tests that look at it."""
+    return found(drawn(seed, n=3, q=2, radius=0.9, h=h))
+
+
 def test_gains_are_certified_just_inside_their_largest_rate() -> None:
     design = ASKED.design(_Model(drawn(0)), BALLS)
     for part in (design.state_feedback, design.observer):
@@ -85,8 +92,8 @@ def unknown_rows(*sizes: int) -> list[np.ndarray]:
 def test_a_solver_finds_the_same_gain(seed: int, h: float) -> None:
     """One semidefinite program for P and every multiplier, its rows written out anew; the search
     knows no P."""
-    system = drawn(seed, n=3, q=2, radius=0.9, h=h)
-    known, proved = found(system)
+    known, proved = small_loop(seed, h)
+    system = known.system
     k, l, l_z = (known.gains[name] for name in ("k", "l", "l_z"))  # noqa: E741
     x, eps, p, e, w, d = unknown_rows(3, 3, 1, 1, 2, 2)
     u = k @ (x + eps)
@@ -115,8 +122,8 @@ def test_a_solver_finds_the_same_gain(seed: int, h: float) -> None:
 def test_frozen_slopes_lose_the_loop_above_and_never_below(seed: int, h: float) -> None:
     """Both sets of neurons frozen alike: small gain at each corner; and what is stored is refused
     above it."""
-    system = drawn(seed, n=4, q=3, radius=0.9, h=h)
-    known, proved = found(system)
+    known, proved = small_loop(seed, h)
+    system = known.system
     names = ("k", "l", "l_z")
     k, l, l_z = (known.gains[name] for name in names)  # noqa: E741
     peaks = []
