@@ -127,7 +127,8 @@ def print_sweep_summary(config: DictConfig) -> bool:
     """Bring the study's table up to date and print it after a sweep; return whether a run
     failed."""
     from ssm_study.evidence.finding import CANNOT_JUDGE
-    from ssm_study.table.doubts import abbreviate_names
+    from ssm_study.table.doubts import RUNS_IN_SENTENCE
+    from ssm_study.table.folders import abbreviate_names
     from ssm_study.table.show import short_run_names, show_table
 
     table = show_table(study_folder(config))
@@ -136,6 +137,7 @@ def print_sweep_summary(config: DictConfig) -> bool:
         print(RETRY)
     is_unfinished = table["status"].isin([FAILED, LOST, CORRUPT])
     if is_unfinished.any():
-        names = abbreviate_names(short_run_names(table["run"])[is_unfinished])
+        unfinished = short_run_names(table["run"])[is_unfinished]
+        names = abbreviate_names(unfinished, RUNS_IN_SENTENCE)
         print(f"exit status 1 because of {names}: every run of the study counts, older ones, too")
     return bool(is_unfinished.any() or withheld)

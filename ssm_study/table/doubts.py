@@ -11,10 +11,11 @@ import pandas as pd
 
 from ssm_study.engine.sweep import SWEEP, swept_numbers
 from ssm_study.table.columns import SETTINGS
+from ssm_study.table.folders import abbreviate_names
 
 FITS = ("fit_train_percent", "fit_validation_percent", "fit_test_percent")
 MOST = 10000  # combinations of a sweep that are compared with the table
-MANY = 4  # runs named in a sentence
+RUNS_IN_SENTENCE = 4
 
 
 def row_count_doubts(study: Path, table: pd.DataFrame) -> list[str]:
@@ -29,7 +30,7 @@ def repeated_run_sentences(table: pd.DataFrame) -> Iterator[str]:
     hashes = names.str.rsplit("-", n=1).str[-1]
     same_hash = hashes.duplicated(keep=False)
     if same_hash.any():
-        listed = abbreviate_names(names[same_hash])
+        listed = abbreviate_names(names[same_hash], RUNS_IN_SENTENCE)
         yield f"The same settings stand under several names, so they are one run: {listed}."
     if not set(FITS) <= set(table) or "seed" not in table:
         return
@@ -37,15 +38,8 @@ def repeated_run_sentences(table: pd.DataFrame) -> Iterator[str]:
     fits = fits[fits.duplicated(list(FITS), keep=False)]
     for _, alike in fits.groupby(list(FITS), sort=False):
         if alike["seed"].nunique() > 1:
-            listed = abbreviate_names(alike["run"])
+            listed = abbreviate_names(alike["run"], RUNS_IN_SENTENCE)
             yield f"Runs of different seeds have the same model, so they count once: {listed}."
-
-
-def abbreviate_names(names: pd.Series) -> str:
-    """Text with the first few of several names, and the number of the others."""
-    words = ", ".join(map(str, names[:MANY]))
-    more = len(names) - MANY
-    return f"{words} and {more} more" if more > 0 else words
 
 
 def missing_run_sentences(study: Path, table: pd.DataFrame) -> Iterator[str]:

@@ -1,7 +1,9 @@
 """Search for the folder of a study, by its path, or of a run, by its path or a part of its name."""
 
+from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 from ssm_study.engine.records import RECORD
 from ssm_study.refusal import BadRequest
@@ -24,7 +26,7 @@ def check_study_folder(path: Path) -> Path:
     is_study = is_gathered or bool(_run_names(path))
     if studies and not is_study:
         problem = "there is no run in it, but there are studies"
-        raise BadRequest("study", path, problem, f"name one: {_abbreviate_names(studies)}")
+        raise BadRequest("study", path, problem, f"name one: {abbreviate_names(studies)}")
     return path
 
 
@@ -72,7 +74,7 @@ def find_run_folder(path: Path) -> Path:
     remedy = "give the folder of one run"
     if names:
         which = "name one" if matches else "name one of its study"
-        remedy = f"{which}: {_abbreviate_names(matches or names)}"
+        remedy = f"{which}: {abbreviate_names(matches or names)}"
     raise BadRequest("run", path, problem, remedy)
 
 
@@ -91,8 +93,9 @@ def _run_names(study: Path) -> list[str]:
     return sorted(record.parent.name for record in records)
 
 
-def _abbreviate_names(names: list[str]) -> str:
+def abbreviate_names(names: Iterable[Any], limit: int = MANY) -> str:
     """Text with the first few of several names, and the number of the others."""
-    words = ", ".join(names[:MANY])
-    more = len(names) - MANY
+    texts = [str(name) for name in names]
+    words = ", ".join(texts[:limit])
+    more = len(texts) - limit
     return f"{words} and {more} more" if more > 0 else words
