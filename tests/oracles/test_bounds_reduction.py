@@ -35,7 +35,31 @@ def two_channel(inner, outer=None) -> SSM:
     linear = StateSpace(a=a, b=b, c=c, d=d)
     scaffold_out = outer or LinearScaffold.identity(2)
     scale = Scale.identity(2, 2)
-    return SSM(linear=linear, scaffold_in=inner, scaffold_out=scaffold_out, scale=scale, step_s=0.1)
+    step_s = 0.1
+    maps = {"scaffold_in": inner, "scaffold_out": scaffold_out}
+    return SSM(linear=linear, scale=scale, step_s=step_s, **maps)
+
+
+def model_with_map(side: str, scaffold) -> SSM:
+    """The model with this map on the side of the input or of the output."""
+    if side == "in":
+        return two_channel(scaffold)
+    identity = LinearScaffold.identity(2)
+    return two_channel(identity, scaffold)
+
+
+def relative_radius_of(model: SSM, side: str) -> float:
+    balls = certified_balls(model)
+    return getattr(balls, f"{side}put").relative_radius
+
+
+def assert_equal_responses(changed: SSM, model: SSM, seed: int) -> None:
+    """Two models answer a random input alike."""
+    rng = np.random.default_rng(seed)
+    u = rng.normal(size=(200, 2))
+    actual = changed.simulate(u)
+    expected = model.simulate(u)
+    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9)
 
 
 def near_linear(seed: int, centre: np.ndarray) -> MlpScaffold:
@@ -50,13 +74,9 @@ def near_linear(seed: int, centre: np.ndarray) -> MlpScaffold:
     positive_slopes = (np.ones(4),)
     weights = (first, last)
     biases = (rng.normal(size=4),)
-    mlp_scaffold_network = Network(
-        weights=weights,
-        biases=biases,
-        negative_slopes=negative_slopes,
-        positive_slopes=positive_slopes,
-    )
-    return MlpScaffold(network=mlp_scaffold_network)
+    slopes = {"negative_slopes": negative_slopes, "positive_slopes": positive_slopes}
+    network = Network(weights=weights, biases=biases, **slopes)
+    return MlpScaffold(network=network)
 
 
 KINKS = np.array([[0.5], [-0.5]])
@@ -65,35 +85,27 @@ SIGNS = MonotoneScaffold(breakpoints=KINKS, slopes=SLOPES)
 
 
 MIRROR = np.diag([1.0, -1.0])
-ROTATIONS_AND_SIGNS = [
-    LinearScaffold(gain=TURN),
-    near_linear(1, TURN),
-    near_linear(2, MIRROR),
-    SIGNS,
-]
-
-
-@pytest.mark.parametrize(
-    "inner",
-    ROTATIONS_AND_SIGNS,
-    ids=["rotation", "rotating network", "mirroring network", "one falling channel"],
+ROTATIONS_AND_SIGNS = {
+    "rotation": LinearScaffold(gain=TURN),
+    "rotating network": near_linear(1, TURN),
+    "mirroring network": near_linear(2, MIRROR),
+    "one falling channel": SIGNS,
+}
+turned_maps = pytest.mark.parametrize(
+    "inner", ROTATIONS_AND_SIGNS.values(), ids=ROTATIONS_AND_SIGNS
 )
+
+
+@turned_maps
 @pytest.mark.parametrize("side", ["in", "out"])
 def test_rotations_and_signs_are_absorbed(inner, side: str) -> None:
     """Singular values alone would pass these as they are; the ball around alpha I refuses them
     until absorbed."""
-    identity = LinearScaffold.identity(2)
-    model = two_channel(inner) if side == "in" else two_channel(identity, inner)
-    relative_radius = getattr(certified_balls(model), f"{side}put").relative_radius
-    assert relative_radius >= 1
+    model = model_with_map(side, inner)
+    assert relative_radius_of(model, side) >= 1
     turned = model.absorb_map_centres()
-    relative_radius = getattr(certified_balls(turned), f"{side}put").relative_radius
-    assert relative_radius < 0.6
-    rng = np.random.default_rng(1)
-    u = rng.normal(size=(200, 2))
-    actual = turned.simulate(u)
-    expected = model.simulate(u)
-    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9)
+    assert relative_radius_of(turned, side) < 0.6
+    assert_equal_responses(turned, model, 1)
 
 
 @pytest.mark.parametrize("side", ["in", "out"])
@@ -101,20 +113,18 @@ def test_channels_of_different_gain_keep_their_map(side: str) -> None:
     """One channel steeper than one, one flatter, one falling: pieces are turned around for the
     falling one alone."""
     breakpoints = np.array([[-0.3, 0.8], [0.2, 0.9]])
-    slopes = np.array([[2.0, 3.0, 4.0], [-3.0, -2.0, -1.0]])
-    inner = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
-    slopes = np.array([[2.0, 3.0, 4.0], [0.1, 0.2, 0.3]])
-    changed_inner = replace(inner, slopes=slopes)
-    for scaffold in (inner, changed_inner):
-        identity = LinearScaffold.identity(2)
-        model = two_channel(scaffold) if side == "in" else two_channel(identity, scaffold)
+    steep = [2.0, 3.0, 4.0]
+    falling = [-3.0, -2.0, -1.0]
+    flat = [0.1, 0.2, 0.3]
+    slopes = np.array([steep, falling])
+    with_falling = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
+    slopes = np.array([steep, flat])
+    with_flat = replace(with_falling, slopes=slopes)
+    for scaffold in (with_falling, with_flat):
+        model = model_with_map(side, scaffold)
         turned = model.absorb_map_centres()
         assert turned.linear is not model.linear
-        rng = np.random.default_rng(2)
-        u = rng.normal(size=(200, 2))
-        actual = turned.simulate(u)
-        expected = model.simulate(u)
-        np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9)
+        assert_equal_responses(turned, model, 2)
 
 
 def test_reduction_absorbs_unless_told_not_to() -> None:
@@ -169,26 +179,33 @@ def test_balanced_coordinates_and_the_truncation_bound(seed: int, order: int) ->
     if hankel[-1] < upper_limit:
         return
     balanced = balanced_realization(linear)
-    np.testing.assert_allclose(hankel_singular_values(balanced), hankel, rtol=1e-5)
+    balanced_values = hankel_singular_values(balanced)
+    np.testing.assert_allclose(balanced_values, hankel, rtol=1e-5)
     b = balanced.c.T
     of_input = controllability_gramian(balanced.a, balanced.b)
     of_output = controllability_gramian(balanced.a.T, b)
+    expected = np.diag(hankel)
+    atol = 1e-5 * hankel[0]
     for w in (of_input, of_output):
-        expected = np.diag(hankel)
-        atol = 1e-5 * hankel[0]
         np.testing.assert_allclose(w, expected, atol=atol)
     reduced = balanced_realization(linear, order - 1)
     angles = np.linspace(0, np.pi, 200)
     z = np.exp(1j * angles)
-    gaps = [abs(response(linear, point) - response(reduced, point)) for point in z]
-    upper_limit = 2 * hankel[-1] * (1 + 1e-6) + 1e-9
+    gaps = []
+    for point in z:
+        gap = response(linear, point) - response(reduced, point)
+        gaps.append(abs(gap))
+    tail = 2 * hankel[-1]
+    upper_limit = tail * (1 + 1e-6) + 1e-9
     assert max(gaps) <= upper_limit
 
 
 def response(linear: StateSpace, z: complex) -> complex:
-    difference = z * np.eye(linear.order) - linear.a
+    identity = np.eye(linear.order)
+    difference = z * identity - linear.a
     solution = np.linalg.solve(difference, linear.b)
-    return (linear.c @ solution + linear.d)[0, 0]
+    values = linear.c @ solution + linear.d
+    return values[0, 0]
 
 
 class Model:
@@ -205,6 +222,12 @@ class Model:
         return Model(system)
 
 
+def reduced_order(reduction: Reduction, linear: StateSpace) -> int:
+    """The number of states that a reduction leaves."""
+    model = Model(linear)
+    return reduction.reduce(model).linear.order
+
+
 def test_balancing_refuses_what_has_no_gramian_and_drops_what_carries_nothing() -> None:
     a = np.array([[1.1]])
     b = np.ones((1, 1))
@@ -218,17 +241,15 @@ def test_balancing_refuses_what_has_no_gramian_and_drops_what_carries_nothing() 
     c = np.ones((1, 2))
     d = np.zeros((1, 1))
     dead = StateSpace(a=a, b=b, c=c, d=d)
-    largest = f"{hankel_singular_values(dead)[0]:.3g}"
-    with pytest.raises(BadRequest, match=rf"of the largest \({largest}\).*truncate_to"):
+    values = hankel_singular_values(dead)
+    largest = f"{values[0]:.3g}"
+    words = rf"of the largest \({largest}\).*truncate_to"
+    with pytest.raises(BadRequest, match=words):
         balanced_realization(dead)
 
-    linear = Reduction().reduce(Model(dead)).linear
-    order = linear.order
-    assert order == 1
-    reduction = Reduction(balanced=False)
-    linear = reduction.reduce(Model(dead)).linear
-    order = linear.order
-    assert order == 2
+    assert reduced_order(Reduction(), dead) == 1
+    unbalanced = Reduction(balanced=False)
+    assert reduced_order(unbalanced, dead) == 2
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
@@ -241,12 +262,10 @@ def test_states_are_dropped_by_their_share_of_the_largest(scale: float) -> None:
     c = scale * np.array([[1.0, 1e-3]])
     d = np.zeros((1, 1))
     linear = StateSpace(a=a, b=b, c=c, d=d)
-    reduction = Reduction(drop_below=1e-1)
-    order = reduction.reduce(Model(linear)).linear.order
-    assert order == 1
-    reduction = Reduction(drop_below=1e-6)
-    order = reduction.reduce(Model(linear)).linear.order
-    assert order == 2
+    coarse = Reduction(drop_below=1e-1)
+    assert reduced_order(coarse, linear) == 1
+    fine = Reduction(drop_below=1e-6)
+    assert reduced_order(fine, linear) == 2
 
 
 REFUSED_REDUCTIONS = [

@@ -10,10 +10,11 @@ from loop_cases import motor, motor_design, motor_model
 from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.loop.regulation import SAMPLES, Loop
 
+SHORTEST, LONGEST = SAMPLES
+RESPONSES = [(0.9, 180), (0.98, 916), (0.5, SHORTEST), (0.9999, LONGEST)]
 
-@pytest.mark.parametrize(
-    ("pole", "samples"), [(0.9, 180), (0.98, 916), (0.5, SAMPLES[0]), (0.9999, SAMPLES[1])]
-)
+
+@pytest.mark.parametrize(("pole", "samples"), RESPONSES)
 def test_four_times_what_the_model_takes_to_spend_99_percent_of_its_response(pole, samples):
     """One pole: what is left after k samples is `pole^k`; the input takes one sample to arrive."""
     model = motor_model()
@@ -21,11 +22,13 @@ def test_four_times_what_the_model_takes_to_spend_99_percent_of_its_response(pol
     b = np.ones((2, 1))
     c = np.ones((1, 2))
     linear = replace(model.linear, a=a, b=b, c=c)
-    loop = Loop().with_default_horizon(model.with_linear_part(linear))
+    slow_model = model.with_linear_part(linear)
+    loop = Loop().with_default_horizon(slow_model)
     assert loop.horizon_samples(model.step_s) == samples
-    horizon_s = Loop(horizon_s=2.0).with_default_horizon(model).horizon_s
-    assert horizon_s == 2.0
-    assert Loop(horizon_s=1e-9).horizon_samples(model.step_s) == 2  # a motion
+    chosen = Loop(horizon_s=2.0)
+    assert chosen.with_default_horizon(model).horizon_s == 2.0
+    short = Loop(horizon_s=1e-9)
+    assert short.horizon_samples(model.step_s) == 2  # a motion
 
 
 def test_noise_that_alone_crosses_the_band_is_left_out_of_the_judgement():
@@ -44,9 +47,12 @@ def test_noise_that_alone_crosses_the_band_is_left_out_of_the_judgement():
 
 def test_without_noise_there_is_nothing_to_leave_out():
     k = np.array([[8.0, 8.0]])
-    lost = replace(motor_design(), state_feedback=replace(motor_design().state_feedback, k=k))
+    designed = motor_design()
+    state_feedback = replace(designed.state_feedback, k=k)
+    lost = replace(designed, state_feedback=state_feedback)
     loop = Loop(measurement_noise_variance=0.0)
     run = loop.run_design(motor(), motor_model(), lost, seed=0)
     assert run.noise_free is None
-    assert behaviour_columns(run)["stable_count"] < 10
-    assert behaviour_columns(run)["unsettled_as"]
+    columns = behaviour_columns(run)
+    assert columns["stable_count"] < 10
+    assert columns["unsettled_as"]

@@ -19,6 +19,7 @@ from disturbance_cases import (
 from ssm_study.bounds.reduction import Reduction
 from ssm_study.data.splits import rest_segments
 from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.stored import read_model_json
 from ssm_study.models.structured_spec import StructuredSpec
@@ -33,7 +34,8 @@ def test_the_difference_of_two_motions_does_not_know_the_load(neurons: bool) -> 
     """`x+ = f(x, u) + B_d d`: one load in two motions under one input leaves their difference."""
     model = random_model(0, neurons)
     rng = np.random.default_rng(2)
-    u = model.scale.physical_input(rng.normal(size=(60, 1)))
+    scaled_u = rng.normal(size=(60, 1))
+    u = model.scale.physical_input(scaled_u)
     rng = np.random.default_rng(3)
     x0 = rng.normal(size=(2, model.order))
     d = far_disturbance(model, 60)
@@ -47,13 +49,21 @@ def test_the_difference_of_two_motions_does_not_know_the_load(neurons: bool) -> 
     largest = np.abs(moved).max()
     atol = 1e-12 * largest
     np.testing.assert_allclose(difference, expected, atol=atol)
-    largest_difference = np.abs(moved[0] - still[0]).max()
+    effect = np.abs(moved[0] - still[0])
+    largest_difference = effect.max()
     assert largest_difference > 1.0
+
+
+def linear_input_model() -> SSM:
+    """A random linear model whose input map is the identity."""
+    model = random_model(0, neurons=False)
+    identity = LinearScaffold.identity(1)
+    return replace(model, scaffold_in=identity)
 
 
 def test_the_difference_of_two_loops_does_not_know_the_load() -> None:
     """With linear maps the two loops' difference is the same to rounding, whatever the load."""
-    model = replace(random_model(0, neurons=False), scaffold_in=LinearScaffold.identity(1))
+    model = linear_input_model()
     d = far_disturbance(model, 80)
     moved = differences_of_loops(model, d)
     still = differences_of_loops(model, None)
@@ -68,7 +78,8 @@ def test_loops_with_neurons_contract_under_any_load() -> None:
         d = far_disturbance(model, 300, seed)
         apart = differences_of_loops(model, d, samples=300)
         norm = np.linalg.norm(apart[-1])
-        upper_limit = 1e-4 * np.linalg.norm(apart[0])
+        initial_norm = np.linalg.norm(apart[0])
+        upper_limit = 1e-4 * initial_norm
         assert norm < upper_limit
 
 
@@ -76,22 +87,26 @@ def test_the_observer_is_told_the_load() -> None:
     """From the right state the estimate stays right under any load; untold, it errs."""
     model = random_model(1, neurons=False)
     k = np.zeros((1, 3))
-    gains = Gains(k=k, l=-0.2 * np.ones((3, 1)))
+    gain = -0.2 * np.ones((3, 1))
+    gains = Gains(k=k, l=gain)
     law = ObserverFeedback(model=model, gains=gains)
     x = np.ones((1, 3))
-    told = np.ones((1, 3))
-    untold = np.ones((1, 3))
+    informed = np.ones((1, 3))
+    uninformed = np.ones((1, 3))
+    no_drive = np.zeros((1, 1))
+    u = model.scale.input_equilibrium[None]
+    drive = model.map_input(u)
     reference = model.scale.output_equilibrium[None]
     plan = law.reference_targets(reference)
     target = plan[0]
     for d in far_disturbance(model, 30):
-        y = model.output_at(x, np.zeros((1, 1)))
-        u = model.scale.input_equilibrium[None]
-        told = law.advance(told, u, y, target, d)
-        untold = law.advance(untold, u, y, target)
-        x = model.advance(x, model.map_input(u)) + model.disturbance_contribution(d)
-    np.testing.assert_allclose(told, x, atol=1e-12)
-    difference = np.abs(untold - x)
+        y = model.output_at(x, no_drive)
+        informed = law.advance(informed, u, y, target, d)
+        uninformed = law.advance(uninformed, u, y, target)
+        load = model.disturbance_contribution(d)
+        x = model.advance(x, drive) + load
+    np.testing.assert_allclose(informed, x, atol=1e-12)
+    difference = np.abs(uninformed - x)
     largest_difference = difference.max()
     assert largest_difference > 0.1
 
@@ -110,14 +125,16 @@ def test_a_model_without_a_load_is_written_as_before() -> None:
     )
     b_d = np.zeros((0, 0))
     without = replace(model, scale=bare, b_d=b_d)
-    difference = set(model.to_json()) - set(without.to_json())
+    names = set(model.to_json())
+    names_without = set(without.to_json())
     expected = {"b_d", "disturbance_scale", "disturbance_equilibrium"}
-    assert difference == expected
-    for one in (model, without):
-        text = json.dumps(one.to_json())
+    assert names - names_without == expected
+    for written in (model, without):
+        stored = written.to_json()
+        text = json.dumps(stored)
         content = json.loads(text)
         again = read_model_json(content)
-        assert again.to_json() == one.to_json()
+        assert again.to_json() == stored
     b_d = np.zeros((0, 0))
     with pytest.raises(BadRequest, match="b_d"):
         replace(model, b_d=b_d)
@@ -156,11 +173,12 @@ def no_load(scale: Scale) -> Scale:
 
 
 def test_a_load_acts_without_the_dead_time() -> None:
-    model = replace(random_model(0, neurons=False), scaffold_in=LinearScaffold.identity(1))
+    model = linear_input_model()
     late = model.with_dead_time(4)
     input_equilibrium = model.scale.input_equilibrium
     rng = np.random.default_rng(0)
-    u = input_equilibrium + rng.normal(size=(60, 1))
+    deviation = rng.normal(size=(60, 1))
+    u = input_equilibrium + deviation
     d = far_disturbance(model, 60)
     rest = np.tile(input_equilibrium, (4, 1))
     shifted = np.concatenate([rest, u[:-4]])
@@ -172,9 +190,9 @@ def test_a_load_acts_without_the_dead_time() -> None:
 def test_a_structured_model_is_trained_with_the_load(tmp_path: Path) -> None:
     """Its Jacobian is that of finite differences, and the load reaches no output and no neuron."""
     data = recorded(tmp_path, disturbance="torque").build(0)
-    spec = StructuredSpec(
-        order=2, neurons=1, knots=3, input_path="free", feedthrough=True, starts=1, draws=1
-    )
+    size = {"order": 2, "neurons": 1, "knots": 3}
+    search = {"starts": 1, "draws": 1}
+    spec = StructuredSpec(input_path="free", feedthrough=True, **size, **search)
     fit = StructuredFit(spec, data, 0)
     fit.take_steps(4)
     theta = fit.parameter_blocks
@@ -182,12 +200,14 @@ def test_a_structured_model_is_trained_with_the_load(tmp_path: Path) -> None:
     r, j, turn = fit.problem.residual_and_jacobian(theta, free)
     sizes = [theta[n].size for n in free]
     running_sum = np.cumsum(sizes)
-    block = dict(zip(free, np.split(j @ turn, running_sum[:-1], 1), strict=True))
+    columns = np.split(j @ turn, running_sum[:-1], 1)
+    block = dict(zip(free, columns, strict=True))
     for name in ("b", "d", "g"):
         for entry in range(2):
             moved = theta[name].copy()
             moved.ravel()[entry] += 1e-6
-            difference = fit.problem.weighted_error(theta | {name: moved}) - r
+            changed = theta | {name: moved}
+            difference = fit.problem.weighted_error(changed) - r
             expected = difference / 1e-6
             if name != "b" and entry == 1:
                 assert not block[name][:, entry].any()
@@ -212,7 +232,9 @@ def test_a_structured_model_is_trained_with_the_load(tmp_path: Path) -> None:
 
 
 def test_nothing_rests_while_the_load_moves() -> None:
-    u = np.array([1.0] * 20 + [0.0] * 40)[:, None]
+    moving_input = [1.0] * 20
+    resting_input = [0.0] * 40
+    u = np.array(moving_input + resting_input)[:, None]
     y = np.zeros((60, 1))
     d = np.arange(60.0)[:, None]
     moving = Trajectory(u=u, y=y, step_s=1.0, d=d)
@@ -228,7 +250,8 @@ def test_nothing_rests_while_the_load_moves() -> None:
 
 def test_a_log_with_a_hole_and_a_set_point_keeps_its_load(tmp_path: Path) -> None:
     """Each piece has the load of its own samples, and the set point's column is no load."""
-    log = pd.read_csv(motor_log(tmp_path))
+    path = motor_log(tmp_path)
+    log = pd.read_csv(path)
     log.loc[450, "torque"] = np.nan
     log["wanted"] = np.roll(log.speed, 3)
     log.to_csv(tmp_path / "holes.csv", index=False)
@@ -241,9 +264,11 @@ def test_a_log_with_a_hole_and_a_set_point_keeps_its_load(tmp_path: Path) -> Non
     assert names == ["torque"]
     for record in records:
         first = record.first
-        expected = log.torque.to_numpy()[first : first + len(record)]
+        last = first + len(record)
+        expected = log.torque.to_numpy()[first:last]
         actual = record.d[:, 0]
         np.testing.assert_array_equal(actual, expected)
     disturbance_equilibrium = data.scale.disturbance_equilibrium
-    mean = np.concatenate([record.d for record in data.training]).mean()
+    loads = [record.d for record in data.training]
+    mean = np.concatenate(loads).mean()
     assert disturbance_equilibrium == pytest.approx(mean)

@@ -24,9 +24,10 @@ class Model:
     """A stable third-order model, one fast and one slow pole pair."""
 
     a = np.array([[0.95, 0.1, 0.0], [-0.1, 0.95, 0.2], [0.0, 0.0, 0.5]])
-    linear = StateSpace(
-        a=a, b=np.array([[0.0], [1.0], [0.7]]), c=np.array([[1.0, 0.5, -0.3]]), d=np.zeros((1, 1))
-    )
+    b = np.array([[0.0], [1.0], [0.7]])
+    c = np.array([[1.0, 0.5, -0.3]])
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
 
 
 INPUT_BALL = JacobianBall.from_slopes(0.3, 1.0)
@@ -37,19 +38,24 @@ BALLS = Balls(input=INPUT_BALL, output=OUTPUT_BALL)
 def plain_ldl_is_positive(matrix: list[list[Fraction]]) -> bool:
     """Textbook LDL^T in fractions: the slow independent route."""
     rows = [row[:] for row in matrix]
-    for i in range(len(rows)):
-        if rows[i][i] <= 0:
+    for i, pivot_row in enumerate(rows):
+        pivot = pivot_row[i]
+        if pivot <= 0:
             return False
         for j in range(i + 1, len(rows)):
-            factor = rows[j][i] / rows[i][i]
-            rows[j] = [x - factor * y for x, y in zip(rows[j], rows[i], strict=True)]
+            factor = rows[j][i] / pivot
+            pairs = zip(rows[j], pivot_row, strict=True)
+            rows[j] = [entry - factor * above for entry, above in pairs]
     return True
 
 
-SHIFT = st.sampled_from([-1e-3, -1e-13, -1e-16, 0.0, 1e-16, 1e-13, 1e-3])
+SHIFTS = [-1e-3, -1e-13, -1e-16, 0.0, 1e-16, 1e-13, 1e-3]
+SHIFT = st.sampled_from(SHIFTS)
+SIZE = st.integers(1, 6)
+SEED = st.integers(0, 10_000)
 
 
-@given(st.integers(1, 6), st.integers(0, 10_000), SHIFT)
+@given(SIZE, SEED, SHIFT)
 def test_the_exact_routes_agree_with_textbook_elimination(
     size: int, seed: int, shift: float
 ) -> None:
@@ -60,16 +66,22 @@ def test_the_exact_routes_agree_with_textbook_elimination(
     eigenvalues = np.linalg.eigvalsh(gram)
     difference = shift - eigenvalues[0]
     matrix = gram + difference * np.eye(size)
-    fractions = [[Fraction(float(value)) for value in row] for row in matrix]
-    verdict = exact.is_positive_definite(Exact.from_floats(matrix))
+    fractions = []
+    for row in matrix.tolist():
+        fractions.append([Fraction(value) for value in row])
+    as_exact = Exact.from_floats(matrix)
+    verdict = exact.is_positive_definite(as_exact)
     assert verdict == plain_ldl_is_positive(fractions)
-    rational = Exact.from_floats(matrix).rational
+    rational = as_exact.rational
     integer = rational.numer_denom()[0]
     expected = exact.has_positive_leading_minors(integer)
     assert verdict == expected
 
 
-@pytest.mark.parametrize("synthesis", [RiccatiSynthesis, ClosedFormSynthesis, LmiSynthesis])
+METHODS = [RiccatiSynthesis, ClosedFormSynthesis, LmiSynthesis]
+
+
+@pytest.mark.parametrize("synthesis", METHODS)
 def test_every_method_is_certified_and_survives_its_file(synthesis, tmp_path) -> None:
     method = synthesis(rate_controller=0.3, rate_observer=0.3)
     design = method.design(Model(), BALLS)
@@ -79,7 +91,8 @@ def test_every_method_is_certified_and_survives_its_file(synthesis, tmp_path) ->
     for side in ("state_feedback", "observer"):
         before = getattr(design, side)
         after = getattr(again, side)
-        for name, value in vars(before).items():
+        for name in vars(before):
+            value = getattr(before, name)
             value_after = getattr(after, name)
             assert np.array_equal(value, value_after), name
     text = (tmp_path / "certificate.json").read_text()
@@ -89,27 +102,29 @@ def test_every_method_is_certified_and_survives_its_file(synthesis, tmp_path) ->
     assert certified is True
 
 
+def assert_gains_agree(actual: np.ndarray, expected: np.ndarray) -> None:
+    np.testing.assert_allclose(actual, expected, rtol=1e-3, atol=1e-3)
+
+
 def test_riccati_and_lmi_agree_on_the_guaranteed_cost_gain() -> None:
     rates = {"rate_controller": 0.2, "rate_observer": 0.2}
     riccati_synthesis = RiccatiSynthesis(**rates)
     riccati = riccati_synthesis.design(Model(), BALLS)
     lmi_synthesis = LmiSynthesis(**rates, objective="guaranteed_cost")
     lmi = lmi_synthesis.design(Model(), BALLS)
-    actual = riccati.state_feedback.k
-    expected = lmi.state_feedback.k
-    np.testing.assert_allclose(actual, expected, rtol=1e-3, atol=1e-3)
-    actual = riccati.observer.l
-    expected = lmi.observer.l
-    np.testing.assert_allclose(actual, expected, rtol=1e-3, atol=1e-3)
+    assert_gains_agree(riccati.state_feedback.k, lmi.state_feedback.k)
+    assert_gains_agree(riccati.observer.l, lmi.observer.l)
 
 
 def test_beyond_the_frontier_is_a_recorded_outcome_with_the_number() -> None:
     riccati_synthesis = RiccatiSynthesis(rate_controller=0.9, rate_observer=0.3)
     design = riccati_synthesis.design(Model(), BALLS)
-    assert not design.state_feedback.certified
-    assert design.state_feedback.proved
-    assert design.state_feedback.rate_limit < 0.9
-    assert f"{design.state_feedback.rate_limit:.6g}" in design.state_feedback.reason
+    outcome = design.state_feedback
+    assert not outcome.certified
+    assert outcome.proved
+    assert outcome.rate_limit < 0.9
+    printed_limit = f"{outcome.rate_limit:.6g}"
+    assert printed_limit in outcome.reason
 
 
 def test_minors_of_one_and_of_zero() -> None:
@@ -121,6 +136,12 @@ def test_minors_of_one_and_of_zero() -> None:
     assert not exact.has_positive_leading_minors(integer)
     integer = fmpz_mat([[0, 1], [1, 0]])
     assert not exact.has_positive_leading_minors(integer)
+
+
+def assert_inequality(conditions: dict[str, Exact], expected: np.ndarray) -> None:
+    """The exact inequality, in floats, is this matrix."""
+    actual = conditions["inequality"].to_floats()
+    np.testing.assert_allclose(actual, expected, atol=1e-13)
 
 
 def test_the_exact_blocks_are_the_theorems_blocks() -> None:
@@ -142,11 +163,11 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
     middle_rows = [coupling.T, middle, border]
     identity = 1.3 * np.eye(2)
     last_rows = [zero.T, border.T, identity]
-    one = np.block([first_rows, middle_rows, last_rows])
-    asked = {"alpha": 0.7, "beta": 0.2, "rate": 0.4}
-    exactly = StateFeedbackOfBall.exact_conditions(a=a, b=b, p=p, y=y, k=k, sigma=1.3, **asked)
-    actual = exactly["inequality"].to_floats()
-    np.testing.assert_allclose(actual, one, atol=1e-13)
+    state_feedback_matrix = np.block([first_rows, middle_rows, last_rows])
+    numbers = {"alpha": 0.7, "beta": 0.2, "rate": 0.4}
+    variables = {"a": a, "b": b, "p": p, "y": y, "k": k}
+    exactly = StateFeedbackOfBall.exact_conditions(sigma=1.3, **variables, **numbers)
+    assert_inequality(exactly, state_feedback_matrix)
     c = b.T.copy()
     gain = k.T.copy()
     v = y @ gain
@@ -154,16 +175,25 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
     border = 0.2 * v
     first_rows = [corner, coupling, zero]
     middle_rows = [coupling.T, middle, border]
-    last_rows = [zero.T, border.T, 1.3 * np.eye(2)]
-    two = np.block([first_rows, middle_rows, last_rows])
-    exactly = ObserverOfBall.exact_conditions(a=a, c=c, q=p, u=y, l=gain, eta=1.3, **asked)
-    actual = exactly["inequality"].to_floats()
-    np.testing.assert_allclose(actual, two, atol=1e-13)
+    last_rows = [zero.T, border.T, identity]
+    observer_matrix = np.block([first_rows, middle_rows, last_rows])
+    variables = {"a": a, "c": c, "q": p, "u": y, "l": gain}
+    exactly = ObserverOfBall.exact_conditions(eta=1.3, **variables, **numbers)
+    assert_inequality(exactly, observer_matrix)
+
+
+def forbid_elimination(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the exact elimination fail the test."""
+
+    def fail(_: fmpz_mat) -> None:
+        pytest.fail("eliminated")
+
+    monkeypatch.setattr(exact, "has_positive_leading_minors", fail)
 
 
 def test_units_far_apart_are_decided_by_the_balls_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows and columns in units that are `2^40` apart, one of them indefinite by its last bit."""
-    monkeypatch.setattr(exact, "has_positive_leading_minors", lambda _: pytest.fail("eliminated"))
+    forbid_elimination(monkeypatch)
     entries = [[2, 2**40], [2**40, 2 * 2**80]]
     rational = fmpq_mat(entries)
     matrix = Exact(rational)
@@ -182,26 +212,36 @@ def test_what_is_singular_exactly_is_left_to_the_elimination(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """No number of digits shows the sign of a zero."""
-    asked: list[fmpz_mat] = []
-    monkeypatch.setattr(
-        exact, "has_positive_leading_minors", lambda integer: bool(asked.append(integer))
-    )
-    third = fmpz_mat([[3, 1, 4], [1, 3, 4], [4, 4, 8]])  # the last row is the sum of the others
+    eliminated: list[fmpz_mat] = []
+
+    def record_integer(integer: fmpz_mat) -> bool:
+        eliminated.append(integer)
+        return False
+
+    monkeypatch.setattr(exact, "has_positive_leading_minors", record_integer)
+    rows = [[3, 1, 4], [1, 3, 4], [4, 4, 8]]  # the last row is the sum of the others
+    third = fmpz_mat(rows)
     matrix = Exact(fmpq_mat(third))
     assert not exact.is_positive_definite(matrix)
-    assert asked == [third]
+    assert eliminated == [third]
 
 
-@pytest.mark.parametrize(
-    "rows", [[[0]], [[-1]], [[0, 0], [0, 1]], [[1, 0], [0, 0]], [[0, 1], [1, 0]], [[-1, 0], [0, 1]]]
-)
+SCALARS = [[[0]], [[-1]]]
+SINGULAR = [[[0, 0], [0, 1]], [[1, 0], [0, 0]]]
+INDEFINITE = [[[0, 1], [1, 0]], [[-1, 0], [0, 1]]]
+
+
+@pytest.mark.parametrize("rows", [*SCALARS, *SINGULAR, *INDEFINITE])
 def test_zero_and_less_on_the_diagonal(rows: list[list[int]]) -> None:
     matrix = Exact(fmpq_mat(rows))
     assert not exact.is_positive_definite(matrix)
 
 
+SMALLEST_PIVOTS = [1e-17, -1e-17, 1e-30, -1e-30, 1e-60, -1e-60]
+
+
 @pytest.mark.parametrize("size", [3, 40])
-@pytest.mark.parametrize("smallest", [1e-17, -1e-17, 1e-30, -1e-30, 1e-60, -1e-60])
+@pytest.mark.parametrize("smallest", SMALLEST_PIVOTS)
 def test_what_floats_cannot_see_needs_no_elimination(
     size: int, smallest: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -210,13 +250,16 @@ def test_what_floats_cannot_see_needs_no_elimination(
     rng = np.random.default_rng(size)
     drawn_entries = rng.normal(size=(size, size))
     entries = 0.1 * drawn_entries
-    unit_triangle = np.tril(entries, -1) + np.eye(size)
+    strict_triangle = np.tril(entries, -1)
+    unit_triangle = strict_triangle + np.eye(size)
     lower = Exact.from_floats(unit_triangle)
     falling = np.geomspace(1, 1e-3, size - 1)
     pivots = [*falling, smallest]
-    matrix = lower @ np.diag(pivots) @ lower.T
-    monkeypatch.setattr(exact, "has_positive_leading_minors", lambda _: pytest.fail("eliminated"))
-    assert exact.is_positive_definite(matrix) is (smallest > 0)
+    diagonal = np.diag(pivots)
+    matrix = lower @ diagonal @ lower.T
+    forbid_elimination(monkeypatch)
+    is_definite = exact.is_positive_definite(matrix)
+    assert is_definite is (smallest > 0)
 
 
 def test_a_factor_whose_inverse_is_beyond_the_floats_is_decided() -> None:
