@@ -173,7 +173,7 @@ GROUPS = {
     "evidence": Group(
         modules=("evidence",),
         tests="tests/oracles/test_evidence_response.py tests/oracles/test_evidence_rest.py "
-        "tests/oracles/test_evidence_own_motion.py "
+        "tests/oracles/test_evidence_own_motion.py tests/oracles/test_evidence_feedback.py "
         "tests/laws/test_evidence_controls.py -k 'not control or white or saturated or 60 or good'",
         planted=15,
     ),

@@ -9,7 +9,7 @@ from models_cases import data_set
 
 from ssm_study.models.baselines.regression import fit_arx
 from ssm_study.models.structured_spec import StructuredSpec
-from ssm_study.signals import DataSet
+from ssm_study.signals import DataSet, Trajectory
 from ssm_study.training import choice
 from ssm_study.training.candidates import REGRESSION, Candidate
 from ssm_study.training.choice_of_regression import LAGS, choose_regression
@@ -18,9 +18,25 @@ from ssm_study.training.optimisers import Lbfgs
 from ssm_study.training.search import Search
 from ssm_study.training.training import Training, TrainingSession
 
-SPEC = StructuredSpec(
-    order="auto", neurons="auto", knots="auto", input_path="none", among_starts=None
+AUTO = {"order": "auto", "neurons": "auto", "knots": "auto"}
+SPEC = StructuredSpec(**AUTO, input_path="none", among_starts=None)
+TRAINING = Training(
+    optimiser=Lbfgs(steps_per_epoch=10, history=20),
+    max_epochs=1,
+    patience=1,
+    min_gain_percent=0.0,
+    validation_tolerance_percent=0.0,
 )
+
+
+def add_load(record: Trajectory, rng: np.random.Generator) -> Trajectory:
+    """The record with a slow load on its output."""
+    samples = len(record)
+    heights = rng.normal(size=1 + samples // 100)
+    levels = np.repeat(heights, 100)[:samples]
+    load = record.y.std() / 3.0 * levels
+    y = record.y + load[:, None]
+    return replace(record, y=y)
 
 
 @pytest.fixture(scope="module")
@@ -30,34 +46,31 @@ def loaded() -> DataSet:
     rng = np.random.default_rng(2)
     parts = {}
     for part in ("training", "validation", "test"):
-        records = []
-        for record in getattr(data, part):
-            levels = np.repeat(rng.normal(size=1 + len(record) // 100), 100)[: len(record)]
-            load = record.y.std() / 3.0 * levels[:, None]
-            records.append(replace(record, y=record.y + load))
-        parts[part] = tuple(records)
+        records = getattr(data, part)
+        parts[part] = tuple(add_load(record, rng) for record in records)
     return replace(data, **parts)
 
 
 def search_in(data: DataSet, spec: StructuredSpec = SPEC) -> Search:
-    return Search(spec=spec, folds=make_folds(data), seed=0, announce=lambda _: None)
+    folds = make_folds(data)
+    return Search(spec=spec, folds=folds, seed=0, announce=lambda _: None)
 
 
 def candidate(training_error: float, *errors: float) -> Candidate:
-    return Candidate(
-        question="size",
-        model="structured",
-        settings={},
-        errors=np.array(errors),
-        training_error=training_error,
-    )
+    kind = {"question": "size", "model": "structured", "settings": {}}
+    error_array = np.array(errors)
+    return Candidate(errors=error_array, training_error=training_error, **kind)
+
+
+UNEXPLAINED = (30.0, 60.0, 60.0, 60.0, 60.0)
 
 
 def test_records_that_are_explained_need_no_regression(loaded: DataSet) -> None:
     search = search_in(loaded)
     explains = candidate(19.0, 60.0, 60.0, 60.0, 60.0)
     follows_by_chance = candidate(25.0, 70.0, 70.0, 70.0, 70.0)
-    assert choose_regression(search, [explains, follows_by_chance]) is None
+    tried = choose_regression(search, [explains, follows_by_chance])
+    assert tried is None
     assert search.tried == []
 
 
@@ -72,53 +85,58 @@ def test_what_others_explain_by_chance_hides_no_load(loaded: DataSet) -> None:
 
 def test_a_regression_is_taken_where_folds_cannot_tell(loaded: DataSet, tmp_path: Path) -> None:
     search = search_in(loaded)
-    tried = choose_regression(search, [candidate(30.0, 60.0, 60.0, 60.0, 60.0)])
+    unexplained = candidate(*UNEXPLAINED)
+    tried = choose_regression(search, [unexplained])
     assert tried is not None
     assert tried.model == REGRESSION
     assert len(search.tried) == len(LAGS)
-    smaller = [other for other in search.tried if other.settings["order"] < tried.settings["order"]]
+    order = tried.settings["order"]
+    smaller = [other for other in search.tried if other.settings["order"] < order]
     best = min(search.tried, key=lambda other: other.mean_error_percent)
     assert all(other.is_clearly_worse(best) for other in smaller)
-    made = search.make_choice(tried)
-    assert made.linear_kind == REGRESSION
-    training = Training(
-        optimiser=Lbfgs(steps_per_epoch=10, history=20),
-        max_epochs=1,
-        patience=1,
-        min_gain_percent=0.0,
-        validation_tolerance_percent=0.0,
-    )
+    chosen = search.make_choice(tried)
+    assert chosen.linear_kind == REGRESSION
     session = TrainingSession(seed=0, folder=tmp_path)
-    identified = training._train_choice(made, loaded, session)
-    lags = int(made.spec.order)
+    identified = TRAINING._train_choice(chosen, loaded, session)
+    lags = int(chosen.spec.order)
     expected = fit_arx(loaded, lags, 1)
     u = loaded.test[0].u
-    actual = identified.model.simulate(u) - identified.model.simulate(0.0 * u)
-    reference = expected.simulate(u) - expected.simulate(0.0 * u)
-    np.testing.assert_allclose(actual, reference, atol=1e-8 * np.ptp(reference))
+    no_input = 0.0 * u
+    model = identified.model
+    actual = model.simulate(u) - model.simulate(no_input)
+    reference = expected.simulate(u) - expected.simulate(no_input)
+    atol = 1e-8 * np.ptp(reference)
+    np.testing.assert_allclose(actual, reference, atol=atol)
 
 
 def test_the_regression_is_the_first_choice_and_the_candidates_follow(
     loaded: DataSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    other = replace(candidate(30.0, 60.0, 60.0, 60.0, 60.0), settings={"order": 2, "neurons": 1})
+    unexplained = candidate(*UNEXPLAINED)
+    settings = {"order": 2, "neurons": 1}
+    other = replace(unexplained, settings=settings)
     monkeypatch.setattr(choice, "try_model_sizes", lambda *_, **__: [other])
     monkeypatch.setattr(choice, "choose_products", lambda *_: None)
-    first, second = choice.iterate_choices(SPEC, loaded, 0, lambda _: None)
+    choices = choice.iterate_choices(SPEC, loaded, 0, lambda _: None)
+    first, second = choices
     assert first.linear_kind == REGRESSION
     assert second.linear_kind is None
-    assert (second.spec.order, second.spec.neurons) == (2, 1)
+    assert second.spec.order == 2
+    assert second.spec.neurons == 1
 
 
 def test_folds_that_agree_refuse_a_regression(loaded: DataSet) -> None:
     search = search_in(loaded)
-    assert choose_regression(search, [candidate(20.0, 1.0, 1.0, 1.0, 1.0)]) is None
+    explained = candidate(20.0, 1.0, 1.0, 1.0, 1.0)
+    assert choose_regression(search, [explained]) is None
     assert search.tried
 
 
 def test_a_size_that_is_fixed_stays_fixed(loaded: DataSet) -> None:
-    search = search_in(loaded, replace(SPEC, neurons=2))
-    assert choose_regression(search, [candidate(30.0, 60.0, 60.0, 60.0, 60.0)]) is None
+    fixed = replace(SPEC, neurons=2)
+    search = search_in(loaded, fixed)
+    unexplained = candidate(*UNEXPLAINED)
+    assert choose_regression(search, [unexplained]) is None
 
 
 def test_two_standard_errors_are_chance() -> None:
@@ -127,4 +145,5 @@ def test_two_standard_errors_are_chance() -> None:
     behind = candidate(30.0, 50.0, 46.0, 50.0, 48.0)
     assert not scattered.is_worse_beyond_chance(best)
     assert behind.is_worse_beyond_chance(best)
-    assert candidate(30.0, 1.0, 1.0).is_worse_beyond_chance(best)
+    of_two_folds = candidate(30.0, 1.0, 1.0)
+    assert of_two_folds.is_worse_beyond_chance(best)

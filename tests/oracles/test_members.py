@@ -26,7 +26,8 @@ from ssm_study.study.stages.model import (
 )
 from ssm_study.training.metrics import Identification, records_fit_percent
 
-SMALL = {"order": 2, "neurons": 1, "knots": 0, "draws": 1, "start_steps": (5, 3, 3)}
+SIZE = {"order": 2, "neurons": 1, "knots": 0}
+SMALL = {**SIZE, "draws": 1, "start_steps": (5, 3, 3)}
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +41,8 @@ def folder(data: DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Files that the model's stage leaves of two members."""
     there = tmp_path_factory.mktemp("members")
     spec = StructuredSpec(starts=1, members=2, **SMALL)  # type: ignore[arg-type]
-    settings = {"model": spec, "training": training(3), "seed": 0, "progress": False}
+    settings = {"model": spec, "training": training(3)}
+    settings |= {"seed": 0, "progress": False}
     compute_model(there, data, **settings)  # type: ignore[arg-type]
     return there
 
@@ -48,16 +50,16 @@ def folder(data: DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_mean_is_scored_by_two_routes(folder: Path, data: DataSet) -> None:
     trained = read_trained_model(folder)
     facts = training_result_columns(trained, data)
-    outputs = [model.simulate(data.test[0].u) for model in trained.members]
-    test_y = data.test[0].y
-    error = test_y - sum(outputs) / len(outputs)
-    test_y = data.test[0].y
-    mean = data.test[0].y.mean(axis=0)
-    spread = test_y - mean
-    norm = np.linalg.norm(error)
-    by_hand = 100.0 * (1.0 - norm / np.linalg.norm(spread))
+    record = data.test[0]
+    outputs = [model.simulate(record.u) for model in trained.members]
+    error = record.y - sum(outputs) / len(outputs)
+    mean = record.y.mean(axis=0)
+    spread = record.y - mean
+    relative_error = np.linalg.norm(error) / np.linalg.norm(spread)
+    by_hand = 100.0 * (1.0 - relative_error)
     assert facts["members"] == 2
-    assert facts["fit_test_members_percent"] == pytest.approx(by_hand, rel=1e-12)
+    fit = facts["fit_test_members_percent"]
+    assert fit == pytest.approx(by_hand, rel=1e-12)
 
 
 def test_members_are_those_that_fit_the_training_records_best(folder: Path, data: DataSet) -> None:
@@ -65,7 +67,8 @@ def test_members_are_those_that_fit_the_training_records_best(folder: Path, data
     fits = [records_fit_percent(model, data.training, data) for model in trained.members]
     expected = sorted(fits, reverse=True)
     assert fits == expected
-    assert trained.model.to_json() in [model.to_json() for model in trained.members]
+    stored_members = [model.to_json() for model in trained.members]
+    assert trained.model.to_json() in stored_members
 
 
 def test_a_changed_member_changes_what_verify_derives(
@@ -74,7 +77,8 @@ def test_a_changed_member_changes_what_verify_derives(
     members = read_trained_model(folder).members
     stated = member_columns(members, data)
     for path in folder.glob("*.json"):
-        (tmp_path / path.name).write_bytes(path.read_bytes())
+        content = path.read_bytes()
+        (tmp_path / path.name).write_bytes(content)
     text = (tmp_path / MEMBERS).read_text()
     changed = json.loads(text)
     changed[1]["c"][0][0] *= 1.01
@@ -98,12 +102,13 @@ def test_one_model_has_no_mean_and_may_predict_in_place_of_another(
 
 def test_python_predicts_with_the_mean_and_says_so(folder: Path, data: DataSet) -> None:
     trained = read_trained_model(folder)
+    training_facts = {"seconds": 1.0, "curve": [], "ended": ""}
     identification = Identification.from_model(
-        trained.model, data, seconds=1.0, curve=[], ended="", members=trained.members
+        trained.model, data, members=trained.members, **training_facts
     )
     model = Model(simulator=trained.model, data=data, identification=identification)
     u = data.test[0].u
-    responses = [one.simulate(u) for one in trained.members]
+    responses = [member.simulate(u) for member in trained.members]
     expected = np.mean(responses, axis=0)
     actual = model.predict(u)
     np.testing.assert_array_equal(actual, expected)

@@ -37,12 +37,15 @@ def long_numbers() -> Iterator[None]:
 def hard_problem(gap: float) -> Problem:
     cases = trained(gap, 200)
     (case,) = [case for case in cases if case.kind == HARD]
-    closed_form_synthesis = ClosedFormSynthesis(rate_controller=case.rate, rate_observer=0.5)
-    return closed_form_synthesis.problem(case.linear, case.ball)
+    rates = {"rate_controller": case.rate, "rate_observer": 0.5}
+    synthesis = ClosedFormSynthesis(**rates)
+    return synthesis.problem(case.linear, case.ball)
 
 
 def longer(matrix: np.ndarray) -> arb_mat:
-    rows = [[arb(float(value)) for value in row] for row in matrix]
+    rows = []
+    for row in matrix.tolist():
+        rows.append([arb(value) for value in row])
     return arb_mat(rows)
 
 
@@ -79,17 +82,18 @@ def rounded(metric: arb_mat, bits: int) -> Exact:
     """The entries of the upper triangle, each rounded to so many bits."""
     before = ctx.prec
     ctx.prec = bits
-    parts = [
-        [(+metric[min(i, j), max(i, j)]).mid().man_exp() for j in range(metric.ncols())]
-        for i in range(metric.nrows())
-    ]
+    size = metric.nrows()
+    parts = []
+    for i in range(size):
+        for j in range(size):
+            entry = metric[min(i, j), max(i, j)]
+            mantissa, exponent = (+entry).mid().man_exp()
+            parts.append((int(mantissa), int(exponent)))
     ctx.prec = before
-    exponents = [-int(exponent) for row in parts for _, exponent in row]
+    exponents = [-exponent for _, exponent in parts]
     shift = max(0, *exponents)
-    scaled = [
-        [int(mantissa) << (shift + int(exponent)) for mantissa, exponent in row] for row in parts
-    ]
-    rational = fmpq_mat(scaled) * fmpq(1, 1 << shift)
+    scaled = [mantissa << (shift + exponent) for mantissa, exponent in parts]
+    rational = fmpq_mat(size, size, scaled) * fmpq(1, 1 << shift)
     return Exact(rational)
 
 
@@ -99,8 +103,9 @@ def certified(problem: Problem, k: np.ndarray, p: arb_mat, bits: int) -> bool:
     alpha = problem.ball.alpha
     beta = problem.ball.beta
     ball = {"alpha": alpha, "beta": beta}
-    numbers = {"a": problem.a, "b": problem.b, "p": metric, "y": metric, "k": k, "sigma": 1.0}
-    return StateFeedbackOfBall.holds(**numbers, **ball, rate=problem.rate)
+    metrics = {"p": metric, "y": metric, "sigma": 1.0}
+    numbers = {"a": problem.a, "b": problem.b, "k": k}
+    return StateFeedbackOfBall.holds(**numbers, **metrics, **ball, rate=problem.rate)
 
 
 def test_its_gain_is_right_and_its_metric_lacks_a_few_bits(long_numbers: None) -> None:  # noqa: ARG001
@@ -113,14 +118,18 @@ def test_its_gain_is_right_and_its_metric_lacks_a_few_bits(long_numbers: None) -
     faster = float(problem.contraction * share)
     modes = split_modes(problem.a, problem.b, faster)
     k = minimum_energy_gain(modes, problem.ball, faster).k
-    between = float(faster * (problem.contraction / faster) ** 0.2)
+    room = problem.contraction / faster
+    between = float(faster * room**0.2)
     scale = modes.right @ _state_scales(problem, modes, faster)
     metric = least_metric(problem, k, between, scale)
     assert certified(problem, k, metric, 62)
     assert not certified(problem, k, metric, MANTISSA)
 
 
-@pytest.mark.parametrize(("gap", "held"), [(1e-3, True), (1e-4, False)])
+GAPS = [(1e-3, True), (1e-4, False)]
+
+
+@pytest.mark.parametrize(("gap", "held"), GAPS)
 def test_the_default_method_certifies_it_a_tenth_of_a_percent_inside(
     gap: float, held: bool
 ) -> None:
@@ -128,7 +137,9 @@ def test_the_default_method_certifies_it_a_tenth_of_a_percent_inside(
     c = np.ones((1, 6))
     d = np.zeros((1, 1))
     linear = StateSpace(a=problem.a, b=problem.b, c=c, d=d)
-    riccati_synthesis = RiccatiSynthesis(rate_controller=problem.rate, rate_observer=0.5)
+    rates = {"rate_controller": problem.rate, "rate_observer": 0.5}
+    riccati_synthesis = RiccatiSynthesis(**rates)
     part = riccati_synthesis.state_feedback(linear, problem.ball)
     assert part.certified == held
-    assert held or "condition number" in part.solver_status + getattr(part, "reason", "")
+    reason = getattr(part, "reason", "")
+    assert held or "condition number" in part.solver_status + reason

@@ -23,21 +23,35 @@ def with_nan(at: int) -> np.ndarray:
 
 
 INDEX = pd.date_range("2026-01-01", periods=T, freq="10ms")
+BACKWARDS = INDEX[::-1]
+GAP_AT_THE_END = with_nan(1999)
+GAP_IN_ONE_INPUT = np.stack([U, with_nan(7)], axis=1)
+MASKED = np.ma.masked_greater(U, 2.0)
+COMPLEX = U + 1j
+ROWS_FOR_COLUMNS = np.stack([U, Y])
+TWICE = np.stack([U, U], axis=1)
+U_BY_TIME = pd.Series(U, name="u", index=INDEX)
+Y_BACKWARDS = pd.Series(Y, name="y", index=BACKWARDS)
+CLOCK = pd.Series(0.1 * np.arange(T), name="time")
 
-
-REFUSED_ARRAYS = [
-    (U, with_nan(1999), r"y\[1999\] is NaN; interpolate it"),
-    (np.stack([U, with_nan(7)], axis=1), Y, r"u\[7, 1\] is NaN"),
-    (np.ma.masked_greater(U, 2.0), Y, r"u\[\d+\] = masked"),
-    (U + 1j, Y, "are complex; a signal is real"),
+REFUSED_VALUES = [
+    (U, GAP_AT_THE_END, r"y\[1999\] is NaN; interpolate it"),
+    (GAP_IN_ONE_INPUT, Y, r"u\[7, 1\] is NaN"),
+    (MASKED, Y, r"u\[\d+\] = masked"),
+    (COMPLEX, Y, "are complex; a signal is real"),
+]
+REFUSED_TIMES = [
     (INDEX, Y, "holds times, not a signal"),
-    (np.stack([U, Y]), Y, r"has more channels than samples; transpose it: u.T"),
-    (pd.Series(U, name="u", index=INDEX), pd.Series(Y, name="y", index=INDEX[::-1]), "differ"),
-    (pd.Series(U, name="u", index=INDEX), Y, "step_s = 0.1: the index of u shows 0.01 s"),
-    (pd.Series(0.1 * np.arange(T), name="time"), Y, "time: is the clock: it increases"),
-    (np.stack([U, U], axis=1), Y, r"u_2: holds the numbers of u_1"),
+    (U_BY_TIME, Y_BACKWARDS, "differ"),
+    (U_BY_TIME, Y, "step_s = 0.1: the index of u shows 0.01 s"),
+    (CLOCK, Y, "time: is the clock: it increases"),
+]
+REFUSED_COLUMNS = [
+    (ROWS_FOR_COLUMNS, Y, r"has more channels than samples; transpose it: u.T"),
+    (TWICE, Y, r"u_2: holds the numbers of u_1"),
     (U, U, r"u, y \(column\) = y: holds the numbers of u"),
 ]
+REFUSED_ARRAYS = [*REFUSED_VALUES, *REFUSED_TIMES, *REFUSED_COLUMNS]
 
 
 @pytest.mark.parametrize(("u", "y", "says"), REFUSED_ARRAYS)
@@ -49,35 +63,45 @@ def test_refused_in_words_of_the_array(tmp_path, u, y, says: str) -> None:  # ty
 def test_their_good_twins_are_taken(tmp_path) -> None:  # type: ignore[no-untyped-def]
     by_time = pd.Series(U, name="power", index=INDEX)
     masked = np.ma.masked_array(U)
-    for u in (U, U[:, None], masked, by_time, by_time.to_frame()):
+    column = U[:, None]
+    frame = by_time.to_frame()
+    for u in (U, column, masked, by_time, frame):
         logged_arrays = write_log_files(u, Y, tmp_path, 0.01)
         paths = logged_arrays.paths
         table = pd.read_parquet(paths[0])
-        assert np.array_equal(table.iloc[:, 0], U)
+        stored = table.iloc[:, 0]
+        assert np.array_equal(stored, U)
 
 
 def test_frames_are_matched_by_the_names_of_their_columns() -> None:
     frame = pd.DataFrame({"b": Y, "a (V)": U})
     columns = ["a_V", "b"]
-    table = signal_columns(frame, "u", 2, columns)[1]
+    _, by_name = signal_columns(frame, "u", 2, columns)
     signals = np.stack([U, Y], axis=1)
-    assert np.array_equal(table, signals)
+    assert np.array_equal(by_name, signals)
     columns = ["a", "b"]
-    swapped = pd.DataFrame(np.stack([Y, U], axis=1))
-    by_place = signal_columns(swapped, "u", 2, columns)[1]
-    signals_swapped = np.stack([Y, U], axis=1)
-    assert np.array_equal(by_place, signals_swapped)
+    swapped_signals = np.stack([Y, U], axis=1)
+    swapped = pd.DataFrame(swapped_signals)
+    _, by_place = signal_columns(swapped, "u", 2, columns)
+    assert np.array_equal(by_place, swapped_signals)
     columns = ["a", "b"]
     renamed = frame.set_axis(["b", "c"], axis=1)
-    with pytest.raises(BadRequest, match=r"u \(columns\) = b, c: the model's channels are a, b"):
+    words = r"u \(columns\) = b, c: the model's channels are a, b"
+    with pytest.raises(BadRequest, match=words):
         signal_columns(renamed, "u", 2, columns)
 
 
+LAST = INDEX[-1:] + pd.Timedelta("10ms")
+MISSING_ROW = INDEX.delete(300).append(LAST)
+SHUFFLED = INDEX.to_series().sample(frac=1, random_state=0)
+LATER_HALF = INDEX[1000:] + pd.Timedelta("8ms")
+JUMP = INDEX[:1000].append(LATER_HALF)
+SLOW_CLOCK = np.arange(T) * 0.010011
 REFUSED_INDICES = [
-    (INDEX.delete(300).append(INDEX[-1:] + pd.Timedelta("10ms")), "row 299: the times have a h"),
-    (INDEX.to_series().sample(frac=1, random_state=0).index, r"sort it: u.sort_index\(\)"),
-    (INDEX[:1000].append(INDEX[1000:] + pd.Timedelta("8ms")), "row 999: the times have a hole"),
-    (np.arange(T) * 0.010011, "the index of u shows 0.010011 s"),
+    (MISSING_ROW, "row 299: the times have a h"),
+    (SHUFFLED.index, r"sort it: u.sort_index\(\)"),
+    (JUMP, "row 999: the times have a hole"),
+    (SLOW_CLOCK, "the index of u shows 0.010011 s"),
 ]
 
 
@@ -90,10 +114,12 @@ def test_an_index_that_is_no_even_clock_of_the_sampling_time(tmp_path, index, sa
 
 
 def test_an_index_that_agrees_or_counts_rows_is_taken() -> None:
-    zoned = pd.date_range("2026-03-01", periods=T, freq="10ms", tz="Europe/Paris")
-    nearly_the_step = np.arange(T) * 0.010009
+    frequency = {"periods": T, "freq": "10ms"}
+    zoned = pd.date_range("2026-03-01", tz="Europe/Paris", **frequency)
+    counts = np.arange(T)
+    nearly_the_step = counts * 0.010009
     words = list("abcd") * (T // 4)
-    for index in (INDEX, zoned, nearly_the_step, np.arange(T), words):
+    for index in (INDEX, zoned, nearly_the_step, counts, words):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             u = pd.Series(U, index=index)
@@ -106,33 +132,40 @@ def two_inputs() -> tuple[pd.DataFrame, pd.DataFrame]:
     levels = RNG.uniform(-1, 1, (60, 2))
     u = np.repeat(levels, 10, axis=0)
     y = np.zeros((601, 2))
+    gains = np.array([[0.1, -0.2], [0.3, 0.05]])
     for k in range(600):
-        gains = np.array([[0.1, -0.2], [0.3, 0.05]])
-        y[k + 1] = 0.9 * y[k] + u[k] @ gains
+        driven = u[k] @ gains
+        y[k + 1] = 0.9 * y[k] + driven
     index = pd.timedelta_range("0s", periods=600, freq="100ms")
-    table = pd.DataFrame(u, index, ["a", "b"])
-    return table, pd.DataFrame(y[:600], index, ["c", "d"])
+    inputs = pd.DataFrame(u, index, ["a", "b"])
+    outputs = pd.DataFrame(y[:600], index, ["c", "d"])
+    return inputs, outputs
 
 
 def test_predict_score_simulate_and_compare_take_frames_by_name_and_at_their_times() -> None:
     u, y = two_inputs()
-    model = st.fit(u, y, 0.1, model="linear", order=2, progress=False)
+    linear = {"model": "linear", "order": 2}
+    model = st.fit(u, y, 0.1, progress=False, **linear)
     swapped_u = u[["b", "a"]]
     swapped_y = y[["d", "c"]]
     swapped_score = model.score(swapped_u, swapped_y)
-    assert swapped_score == model.score(u, y) > 95
-    assert model.predict(swapped_u).equals(model.predict(u))
+    score = model.score(u, y)
+    assert swapped_score == score
+    assert score > 95
+    prediction = model.predict(u)
+    assert model.predict(swapped_u).equals(prediction)
     response = st.simulate(model, swapped_u)
     assert response.equals(st.simulate(model, u))
-    model_comparison = st.compare([model], swapped_u, swapped_y)
-    ours = model_comparison.table
-    model_comparison = st.compare([model], u, y)
-    assert ours.equals(model_comparison.table)
+    swapped_comparison = st.compare([model], swapped_u, swapped_y)
+    comparison = st.compare([model], u, y)
+    assert swapped_comparison.table.equals(comparison.table)
     seconds = pd.timedelta_range("0s", periods=600, freq="1s")
     slower = u.set_axis(seconds)
-    for call in (model.predict, lambda frame: st.simulate(model, frame)):
-        with pytest.raises(BadRequest, match="the index of u shows 1 s"):
-            call(slower)
+    words = "the index of u shows 1 s"
+    with pytest.raises(BadRequest, match=words):
+        model.predict(slower)
+    with pytest.raises(BadRequest, match=words):
+        st.simulate(model, slower)
     with pytest.raises(BadRequest, match="their indexes differ"):
         model.score(u, y.shift(freq="100ms"))
     columns = {"d": "e"}

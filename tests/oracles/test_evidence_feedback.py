@@ -1,0 +1,119 @@
+"""Feedback in the records: logs of closed loops are doubted, those of open loops are not."""
+
+import numpy as np
+import pytest
+import scipy.signal
+from test_evidence_response import LEVELS, WHITE, answer, answered, case
+
+from ssm_study.evidence import feedback
+
+SAMPLES = 6000
+
+
+def in_loop(reference: np.ndarray, noise: float, delay: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """The same lag under `u = r - y + 0.05 sum (r - y)`, the law `delay` samples late."""
+    y = 0.0
+    whole = 0.0
+    rng = np.random.default_rng(7)
+    samples = len(reference)
+    inputs = np.zeros(samples)
+    outputs = np.zeros(samples)
+    late = [0.0] * delay
+    for k, asked in enumerate(reference):
+        measured = y + noise * rng.standard_normal()
+        error = asked - measured
+        whole += 0.05 * error
+        late.append(error + whole)
+        u = late.pop(0)
+        inputs[k] = u
+        outputs[k] = measured
+        saturated = np.tanh(1.5 * u)
+        y = 0.9 * y + 0.1 * saturated
+    return inputs, outputs
+
+
+SLOW_LEVELS = LEVELS.repeat(5)[:SAMPLES]
+SINE = 0.5 * np.sin(0.05 * np.arange(SAMPLES))
+REST = np.zeros(SAMPLES)
+REFERENCES = {"steps": SLOW_LEVELS, "sine": SINE, "none": REST}
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("reference", REFERENCES)
+def test_a_log_made_in_a_closed_loop_is_a_doubt_and_the_same_input_in_open_loop_is_none(
+    reference, delay
+):
+    u, y = in_loop(REFERENCES[reference], 0.03, delay)
+    closed_loop = case(u, y)
+    (doubt,) = feedback.judge_feedback(closed_loop)
+    assert doubt.level == "doubt"
+    assert "as in a closed-loop log: name its set point" in doubt.sentence
+
+    open_loop = answered(u, noise=0.03)
+    findings = list(feedback.judge_feedback(open_loop))
+    assert findings == []
+
+
+def simulate_held_plant(set_point: np.ndarray, pole: float, noise: float) -> np.ndarray:
+    """Input and output of an unstable plant under proportional feedback."""
+    rng = np.random.default_rng(1)
+    x = 0.0
+    log = np.zeros((SAMPLES, 2))
+    for k in range(SAMPLES):
+        y = x + noise * rng.standard_normal()
+        error = set_point[k] - y
+        log[k] = error, y
+        x = pole * x + 0.3 * error
+    return log
+
+
+@pytest.mark.parametrize("pole", [1.02, 1.05, 1.2])
+@pytest.mark.parametrize("noise", [0.005, 0.02])
+def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(pole, noise):
+    set_point = LEVELS.repeat(10)[:SAMPLES]
+    u, y = simulate_held_plant(set_point, pole, noise).T
+    doubted, refused = feedback.judge_feedback(case(u, y))
+    assert doubted.level == "doubt"
+    assert refused.level == "cannot judge"
+    words = refused.sentence.split("a mode at ")[1]
+    mode = float(words.split()[0])
+    assert mode == pytest.approx(pole, abs=0.005)
+    assert "log its loop with the set point as the input" in refused.sentence
+
+    of_the_loop = feedback.judge_feedback(case(set_point, y))
+    levels = [finding.level for finding in of_the_loop]
+    assert "cannot judge" not in levels
+
+
+LOW_PASSED = scipy.signal.lfilter([0.1], [1, -0.9], WHITE)
+TWO_LEVELS = np.sign(LEVELS)
+
+
+@pytest.mark.parametrize("u", [WHITE, LEVELS, TWO_LEVELS, LOW_PASSED])
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_a_log_in_open_loop_is_not_taken_for_a_closed_one(u, noise):
+    linear = answered(u, noise=noise)
+    saturated_u = np.tanh(3 * u)
+    y = answer(saturated_u, noise=noise)
+    saturated = case(u, y)
+    of_linear = feedback.feedback_share(linear.data, 0)
+    assert of_linear < feedback.EARLIER
+    of_saturated = feedback.feedback_share(saturated.data, 1)
+    assert of_saturated < feedback.EARLIER / 2
+
+
+def test_a_controller_that_acts_a_sample_late_is_found_by_the_outputs_before():
+    """With little noise the present output explains less than the limit, and so do those of two
+    samples ago."""
+    u, y = in_loop(SLOW_LEVELS, 0.007, 1)
+    log = case(u, y)
+
+    present = feedback.feedback_share(log.data, 0)
+    before = feedback.feedback_share(log.data, 1)
+    two_ago = feedback.feedback_share(log.data, 2)
+    (doubt,) = feedback.judge_feedback(log)
+
+    assert two_ago < feedback.EARLIER < before
+    assert before < feedback.PRESENT
+    assert present < feedback.PRESENT
+    assert "as in a closed-loop log" in doubt.sentence
