@@ -127,7 +127,7 @@ def run(folder: Path, log: Log, *more: str) -> tuple[int, dict[str, Any]]:
 
 
 def printed_words(capsys: pytest.CaptureFixture[str]) -> str:
-    """What was printed, in one line."""
+    """Printed text, in one line."""
     words = capsys.readouterr().out.split()
     return " ".join(words)
 

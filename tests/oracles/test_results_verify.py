@@ -120,7 +120,7 @@ pytestmark = pytest.mark.usefixtures("made_once")
 
 @pytest.fixture(scope="module")
 def verification(smoke_run: Path, made_once: None) -> Verification:
-    """What `verify` says of the run as it is."""
+    """Findings of `verify` about the run as it is."""
     del made_once
     return verify(smoke_run)
 
