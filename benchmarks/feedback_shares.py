@@ -20,7 +20,7 @@ import pandas as pd
 from scipy.signal import lfilter
 
 from benchmarks.common import study_of
-from ssm_study.evidence.feedback import feedback_share, shows_closed_loop
+from ssm_study.evidence.feedback import feedback_error_reduction, shows_closed_loop
 from ssm_study.signals import DataSet, Scale, Trajectory
 
 MEASURED = ("ced", "cascaded_tanks", "silverbox", "emps")
@@ -109,7 +109,7 @@ def row(name: str, logs: Iterable[DataSet]) -> dict[str, object]:
     shares = []
     alarms = 0
     for data in logs:
-        shares.append((feedback_share(data, 1), feedback_share(data, 0)))
+        shares.append((feedback_error_reduction(data, 1), feedback_error_reduction(data, 0)))
         alarms += shows_closed_loop(data, *shares[-1])
     ends = np.percentile(100 * np.array(shares), [0, 5, 50, 95, 100], axis=0)
     told: dict[str, object] = {"logs": name, "count": len(shares), "taken_for_closed": alarms}

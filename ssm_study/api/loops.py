@@ -8,7 +8,7 @@ import pandas as pd
 
 from ssm_study.api.arguments import Values
 from ssm_study.api.parts import Parts
-from ssm_study.data.arrays import disturbance_values, signal_columns
+from ssm_study.data.arrays import disturbance_array, signal_array_and_names
 from ssm_study.loop.controller import Controller, ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.rollout import Rollouts
@@ -57,12 +57,12 @@ def simulate_loop(
     """
     names = [channel.name for channel in plant.outputs]
     output_count = len(names)
-    _, starts = signal_columns(y0, "y0", output_count, names)
+    _, starts = signal_array_and_names(y0, "y0", output_count, names)
     parts = Parts(LOOP, overrides)
     configured_loop = parts.build("loop")
     loop: Loop = configured_loop.with_default_horizon(design.model)
     controller = controller or ObserverFeedback.from_design(design.model, design.certificate)
-    measured = disturbance_values(disturbance, _disturbance_names(design))
+    measured = disturbance_array(disturbance, _disturbance_names(design))
     if measured is not None:
         horizon_s = len(measured) * plant.step_s
         loop = replace(loop, horizon_s=horizon_s)

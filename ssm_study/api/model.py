@@ -23,7 +23,7 @@ from ssm_study.api.summaries import html_table, render_text_table, summarise_mod
 from ssm_study.api.systems import read_folder
 from ssm_study.bounds.metrics import model_bound_columns
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.data.arrays import check_time_index, disturbance_values, signal_columns
+from ssm_study.data.arrays import check_time_index, disturbance_array, signal_array_and_names
 from ssm_study.data.metrics import data_columns
 from ssm_study.evidence.metrics import Judgement
 from ssm_study.models.bilinear import Bilinear
@@ -131,9 +131,9 @@ class Model:
         step_s = self.data.step_s
         check_time_index(u, None, step_s)
         channels = len(self.data.inputs)
-        _, inputs = signal_columns(u, "u", channels, self.input_names)
+        _, inputs = signal_array_and_names(u, "u", channels, self.input_names)
         samples = len(inputs)
-        measured = disturbance_values(disturbance, self.disturbance_names, samples)
+        measured = disturbance_array(disturbance, self.disturbance_names, samples)
         members = self.identification.members or (self.simulator,)
         y = mean_output(members, inputs, measured)
         table_types = pd.DataFrame | pd.Series

@@ -19,7 +19,7 @@ from ssm_study.api.summaries import PROVED, html_table, render_text_table
 from ssm_study.api.systems import read_folder, read_number
 from ssm_study.certificates.bilinear_certificates import RestCertificates, failed_rest_checks
 from ssm_study.certificates.certificate import certificate_digest
-from ssm_study.data.arrays import signal_columns
+from ssm_study.data.arrays import signal_array_and_names
 from ssm_study.export.bilinear_c import render_bilinear_c
 from ssm_study.loop.bilinear_feedback import BilinearFeedback, BilinearPlant
 from ssm_study.loop.rollout import simulate_closed_loop
@@ -98,7 +98,7 @@ class RestDesign:
         require(is_plant, "plant", kind, "is no plant", "leave it out")
         names = [channel.name for channel in on.outputs]
         output_count = len(names)
-        _, starts = signal_columns(y0, "y0", output_count, names)
+        _, starts = signal_array_and_names(y0, "y0", output_count, names)
         samples = self._default_samples
         if horizon_s is not None:
             seconds = read_number("horizon_s", horizon_s)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssm_study.api.arguments import Values
-from ssm_study.data.arrays import check_time_index, disturbance_values, signal_columns
+from ssm_study.data.arrays import check_time_index, disturbance_array, signal_array_and_names
 from ssm_study.models.members import mean_of_runs
 from ssm_study.models.metrics import Simulation
 from ssm_study.refusal import require, require_at_least
@@ -39,8 +39,8 @@ def simulate_given_record(
     data = model.data
     check_time_index(u, y, data.step_s)
     input_count = len(data.inputs)
-    _, inputs = signal_columns(u, "u", input_count, model.input_names)
-    _, outputs = signal_columns(y, "y", columns=model.output_names)
+    _, inputs = signal_array_and_names(u, "u", input_count, model.input_names)
+    _, outputs = signal_array_and_names(y, "y", columns=model.output_names)
     samples = len(inputs)
     output_count = len(data.outputs)
     expected_shape = (samples, output_count)
@@ -48,7 +48,7 @@ def simulate_given_record(
     remedy = "give the outputs of this input"
     has_expected_shape = outputs.shape == expected_shape
     require(has_expected_shape, "y", outputs.shape, problem, remedy)
-    measured = disturbance_values(disturbance, model.disturbance_names, len(inputs))
+    measured = disturbance_array(disturbance, model.disturbance_names, len(inputs))
     output_samples = len(outputs)
     start_up = read_start_up_samples(start_up_samples, data.start_up_samples, output_samples)
     record = Trajectory(u=inputs, y=outputs, d=measured, step_s=data.step_s)

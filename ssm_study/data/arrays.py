@@ -11,7 +11,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.data.clock import AGREEMENT, HOLE
-from ssm_study.data.clock_column import is_clock_name
+from ssm_study.data.clock_column import is_time_title
 from ssm_study.data.plain_names import plain_name
 from ssm_study.refusal import NO_NUMBERS, BadRequest, require
 
@@ -26,7 +26,8 @@ LATEST = 0.5  # periods by which a time of an index may be off an even clock
 
 @dataclass(frozen=True)
 class LoggedArrays:
-    """Log files written from arrays, and the names of their columns."""
+    """Paths of the log files that arrays were written to, with the column names of inputs, outputs
+    and disturbances."""
 
     paths: list[str]
     inputs: list[str]
@@ -37,8 +38,8 @@ class LoggedArrays:
 def write_log_files(
     u: Any, y: Any, folder: Path, step_s: float | None = None, disturbance: Any = None
 ) -> LoggedArrays:
-    """Write the arrays of experiments to log files. Each becomes `logs/<digest>.parquet`, so that
-    equal numbers give the same run."""
+    """Write input and output arrays of one or several experiments to log files, one file per
+    experiment. Each becomes `logs/<digest>.parquet`, so that equal numbers give the same run."""
     is_list = isinstance(u, list | tuple) and len(u) > 0
     several = is_list and np.ndim(u[0]) > 0
     signals = {"u": u, "y": y}
@@ -75,14 +76,14 @@ def write_log_files(
 def combine_signal_columns(
     signals: dict[str, Any], step_s: float | None
 ) -> tuple[dict[str, list[str]], Any]:
-    """Combine the columns of all signals of one experiment into one table."""
+    """Combine the columns of input, output and disturbance of one experiment into one table."""
     first, *others = signals.values()
     for other in others:
         check_time_index(first, other, step_s)
     columns = {}
     values = []
     for name, given in signals.items():
-        columns[name], numbers_of_signal = signal_columns(given, name)
+        columns[name], numbers_of_signal = signal_array_and_names(given, name)
         values.append(numbers_of_signal)
     names = ", ".join(signals)
     lengths = tuple(map(len, values))
@@ -94,18 +95,19 @@ def combine_signal_columns(
     distinct_titles = set(titles)
     is_unique = len(distinct_titles) == len(titles)
     require(is_unique, names, titles, problem, "rename the columns")
-    refuse_clocks_and_copies(titles, np.hstack(values))
+    refuse_time_and_duplicate_columns(titles, np.hstack(values))
     joined_values = np.hstack(values)
     return columns, pd.DataFrame(joined_values, columns=titles)
 
 
-def refuse_clocks_and_copies(titles: Sequence[str], values: SignalTable) -> None:
-    """Refuse a column that is a clock, and one that repeats the numbers of another."""
+def refuse_time_and_duplicate_columns(titles: Sequence[str], values: SignalTable) -> None:
+    """Raise `BadRequest` for a signal column that contains times, or that repeats another column's
+    numbers."""
     pairs = zip(titles, values.T, strict=True)
     for k, (title, column) in enumerate(pairs):
         steps = np.diff(column)
         increases = bool((steps > 0).all())
-        is_clock = is_clock_name(title) and increases
+        is_clock = is_time_title(title) and increases
         problem = "is the clock: it increases from row to row"
         remedy = "name a signal"
         require(not is_clock, "u, y (column)", title, problem, remedy)
@@ -118,11 +120,11 @@ def refuse_clocks_and_copies(titles: Sequence[str], values: SignalTable) -> None
             require(not is_copy, "u, y (column)", title, problem, remedy)
 
 
-def signal_columns(
+def signal_array_and_names(
     values: Any, name: str, channels: int | None = None, columns: Sequence[str] | None = None
 ) -> tuple[list[str], SignalTable]:
-    """Convert one signal, given as an array, series or frame, to numbers and channel names. Columns
-    of a frame are taken in the order of `columns`.
+    """Convert a signal, given as an array, series or data frame, to a numeric array and the names
+    of its channels. Columns of a frame are taken in the order of `columns`.
 
     Raises `BadRequest` for what is no table of finite real numbers, lies on its side, or has other
     channels.
@@ -144,10 +146,11 @@ def signal_columns(
     return [name] if count == 1 else [f"{name}_{j + 1}" for j in range(count)], table
 
 
-def disturbance_values(
+def disturbance_array(
     values: Any, names: Sequence[str], samples: int | None = None
 ) -> Float[np.ndarray, "T k"] | None:
-    """Convert measured disturbances to an array with one column for each; None if there are none.
+    """Convert measured disturbances to an array with one column per disturbance; None if no
+    disturbance was measured.
 
     Raises `BadRequest` where the model has no path for them, and for another number of samples.
     """
@@ -157,7 +160,7 @@ def disturbance_values(
     remedy = "give them to st.fit"
     require(len(names) > 0, "disturbance", "given", problem, remedy)
     disturbance_count = len(names)
-    table = signal_columns(values, "disturbance", disturbance_count, names)[1]
+    table = signal_array_and_names(values, "disturbance", disturbance_count, names)[1]
     problem = f"the input has {samples} samples"
     fits = samples in (None, len(table))
     remedy = "cut both to the same samples"
@@ -186,8 +189,9 @@ def select_columns(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> pd
 
 
 def as_real_matrix(values: Any, name: str) -> SignalTable:
-    """Convert values to a two-dimensional array of real numbers. Raises `BadRequest` for complex
-    numbers, dates, masked samples and arrays with more columns than rows."""
+    """Convert values to a two-dimensional array of real numbers, one row per sample. Raises
+    `BadRequest` for complex numbers, dates, masked samples and arrays with more columns than
+    rows."""
     remedy = "give an array (T, channels)"
     mask = np.ma.getmaskarray(values) if np.ma.isMaskedArray(values) else np.zeros(1, dtype=bool)
     masked = bool(mask.any())
@@ -267,8 +271,8 @@ def check_time_index(u: Any, y: Any, step_s: float | None) -> None:
 
 
 def index_period_s(signals: Any) -> float | None:
-    """Sampling time from the time index of a series or frame; None for arrays and for an index
-    without times."""
+    """Sampling period, in seconds, from the time index of a series or data frame; None for data
+    without time stamps."""
     first = signals[0] if isinstance(signals, list | tuple) and len(signals) else signals
     table_types = pd.Series | pd.DataFrame
     if not isinstance(first, table_types):
@@ -284,8 +288,8 @@ def index_period_s(signals: Any) -> float | None:
 
 
 def refuse_uneven_index(times_s: Float[np.ndarray, "T"], name: str) -> None:
-    """Raise `BadRequest` for a time index that runs backwards, has a gap, or is not evenly
-    spaced."""
+    """Raise `BadRequest` for a time index of a data frame that runs backwards, has a gap, or is not
+    evenly spaced."""
     steps = np.diff(times_s)
     median_s = float(np.median(steps))
     where = f"{name} (index)"
@@ -310,8 +314,8 @@ def refuse_uneven_index(times_s: Float[np.ndarray, "T"], name: str) -> None:
 
 
 def index_times_s(index: Any) -> Float[np.ndarray, "T"] | None:
-    """Convert the index of a series or frame to times in seconds; None for an index of row numbers
-    or names."""
+    """Convert the index of a series or data frame to times in seconds; None for an index of row
+    numbers or names."""
     if len(index) < 3:
         return None
     time_indexes = pd.DatetimeIndex | pd.TimedeltaIndex

@@ -31,11 +31,15 @@ TOLD = ("name", "step_s", "closed_loop", "log", "first")  # of a record, beside 
 
 
 def assemble_dataset(
-    parts: Parts, rest: Rest, channels: tuple[Channels, ...], start_up_samples: int, **fields: Any
+    parts: Parts,
+    equilibrium: Rest,
+    channels: tuple[Channels, ...],
+    start_up_samples: int,
+    **fields: Any,
 ) -> DataSet:
-    """Assemble a data set and its scaling from the records for training, validation and test.
-    `scale = rms(training - rest)` per channel, a gain about the equilibrium `rest = (u, y)`, or
-    `(u, y, d)` with measured disturbances; `channels` likewise.
+    """Assemble a data set from training, validation and test records, and compute the scale of each
+    channel. `scale = rms(training - rest)` per channel, a gain about the equilibrium `equilibrium =
+    (u, y)`, or `(u, y, d)` with measured disturbances; `channels` likewise.
 
     `parts` are training, validation and test, `fields` the other fields of the data set. Raises
     `BadRequest` for a part without records, differing sampling times, a record no longer than the
@@ -48,7 +52,7 @@ def assemble_dataset(
             step_s = training[0].step_s
             _check_record(record, step_s, start_up_samples)
     scales: dict[str, Any] = {}
-    for (name, side), at, own in zip(SIDES, rest, channels, strict=False):
+    for (name, side), at, own in zip(SIDES, equilibrium, channels, strict=False):
         signals = [getattr(record, side) for record in training]
         values = np.concatenate(signals)
         _refuse_constant_channels(values, own)
@@ -66,8 +70,8 @@ def assemble_dataset(
 
 
 def _name_records(parts: Parts) -> dict[str, Any]:
-    """Name the records of each part by the part and a number, such as `training_1`. Raises
-    `BadRequest` for a part without records."""
+    """Name the records for training, validation and test by their purpose and a number, such as
+    `training_1`. Raises `BadRequest` for a part without records."""
     named: dict[str, Any] = {}
     names = ("training", "validation", "test")
     for part, records in zip(names, parts, strict=True):
@@ -82,8 +86,8 @@ def _name_records(parts: Parts) -> dict[str, Any]:
 
 
 def _check_record(record: Trajectory, step_s: float, start_up_samples: int) -> None:
-    """Raise `BadRequest` for a record that is too short, or whose sampling time differs from the
-    first one's."""
+    """Raise `BadRequest` for a record that is too short, or whose sampling period differs from that
+    of the first record."""
     field = f"{record.name} (samples)"
     is_long = len(record) > start_up_samples + 1
     problem = f"no longer than the start-up window of {start_up_samples} samples"
@@ -108,9 +112,9 @@ def _refuse_constant_channels(
 
 
 def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."]], dict[str, Any]]:
-    """Convert a data set to tensors for storage: named arrays, and a dictionary with everything
-    else. Arrays `part/i/u`, `part/i/y` (and `d`) and the vectors of the scale; names, units and
-    periods in the dictionary."""
+    """Convert a data set to the form in which it is stored: named numeric arrays, and a dictionary
+    of names, units and periods. Arrays `part/i/u`, `part/i/y` (and `d`) and the vectors of the
+    scale; names, units and periods in the dictionary."""
     scales = vars(data.scale)
     arrays = {name: values for name, values in scales.items() if values.size}
     about: dict[str, Any] = {}
@@ -123,7 +127,7 @@ def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."
             about[name] = channels
     for part, stored in PARTS.items():
         records: tuple[Trajectory, ...] = getattr(data, part)
-        about[stored] = [_record_facts(record) for record in records]
+        about[stored] = [_record_metadata(record) for record in records]
         for i, record in enumerate(records):
             arrays[f"{stored}/{i}/u"] = record.u
             arrays[f"{stored}/{i}/y"] = record.y
@@ -133,21 +137,22 @@ def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."
     return contiguous, about
 
 
-def _record_facts(record: Trajectory) -> dict[str, Any]:
-    """Facts on a record other than its signals."""
+def _record_metadata(record: Trajectory) -> dict[str, Any]:
+    """Name, sampling period and other facts on a record, without its signals, for storage."""
     return {name: getattr(record, name) for name in TOLD}
 
 
 def dataset_from_tensors(
-    arrays: dict[str, Float[np.ndarray, "..."]], about: dict[str, Any]
+    arrays: dict[str, Float[np.ndarray, "..."]], metadata: dict[str, Any]
 ) -> DataSet:
-    """Rebuild a data set from the arrays and the dictionary that `dataset_to_tensors` returns."""
+    """Rebuild a data set from its stored form, the arrays and the dictionary that
+    `dataset_to_tensors` returns."""
     parts: dict[str, Any] = {}
-    parts["start_up_samples"] = about["start_up_samples"]
-    parts["metadata"] = about["metadata"]
+    parts["start_up_samples"] = metadata["start_up_samples"]
+    parts["metadata"] = metadata["metadata"]
     for part, stored in PARTS.items():
         records = []
-        for i, facts in enumerate(about[stored]):
+        for i, facts in enumerate(metadata[stored]):
             u = arrays[f"{stored}/{i}/u"]
             y = arrays[f"{stored}/{i}/y"]
             d = arrays.get(f"{stored}/{i}/d")
@@ -155,7 +160,7 @@ def dataset_from_tensors(
             records.append(trajectory)
         parts[part] = tuple(records)
     for name in ("inputs", "outputs", "disturbances"):
-        stored_channels = about.get(name, ())
+        stored_channels = metadata.get(name, ())
         channels = (Channel(**channel) for channel in stored_channels)
         parts[name] = tuple(channels)
     scales = {name: values for name, values in arrays.items() if "/" not in name}

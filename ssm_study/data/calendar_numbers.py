@@ -27,8 +27,8 @@ Times = Float[np.ndarray, "T"]
 
 
 def parse_calendar_numbers(title: str, times: Times) -> tuple[Times, str] | None:
-    """Convert numbers that stand for calendar dates to seconds since the first date, and say which
-    form they had."""
+    """Convert dates that a log stores as plain numbers to seconds since the first date, and name
+    the number format."""
     finite = times[np.isfinite(times)]
     if len(finite) < 2:
         return None
@@ -49,7 +49,8 @@ def parse_calendar_numbers(title: str, times: Times) -> tuple[Times, str] | None
 
 
 def are_unix_times(times: Times) -> bool:
-    """Whether increasing numbers are times since 1970, in seconds or a smaller unit."""
+    """Whether increasing numbers are Unix times, counted since 1970 in seconds or a smaller
+    unit."""
     finite = times[np.isfinite(times)]
     if len(finite) < 3 or finite.min() <= 0:
         return False
@@ -96,8 +97,8 @@ def parse_digit_dates(times: Times) -> Times | None:
 
 
 def describe_day_numbers(title: str, finite: Times) -> str:
-    """Sentence that names the calendar to which numbers that count days belong; empty for other
-    numbers.
+    """Description of the calendar from which numbers count days, as in a spreadsheet; empty for
+    numbers that are no days.
 
     The name says it, or the step is a round number of seconds as days and none as it stands.
     """
@@ -115,11 +116,11 @@ def describe_day_numbers(title: str, finite: Times) -> str:
     if not len(rising):
         return ""
     step = float(np.median(rising))
-    are_days = has_two_digits(DAY_S * step)
-    return MAYBE_DAYS if are_days and not has_two_digits(step) else ""
+    are_days = has_at_most_two_digits(DAY_S * step)
+    return MAYBE_DAYS if are_days and not has_at_most_two_digits(step) else ""
 
 
-def has_two_digits(number: float) -> bool:
+def has_at_most_two_digits(number: float) -> bool:
     """Whether a positive number has at most two significant digits, up to rounding."""
     rounded = float(f"{number:.2g}")
     return abs(rounded - number) <= ROUND * number

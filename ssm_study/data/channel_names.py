@@ -7,22 +7,24 @@ from ssm_study.signals import Channel
 Names = str | int | list[str] | list[int] | tuple[str, ...]
 
 
-def as_name_list(names: Names) -> tuple[str, ...]:
-    """Convert one name, or number of a column, or several to a tuple of names."""
+def as_name_tuple(names: Names) -> tuple[str, ...]:
+    """Convert one or several column names, or column numbers, to a tuple of texts."""
     if isinstance(names, str | int):
         return (str(names),)
     return tuple(map(str, names))
 
 
-def name_channels(names: Names, units: Names, side: str, apart: bool) -> tuple[Channel, ...]:
-    """Name the input, output or disturbance channels of a recording, with their units. Recordings
-    store signals under plain names: `Motor voltage (V)` becomes `Motor_voltage_V`.
+def name_channels(
+    names: Names, units: Names, side: str, has_separate_files: bool
+) -> tuple[Channel, ...]:
+    """Give the input, output or disturbance channels of a recording their names and units.
+    Recordings store signals under plain names: `Motor voltage (V)` becomes `Motor_voltage_V`.
 
-    A number says which side it is of, `input_0`; so does every name of files apart, where two may
-    be equal.
+    A number says which side it is of, `input_0`; so does every name of separate files, where two
+    may be equal.
     """
-    columns = as_name_list(names)
-    stated_units = as_name_list(units)
+    columns = as_name_tuple(names)
+    stated_units = as_name_tuple(units)
     if stated_units == ("",):
         stated_units = ("",) * len(columns)
     has_all_units = len(stated_units) == len(columns)
@@ -35,7 +37,7 @@ def name_channels(names: Names, units: Names, side: str, apart: bool) -> tuple[C
     require(not twice, f"data.{side}", column_list, problem, "rename a column of the log")
     channels = []
     for name, unit in zip(plain, stated_units, strict=True):
-        needs_side = apart or name[0].isdigit()
+        needs_side = has_separate_files or name[0].isdigit()
         full_name = f"{side}_{name}" if needs_side else name
         channel = Channel(name=full_name, unit=unit)
         channels.append(channel)

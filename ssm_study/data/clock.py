@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
-from ssm_study.data.rounded_times import rounded_period_s
+from ssm_study.data.rounded_times import estimate_period_s
 from ssm_study.data.scattered_times import SCATTERS, ScatteredClock, find_scattered_clock
 from ssm_study.refusal import BadRequest, require, require_at_least
 
@@ -32,8 +32,8 @@ HELD = 0.5  # share of samples at which a held input does not change
 
 @dataclass(frozen=True, kw_only=True)
 class EvenRows:
-    """Rows of a log with evenly spaced times, cut into pieces without gaps. Each piece starts at a
-    whole number of samples.
+    """Rows of a log at evenly spaced times, cut into pieces that have no gaps. Each piece starts at
+    a whole number of samples.
 
     `remarks` state holes, missing values and interpolation, in words.
     """
@@ -45,13 +45,13 @@ class EvenRows:
 
 
 def count_log_samples(pieces: EvenRows) -> int:
-    """Number of samples of a log up to the end of its last piece."""
+    """Number of sampling instants from the beginning of a log to its end, gaps included."""
     last_piece = pieces.values[-1]
     return pieces.starts[-1] + len(last_piece)
 
 
 def period_and_jitter(time_s: ClockTimes) -> tuple[float, ClockTimes]:
-    """Mean sampling period of a clock, and how far each time is from an evenly spaced clock, in
+    """Mean sampling period of recorded times, and the deviation of each time from an even clock, in
     periods."""
     span_s = time_s[-1] - time_s[0]
     samples = len(time_s)
@@ -63,13 +63,13 @@ def period_and_jitter(time_s: ClockTimes) -> tuple[float, ClockTimes]:
 
 
 def largest_jitter(time_s: ClockTimes) -> float:
-    """Largest deviation of a sample from an evenly spaced clock, in periods."""
+    """Largest deviation of recorded times from even spacing, in sampling periods."""
     _, late = period_and_jitter(time_s)
     return float(late.max())
 
 
 def refuse_decreasing_times(time_s: ClockTimes, where: str) -> None:
-    """Raise `BadRequest` for times that decrease, or that repeat because they were rounded."""
+    """Raise `BadRequest` for recorded times that decrease, or repeat because of rounding."""
     steps = np.diff(time_s)
     if (steps < 0).any():
         first_backward = np.argmax(steps < 0)
@@ -86,8 +86,8 @@ def refuse_decreasing_times(time_s: ClockTimes, where: str) -> None:
 
 
 def refuse_repeated_row(time_s: ClockTimes, values: RowValues, where: str) -> None:
-    """Raise `BadRequest` for a row that equals the row before it, in a log where that hardly ever
-    happens."""
+    """Raise `BadRequest` for a row of a log that equals the row before it, if equal rows are rare
+    in the log."""
     is_still = np.diff(time_s) == 0
     if not is_still.any() or is_still.mean() > FEW_REPEATS:
         return
@@ -101,7 +101,8 @@ def refuse_repeated_row(time_s: ClockTimes, values: RowValues, where: str) -> No
 
 
 def typical_period_s(time_s: ClockTimes) -> float:
-    """Typical sampling period: median of the first hundred positive time differences."""
+    """Typical sampling period of recorded times: the median of the first hundred positive time
+    differences."""
     steps = np.diff(time_s)
     positive_steps = steps[steps > 0]
     median_s = np.median(positive_steps[:100])
@@ -118,7 +119,7 @@ def resample_to_even_clock(
     tolerance: float,
     resample: bool,
 ) -> EvenRows:
-    """Assign evenly spaced times to the rows of a log, and cut it at gaps and missing values.
+    """Bring the rows of a log to evenly spaced times, and cut the log at gaps and missing values.
 
     `step_s`, where it is given, must agree with the times within 0.1 %. The first `inputs` columns
     are inputs. Raises `BadRequest` for times that run backwards, repeat, or are no samples of a
@@ -130,7 +131,7 @@ def resample_to_even_clock(
     require_at_least(3, f"{where} (samples with a time)", len(time_s), "use a longer record")
     is_still = np.diff(time_s) == 0
     if step_s is not None and is_still.any():
-        return check_rounded_clock(time_s, values, step_s, where)
+        return apply_stated_period(time_s, values, step_s, where)
     if step_s is None and not resample:
         rounded = recover_rounded_clock(time_s, values, tolerance)
         if rounded is not None:
@@ -149,8 +150,9 @@ def resample_to_even_clock(
 def recover_rounded_clock(
     time_s: ClockTimes, values: RowValues, tolerance: float
 ) -> EvenRows | None:
-    """Recover an evenly spaced clock from times that were rounded when they were written. None if
-    no such clock explains the times, or if the times are even already."""
+    """Recover evenly spaced times from recorded times that were rounded to few digits; None if no
+    even spacing explains them. None if no such clock explains the times, or if the times are even
+    already."""
     steps = np.diff(time_s)
     is_forwards = (steps >= 0).all()
     forwards = bool(is_forwards) and time_s[-1] > time_s[0]
@@ -159,7 +161,7 @@ def recover_rounded_clock(
     is_even = steps.all() and largest_jitter(time_s) <= tolerance
     if is_even:
         return None
-    period = rounded_period_s(time_s)
+    period = estimate_period_s(time_s)
     if period is None:
         return None
     period_s, error = period
@@ -171,11 +173,11 @@ def recover_rounded_clock(
     return cut_at_missing_values(rows)
 
 
-def check_rounded_clock(
+def apply_stated_period(
     time_s: ClockTimes, values: RowValues, step_s: float, where: str
 ) -> EvenRows:
-    """Check rounded times against a stated sampling time, and give the rows evenly spaced times.
-    Raises `BadRequest` where the times contradict the stated one."""
+    """Give rows with rounded times the even times of a stated period, after checking both. Raises
+    `BadRequest` where the times contradict the stated one."""
     steps_s = np.diff(time_s)
     moves = np.append(True, steps_s != 0)
     refuse_decreasing_times(time_s[moves], where)
@@ -195,7 +197,7 @@ def check_rounded_clock(
 
 
 def require_equal_period(step_s: float | None, period_s: float, where: str) -> None:
-    """Raise `BadRequest` for a stated sampling time that differs from the period of the recorded
+    """Raise `BadRequest` for a stated sampling period that differs from the period of the recorded
     times."""
     agrees = step_s is None or abs(step_s - period_s) <= AGREEMENT * period_s
     remedy = "correct one of them (units?), or leave step_s null"
@@ -212,8 +214,8 @@ def cut_at_gaps(
     tolerance: float,
     resample: bool,
 ) -> EvenRows:
-    """Cut a log into pieces at the gaps of its clock. Values are interpolated where the clock
-    wanders."""
+    """Cut a log into pieces where its times have gaps, and interpolate where the times drift from
+    an even spacing. Values are interpolated where the clock wanders."""
     steps = np.diff(time_s)
     median_s = float(np.median(steps))
     holes = np.flatnonzero(steps > HOLE * median_s)
@@ -237,7 +239,7 @@ def cut_at_gaps(
     clock = None if resample else find_scattered_clock(time_s, stretches)
     if clock is not None:
         require_equal_period(step_s, clock.period_s, where)
-        return number_rows(time_s, values, stretches, clock, step_s, remarks)
+        return number_scattered_rows(time_s, values, stretches, clock, step_s, remarks)
     problem = "no stretch without a hole is left"
     remedy = "record for longer, without interruptions"
     require(stretches, f"{where} (time)", "holes", problem, remedy)
@@ -248,7 +250,7 @@ def cut_at_gaps(
     return interpolate_pieces(time_s, values, inputs, stretches, period_s, remarks)
 
 
-def number_rows(
+def number_scattered_rows(
     time_s: ClockTimes,
     values: RowValues,
     stretches: list[tuple[int, int]],
@@ -256,7 +258,8 @@ def number_rows(
     step_s: float | None,
     remarks: list[str],
 ) -> EvenRows:
-    """Number the rows of a log whose times scatter around an even clock, and cut it at gaps."""
+    """Assign consecutive sample numbers to the rows of a log whose times scatter around evenly
+    spaced ones."""
     period_s = clock.period_s if step_s is None else step_s
     since_s = time_s - time_s[0]
     starts = [round(since_s[a] / period_s) for a, _ in stretches]
@@ -270,21 +273,20 @@ def number_rows(
     return cut_at_missing_values(rows)
 
 
-def gap_remarks(steps: ClockTimes, holes: Int[np.ndarray, "H"], period_s: float) -> list[str]:
-    """Sentences on the gaps in the times of a log: how many there are, and how long they last."""
-    if not len(holes):
+def gap_remarks(steps: ClockTimes, gaps: Int[np.ndarray, "H"], period_s: float) -> list[str]:
+    """Remark that states how many gaps the times of a log have, and their total duration."""
+    if not len(gaps):
         return []
-    hole_s = steps[holes].sum()
-    regular_s = len(holes) * period_s
+    hole_s = steps[gaps].sum()
+    regular_s = len(gaps) * period_s
     missing_s = float(hole_s) - regular_s
-    word = "hole" if len(holes) == 1 else "holes"
+    word = "hole" if len(gaps) == 1 else "holes"
     length = f"{missing_s:.0f}" if missing_s >= 100 else f"{missing_s:.3g}"
-    return [f"cut at {len(holes)} {word} of {length} s in all"]
+    return [f"cut at {len(gaps)} {word} of {length} s in all"]
 
 
 def refuse_uneven_times(steps: ClockTimes, median_s: float, where: str, resample: bool) -> None:
-    """Raise `BadRequest` for a log whose times are unevenly spaced, unless resampling is
-    requested."""
+    """Raise `BadRequest` for unevenly spaced times, unless resampling is requested."""
     percentiles = [5, 95]
     low, high = np.percentile(steps, percentiles)
     spread = float(high - low) / median_s
@@ -305,8 +307,8 @@ def interpolate_pieces(
     period_s: float,
     remarks: list[str],
 ) -> EvenRows:
-    """Resample pieces of a log at evenly spaced times by interpolation, linearly except for inputs
-    that are held constant."""
+    """Resample the pieces of a log between its gaps at evenly spaced times, with held inputs kept
+    piecewise constant."""
     cut: list[np.ndarray] = []
     starts: list[int] = []
     between = 0
@@ -343,7 +345,7 @@ def interpolate_pieces(
 
 
 def nearest_row_indices(clock: Instants, times: ClockTimes) -> Int[np.ndarray, "K"]:
-    """Indices of the recorded times that are nearest to the instants of an evenly spaced clock."""
+    """Index of the recorded row nearest in time to each instant of an even clock."""
     places = np.searchsorted(times, clock)
     after = np.clip(places, 1, len(times) - 1)
     before = after - 1
@@ -356,8 +358,7 @@ def nearest_row_indices(clock: Instants, times: ClockTimes) -> Int[np.ndarray, "
 def interpolate_column(
     clock: Instants, times: ClockTimes, column: ClockTimes, is_input: bool
 ) -> Instants:
-    """Interpolate one column of a log at other times: piecewise constant for a held input,
-    otherwise linear."""
+    """Interpolate one column of a log at new times, piecewise constant for a held input."""
     is_unchanged = np.diff(column) == 0
     if is_input and is_unchanged.mean() > HELD:
         later = clock * (1 + 1e-12) + 1e-12
@@ -369,7 +370,7 @@ def interpolate_column(
 
 
 def cut_at_missing_values(pieces: EvenRows) -> EvenRows:
-    """Cut pieces of a log where a value is missing, and leave out pieces of one or two rows."""
+    """Cut the pieces of a log where a value is missing, and leave out pieces of one or two rows."""
     cut: list[np.ndarray] = []
     starts: list[int] = []
     missing = 0

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.data.calendar_numbers import are_unix_times, parse_calendar_numbers
-from ssm_study.data.clock_restarts import find_clock_restarts
+from ssm_study.data.clock_restarts import find_time_restarts
 from ssm_study.data.clock_wraps import unwrap_clock
 from ssm_study.data.readers.reader import Table, normalise_title, title_without_unit
-from ssm_study.data.rounded_times import rounded_period_s
+from ssm_study.data.rounded_times import estimate_period_s
 from ssm_study.refusal import BadRequest, require
 
 ClockTimes = Float[np.ndarray, "T"]
@@ -42,8 +42,8 @@ UNREAD = "not read, column"  # of a clock whose cells are neither numbers nor da
 MOSTLY = 0.9  # share of steps in one direction, from which on a column is a clock out of order
 
 
-def clock_unit_s(title: str, stated: str) -> float | None:
-    """Number of seconds in the unit that the title of a clock column states; None if no unit is
+def stated_time_unit_s(title: str, stated: str) -> float | None:
+    """Length in seconds of the time unit that a column's title or unit states; None if no unit is
     stated.
 
     `time(ms)`, `time_ms`, `t [ms]`, `time ms`, `millis`. Raises `BadRequest` for a unit that is
@@ -69,9 +69,9 @@ def clock_unit_s(title: str, stated: str) -> float | None:
     return SECONDS[whole] if whole in long_words else None
 
 
-def is_clock_name(title: str) -> bool:
-    """Whether the title of a column is that of a clock, such as `time`, `t`, `Timestamp (ms)`,
-    `time_s` or `date`."""
+def is_time_title(title: str) -> bool:
+    """Whether a column title is one that is usual for times, such as `time`, `t`, `Timestamp (ms)`
+    or `date`."""
     plain = title_without_unit(title)
     lower = plain.strip().lower()
     normalised = normalise_title(plain)
@@ -85,20 +85,19 @@ def is_clock_name(title: str) -> bool:
     return normalise_title(without_unit) in WORDS
 
 
-def runs_like_clock(title: str, unit: str, times: ClockTimes) -> bool:
-    """Whether a column has the title or the unit of a clock, and its values nearly always increase
-    from row to row."""
+def resembles_clock(title: str, unit: str, times: ClockTimes) -> bool:
+    """Whether a column has the title or unit of a time, and values that nearly always increase."""
     plain_unit = unit.strip()
     has_unit = plain_unit.lower().rstrip(".") in SECONDS
-    if not has_unit and not is_clock_name(title):
+    if not has_unit and not is_time_title(title):
         return False
     is_known_time = np.isfinite(times)
     steps = np.diff(times[is_known_time])
     return len(steps) > 1 and bool((steps > 0).mean() > MOSTLY)
 
 
-def has_clock_word(title: str) -> bool:
-    """Whether a title begins or ends with a word for a clock, such as `t_now` and
+def has_time_word(title: str) -> bool:
+    """Whether a column title begins or ends with a word for time, such as `t_now` and
     `sensor_timestamp`."""
     words = title_words(title_without_unit(title))
     first_word = words[:1]
@@ -108,14 +107,14 @@ def has_clock_word(title: str) -> bool:
 
 
 def title_words(title: str) -> list[str]:
-    """Words of a column's title in lower case, split at spaces, underscores, points and dashes."""
+    """Words of a column title in lower case, split at spaces, underscores, points and dashes."""
     lower_title = title.lower()
     return [word for word in re.split(r"[\s_.\-/]+", lower_title) if word]
 
 
 def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
-    """Find the column of a log that is its clock; None if there is none. It is the column with the
-    title of a clock, else the first one if it has no title.
+    """Find the column of a log that contains the times of its rows; None if no column does. It is
+    the column with the title of a clock, else the first one if it has no title.
 
     Its values must increase (a clock written with few digits may stand still); where a title has a
     clock's word beside others, `t_now`, they must not stand still either. The first column of
@@ -123,14 +122,14 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     is none: nobody knows how long a row lasts.
     """
     free = [title for title in table.columns if title not in signals]
-    named = [title for title in free if is_clock_name(title)]
+    named = [title for title in free if is_time_title(title)]
     clocks = [title for title in named if is_clock_column(table, title)]
-    strict = [title for title in clocks if is_strict_clock(table, title)]
+    strict = [title for title in clocks if is_strictly_increasing_clock(table, title)]
     if clocks:
         clock = (strict or clocks)[0]
         return dated_clock_of_another_span(table, clock, free) or clock
     for title in free:
-        if has_clock_word(title) and is_strict_clock(table, title):
+        if has_time_word(title) and is_strictly_increasing_clock(table, title):
             return title
     for title in free:
         times = table.columns[title]
@@ -154,14 +153,14 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     finite_times = times[np.isfinite(times)]
     increases = np.diff(finite_times) > 0
     mostly = bool(increases.mean() > 0.5)
-    is_clock = mostly or rounded_period_s(finite_times) is not None
+    is_clock = mostly or estimate_period_s(finite_times) is not None
     return first if is_clock else None
 
 
 def dated_clock_of_another_span(table: Table, title: str, free: Sequence[str]) -> str | None:
     """Column of dates that contradicts a clock without a unit, which then does not count seconds;
     None if there is none."""
-    has_unit = clock_unit_s(title, table.units.get(title, "")) is not None
+    has_unit = stated_time_unit_s(title, table.units.get(title, "")) is not None
     if has_unit or title in table.dated:
         return None
     span_s = np.ptp(unwrap_column_times(table, title))
@@ -174,35 +173,35 @@ def dated_clock_of_another_span(table: Table, title: str, free: Sequence[str]) -
 
 
 def is_nameless(table: Table, title: str) -> bool:
-    """Whether a column has no title of its own in the file."""
+    """Whether a column has no title of its own in the log file."""
     return title == "" or table.nameless or title.startswith("Unnamed")
 
 
 def unwrap_column_times(table: Table, title: str) -> ClockTimes:
-    """Times of a column, corrected so that they increase where a counter overflows or summer time
-    ends."""
+    """Times in a column, corrected so that they keep increasing where a counter overflows or summer
+    time ends."""
     times = table.columns[title]
     is_dated = title in table.dated
     return unwrap_clock(times, is_dated=is_dated)[0]
 
 
-def is_strict_clock(table: Table, title: str) -> bool:
-    """Whether the times of a column increase from row to row and never stand still."""
+def is_strictly_increasing_clock(table: Table, title: str) -> bool:
+    """Whether the times in a column increase from every row to the next, without equal times."""
     times = unwrap_column_times(table, title)
     return is_increasing(times, strictly=True)
 
 
 def is_clock_column(table: Table, title: str) -> bool:
-    """Whether the numbers of a column are the times of one clock, or of several experiments one
-    after another."""
+    """Whether the numbers in a column are the times of one experiment, or of several one after
+    another."""
     times = table.columns[title]
     unwrapped = unwrap_column_times(table, title)
-    return is_increasing(unwrapped) or bool(find_clock_restarts(times))
+    return is_increasing(unwrapped) or bool(find_time_restarts(times))
 
 
 def is_increasing(times: ClockTimes, *, strictly: bool = False) -> bool:
-    """Whether a sequence of times increases, apart from missing times. Equal times count as
-    increasing unless `strictly` is set."""
+    """Whether times never decrease from one to the next, with missing times ignored. Equal times
+    count as increasing unless `strictly` is set."""
     finite = times[np.isfinite(times)]
     finite_count = len(finite)
     half = 0.5 * len(times)
@@ -215,7 +214,7 @@ def is_increasing(times: ClockTimes, *, strictly: bool = False) -> bool:
 
 
 def is_evenly_spaced(times: ClockTimes) -> bool:
-    """Whether successive times have the same distance up to a thousandth."""
+    """Whether times are evenly spaced up to a thousandth of their spacing."""
     if len(times) < 3 or not np.isfinite(times).all():
         return False
     steps = np.diff(times)
@@ -225,7 +224,8 @@ def is_evenly_spaced(times: ClockTimes) -> bool:
 
 
 def are_row_numbers(times: ClockTimes) -> bool:
-    """Whether a column's values are the row numbers 0, 1, 2, ... or 1, 2, 3, ..."""
+    """Whether the values in a column are the row numbers 0, 1, 2, ... or 1, 2, 3, ... or 1, 2, 3,
+    ..."""
     finite = times[np.isfinite(times)]
     is_one = np.diff(finite) == 1.0
     starts_at_one_or_zero = finite[0] in (0.0, 1.0)
@@ -235,7 +235,7 @@ def are_row_numbers(times: ClockTimes) -> bool:
 def clock_column_seconds(
     title: str, table: Table, *, is_stated: bool = False
 ) -> tuple[ClockTimes, str]:
-    """Convert the times of a clock column to seconds, and say which unit they had.
+    """Convert the times in a log's time column to seconds, and describe the unit that they had.
 
     Whole numbers without a unit, several apart, are taken for seconds with a doubt, unless the
     sampling time is stated: they may count milliseconds.
@@ -248,7 +248,7 @@ def clock_column_seconds(
     if title in table.dated:
         return times, f"{words} (dates){after}"
     stated_unit = table.units.get(title, "")
-    factor = clock_unit_s(title, stated_unit)
+    factor = stated_time_unit_s(title, stated_unit)
     if factor is not None:
         return factor * times, f"{words}{after}"
     read = parse_calendar_numbers(title, times)
@@ -260,8 +260,7 @@ def clock_column_seconds(
 
 
 def is_in_small_units(times: ClockTimes) -> bool:
-    """Whether times are whole numbers of a unit that is smaller than a second, judged by their
-    median step."""
+    """Whether times are whole numbers whose spacing suggests a unit smaller than a second."""
     finite = times[np.isfinite(times)]
     steps = np.diff(finite)
     rounded = np.round(finite)
@@ -273,7 +272,7 @@ def is_in_small_units(times: ClockTimes) -> bool:
 
 
 def first_column_counts_rows(contents: Table) -> bool:
-    """Whether the first column of a log has no title and counts the rows."""
+    """Whether the first column of a log has no title and contains the row numbers."""
     columns = contents.columns.items()
     title, times = next(iter(columns))
     column_count = len(contents.columns)
@@ -285,18 +284,18 @@ def first_column_counts_rows(contents: Table) -> bool:
 
 
 def refuse_backward_clock(
-    contents: Table, taken: list[str], file: Path, *, is_stated: bool
+    contents: Table, signals: list[str], file: Path, *, is_stated: bool
 ) -> None:
-    """Raise `BadRequest` for a log whose clock column runs backwards, at one row or as a whole.
+    """Raise `BadRequest` for a log whose times run backwards, at one row or throughout.
 
     Where the sampling time is stated a column of one letter may be anything (`T`, a temperature).
     """
-    rows = {len(contents.columns[title]) for title in taken}
+    rows = {len(contents.columns[title]) for title in signals}
     for title, times in contents.columns.items():
         plain = title_without_unit(title).strip()
         unit = contents.units.get(title, "")
-        is_clock = is_clock_name(title) or runs_like_clock(title, unit, times)
-        if title in taken or not is_clock or (is_stated and len(plain) == 1):
+        is_clock = is_time_title(title) or resembles_clock(title, unit, times)
+        if title in signals or not is_clock or (is_stated and len(plain) == 1):
             continue
         if len(times) not in rows:
             continue
@@ -316,10 +315,10 @@ def refuse_backward_clock(
         require(not (descends or out_of_order), f"{file.name} (column)", title, problem, remedy)
 
 
-def refuse_clock_as_signal(contents: Table, taken: list[str], file: Path) -> None:
-    """Raise `BadRequest` if the clock column of a log is used as a signal."""
+def refuse_clock_as_signal(contents: Table, signals: list[str], file: Path) -> None:
+    """Raise `BadRequest` if the time column of a log is chosen as an input or output."""
     first = next(iter(contents.columns))
-    for title in taken:
+    for title in signals:
         times = contents.columns[title]
         steps = np.diff(times)
         is_forward = (steps > 0).all()
@@ -327,21 +326,21 @@ def refuse_clock_as_signal(contents: Table, taken: list[str], file: Path) -> Non
         nameless = title == first and (contents.nameless or title == "")
         spread = float(np.ptp(steps))
         even = forwards and spread <= 1e-6 * float(steps.mean())
-        is_named_clock = forwards and is_clock_name(title)
+        is_named_clock = forwards and is_time_title(title)
         is_clock = is_named_clock or (nameless and even)
         problem = "is the clock: it increases from row to row"
         remedy = "name a signal"
         require(not is_clock, f"{file.name} (column)", title, problem, remedy)
 
 
-def unread_clock_remarks(contents: Table) -> list[str]:
-    """Remarks on columns that have the title of a clock but cannot be read as one."""
-    named = [title for title in contents.skipped if is_clock_name(title)]
+def unreadable_clock_remarks(contents: Table) -> list[str]:
+    """Remarks on columns that have the title of a time column but contents that are no times."""
+    named = [title for title in contents.skipped if is_time_title(title)]
     return [f"{UNREAD} {title}: {contents.skipped[title]}" for title in named]
 
 
-def unread_clock_sentence(remarks: list[str]) -> str:
-    """Sentence for an error message on columns that have the title of a clock but cannot be read as
-    one."""
+def unreadable_clock_sentence(remarks: list[str]) -> str:
+    """Sentence for an error message on columns with the title of a time column but contents that
+    are no times."""
     unread = [remark for remark in remarks if remark.startswith(UNREAD)]
     return f" ({unread[0]})" if unread else ""

@@ -15,9 +15,9 @@ SHORTEST_EXPERIMENT = 10  # rows: of a clock that starts again more often than t
 APART = 2  # samples between two experiments: none follows the other
 
 
-def find_clock_restarts(time_s: Float[np.ndarray, "T"]) -> list[int]:
-    """Find the rows at which the clock starts again, in a file that holds several experiments.
-    There are none where the clock also runs backwards elsewhere."""
+def find_time_restarts(time_s: Float[np.ndarray, "T"]) -> list[int]:
+    """Rows of a log file at which its time starts again, each of them the beginning of another
+    experiment. There are none where the clock also runs backwards elsewhere."""
     finite = time_s[np.isfinite(time_s)]
     finite_count = len(finite)
     row_count = len(time_s)
@@ -49,11 +49,12 @@ def resample_experiments(
     tolerance: float,
     resample: bool,
 ) -> EvenRows:
-    """Assign evenly spaced times to the rows of each experiment in a file separately.
+    """Bring the rows of each experiment in a log file to evenly spaced times, one experiment at a
+    time.
 
     Raises `BadRequest` as that does, and for experiments of different sampling times.
     """
-    restarts = find_clock_restarts(time_s)
+    restarts = find_time_restarts(time_s)
     row_count = len(time_s)
     bounds = [0, *restarts, row_count]
     settings: dict[str, Any] = {"step_s": step_s, "tolerance": tolerance, "resample": resample}
@@ -69,8 +70,8 @@ def resample_experiments(
 
 
 def join_experiments(experiments: Sequence[EvenRows], where: str) -> EvenRows:
-    """Join the experiments of one file, which share a sampling time, into one log of separate
-    pieces."""
+    """Join the experiments of one log file, which have one sampling period, into one log of
+    separate pieces."""
     steps_s = [experiment.step_s for experiment in experiments]
     step_s = float(np.median(steps_s))
     differences_s = (abs(each - step_s) for each in steps_s)

@@ -29,8 +29,8 @@ Rows = Float[np.ndarray, "_ r"]
 def project_inputs_on_set_points(
     logs: Sequence[Trajectory], references: Sequence[Rows]
 ) -> tuple[list[Trajectory], float]:
-    """Replace the input of closed-loop logs by the part that the set point explains in a
-    least-squares fit. All logs share one filter; the share of the input's power that it explains is
+    """Replace the input of closed-loop logs by its projection on the filtered set point, fitted by
+    least squares. All logs share one filter; the share of the input's power that it explains is
     returned, too.
 
     Raises `BadRequest` for logs that are too short.
@@ -68,9 +68,9 @@ def project_inputs_on_set_points(
 
 
 def reconstruct_pi_set_point(log: Trajectory, gain: float, integral_s: float) -> Rows:
-    """Reconstruct the set point of a closed-loop log from the settings of its PI controller. `r = y
-    + e`, `e = (u - u_eq) / gain - i`, `i+ = i + (step_s / integral_s) e`, with i as at rest in the
-    beginning.
+    """Reconstruct the set point of a closed-loop log from input, output and the settings of its PI
+    controller. `r = y + e`, `e = (u - u_eq) / gain - i`, `i+ = i + (step_s / integral_s) e`, with i
+    as at rest in the beginning.
 
     Raises `BadRequest` for more than one input or output, and where the input is at a limit, which
     hides e.

@@ -11,7 +11,8 @@ HELD = 0.5  # share of samples at which a column that holds levels does not chan
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnFacts:
-    """Facts on one column of a log: unit, range, number of levels and number of missing values."""
+    """Summary of one column of a log: unit, range, number of distinct values and number of missing
+    values."""
 
     name: str
     unit: str
@@ -23,14 +24,16 @@ class ColumnFacts:
     rows: int
 
     def table_line(self) -> str:
-        """Line of a table that states the column's range, levels and missing values."""
+        """Line of text on one column of a log: range, number of distinct values and missing
+        values."""
         printed_name = self.name or "(no name)"
         name = printed_name[:28]
         unit = f"[{self.unit}]" if self.unit else ""
         return f"  {name:<28} {unit:<8}{self.range_text()}".rstrip()
 
     def range_text(self) -> str:
-        """Text that states the column's range and levels."""
+        """Text that states the smallest and largest value of a column and how many distinct values
+        the column has."""
         if not self.levels:
             return "empty"
         if self.levels == 1:
@@ -42,8 +45,9 @@ class ColumnFacts:
         return f"{numbers}{holds}{missing}"
 
 
-def column_facts(name: str, table: Table) -> ColumnFacts:
-    """Compute the range, the levels and the number of missing values of one column."""
+def summarise_column(name: str, table: Table) -> ColumnFacts:
+    """Summarise one column of a log: unit, range, number of distinct values and number of missing
+    values."""
     values = table.columns[name]
     finite = values[np.isfinite(values)]
     is_held = np.diff(finite) == 0

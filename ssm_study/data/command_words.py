@@ -9,22 +9,22 @@ from ssm_study.data.readers.reader import normalise_title, title_without_unit
 LETTER = re.compile(r"[^\W\d_]|[%°]")  # what has none, such as a dash, names no unit
 
 
-def unit_settings(facts: Sequence[ColumnFacts], columns: Mapping[str, str | None]) -> list[str]:
-    """Command-line settings for the units that a log states for its signals. `columns` has the
-    column of each side: input, output, disturbance."""
+def unit_overrides(facts: Sequence[ColumnFacts], columns: Mapping[str, str | None]) -> list[str]:
+    """Command-line overrides, such as `data.input_unit=V`, with the units that a log states for its
+    signals. `columns` has the column of each side: input, output, disturbance."""
     titles = [column.name for column in facts]
     settings = []
     for side, name in columns.items():
-        index = column_index(titles, name)
+        index = find_column_index(titles, name)
         unit = "" if index is None else facts[index].unit
         if LETTER.search(unit):
             settings.append(f"data.{side}_unit={quote_for_command(unit)}")
     return settings
 
 
-def column_index(titles: Sequence[str], name: str | None) -> int | None:
-    """Index of the column that a name or a number on the command line stands for; None if there is
-    no such column."""
+def find_column_index(titles: Sequence[str], name: str | None) -> int | None:
+    """Index of the column that a name or number on the command line stands for; None if there is no
+    such column."""
     if name is None or name in titles:
         return None if name is None else titles.index(name)
     plain = [normalise_title(title_without_unit(title)) for title in titles]
@@ -34,8 +34,8 @@ def column_index(titles: Sequence[str], name: str | None) -> int | None:
 
 
 def quote_for_command(text: str) -> str:
-    """Quote a value so that both the shell and the configuration read it unchanged. Letters and
-    digits need no quotes."""
+    """Quote a text so that both the shell and Hydra's override grammar read it unchanged. Letters
+    and digits need no quotes."""
     if re.fullmatch(r"[\w./:\-]+", text, re.ASCII):
         return text
     escaped_backslashes = text.replace("\\", "\\\\")

@@ -25,11 +25,11 @@ ORDERS = {"year first": "abc", "day first": "cba", "month first": "cab"}
 
 
 class AmbiguousDates(ValueError):
-    """Error raised when dates can be read in two ways, because day and month can be exchanged."""
+    """Error for dates that can be read in two ways, because day and month can be exchanged."""
 
 
 def is_date(cell: str) -> bool:
-    """Whether a cell of a table is a date (with or without a time) or a time of day."""
+    """Whether a text is a date (with or without a time) or a time of day."""
     forms = (DATE, TIME_OF_DAY, MINUTES)
     matches = (re.fullmatch(form, cell) for form in forms)
     if any(matches):
@@ -38,8 +38,8 @@ def is_date(cell: str) -> bool:
 
 
 def guess_date_format(cell: str) -> str | None:
-    """Format of a date with a named month or with digits around a letter T; None for any other
-    text."""
+    """Guess the date format of a text with a named month or with digits around a letter T; None for
+    any other text."""
     letters = (letter.isalpha() for letter in cell)
     has_letter = any(letters)
     digits = (letter.isdigit() for letter in cell)
@@ -56,9 +56,9 @@ def guess_date_format(cell: str) -> str | None:
     return form if is_clear else None
 
 
-def seconds_since_first(cells: list[str]) -> DateSeconds:
-    """Convert the dates in a column's cells to seconds since the first date. A cell without a date
-    becomes NaN.
+def dates_to_seconds(cells: list[str]) -> DateSeconds:
+    """Convert a column of dates to seconds since the first date; cells without a date become NaN. A
+    cell without a date becomes NaN.
 
     `03/04/2026` may be March or April: the order under which the times increase is taken. Raises
     `AmbiguousDates` where both do and differ.
@@ -81,7 +81,7 @@ def seconds_since_first(cells: list[str]) -> DateSeconds:
         is_dotted = series.str.match(r"\d{1,2}\.\d{1,2}\.")
         dotted = bool(is_dotted.any())  # the day always stands first
         parts = series.str.extract(f"^{DATE}$")
-        seconds = date_seconds(parts, dotted)
+        seconds = numeric_dates_to_seconds(parts, dotted)
     finite = seconds[np.isfinite(seconds)]
     finite_count = len(finite)
     return seconds - finite[0] if finite_count else seconds
@@ -122,7 +122,7 @@ def seconds_since_midnight(parts: pd.DataFrame) -> DateSeconds:
 
 
 def unwrap_midnight(seconds: DateSeconds) -> DateSeconds:
-    """Make times of day increase past midnight, so that they never jump back by a day."""
+    """Correct times of day that continue past midnight, so that they never jump back by a day."""
     numbers = np.nan_to_num(seconds, nan=0.0)
     first_time = seconds[:1]
     steps = np.diff(numbers, prepend=first_time)
@@ -131,11 +131,11 @@ def unwrap_midnight(seconds: DateSeconds) -> DateSeconds:
     return seconds + DAY_S * days
 
 
-def date_seconds(parts: pd.DataFrame, dotted: bool) -> DateSeconds:
-    """Convert dates given as numbers to seconds since 1970, in the order of day, month and year
-    that fits all of them."""
+def numeric_dates_to_seconds(parts: pd.DataFrame, dotted: bool) -> DateSeconds:
+    """Convert dates given as three numbers to seconds since 1970, in the order of day, month and
+    year that suits all dates."""
     time_of_day_s = seconds_since_midnight(parts)
-    zones = parts["zone"].map(zone_seconds, na_action="ignore")
+    zones = parts["zone"].map(time_zone_offset_s, na_action="ignore")
     filled_zones = zones.fillna(0.0)
     shift = filled_zones.to_numpy(dtype=float)
     readings = []
@@ -149,8 +149,8 @@ def date_seconds(parts: pd.DataFrame, dotted: bool) -> DateSeconds:
 
 
 def days_since_1970(parts: pd.DataFrame, order: str) -> DateSeconds | None:
-    """Days since 1970 of dates in a given order of day, month and year; None if some are no dates
-    in that order."""
+    """Days since 1970 of dates whose numbers are read in a given order of day, month and year; None
+    for impossible dates."""
     year, month, day = (pd.to_numeric(parts[letter]) for letter in order)
     year = year.where(year > 99, year + 2000)
     year_range = (year, 1900, 2200)
@@ -176,8 +176,8 @@ def days_since_1970(parts: pd.DataFrame, order: str) -> DateSeconds | None:
     return days.to_numpy(dtype=float)
 
 
-def zone_seconds(zone: str) -> float:
-    """Offset from UTC, in seconds, of a time zone written as `+02:00`, `Z` or `UTC`."""
+def time_zone_offset_s(zone: str) -> float:
+    """Offset from UTC in seconds of a time zone that is written as `+02:00`, `Z` or `UTC`."""
     if zone in ("Z", "UTC", "GMT"):
         return 0.0
     without_sign = zone[1:]
@@ -188,15 +188,15 @@ def zone_seconds(zone: str) -> float:
     return -offset if zone[0] == "-" else offset
 
 
-def choose_increasing_times(readings: list[np.ndarray], samples: int) -> DateSeconds:
+def choose_increasing_times(interpretations: list[np.ndarray], samples: int) -> DateSeconds:
     """Choose, among several interpretations of the same dates, the one whose times increase
     evenly."""
-    if not readings:
+    if not interpretations:
         return np.full(samples, np.nan)
-    forwards = [one for one in readings if (date_differences_s(one) >= 0).all()]
-    chosen = forwards or readings
-    if len(chosen) > 1 and any(has_even_steps(one) for one in chosen):
-        chosen = [one for one in chosen if has_even_steps(one)]
+    forwards = [one for one in interpretations if (date_differences_s(one) >= 0).all()]
+    chosen = forwards or interpretations
+    if len(chosen) > 1 and any(has_no_long_step(one) for one in chosen):
+        chosen = [one for one in chosen if has_no_long_step(one)]
     first, *others = map(date_differences_s, chosen)
     if any(not np.allclose(first, other) for other in others):
         raise AmbiguousDates
@@ -204,13 +204,13 @@ def choose_increasing_times(readings: list[np.ndarray], samples: int) -> DateSec
 
 
 def date_differences_s(seconds: DateSeconds) -> Float[np.ndarray, "T2"]:
-    """Time differences between successive dates, with missing dates left out."""
+    """Differences in seconds between successive dates, with missing dates left out."""
     is_known_time = np.isfinite(seconds)
     return np.diff(seconds[is_known_time])
 
 
-def has_even_steps(seconds: DateSeconds) -> bool:
-    """Whether no time step is longer than 1.5 times the median step."""
+def has_no_long_step(seconds: DateSeconds) -> bool:
+    """Whether no time difference is longer than 1.5 times the median difference."""
     steps = date_differences_s(seconds)
     step_count = len(steps)
     longest = 1.5 * np.median(steps) if step_count else 0.0

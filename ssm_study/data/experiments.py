@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ssm_study.data.assembly import Parts
 from ssm_study.data.metrics import SCORES
-from ssm_study.data.recorded import AroundRest
+from ssm_study.data.recorded import RecordedAboutEquilibrium
 from ssm_study.data.recording import Recording
 from ssm_study.data.splits import cut_out_fold
 from ssm_study.refusal import BadRequest, require, require_one_of
@@ -27,9 +27,9 @@ DOWNLOADERS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordedExperiments(AroundRest):
-    """Data set whose training, validation and test records are separate recordings. Their paths are
-    relative to a folder.
+class RecordedExperiments(RecordedAboutEquilibrium):
+    """Data set whose training, validation and test records are separate recordings, as in public
+    benchmarks. Their paths are relative to a folder.
 
     `folder` null searches for the `benchmark` (`benchmark_folder`). `score`: see
     `data.metrics.SCORES`. A `fold` is held out of every training recording and scored in place of
@@ -70,8 +70,8 @@ class RecordedExperiments(AroundRest):
         return self.assemble_about_equilibrium(parts, channels, **about)
 
     def _read_parts(self) -> Parts:
-        """Read the records for training, validation and test. With folds, the remaining part also
-        validates, as it does without folds."""
+        """Read the recordings for training, validation and test. With folds, the remaining part
+        also validates, as it does without folds."""
         folder = self.records_folder()
         if self.fold is None:
             training = _read_recordings(folder, self.training)
@@ -85,7 +85,7 @@ class RecordedExperiments(AroundRest):
         return pieces, pieces, test_pieces
 
     def records_folder(self) -> Path:
-        """Folder that holds the recordings of the data set. Raises `BadRequest` if it does not
+        """Folder that contains the recordings of a data set. Raises `BadRequest` if it does not
         exist."""
         if self.folder is None:
             return benchmark_folder(self.benchmark)
@@ -97,8 +97,8 @@ class RecordedExperiments(AroundRest):
 
 
 def benchmark_folder(benchmark: str) -> Path:
-    """Folder of a public benchmark's files, which are downloaded if needed. It is in
-    $SSM_STUDY_DATA, in ../shared/data, or in the official package's own place.
+    """Folder with the files of a public benchmark, which are downloaded if they are missing. It is
+    in $SSM_STUDY_DATA, in ../shared/data, or in the official package's own place.
 
     That package downloads it; it needs the extra `benchmarks` and a network. Raises `BadRequest`
     where it is nowhere.
@@ -125,7 +125,7 @@ def benchmark_folder(benchmark: str) -> Path:
 
 
 def find_record_file(folder: Path, name: str) -> Path:
-    """Find a record file by its name, or by its name with the suffix of CSV or MAT. Records are
+    """Find a recording by its file name, with or without the suffix `.csv` or `.mat`. Records are
     distributed in both formats. Raises `BadRequest` if there is none."""
     exact = folder / name
     files = folder.iterdir()
@@ -141,7 +141,7 @@ def find_record_file(folder: Path, name: str) -> Path:
 
 
 def _read_recordings(folder: Path, recordings: list[Recording]) -> list[Trajectory]:
-    """Read several recordings from a folder."""
+    """Read several recorded experiments from files in one folder."""
     records = []
     for recording in recordings:
         path = find_record_file(folder, recording.path)

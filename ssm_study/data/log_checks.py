@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.command_words import column_index
+from ssm_study.data.command_words import find_column_index
 
 TURNS = (360.0, 2.0 * np.pi)  # degrees, radians
 PART_OF_TURN = 0.3  # share of a turn that an angle itself moves in a sample, at most
@@ -29,7 +29,7 @@ def unmeasured_reason(u: Signal, y: Signal, fewest: int) -> str:
 def angle_sentences(columns: Mapping[str, Signal], output: str) -> list[str]:
     """Sentence on an output, as it stands in the file, that jumps by a whole turn, as an angle that
     starts again does; none without such jumps."""
-    place = column_index(list(columns), output)
+    place = find_column_index(list(columns), output)
     y = np.empty(0) if place is None else list(columns.values())[place]
     finite = y[np.isfinite(y)]
     if len(finite) < 2:

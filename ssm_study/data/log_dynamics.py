@@ -46,10 +46,10 @@ Signal = Float[np.ndarray, "T"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class InputShares:
-    """Share of the output's variance that the input explains, for the output's level and for its
-    change over a window. Also the share of its level that the output loses over that window, and at
-    that pace over the log."""
+class ExplainedVariance:
+    """Fractions of the output's variance that the input explains, separately for the output itself
+    and for its change over a time window. Also the share of its level that the output loses over
+    that window, and at that pace over the log."""
 
     level: float
     change: float
@@ -59,8 +59,8 @@ class InputShares:
 
     @property
     def is_integrator(self) -> bool:
-        """Whether the input explains changes of the output better than its level, as for an
-        integrating plant."""
+        """Whether the input explains changes of the output better than the output itself, as for a
+        plant with an integrator."""
         changes = self.change > self.level + INTEGRATES
         return changes and self.lost > -DRIFTS and self.lost_in_log < FORGETS
 
@@ -68,8 +68,7 @@ class InputShares:
 def describe_log_dynamics(
     records: Sequence[Trajectory], *, is_interpolated: bool = False
 ) -> list[str]:
-    """Describe in sentences how the plant behaves in a log: delay, integrator, closed loop and
-    noise.
+    """Describe in sentences the plant dynamics in a log: delay, integrator, feedback, noise.
 
     Between interpolated samples an output moves before its input does, so that they show no
     feedthrough.
@@ -80,9 +79,12 @@ def describe_log_dynamics(
     reason = unmeasured_reason(u, y, 4 * LAGS)
     if reason:
         return [f"{reason}: no dynamics measured"]
-    shares = input_shares(u, y)
-    sentences = [*standstill_sentences(records), input_return_sentence(count_rests(records))]
-    fed_back = feedback_share(u, y)
+    shares = explained_output_variance(u, y)
+    sentences = [
+        *longest_standstill_sentences(records),
+        input_return_sentence(count_returns_to_rest(records)),
+    ]
+    fed_back = feedback_error_reduction(u, y)
     answer = response_delay_sentence(u, y, shares)
     if FEEDTHROUGH in answer and is_interpolated:
         answer = interpolated_response_sentence()
@@ -103,19 +105,19 @@ def describe_log_dynamics(
 
 
 def same_sample_sentence() -> str:
-    """Sentence on an output that responds within the same sample, so that cause and effect cannot
-    be distinguished."""
+    """Sentence on an output that changes within the same sample as the input, so that cause and
+    effect cannot be distinguished."""
     return "input and output move within the same sample: which of them answers is not to be seen"
 
 
 def interpolated_response_sentence() -> str:
-    """Sentence on an output that seems to respond within the same sample where samples were
+    """Sentence on an output that seems to respond within the same sample only because samples were
     interpolated."""
     return "the output answers within a sample or two: samples were interpolated, which blurs it"
 
 
-def count_rests(records: Sequence[Trajectory]) -> int:
-    """Number of times that the input returns to its most frequent resting value and stays until the
+def count_returns_to_rest(records: Sequence[Trajectory]) -> int:
+    """Number of times that the input returns to its most frequent value and stays there until the
     output has settled."""
     counts: dict[float, int] = {}
     for piece in records:
@@ -126,25 +128,23 @@ def count_rests(records: Sequence[Trajectory]) -> int:
 
 
 def has_settled(y: Signal) -> bool:
-    """Whether the output's motion in the last third of a segment is at most a tenth of its whole
-    motion, apart from noise."""
+    """Whether the output of a segment has settled, apart from noise."""
     end = y[-(len(y) // 3 + 1) :]
     allowed = max(SETTLED * float(np.ptp(y)), NOISE_RANGE * noise_deviation(y))
     return float(np.ptp(end)) <= allowed
 
 
 def noise_deviation(y: Signal) -> float:
-    """Standard deviation of the noise of a signal, from its second differences."""
+    """Standard deviation of a signal's measurement noise, estimated from second differences."""
     bends = np.abs(np.diff(y, n=2))
     return float(np.median(bends)) / MEDIAN_OF_BENDS if len(bends) else 0.0
 
 
-def standstill_sentences(records: Sequence[Trajectory]) -> list[str]:
-    """Sentence on the longest stretch in which neither input nor output moves; none if there is no
-    long one."""
+def longest_standstill_sentences(records: Sequence[Trajectory]) -> list[str]:
+    """Sentence on the longest interval of a log in which nothing moves."""
     longest: tuple[int, Trajectory, int] | None = None
     for piece in records:
-        start, end = longest_constant_stretch(piece)
+        start, end = longest_constant_interval(piece)
         if end - start > (longest[0] if longest else LAGS):
             longest = (end - start, piece, start)
     if longest is None:
@@ -158,9 +158,9 @@ def standstill_sentences(records: Sequence[Trajectory]) -> list[str]:
     return [f"{words} (data.equilibrium=zero makes it the goal)" if at_zero else words]
 
 
-def longest_constant_stretch(record: Trajectory) -> tuple[int, int]:
-    """First sample of the longest stretch in which input and output are constant apart from noise,
-    and the sample after it."""
+def longest_constant_interval(record: Trajectory) -> tuple[int, int]:
+    """Sample range of the longest interval in which input and output are constant apart from
+    noise."""
     u = record.u[:, 0]
     y = record.y[:, 0]
     changes = np.flatnonzero(np.diff(u)) + 1
@@ -173,20 +173,21 @@ def longest_constant_stretch(record: Trajectory) -> tuple[int, int]:
     return best
 
 
-def input_return_sentence(rests: int) -> str:
-    """Sentence on how often the input returns to its last value until the output has settled."""
-    if rests >= ENOUGH_RESTS:
-        return f"the input rests {rests} times at one value until the output has settled"
-    often = "rests once" if rests == 1 else "never rests"
+def input_return_sentence(returns: int) -> str:
+    """Sentence on how often the input returns to its most frequent value and stays until the output
+    has settled."""
+    if returns >= ENOUGH_RESTS:
+        return f"the input rests {returns} times at one value until the output has settled"
+    often = "rests once" if returns == 1 else "never rests"
     return (
         f"the input {often} at its last value until the output has settled: two long rests show "
         "where it settles"
     )
 
 
-def response_delay_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
-    """Sentence on the number of samples after which the output responds to the input. For an
-    integrator, the response is a change of the output."""
+def response_delay_sentence(u: Signal, y: Signal, shares: ExplainedVariance) -> str:
+    """Sentence on the delay, in samples, between a change of the input and the output's response.
+    For an integrator, the response is a change of the output."""
     rate = np.diff(y)
     answering = rate if shares.is_integrator else y[1:]
     word = "the output's change" if shares.is_integrator else "the output"
@@ -199,7 +200,7 @@ def response_delay_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
             if stride == 1:
                 return dead_time_sentence(lag, word)
             return slow_response_sentence(lag, stride, word)
-    level = largest_explained_level(u, y)
+    level = largest_explained_variance(u, y)
     if max(level, shares.change) > FOLLOWS:
         by_level = level >= shares.change
         explained = "output" if by_level else f"output's changes over {shares.window} samples"
@@ -214,14 +215,14 @@ def response_delay_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
 
 
 def block_means(values: Signal, length: int) -> Float[np.ndarray, "B"]:
-    """Means of a signal over consecutive blocks of a fixed length."""
+    """Means of a signal over consecutive blocks of equal length."""
     blocks = len(values) // length
     table = values[: blocks * length].reshape(blocks, length)
     return table.mean(axis=1)
 
 
 def dead_time_sentence(lag: int, word: str) -> str:
-    """Sentence on the dead time of the response, in whole samples."""
+    """Sentence that states the dead time between input and output in samples."""
     if lag == 0:
         return f"{word} answers within the same sample ({FEEDTHROUGH})"
     if lag == 1:
@@ -232,8 +233,7 @@ def dead_time_sentence(lag: int, word: str) -> str:
 
 
 def slow_response_sentence(lag: int, stride: int, word: str) -> str:
-    """Sentence on the delay of a slow response, which can only be estimated to within several
-    samples."""
+    """Sentence on a response so slow that its delay is only known to within several samples."""
     if lag <= 1:
         return f"{word} answers slowly, within {(lag + 1) * stride} samples"
     return (
@@ -242,12 +242,12 @@ def slow_response_sentence(lag: int, stride: int, word: str) -> str:
 
 
 def first_response_lag(u: Signal, y: Signal) -> int | None:
-    """Smallest number of samples after which the output responds significantly to a change of the
-    input; None without a significant response."""
+    """Smallest lag, in samples, at which a change of the input has a significant effect on the
+    output; None if there is none."""
     spreads = (np.std(np.diff(u)), np.std(np.diff(y)))
     if min(spreads) == 0:
         return None
-    x, target = increment_regression(u, y)
+    x, target = increment_regression_data(u, y)
     gains, _, rank, _ = np.linalg.lstsq(x, target, rcond=1e-10)
     residual = target - x @ gains
     freedom = max(len(target) - int(rank), 1)
@@ -260,37 +260,38 @@ def first_response_lag(u: Signal, y: Signal) -> int | None:
     return int(np.argmax(counts)) if counts.any() else None
 
 
-def increment_regression(
+def increment_regression_data(
     u: Signal, y: Signal
 ) -> tuple[Float[np.ndarray, "K R"], Float[np.ndarray, "K"]]:
-    """Regressors and target of a linear regression of output increments on past input increments
-    and past output increments.
+    """Regressors and target of the linear regression that explains output increments by past input
+    and output increments.
 
     Regressors `du[k - 0 ... LAGS], dy[k - 1], dy[k - 2]`, target `dy[k]`; both scaled.
     """
     du = np.diff(u) / np.std(u)
     dy = np.diff(y) / np.std(y)
-    columns = [delayed_values(du, lag, LAGS) for lag in range(LAGS + 1)]
-    columns += [delayed_values(dy, lag, LAGS) for lag in (1, 2)]
+    columns = [delayed_signal(du, lag, LAGS) for lag in range(LAGS + 1)]
+    columns += [delayed_signal(dy, lag, LAGS) for lag in (1, 2)]
     return np.stack(columns, axis=1), dy[LAGS:]
 
 
-def delayed_values(values: Signal, lag: int, longest: int) -> Float[np.ndarray, "K"]:
-    """Values of a signal shifted back by a lag, for all samples that also have the longest lag."""
+def delayed_signal(values: Signal, lag: int, longest: int) -> Float[np.ndarray, "K"]:
+    """Values of a signal delayed by a number of samples, cut to the length that the largest delay
+    leaves."""
     return values[longest - lag : len(values) - lag]
 
 
-def feedback_share(u: Signal, y: Signal) -> float:
-    """Share of the input's variance that earlier outputs explain better than earlier inputs, which
-    is a sign of feedback.
+def feedback_error_reduction(u: Signal, y: Signal) -> float:
+    """Fraction by which past outputs reduce the prediction error of the input, a sign of feedback
+    from output to input.
 
     An input that its own past foretells, as a sweep of sines, needs more of that past than the few
     outputs that a controller reads: else outputs stand for inputs of long ago.
     """
     affordable = len(u) // (4 * FEWEST_LAGS)
     past = max(FEWEST_LAGS, min(INPUT_LAGS, affordable))
-    earlier_u = [delayed_values(u, lag, past) for lag in range(1, past + 1)]
-    earlier_y = [delayed_values(y, lag, past) for lag in range(1, FEWEST_LAGS + 1)]
+    earlier_u = [delayed_signal(u, lag, past) for lag in range(1, past + 1)]
+    earlier_y = [delayed_signal(y, lag, past) for lag in range(1, FEWEST_LAGS + 1)]
     constant = np.ones(len(u) - past)
     by_input = np.stack([*earlier_u, constant], axis=1)
     outputs = np.stack(earlier_y, axis=1)
@@ -307,9 +308,9 @@ def feedback_share(u: Signal, y: Signal) -> float:
     return 1.0 - powers[1] / powers[0]
 
 
-def input_shares(u: Signal, y: Signal) -> InputShares:
-    """Shares of the output's level and of its changes that the input explains, for the window
-    length at which it explains most.
+def explained_output_variance(u: Signal, y: Signal) -> ExplainedVariance:
+    """Fractions of the output's variance that the input explains, over the time window for which
+    they are largest.
 
     The window is the shortest over which the input explains most of the output's changes: over a
     long one a plant with an integrator is turned round (a position must come back), a plant without
@@ -317,37 +318,37 @@ def input_shares(u: Signal, y: Signal) -> InputShares:
     lost over the log is the most that this window and somewhat longer ones show: within a dead time
     nothing is lost yet.
     """
-    best = InputShares(level=0.0, change=0.0, lost=1.0, lost_in_log=np.inf, window=0)
+    best = ExplainedVariance(level=0.0, change=0.0, lost=1.0, lost_in_log=np.inf, window=0)
     for window in WINDOWS:
         if len(u) < 8 * window:
             continue
-        shares = input_shares_over_window(u, y, window)
+        shares = explained_variance_over_window(u, y, window)
         if shares.change > best.change:
             best = shares
         if shares.change > MOVED:
-            return add_long_window_loss(u, y, shares)
+            return with_fastest_decay(u, y, shares)
     return best
 
 
-def add_long_window_loss(u: Signal, y: Signal, shares: InputShares) -> InputShares:
-    """Input shares of the output's variance, with the loss of level taken as the largest one over
-    longer windows."""
-    longer = [w for w in WINDOWS if shares.window < w <= LONGER * shares.window]
+def with_fastest_decay(u: Signal, y: Signal, explained: ExplainedVariance) -> ExplainedVariance:
+    """Copy of the explained variances, with the output's decay over the log taken as the fastest
+    among several longer windows."""
+    longer = [w for w in WINDOWS if explained.window < w <= LONGER * explained.window]
     able = [window for window in longer if len(u) >= 8 * window]
-    losses = [input_shares_over_window(u, y, window).lost_in_log for window in able]
-    return replace(shares, lost_in_log=max([shares.lost_in_log, *losses]))
+    losses = [explained_variance_over_window(u, y, window).lost_in_log for window in able]
+    return replace(explained, lost_in_log=max([explained.lost_in_log, *losses]))
 
 
-def largest_explained_level(u: Signal, y: Signal) -> float:
-    """Largest share of the output's level that window means of the input explain, among several
-    window lengths."""
+def largest_explained_variance(u: Signal, y: Signal) -> float:
+    """Largest fraction of the output's variance that moving averages of the input explain, among
+    several window lengths."""
     windows = [window for window in WINDOWS if len(u) >= 8 * window]
-    levels = [input_shares_over_window(u, y, window).level for window in windows]
+    levels = [explained_variance_over_window(u, y, window).level for window in windows]
     return max(levels, default=0.0)
 
 
-def input_shares_over_window(u: Signal, y: Signal, window: int) -> InputShares:
-    """Shares of the output's level and of its changes that window means of the input explain."""
+def explained_variance_over_window(u: Signal, y: Signal, window: int) -> ExplainedVariance:
+    """Fractions of the variance of output and output change that input averages explain."""
     weights = np.full(window, 1 / window)
     mean = np.convolve(u, weights, mode="valid")[:-1:window]
     ends = y[window::window][: len(mean)]
@@ -360,27 +361,29 @@ def input_shares_over_window(u: Signal, y: Signal, window: int) -> InputShares:
     with_level = np.hstack([x, begins[:, None]])
     gains = np.linalg.lstsq(with_level, ends - begins, rcond=1e-9)[0]
     lost = float(-gains[-1])
-    return InputShares(
-        level=explained_variance_share(x, ends),
-        change=explained_variance_share(x, ends - begins),
+    return ExplainedVariance(
+        level=coefficient_of_determination(x, ends),
+        change=coefficient_of_determination(x, ends - begins),
         lost=lost,
         lost_in_log=lost * len(y) / window,
         window=window,
     )
 
 
-def explained_variance_share(x: Float[np.ndarray, "K d"], target: Float[np.ndarray, "K"]) -> float:
-    """Share of a signal's variance that a least-squares fit explains; 0 for a constant signal."""
+def coefficient_of_determination(
+    regressors: Float[np.ndarray, "K d"], target: Float[np.ndarray, "K"]
+) -> float:
+    """Coefficient of determination (R squared) of a least-squares fit; 0 for a constant target."""
     if np.ptp(target) == 0:
         return 0.0
-    gains = np.linalg.lstsq(x, target, rcond=1e-9)[0]
-    residual = target - x @ gains
+    gains = np.linalg.lstsq(regressors, target, rcond=1e-9)[0]
+    residual = target - regressors @ gains
     variance = max(float(target.var()), 1e-300)
     return 1.0 - float(residual.var() / variance)
 
 
 def sensor_noise_sentence(y: Signal) -> str:
-    """Sentence on the resolution and the noise of the output's sensor. The noise is estimated from
+    """Sentence on the resolution and the noise of the output sensor. The noise is estimated from
     second differences."""
     steps = np.abs(np.diff(y))
     moving = steps[steps > 0]

@@ -14,8 +14,9 @@ from ssm_study.signals import Channel
 LOOK = "`ssm-study look {}` shows what is in the file"
 
 
-def refusal_with_look_command(error: BadRequest, path: Path) -> BadRequest:
-    """Error about a log file, extended by the command that shows the contents of the file."""
+def add_look_command_to_error(error: BadRequest, path: Path) -> BadRequest:
+    """Error about a log file, extended by the command `ssm-study look`, which shows what the file
+    contains."""
     remedy = error.remedy.rstrip(".")
     is_foreign = path.suffix.lower() in FOREIGN  # look does not read it either
     is_of_arrays = path.parent.name == ARRAYS and path.suffix == ".parquet"
@@ -27,7 +28,8 @@ def refusal_with_look_command(error: BadRequest, path: Path) -> BadRequest:
 def missing_values_error(
     path: Path, values: Float[np.ndarray, "T c"], channels: Sequence[Channel]
 ) -> BadRequest:
-    """Error about a log that has no three successive rows with all their values."""
+    """Error for a log in which no three successive rows have all their values, with the columns in
+    which values are missing."""
     missing = np.isnan(values).mean(axis=0)
     shares = [
         f"{channel.name} {share:.0%}" for channel, share in zip(channels, missing, strict=True)

@@ -18,15 +18,19 @@ from ssm_study.data.clock_column import (
     find_clock_column,
     first_column_counts_rows,
     is_evenly_spaced,
-    runs_like_clock,
+    resembles_clock,
 )
-from ssm_study.data.column_facts import ColumnFacts, column_facts
-from ssm_study.data.command_words import column_index, quote_for_command, unit_settings
+from ssm_study.data.column_facts import ColumnFacts, summarise_column
+from ssm_study.data.command_words import find_column_index, quote_for_command, unit_overrides
 from ssm_study.data.log_checks import angle_sentences
 from ssm_study.data.log_dynamics import FEEDTHROUGH, INTEGRATOR, describe_log_dynamics
 from ssm_study.data.readers.reader import Table, choose_reader
 from ssm_study.data.recorded import RecordedData
-from ssm_study.data.signal_guess import doubtful_guess_sentences, guess_signals, is_set_point_title
+from ssm_study.data.signal_guess import (
+    doubtful_guess_sentences,
+    guess_input_and_output,
+    is_set_point_title,
+)
 from ssm_study.data.text_layout import TextSettings
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Trajectory
@@ -41,8 +45,7 @@ NO_COMMAND = "no command yet: change what the line `not read yet` names, and loo
 
 @dataclass(frozen=True, kw_only=True)
 class LogSettings:
-    """Columns and clock of a log as the user states them. None stands for a setting that is to be
-    found."""
+    """Columns, sampling period and text format of a log as stated by the user; None if detected."""
 
     input: str | None = None
     output: str | None = None
@@ -52,7 +55,7 @@ class LogSettings:
     text: TextSettings = field(default_factory=TextSettings)
 
     def as_data_source(self, path: Path, u: str, y: str) -> RecordedData:
-        """Data source of a run that reads the log with the stated settings."""
+        """Data source that reads a log with the settings that the user stated."""
         return RecordedData(
             path=str(path),
             input=u,
@@ -66,7 +69,7 @@ class LogSettings:
         )
 
     def overrides(self) -> list[str]:
-        """Command-line overrides for those settings of a log that the user states."""
+        """Command-line overrides, such as `data.time=t`, for the stated settings of a log."""
         words = [f"data.time={quote_for_command(self.time)}"] if self.time is not None else []
         words += [f"data.step_s={self.step_s:g}"] if self.step_s is not None else []
         if self.disturbance is not None:
@@ -80,8 +83,7 @@ class LogSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class LogLook:
-    """Overview of a log: facts on its columns, sentences on its dynamics, and a command that fits a
-    model to it."""
+    """Overview of a log: summary of each column, sentences on the dynamics, fitting command."""
 
     path: Path
     columns: list[ColumnFacts]
@@ -106,8 +108,8 @@ class LogLook:
 
 
 def skipped_column_lines(skipped: dict[str, str]) -> list[str]:
-    """Lines of text that say which columns of a log were skipped, and why. A long list is shortened
-    to columns with numbers."""
+    """Lines of text on the columns of a log that were skipped, with the reasons. A long list is
+    shortened to columns with numbers."""
     worth = skipped
     if len(skipped) > MOST_SKIPPED:
         long = [(name, why) for name, why in skipped.items() if "samples" in why]
@@ -117,8 +119,8 @@ def skipped_column_lines(skipped: dict[str, str]) -> list[str]:
     return lines + ([f"  {others} texts, empty and single values skipped"] if others else [])
 
 
-def refuse_wrong_kinds(path: object, step_s: object, settings: object) -> None:
-    """Raise `BadRequest` for a path, a sampling time or text settings of a wrong type."""
+def refuse_wrong_types(path: object, step_s: object, settings: object) -> None:
+    """Raise `BadRequest` for a path, sampling period or settings of a wrong type."""
     is_path = isinstance(path, str | Path)
     require(is_path, "path", type(path).__name__, "is no path", "give the name of a file")
     is_number = isinstance(step_s, int | float) and not isinstance(step_s, bool)
@@ -139,35 +141,35 @@ def look(
     disturbance: str | int | None = None,
     settings: TextSettings | None = None,
 ) -> LogLook:
-    """Examine a log file and propose the command that fits a model to it.
+    """Examine a log file, and propose the command that fits a model to the log.
 
     Input and output are guessed by their names and by which column holds levels, unless they are
     named. Raises `BadRequest` for a file that cannot be read at all.
     """
-    refuse_wrong_kinds(path, step_s, settings)
+    refuse_wrong_types(path, step_s, settings)
     path = Path(path)
     stated = LogSettings(
-        input=column_name(input),
-        output=column_name(output),
-        time=column_name(time),
+        input=column_as_text(input),
+        output=column_as_text(output),
+        time=column_as_text(time),
         step_s=step_s,
-        disturbance=column_name(disturbance),
+        disturbance=column_as_text(disturbance),
         text=settings or TextSettings(),
     )
-    return look_with_settings(path, stated)
+    return examine_log(path, stated)
 
 
-def look_with_settings(path: Path, stated: LogSettings) -> LogLook:
-    """Examine a log file with stated settings."""
+def examine_log(path: Path, stated: LogSettings) -> LogLook:
+    """Examine a log file whose columns and format are partly stated by the user."""
     table = choose_reader(path, stated.text).read_all_columns(path)
     require_numeric_column(path, table)
-    facts = [column_facts(name, table) for name in table.columns]
+    facts = [summarise_column(name, table) for name in table.columns]
     clock = stated.time if stated.time is not None else clock_column_name(table)
-    u, y = choose_signals(table, facts, clock, stated)
+    u, y = choose_input_and_output(table, facts, clock, stated)
     sentences = [f"read: {table.remark}"] if table.remark else []
     are_named = (stated.input is not None, stated.output is not None)
     doubts = doubtful_guess_sentences(facts, table.skipped, (u, y), are_named)
-    reading = Reading(records=[], step_is_known=True, sentences=[])
+    reading = LogReading(records=[], step_is_known=True, sentences=[])
     others: list[str] = []
     if u is None or y is None:
         sentences.append(ONE_SIGNAL)
@@ -201,8 +203,7 @@ def look_with_settings(path: Path, stated: LogSettings) -> LogLook:
 
 
 def require_numeric_column(path: Path, table: Table) -> None:
-    """Raise `BadRequest` for a log without a column of numbers, and name the first cell that is no
-    number."""
+    """Raise `BadRequest` for a log without any column of numbers."""
     problem = "has no column of numbers"
     remedy = "export it as CSV"
     reasons = [f"{name}: {reason}" for name, reason in table.skipped.items()]
@@ -215,29 +216,29 @@ def require_numeric_column(path: Path, table: Table) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reading:
-    """Records of a log as a run would read them, with sentences on how they were read."""
+class LogReading:
+    """Input and output records of a log, with remarks on how they were read."""
 
     records: list[Trajectory]
     step_is_known: bool
     sentences: list[str]
 
 
-def column_name(column: str | int | None) -> str | None:
-    """Convert the name or number of a column to text."""
+def column_as_text(column: str | int | None) -> str | None:
+    """Convert the name or number of a column to text; None stays None."""
     return None if column is None else str(column)
 
 
-def choose_signals(
+def choose_input_and_output(
     table: Table, facts: Sequence[ColumnFacts], clock: str | None, stated: LogSettings
 ) -> tuple[str | None, str | None]:
-    """Choose the input and output columns, as stated by the user or else guessed."""
+    """Choose the input and output columns of a log, as stated or else guessed."""
     free = []
     for column in facts:
         is_stated = column.name == stated.disturbance
         if not (is_stated or is_counter(column, table)):
             free.append(column)
-    u, y = guess_signals(free, clock)
+    u, y = guess_input_and_output(free, clock)
     if stated.input is not None:
         u = stated.input
     if stated.output is not None:
@@ -250,13 +251,13 @@ def is_counter(column: ColumnFacts, table: Table) -> bool:
     the title or the unit of a clock and runs like one."""
     if is_evenly_spaced(table.columns[column.name]):
         return True
-    return runs_like_clock(column.name, column.unit, table.columns[column.name])
+    return resembles_clock(column.name, column.unit, table.columns[column.name])
 
 
 def signal_choice_sentences(
     facts: Sequence[ColumnFacts], signals: tuple[str, str], stated: LogSettings
 ) -> list[str]:
-    """Sentences on input and output that were guessed, and on columns that may be a set point."""
+    """Sentences on guessed input and output columns, and on possible set points."""
     u, y = signals
     sentences = []
     guessed = [f"input {u}"] if stated.input is None else []
@@ -269,7 +270,7 @@ def signal_choice_sentences(
 def set_point_sentences(
     facts: Sequence[ColumnFacts], signals: tuple[str, str], stated: LogSettings
 ) -> list[str]:
-    """Sentences on columns whose titles are those of a set point."""
+    """Sentences on columns of a log whose titles suggest a set point."""
     names = [fact.name for fact in facts if fact.levels > 1 and is_set_point_title(fact.name)]
     others = [name for name in names if name not in (*signals, stated.time)]
     if not others:
@@ -279,15 +280,16 @@ def set_point_sentences(
 
 
 def clock_column_name(table: Table) -> str | None:
-    """Name of the column of a log that is its clock or counts its rows."""
+    """Name of the column of a log that contains the times or the numbers of the rows."""
     if first_column_counts_rows(table):
         return next(iter(table.columns))
     return find_clock_column(table, ())
 
 
-def examine_signals(path: Path, table: Table, clock: str | None, source: RecordedData) -> Reading:
-    """Read the input and output of a log as a run would, and describe their dynamics or why they
-    cannot be read.
+def examine_signals(
+    path: Path, table: Table, clock: str | None, source: RecordedData
+) -> LogReading:
+    """Read the input and output of a log as a run would, and describe their dynamics.
 
     Where the sampling time alone is missing, lags, rests and noise are those of the samples.
     """
@@ -301,37 +303,37 @@ def examine_signals(path: Path, table: Table, clock: str | None, source: Recorde
         if concerns_step or clock is not None:
             sentences += clock_sentences(table, clock)
         if error.field != "data.step_s" or error.value is not None:
-            return Reading(records=[], step_is_known=clock is not None, sentences=sentences)
+            return LogReading(records=[], step_is_known=clock is not None, sentences=sentences)
         try:
             records, _ = replace(source, step_s=1.0).read_pieces(path)
         except BadRequest:
-            return Reading(records=[], step_is_known=False, sentences=sentences)
+            return LogReading(records=[], step_is_known=False, sentences=sentences)
         sentences += describe_log_dynamics(records)
-        return Reading(records=records, step_is_known=False, sentences=sentences)
+        return LogReading(records=records, step_is_known=False, sentences=sentences)
     prefix = f"{path.name}: {table.remark}; "
     is_interpolated = INTERPOLATED in remark
     dynamics = describe_log_dynamics(records, is_interpolated=is_interpolated)
     sentences = [remark.removeprefix(prefix), *dynamics]
-    return Reading(records=records, step_is_known=True, sentences=sentences)
+    return LogReading(records=records, step_is_known=True, sentences=sentences)
 
 
 def other_signal_names(
     facts: Sequence[ColumnFacts], clock: str | None, signals: Sequence[str | None]
 ) -> list[str]:
-    """Names of the varying columns other than input and output, which may be disturbances."""
+    """Names of the varying columns of a log other than input, output and time."""
     titles = [column.name for column in facts]
-    places = [column_index(titles, name) for name in (*signals, clock)]
+    places = [find_column_index(titles, name) for name in (*signals, clock)]
     others = [column for k, column in enumerate(facts) if k not in places]
     moving = [column.name for column in others if column.levels > 1]
     return [name for name in moving if not is_set_point_title(name)]
 
 
-def other_signal_sentences(moving: Sequence[str]) -> list[str]:
-    """Sentence that lists columns that may be disturbances; none without such a column."""
-    if not moving:
+def other_signal_sentences(names: Sequence[str]) -> list[str]:
+    """Sentence that lists the columns of a log that may be measured disturbances."""
+    if not names:
         return []
-    named = ", ".join(moving[:MOST_NAMED])
-    more = f" and {len(moving) - MOST_NAMED} more" if len(moving) > MOST_NAMED else ""
+    named = ", ".join(names[:MOST_NAMED])
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     return [
         f"measured too: {named}{more}; what moves the output and is not commanded belongs in "
         "data.disturbance=[COLUMN]"
@@ -339,7 +341,7 @@ def other_signal_sentences(moving: Sequence[str]) -> list[str]:
 
 
 def clock_sentences(table: Table, clock: str | None) -> list[str]:
-    """Sentences on which column is the clock of a log, and what sampling period it shows."""
+    """Sentences on the time column and the sampling period of a log."""
     if clock is None or clock not in table.columns:
         return ["no clock found: give data.step_s in seconds, or name the column data.time"]
     if first_column_counts_rows(table):
@@ -356,11 +358,11 @@ def study_command(
     u: str | None,
     y: str | None,
     stated: LogSettings,
-    reading: Reading,
+    reading: LogReading,
     facts: Sequence[ColumnFacts],
     sentences: Sequence[str],
 ) -> str:
-    """Command line that fits a model to the log, ready to be pasted."""
+    """Command line that fits a model to a log, ready to be pasted into a shell."""
     study = f"study={study_name(path)} data=recorded"
     if u is None or y is None:
         columns = "data.input=COLUMN data.output_path=FILE data.output=COLUMN data.step_s=SECONDS"
@@ -372,7 +374,7 @@ def study_command(
         f"data.input={quote_for_command(u)}",
         f"data.output={quote_for_command(y)}",
         *stated.overrides(),
-        *unit_settings(facts, {"input": u, "output": y, "disturbance": stated.disturbance}),
+        *unit_overrides(facts, {"input": u, "output": y, "disturbance": stated.disturbance}),
     ]
     if not reading.step_is_known and stated.step_s is None:
         words.append("data.step_s=SECONDS")
@@ -384,17 +386,16 @@ def study_command(
 def command_with_disturbance(
     command: str, others: Sequence[str], stated: LogSettings, facts: Sequence[ColumnFacts]
 ) -> str:
-    """Command line that reads the one remaining signal of a log as a measured disturbance; empty if
-    there is none, or several."""
+    """Command that fits a model to a log, with the one remaining signal as measured disturbance."""
     if len(others) != 1 or command == NO_COMMAND or stated.disturbance is not None:
         return ""
-    units = unit_settings(facts, {"disturbance": others[0]})
+    units = unit_overrides(facts, {"disturbance": others[0]})
     words = [command, f"data.disturbance={quote_for_command(others[0])}", *units]
     return " ".join(words)
 
 
 def study_name(path: Path) -> str:
-    """Name of a study for a log: the name of its file in plain letters, without suffix."""
+    """Name of the study of a log: the file name in plain letters, without suffix."""
     letters = unicodedata.normalize("NFKD", path.stem).encode("ascii", "ignore").decode()
     plain = re.sub(r"[^A-Za-z0-9_-]+", "_", letters)
     return plain.strip("_-")[:MOST_LETTERS].strip("_-") or "log"

@@ -51,8 +51,8 @@ DAMAGE = (McapError, DecodeError, zstandard.ZstdError, zlib.error, struct.error,
 
 @dataclass(frozen=True, kw_only=True)
 class SignalGroup:
-    """Signals of an MCAP recording that are sampled at common times, stored as one topic. `values
-    (T, c)` of the `channels`, at `time_s (T,)`, under a topic such as `/output`.
+    """Signals of an MCAP recording that have common sampling times and are stored as one topic.
+    `values (T, c)` of the `channels`, at `time_s (T,)`, under a topic such as `/output`.
 
     Times are kept to the nanosecond. Channel names must be identifiers, for they become protobuf
     fields.
@@ -86,8 +86,8 @@ class SignalGroup:
 
 
 def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, str]) -> None:
-    """Write groups of signals to a new MCAP file, which gets its final name only when it is
-    complete.
+    """Write groups of signals and metadata to a new MCAP file, which never exists half-written
+    under its name.
 
     Foxglove shows topics with schemas, `/output.speed` or `/case_0.output.speed`; units stand in
     the channel metadata as `unit.<signal>` or `unit.<group>.<signal>`, the file's own `metadata`
@@ -152,8 +152,8 @@ def _merge_topics(groups: tuple[SignalGroup, ...]) -> dict[str, list[SignalGroup
 def _open_channel(
     context: foxglove.Context, topic: str, parts: list[SignalGroup]
 ) -> foxglove.Channel:
-    """Open an MCAP topic whose schema is a protobuf message of doubles, nested if several groups
-    share it. Field numbers follow the order of the signals."""
+    """Open an MCAP channel whose messages are protobuf messages of doubles. Field numbers follow
+    the order of the signals."""
     spaced = re.sub(r"[\W_]", " ", topic)
     capitalised = [word[0].upper() + word[1:] for word in spaced.split()]
     message = "".join(capitalised)
@@ -189,15 +189,15 @@ def _open_channel(
 
 
 def protobuf_layout(
-    counts: list[int], nested: bool
+    counts: list[int], is_nested: bool
 ) -> tuple[UInt8[np.ndarray, "b"], Int[np.ndarray, "k"]]:
-    """Byte layout of a protobuf message of doubles: an empty message, and the positions of the
-    bytes of each double."""
+    """Byte layout of a protobuf message of doubles: the message without values, and the byte
+    positions of each double."""
     message = b""
     at = list[int]()
     for number, channels in enumerate(counts, start=1):
         tags = [TagBytes(order, DOUBLE) for order in range(1, channels + 1)]
-        if nested:
+        if is_nested:
             size = sum(map(len, tags)) + 8 * channels
             message += TagBytes(number, WITHIN) + _VarintBytes(size)
         for tag in tags:
@@ -208,10 +208,10 @@ def protobuf_layout(
 
 
 def _encode_rows(parts: list[SignalGroup]) -> list[bytes]:
-    """Encode all rows of the signals as protobuf messages at once."""
+    """Encode the samples of several signals as protobuf messages, one message per sampling time."""
     values = np.hstack([part.values for part in parts])
     counts = [len(part.channels) for part in parts]
-    message, at = protobuf_layout(counts, nested=len(parts) > 1)
+    message, at = protobuf_layout(counts, is_nested=len(parts) > 1)
     rows = np.tile(message, (len(values), 1))
     doubles = np.ascontiguousarray(values, dtype="<f8")
     rows[:, at] = doubles.view(np.uint8)
@@ -238,7 +238,8 @@ def read_mcap(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
 
 
 def _read_groups(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
-    """Read the groups of signals and the metadata of an MCAP file, and check that it is whole."""
+    """Read the groups of signals and the metadata of an MCAP file, after checking that the file is
+    complete."""
     records_by_type: dict[type, list[Any]] = defaultdict(list)
     for record in iterate_records(path):
         records_by_type[type(record)].append(record)
@@ -270,8 +271,8 @@ def _read_groups(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
 
 
 def iterate_records(path: Path) -> Iterator[records.McapRecord]:
-    """Iterate over the records of an MCAP file and of its compressed chunks. Raises `BadRequest`
-    before more than `LARGEST` bytes are unpacked."""
+    """Iterate over the records of an MCAP file, including those in compressed chunks. Raises
+    `BadRequest` before more than `LARGEST` bytes are unpacked."""
     unpacked = 0
     with path.open("rb") as stream:
         file_size = path.stat().st_size
@@ -328,7 +329,7 @@ def _decode_groups(
 
 
 def _require_fields(message: Any) -> dict[str, Any]:
-    """Raise `BadRequest` for a JSON message that is not an object with fields."""
+    """Raise `BadRequest` for a JSON message that is not an object with named fields."""
     problem = "not an object with fields"
     remedy = "log each message as an object with named fields"
     require(isinstance(message, dict), "path", "message", problem, remedy)
@@ -371,8 +372,8 @@ def _decode_protobuf(
 def collect_number_columns(
     messages: list[dict[Names, Any]],
 ) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
-    """Collect the number fields of messages as columns. A field that is a number in the first
-    message must be one in all others."""
+    """Collect the numeric fields of a sequence of messages as columns. A field that is a number in
+    the first message must be one in all others."""
     first = messages[0].items()
     real = [(name, value) for name, value in first if isinstance(value, Real)]
     names = [name for name, value in real if not isinstance(value, bool)]

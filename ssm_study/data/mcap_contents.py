@@ -8,8 +8,9 @@ from mcap import records
 from ssm_study.data.mcap import METADATA_NAME, iterate_records, read_mcap
 
 
-def list_foreign_contents(path: Path) -> list[str]:
-    """Names of what a recording holds although `read_mcap` reads nothing of it.
+def list_unread_contents(path: Path) -> list[str]:
+    """Names of everything in an MCAP recording that this project's reader ignores, such as
+    attachments.
 
     Attachments, further metadata records, topics without numbers, a topic that stands twice:
     a viewer shows them as the recording's own.

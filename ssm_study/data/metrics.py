@@ -40,8 +40,8 @@ COLUMNS = (
 
 
 def data_columns(data: DataSet) -> dict[str, Any]:
-    """Columns of a record that describe the data set: where it comes from and how well its inputs
-    excite the plant."""
+    """Table columns that describe a data set: its origin and how well its inputs excite the
+    plant."""
     disturbances = [channel.name for channel in data.disturbances]
     orders = [persistency_order(record.u) for record in data.training]
     return {
@@ -55,8 +55,8 @@ def data_columns(data: DataSet) -> dict[str, Any]:
 
 
 def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -> tuple[float, ...]:
-    """Root mean square error on each test record as a public benchmark scores it. The start-up
-    samples do not count; the unit is that of `data.metadata["score"]`."""
+    """Root mean square error on each test record, computed as a public benchmark prescribes. The
+    start-up samples do not count; the unit is that of `data.metadata["score"]`."""
     problem = f"there are {len(data.test)} test records"
     remedy = "score all"
     is_complete = len(y_hat) == len(data.test)
@@ -76,7 +76,7 @@ def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -
 def position_rmse_mm(
     record: Trajectory, velocity_hat: Float[np.ndarray, "T 1"], start_up_samples: int
 ) -> float:
-    """Root mean square error of a position, in mm, that results from integrating a simulated
+    """Root mean square error, in mm, of the position that results from integrating a simulated
     velocity. `1000 rms(q - q_hat)` with `q[k] = q[s] + step_s sum(y[s+1..k])`, started at the
     measured position `q[s]`.
 
@@ -91,13 +91,13 @@ def position_rmse_mm(
 
 
 class SlopesNotIdentifiable(UserWarning):
-    """Warning that the training inputs take too few levels for the slopes of the input nonlinearity
+    """Warning that the training inputs take too few levels for the slopes of an input nonlinearity
     to be identified."""
 
 
 def input_coverage(data: DataSet) -> float:
-    """Share of the input's amplitude range that the training inputs visit, for the input with the
-    smallest share. The range has `BINS` equal bins.
+    """Fraction of the input's amplitude range that the training data visit, for the input channel
+    where it is smallest. The range has `BINS` equal bins.
 
     The range of a channel is that of all its records, so a two-level signal scores 2 / `BINS`. In
     [0, 1].
@@ -116,8 +116,8 @@ def input_coverage(data: DataSet) -> float:
 
 
 def warn_if_two_level(data: DataSet) -> str | None:
-    """Warn if a training input takes at most two levels, and return the warning; None if no input
-    does."""
+    """Warn if a training input takes at most two levels, and return the text of the warning; None
+    if no input does."""
     training = np.concatenate([r.u for r in data.training])
     for j, channel in enumerate(data.inputs):
         values = training[:, j]

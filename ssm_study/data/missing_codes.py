@@ -18,8 +18,8 @@ CODES = "a number that may stand for a missing value"
 
 
 def find_missing_code(values: Float[np.ndarray, "T"]) -> tuple[float, int] | None:
-    """Find an extreme value of a column that may stand for missing values, and count how often it
-    occurs."""
+    """Find an extreme value in a column that may stand for missing values, such as -9999, and how
+    often it occurs."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return None
@@ -35,7 +35,8 @@ def find_missing_code(values: Float[np.ndarray, "T"]) -> tuple[float, int] | Non
 
 
 def missing_code_remarks(table: Table, signals: Sequence[str]) -> list[str]:
-    """Remarks on signals with a number that may stand for missing values."""
+    """Remarks on signals that contain a number, such as -9999, that may stand for missing
+    values."""
     remarks = []
     for name in signals:
         code_and_count = find_missing_code(table.columns[name])

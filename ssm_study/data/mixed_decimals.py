@@ -12,11 +12,11 @@ WITH_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
 
 
 def describe_mixed_decimals(lines: Sequence[tuple[int, str]]) -> str:
-    """Text on the first line with a decimal comma and the first with a decimal point; empty if only
-    one of them occurs."""
+    """Text that quotes the first line with a decimal comma and the first with a decimal point, in a
+    file that mixes both."""
     for separator in SEPARATORS:
-        comma = first_line_with(WITH_COMMA, lines, separator)
-        point = first_line_with(WITH_POINT, lines, separator)
+        comma = find_first_cell(WITH_COMMA, lines, separator)
+        point = find_first_cell(WITH_POINT, lines, separator)
         if comma is not None and point is not None:
             first, later = sorted([(*comma, "comma"), (*point, "point")])
             return (
@@ -26,14 +26,14 @@ def describe_mixed_decimals(lines: Sequence[tuple[int, str]]) -> str:
     return ""
 
 
-def first_line_with(
-    form: re.Pattern[str], lines: Sequence[tuple[int, str]], separator: str
+def find_first_cell(
+    pattern: re.Pattern[str], lines: Sequence[tuple[int, str]], separator: str
 ) -> tuple[int, str] | None:
-    """Number of the first line with a cell of a given form, and that cell; None if there is
-    none."""
+    """Find the first cell that matches a pattern among lines of text, and return its line number
+    and content; None if no cell matches."""
     for number, line in lines:
         cells = split_cells(line, separator)
-        cell = next((cell for cell in cells if form.fullmatch(cell)), None)
+        cell = next((cell for cell in cells if pattern.fullmatch(cell)), None)
         if len(cells) > 1 and cell is not None:
             return number, cell
     return None

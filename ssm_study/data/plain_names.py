@@ -17,7 +17,7 @@ LETTERS = {"\N{DEGREE SIGN}": "deg", "ß": "ss", "æ": "ae", "Æ": "Ae", "ø": "
 
 
 def plain_name(column: str) -> str:
-    """Convert a column's title to a name of ASCII letters, digits and underscores. `Motor voltage
+    """Convert a column title to a name of ASCII letters, digits and underscores. `Motor voltage
     (V)` becomes `Motor_voltage_V`, `ω` becomes `omega`, `Ток` becomes `Tok`."""
     letters = unicodedata.normalize("NFKD", column)
     spelled = "".join(_spell_in_ascii(letter) for letter in letters)
@@ -25,7 +25,7 @@ def plain_name(column: str) -> str:
 
 
 def drawable_title(title: str) -> str:
-    """Title of a column for a figure, in ASCII letters if the figures' font lacks its script."""
+    """Column title for a figure, spelled in ASCII letters if the figure's font lacks its script."""
     is_drawn = all(ord(letter) < FIRST_UNDRAWN or letter in DRAWN_SIGNS for letter in title)
     return title if is_drawn else plain_name(title)
 

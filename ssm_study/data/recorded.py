@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from ssm_study.data import splits
 from ssm_study.data.assembly import Channels, Parts, assemble_dataset
-from ssm_study.data.channel_names import Names, as_name_list, name_channels
+from ssm_study.data.channel_names import Names, as_name_tuple, name_channels
 from ssm_study.data.closed_loop import project_inputs_on_set_points, reconstruct_pi_set_point
 from ssm_study.data.readers.reader import has_columns
 from ssm_study.data.recording import Columns
@@ -33,23 +33,23 @@ Splitter = Callable[[Trajectory], Pieces]
 
 
 class RecordedSource(ABC):
-    """Base class of data sources that read files, which names the files and builds the data set."""
+    """Base class of data sources that build a data set from recorded files."""
 
     @abstractmethod
     def data_files(self) -> tuple[Path, ...]:
-        """Paths of all files from which the data set is built. Raises `BadRequest` if one does not
-        exist."""
+        """Paths of all files from which a recorded data set is built. Raises `BadRequest` if one
+        does not exist."""
 
     @abstractmethod
     def build(self, seed: int) -> DataSet:
-        """Build the data set from its files. `seed` only appears in the name of the run, as nothing
-        here is random."""
+        """Build the data set of a recorded data source from its files. `seed` only appears in the
+        name of the run, as nothing here is random."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class AroundRest(RecordedSource):
-    """Base class of recorded data whose scaling is relative to an equilibrium. The equilibrium is
-    "zero", "mean" (of the training samples), or one number per channel.
+class RecordedAboutEquilibrium(RecordedSource):
+    """Base class of recorded data sources whose signals are scaled about an equilibrium. The
+    equilibrium is "zero", "mean" (of the training samples), or one number per channel.
 
     `start_up_samples` at the beginning of each record are simulated, not scored: a record seldom
     starts at rest. `fold` k of `folds`, counted from 0, tests on the k-th of so many equal pieces
@@ -75,8 +75,8 @@ class AroundRest(RecordedSource):
     def assemble_about_equilibrium(
         self, parts: Parts, channels: tuple[Channels, ...], **about: str
     ) -> DataSet:
-        """Assemble a data set that is scaled about the equilibrium of its records. Raises
-        `BadRequest` as `assemble_dataset` does."""
+        """Assemble a data set from recorded training, validation and test records, scaled about
+        their equilibrium. Raises `BadRequest` as `assemble_dataset` does."""
         remedy = "leave more of the records to training"
         require(len(parts[0]) > 0, "data.training", "none", "no record is left to train on", remedy)
         inputs = np.concatenate([record.u for record in parts[0]])
@@ -95,8 +95,8 @@ class AroundRest(RecordedSource):
     def _equilibrium(
         self, side: str, values: Float[np.ndarray, "T c"], stated: list[float] | None
     ) -> Float[np.ndarray, "c"]:
-        """Equilibrium of the inputs or of the outputs, as stated or as the rule `zero` or `mean`
-        gives it."""
+        """Equilibrium of the inputs or of the outputs: as the user states, or zero, or the mean of
+        the training samples."""
         mean = values.mean(axis=0)
         fits = stated is None or len(stated) == len(mean)
         problem = f"there are {len(mean)} channels"
@@ -108,8 +108,9 @@ class AroundRest(RecordedSource):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordedData(Columns, AroundRest):
-    """Data set from logs of one system, each cut into training, validation and test.
+class RecordedData(Columns, RecordedAboutEquilibrium):
+    """Data set from recorded logs of one plant, each of which is cut into training, validation and
+    test.
 
     The rests of whole logs are `mismatch_records` (`splits.rest_segments`), and so are repeated
     periods where every log is made of such (`splits.periodic_segments`), although they train, too.
@@ -135,19 +136,19 @@ class RecordedData(Columns, AroundRest):
 
     def __post_init__(self) -> None:
         Columns.__post_init__(self)
-        AroundRest.__post_init__(self)
+        RecordedAboutEquilibrium.__post_init__(self)
         self._check_fractions()
         self._check_split_settings()
         self._check_closed_loop()
         self._check_disturbance_columns()
-        has_file = len(as_name_list(self.path)) > 0
+        has_file = len(as_name_tuple(self.path)) > 0
         problem = "names no file"
         require(has_file, "data.path", self.path, problem, "give a path")
-        self.pair_files("path", "output_path")
-        self.pair_files("test_path", "test_output_path")
+        self.pair_input_and_output_files("path", "output_path")
+        self.pair_input_and_output_files("test_path", "test_output_path")
 
     def _check_fractions(self) -> None:
-        """Raise `BadRequest` for fractions of validation and test that leave nothing for
+        """Raise `BadRequest` for validation and test fractions that leave nothing of a log for
         training."""
         for name in ("validation_fraction", "test_fraction"):
             value = getattr(self, name)
@@ -160,7 +161,7 @@ class RecordedData(Columns, AroundRest):
         require(total < 1, both, total, problem, "leave more of the records to training")
 
     def _check_split_settings(self) -> None:
-        """Raise `BadRequest` if only one of validation and test is stated, or if they are stated
+        """Raise `BadRequest` for validation and test intervals that are stated only in part, or
         together with a fold."""
         require_one_of(("auto", "time", "blocks"), "data.split", self.split)
         named = (self.validation, self.test)
@@ -175,8 +176,8 @@ class RecordedData(Columns, AroundRest):
         require(self.fold is None or is_free, "data.fold", self.fold, problem, remedy)
 
     def _check_closed_loop(self) -> None:
-        """Raise `BadRequest` for controller settings that are not those of a PI, or are stated
-        together with a set point."""
+        """Raise `BadRequest` for impossible PI controller settings, or for such settings together
+        with a set point."""
         both = (self.reference, self.controller)
         is_single = None in both
         problem = "one is enough"
@@ -191,18 +192,18 @@ class RecordedData(Columns, AroundRest):
         require(is_pi, "data.controller", self.controller, "is no PI", remedy)
 
     def _check_disturbance_columns(self) -> None:
-        """Raise `BadRequest` for a disturbance column that is named twice or is another signal,
-        too."""
-        names = as_name_list(self.disturbance or ())
+        """Raise `BadRequest` for a disturbance column that is named twice or is also an input or
+        output."""
+        names = as_name_tuple(self.disturbance or ())
         require(all(names), "data.disturbance", names, "names no column", "name a column")
         twice = [name for name in names if names.count(name) > 1]
         problem = "the same column twice"
         require(not twice, "data.disturbance", twice[:1], problem, "name each column once")
-        outputs = () if self.has_output_files else as_name_list(self.output)
+        outputs = () if self.has_output_files else as_name_tuple(self.output)
         signal_names = {
-            "an input": as_name_list(self.input),
+            "an input": as_name_tuple(self.input),
             "an output": outputs,
-            "the set point": as_name_list(self.reference or ()),
+            "the set point": as_name_tuple(self.reference or ()),
         }
         if self.time is not None:
             signal_names["the clock"] = (str(self.time),)
@@ -213,7 +214,7 @@ class RecordedData(Columns, AroundRest):
 
     @property
     def disturbances(self) -> Channels:
-        """Channels of the measured disturbances."""
+        """Names and units of the measured disturbances of a recorded data set."""
         if not self.disturbance:
             return ()
         units = self.disturbance_unit
@@ -223,11 +224,11 @@ class RecordedData(Columns, AroundRest):
     def has_output_files(self) -> bool:
         return self.output_path is not None
 
-    def pair_files(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
-        """Pair each input file with its output file, where the outputs have files of their own.
-        Raises `BadRequest` if there are too few or too many."""
-        names = as_name_list(getattr(self, field) or ())
-        others = as_name_list(getattr(self, outputs) or ())
+    def pair_input_and_output_files(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
+        """Pair each input file with its output file, if the outputs are recorded in files of their
+        own. Raises `BadRequest` if there are too few or too many."""
+        names = as_name_tuple(getattr(self, field) or ())
+        others = as_name_tuple(getattr(self, outputs) or ())
         expected = len(names) if self.has_output_files else 0
         problem = f"{len(others)} files of outputs, {expected} expected"
         remedy = "name one for each file of inputs"
@@ -237,8 +238,8 @@ class RecordedData(Columns, AroundRest):
         return [tuple(map(Path, pair)) for pair in pairs]
 
     def data_files(self) -> tuple[Path, ...]:
-        pairs = self.pair_files("path", "output_path")
-        pairs += self.pair_files("test_path", "test_output_path")
+        pairs = self.pair_input_and_output_files("path", "output_path")
+        pairs += self.pair_input_and_output_files("test_path", "test_output_path")
         paths = tuple(path for pair in pairs for path in pair)
         for path in paths:
             problem = "no such file"
@@ -255,7 +256,7 @@ class RecordedData(Columns, AroundRest):
         if self.test_path is not None:
             tested = self._read_logs("test_path", "test_output_path", before=len(logs))
             test = [piece for log in tested for piece in log.pieces]
-        paths = ", ".join(as_name_list(self.path))
+        paths = ", ".join(as_name_tuple(self.path))
         about = {"path": paths, "seed": str(seed), "split": split}
         remarks = dict.fromkeys(log.remark for log in logs)
         about["reading"] = ". ".join(remarks)
@@ -267,7 +268,7 @@ class RecordedData(Columns, AroundRest):
         return replace(data, mismatch_records=self._cut_mismatch_records(logs))
 
     def _cut_mismatch_records(self, logs: "list[_Log]") -> tuple[Trajectory, ...]:
-        """Cut out the records that only serve to measure the model error: segments of constant
+        """Cut out of the logs the records that only measure the model error: segments of constant
         input and repeated periods."""
         pieces = [piece for log in logs for piece in log.pieces]
         rests = [splits.rest_segments(piece) for piece in pieces]
@@ -277,29 +278,28 @@ class RecordedData(Columns, AroundRest):
         least = self.start_up_samples + 1
         return tuple(one for found in segments for one in found if len(one) > least)
 
-    def _files_of_logs(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
-        """Files of every log: one file each, or a pair if inputs and outputs are in separate
-        files."""
-        files = self.pair_files(field, outputs)
+    def _log_files(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
+        """Files of every log: one file, or one for the inputs and one for the outputs."""
+        files = self.pair_input_and_output_files(field, outputs)
         if len(files) != 2 or self.has_output_files:
             return files
         (first,), (second,) = files
         settings = self.text_settings
-        inputs = as_name_list(self.input)
-        measured = as_name_list(self.output)
+        inputs = as_name_tuple(self.input)
+        measured = as_name_tuple(self.output)
         alone = has_columns(first, measured, settings) or not has_columns(first, inputs, settings)
         apart = not alone and has_columns(second, measured, settings)
         return [(first, second)] if apart else files
 
     def _read_logs(self, field: str, outputs: str, before: int = 0) -> "list[_Log]":
-        """Read every log, and reduce its input to the part that the set point explains where the
-        set point is known. The share of the input in that part is noted."""
+        """Read every log, and replace the input of closed-loop logs by the part that the set point
+        explains. The share of the input in that part is noted."""
         source = self
         if self.reference is not None:
-            columns = [*as_name_list(self.input), *as_name_list(self.reference)]
+            columns = [*as_name_tuple(self.input), *as_name_tuple(self.reference)]
             source = replace(self, input=columns, input_unit="", reference=None)
         logs = []
-        for number, files in enumerate(self._files_of_logs(field, outputs), start=before + 1):
+        for number, files in enumerate(self._log_files(field, outputs), start=before + 1):
             pieces, remark = source.read_pieces(*files)
             numbered = [replace(piece, log=number) for piece in pieces]
             logs.append(_Log(pieces=numbered, remark=remark))
@@ -315,11 +315,11 @@ class RecordedData(Columns, AroundRest):
         first: int = 0,
         last: int | None = None,
     ) -> tuple[list[Trajectory], str]:
-        """Read one log as pieces without gaps, with its measured disturbances. Disturbances are
-        read, held and averaged like inputs."""
+        """Read one log as pieces without gaps, together with its measured disturbances.
+        Disturbances are read, held and averaged like inputs."""
         if self.disturbance is None:
             return super().read_pieces(path, output_path, first=first, last=last)
-        columns = [*as_name_list(self.input), *as_name_list(self.disturbance)]
+        columns = [*as_name_tuple(self.input), *as_name_tuple(self.disturbance)]
         source = replace(self, input=columns, input_unit="", disturbance=None)
         pieces, remark = source.read_pieces(path, output_path, first=first, last=last)
         count = len(self.inputs)
@@ -348,7 +348,7 @@ class RecordedData(Columns, AroundRest):
         return projected
 
     def _split_logs(self, logs: list[list[Trajectory]]) -> tuple[list[Pieces], str]:
-        """Split every log into training, validation and test, and describe the cuts in words."""
+        """Split every log into training, validation and test, and describe the split in words."""
         splitter, words = self._choose_splitter(logs)
         cuts = [self._split_log(log, splitter) for log in logs]
         samples = sum(len(piece) for log in logs for piece in log)
@@ -357,15 +357,15 @@ class RecordedData(Columns, AroundRest):
         return cuts, words + (short if used_samples < samples else "")
 
     def _split_log(self, log: list[Trajectory], splitter: Splitter) -> Pieces:
-        """Split one log, of one or several pieces, into training, validation and test."""
+        """Split one log, which may have gaps, into training, validation and test."""
         return splits.split_pieces(log, splitter, self.start_up_samples + 2)
 
     def _choose_splitter(self, logs: list[list[Trajectory]]) -> tuple[Splitter, str]:
         """Choose the function that splits a log into training, validation and test, and describe
-        the split in words."""
+        its rule in words."""
         if self.validation is not None:
             named = {"validation": self.validation, "test": self.test or []}
-            return partial(split_at_intervals, named=named), "into named intervals"
+            return partial(split_at_intervals, intervals=named), "into named intervals"
         if self.fold is not None:
             description = (
                 f"into {self.folds} folds, of which number {self.fold} tests "
@@ -389,8 +389,7 @@ class RecordedData(Columns, AroundRest):
 
 @dataclass(frozen=True, kw_only=True)
 class _Log:
-    """Pieces of one log, how it was read, and the share of its input that the set point
-    explains."""
+    """Pieces of one log without gaps, with remarks on how the log was read."""
 
     pieces: list[Trajectory]
     remark: str

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.channel_names import Names, as_name_list, name_channels
+from ssm_study.data.channel_names import Names, as_name_tuple, name_channels
 from ssm_study.data.clock import (
     EvenRows,
     count_log_samples,
@@ -19,11 +19,11 @@ from ssm_study.data.clock_column import (
     first_column_counts_rows,
     refuse_backward_clock,
     refuse_clock_as_signal,
-    unread_clock_remarks,
-    unread_clock_sentence,
+    unreadable_clock_remarks,
+    unreadable_clock_sentence,
 )
 from ssm_study.data.clock_restarts import resample_experiments
-from ssm_study.data.log_refusals import missing_values_error, refusal_with_look_command
+from ssm_study.data.log_refusals import add_look_command_to_error, missing_values_error
 from ssm_study.data.missing_codes import missing_code_remarks
 from ssm_study.data.readers.reader import (
     Reader,
@@ -44,8 +44,7 @@ ASSUMED_SECOND = "and a row is taken to last one second"
 
 @dataclass(frozen=True, kw_only=True)
 class Columns:
-    """Base class of settings that say which columns of a file are inputs, outputs and clock
-    (docs/data.md).
+    """Base class of settings that state which columns of a log file are inputs, outputs and times.
 
     Without `time` the clock is found by its name, or as the nameless first column. `separator`,
     `decimal` and `header` state what is otherwise found in a text. `decimate` n keeps every n-th
@@ -77,16 +76,16 @@ class Columns:
         _ = self.text_settings  # refuses what is no separator or decimal mark
         self._check_columns("data.input", self.input)
         self._check_columns("data.output", self.output)
-        inputs = set(as_name_list(self.input))
-        both = inputs & set(as_name_list(self.output))
+        inputs = set(as_name_tuple(self.input))
+        both = inputs & set(as_name_tuple(self.output))
         are_apart = self.has_output_files or not both
         remedy = "name other columns, or data.output_path"
         require(are_apart, "data.output", sorted(both), "is an input too", remedy)
 
     def _check_columns(self, field: str, names: Names) -> None:
-        """Raise `BadRequest` for an input or output that names no column, one twice, or the
-        clock."""
-        columns = as_name_list(names)
+        """Raise `BadRequest` for input or output names that are empty, repeated, or the name of the
+        time column."""
+        columns = as_name_tuple(names)
         is_named = len(columns) > 0 and all(columns)
         require(is_named, field, names, "names no column", "name at least one")
         twice = [name for name in columns if columns.count(name) > 1]
@@ -98,33 +97,35 @@ class Columns:
 
     @property
     def text_settings(self) -> TextSettings:
-        """Layout of a text file, as far as the configuration states it."""
+        """Format of a text file (separator, decimal mark, header), as far as the configuration
+        states it."""
         return TextSettings(separator=self.separator, decimal=self.decimal, header=self.header)
 
     @property
     def has_output_files(self) -> bool:
-        """Whether the outputs are in separate files."""
+        """Whether the outputs of an experiment are in files of their own."""
         return False
 
     @property
     def searches_clock(self) -> bool:
-        """Whether the clock is searched for among the columns because none is named."""
+        """Whether the time column of a log is detected, because the configuration names none."""
         return True
 
     @property
     def inputs(self) -> tuple[Channel, ...]:
-        """Input channels of the recording."""
+        """Names and units of the input channels of a recording."""
         return name_channels(self.input, self.input_unit, "input", self.has_output_files)
 
     @property
     def measured_outputs(self) -> tuple[Channel, ...]:
-        """Output channels in the file, before any differentiation. With `differentiate`, `outputs`
-        are their rates."""
+        """Names and units of the outputs as measured, before any differentiation. With
+        `differentiate`, `outputs` are their rates."""
         return name_channels(self.output, self.output_unit, "output", self.has_output_files)
 
     @property
     def outputs(self) -> tuple[Channel, ...]:
-        """Output channels of the data set, differentiated where that is requested."""
+        """Names and units of the outputs of the data set, after differentiation if that is
+        requested."""
         if not self.differentiate:
             return self.measured_outputs
         rates = []
@@ -140,7 +141,7 @@ class Columns:
         first: int = 0,
         last: int | None = None,
     ) -> Trajectory:
-        """Read a range of samples of a log as one record, in physical units. Outputs come from
+        """Read a range of samples of a log file as one record in physical units. Outputs come from
         `output_path` where it is given.
 
         Raises `BadRequest`, always in one sentence; also for a log with holes, which is several.
@@ -160,7 +161,7 @@ class Columns:
         first: int = 0,
         last: int | None = None,
     ) -> tuple[list[Trajectory], str]:
-        """Read the pieces of a log between its gaps and missing values, and describe how it was
+        """Read a log file as records between its gaps and missing values, and describe how it was
         read.
 
         Each piece says at which sample of the log it begins. A refusal of what the file holds ends
@@ -169,7 +170,7 @@ class Columns:
         try:
             pieces, remarks = self._read_even_rows(path, output_path or path)
         except BadRequest as error:
-            raise refusal_with_look_command(error, path) from error
+            raise add_look_command_to_error(error, path) from error
         whole = range(first, count_log_samples(pieces) if last is None else last)
         problem = f"no such samples, {path.name} has {count_log_samples(pieces)}"
         inside = first < whole.stop <= count_log_samples(pieces)
@@ -192,7 +193,7 @@ class Columns:
     def _build_record(
         self, values: Float[np.ndarray, "T c"], period_s: float, path: Path
     ) -> Trajectory:
-        """Build one record from evenly spaced rows, decimated and differentiated if requested."""
+        """Build a record from evenly spaced samples, decimated and differentiated if requested."""
         u, y = np.split(values, [len(self.inputs)], axis=1)
         u, y = decimate_record(u, y, self.decimate)
         step_s = period_s * self.decimate
@@ -202,12 +203,12 @@ class Columns:
         return Trajectory(u=u, y=y, step_s=step_s, name=path.name)
 
     def _read_even_rows(self, path: Path, output_path: Path) -> tuple[EvenRows, list[str]]:
-        """Read the log as evenly spaced rows, and describe how its files were read."""
+        """Read a log file as samples at evenly spaced times, and describe how it was read."""
         time_s, stated_s, values, remarks = self._read_columns(path, output_path)
         if time_s is None:
             period_s = stated_s if self.step_s is None else self.step_s
             if period_s is None:
-                problem = "the sampling time is unknown" + unread_clock_sentence(remarks)
+                problem = "the sampling time is unknown" + unreadable_clock_sentence(remarks)
                 remedy = "give it, or name the column data.time"
                 raise BadRequest("data.step_s", None, problem, remedy)
             if stated_s is not None:
@@ -232,11 +233,11 @@ class Columns:
     def _read_columns(
         self, path: Path, output_path: Path
     ) -> tuple[ClockTimes | None, float | None, Float[np.ndarray, "T2 c"], list[str]]:
-        """Read the signals of a log, their times and the sampling time that the file states, with
-        remarks. Rows of two files must belong together."""
+        """Read the signals and times of a log from its input and output files, with remarks on the
+        reading. Rows of two files must belong together."""
         sides = [
-            (path, as_name_list(self.input), self.inputs),
-            (output_path, as_name_list(self.output), self.measured_outputs),
+            (path, as_name_tuple(self.input), self.inputs),
+            (output_path, as_name_tuple(self.output), self.measured_outputs),
         ]
         wanted_columns: dict[Path, dict[str, str]] = {}
         for file, names, channels in sides:
@@ -265,7 +266,8 @@ class Columns:
     def _refuse_unequal_times(
         self, times: list[np.ndarray], tables: list[Table], output_path: Path, rows: int
     ) -> None:
-        """Raise `BadRequest` for input and output files whose rows are not at the same times."""
+        """Raise `BadRequest` for an input file and an output file whose rows have different
+        times."""
         recordings = any(table.time_s is not None for table in tables) and self.time is None
         problem = "log times count from each recording's own start"
         remedy = "put both signals into one recording"
@@ -279,7 +281,7 @@ class Columns:
         require(close, "data.output_path", output_path, problem, "log both on one clock")
 
     def _read_file(self, file: Path, units: dict[str, str]) -> "_LogFile":
-        """Read the requested columns and the clock of one file."""
+        """Read the requested signals and the times from one log file."""
         reader = choose_reader(file, self.text_settings)
         wanted_columns = dict(units)
         if self.time is not None:
@@ -301,7 +303,8 @@ class Columns:
     def _find_clock(
         self, file: Path, reader: Reader, table: Table, signals: list[str]
     ) -> tuple[ClockTimes | None, list[str]]:
-        """Find the clock of a file by its title or place, and say which column it is."""
+        """Find the column of a log file that contains the times, by its title or place, and name
+        the column in words."""
         try:
             contents = reader.read_all_columns(file)
         except BadRequest:
@@ -315,16 +318,16 @@ class Columns:
         if title is None or len(contents.columns[title]) != length:
             refuse_backward_clock(contents, signal_titles, file, is_stated=self.step_s is not None)
             time_s, remarks = self._row_number_times(contents, length)
-            return time_s, [*remarks, *unread_clock_remarks(contents)]
+            return time_s, [*remarks, *unreadable_clock_remarks(contents)]
         time_s, words = clock_column_seconds(title, contents, is_stated=self.step_s is not None)
         return time_s, [words]
 
     def _row_number_times(
         self, contents: Table, length: int
     ) -> tuple[ClockTimes | None, list[str]]:
-        """Times of a log whose first column counts the rows. They are in seconds in a file without
-        names (which the evidence doubts), None where the sampling time is given; refused
-        otherwise."""
+        """Times of a log whose first column has the row numbers instead of times. They are in
+        seconds in a file without names (which the evidence doubts), None where the sampling time is
+        given; refused otherwise."""
         if not first_column_counts_rows(contents):
             return None, []
         if self.step_s is not None:
@@ -339,7 +342,7 @@ class Columns:
 
 @dataclass(frozen=True, kw_only=True)
 class _LogFile:
-    """Columns read from one log file, its clock in seconds, and how it was read."""
+    """Columns and times read from one log file, with a remark on how the file was read."""
 
     table: Table
     time_s: ClockTimes | None
@@ -348,8 +351,8 @@ class _LogFile:
 
 @dataclass(frozen=True, kw_only=True)
 class Recording(Columns):
-    """One experiment to be read from a range of samples of a file. It has samples `first` to before
-    `last` of the columns of the file at `path`."""
+    """One experiment in a log file, given by the file, its columns and a range of samples. It has
+    samples `first` to before `last` of the columns of the file at `path`."""
 
     path: str
     first: int = 0
@@ -364,20 +367,20 @@ class Recording(Columns):
         return self.step_s is None
 
     def read(self) -> Trajectory:
-        """Read the recorded experiment in physical units; refuses what `read_record` refuses."""
+        """Read a recorded experiment from its log file, in physical units."""
         return self.read_record(Path(self.path), first=self.first, last=self.last)
 
 
 def equals_any_column(values: ClockTimes, columns: list[np.ndarray]) -> bool:
-    """Whether a column holds the same numbers as one of several columns."""
+    """Whether a column has the same numbers as one of several other columns."""
     return any(np.array_equal(values, column, equal_nan=True) for column in columns)
 
 
 def decimate_record(
-    u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], every: int
+    u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], factor: int
 ) -> tuple[Float[np.ndarray, "T2 m"], Float[np.ndarray, "T2 p"]]:
-    """Decimate a record to every n-th output and the mean input between these outputs. A hold would
-    have applied that mean."""
-    periods = len(u) // every
-    blocks = u[: periods * every].reshape(periods, every, -1)
-    return blocks.mean(axis=1), y[: periods * every : every]
+    """Decimate a record: every n-th output sample, and the mean of the input over each n samples. A
+    hold would have applied that mean."""
+    periods = len(u) // factor
+    blocks = u[: periods * factor].reshape(periods, factor, -1)
+    return blocks.mean(axis=1), y[: periods * factor : factor]

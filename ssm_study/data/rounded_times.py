@@ -22,8 +22,9 @@ FEWEST_REPEATS = 3  # of a time: one that stands twice may be a row that was wri
 DIGITS = 12  # of a written time; the rest is arithmetic
 
 
-def rounded_period_s(time_s: ClockTimes) -> tuple[float, float] | None:
-    """Estimate the sampling time behind rounded times, and its relative uncertainty.
+def estimate_period_s(time_s: ClockTimes) -> tuple[float, float] | None:
+    """Estimate the sampling period from times that were rounded to few digits, and the relative
+    uncertainty of the estimate.
 
     The period is the shortest decimal number among the possible ones. None where no even clock
     explains the times, or clocks of clearly different periods do.
@@ -32,22 +33,24 @@ def rounded_period_s(time_s: ClockTimes) -> tuple[float, float] | None:
     if 0 < repeats < FEWEST_REPEATS:
         return None
     for share in (ROUNDED, CUT_OFF):
-        possible_s = period_bounds_s(time_s, share * written_resolution(time_s))
+        possible_s = period_bounds_s(time_s, share * resolution_of_times(time_s))
         if possible_s is not None and possible_s[0] > 0.0:
             uncertainty = 0.5 * (possible_s[1] - possible_s[0]) / possible_s[0]
             return (
-                (roundest_number(*possible_s), uncertainty) if uncertainty <= SURE_PERIOD else None
+                (shortest_decimal_between(*possible_s), uncertainty)
+                if uncertainty <= SURE_PERIOD
+                else None
             )
     return None
 
 
-def period_bounds_s(time_s: ClockTimes, error_s: ClockTimes) -> tuple[float, float] | None:
-    """Smallest and largest period of an evenly spaced clock that agrees with every time up to its
-    tolerance; None if there is none."""
+def period_bounds_s(time_s: ClockTimes, tolerance_s: ClockTimes) -> tuple[float, float] | None:
+    """Smallest and largest sampling period with which evenly spaced times stay within a tolerance
+    of all recorded times; None if none does."""
     rows = len(time_s) - 1
     span_s = float(time_s[-1] - time_s[0])
     scaled = (time_s - time_s[0]) / span_s
-    errors = error_s / span_s
+    errors = tolerance_s / span_s
     progress = np.arange(rows + 1) / rows
     clock = np.stack([np.ones(rows + 1), progress], axis=1)
     bounds = np.concatenate([errors + scaled, errors - scaled])
@@ -62,8 +65,8 @@ def period_bounds_s(time_s: ClockTimes, error_s: ClockTimes) -> tuple[float, flo
     return min(limits_s), max(limits_s)
 
 
-def written_resolution(time_s: ClockTimes) -> ClockTimes:
-    """Value of the last digit with which each time was written.
+def resolution_of_times(time_s: ClockTimes) -> ClockTimes:
+    """Resolution of recorded times: the place value of the last digit that each was written with.
 
     A time of less than 1e-12 of the largest is arithmetic, and counts as zero.
     """
@@ -77,21 +80,21 @@ def written_resolution(time_s: ClockTimes) -> ClockTimes:
     return np.maximum(10.0**-decimals, 10.0 ** (magnitude - digits + 1))
 
 
-def decimal_places(text: str) -> int:
-    """Number of digits behind the decimal point of a written number."""
-    mantissa, _, exponent = text.partition("e")
+def decimal_places(number: str) -> int:
+    """Number of digits behind the decimal point of a number given as text."""
+    mantissa, _, exponent = number.partition("e")
     behind = len(mantissa.partition(".")[2])
     return max(behind - int(exponent or 0), 0)
 
 
-def significant_digits(text: str) -> int:
-    """Number of significant digits of a written number."""
-    mantissa = text.partition("e")[0]
+def significant_digits(number: str) -> int:
+    """Number of significant digits of a number given as text."""
+    mantissa = number.partition("e")[0]
     return len(mantissa.replace(".", "").lstrip("-0").rstrip("0"))
 
 
-def roundest_number(low: float, high: float) -> float:
-    """Number in an interval of positive numbers that is written with the fewest digits."""
+def shortest_decimal_between(low: float, high: float) -> float:
+    """Number in an interval that can be written with the fewest digits."""
     middle = 0.5 * (low + high)
     for digits in range(1, DIGITS + 1):
         number = float(f"{middle:.{digits}g}")

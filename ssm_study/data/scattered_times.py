@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.rounded_times import roundest_number
+from ssm_study.data.rounded_times import shortest_decimal_between
 
 ClockTimes = Float[np.ndarray, "T"]
 
@@ -16,8 +16,8 @@ STANDARD_ERRORS = 3.0  # on both sides of a period
 
 @dataclass(frozen=True, kw_only=True)
 class ScatteredClock:
-    """Period of an evenly spaced clock, and the largest distance of a written time from it, in
-    periods."""
+    """Period of the evenly spaced times around which recorded times scatter, and the largest
+    deviation from them in periods."""
 
     period_s: float
     largest: float
@@ -26,8 +26,8 @@ class ScatteredClock:
 def find_scattered_clock(
     time_s: ClockTimes, stretches: list[tuple[int, int]]
 ) -> ScatteredClock | None:
-    """Find the evenly spaced clock around which the times of a log scatter without drift. None if
-    there is none.
+    """Find evenly spaced times around which the recorded times of a log scatter without drift; None
+    if there are none. None if there is none.
 
     A line through the times of all stretches, with one slope `h`. Every time lies within half a
     period of it, and a deviation says nothing about the next one: a clock that wanders, or jumps,
@@ -56,5 +56,5 @@ def find_scattered_clock(
     if following > WANDERS:
         return None
     uncertainty_s = STANDARD_ERRORS * scatter_s / np.sqrt(power)
-    plain_s = roundest_number(period_s - uncertainty_s, period_s + uncertainty_s)
+    plain_s = shortest_decimal_between(period_s - uncertainty_s, period_s + uncertainty_s)
     return ScatteredClock(period_s=plain_s, largest=largest)

@@ -30,8 +30,11 @@ SET_POINT_WORDS_TEXT = """
 SET_POINT_WORDS = tuple(SET_POINT_WORDS_TEXT.split())
 
 
-def guess_signals(facts: Sequence[ColumnFacts], clock: str | None) -> tuple[str | None, str | None]:
-    """Guess which columns are input and output, by words in their titles, then by their levels."""
+def guess_input_and_output(
+    facts: Sequence[ColumnFacts], clock: str | None
+) -> tuple[str | None, str | None]:
+    """Guess which columns of a log are the input and the output, from words in their titles and
+    their numbers of distinct values."""
     moving = [column for column in facts if column.name != clock and column.levels > 1]
     if len(moving) < 2:
         return None, None
@@ -68,14 +71,14 @@ def title_parts(name: str) -> list[str]:
 
 
 def is_set_point_title(name: str) -> bool:
-    """Whether a title is that of a set point, such as `r`, `ref`, `T1 setpoint`, `TSP1` or
+    """Whether a column title suggests a set point, such as `r`, `ref`, `T1 setpoint` or
     `speed_target`."""
     return title_word_score(name, SET_POINT_WORDS) == 1.0
 
 
 def input_score(column: ColumnFacts) -> float:
-    """Score of how much a column looks like an input of the plant, from its name, number of levels
-    and range. Columns with equal scores are taken in their order."""
+    """Score of how much a column looks like an input of the plant, from its title, number of
+    distinct values and range. Columns with equal scores are taken in their order."""
     magnitude = max(abs(column.low), abs(column.high))
     is_steady = column.high - column.low < STEADY * magnitude
     by_words = title_word_score(column.name, INPUT_WORDS)
@@ -89,8 +92,9 @@ def level_score(column: ColumnFacts) -> float:
 
 
 def title_word_score(name: str, words: tuple[str, ...]) -> float:
-    """Score of how well a column's title matches a list of words. One if a word of the title is in
-    the list, a half if one begins with a word in the list."""
+    """Score of how well a column title matches a list of words: 1 for a whole word, a half for the
+    beginning of one. One if a word of the title is in the list, a half if one begins with a word in
+    the list."""
     parts = title_parts(name)
     if any(part in words for part in parts):
         return 1.0
@@ -110,8 +114,8 @@ def doubtful_guess_sentences(
     signals: tuple[str | None, str | None],
     are_named: tuple[bool, bool],
 ) -> list[str]:
-    """Sentences on columns that would be guessed as input or output, but cannot be read or are
-    constant. The guess would go around them.
+    """Sentences on columns that would have been guessed as input or output but cannot be read or
+    are constant. The guess would go around them.
 
     `are_named` says of input and output whether the user named them, so that nothing is guessed.
     """

@@ -45,14 +45,14 @@ SINES = 13  # marks the seed of their noise
 FRESH = 11  # marks the seeds of fresh data sets
 
 
-class TrainingAlone(UserWarning):
-    """Warning that the amplitude set in an excitation applies to the training records only."""
+class TrainingAmplitudeOnly(UserWarning):
+    """Warning that the amplitude set for an excitation applies to the training records only."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FreshRecords:
-    """Simulated records that measure the model error anew, since neither fit nor design has seen
-    them."""
+    """Simulated records that neither the fit nor the design has used, for an independent
+    measurement of the model error."""
 
     validation: Trajectories
     mismatch_records: Trajectories
@@ -60,8 +60,9 @@ class FreshRecords:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedData:
-    """Data set that is simulated with one of the project's plants. `y = h(x) + e`, `e ~ N(0,
-    noise_variance)` on training and validation records; the test record is noise-free.
+    """Data set that is simulated with one of the project's plants, with measurement noise. `y =
+    h(x) + e`, `e ~ N(0, noise_variance)` on training and validation records; the test record is
+    noise-free.
 
     Validation and test, one record each, are excited by `scoring_excitation` whatever the training
     excitation is, so that runs compare. Every record of the three parts starts at the plant's
@@ -94,14 +95,14 @@ class SimulatedData:
         require_at_least(0, "data.fresh_sets", self.fresh_sets, "use 0 for none")
 
     def build(self, plant: Plant, excitation: Excitation, seed: int) -> DataSet:
-        """Build a data set by simulating a plant under an excitation. Equal seeds give equal
+        """Build a data set by simulating a plant under excitation signals. Equal seeds give equal
         numbers."""
         rng = np.random.default_rng(seed)
         scoring = self.scoring_excitation
         training = self._simulate_records(plant, excitation, rng, self.trajectories, self.samples)
         validation = self._simulate_records(plant, scoring, rng, 1, self.validation_samples)
         noisy = self.test_noise
-        test = self._simulate_records(plant, scoring, rng, 1, self.test_samples, noisy=noisy)
+        test = self._simulate_records(plant, scoring, rng, 1, self.test_samples, has_noise=noisy)
         about = {
             "source": "simulated",
             "plant": type(plant).__name__,
@@ -120,8 +121,7 @@ class SimulatedData:
         return assemble_dataset(parts, (rest.u, rest.y), channels, self.start_up_samples, **fields)
 
     def simulate_fresh_sets(self, plant: Plant, seed: int) -> Iterator[FreshRecords]:
-        """Simulate further records that neither fit nor design uses, each set from its own random
-        seed."""
+        """Simulate several further sets of records that neither the fit nor the design uses."""
         for number in range(self.fresh_sets):
             rng = np.random.default_rng([seed, FRESH, number])
             scoring = self.scoring_excitation
@@ -132,15 +132,15 @@ class SimulatedData:
             yield FreshRecords(validation=tuple(validation), mismatch_records=trials)
 
     def simulate_sensitive_sines(
-        self, plant: Plant, seed: int, lines: Sequence[int]
+        self, plant: Plant, seed: int, frequency_indices: Sequence[int]
     ) -> tuple[Trajectory, ...]:
-        """Simulate single-sine experiments at given frequencies, those to which a design is most
-        sensitive."""
+        """Simulate single-sine experiments at the frequencies at which a controller design is most
+        sensitive to model errors."""
         rng = np.random.default_rng([seed, SINES])
-        return simulate_sine_records(plant, rng, self.noise_deviation(plant), lines)
+        return simulate_sine_records(plant, rng, self.noise_deviation(plant), frequency_indices)
 
     def noise_deviation(self, plant: Plant) -> Float[np.ndarray, "p"]:
-        """Standard deviation of the simulated sensor noise, in physical units."""
+        """Standard deviation of the simulated measurement noise, in physical units."""
         variance = np.array(plant.noise_variance)
         if self.noise_variance is not None:
             variance = np.full_like(variance, self.noise_variance)
@@ -154,9 +154,9 @@ class SimulatedData:
         count: int,
         samples: int,
         *,
-        noisy: bool = True,
+        has_noise: bool = True,
     ) -> list[Trajectory]:
-        """Simulate records that begin at the plant's equilibrium, under a given excitation."""
+        """Simulate records of a plant from its equilibrium under an excitation."""
         request = SignalRequest(
             samples=samples,
             step_s=plant.step_s,
@@ -167,7 +167,7 @@ class SimulatedData:
         deviations = np.stack(signals)
         u = plant.equilibrium().u + deviations
         _, y = plant.simulate(u)
-        if noisy:
+        if has_noise:
             noise = rng.standard_normal(y.shape)
             y = y + self.noise_deviation(plant) * noise
         pairs = zip(u, y, strict=True)
@@ -177,9 +177,9 @@ class SimulatedData:
 def simulate_mismatch_records(
     plant: Plant, rng: np.random.Generator, deviation: Float[np.ndarray, "p"]
 ) -> tuple[Trajectory, ...]:
-    """Simulate the records that only serve to measure the model error: periodic excitation, free
-    decays and slow returns. Two periods at each of `SHARES` and then rest; free decays from each of
-    `DECAYS`; noise of that `noise_deviation`.
+    """Simulate records that only serve to measure the model error: periodic excitation, free decays
+    and slow returns to equilibrium. Two periods at each of `SHARES` and then rest; free decays from
+    each of `DECAYS`; noise of that `noise_deviation`.
 
     Then slow returns from each of `RETURNS`, and rest: friction lets go of a jump to rest, not of a
     slow return.
@@ -223,7 +223,8 @@ def simulate_mismatch_records(
 def _split_into_records(
     plant: Plant, names: Sequence[str], u: np.ndarray, y: np.ndarray
 ) -> list[Trajectory]:
-    """Split stacked inputs and outputs into named records, one for each case."""
+    """Split stacked input and output arrays of simulated cases into one named record for each
+    case."""
     records = []
     for name, inputs, outputs in zip(names, u, y, strict=True):
         records.append(Trajectory(u=inputs, y=outputs, step_s=plant.step_s, name=name))
@@ -231,16 +232,19 @@ def _split_into_records(
 
 
 def simulate_sine_records(
-    plant: Plant, rng: np.random.Generator, deviation: Float[np.ndarray, "p"], lines: Sequence[int]
+    plant: Plant,
+    rng: np.random.Generator,
+    deviation: Float[np.ndarray, "p"],
+    frequency_indices: Sequence[int],
 ) -> tuple[Trajectory, ...]:
-    """Simulate single-sine experiments at chosen frequencies and several amplitudes. Each has one
-    period of `PERIOD` samples as lead-in and two that count, at each of `SINE_SHARES` of the
-    amplitude; all inputs move alike."""
+    """Simulate single-sine experiments of a plant at given frequencies and several amplitudes. Each
+    has one period of `PERIOD` samples as lead-in and two that count, at each of `SINE_SHARES` of
+    the amplitude; all inputs move alike."""
     rest = plant.equilibrium()
     amplitude = np.array(plant.input_amplitude)
     inputs = []
     samples = np.arange(PERIOD)
-    for line in lines:
+    for line in frequency_indices:
         angles = 2 * np.pi * line * samples / PERIOD
         period = np.sin(angles)[:, None]
         wave = np.tile(period, (3, 1))  # the same bits in every period
@@ -251,14 +255,14 @@ def simulate_sine_records(
     _, y = plant.simulate(u)
     noise = rng.standard_normal(y.shape)
     noisy = y + deviation * noise
-    names = [f"sine_{line}_at_{share:g}" for line in lines for share in SINE_SHARES]
+    names = [f"sine_{line}_at_{share:g}" for line in frequency_indices for share in SINE_SHARES]
     return tuple(_split_into_records(plant, names, u, noisy))
 
 
-def _broadband_input(rng: np.random.Generator, longest: int) -> Float[np.ndarray, "T"]:
-    """Generate a broadband signal with random levels and random holding times. Levels are uniform
-    in [-1, 1]; the logarithm of the holding time is uniform up to `longest`."""
-    exponents = rng.uniform(0.0, np.log(longest + 1), PERIOD)
+def _broadband_input(rng: np.random.Generator, longest_hold: int) -> Float[np.ndarray, "T"]:
+    """Generate a broadband input signal with random levels and random holding times. Levels are
+    uniform in [-1, 1]; the logarithm of the holding time is uniform up to `longest_hold`."""
+    exponents = rng.uniform(0.0, np.log(longest_hold + 1), PERIOD)
     holding_times = np.exp(exponents).astype(int)
     levels = rng.uniform(-1.0, 1.0, PERIOD)
     signal = np.repeat(levels, holding_times)

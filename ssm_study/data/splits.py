@@ -25,8 +25,8 @@ UNLIKE = 1.0
 def split_pieces(
     log_pieces: Sequence[Trajectory], split_record: Callable[[Trajectory], Pieces], shortest: int
 ) -> Pieces:
-    """Split a log that consists of several pieces as if it had no gaps. Its samples are counted
-    over the gaps.
+    """Split a log that has gaps into training, validation and test as if it had none. Its samples
+    are counted over the gaps.
 
     Parts of a piece that are shorter than `shortest` samples are left out.
     """
@@ -43,7 +43,7 @@ def split_pieces(
 def _cut_record_at_gaps(
     record: Trajectory, log_pieces: Sequence[Trajectory], shortest: int
 ) -> list[Trajectory]:
-    """Cut a record of a joined log at the gaps between the log's pieces."""
+    """Cut a record of a log at the gaps of the log."""
     stretches = []
     start = 0
     for piece in log_pieces:
@@ -57,8 +57,8 @@ def _cut_record_at_gaps(
 
 
 def split_by_time(record: Trajectory, validation: float, test: float) -> Pieces:
-    """Split a record by time, the first part for training and the last for the test. Contiguous
-    pieces, in the order of time: training first."""
+    """Split a record by time into training, validation and test, in this order. Contiguous pieces,
+    in the order of time: training first."""
     samples = len(record)
     first = round(samples * (1 - validation - test))
     second = round(samples * (1 - test))
@@ -69,8 +69,8 @@ def split_by_time(record: Trajectory, validation: float, test: float) -> Pieces:
 
 
 def split_into_blocks(record: Trajectory) -> Pieces:
-    """Split a record into interleaved blocks for training, validation and test. Of `BLOCKS` equal
-    pieces, 1, 2, 3 train, 4 validates, 5 tests, and so on."""
+    """Split a record into equal blocks that alternate between training, validation and test. Of
+    `BLOCKS` equal pieces, 1, 2, 3 train, 4 validates, 5 tests, and so on."""
     edges = np.linspace(0, len(record), BLOCKS + 1)
     samples = edges.round().astype(int)
     blocks = [record[a:b] for a, b in pairwise(samples)]
@@ -80,15 +80,16 @@ def split_into_blocks(record: Trajectory) -> Pieces:
     return training, validating, testing
 
 
-def split_at_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pieces:
-    """Split a record at stated time intervals into training, validation and test. `named` holds
-    intervals in seconds for `validation` and `test`; the rest, piece by piece, trains.
+def split_at_intervals(record: Trajectory, intervals: Mapping[str, Intervals]) -> Pieces:
+    """Split a record into validation and test at stated time intervals, and training from
+    everything else. `intervals` holds intervals in seconds for `validation` and `test`; the rest,
+    piece by piece, trains.
 
     Raises `BadRequest` for an interval that is empty, outside the log, or shared by two parts.
     """
     part = np.zeros(len(record), dtype=int)
     for number, name in enumerate(("validation", "test"), start=1):
-        for interval in named.get(name, ()):
+        for interval in intervals.get(name, ()):
             field = f"data.{name}"
             pair = np.asarray(interval)  # of a flat list: a number
             start, end = _interval_samples(record, pair, field)
@@ -100,25 +101,26 @@ def split_at_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pi
     return _cut_into_parts(record, part)
 
 
-def _interval_samples(record: Trajectory, pair: np.ndarray, field: str) -> tuple[int, int]:
-    """First sample of an interval given in seconds, and the sample after its last. Raises
+def _interval_samples(record: Trajectory, interval_s: np.ndarray, field: str) -> tuple[int, int]:
+    """First sample of a time interval given in seconds, and the sample after the last. Raises
     `BadRequest` for any other value."""
-    is_pair = pair.shape == (2,) and pair.dtype.kind in "iuf"
+    is_pair = interval_s.shape == (2,) and interval_s.dtype.kind in "iuf"
     ends = np.zeros(2)
     if is_pair:
-        ends = np.rint(pair / record.step_s)
+        ends = np.rint(interval_s / record.step_s)
     inside = 0 <= ends[0] < ends[1] <= len(record)
     duration_s = len(record) * record.step_s
     problem = f"the log lasts {duration_s:g} s"
     remedy = "give a list of pairs [from, to] in seconds, within it: [[0,20]]"
-    require(inside, field, pair.tolist(), problem, remedy)
+    require(inside, field, interval_s.tolist(), problem, remedy)
     start, end = ends.astype(int)
     return int(start), int(end)
 
 
 def split_by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
-    """Split a record into equal folds, of which one tests and the one before it validates. The last
-    fold counts as the one before the first; all others train."""
+    """Split a record into equal folds, of which one is for test, the one before it for validation,
+    and all others for training. The last fold counts as the one before the first; all others
+    train."""
     samples = len(record)
     piece = folds * np.arange(samples) // samples
     is_tested = piece == fold
@@ -128,7 +130,8 @@ def split_by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
 
 
 def cut_out_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajectory], Trajectory]:
-    """Cut a record into one of several equal folds and the remaining pieces."""
+    """Cut one of several equal folds out of a record, and return the remaining pieces and the
+    fold."""
     samples = len(record)
     start = round(samples * fold / folds)
     end = round(samples * (fold + 1) / folds)
@@ -138,8 +141,8 @@ def cut_out_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajec
 
 
 def rest_segments(record: Trajectory) -> list[Trajectory]:
-    """Cut out the segments in which the input is constant at the value with which the record ends.
-    There are none in a record that ends moving. Measured disturbances count as inputs.
+    """Cut out of a record the segments in which the input is constant at its final value. There are
+    none in a record that ends moving. Measured disturbances count as inputs.
 
     A stretch counts that lasts half as long as the last one. What the plant does there is evidence;
     no fit uses it.
@@ -148,14 +151,14 @@ def rest_segments(record: Trajectory) -> list[Trajectory]:
 
 
 def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Trajectory]:
-    """Cut out the segments in which the input repeats itself periodically, between segments of
-    constant input. Half of the constant segment before and all of the one behind belong to them.
+    """Cut out of a record the segments in which the input is periodic, between segments of constant
+    input. Half of the constant segment before and all of the one behind belong to them.
 
     `ssm-study excite` writes one for each amplitude: what its second period does not repeat is
     noise. Nothing of a log that moves otherwise, too: a few equal pulses would stand for all that
     it shows.
     """
-    rests = _rest_ranges(record, first=True)
+    rests = _rest_ranges(record, includes_beginning=True)
     if not rests or rests[0][0] != 0:
         return []
     between = []
@@ -168,9 +171,9 @@ def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Traject
     return between
 
 
-def _rest_ranges(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
-    """Index ranges in which the input is constant at the value with which the record ends. With
-    `first`, a range at the beginning of the record counts, too."""
+def _rest_ranges(record: Trajectory, includes_beginning: bool = False) -> list[tuple[int, int]]:
+    """Index ranges of a record in which the input is constant at its final value. With
+    `includes_beginning`, a range at the beginning of the record counts, too."""
     moving = record.inputs_and_disturbances
     is_elsewhere = (moving != moving[-1]).any(axis=1)
     moved = np.flatnonzero(is_elsewhere)
@@ -179,26 +182,27 @@ def _rest_ranges(record: Trajectory, first: bool = False) -> list[tuple[int, int
     last_rest = len(record) - moved[-1]
     if last_rest <= SHORTEST_REST:
         return []
-    before = [-1] if first else []
+    before = [-1] if includes_beginning else []
     ends = [*before, *moved.tolist(), len(record)]
     long = [(a, b) for a, b in pairwise(ends) if b - a > last_rest / 2]
     return [(max(a, 0), b) for a, b in long]
 
 
-def _cut_into_parts(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
-    """Cut a record into its stretches for training, validation and test. 0 trains, 1 validates, 2
-    tests."""
+def _cut_into_parts(record: Trajectory, codes: Int[np.ndarray, "T"]) -> Pieces:
+    """Cut a record into pieces for training, validation and test, as a code for each sample says. 0
+    trains, 1 validates, 2 tests."""
     pieces: Pieces = ([], [], [])
-    changes = np.diff(part, prepend=-1, append=-1)
+    changes = np.diff(codes, prepend=-1, append=-1)
     edges = np.flatnonzero(changes)
     for a, b in pairwise(edges):
-        pieces_of_part = pieces[part[a]]
+        pieces_of_part = pieces[codes[a]]
         pieces_of_part.append(record[a:b])
     return pieces
 
 
 def is_test_output_different(parts: Pieces) -> bool:
-    """Whether the test output differs from the training output in mean or standard deviation."""
+    """Whether the output in the test records differs in mean or standard deviation from that in the
+    training records."""
     if not parts[0] or not parts[2]:
         return True
     training, _, testing = parts

@@ -21,7 +21,7 @@ DATE = re.compile(
 
 
 def split_cells(line: str, separator: str) -> list[str]:
-    """Split one line of a text file into cells, without the spaces around them."""
+    """Split a line of a text file at the separator into cells, without surrounding spaces."""
     if separator == " ":
         return [cell.strip('"') for cell in line.split()]
     if '"' not in line:
@@ -34,11 +34,11 @@ def split_cells(line: str, separator: str) -> list[str]:
 
 
 def is_value(cell: str, decimal: str) -> bool:
-    """Whether a cell is a number, a date or a missing value."""
+    """Whether a cell of a text file contains a number, a date or a mark for a missing value."""
     number = COMMA_NUMBER if decimal == "," else NUMBER
     return cell.lower() in MISSING or bool(number.fullmatch(cell) or DATE.fullmatch(cell))
 
 
 def is_number(cell: str, decimal: str) -> bool:
-    """Whether a cell is a number."""
+    """Whether a cell of a text file contains a number, with a given decimal mark."""
     return bool((COMMA_NUMBER if decimal == "," else NUMBER).fullmatch(cell))

@@ -27,8 +27,8 @@ KOREAN_SYLLABLES = range(0xB0, 0xC9)
 
 
 def decode_text(path: Path, content: bytes) -> tuple[str, str]:
-    """Decode the bytes of a text file, and name the encoding. Raises `BadRequest` for bytes that
-    are no text."""
+    """Decode the bytes of a text file, and name the encoding that was detected. Raises `BadRequest`
+    for bytes that are no text."""
     for mark, encoding in BYTE_ORDER_MARKS:
         if content.startswith(mark):
             try:
@@ -57,7 +57,8 @@ def decode_text(path: Path, content: bytes) -> tuple[str, str]:
 
 
 def detect_code_page(content: bytes) -> str:
-    """Code page of a text that is not UTF-8, chosen so that its foreign words make sense.
+    """Detect the code page of a text that is not UTF-8, as the one in which its non-ASCII words are
+    plausible.
 
     Western European where there are no such words, or where two pages fit. Detectors that count
     letters need more text than the names of a few columns (`docs/data.md`).
@@ -73,8 +74,8 @@ def detect_code_page(content: bytes) -> str:
 
 
 def is_cyrillic_word(word: bytes, page: str) -> bool:
-    """Whether bytes are Cyrillic letters in a given code page, with capitals only first or
-    throughout."""
+    """Whether bytes are a Cyrillic word in a given code page, with plausible upper and lower
+    case."""
     text = word.decode(page, errors="replace")
     tail = text[1:]
     is_natural = tail in (tail.lower(), tail.upper())
@@ -82,7 +83,8 @@ def is_cyrillic_word(word: bytes, page: str) -> bool:
 
 
 def are_chinese_words(words: list[bytes]) -> bool:
-    """Whether byte pairs are GB2312 characters, most of them among its 3,755 frequent ones."""
+    """Whether byte pairs are Chinese characters in the encoding GB2312, most of them frequent
+    ones."""
     leads = b"".join(word[::2] for word in words)
     trails = b"".join(word[1::2] for word in words)
     is_even = all(len(word) % 2 == 0 for word in words)
@@ -93,13 +95,13 @@ def are_chinese_words(words: list[bytes]) -> bool:
 
 
 def could_be_korean_words(words: list[bytes]) -> bool:
-    """Whether the byte pairs of words could also be Korean syllables in the encoding EUC-KR."""
+    """Whether byte pairs could be Korean syllables in the encoding EUC-KR."""
     return all(lead in KOREAN_SYLLABLES for word in words for lead in word[::2])
 
 
 def detect_wide_encoding(content: bytes) -> str:
-    """Encoding of a text that has two bytes for each letter and no byte order mark; empty for any
-    other text."""
+    """Detect the encoding of a text that has two bytes for each letter and no byte order mark;
+    empty for any other text."""
     halves = {"utf-16-le": content[1::2], "utf-16-be": content[::2]}
     zero_shares = {}
     for name, half in halves.items():

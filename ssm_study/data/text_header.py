@@ -18,34 +18,34 @@ CLOCK_WORDS = tuple(CLOCK_WORDS_TEXT.split())
 NumberedLine = tuple[int, str]
 
 
-def number_with_noun(number: int, noun: str) -> str:
-    """Write a number with its noun in singular or plural, such as `1 line` and `2 lines`."""
+def count_phrase(number: int, noun: str) -> str:
+    """Phrase of a number and a noun in singular or plural, such as `1 line` and `2 lines`."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def may_be_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
-    """Whether a row above the numbers may be the header, because it has one cell for each
+def may_be_header(row: list[str], columns: int, sample_rows: list[list[str]]) -> bool:
+    """Whether a row above the numbers of a text file can be the header, with one name for each
     column."""
     if len(row) == columns + 1:
         return row[-1].lower() in ("", "comment")  # LabVIEW names a column of remarks
     if len(row) == columns - 1:
-        regular = [cells for cells in sample if len(cells) == columns]
+        regular = [cells for cells in sample_rows if len(cells) == columns]
         return columns > 1 and not any(cells[-1] for cells in regular)
     return len(row) == columns
 
 
 def refuse_shifted_names(
-    path: Path, cells: list[list[str]], above: list[list[str]], columns: int
+    path: Path, cells: list[list[str]], header_rows: list[list[str]], columns: int
 ) -> None:
-    """Raise `BadRequest` for a header line with one name too many or too few. A trace whose
-    variables are listed one below another is refused, too."""
-    rows = above + cells
+    """Raise `BadRequest` for a header with one name more or fewer than the table has columns. A
+    trace whose variables are listed one below another is refused, too."""
+    rows = header_rows + cells
     first_cell = rows[0][0] if rows else ""
     stacked = first_cell.strip().lower() == "[key]"
     remedy = "export a table with one column a variable"
     problem = "is a trace of keys and values, its variables one below the other"
     require(not stacked, "data.path", path, problem, remedy)
-    if not cells or above or columns <= 2:
+    if not cells or header_rows or columns <= 2:
         return
     count = len(cells[-1])
     if abs(count - columns) == 1:
@@ -55,7 +55,7 @@ def refuse_shifted_names(
 
 
 def remove_repeated_header_lines(body: list[NumberedLine]) -> tuple[list[NumberedLine], int]:
-    """Remove lines that repeat the header in the body of a text file, and count them.
+    """Remove repetitions of the header between the rows of a text file, and count them.
 
     A logger that is switched on again writes its line of names again.
     """
@@ -73,7 +73,7 @@ def remove_repeated_header_lines(body: list[NumberedLine]) -> tuple[list[Numbere
 def remove_prose_below(
     body: list[NumberedLine], separator: str, decimal: str, columns: int
 ) -> tuple[list[NumberedLine], int]:
-    """Remove lines of prose below the rows of a table, and count them.
+    """Remove lines of prose below the last row of numbers of a text file, and count them.
 
     Prose begins with a word, or draws a line, and is no row of the table: it has another number of
     cells, or no value in any.
@@ -91,38 +91,38 @@ def remove_prose_below(
     return body[:length], len(body) - length
 
 
-def split_names_and_units(above: list[list[str]]) -> tuple[list[str] | None, list[str]]:
+def split_names_and_units(header_rows: list[list[str]]) -> tuple[list[str] | None, list[str]]:
     """Separate the header lines of a text file into column names and units."""
-    if not above:
+    if not header_rows:
         return None, []
-    for k in reversed(range(len(above))):
-        names = above[k]
+    for k in reversed(range(len(header_rows))):
+        names = header_rows[k]
         folded = map(normalise_header_cell, names)
         if any(cell in CLOCK_WORDS for cell in folded):
-            below = above[k + 1 : k + 2]
+            below = header_rows[k + 1 : k + 2]
             return names, parse_units(below, len(names))
-    *before, last = above
+    *before, last = header_rows
     units = parse_units([last], len(before[-1])) if before else []
     if before and are_possible_units(last, len(before[-1])):
         return before[-1], units
     return last, []
 
 
-def parse_units(below: list[list[str]], columns: int) -> list[str]:
-    """Parse the row of units below the column names, if there is one, and remove its brackets."""
-    if not below or not are_possible_units(below[0], columns):
+def parse_units(rows: list[list[str]], columns: int) -> list[str]:
+    """Parse the row of units below the column names of a text file, if there is such a row."""
+    if not rows or not are_possible_units(rows[0], columns):
         return []
-    return [cell.strip("()[] ") for cell in below[0]]
+    return [cell.strip("()[] ") for cell in rows[0]]
 
 
 def are_possible_units(cells: list[str], columns: int) -> bool:
-    """Whether the cells of a row below the column names could all be units."""
+    """Whether the cells in a row below the column names could all be units."""
     filled = [cell for cell in cells if cell]
     return len(cells) == columns and all(map(UNIT.fullmatch, filled))
 
 
 def normalise_header_cell(cell: str) -> str:
-    """Title of a column in lower case, without its unit in brackets."""
+    """Column title in lower case, without the unit in brackets."""
     without_unit = re.sub(r"[\[(].*", "", cell)
     return re.sub(r"[\W_]+", "", without_unit).lower()
 
@@ -130,8 +130,8 @@ def normalise_header_cell(cell: str) -> str:
 def parse_names_in_comment(
     comments: list[str], separator: str, columns: int, decimal: str
 ) -> list[str] | None:
-    """Parse the column names in the last comment line, where NumPy writes them; None if there are
-    none."""
+    """Parse column names from the last comment line of a text file, where NumPy writes them; None
+    if there are none."""
     bare = comments[-1].strip().lstrip('#%/" ')
     for mark in (separator, ",", ";", "\t", " "):
         cells = split_cells(bare, mark)
@@ -144,8 +144,8 @@ def parse_names_in_comment(
 def numbered_column_names(
     cells: list[list[str]], columns: int, header: bool | None
 ) -> tuple[list[str] | None, int]:
-    """Column names in a table whose first row holds the column numbers `0,1,2` or `1,2,3`, and the
-    number of rows that hold names.
+    """Column names of a table whose first row has the column numbers instead of names, and the
+    number of rows that names take.
 
     Counting from 0 they are names if the numbers below are unlike whole numbers, as pandas writes
     an array; counting from 1, always (a reader that is asked for a number refuses to guess).

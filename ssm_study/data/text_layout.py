@@ -17,8 +17,8 @@ from ssm_study.data.text_cells import MISSING, is_number, is_value, split_cells
 from ssm_study.data.text_encoding import decode_text
 from ssm_study.data.text_header import (
     NumberedLine,
+    count_phrase,
     may_be_header,
-    number_with_noun,
     numbered_column_names,
     parse_names_in_comment,
     refuse_shifted_names,
@@ -40,8 +40,8 @@ SETTINGS_HELP = "data.separator and data.decimal say what stands between and in 
 
 @dataclass(frozen=True, kw_only=True)
 class TextSettings:
-    """Layout of a text file as the user states it. Settings that are None are detected from the
-    file.
+    """Format of a text file as stated by the user: separator, decimal mark and header, each None
+    where it is detected. Settings that are None are detected from the file.
 
     `separator` is a mark or its name (tabs, semicolons, commas, bars, spaces); `decimal` is "." or
     ","; `header` is whether the first row of cells holds names.
@@ -63,13 +63,14 @@ class TextSettings:
 
     @property
     def separator_character(self) -> str | None:
-        """Separator of the cells as a character."""
+        """Separator of the cells in a text file, as a single character."""
         return BY_WORD.get(self.separator or "", self.separator)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TextLayout:
-    """Detected layout of a text file, and its `rows` of text with their `line_numbers`.
+    """Detected format of a text file: encoding, separator, decimal mark, column names and units,
+    with the rows as text.
 
     `names` are the header's cells, None where the file has none; `units` those of a row of units.
     """
@@ -85,7 +86,7 @@ class TextLayout:
     remarks: list[str] = field(default_factory=list)
 
     def describe(self) -> str:
-        """Describe the detected layout of a text file in one line."""
+        """Describe the detected format of a text file in one line."""
         decimal = ", decimal comma" if self.decimal == "," else ""
         encoding = "" if self.encoding.startswith("utf-8") else f", encoding {self.encoding}"
         header = "no names" if self.names is None else "a line of names"
@@ -96,7 +97,7 @@ class TextLayout:
 
 @dataclass(frozen=True, kw_only=True)
 class SampledCells:
-    """Cells of the first lines of a text file and of lines sampled from the whole file.
+    """Cells of the first lines of a text file, and of further lines sampled from the whole file.
 
     `columns` is the usual number of cells of a line; `numeric` says which of them hold values.
     """
@@ -109,7 +110,7 @@ class SampledCells:
 
     @classmethod
     def from_lines(cls, lines: list[str], separator: str, decimal: str) -> "SampledCells":
-        """Split sampled lines into cells, and find the columns of values."""
+        """Split sampled lines of a text file into cells, and find which columns contain values."""
         first = [split_cells(line, separator) for line in lines[:SAMPLED_ROWS]]
         spread = [split_cells(line, separator) for line in sample_lines(lines)]
         lengths = Counter(map(len, spread))
@@ -118,7 +119,8 @@ class SampledCells:
         return cls(first=first, spread=spread, decimal=decimal, columns=columns, numeric=numeric)
 
     def header_line_count(self) -> int | None:
-        """Number of header lines above the first row of values; None if there is no such row."""
+        """Number of lines above the first row of numbers in a text file; None if there is no such
+        row."""
         first = first_value_row(self.first, self.columns, self.numeric, self.decimal)
         if first is None or not any(self.numeric):
             return None
@@ -130,7 +132,8 @@ class SampledCells:
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """Names and units of the columns, the number of lines that they and prose take, and remarks."""
+    """Header of a text file: names and units of the columns, and the number of lines above the
+    numbers."""
 
     names: list[str] | None
     units: list[str]
@@ -139,7 +142,7 @@ class Header:
 
 
 def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLayout:
-    """Detect the layout of a text file: encoding, separator, decimal mark, header and units.
+    """Detect the format of a text file: encoding, separator, decimal mark, column names and units.
 
     Raises `BadRequest` where no row of numbers is found.
     """
@@ -158,11 +161,11 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
         names = parse_names_in_comment(comments, separator, cells.columns, decimal)
         header = replace(header, names=names)
     header = numbered_header(header, cells, settings.header)
-    remarks = [number_with_noun(len(comments), "comment line")] if comments else []
+    remarks = [count_phrase(len(comments), "comment line")] if comments else []
     if repeats:
-        remarks.append(f"the line of names {number_with_noun(repeats, 'time')} more")
+        remarks.append(f"the line of names {count_phrase(repeats, 'time')} more")
     rows, prose = remove_prose_below(body[header.lines :], separator, decimal, cells.columns)
-    below = [f"{number_with_noun(prose, 'line')} of prose below"] if prose else []
+    below = [f"{count_phrase(prose, 'line')} of prose below"] if prose else []
     return TextLayout(
         separator=separator,
         decimal=decimal,
@@ -177,8 +180,8 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
 
 
 def no_numbers_error(path: Path, body: list[NumberedLine]) -> BadRequest:
-    """Error for a text file without rows of numbers, which names the lines between which the
-    decimal mark changes."""
+    """Error for a text file without rows of numbers, which also says where the decimal mark
+    changes."""
     mixed = describe_mixed_decimals(body)
     if mixed:
         problem = f"numbers are written in two ways: {mixed}"
@@ -189,7 +192,8 @@ def no_numbers_error(path: Path, body: list[NumberedLine]) -> BadRequest:
 
 
 def separate_comments(text: str) -> tuple[list[NumberedLine], list[str]]:
-    """Separate the comment lines of a text from its other lines, whose numbers stay the same."""
+    """Separate the comment lines of a text file from all other lines, which keep their line
+    numbers."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     body = []
     comments = []
@@ -202,43 +206,43 @@ def separate_comments(text: str) -> tuple[list[NumberedLine], list[str]]:
     return body, comments
 
 
-def read_header(path: Path, cells: SampledCells, length: int, stated: bool | None) -> Header:
-    """Read the lines above the first row of values: names, units and prose. Raises `BadRequest` for
-    names where none are stated."""
+def read_header(path: Path, cells: SampledCells, length: int, has_header: bool | None) -> Header:
+    """Read column names and units from the lines above the numbers of a text file. Raises
+    `BadRequest` for names where none are stated."""
     above = cells.first[:length]
     titles = [row for row in above if may_be_header(row, cells.columns, cells.spread)]
     refuse_shifted_names(path, above, titles, cells.columns)
     names, units = split_names_and_units(titles)
-    if names is not None and stated is False:
+    if names is not None and has_header is False:
         problem = "the first line does not hold numbers"
         remedy = "leave data.header out"
         raise BadRequest("data.header", False, problem, remedy)
     prose = length - len(titles)
-    remarks = [f"{number_with_noun(prose, 'line')} of prose above"] if prose else []
+    remarks = [f"{count_phrase(prose, 'line')} of prose above"] if prose else []
     if units:
         remarks.append("a row of units")
     return Header(names=names, units=units, lines=length, remarks=remarks)
 
 
-def numbered_header(header: Header, cells: SampledCells, stated: bool | None) -> Header:
-    """Header of a table without column names, whose first row may hold the column numbers."""
+def numbered_header(header: Header, cells: SampledCells, has_header: bool | None) -> Header:
+    """Header of a text file without column names, whose first row may have the column numbers."""
     if header.names is not None:
         return header
-    names, skipped = numbered_column_names(cells.first, cells.columns, stated)
+    names, skipped = numbered_column_names(cells.first, cells.columns, has_header)
     remarks = [*header.remarks, "names that count"] if skipped else header.remarks
     return replace(header, names=names, lines=header.lines + skipped, remarks=remarks)
 
 
 def sample_lines(lines: list[str]) -> list[str]:
-    """Sample lines from the whole of a text file except its beginning."""
+    """Sample lines evenly from a text file, except for its beginning."""
     later = lines[min(len(lines) // 2, 20) :]
     stride = max(len(later) // SAMPLED_ROWS, 1)
     return later[::stride][:SAMPLED_ROWS]
 
 
 def find_separators(lines: list[str], settings: TextSettings) -> tuple[str, str]:
-    """Find the separator and the decimal mark with which the lines form the best table of
-    values."""
+    """Find the separator and the decimal mark with which the lines of a text file form the best
+    table of numbers."""
     separators = (
         SEPARATORS if settings.separator_character is None else (settings.separator_character,)
     )
@@ -261,8 +265,8 @@ def find_separators(lines: list[str], settings: TextSettings) -> tuple[str, str]
 
 
 def table_score(rows: list[list[str]], decimal: str) -> float:
-    """Score of how well lines that were split into cells form a table of values. It is the share of
-    rows with the usual length, times the share of values.
+    """Score between 0 and 1 of how well lines that were split into cells form a table of numbers.
+    It is the share of rows with the usual length, times the share of values.
 
     Of two readings that are both perfect, the one with more columns scores more. Cells as `05`
     are the digits behind a decimal comma, not whole numbers.
@@ -278,8 +282,8 @@ def table_score(rows: list[list[str]], decimal: str) -> float:
 
 
 def find_numeric_columns(rows: list[list[str]], columns: int, decimal: str) -> list[bool]:
-    """For each column, whether at least nine in ten sampled cells hold a value. A column of missing
-    values does not count."""
+    """For each column of a text file, whether at least nine in ten sampled cells contain a value. A
+    column of missing values does not count."""
     regular = [row for row in rows if len(row) == columns]
     numeric = []
     for j in range(columns):
@@ -292,7 +296,7 @@ def find_numeric_columns(rows: list[list[str]], columns: int, decimal: str) -> l
 def first_value_row(
     cells: list[list[str]], columns: int, numeric: list[bool], decimal: str
 ) -> int | None:
-    """Index of the first row that has values in all numeric columns; None if there is none."""
+    """Index of the first row with a value in every numeric column; None if there is no such row."""
     for k, row in enumerate(cells):
         if len(row) != columns:
             continue

@@ -18,10 +18,10 @@ FORTRAN = r"^([-+]?[\d.]+)[dD]([-+]?\d+)$"
 def normalise_numbers(
     cells: pa.ChunkedArray, missing: pa.ChunkedArray, decimal: str
 ) -> tuple[pa.ChunkedArray, str]:
-    """Rewrite numbers with a decimal point and without group separators, and describe what is
-    ambiguous."""
+    """Rewrite numbers in text cells with a decimal point and without thousands separators, and
+    describe ambiguous ones."""
     cells = pc.replace_substring(cells, "\u2212", "-")
-    cells = _remove_plain_separators(cells)
+    cells = _remove_spaces_between_digits(cells)
     filled = pc.filter(cells, pc.invert(missing))
     if not len(filled):
         return cells, ""
@@ -38,8 +38,8 @@ def normalise_numbers(
     return _replace_switch_words(cells, filled), ""
 
 
-def _remove_plain_separators(cells: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Remove apostrophes and spaces between groups of three digits."""
+def _remove_spaces_between_digits(cells: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Remove apostrophes and spaces that separate groups of three digits in text cells."""
     pattern = rf"^[-+]?\d{{1,3}}([{BARE_GROUPS}]\d{{3}})+([.,]\d+)?$"
     is_grouped = pc.match_substring_regex(cells, pattern)
     bare = pc.replace_substring_regex(cells, f"[{BARE_GROUPS}]", "")
@@ -49,8 +49,8 @@ def _remove_plain_separators(cells: pa.ChunkedArray) -> pa.ChunkedArray:
 def _remove_group_separators(
     cells: pa.ChunkedArray, filled: pa.ChunkedArray, group: str, decimal: str
 ) -> tuple[pa.ChunkedArray, str]:
-    """Remove the mark between groups of three digits if the column shows that the mark separates
-    groups."""
+    """Remove a comma or point that separates groups of three digits, if the column shows that this
+    is its meaning."""
     mark = "," if group == "," else r"\."
     point = r"\." if decimal == "." else ","
     grouped = rf"^[-+]?[1-9]\d{{0,2}}({mark}\d{{3}})+({point}\d+)?$"
@@ -65,7 +65,7 @@ def _remove_group_separators(
 
 
 def _replace_switch_words(cells: pa.ChunkedArray, filled: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Replace words for the state of a switch, such as on and off, by 1 and 0."""
+    """Replace words for the state of a switch, such as on and off, by 1 and 0 in text cells."""
     words = pa.array(list(WORDS))
     is_switch = pc.is_in(pc.utf8_lower(filled), value_set=words)
     if not pc.all(is_switch).as_py():

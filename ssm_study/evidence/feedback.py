@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ssm_study.data.log_dynamics import input_shares
+from ssm_study.data.log_dynamics import explained_output_variance
 from ssm_study.evidence.finding import Case, Finding, make_doubt, make_note
 from ssm_study.models.initial_system import fit_arx_matrices
 from ssm_study.models.spec import scale_records
@@ -72,8 +72,8 @@ def judge_feedback(case: Case) -> Iterator[Finding]:
             yield make_note(f"{statement}.")
         else:
             yield make_doubt(f"{statement}: move the set point more.")
-    earlier = feedback_share(case.data, 1)
-    present = feedback_share(case.data, 0)
+    earlier = feedback_error_reduction(case.data, 1)
+    present = feedback_error_reduction(case.data, 0)
     closed = shows_closed_loop(case.data, earlier, present)
     at_once = closed and earlier < EARLIER and responds_within_sample(case.data)
     if at_once and not case.model.linear.d.any():
@@ -196,7 +196,7 @@ def integrator_share(data: DataSet) -> float | None:
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
         return None
     longest = max(stretches, key=len)
-    shares = input_shares(longest.u[:, 0], longest.y[:, 0])
+    shares = explained_output_variance(longest.u[:, 0], longest.y[:, 0])
     return shares.change if shares.is_integrator else None
 
 
@@ -280,7 +280,7 @@ def dominant_mode_modulus(data: DataSet, lags: int) -> float:
     return float(np.abs(eigenvalues).max())
 
 
-def feedback_share(data: DataSet, first_lag: int) -> float:
+def feedback_error_reduction(data: DataSet, first_lag: int) -> float:
     """Fraction of the input's innovations that the output's innovations explain, which is large for
     a log from a closed loop. It is the largest share of any input's `w` that `v`, from `first_lag`
     samples ago on, explains in the other half."""

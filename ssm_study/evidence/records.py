@@ -7,7 +7,11 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.data.log_dynamics import FOLLOWS, input_shares, largest_explained_level
+from ssm_study.data.log_dynamics import (
+    FOLLOWS,
+    explained_output_variance,
+    largest_explained_variance,
+)
 from ssm_study.evidence.feedback import ROUNDING, integrator_share
 from ssm_study.evidence.finding import Case, Finding, ScaledRecord, make_doubt, make_note
 from ssm_study.evidence.response import INTEGRATES, slowest_mode_remainder
@@ -241,8 +245,8 @@ def follows_input_level(data: DataSet) -> bool:
     longest = max(stretches, key=len)
     u = longest.u[:, 0]
     y = longest.y[:, 0]
-    level = largest_explained_level(u, y)
-    return level > FOLLOWS and level >= input_shares(u, y).change
+    level = largest_explained_variance(u, y)
+    return level > FOLLOWS and level >= explained_output_variance(u, y).change
 
 
 def _judge_drift(case: Case) -> Iterator[str]:

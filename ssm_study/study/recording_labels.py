@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ssm_study.data.mcap_contents import list_foreign_contents
+from ssm_study.data.mcap_contents import list_unread_contents
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import Channel, DataSet
@@ -126,7 +126,7 @@ def find_foreign_contents(path: Path) -> list[str]:
     cases = RecordedCases.from_file(path).cases
     kind = "case" if path.name in (ON_PLANT, ON_MODEL, NOISE_FREE) else "record"
     expected = [f"/{kind}_{number}" for number in range(len(cases))]
-    foreign = list_foreign_contents(path)
+    foreign = list_unread_contents(path)
     for prefix, case in cases.items():
         names = [name for name in case if prefix not in expected or name not in topics]
         foreign += [f"topic {prefix}/{name}" for name in names]

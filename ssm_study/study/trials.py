@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssm_study.certificates.certificate import Design
-from ssm_study.data.channel_names import as_name_list
+from ssm_study.data.channel_names import as_name_tuple
 from ssm_study.data.clock import AGREEMENT
 from ssm_study.data.recording import Columns
 from ssm_study.engine.settings import run_name
@@ -94,7 +94,7 @@ def read_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Tr
     """
     source: Any = data
     columns: Columns = source if isinstance(source, Columns) else source.training[0]
-    in_both = set(as_name_list(columns.input)) & set(as_name_list(columns.output))
+    in_both = set(as_name_tuple(columns.input)) & set(as_name_tuple(columns.output))
     problem = "names an input and an output, in files of their own"
     remedy = "give the two columns different names"
     require(not in_both, "data.output", sorted(in_both), problem, remedy)

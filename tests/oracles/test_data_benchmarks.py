@@ -16,7 +16,7 @@ from scipy.io import loadmat, savemat
 from ssm_study.data.metrics import benchmark_rmse, position_rmse_mm
 from ssm_study.data.readers.text import TextReader as CsvReader
 from ssm_study.data.recording import Recording
-from ssm_study.evidence.feedback import EARLIER, PRESENT, feedback_share
+from ssm_study.evidence.feedback import EARLIER, PRESENT, feedback_error_reduction
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
 
@@ -365,4 +365,6 @@ def test_of_the_benchmarks_only_the_servo_was_recorded_in_a_closed_loop(
     built, name, closed
 ) -> None:  # type: ignore[no-untyped-def]
     data = built(name)
-    assert (feedback_share(data, 1) > EARLIER or feedback_share(data, 0) > PRESENT) == closed
+    assert (
+        feedback_error_reduction(data, 1) > EARLIER or feedback_error_reduction(data, 0) > PRESENT
+    ) == closed

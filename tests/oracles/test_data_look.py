@@ -15,9 +15,9 @@ from ssm_study.cli.main import DONE, main
 from ssm_study.data.log_dynamics import (
     FED_BACK,
     describe_log_dynamics,
-    feedback_share,
+    explained_output_variance,
+    feedback_error_reduction,
     first_response_lag,
-    input_shares,
     response_delay_sentence,
 )
 from ssm_study.data.look import look
@@ -100,7 +100,7 @@ def test_an_output_that_never_changes_with_the_input_is_no_integrator() -> None:
     u[0] = 1.0
     y = np.full(3000, 5.0)
     y[-1] = 5.1
-    assert input_shares(u, y).change == 0.0
+    assert explained_output_variance(u, y).change == 0.0
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -112,7 +112,7 @@ def test_a_heater_behind_a_dead_time_is_no_integrator(seed: int) -> None:
     heater = scipy.signal.lfilter([0.05], [1, -0.95], late)
     y = scipy.signal.lfilter([0.3 / 150], [1, -np.exp(-1 / 150)], heater)
     y = np.round(20 + y + 0.02 * rng.standard_normal(len(u)), 2)
-    assert not input_shares(u, y).is_integrator
+    assert not explained_output_variance(u, y).is_integrator
 
 
 def test_a_sweep_of_sines_is_no_closed_loop() -> None:
@@ -124,7 +124,7 @@ def test_a_sweep_of_sines_is_no_closed_loop() -> None:
     rng = np.random.default_rng(0)
     white_noise = rng.standard_normal(1000)
     y = y + 0.02 * white_noise
-    assert feedback_share(u, y) < FED_BACK
+    assert feedback_error_reduction(u, y) < FED_BACK
 
 
 def test_the_command_draws_and_prints(
@@ -188,9 +188,9 @@ def test_a_slow_lag_is_no_integrator(lag_samples: int) -> None:
     for k in range(1, 4000):
         difference = u[k - 1] - y[k - 1]
         y[k] = y[k - 1] + difference / lag_samples
-    assert not input_shares(u, y).is_integrator
+    assert not explained_output_variance(u, y).is_integrator
     running_sum = np.cumsum(u)
-    assert input_shares(u, running_sum).is_integrator
+    assert explained_output_variance(u, running_sum).is_integrator
 
 
 def test_a_slow_answer_is_seen_in_coarser_steps() -> None:
@@ -201,7 +201,7 @@ def test_a_slow_answer_is_seen_in_coarser_steps() -> None:
     white_noise = rng.standard_normal(len(y))
     y += 0.01 * white_noise
     assert first_response_lag(u, y) is None
-    shares = input_shares(u, y)
+    shares = explained_output_variance(u, y)
     assert "slow" in response_delay_sentence(u, y, shares)
 
 

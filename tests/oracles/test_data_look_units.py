@@ -24,8 +24,8 @@ def test_units_that_a_log_states_stand_in_the_command(
     path = tmp_path / "log.csv"
     columns = "t;u;y;load"
     names = ["u", "y"]
-    signal_columns = table[names]
-    signals = signal_columns.to_numpy()
+    signal_array_and_names = table[names]
+    signals = signal_array_and_names.to_numpy()
     rows = [f"{0.1 * k:.1f};{u:.5f};{y:.5f};{u * y:.5f}" for k, (u, y) in enumerate(signals)]
     row_of_units = f"s;{stated[0]};{stated[1]};-"
     lines = [columns, row_of_units, *rows]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from ssm_study.data.look import look
 from ssm_study.data.recorded import RecordedData
-from ssm_study.data.rounded_times import period_bounds_s, rounded_period_s, written_resolution
+from ssm_study.data.rounded_times import estimate_period_s, period_bounds_s, resolution_of_times
 from ssm_study.refusal import BadRequest
 
 
@@ -31,21 +31,21 @@ def test_the_period_is_found_or_none(
 ) -> None:
     """The true period lies among the possible ones, and the one taken is within what is stated."""
     times = in_digits(start_s * period_s + period_s * np.arange(samples), digits)
-    error_s = 0.6 * written_resolution(times)
+    error_s = 0.6 * resolution_of_times(times)
     possible_s = period_bounds_s(times, error_s)
     assert possible_s is not None
     upper_limit = period_s * (1 + 1e-9)
     assert possible_s[0] <= upper_limit
     lower_limit = period_s * (1 - 1e-9)
     assert possible_s[1] >= lower_limit
-    found = rounded_period_s(times)
+    found = estimate_period_s(times)
     if found is not None:
         assert found[0] == pytest.approx(period_s, rel=2e-3)
 
 
 def test_a_round_period_is_found_exactly() -> None:
     times = in_digits(0.135 * np.arange(3000), 3)
-    found = rounded_period_s(times)
+    found = estimate_period_s(times)
     assert found is not None
     assert found[0] == 0.135
     assert found[1] < 1e-3
@@ -56,12 +56,12 @@ def test_times_that_no_even_clock_explains() -> None:
     even = 0.135 * np.arange(2000)
     times = np.delete(even, 700)
     time_s = in_digits(times, 3)
-    assert rounded_period_s(time_s) is None
+    assert estimate_period_s(time_s) is None
     times = np.where(even > 20, 1.2 * even - 4, even)
     time_s = in_digits(times, 3)
-    assert rounded_period_s(time_s) is None
+    assert estimate_period_s(time_s) is None
     twice = np.sort(np.append(0.01 * np.arange(1000), 3.0))
-    assert rounded_period_s(twice) is None
+    assert estimate_period_s(twice) is None
 
 
 def test_too_few_digits_leave_the_period_open(tmp_path: Path) -> None:

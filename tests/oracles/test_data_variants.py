@@ -63,7 +63,7 @@ def test_a_clock_in_the_wrong_unit_is_counted_as_wrong(
     result = outcome(MILLISECONDS, tmp_path)
     end = result[0]
     assert end == "read"
-    monkeypatch.setattr(clock_column, "clock_unit_s", lambda *_: 1.0)
+    monkeypatch.setattr(clock_column, "stated_time_unit_s", lambda *_: 1.0)
     expected = ("wrong", "step 10")
     assert outcome(MILLISECONDS, tmp_path) == expected
 

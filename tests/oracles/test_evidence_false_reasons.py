@@ -257,7 +257,7 @@ def test_an_answer_within_the_sample_is_feedthrough_and_no_closed_loop(u):
     white_noise = RNG.standard_normal(len(u))
     y = filtered_signal + 0.02 * white_noise
     log = case(u, y)
-    assert feedback.feedback_share(log.data, 0) > feedback.PRESENT
+    assert feedback.feedback_error_reduction(log.data, 0) > feedback.PRESENT
     (finding,) = feedback.judge_feedback(log)
     assert "use model.feedthrough=true" in finding.sentence
     assert "closed-loop" not in finding.sentence

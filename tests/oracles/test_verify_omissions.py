@@ -12,7 +12,7 @@ from verify_lies import failing, sealed_anew
 
 from ssm_study.cli.main import main
 from ssm_study.data.mcap import METADATA_NAME, read_mcap
-from ssm_study.data.mcap_contents import list_foreign_contents
+from ssm_study.data.mcap_contents import list_unread_contents
 from ssm_study.durable import add_digest, write_json_atomically
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
@@ -150,10 +150,10 @@ def with_contents(path: Path) -> None:
 
 def test_what_no_run_writes_into_a_recording_is_named(copied_run: Path) -> None:
     path = copied_run / "closed_loop_model.mcap"
-    assert list_foreign_contents(path) == []
+    assert list_unread_contents(path) == []
     with_contents(path)
     expected = ["attachment protocol.txt", "metadata proof", "topic /protocol"]
-    assert list_foreign_contents(path) == expected
+    assert list_unread_contents(path) == expected
     sealed_anew(copied_run)
     (finding,) = [one for one in verify(copied_run) if one.claim == f"{path.name} contents"]
     assert not finding.holds

@@ -12,8 +12,8 @@ from ssm_study.refusal import require, require_at_least
 
 @dataclass(frozen=True, kw_only=True)
 class Chirp(Excitation):
-    """Excitation signal that is a sine with linearly rising frequency. `u = A sin(phi + 2 pi (f0 t
-    + (f1 - f0) t^2 / 2T))`: from f0 to f1 over the record.
+    """Excitation signal: a chirp, a sine whose frequency rises linearly with time. `u = A sin(phi +
+    2 pi (f0 t + (f1 - f0) t^2 / 2T))`: from f0 to f1 over the record.
 
     Random initial phase; every second channel sweeps downwards. `low_hz` None is one period per
     record, `high_hz` None is `0.5 / clock_s`.
@@ -49,8 +49,9 @@ class Chirp(Excitation):
 
 @dataclass(frozen=True, kw_only=True)
 class Staircase(Excitation):
-    """Excitation signal: ascending and descending steps over the input range. `levels` values
-    spaced uniformly over `[-A, A]`, climbed and descended, each held for `hold_clocks` clocks.
+    """Excitation signal: a staircase that ascends and descends over the input range. `levels`
+    values spaced uniformly over `[-A, A]`, climbed and descended, each held for `hold_clocks`
+    clocks.
 
     Shows the static map: long holds let each level settle. Every channel starts at a random point
     of the climb.

@@ -17,8 +17,9 @@ Amplitude = float | tuple[float, ...] | list[float] | None
 
 @dataclass(frozen=True, kw_only=True)
 class SignalRequest:
-    """Length, sampling time and amplitude of an excitation signal to be generated. `samples` every
-    `step_s`, offsets up to `amplitude (m,)` from equilibrium, levels held at least `clock_s`."""
+    """Number of samples, sampling period and amplitude of an excitation signal that is to be
+    generated. `samples` every `step_s`, offsets up to `amplitude (m,)` from equilibrium, levels
+    held at least `clock_s`."""
 
     samples: int
     step_s: float
@@ -32,8 +33,8 @@ class SignalRequest:
 
     @property
     def clock_samples(self) -> int:
-        """Clock period of the excitation in whole sampling periods. Raises `BadRequest` for less
-        than one."""
+        """Shortest holding time of an excitation level, in whole sampling periods. Raises
+        `BadRequest` for less than one."""
         samples = round(self.clock_s / self.step_s)
         problem = f"shorter than half the sampling time of {self.step_s:g} s"
         remedy = "hold each level for at least one sample"
@@ -43,8 +44,9 @@ class SignalRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class Excitation(ABC):
-    """Base class of excitation signals around an equilibrium. Offsets `(T, m)` in physical units
-    with `|u_i - u_eq,i| <= amplitude_i`; equal generators give equal signals.
+    """Base class of excitation signals, given as offsets from a plant's equilibrium input. Offsets
+    `(T, m)` in physical units with `|u_i - u_eq,i| <= amplitude_i`; equal generators give equal
+    signals.
 
     `amplitude` and `clock_s` None take the plant's own. Every channel gets a signal of its own.
     """
@@ -59,20 +61,20 @@ class Excitation(ABC):
     @property
     @abstractmethod
     def kind(self) -> str:
-        """Kind of the excitation, as it is named in the records."""
+        """Kind of an excitation signal as named in results, such as `prbs`."""
 
     @abstractmethod
     def unit_signal(self, request: SignalRequest, rng: np.random.Generator) -> Inputs:
-        """Generate the excitation signal for an amplitude of one, with values in [-1, 1]."""
+        """Generate an excitation signal of amplitude one, with values in [-1, 1]."""
 
     def signal(self, request: SignalRequest, rng: np.random.Generator) -> Inputs:
-        """Generate the excitation signal in physical units."""
+        """Generate an excitation signal in the physical units of the input."""
         own_request = self._with_own_amplitude_and_clock(request)
         return self.unit_signal(own_request, rng) * np.array(own_request.amplitude)
 
     def _with_own_amplitude_and_clock(self, request: SignalRequest) -> SignalRequest:
-        """Replace the plant's amplitude and clock period in a request by the excitation's own
-        values, where it has any."""
+        """Replace the plant's default amplitude and holding time in a request by those that the
+        excitation sets itself."""
         amplitude = request.amplitude if self.amplitude is None else self.amplitude
         if isinstance(amplitude, int | float):
             amplitudes = (float(amplitude),) * request.inputs
@@ -103,8 +105,8 @@ def check_frequency_band(low_hz: float | None, high_hz: float | None, name: str 
 
 @dataclass(frozen=True, kw_only=True)
 class PRBS(Excitation):
-    """Pseudo-random binary excitation sequence of two levels. `u in {-A, +A}`: a maximum-length
-    shift register of `register_bits` bits, clocked every `clock_s`.
+    """Excitation signal: pseudo-random binary sequence, which switches between two levels. `u in
+    {-A, +A}`: a maximum-length shift register of `register_bits` bits, clocked every `clock_s`.
 
     Period `2^bits - 1` clocks with a flat spectrum up to about `0.44 / clock_s`. Each channel
     starts the register elsewhere. Two levels show a static input nonlinearity at two points only:
@@ -138,8 +140,9 @@ class PRBS(Excitation):
 
 @dataclass(frozen=True, kw_only=True)
 class APRBS(Excitation):
-    """Pseudo-random excitation sequence of many levels (amplitude-modulated). Levels uniform in
-    `[-A, A]`, each held for a whole number of clocks uniform in `1 .. longest_hold_clocks`.
+    """Excitation signal: amplitude-modulated pseudo-random sequence, with random levels and holding
+    times. Levels uniform in `[-A, A]`, each held for a whole number of clocks uniform in `1 ..
+    longest_hold_clocks`.
 
     A multilevel signal visits the whole input range, so the slopes of a static input nonlinearity
     can be identified.

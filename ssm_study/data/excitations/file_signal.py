@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.channel_names import Names, as_name_list
+from ssm_study.data.channel_names import Names, as_name_tuple
 from ssm_study.data.excitations.excitation import Excitation, SignalRequest
 from ssm_study.data.readers.reader import read_table
 from ssm_study.refusal import require
@@ -14,8 +14,8 @@ from ssm_study.refusal import require
 
 @dataclass(frozen=True, kw_only=True)
 class OwnSignal(Excitation):
-    """Excitation signal that is read from the columns of a file. One column per input, with offsets
-    from the equilibrium in the input's unit; one row per sampling period.
+    """Excitation signal that is read from a file, one column per input. One column per input, with
+    offsets from the equilibrium in the input's unit; one row per sampling period.
 
     Records shorter than the file start at a random row of it. `amplitude` None takes the values as
     they are; a number scales each column to that peak.
@@ -42,8 +42,9 @@ class OwnSignal(Excitation):
         return u / np.abs(u).max(axis=0)
 
     def _read_columns(self, request: SignalRequest) -> Float[np.ndarray, "T2 m"]:
-        """Read the excitation signal of every input from the file, and check its length."""
-        names = as_name_list(self.column)
+        """Read one column of the user's excitation file for every input, and check the number of
+        rows."""
+        names = as_name_tuple(self.column)
         problem = f"the plant has {request.inputs} inputs"
         require(
             len(names) == request.inputs,

@@ -16,7 +16,7 @@ CLIP_AT = 0.85
 
 @dataclass(frozen=True, kw_only=True)
 class Multisine(Excitation):
-    """Excitation signal that sums sines of random phases, with equal power at all frequencies of a
+    """Excitation signal: a sum of sines with random phases and equal power at all frequencies of a
     band. `u(t) = A sum_k cos(2 pi k t / T + phi_k) / peak`, all lines k of the band, T the length
     of the record.
 
@@ -65,7 +65,7 @@ class Multisine(Excitation):
     def _channel_signal(
         self, band: np.ndarray, samples: int, rng: np.random.Generator
     ) -> Float[np.ndarray, "T"]:
-        """Generate the multisine of one input channel, with the lowest crest factor of several
+        """Generate the multisine of one input channel, with the lowest crest factor among several
         random choices of phases."""
         phases = np.exp(2j * np.pi * rng.random(len(band)))
         best = np.fft.irfft(np.where(band, phases, 0.0), samples)

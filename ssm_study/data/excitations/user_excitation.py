@@ -59,7 +59,8 @@ class OwnPlantRecord:
         require(enough, "settle_s", self.settle_s, problem, "sample faster: a smaller --step-s")
 
     def signal(self) -> Float[np.ndarray, "T"]:
-        """Generate the input signal of the experiment, one value per sampling period."""
+        """Generate the input signal of an identification experiment on the user's plant, one value
+        per sampling period."""
         settling = round(self.settle_s / self.step_s)
         rng = np.random.default_rng(self.seed)
         samples = PERIOD_IN_SETTLINGS * settling
@@ -80,8 +81,8 @@ class OwnPlantRecord:
         return np.concatenate(parts)
 
     def sine(self, angle: float, amplitude: float, settling: int) -> Float[np.ndarray, "T"]:
-        """Generate a single-sine signal with a whole number of samples per cycle. It has three
-        parts, each as long as the plant takes to settle."""
+        """Generate a sine with a whole number of samples per cycle: a part to settle, then two
+        parts to measure. It has three parts, each as long as the plant takes to settle."""
         cycle = max(round(2 * np.pi / angle), 4)
         cycles = max(-(-settling // cycle), SINE_CYCLES)
         reach = amplitude * min(self.upper - self.rest, self.rest - self.lower)
@@ -89,7 +90,8 @@ class OwnPlantRecord:
         return self.rest + np.tile(wave, 3 * cycles)  # the same bits in every cycle
 
     def write(self, path: Path) -> str:
-        """Write the input signal to a CSV file, and return a sentence that describes it."""
+        """Write the input signal of an identification experiment to a CSV file, and return a
+        sentence that describes it."""
         u = self.signal()
         time_s = np.arange(len(u)) * self.step_s
         table = pd.DataFrame({"time_s": time_s, "input": u})

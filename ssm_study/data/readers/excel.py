@@ -12,8 +12,8 @@ from ssm_study.refusal import BadRequest
 
 
 class ExcelReader(Reader, names=(".xlsx", ".xls", ".ods", ".xlsm")):
-    """Reader of the first sheet of a spreadsheet file. Names, units, dates and missing values are
-    found as in a text with tabs."""
+    """Reader of spreadsheet files, which reads the first sheet. Names, units, dates and missing
+    values are found as in a text with tabs."""
 
     def read(self, path: Path, names: list[str]) -> Table:
         return self._text_reader(path).read(path, names)
@@ -22,7 +22,8 @@ class ExcelReader(Reader, names=(".xlsx", ".xls", ".ods", ".xlsm")):
         return self._text_reader(path).read_all_columns(path)
 
     def _text_reader(self, path: Path) -> TextReader:
-        """Convert the first sheet to CSV text, and return a reader of that text."""
+        """Convert the first sheet of a spreadsheet to CSV text, and return a reader of that
+        text."""
         try:
             sheet = pd.read_excel(path, sheet_name=0, header=None, dtype=object)
         except ImportError as error:

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.data.readers.mat_hdf5 import parse_hdf5
+from ssm_study.data.readers.mat_hdf5 import parse_mat_hdf5
 from ssm_study.data.readers.reader import Reader, Table, check_column_names
 from ssm_study.refusal import BadRequest
 
@@ -64,16 +64,16 @@ SECONDS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "minutes"
 Value = np.ndarray | str  # a string says what it is instead of a real matrix
 
 
-class Text(str):
-    """Text in a MATLAB file, which is no signal and only appears in messages."""
+class MatText(str):
+    """Text variable in a MATLAB file, which is no signal and only appears in messages."""
 
     content: str = ""
 
 
-def _require_intact(condition: bool, otherwise: str) -> None:
-    """Raise `ValueError` for a damaged MATLAB file if a condition does not hold."""
+def _require_intact(condition: bool, message: str) -> None:
+    """Raise `ValueError` if a condition that every intact MATLAB file fulfils does not hold."""
     if not condition:
-        raise ValueError(otherwise)
+        raise ValueError(message)
 
 
 class MatReader(Reader, names=(".mat",)):
@@ -119,12 +119,12 @@ class MatReader(Reader, names=(".mat",)):
 
 
 def stated_step_s(
-    columns: dict[str, ColumnValues], texts: dict[str, str], owners: list[str]
+    columns: dict[str, ColumnValues], texts: dict[str, str], objects: list[str]
 ) -> float | None:
-    """Sampling time in seconds from the field `Ts` of MATLAB objects such as `iddata`; None if none
-    states it or they differ."""
+    """Sampling period in seconds that MATLAB objects such as `iddata` state in their field `Ts`;
+    None if none is stated or they differ."""
     steps = set()
-    for owner in owners:
+    for owner in objects:
         ts = columns.get(f"{owner}.Ts", np.empty(0))
         if not owner or len(ts) != 1:
             continue
@@ -144,7 +144,7 @@ def name_fields_remark(columns: dict[str, ColumnValues], texts: dict[str, str]) 
 
 
 def belong_to_one_matrix(columns: dict[str, ColumnValues]) -> bool:
-    """Whether all columns belong to one matrix of the MATLAB file."""
+    """Whether all columns come from one matrix of a MATLAB file."""
     matrices = {name.split(":")[0] for name in columns}
     return len(matrices) == 1 and len(columns) > 1
 
@@ -152,9 +152,9 @@ def belong_to_one_matrix(columns: dict[str, ColumnValues]) -> bool:
 def read_numeric_variables(
     path: Path,
 ) -> tuple[dict[str, ColumnValues], dict[str, str], dict[str, str]]:
-    """Read all numeric variables of a MATLAB file, with its texts and the reasons why other
-    variables are skipped. Vectors by name, matrices by columns; raises `BadRequest` for a file that
-    is not whole."""
+    """Read all numeric variables of a MATLAB file, together with its texts and the reasons why
+    other variables are skipped. Vectors by name, matrices by columns; raises `BadRequest` for a
+    file that is not whole."""
     try:
         contents = parse_mat_file(path)
     except BadRequest:
@@ -170,7 +170,7 @@ def read_numeric_variables(
     for name, value in contents.items():
         if isinstance(value, str):
             skipped[name] = f"is {value}, not real numbers"
-            texts[name] = value.content if isinstance(value, Text) else ""
+            texts[name] = value.content if isinstance(value, MatText) else ""
         elif value.ndim > 2 or value.size == 0:
             skipped[name] = f"has shape {value.shape}"
         elif min(value.shape, default=1) <= 1:
@@ -184,17 +184,17 @@ def read_numeric_variables(
 
 
 def parse_mat_file(path: Path) -> dict[str, Value]:
-    """Parse the bytes of a MATLAB file to its variables. Raises an exception of any type where the
-    bytes are wrong."""
+    """Parse the bytes of a MATLAB file of any version to named variables. Raises an exception of
+    any type where the bytes are wrong."""
     content = path.read_bytes()
     if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        return parse_hdf5(path, MOST_BYTES)
+        return parse_mat_hdf5(path, MOST_BYTES)
     _require_intact(len(content) >= 20, "it is too short")
     return dict(_parse_version_4(path) if 0 in content[:4] else _parse_version_5(content))
 
 
 def _parse_version_5(content: bytes) -> Iterator[tuple[str, Value]]:
-    """Iterate over the names and values of a MATLAB 5 file's variables."""
+    """Iterate over the names and values of the variables in a MATLAB 5 file."""
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128], "")
     _require_intact(order != "", "its header names no byte order")
     left = MOST_BYTES
@@ -218,8 +218,8 @@ def _parse_version_5(content: bytes) -> Iterator[tuple[str, Value]]:
 
 
 def _iterate_elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """Iterate over the tagged data elements of a MATLAB 5 file. `(type, length)` and the data,
-    padded to 8 bytes; or both in 8 bytes if they fit."""
+    """Iterate over the tagged data elements, types and contents, of a MATLAB 5 file. `(type,
+    length)` and the data, padded to 8 bytes; or both in 8 bytes if they fit."""
     at = 0
     while at < len(content):
         first, length = struct.unpack_from(order + "II", content, at)
@@ -240,8 +240,8 @@ def _iterate_elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]
 
 
 def _parse_variable(data: bytes, order: str, owner: str = "") -> Iterator[tuple[str, Value]]:
-    """Iterate over the named values in one variable of a MATLAB 5 file. Fields of structs and cells
-    of cell arrays have names of their own.
+    """Iterate over the named values in one variable of a MATLAB 5 file, whose structs and cell
+    arrays have several. Fields of structs and cells of cell arrays have names of their own.
 
     What kind of object it is is looked at before its shape: objects of new classes have neither
     shape nor name where matrices have them.
@@ -308,13 +308,14 @@ def _parse_struct(
 
 
 def _parse_matrix(parts: list[tuple[int, bytes]], order: str, name: str) -> Value:
-    """Parse a MATLAB 5 matrix of real numbers; any other kind of value is described in words."""
+    """Parse a matrix of a MATLAB 5 file to real numbers, or describe in words what else it
+    contains."""
     flags = struct.unpack_from(order + "I", parts[0][1])[0]
     sizes = np.frombuffer(parts[1][1], order + "i4")
     shape = tuple(int(size) for size in sizes)
     kind = flags & 0xFF
     if not FIRST_NUMERIC_CLASS <= kind <= LAST_NUMERIC_CLASS:
-        word = Text(CLASSES.get(kind, f"of class {kind}"))
+        word = MatText(CLASSES.get(kind, f"of class {kind}"))
         if kind == TEXT and len(parts) >= 4:
             letters = parts[3][1].replace(b"\0", b"")
             word.content = letters.decode("utf-8", errors="replace")
@@ -332,7 +333,7 @@ def _parse_matrix(parts: list[tuple[int, bytes]], order: str, name: str) -> Valu
 
 
 def _parse_version_4(path: Path) -> Iterator[tuple[str, Value]]:
-    """Iterate over the names and values of a MATLAB 4 file's variables, read by scipy."""
+    """Iterate over the names and values of the variables in a MATLAB 4 file."""
     with warnings.catch_warnings():
         warnings.simplefilter(
             "ignore", RuntimeWarning

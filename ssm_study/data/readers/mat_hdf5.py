@@ -20,7 +20,7 @@ WORDS = {"char": "text", "cell": "a cell array", "struct": "a struct",
 OWN = "#"  # first letter of MATLAB's own groups
 
 
-def parse_hdf5(path: Path, most_bytes: int) -> dict[str, Shaped[np.ndarray, "..."] | str]:
+def parse_mat_hdf5(path: Path, max_bytes: int) -> dict[str, Shaped[np.ndarray, "..."] | str]:
     """Read the variables of a MATLAB 7.3 file, which is an HDF5 file. Fields of structs have names
     such as `log.u`; a word stands for a value that is no real matrix.
 
@@ -36,8 +36,8 @@ def parse_hdf5(path: Path, most_bytes: int) -> dict[str, Shaped[np.ndarray, "...
         pairs = [pair for name in file for pair in iterate_datasets(name, file[name])]
         datasets = [value for _, value in pairs if not isinstance(value, str)]
         total = sum(value.nbytes for value in datasets)
-        if total > most_bytes:
-            raise ValueError(f"it holds more than {most_bytes >> 20} MiB; split it")
+        if total > max_bytes:
+            raise ValueError(f"it holds more than {max_bytes >> 20} MiB; split it")
         return {
             name: value if isinstance(value, str) else read_matrix(value) for name, value in pairs
         }
@@ -45,7 +45,7 @@ def parse_hdf5(path: Path, most_bytes: int) -> dict[str, Shaped[np.ndarray, "...
 
 def iterate_datasets(name: str, node: Any) -> Iterator[tuple[str, Any]]:
     """Iterate over the numeric HDF5 data sets of one MATLAB variable, without reading their
-    numbers. A word stands for a value without real numbers."""
+    contents. A word stands for a value without real numbers."""
     if name.startswith(OWN):
         return
     kind = matlab_class(node)
@@ -66,7 +66,8 @@ def iterate_datasets(name: str, node: Any) -> Iterator[tuple[str, Any]]:
 
 
 def matlab_class(node: Any) -> str:
-    """MATLAB class that an HDF5 node states; empty if none is stated."""
+    """MATLAB class, such as `double`, that an HDF5 object states in an attribute; empty if none is
+    stated."""
     stated = node.attrs.get("MATLAB_class", b"")
     if isinstance(stated, bytes):
         return stated.decode("ascii", errors="replace")
@@ -74,6 +75,6 @@ def matlab_class(node: Any) -> str:
 
 
 def read_matrix(node: Any) -> Shaped[np.ndarray, "..."]:
-    """Read an HDF5 data set as the matrix that MATLAB shows."""
+    """Read an HDF5 data set as a matrix with rows and columns as in MATLAB."""
     values = np.asarray(node[()])
     return np.atleast_2d(values).T

@@ -12,8 +12,7 @@ from ssm_study.refusal import require
 
 
 class McapReader(Reader, names=(".mcap",)):
-    """Reader of MCAP recordings, which takes the named fields, their units and their common log
-    times."""
+    """Reader of MCAP recordings, which reads numeric fields with their units and log times."""
 
     def read(self, path: Path, names: list[str]) -> Table:
         groups, _ = read_mcap(path)
@@ -50,7 +49,8 @@ class McapReader(Reader, names=(".mcap",)):
         return Table(columns=columns, units=units, time_s=time_s, row_word="message")
 
     def read_all_columns(self, path: Path) -> Table:
-        """Read every number field of all topics that share the times of the first topic."""
+        """Read every numeric field of all MCAP topics that have the same times as the first
+        topic."""
         groups, _ = read_mcap(path)
         first = groups[0].time_s
         columns = {}

@@ -7,7 +7,7 @@ from pathlib import Path
 import pyarrow as pa
 from pyarrow import parquet
 
-from ssm_study.data.readers.reader import Reader, Table, arrow_columns, check_column_names
+from ssm_study.data.readers.reader import Reader, Table, arrow_columns_to_arrays, check_column_names
 from ssm_study.refusal import BadRequest, require
 
 MOST_BYTES = 1 << 28  # of the named columns, unpacked
@@ -33,7 +33,7 @@ class ParquetReader(Reader, names=(".parquet",)):
             remedy = "split the record"
             require(rows <= most, "data.path", path, problem, remedy)
             table = parquet.read_table(path, columns=names, page_checksum_verification=True)
-            columns = arrow_columns(path, table, {name: name for name in names}, "row", 0)
+            columns = arrow_columns_to_arrays(path, table, {name: name for name in names}, "row", 0)
         except BadRequest:
             raise
         except (pa.ArrowException, OSError, ValueError) as error:
@@ -49,7 +49,8 @@ class ParquetReader(Reader, names=(".parquet",)):
         return Table(columns=columns, units=units, row_word="row", dated=frozenset(dated))
 
     def read_all_columns(self, path: Path) -> Table:
-        """Read every column of numbers or times, and list the other columns as skipped."""
+        """Read every column of numbers or times in a Parquet file, and list the other columns as
+        skipped."""
         try:
             schema = parquet.read_schema(path)
         except (pa.ArrowException, OSError, ValueError) as error:
@@ -65,6 +66,6 @@ class ParquetReader(Reader, names=(".parquet",)):
 
 
 def is_numeric_type(kind: pa.DataType) -> bool:
-    """Whether a Parquet column has a type of numbers or times."""
+    """Whether the type of a Parquet column is a number or a time."""
     tests = (pa.types.is_floating, pa.types.is_integer, pa.types.is_timestamp)
     return any(test(kind) for test in tests)

@@ -32,7 +32,7 @@ FOREIGN = {
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Columns that a reader took from a log file, with their units and the clock that the file
+    """Columns of numbers read from a log file, with their units, titles and the times that the file
     states. All columns have one length; row k is `row_word` number `first_row + k`, or
     `row_numbers[k]`.
 
@@ -54,8 +54,9 @@ class Table:
     dated: frozenset[str] = frozenset()
     nameless: bool = False
 
-    def row_name(self, row: int) -> str:
-        """Name of a row for messages, as the file itself counts its rows."""
+    def describe_row(self, row: int) -> str:
+        """Description of a table row for error messages, with the row number as the log file itself
+        counts."""
         number = row + self.first_row
         if self.row_numbers is not None:
             number = self.row_numbers[row]
@@ -63,7 +64,8 @@ class Table:
 
 
 class Reader(Family):
-    """Base class of the readers of file formats, one for each format. `names` are its suffixes."""
+    """Base class of the readers of log files, one class for each file format. `names` are its
+    suffixes."""
 
     settings: TextSettings = TextSettings()
 
@@ -73,15 +75,16 @@ class Reader(Family):
         missing or ambiguous column."""
 
     def read_all_columns(self, path: Path) -> Table:
-        """Read every readable column of a log file, in the order of the file. Refuses a file that
-        is not whole."""
+        """Read all readable columns of a log file, in the order of the file. Refuses a file that is
+        not whole."""
         problem = f"the reader of {path.suffix} files lists no columns"
         remedy = "name the columns"
         raise BadRequest("data.path", path, problem, remedy)
 
 
 def choose_reader(path: Path, settings: TextSettings | None = None) -> Reader:
-    """Choose the reader of a log file by its suffix. A file with an unknown suffix is read as text.
+    """Choose the reader of a log file by the suffix of the file name. A file with an unknown suffix
+    is read as text.
 
     Raises `BadRequest` for a missing file and for formats that are known and not read.
     """
@@ -134,7 +137,7 @@ def refuse_unusable_values(path: Path, name: str, table: Table, missing: bool) -
     is_bad = np.isinf(values) if missing else ~np.isfinite(values)
     bad = np.flatnonzero(is_bad)
     if len(bad):
-        where = f"{path.name}, column {name}, {table.row_name(int(bad[0]))}"
+        where = f"{path.name}, column {name}, {table.describe_row(int(bad[0]))}"
         raise BadRequest(where, values[bad[0]], "not a finite number", INTERPOLATE)
     finite = values[np.isfinite(values)]
     largest = float(np.abs(finite).max(initial=0.0))
@@ -149,8 +152,8 @@ def refuse_unusable_values(path: Path, name: str, table: Table, missing: bool) -
 
 
 def refuse_equal_columns(table: Table, signals: list[str], file: Path) -> None:
-    """Raise `BadRequest` for two signals that are the same column of a file, or hold the same
-    numbers."""
+    """Raise `BadRequest` for two signals that are the same column of a log file, or that have the
+    same numbers."""
     for k, name in enumerate(signals):
         for other in signals[:k]:
             theirs = table.columns[other]
@@ -173,39 +176,38 @@ def check_column_names(
     where: str,
     names: list[str],
     titles: Sequence[str],
-    whole: str = "file",
+    container: str = "file",
     remedy: str = "name one of these",
 ) -> None:
-    """Raise `BadRequest` for a column name that is unknown or ambiguous. `whole` says what holds
-    the known ones."""
+    """Raise `BadRequest` for a requested column name that is unknown or ambiguous. `container` says
+    what holds the known ones."""
     for name in names:
         count = list(titles).count(name)
         named = [title for title in titles if title]
         listing = ", ".join(named[:MOST_LISTED])
         if len(named) > MOST_LISTED:
             listing += " ..."
-        problem = f"the {whole} has {listing}"
+        problem = f"the {container} has {listing}"
         require(count > 0, where, name, problem, remedy)
-        problem = f"the {whole} has it {count} times"
+        problem = f"the {container} has it {count} times"
         require(count == 1, where, name, problem, "rename the others")
 
 
 def title_without_unit(title: str) -> str:
-    """Title of a column without the unit in brackets behind it, such as `speed` for `speed
-    [rad/s]`."""
+    """Column title without the unit in brackets at its end, such as `speed` for `speed [rad/s]`."""
     return re.sub(r"\s*(\[[^\]]*\]|\([^()]*\))\s*$", "", title).strip()
 
 
 def normalise_title(title: str) -> str:
-    """Reduce a column's title to its letters and digits in lower case, for comparison. The two
-    micro signs count as the same letter."""
+    """Reduce a column title to letters and digits in lower case, for comparison with other titles.
+    The two micro signs count as the same letter."""
     normal = unicodedata.normalize("NFKC", title)
     return re.sub(r"[\W_]+", "", normal).lower()
 
 
 def find_column(path: Path, name: str, titles: list[str], header: bool | None = None) -> int:
-    """Find the index of the column that a name or a number stands for. The name may be exact,
-    without its unit, or agree in its letters alone.
+    """Find the index of the column that a name or number stands for, among the titles of a log
+    file. The name may be exact, without its unit, or agree in its letters alone.
 
     A number counts the columns from 0. Where it is a title too, and of another column, the request
     is refused with both readings; `header` true says that it is the title.
@@ -242,11 +244,11 @@ def find_column(path: Path, name: str, titles: list[str], header: bool | None = 
     raise AssertionError  # check_named has refused it
 
 
-def arrow_columns(
+def arrow_columns_to_arrays(
     path: Path, table: Any, names: dict[str, str], row_word: str, first_row: int
 ) -> dict[str, Any]:
-    """Columns of an Arrow table as float64 arrays, keyed by name. `names` has the file's own name
-    for each.
+    """Convert the columns of an Arrow table to float64 arrays, keyed by name. `names` has the
+    file's own name for each.
 
     Dates and times become seconds since the first; a missing value is NaN.
     """

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 from jaxtyping import Float
 from pyarrow import csv as arrow_csv
 
-from ssm_study.data.dates import AmbiguousDates, is_date, seconds_since_first
+from ssm_study.data.dates import AmbiguousDates, dates_to_seconds, is_date
 from ssm_study.data.readers.reader import Reader, Table, find_column
 from ssm_study.data.text_cells import MISSING
 from ssm_study.data.text_layout import TextLayout, TextSettings, detect_layout
@@ -30,7 +30,8 @@ INFINITE = r"^[-+]?(inf|infinity)$"
 
 
 class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".prn", "")):
-    """Reader of delimited text files. Columns have the names in the first line, or numbers from 0.
+    """Reader of delimited text files, such as CSV, whose format is detected. Columns have the names
+    in the first line, or numbers from 0.
 
     A header cell `speed [rad/s]` or `speed (rad/s)` is also column `speed`, and states its unit; so
     does a row of units below the names. Dates and times become seconds since the first. An empty
@@ -41,7 +42,7 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
 
     @classmethod
     def from_text(cls, path: Path, text: str, settings: TextSettings) -> "TextReader":
-        """Make a reader of a text that takes the place of a file, such as the sheet of a
+        """Make a reader of a given text that takes the place of a file, such as the sheet of a
         spreadsheet."""
         reader = cls()
         reader.settings = settings
@@ -106,7 +107,7 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
         )
 
     def _parse_file(self, path: Path) -> tuple[TextLayout, pa.Table]:
-        """Layout and cells of a text file, parsed once for each reader."""
+        """Detected layout and parsed cells of a text file, computed once and then cached."""
         if self._parsed is None or self._parsed[0] != path:
             layout = detect_layout(path, path.read_bytes(), self.settings)
             self._parsed = (path, layout, parse_rows(path, layout))
@@ -114,7 +115,7 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
 
 
 def blank_duplicate_titles(titles: list[str], table: pa.Table) -> list[str]:
-    """Blank the titles of columns that repeat an earlier column of the same title."""
+    """Remove the titles of columns that have both the title and the values of an earlier column."""
     unique_titles = list(titles)
     for place, title in enumerate(titles):
         first = titles.index(title)
@@ -134,7 +135,8 @@ def drop_empty_last_column(columns: dict[str, Any], title: str, nameless: bool) 
 
 
 def column_titles(layout: TextLayout) -> list[str]:
-    """Titles of the columns of a text file, or their numbers from 0 where it has none."""
+    """Titles of the columns of a text file, or the column numbers 0, 1, 2, ... where the file has
+    no titles."""
     if layout.names is None:
         return [str(j) for j in range(layout.columns)]
     names = layout.names[: layout.columns]
@@ -144,8 +146,8 @@ def column_titles(layout: TextLayout) -> list[str]:
 
 
 def column_units(layout: TextLayout) -> list[str]:
-    """Units of the columns of a text file, from their titles or from a row of units; empty where
-    none is stated."""
+    """Units of the columns of a text file, from the titles or from a row of units; empty where none
+    is stated."""
     if layout.units:
         padded = layout.units + [""] * layout.columns
         return padded[: layout.columns]
@@ -154,7 +156,7 @@ def column_units(layout: TextLayout) -> list[str]:
 
 
 def parse_rows(path: Path, layout: TextLayout) -> pa.Table:
-    """Parse the rows of a text file to columns of text. Raises `BadRequest` if the rows have
+    """Split the rows of a text file into columns of text. Raises `BadRequest` if the rows have
     different numbers of cells."""
     separator = layout.separator
     rows = layout.rows
@@ -164,13 +166,14 @@ def parse_rows(path: Path, layout: TextLayout) -> pa.Table:
     places = [str(j) for j in range(layout.columns)]
     misfits: list[arrow_csv.InvalidRow] = []
 
-    def note_misfit_row(row: arrow_csv.InvalidRow) -> str:
-        """Note a row with a wrong number of cells, and tell the parser to skip it."""
+    def collect_misfit_row(row: arrow_csv.InvalidRow) -> str:
+        """Store a row with a wrong number of cells for the error message, and let the CSV parser
+        skip the row."""
         misfits.append(row)
         return "skip"
 
     read = arrow_csv.ReadOptions(use_threads=False, column_names=places)
-    parse = arrow_csv.ParseOptions(delimiter=separator, invalid_row_handler=note_misfit_row)
+    parse = arrow_csv.ParseOptions(delimiter=separator, invalid_row_handler=collect_misfit_row)
     kinds = dict.fromkeys(places, pa.string())
     convert = arrow_csv.ConvertOptions(column_types=kinds, strings_can_be_null=False)
     text = "\n".join(rows)
@@ -195,19 +198,19 @@ def parse_rows(path: Path, layout: TextLayout) -> pa.Table:
 
 
 def strip_cells(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Strip the spaces around the cells of a column."""
+    """Remove the spaces around the text in every cell of a column."""
     return pc.utf8_trim_whitespace(column)
 
 
 def mark_missing_cells(cells: pa.ChunkedArray) -> pa.ChunkedArray:
-    """For each cell of a column, whether it stands for a missing value."""
+    """For each cell of a column, whether its text stands for a missing value."""
     words = pa.array(sorted(MISSING))
     return pc.is_in(pc.utf8_lower(cells), value_set=words)
 
 
 def parse_column(column: pa.ChunkedArray, layout: TextLayout) -> tuple[ColumnValues | None, str]:
-    """Parse a column of text to numbers, or dates to seconds. For a column of other texts, return
-    None and a description of the texts."""
+    """Parse a column of text to numbers, or dates to seconds; for other texts, return None and a
+    description of them. For a column of other texts, return None and a description of the texts."""
     cells = strip_cells(column)
     missing = mark_missing_cells(cells)
     plain = cells
@@ -243,13 +246,13 @@ def parse_dates(
     cells: pa.ChunkedArray, missing: pa.ChunkedArray
 ) -> tuple[ColumnValues | None, str]:
     """Convert cells with dates to seconds since the first date, or return None and the reason why
-    this is impossible."""
+    they cannot be read."""
     filled = pc.filter(cells, pc.invert(missing))
     first = filled.slice(0, 1).to_pylist()
     if not first or not is_date(first[0]):
         return None, "no number"
     try:
-        seconds = seconds_since_first(cells.to_pylist())
+        seconds = dates_to_seconds(cells.to_pylist())
     except AmbiguousDates:
         return None, "days and months cannot be told apart"
     unread = ~np.isfinite(seconds) & ~missing.to_numpy()
@@ -260,7 +263,7 @@ def parse_dates(
 
 def find_time_of_day_column(table: pa.Table) -> tuple[int, ColumnValues] | None:
     """Find a column of times of day beside a column of dates, and combine both to seconds since the
-    first."""
+    first row."""
     for place in range(table.num_columns):
         if not all_cells_match(table.column(place), TIME_ALONE):
             continue
@@ -271,20 +274,20 @@ def find_time_of_day_column(table: pa.Table) -> tuple[int, ColumnValues] | None:
                 pairs = zip(dates, times, strict=True)
                 cells = [f"{date} {time}" for date, time in pairs]
                 try:
-                    return place, seconds_since_first(cells)
+                    return place, dates_to_seconds(cells)
                 except AmbiguousDates:
                     return None
     return None
 
 
 def all_cells_match(column: pa.ChunkedArray, form: str) -> bool:
-    """Whether every cell of a column matches a pattern."""
+    """Whether every cell of a column matches a regular expression."""
     matches = pc.match_substring_regex(strip_cells(column), form)
     return bool(pc.all(matches).as_py())
 
 
 def date_column_names(table: pa.Table, places: dict[str, int]) -> frozenset[str]:
-    """Names of the columns that hold dates."""
+    """Names of the columns of a text table that contain dates."""
     dated = set()
     for name, place in places.items():
         first = table.column(place).slice(0, 50)
@@ -296,7 +299,7 @@ def date_column_names(table: pa.Table, places: dict[str, int]) -> frozenset[str]
 
 
 def describe_first_unread_cell(column: pa.ChunkedArray, layout: TextLayout) -> str:
-    """Text on the first cell of a column that should hold a number but does not."""
+    """Text that quotes the first cell of a column that should be a number but is not."""
     cells = strip_cells(column)
     plain = normalise_numbers(cells, mark_missing_cells(cells), layout.decimal)[0]
     is_number = pc.match_substring_regex(plain, NUMBER)
@@ -310,7 +313,7 @@ def describe_first_unread_cell(column: pa.ChunkedArray, layout: TextLayout) -> s
 def unreadable_cell_error(
     path: Path, name: str, column: pa.ChunkedArray, layout: TextLayout, problem: str
 ) -> BadRequest:
-    """Error that names the first cell of a column that is neither a number nor a date."""
+    """Error that quotes the first cell of a column that is neither a number nor a date."""
     cells = strip_cells(column)
     where = f"{path.name}, column {name}"
     texts = cells.to_pylist()
