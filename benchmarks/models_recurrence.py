@@ -55,7 +55,7 @@ def contenders(samples: int, modes: int, batch: int = 16) -> dict[str, Callable[
     ours = LRU(start, feedthrough=False).float()
     evaluations = {
         "convolution": recurrence.simulate_by_convolution,
-        "chunks": recurrence.simulate_in_chunks,
+        "chunks": recurrence.simulate_in_blocks,
     }
     runs = {
         name: step(ours, lambda v, law=law: law(ours.modal_form(), v), u)

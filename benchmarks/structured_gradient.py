@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from common import REFERENCE, ROOT, cpu_seconds, write
 
-from ssm_study.models.structured_spec import TrainablePieces
+from ssm_study.models.structured_spec import TrainablePiecewiseMap
 from ssm_study.training.record_batch import RecordBatch
 from ssm_study.training.structured_problem import CORE, SimulationProblem, Theta
 
@@ -36,7 +36,7 @@ def problem(samples: int, size: int) -> tuple[SimulationProblem, Theta]:
     rng = np.random.default_rng(size)
     u = np.repeat(rng.uniform(-1, 1, (BATCH, samples // 10, 1)), 10, axis=1)
     y = rng.normal(size=u.shape)
-    identity = TrainablePieces(1, 0, 0.1, 1.0)
+    identity = TrainablePiecewiseMap(1, 0, 0.1, 1.0)
     told = {"neurons": ("tanh",) * size, "lift": identity, "read": identity}
     one = SimulationProblem(records=RecordBatch.from_pairs(list(zip(u, y, strict=True))), **told)  # type: ignore[arg-type]
     a = 0.9 * np.linalg.qr(rng.normal(size=(size, size)))[0]

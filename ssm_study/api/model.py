@@ -28,7 +28,7 @@ from ssm_study.data.metrics import data_columns
 from ssm_study.evidence.metrics import Judgement
 from ssm_study.models.bilinear import Bilinear
 from ssm_study.models.identified import SSM, Simulator
-from ssm_study.models.members import mean_output, member_columns
+from ssm_study.models.members import mean_output_of_models, member_columns
 from ssm_study.models.metrics import fit_columns, size_columns
 from ssm_study.models.structured import StructuredSSM, linearise_at_equilibrium
 from ssm_study.models.warm_start import initial_state_columns, simulate_validation_and_test
@@ -135,7 +135,7 @@ class Model:
         samples = len(inputs)
         measured = disturbance_array(disturbance, self.disturbance_names, samples)
         members = self.identification.members or (self.simulator,)
-        y = mean_output(members, inputs, measured)
+        y = mean_output_of_models(members, inputs, measured)
         table_types = pd.DataFrame | pd.Series
         if not isinstance(u, table_types):
             return y

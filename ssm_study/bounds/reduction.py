@@ -43,7 +43,7 @@ class Reduction:
         A model with neurons stays as it is: no state of its linear part can be dropped by itself
         (`BadRequest`).
         """
-        if not hasattr(model, "with_driven_system"):
+        if not hasattr(model, "with_system_and_disturbances"):
             problem = "balanced truncation is of linear recurrences"
             remedy = "use reduction.truncate_to=null"
             require(
@@ -54,8 +54,10 @@ class Reduction:
             model = model.absorb_map_centres()
         if not self.balanced or (self.truncate_to is None and model.linear.spectral_radius >= 1):
             return model  # a model that integrates has no such coordinates
-        system = model.driven_system  # a mode that only a measured disturbance moves stays, too
+        system = (
+            model.system_with_disturbances
+        )  # a mode that only a measured disturbance moves stays, too
         hankel = hankel_singular_values(system)
         state_count = int((hankel > self.drop_below * hankel[0]).sum())
         order = min(state_count, self.truncate_to or system.order)
-        return model.with_driven_system(balanced_realization(system, order))
+        return model.with_system_and_disturbances(balanced_realization(system, order))

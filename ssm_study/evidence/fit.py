@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from ssm_study.evidence.finding import Case, Finding, finding_by_size, make_doubt, make_note
 from ssm_study.models.metrics import Simulation
-from ssm_study.models.warm_start import simulate_unchosen_start
+from ssm_study.models.warm_start import simulate_from_unchosen_states
 from ssm_study.signals import fit_from_relative_error, fit_percent, lagged_inputs
 
 POOR_FIT = 50.0  # percent: below, a quarter of the output's power is not predicted
@@ -77,7 +77,7 @@ def poor_fit_remedy(case: Case) -> str:
     """End of a sentence on a poor fit, which says whether the model or the log is the cause and
     what to do. It is the model if something simple fits the test record better."""
     fits = {f"a linear filter of {LAGS} taps": fir_fit_percent(case)}
-    other = simulate_unchosen_start(case.model, case.data, case.test)
+    other = simulate_from_unchosen_states(case.model, case.data, case.test)
     if other is not None:
         fits["this model from its other start"] = other.fit_percent
     name = max(fits, key=lambda key: fits[key])
@@ -91,7 +91,7 @@ def poor_fit_remedy(case: Case) -> str:
 
 def judge_initial_state(case: Case) -> list[Finding]:
     """Doubt about a test record whose fit depends strongly on its estimated initial state."""
-    other = simulate_unchosen_start(case.model, case.data, case.test)
+    other = simulate_from_unchosen_states(case.model, case.data, case.test)
     if other is None or abs(other.fit_percent - case.test.fit_percent) <= STARTS_APART:
         return []
     from_past = any(state is not None for state in case.test.starts)

@@ -95,7 +95,7 @@ def advance_bilinear_states(
     at_nodes = np.einsum("qij,Nj->Nqi", model.a, states)
     at_nodes = at_nodes + model.b
     at_nodes = at_nodes + corrections
-    hats = model.hats(inputs)
+    hats = model.hat_values(inputs)
     return np.einsum("Nq,Nqi->Ni", hats, at_nodes)
 
 

@@ -13,12 +13,12 @@ import numpy as np
 
 from ssm_study.models.baselines.regression import (
     INPUT,
-    Polynomial,
+    NarxModel,
     fit_arx,
     fit_narx_models,
     fit_output_error,
 )
-from ssm_study.models.baselines.starts import OUTPUTS, STARTS, simulate_from_each_start
+from ssm_study.models.baselines.starts import OUTPUTS, STARTS, simulate_by_kind_of_start
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import DataSet
 
@@ -35,23 +35,25 @@ VALIDATES_AS_WELL = 1.0  # point of validation fit that a baseline may be behind
 
 @dataclass(frozen=True, kw_only=True)
 class Baseline:
-    """Simple fitted model, with a description, its validation fit, and the kind of initial state
-    from which it simulates the validation records best."""
+    """Simple fitted model for comparison, with its description and its fit to the validation
+    records."""
 
     words: str
-    model: Polynomial
+    model: NarxModel
     fit_validation_percent: float
     start: str = OUTPUTS
 
     def test_fit_percent(self, data: DataSet) -> float:
-        """Fit to the test records, in percent; minus infinity if the simulation diverges."""
+        """Fit of a baseline model to the test records in percent; minus infinity if its simulation
+        diverges."""
         with np.errstate(all="ignore"):
-            runs = simulate_from_each_start(self.model, data, data.test, (self.start,))
+            runs = simulate_by_kind_of_start(self.model, data, data.test, (self.start,))
             return finite_fit_percent(runs[self.start])
 
 
 def fit_best_baseline(data: DataSet) -> Baseline | None:
-    """Fit several simple models and return the one with the best validation fit.
+    """Fit several simple models for comparison, and return the one with the best fit to the
+    validation records.
 
     None for several outputs, and where the records are too short.
     """
@@ -59,7 +61,8 @@ def fit_best_baseline(data: DataSet) -> Baseline | None:
 
 
 def fit_baselines(data: DataSet) -> list[Baseline]:
-    """Fit several simple models and score them by the validation records.
+    """Fit several simple models (ARX, output error, NARX) for comparison, and compute their fits to
+    the validation records.
 
     Empty for several outputs, and where the records are too short. ARX with up to 20 lags, output
     error with up to 6, NARX of degree 2 and 3 with up to 20 terms; delays up to 8 samples, 0 where
@@ -93,8 +96,8 @@ def fit_baselines(data: DataSet) -> list[Baseline]:
 
 
 def baseline_columns(data: DataSet) -> dict[str, object] | None:
-    """Columns on the best simple model: its fit to the test records, and the least and largest of
-    those that validate about as well.
+    """Table columns on the best simple model: its fit to the test records, and the range among
+    models that validate about as well.
 
     None for several outputs, and where the records are too short for any of them. A fit is None if
     the simulation diverges.
@@ -116,39 +119,39 @@ def baseline_columns(data: DataSet) -> dict[str, object] | None:
 
 
 def _none_if_infinite(fit: float) -> float | None:
-    """A fit, or None if it is infinite."""
+    """Fit in percent as it is, or None if it is infinite."""
     return fit if np.isfinite(fit) else None
 
 
 def _score_baseline(
-    words: str, model: Polynomial, data: DataSet, starts: Sequence[str] = (OUTPUTS,)
+    description: str, model: NarxModel, data: DataSet, starts: Sequence[str] = (OUTPUTS,)
 ) -> Baseline:
-    """Score a simple model by its fit to the validation records, from the best of some kinds of
-    initial states."""
+    """Compute the validation fit of a simple model, with the best of several kinds of initial
+    states."""
     with np.errstate(all="ignore"):
-        runs = simulate_from_each_start(model, data, data.validation, starts)
+        runs = simulate_by_kind_of_start(model, data, data.validation, starts)
         fits = {start: finite_fit_percent(run) for start, run in runs.items()}
     best = max(fits, key=fits.__getitem__)
-    return Baseline(words=words, model=model, fit_validation_percent=fits[best], start=best)
+    return Baseline(words=description, model=model, fit_validation_percent=fits[best], start=best)
 
 
 def finite_fit_percent(run: Simulation) -> float:
-    """Fit of a free run, in percent; minus infinity if it diverges."""
+    """Fit of a free-run simulation in percent; minus infinity if the simulation diverges."""
     fit = run.fit_percent
     return fit if np.isfinite(fit) else -np.inf
 
 
-def _describe_narx(degree: int, model: Polynomial) -> str:
+def _describe_narx(degree: int, model: NarxModel) -> str:
     """Description of a polynomial NARX model in words."""
     return f"a polynomial NARX of degree {degree} with {len(model.theta)} terms"
 
 
 def _validation_fit(baseline: Baseline) -> float:
-    """Fit of a simple model to the validation records, in percent."""
+    """Fit of a simple comparison model to the validation records, in percent."""
     return baseline.fit_validation_percent
 
 
-def _shortest_input_lag(model: Polynomial) -> int:
-    """Shortest lag of the input among the terms of a polynomial model."""
+def _shortest_input_lag(model: NarxModel) -> int:
+    """Smallest input delay among the terms of a polynomial NARX model, in samples."""
     inputs = model.codes[model.codes >= INPUT]
     return int((inputs % 1000).min())

@@ -25,7 +25,7 @@ AGAIN = "write model.json again"
 
 
 def hat_functions(nodes: Nodes, v: Float[np.ndarray, "T"]) -> Hats:
-    """Values of the hat functions, which interpolate linearly between the nodes, at several inputs.
+    """Values of the hat functions of piecewise-linear interpolation between nodes, at given inputs.
     They are linear between the nodes and constant beyond the ends, so that each row adds up to
     one."""
     units = np.eye(len(nodes))
@@ -35,8 +35,9 @@ def hat_functions(nodes: Nodes, v: Float[np.ndarray, "T"]) -> Hats:
 
 @dataclass(frozen=True, kw_only=True)
 class Bilinear(Simulator, names=("bilinear",)):
-    """Identified bilinear model of one input, with matrices at several input levels (nodes). `x+ =
-    sum_i theta_i(v) (a_i x + b_i), w = c x`, v and w the scaled input and output.
+    """Identified bilinear model with one input, whose matrices are interpolated between input
+    levels (nodes). `x+ = sum_i theta_i(v) (a_i x + b_i), w = c x`, v and w the scaled input and
+    output.
 
     Shapes: `nodes (q,)`, ascending, one of them zero, `a (q, n, n)`, `b (q, n)`, zero at that node,
     `c (p, n)`.
@@ -80,17 +81,17 @@ class Bilinear(Simulator, names=("bilinear",)):
 
     @property
     def order(self) -> int:
-        """Model order, the number of states."""
+        """Number of states of a bilinear model."""
         return self.c.shape[1]
 
-    def hats(self, u: Float[np.ndarray, "T 1"]) -> Hats:
-        """Values of the model's hat functions along a physical input."""
+    def hat_values(self, u: Float[np.ndarray, "T 1"]) -> Hats:
+        """Values of a bilinear model's hat functions along an input signal in physical units."""
         first_input = self.scale.scaled_input(u)[:, 0]
         return hat_functions(self.nodes, first_input)
 
     def simulate(self, u: Inputs, x0: Float[np.ndarray, "*batch n"] | None = None) -> Outputs:
-        """Simulate the model in free run from a given state or from the equilibrium. Inputs and
-        outputs are in physical units."""
+        """Simulate a bilinear model in free run from a given state or from the equilibrium. Inputs
+        and outputs are in physical units."""
         starts = np.zeros((*u.shape[:-2], self.order)) if x0 is None else x0
         if u.ndim > 2:
             pairs = zip(u, starts, strict=True)
@@ -99,13 +100,13 @@ class Bilinear(Simulator, names=("bilinear",)):
         from ssm_study.models.bilinear_kernel import simulate_states  # loads numba
 
         x0 = np.asarray(starts, dtype=np.float64)
-        hats = self.hats(u)
+        hats = self.hat_values(u)
         states = simulate_states(hats, self.a, self.b, x0)
         scaled_output = states @ self.c.T
         return self.scale.physical_output(scaled_output)
 
     def simulate_from_outputs(self, u: Inputs, y_start: Measured) -> Outputs:
-        """Simulate the model in free run after some measured outputs."""
+        """Simulate a bilinear model in free run that continues some measured outputs."""
         if u.ndim > 2:
             pairs = zip(u, y_start, strict=True)
             runs = [self.simulate_from_outputs(*pair) for pair in pairs]
@@ -116,13 +117,13 @@ class Bilinear(Simulator, names=("bilinear",)):
     def estimate_initial_state(
         self, u: Float[np.ndarray, "T 1"], y_start: Float[np.ndarray, "S p"]
     ) -> Float[np.ndarray, "n"]:
-        """Estimate the initial state from the first outputs by regularised least squares. `argmin
-        |w - w_hat(x0)|^2 / noise + x0' W^{-1} x0`, W the second moment of the states that the input
-        reaches from rest."""
+        """Estimate the initial state of a bilinear model from the first outputs by regularised
+        least squares. `argmin |w - w_hat(x0)|^2 / noise + x0' W^{-1} x0`, W the second moment of
+        the states that the input reaches from rest."""
         from ssm_study.models.bilinear_kernel import simulate_state_derivatives, simulate_states
 
         samples = len(y_start)
-        hats = self.hats(u)
+        hats = self.hat_values(u)
         rest = np.zeros(self.order)
         reached = simulate_states(hats, self.a, self.b, rest)
         prior = reached.T @ reached / len(reached)

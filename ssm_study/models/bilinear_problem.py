@@ -39,7 +39,7 @@ Vector = Float[np.ndarray, "P"]
 
 
 class FitParameters(NamedTuple):
-    """Parameters of a bilinear model during its fit, by name."""
+    """Parameters of a bilinear model during its fit, one field for each block."""
 
     x: Float[np.ndarray, "q n n"]
     b: Float[np.ndarray, "q n"]
@@ -48,12 +48,12 @@ class FitParameters(NamedTuple):
     x0: Float[np.ndarray, "r n"]
 
     def flatten(self) -> Vector:
-        """All parameters of the fit as one vector."""
+        """Join all parameters of a bilinear fit to one vector."""
         flat_parts = [part.ravel() for part in self]
         return np.concatenate(flat_parts)
 
     def with_values(self, values: Vector) -> "FitParameters":
-        """Copy of the parameters, with the entries of a vector as their values."""
+        """Copy of the parameters of a bilinear fit, with values taken from one vector."""
         sizes = [part.size for part in self]
         ends = np.cumsum(sizes)[:-1]
         pieces = np.split(values, ends)
@@ -64,7 +64,8 @@ class FitParameters(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearProblem:
-    """Simulation errors of a bilinear model over all training records, and their Jacobian."""
+    """Least-squares problem of fitting a bilinear model to the free-run outputs of all training
+    records."""
 
     order: int
     rate: float | None
@@ -77,7 +78,7 @@ class BilinearProblem:
     def from_records(
         cls, records: Pairs, order: int, nodes: int, rate: float | None
     ) -> "BilinearProblem":
-        """Fitting problem of a bilinear model whose input levels (nodes) cover the range of the
+        """Set up the fit of a bilinear model whose input levels (nodes) cover the range of the
         recorded inputs."""
         recorded_inputs = [u[:, 0] for u, _ in records]
         inputs = np.concatenate(recorded_inputs)
@@ -98,7 +99,8 @@ class BilinearProblem:
         )
 
     def initial_parameters(self, rng: np.random.Generator, spread: float) -> FitParameters:
-        """Initial parameters of the fit: a linear ARX model at every node, plus a random part."""
+        """Initial parameters of a bilinear fit: a linear ARX model at every node, plus a random
+        perturbation."""
         n = self.order
         lengths = (len(u) for u, _ in self.records)
         longest = max(lengths)
@@ -136,7 +138,8 @@ class BilinearProblem:
         return FitParameters(x=free_matrices, b=b, c=c, offset=zero_offset, x0=x0)
 
     def _free_matrix(self, a: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-        """Unconstrained matrix from which the contracting state matrix of a node is computed."""
+        """Unconstrained matrix from which the contracting state matrix of a bilinear model is
+        computed."""
         if self.rate is None:
             return a
         n = len(a)
@@ -146,16 +149,18 @@ class BilinearProblem:
         return parameters_from_matrices(core, self.rate).x_g
 
     def state_matrices(self, parts: FitParameters) -> Float[np.ndarray, "q n n"]:
-        """State matrices `A_i` of all nodes."""
+        """State matrices `A_i` of a bilinear model at all nodes."""
         if self.rate is None:
             return parts.x
-        matrices = [matrices_from_parameters(_without_neurons(x), self.rate).a for x in parts.x]
+        matrices = [
+            matrices_from_parameters(_parameters_without_neurons(x), self.rate).a for x in parts.x
+        ]
         return np.stack(matrices)
 
     @property
     def equilibrium_projection(self) -> Float[np.ndarray, "q q"]:
-        """Matrix that subtracts the vector `b` of the node zero from all others, so that the
-        equilibrium is kept."""
+        """Matrix that subtracts the input vector `b` of the node at zero from all others, so that
+        the equilibrium stays at zero."""
         is_zero_node = self.nodes == 0.0
         at_zero = np.where(is_zero_node, 1.0, 0.0)
         node_count = len(self.nodes)
@@ -163,8 +168,8 @@ class BilinearProblem:
         return np.eye(node_count) - zero_rows
 
     def model(self, parts: FitParameters, scale: Scale, step_s: float) -> Bilinear:
-        """Bilinear model from the parameters of the fit. The offset of the output moves its
-        equilibrium."""
+        """Bilinear model in physical units, built from the parameters of the fit. The offset of the
+        output moves its equilibrium."""
         moved_by = scale.output_scale * parts.offset
         moved = scale.output_equilibrium + moved_by
         state_matrices = self.state_matrices(parts)
@@ -180,7 +185,8 @@ class BilinearProblem:
         )
 
     def residual(self, parts: FitParameters) -> Float[np.ndarray, "R"]:
-        """Free-run errors of all records in one vector, relative to the norm of the outputs."""
+        """Free-run errors of a bilinear model on all records as one vector, relative to the norm of
+        the outputs."""
         a = self.state_matrices(parts)
         b = self.equilibrium_projection @ parts.b
         errors = []
@@ -191,7 +197,8 @@ class BilinearProblem:
         return np.concatenate(errors) / self.deviation
 
     def loss(self, parts: FitParameters) -> float:
-        """Sum of the squared residuals; infinite where the free run diverges."""
+        """Sum of the squared relative free-run errors of a bilinear model; infinite if the run
+        diverges."""
         with np.errstate(all="ignore"):
             residual = self.residual(parts)
             value = float(residual @ residual)
@@ -201,7 +208,8 @@ class BilinearProblem:
     def residual_and_jacobian(
         self, parts: FitParameters
     ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R P"]]:
-        """Free-run errors of all records, and their Jacobian with respect to all parameters."""
+        """Free-run errors of a bilinear model on all records, and their Jacobian with respect to
+        all parameters."""
         a = self.state_matrices(parts)
         b = self.equilibrium_projection @ parts.b
         slopes = self._derivatives_by_free_matrices(parts)
@@ -228,7 +236,7 @@ class BilinearProblem:
         slopes: Float[np.ndarray, "q nn nn"],
         index: int,
     ) -> Float[np.ndarray, "R P"]:
-        """Jacobian of the outputs of one record with respect to all parameters."""
+        """Jacobian of a bilinear model's outputs on one record with respect to all parameters."""
         q, n, _ = parts.x.shape
         p = len(parts.c)
         samples = len(states)
@@ -249,7 +257,8 @@ class BilinearProblem:
         return np.concatenate(rows, axis=1)
 
     def _derivatives_by_free_matrices(self, parts: FitParameters) -> Float[np.ndarray, "q nn nn"]:
-        """Derivative of each state matrix `A_i` with respect to its unconstrained matrix."""
+        """Derivative of each state matrix of a bilinear model with respect to its unconstrained
+        parameter matrix."""
         q, n, _ = parts.x.shape
         units = np.eye(n * n)
         if self.rate is None:
@@ -262,14 +271,15 @@ class BilinearProblem:
         change = FreeParameters(x_e=none, x_g=unit_matrices, log_d=no_scales)
         derivatives = []
         for x in parts.x:
-            free = _without_neurons(x)
+            free = _parameters_without_neurons(x)
             moved = differentiate_matrices(free, change, self.rate)
             flat_change = moved.a.reshape(n * n, -1)
             derivatives.append(flat_change.T)
         return np.stack(derivatives)
 
     def minimise(self, parts: FitParameters, steps: int) -> FitParameters:
-        """Minimise the squared free-run error by a limited number of Levenberg-Marquardt steps."""
+        """Minimise the squared free-run error of a bilinear model by a limited number of
+        Levenberg-Marquardt steps."""
         damping = 1e-2
         for _ in range(steps):
             residual, jacobian = self.residual_and_jacobian(parts)
@@ -298,8 +308,8 @@ class BilinearProblem:
 
 
 def spread_nodes(lowest: float, highest: float, count: int) -> Nodes:
-    """Input levels (nodes) from the lowest to the highest input, equally spaced on each side of
-    zero."""
+    """Input levels (nodes) of a bilinear model, equally spaced on each side of zero up to the
+    extreme inputs."""
     lowest = min(lowest, 0.0)
     highest = max(highest, 0.0)
     share = -lowest / (highest - lowest) if highest > lowest else 0.5
@@ -313,15 +323,16 @@ def spread_nodes(lowest: float, highest: float, count: int) -> Nodes:
 
 
 def _contraction_coordinates(a: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Coordinates T in which a stable matrix has a norm below one, `|T a T^{-1}| < 1`."""
+    """Coordinate transformation in which a stable matrix has spectral norm below one."""
     identity = np.eye(len(a))
     p = scipy.linalg.solve_discrete_lyapunov(a.T, identity)
     factor = np.linalg.cholesky(p)
     return np.asarray(factor.T)
 
 
-def _without_neurons(x: Float[np.ndarray, "n n"]) -> FreeParameters:
-    """Free parameters of a contracting recurrence without neurons, from its free state matrix."""
+def _parameters_without_neurons(x: Float[np.ndarray, "n n"]) -> FreeParameters:
+    """Free parameters of a contracting linear recurrence (one without neurons) from the free state
+    matrix."""
     no_neurons = (len(x), 0)
     no_scales = np.zeros(0)
     return FreeParameters(x_e=np.zeros(no_neurons), x_g=x, log_d=no_scales)

@@ -23,8 +23,8 @@ SPREAD = 0.15  # random part of a further start's matrices
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearSpec(SolvedSpec):
-    """Settings of a bilinear model with `order` states and a matrix at each of `nodes` input
-    levels.
+    """Settings of a bilinear model: its order, and the number of input levels (nodes) at which it
+    has a matrix.
 
     With a `rate` the matrices have norms below it, so that the model contracts in open loop; null
     leaves them free. Levenberg-Marquardt on the error of the free run, at most `steps` steps from
@@ -52,7 +52,7 @@ class BilinearSpec(SolvedSpec):
         require(contracts, "model.rate", self.rate, "must lie in (0, 1)", "use 0.999 or null")
 
     def solve(self, data: DataSet) -> Bilinear:
-        """Fit the bilinear model to the training records.
+        """Fit a bilinear model to the training records, from several initial parameters.
 
         Raises `BadRequest` for several inputs and for records that are too short.
         """
@@ -84,14 +84,14 @@ class BilinearSpec(SolvedSpec):
     def _fit_from(
         self, problem: "BilinearProblem", parts: "FitParameters", data: DataSet
     ) -> Bilinear:
-        """Fit the model from given initial parameters."""
+        """Fit a bilinear model from given initial parameters."""
         fitted = problem.minimise(parts, self.steps)
         return problem.model(fitted, data.scale, data.step_s)
 
 
 def validation_fit_percent(model: Bilinear, data: DataSet) -> float:
-    """Fit of the model's free run to the validation records, in percent; minus infinity if it
-    diverges."""
+    """Fit of a bilinear model's free run to the validation records in percent; minus infinity if
+    the run diverges."""
     with np.errstate(all="ignore"):
         simulation = Simulation.simulate_records(model, data.validation, data.start_up_samples)
         fit = simulation.fit_percent

@@ -31,8 +31,8 @@ Moved = Float[np.ndarray, "d _ _"]
 
 
 class FreeParameters(NamedTuple):
-    """Unconstrained parameters of a contracting recurrence. `x_e (n, q)`, `x_g (n + q, n)`, `log_d
-    (q,)` may be any numbers."""
+    """Unconstrained parameters of a recurrence with neurons, every value of which gives a
+    contracting recurrence. `x_e (n, q)`, `x_g (n + q, n)`, `log_d (q,)` may be any numbers."""
 
     x_e: Float[np.ndarray, "*k n q"]
     x_g: Float[np.ndarray, "*k nq n"]
@@ -40,8 +40,8 @@ class FreeParameters(NamedTuple):
 
 
 class RecurrenceMatrices(NamedTuple):
-    """Matrices of a recurrence with neurons that decide whether it contracts. `a (n, n)`, `e (n,
-    q)`, `f (q, n)`."""
+    """Matrices of a recurrence with neurons that decide whether the recurrence contracts. `a (n,
+    n)`, `e (n, q)`, `f (q, n)`."""
 
     a: Float[np.ndarray, "*k n n"]
     e: Float[np.ndarray, "*k n q"]
@@ -49,7 +49,8 @@ class RecurrenceMatrices(NamedTuple):
 
 
 class ContractingRecurrence(NamedTuple):
-    """Recurrence with a metric in which it is proved to contract. `Lambda = diag(d)^{-2}`."""
+    """Recurrence with neurons, together with a metric in which it provably contracts. `Lambda =
+    diag(d)^{-2}`."""
 
     core: RecurrenceMatrices
     t: Float[np.ndarray, "n n"]
@@ -57,15 +58,15 @@ class ContractingRecurrence(NamedTuple):
 
 
 def matrices_from_parameters(free: FreeParameters, rate: float) -> RecurrenceMatrices:
-    """Matrices of a contracting recurrence from its unconstrained parameters. It contracts with `r
-    = rate` in the metric `M = I`."""
+    """Matrices of a contracting recurrence with neurons, computed from unconstrained parameters. It
+    contracts with `r = rate` in the metric `M = I`."""
     n = free.x_g.shape[1]
     con_e, _ = _cayley_contraction(free.x_e)
     e = np.sqrt(2.0) * con_e
     con_g, _ = _cayley_contraction(free.x_g)
     stacked = rate * con_g
     a = stacked[:n]
-    root = _slack_root(e)  # R
+    root = _slack_cholesky_factor(e)  # R
     scaled_g = stacked[n:]
     through_neurons = e.T @ a
     f = root @ scaled_g - through_neurons
@@ -75,10 +76,10 @@ def matrices_from_parameters(free: FreeParameters, rate: float) -> RecurrenceMat
 
 
 def differentiate_matrices(
-    free: FreeParameters, change: FreeParameters, rate: float
+    free: FreeParameters, directions: FreeParameters, rate: float
 ) -> RecurrenceMatrices:
-    """Directional derivatives of the recurrence's matrices with respect to unconstrained
-    parameters. The leading axis of `change` counts directions.
+    """Directional derivatives of a contracting recurrence's matrices with respect to the
+    unconstrained parameters. The leading axis of `directions` counts directions.
 
     `con(X) = X L^{-T}`, `L L' = I + X'X`: `d con = (dX - con dL') L^{-T}` with `dL = L low(L^{-1}
     dS L^{-T})`, low the lower triangle with half its diagonal. The same rule gives `dR` of `R R' =
@@ -91,18 +92,18 @@ def differentiate_matrices(
     e = root2 * con_e
     a = rate * con_g[:n]
     gh = rate * con_g[n:]
-    dcon_e = _differentiate_cayley_contraction(free.x_e, change.x_e, con_e, low_e)
+    dcon_e = _differentiate_cayley_contraction(free.x_e, directions.x_e, con_e, low_e)
     de = root2 * dcon_e
-    dcon_g = _differentiate_cayley_contraction(free.x_g, change.x_g, con_g, low_g)
+    dcon_g = _differentiate_cayley_contraction(free.x_g, directions.x_g, con_g, low_g)
     stacked = rate * dcon_g
     da = stacked[:, :n]
     dgh = stacked[:, n:]
-    root = _slack_root(e)
+    root = _slack_cholesky_factor(e)
     slack_change = de.mT @ e + e.T @ de
     droot = _differentiate_cholesky(root, -slack_change)  # of R R' = 2 I - E'E
     f = root @ gh - e.T @ a
     d = np.exp(free.log_d)
-    dlog = change.log_d
+    dlog = directions.log_d
     scaled_change = droot @ gh + root @ dgh
     change_of_e = de.mT @ a
     change_of_a = e.T @ da
@@ -115,19 +116,19 @@ def differentiate_matrices(
     return RecurrenceMatrices(a=da, e=de_scaled, f=df_scaled)
 
 
-def _slack_root(e: Float[np.ndarray, "n q"]) -> Float[np.ndarray, "q q"]:
-    """Cholesky factor R of `R R' = 2 I - E'E`."""
+def _slack_cholesky_factor(e: Float[np.ndarray, "n q"]) -> Float[np.ndarray, "q q"]:
+    """Cholesky factor of `2 I - E'E` for the neuron output matrix E of a contracting recurrence."""
     identity = np.eye(e.shape[1])
     squared_e = e.T @ e
     return np.linalg.cholesky(2.0 * identity - squared_e)
 
 
 def parameters_from_matrices(core: RecurrenceMatrices, rate: float) -> FreeParameters:
-    """Unconstrained parameters that give the matrices of a contracting recurrence. The inverse of
-    `matrices_from_parameters` with `d = 1`; `LinAlgError` where the LMI does not hold with `M = I,
-    Lambda = I`."""
+    """Unconstrained parameters that reproduce the matrices of a given contracting recurrence. The
+    inverse of `matrices_from_parameters` with `d = 1`; `LinAlgError` where the LMI does not hold
+    with `M = I, Lambda = I`."""
     e = core.e / np.sqrt(2.0)
-    root = _slack_root(core.e)
+    root = _slack_cholesky_factor(core.e)
     through_neurons = core.e.T @ core.a
     gh = np.linalg.solve(root, core.f + through_neurons)  # from F = R Gh - E'A
     rows = [core.a, gh]
@@ -141,8 +142,8 @@ def parameters_from_matrices(core: RecurrenceMatrices, rate: float) -> FreeParam
 def project_to_contracting(
     core: RecurrenceMatrices, slope: Float[np.ndarray, "q"], rate: float
 ) -> ContractingRecurrence:
-    """Change a recurrence until it contracts at a given rate. It is the first on a path from `core`
-    that does; `slope` is the neurons' average slope.
+    """Change the matrices of a recurrence with neurons just so far that it contracts at a given
+    rate. It is the first on a path from `core` that does; `slope` is the neurons' average slope.
 
     Along the path E shrinks while A takes over what the neurons did on average, `A + E diag(slope)
     F`, which is itself pulled inside `rate` first: at the end of the path no neuron is left. Raises
@@ -186,8 +187,8 @@ def project_to_contracting(
 
 
 def find_contraction_metric(core: RecurrenceMatrices, rate: float) -> ContractingRecurrence | None:
-    """Find a metric in which a recurrence contracts at a given rate; None if the search finds none.
-    The metric is M and Lambda.
+    """Find a metric in which a recurrence with neurons contracts at a given rate; None if the
+    search finds none. The metric is M and Lambda.
 
     With `w = (z + v)/2` the LMI is the bounded-real lemma of `C (zI - A)^{-1} B < 1`, `A = (A + E
     F/2)/r`, `B = E Lambda^{-1/2}/2`, `C = Lambda^{1/2} F/r`; Lambda balances the rows and columns
@@ -230,8 +231,8 @@ def find_contraction_metric(core: RecurrenceMatrices, rate: float) -> Contractin
 
 
 def transform_to_metric(contracting: ContractingRecurrence) -> RecurrenceMatrices:
-    """Transform a recurrence to coordinates in which its contraction metric is the identity. `xt =
-    T x`, with Lambda moved into E and F: `M = I, Lambda = I`."""
+    """Transform a contracting recurrence to state coordinates in which its contraction metric is
+    the identity. `xt = T x`, with Lambda moved into E and F: `M = I, Lambda = I`."""
     core, t, d = contracting
     back = np.linalg.inv(t)
     a = t @ core.a @ back
@@ -242,8 +243,8 @@ def transform_to_metric(contracting: ContractingRecurrence) -> RecurrenceMatrice
 
 
 def _balancing_scales(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]:
-    """Diagonal scaling that balances the rows and columns of a matrix. Off the diagonal, the rows
-    and columns of `diag(1/d) gains diag(d)` have equal norms."""
+    """Diagonal scaling that gives the rows and columns of a matrix equal norms (balancing). Off the
+    diagonal, the rows and columns of `diag(1/d) gains diag(d)` have equal norms."""
     diagonal = np.diagonal(gains)
     off = gains - np.diag(diagonal)
     d = np.ones(len(gains))  # the diagonal does not move under scaling
@@ -259,8 +260,8 @@ def _balancing_scales(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]
 
 
 def _cayley_contraction(x: Tall) -> tuple[Tall, Square]:
-    """Matrix of norm below one that the Cayley transform gives for any matrix, and the Cholesky
-    factor in it."""
+    """Matrix of norm below one from any matrix, by the Cayley transform, together with the Cholesky
+    factor used in it."""
     identity = np.eye(x.shape[1])
     squared = x.T @ x
     low = np.linalg.cholesky(identity + squared)
@@ -269,8 +270,8 @@ def _cayley_contraction(x: Tall) -> tuple[Tall, Square]:
 
 
 def _invert_cayley_contraction(y: Tall) -> Tall:
-    """Matrix that the Cayley transform converts to a given matrix of norm below one. `con(X) = Y`.
-    `I - Y'Y = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its Cholesky factor as L."""
+    """Matrix that the Cayley transform maps to a given matrix of norm below one. `con(X) = Y`. `I -
+    Y'Y = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its Cholesky factor as L."""
     identity = np.eye(y.shape[1])
     squared = y.T @ y
     inverse = np.linalg.cholesky(identity - squared)
@@ -279,7 +280,7 @@ def _invert_cayley_contraction(y: Tall) -> Tall:
 
 
 def _differentiate_cayley_contraction(x: Tall, dx: Moved, con: Tall, low: Square) -> Moved:
-    """Directional derivatives of the matrix that the Cayley transform gives."""
+    """Directional derivatives of the norm-bounded matrix that the Cayley transform computes."""
     slack_change = dx.mT @ x + x.T @ dx
     dlow = _differentiate_cholesky(low, slack_change)
     through_factor = con @ dlow.mT
@@ -288,8 +289,8 @@ def _differentiate_cayley_contraction(x: Tall, dx: Moved, con: Tall, low: Square
 
 
 def _differentiate_cholesky(low: Square, ds: Moved) -> Moved:
-    """Directional derivatives of the Cholesky factor of a matrix. `dL = L low(L^{-1} dS L^{-T})`
-    for `L L' = S`."""
+    """Directional derivatives of the Cholesky factor of a positive definite matrix. `dL = L
+    low(L^{-1} dS L^{-T})` for `L L' = S`."""
     back = np.linalg.inv(low)
     inner = np.tril(back @ ds @ back.T)  # low() with its whole diagonal
     identity = np.eye(len(low))

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ssm_study.bounds.slopes import jacobian_ball
 from ssm_study.family import Family
 from ssm_study.models.scaffolds.linear import LinearScaffold
-from ssm_study.models.scaffolds.scaffold import Explicit, Scaffold
+from ssm_study.models.scaffolds.scaffold import JsonDataclass, Scaffold
 from ssm_study.refusal import require, require_positive
 from ssm_study.signals import Scale
 from ssm_study.systems import StateSpace, System
@@ -24,25 +24,25 @@ State = Float[np.ndarray, "*batch n"]
 Lifted = Float[np.ndarray, "*batch mbar"]
 
 
-class Simulator(Family, Explicit):
-    """Interface of identified models, which consist of explicit numbers and can be simulated and
-    stored. `names` are their kinds."""
+class Simulator(Family, JsonDataclass):
+    """Interface of identified models, which are plain numbers that can be simulated and stored.
+    `names` are their kinds."""
 
     @abstractmethod
     def simulate(self, u: Inputs) -> Outputs:
-        """Simulate the model in free run from its equilibrium. Inputs and outputs are in physical
-        units."""
+        """Simulate an identified model in free run from its equilibrium. Inputs and outputs are in
+        physical units."""
 
     def simulate_from_outputs(self, u: Inputs, y_start: Measured) -> Outputs:  # noqa: ARG002
-        """Simulate the model in free run after some measured outputs. A model that cannot use them
-        starts at the equilibrium."""
+        """Simulate an identified model in free run that continues some measured outputs. A model
+        that cannot use them starts at the equilibrium."""
         return self.simulate(u)
 
 
 class ScaffoldedModel(Simulator):
-    """Base class of models with a recurrence between a static input map and a static output map. `y
-    = y_eq + output_scale S_y(ybar)`, ybar the output of a recurrence driven by `S_u((u - u_eq) /
-    input_scale)`.
+    """Base class of identified models in which a recurrence stands between a static input map and a
+    static output map. `y = y_eq + output_scale S_y(ybar)`, ybar the output of a recurrence driven
+    by `S_u((u - u_eq) / input_scale)`.
 
     Physical units outside, scaled units inside (`signals.Scale`).
     """
@@ -55,8 +55,8 @@ class ScaffoldedModel(Simulator):
     b_d: Float[np.ndarray, "_ _"]
 
     def check_dimensions(self) -> None:
-        """Raise `BadRequest` unless the dimensions of static maps, recurrence and signals fit
-        together."""
+        """Raise `BadRequest` unless the dimensions of a model's static maps, recurrence and signals
+        agree."""
         shape = (self.linear.order, self.scale.disturbances) if self.scale.disturbances else (0, 0)
         problem = f"the model needs a matrix of shape {shape}"
         stored_shape = self.b_d.shape
@@ -76,26 +76,26 @@ class ScaffoldedModel(Simulator):
 
     @property
     def order(self) -> int:
-        """Model order, the number of states."""
+        """Number of states of a model."""
         return self.linear.order
 
     @property
     def system(self) -> System:
-        """Linear or structured system to which certificates of this model refer."""
+        """State-space system, without the static maps, to which certificates of a model refer."""
         return self.linear
 
     def map_input(self, u: Float[np.ndarray, "*batch m"]) -> Lifted:
-        """Apply the static input map to a physical input. `ubar = S_u((u - u_eq) / input_scale)`
-        drives the recurrence."""
+        """Apply the static input map of a model to an input in physical units. `ubar = S_u((u -
+        u_eq) / input_scale)` drives the recurrence."""
         scaled_input = self.scale.scaled_input(u)
         return self.scaffold_in(scaled_input)
 
     def driving_signals(
         self, u: Float[np.ndarray, "*batch T m"], d: Float[np.ndarray, "*batch T k"] | None
     ) -> Float[np.ndarray, "*batch T j"]:
-        """Signals that drive the recurrence: the mapped input and the scaled measured disturbances.
-        Disturbances that are not given stay at their equilibrium; the signals are what
-        `simulate_mapped` takes."""
+        """Signals that drive a model's recurrence: the input after the static map, and scaled
+        measured disturbances. Disturbances that are not given stay at their equilibrium; the
+        signals are what `simulate_recurrence` takes."""
         lifted = self.map_input(u)
         if not self.scale.disturbances:
             return lifted
@@ -107,7 +107,7 @@ class ScaffoldedModel(Simulator):
     def disturbance_contribution(
         self, d: Float[np.ndarray, "*batch k"]
     ) -> Float[np.ndarray, "*batch n"]:
-        """Contribution of measured disturbances to the next state.
+        """Contribution of measured disturbances to a model's next state.
 
         No state and no input enters it, so it cancels where two motions under the same d are
         subtracted (docs/theory.md, "Measured disturbances").
@@ -116,8 +116,9 @@ class ScaffoldedModel(Simulator):
         return scaled_disturbance @ self.b_d.T
 
     @property
-    def driven_system(self) -> StateSpace:
-        """Linear system that is driven by the mapped input and the measured disturbances."""
+    def system_with_disturbances(self) -> StateSpace:
+        """Linear system whose inputs are the model's mapped inputs and its measured
+        disturbances."""
         linear = self.linear
         if not self.scale.disturbances:
             return linear
@@ -131,45 +132,45 @@ class ScaffoldedModel(Simulator):
 
     @abstractmethod
     def advance(self, x: State, ubar: Lifted) -> State:
-        """Advance the state of the model by one sample for a mapped input."""
+        """Advance a model's state by one sample, for an input after the static input map."""
 
     def output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
-        """Physical output of the model for a state and a mapped input. `y = y_eq + output_scale
-        S_y(ybar)`."""
+        """Output of a model in physical units for a state and an input after the static input map.
+        `y = y_eq + output_scale S_y(ybar)`."""
         scaled_output = self.scaled_output_at(x, ubar)
         return self.scale.physical_output(scaled_output)
 
     @abstractmethod
     def scaled_output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
-        """Output of the model in scaled units for a state and a mapped input. `S_y(ybar)`, which
-        the observer's innovation needs."""
+        """Output of a model in scaled units for a state and an input after the static input map.
+        `S_y(ybar)`, which the observer's innovation needs."""
 
     @abstractmethod
-    def simulate_mapped(
+    def simulate_recurrence(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, np.ndarray]:
-        """Simulate the recurrence for a sequence of mapped inputs. `ybar` from `x0` (default 0),
-        with the last state or all of them. `ubar` is what `map_input` or `driving_signals`
-        returns."""
+        """Simulate a model's recurrence without its static maps, for a sequence of mapped inputs.
+        `ybar` from `x0` (default 0), with the last state or all of them. `ubar` is what `map_input`
+        or `driving_signals` returns."""
 
     def simulate(
         self, u: Inputs, x0: State | None = None, d: Float[np.ndarray, "*batch T k"] | None = None
     ) -> Outputs:
-        """Simulate the model in free run from a given state or from the equilibrium. Inputs and
-        outputs are in physical units.
+        """Simulate a model in free run, in physical units, from a given state or from the
+        equilibrium. Inputs and outputs are in physical units.
 
         Measured disturbances that are not given stay at their equilibrium.
         """
         signals = self.driving_signals(u, d)
-        ybar = self.simulate_mapped(signals, x0)[0]
+        ybar = self.simulate_recurrence(signals, x0)[0]
         scaled_output = self.scaffold_out(ybar)
         return self.scale.physical_output(scaled_output)
 
 
 @dataclass(frozen=True, kw_only=True)
 class DelayLine:
-    """Delay line that adds a dead time to a model by further states. They hold the inputs of the
-    last samples, the newest first, behind the `states` of the model."""
+    """Delay line that adds a dead time to a model by states that store past inputs. They hold the
+    inputs of the last samples, the newest first, behind the `states` of the model."""
 
     states: int
     channels: int
@@ -177,14 +178,14 @@ class DelayLine:
 
     @property
     def state_count(self) -> int:
-        """Number of states of the delay line."""
+        """Number of states that a delay line adds to a model."""
         return self.samples * self.channels
 
     def state_matrix(
         self, a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]
     ) -> Float[np.ndarray, "N N"]:
-        """State matrix of a model with a delay line before its input. The oldest input drives the
-        model by B."""
+        """State matrix of a model that is extended by a delay line at its input. The oldest input
+        drives the model by B."""
         n = self.states
         size = n + self.state_count
         whole = np.zeros((size, size))
@@ -195,14 +196,15 @@ class DelayLine:
         return whole
 
     def input_matrix(self) -> Float[np.ndarray, "N m"]:
-        """Input matrix of a model with a delay line. The input only enters the line."""
+        """Input matrix of a model that is extended by a delay line at its input. The input only
+        enters the line."""
         all_states = self.states + self.state_count
         return np.eye(all_states, self.channels, -self.states)
 
     def append_delay_columns(
         self, of_state: Float[np.ndarray, "k n"], of_input: Float[np.ndarray, "k m"]
     ) -> Float[np.ndarray, "k N"]:
-        """Extend a matrix that acts on state and input, so that it acts on the state with the delay
+        """Extend a matrix that acts on state and input so that it acts on the state with the delay
         line."""
         delayed_shape = (len(of_state), self.state_count - self.channels)
         newer = np.zeros(delayed_shape)
@@ -222,8 +224,8 @@ class DelayLine:
 
 @dataclass(frozen=True, kw_only=True)
 class SSM(ScaffoldedModel):
-    """Identified linear recurrence between static input and output maps. `x+ = A x + B S_u(ut), y =
-    y_eq + output_scale S_y(C x + D S_u(ut)), ut = (u - u_eq) / input_scale`.
+    """Identified model: a linear recurrence between a static input map and a static output map. `x+
+    = A x + B S_u(ut), y = y_eq + output_scale S_y(C x + D S_u(ut)), ut = (u - u_eq) / input_scale`.
 
     Shapes: `linear` has `scaffold_in.outputs` inputs and `scaffold_out.inputs` outputs. With k
     measured disturbances `x+` has the further term `b_d (d - d_eq) / d_scale`, `b_d (n, k)`.
@@ -242,8 +244,8 @@ class SSM(ScaffoldedModel):
 
     @classmethod
     def from_linear(cls, linear: StateSpace, step_s: float, scale: Scale | None = None) -> "SSM":
-        """Model of a linear system, with identities as static maps. Signals are scaled by one
-        around zero unless `scale` is given."""
+        """Make a model of a linear state-space system, with identities as static maps. Signals are
+        scaled by one around zero unless `scale` is given."""
         m = linear.b.shape[1]
         p = len(linear.c)
         inward = LinearScaffold.identity(m)
@@ -254,7 +256,7 @@ class SSM(ScaffoldedModel):
         )
 
     def advance(self, x: State, ubar: Lifted) -> State:
-        """Advance the state by one sample, `x+ = A x + B ubar`."""
+        """Advance the state of the linear recurrence by one sample, `x+ = A x + B ubar`."""
         free_motion = x @ self.linear.a.T
         driven_motion = ubar @ self.linear.b.T
         return free_motion + driven_motion
@@ -266,23 +268,23 @@ class SSM(ScaffoldedModel):
         from_input = ubar @ self.linear.d.T
         return self.scaffold_out(from_state + from_input)
 
-    def simulate_mapped(
+    def simulate_recurrence(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, State]:
-        """Simulate the linear recurrence `C x + D ubar` step by step. The last state is returned,
-        too."""
+        """Simulate the linear recurrence without the static maps, and return its output and its
+        last state. The last state is returned, too."""
         input_count = self.linear.b.shape[1]
         lifted = ubar.shape[-1] == input_count
-        system = self.linear if lifted else self.driven_system
+        system = self.linear if lifted else self.system_with_disturbances
         return system.simulate(ubar, x0)
 
     def with_linear_part(self, linear: StateSpace) -> "SSM":
-        """Copy of the model with another linear part `(A, B, C, D)` of equally many states."""
+        """Copy of the model with another linear recurrence `(A, B, C, D)` of the same order."""
         return replace(self, linear=linear)
 
-    def with_driven_system(self, system: StateSpace) -> "SSM":
-        """Copy of the model with its linear part, including the disturbance inputs, replaced by one
-        of any order. The inverse of `driven_system`."""
+    def with_system_and_disturbances(self, system: StateSpace) -> "SSM":
+        """Copy of the model with another linear recurrence, of any order, including the disturbance
+        inputs. The inverse of `system_with_disturbances`."""
         m = self.linear.b.shape[1]
         mapped_columns = system.b[:, :m]
         feedthrough_columns = system.d[:, :m]
@@ -291,9 +293,9 @@ class SSM(ScaffoldedModel):
         return replace(self, linear=linear, b_d=b_d)
 
     def with_dead_time(self, samples: int) -> "SSM":
-        """Copy of the model with a dead time at its input. `x+ = A x + B ub[k - samples]`; the
-        delayed inputs are states of the recurrence. Measured disturbances act without the dead
-        time."""
+        """Copy of the model with a dead time at its input, whose delayed inputs become states. `x+
+        = A x + B ub[k - samples]`; the delayed inputs are states of the recurrence. Measured
+        disturbances act without the dead time."""
         linear = self.linear
         input_count = linear.b.shape[1]
         line = DelayLine(states=linear.order, channels=input_count, samples=samples)
@@ -306,8 +308,8 @@ class SSM(ScaffoldedModel):
         return replace(self, linear=late, b_d=delayed_disturbance)
 
     def absorb_map_centres(self) -> "SSM":
-        """Move linear factors of the static maps into the linear part, if their balls of Jacobians
-        become smaller. The input-output map stays the same.
+        """Move linear factors of the static maps into the linear recurrence where this tightens the
+        bounds on the maps' slopes. The input-output map stays the same.
 
         `B S_u(v) = (B M) (M^{-1} S_u(v))` and `S_y(C x) = (S_y M^{-1})(M C x)`, whose scaffoldings
         then have Jacobians around the identity. The theorems speak of a ball around `alpha I`; a
@@ -336,8 +338,8 @@ class SSM(ScaffoldedModel):
 def _factor_out_centre(
     scaffold: Scaffold, method: str
 ) -> tuple[Scaffold, Float[np.ndarray, "m m"]] | None:
-    """Static map without the centre matrix of its Jacobians, and that matrix; None if the ball of
-    Jacobians becomes no smaller."""
+    """Split a static map into a linear factor and a rest with tighter slope bounds; None if the
+    bounds become no tighter."""
     has_other_channels = scaffold.inputs != scaffold.outputs
     if has_other_channels or scaffold.inputs == 1:
         return None

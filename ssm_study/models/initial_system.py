@@ -25,7 +25,7 @@ Pairs = Sequence[Record]  # their lengths may differ
 
 @dataclass(frozen=True, kw_only=True)
 class Initialisation:
-    """Linear system from which the training starts, in modal form.
+    """Linear system in modal form with which the training of a recurrence begins.
 
     `y = Re(c_r x_r) + 2 Re(c_c x_c) + d u`: the factor two of the pairs is not in `c`.
     """
@@ -36,7 +36,7 @@ class Initialisation:
     d: Float[np.ndarray, "p m"]
 
     def simulate_output(self, u: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T p"]:
-        """Output of the initial linear system, simulated from the equilibrium."""
+        """Simulate the output of the initial linear system from the equilibrium."""
         # SciPy loads a part at its first use: this one takes half a second.
         lfilter = scipy.signal.lfilter
         gains = zip(self.modes, self.b, strict=True)
@@ -57,8 +57,9 @@ def draw_modes_on_ring(
     channels: tuple[int, int],
     rng: np.random.Generator,
 ) -> Initialisation:
-    """Draw random stable modes in a ring inside the unit circle. Radii are uniform in area between
-    the two given, angles uniform in `frequency` (rad per sample); gains are small and random.
+    """Draw a random stable linear system whose eigenvalues lie in a ring inside the unit circle.
+    Radii are uniform in area between the two given, angles uniform in `frequency` (rad per sample);
+    gains are small and random.
 
     Source: Orvieto et al. (2023), lemma 3.2.
     """
@@ -88,7 +89,8 @@ def draw_modes_on_ring(
 def draw_complex_normal(
     rng: np.random.Generator, shape: tuple[int, int]
 ) -> Complex[np.ndarray, "_ _"]:
-    """Draw complex numbers with independent normal real and imaginary parts."""
+    """Draw complex numbers whose real and imaginary parts are independent and normally
+    distributed."""
     real = rng.normal(size=shape)
     imaginary = rng.normal(size=shape)
     return real + 1j * imaginary
@@ -97,8 +99,9 @@ def draw_complex_normal(
 def estimate_initial_system(
     records: Pairs, order: int, rng: np.random.Generator, feedthrough: bool
 ) -> Initialisation:
-    """Estimate, from the records, the linear system with which training begins. ARX by least
-    squares over all records, its impulse response, a balanced realisation of it, its modes.
+    """Estimate the linear system with which training begins from the training records, by ARX and
+    balanced realisation. ARX by least squares over all records, its impulse response, a balanced
+    realisation of it, its modes.
 
     Long ARX models are unstable on noise, and where the input acts at once but no feedthrough is
     allowed; their modes, pulled into the unit circle, then answer a thousandfold. A start whose
@@ -124,9 +127,9 @@ def estimate_initial_system(
 
 
 def output_regression_coefficient(start: Initialisation, records: Pairs) -> float:
-    """Coefficient of the regression of the measured output on an initial system's output. `<y, ys>
-    / <ys, ys>` of the free runs `ys` from rest: half or more if these are nearer to `y` than zero
-    is."""
+    """Coefficient of the regression of the measured output on the simulated output of an initial
+    linear system. `<y, ys> / <ys, ys>` of the free runs `ys` from rest: half or more if these are
+    nearer to `y` than zero is."""
     measured_outputs = [y for _, y in records]
     measured = np.concatenate(measured_outputs)
     simulated_outputs = [start.simulate_output(u) for u, _ in records]
@@ -141,8 +144,9 @@ def output_regression_coefficient(start: Initialisation, records: Pairs) -> floa
 def fit_arx_matrices(
     records: Pairs, lags: int, feedthrough: bool
 ) -> tuple[Float[np.ndarray, "lags p p"], Float[np.ndarray, "lags_1 p m"]]:
-    """Least-squares estimate of a multivariable ARX model. `y[k] = sum_i a_i y[k-i] + sum_j b_j
-    u[k-j]`, i = 1 ... lags, j = 0 ... lags (b_0 = 0 without feedthrough)."""
+    """Estimate the coefficient matrices of a multivariable ARX model by least squares. `y[k] =
+    sum_i a_i y[k-i] + sum_j b_j u[k-j]`, i = 1 ... lags, j = 0 ... lags (b_0 = 0 without
+    feedthrough)."""
     first = 0 if feedthrough else 1
     rows = []
     targets = []
@@ -239,8 +243,9 @@ def realise_impulse_response(
 
 
 def modal_initialisation(system: StateSpace) -> Initialisation:
-    """Initial system in modal form with the eigenvalues of a given system, moved inside the unit
-    circle. Real ones come first, then one of each pair; `b`, `c` are in eigenvector coordinates."""
+    """Initial linear system in modal form with the eigenvalues of a given system, moved inside the
+    unit circle. Real ones come first, then one of each pair; `b`, `c` are in eigenvector
+    coordinates."""
     values, vectors = np.linalg.eig(system.a)
     complex_b = system.b.astype(complex)
     b = np.linalg.solve(vectors, complex_b).astype(complex)
@@ -257,8 +262,8 @@ def modal_initialisation(system: StateSpace) -> Initialisation:
 
 
 def stabilise_eigenvalues(values: Inexact[np.ndarray, "n"]) -> Inexact[np.ndarray, "n"]:
-    """Move unstable eigenvalues inside the unit circle by reflection, and limit the modulus of
-    all."""
+    """Reflect unstable eigenvalues into the unit circle, and limit the modulus of all
+    eigenvalues."""
     radius = np.abs(values)
     bounded_radius = np.maximum(radius, 1.0)
     mirrored = values / bounded_radius**2

@@ -20,28 +20,28 @@ FITS = ("fit_validation_members_percent", "fit_test_members_percent")
 NAMES = ("members", *FITS)
 
 
-def mean_output(
+def mean_output_of_models(
     members: Sequence[Any],
     u: Float[np.ndarray, "*batch T m"],
     d: Float[np.ndarray, "*batch T k"] | None = None,
 ) -> Float[np.ndarray, "*batch T p"]:
-    """Mean output of several models in free run from the equilibrium. Measured disturbances that
-    are not given stay at their equilibrium."""
+    """Mean of the free-run outputs of several models (an ensemble), from the equilibrium. Measured
+    disturbances that are not given stay at their equilibrium."""
     loads = {} if d is None else {"d": d}
     outputs_of_members = [model.simulate(u, **loads) for model in members]
     return np.mean(outputs_of_members, axis=0)
 
 
-def simulate_with_mean(members: Sequence[Any], data: DataSet) -> tuple[Simulation, Simulation]:
-    """Free runs of the validation and test records by the mean of several models. The kind of
-    initial state is the one that predicts better."""
+def simulate_ensemble_mean(members: Sequence[Any], data: DataSet) -> tuple[Simulation, Simulation]:
+    """Simulate the validation and test records by the mean output of several models (an ensemble).
+    The kind of initial state is the one that predicts better."""
     runs = [simulate_validation_and_test(model, data) for model in members]
     validation, test = zip(*runs, strict=True)
     return mean_of_runs(validation), mean_of_runs(test)
 
 
 def mean_of_runs(runs: Sequence[Simulation]) -> Simulation:
-    """Measured records, with the mean of several simulations of them."""
+    """Average of several models' simulated outputs on the same records."""
     simulated_records = (run.simulated for run in runs)
     by_record = zip(*simulated_records, strict=True)
     mean_outputs = (np.mean(outputs, axis=0) for outputs in by_record)
@@ -50,12 +50,11 @@ def mean_of_runs(runs: Sequence[Simulation]) -> Simulation:
 
 
 def member_columns(members: Sequence[Any], data: DataSet) -> dict[str, Any]:
-    """Columns on the mean output of several models: their number and the fits of the mean; empty
-    where the controlled model predicts. A single member is another model that predicts in its
-    place."""
+    """Table columns on the mean of several models: how many there are, and the fits of the mean. A
+    single member is another model that predicts in its place."""
     if not members:
         return {}
-    validation, test = simulate_with_mean(members, data)
+    validation, test = simulate_ensemble_mean(members, data)
     fits = (validation.fit_percent, test.fit_percent)
     member_count = {"members": len(members)}
     named_fits = zip(FITS, fits, strict=True)

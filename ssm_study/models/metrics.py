@@ -107,7 +107,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Simulation:
-    """Measured records with a model's simulated outputs, in physical units. The first
+    """Measured records together with a model's simulated outputs, in physical units. The first
     `start_up_samples` of each are not scored. `starts` has the state from which a record's run
     began, None where its first samples gave it."""
 
@@ -124,7 +124,7 @@ class Simulation:
         start_up_samples: int,
         starts: tuple[Any, ...] = (),
     ) -> "Simulation":
-        """Simulate several records by a model."""
+        """Simulate a model on several records."""
         states = starts or (None,) * len(records)
         records_and_starts = zip(records, states, strict=True)
         simulated_records = (
@@ -138,18 +138,19 @@ class Simulation:
 
     @property
     def fit_percent(self) -> float:
-        """Fit of the simulated outputs to the measured ones, in percent. `100 (1 - ||y - y_hat|| /
-        ||y - mean(y)||)` over the scored samples of all records."""
+        """Fit of the simulated outputs to the measured outputs, in percent. `100 (1 - ||y - y_hat||
+        / ||y - mean(y)||)` over the scored samples of all records."""
         return fit_percent(*self._scored_outputs())
 
     @property
     def rmse(self) -> float:
-        """Root mean square error of the simulated outputs over the scored samples, in the unit of
-        the output. `sqrt(mean((y - y_hat)^2))`."""
+        """Root mean square error between simulated and measured outputs, in the unit of the output.
+        `sqrt(mean((y - y_hat)^2))`."""
         return rmse(*self._scored_outputs())
 
     def _scored_outputs(self) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
-        """Measured and simulated outputs of all records, without start-up samples."""
+        """Measured and simulated outputs of all records, without the start-up samples that are not
+        scored."""
         first = self.start_up_samples
         measured = [record.y[first:] for record in self.records]
         simulated = [y[first:] for y in self.simulated]
@@ -159,8 +160,8 @@ class Simulation:
 
 
 def size_columns(model: Simulator) -> dict[str, Any]:
-    """Columns on the size of a model, such as its numbers of states and neurons. They may differ
-    from the configuration, where folds chose the size."""
+    """Table columns on the size of a model, such as its numbers of states and neurons. They may
+    differ from the configuration, where folds chose the size."""
     if not isinstance(model, StructuredSSM):
         return {}
     neuron_count = len(model.neurons)
@@ -170,8 +171,8 @@ def size_columns(model: Simulator) -> dict[str, Any]:
 def fit_columns(
     validation: Simulation, test: Simulation, scores: tuple[float, ...] = ()
 ) -> dict[str, Any]:
-    """Columns on the fits of a model's free runs and its test error. On a benchmark also its score,
-    in the unit of the publications."""
+    """Table columns on a model's fits to the validation and test records, and on its test error. On
+    a benchmark also its score, in the unit of the publications."""
     columns = {"fit_validation_percent": validation.fit_percent}
     columns["fit_test_percent"] = test.fit_percent
     columns["rmse_test"] = test.rmse
@@ -188,20 +189,21 @@ GAUSS_NEWTON_STEPS = 5  # for a nonlinear S_y; a linear one is solved by the fir
 
 
 def simulate_record(
-    model: Any, record: Trajectory, start_up_samples: int, start: Any = None
+    model: Any, record: Trajectory, start_up_samples: int, initial_state: Any = None
 ) -> Float[np.ndarray, "T p"]:
-    """Simulate a record from an initial state that is estimated from its first samples. The run
-    starts from `start` if that is given, and from rest if every sample is scored.
+    """Simulate a model on one record, from an initial state that is given or estimated from the
+    first samples. The run starts from `initial_state` if that is given, and from rest if every
+    sample is scored.
 
     A regression takes the start-up samples for its past outputs; another baseline starts at rest.
     """
     if isinstance(model, ScaffoldedModel):
-        x0 = None if start is None else np.asarray(start, dtype=np.float64)
+        x0 = None if initial_state is None else np.asarray(initial_state, dtype=np.float64)
         if x0 is None and start_up_samples:
             x0 = estimate_initial_state(model, record, start_up_samples)
         return model.simulate(record.u, x0, record.d)
-    if start is not None:
-        start_state = np.asarray(start, dtype=np.float64)
+    if initial_state is not None:
+        start_state = np.asarray(initial_state, dtype=np.float64)
         return model.simulate(record.u, start_state)
     if start_up_samples == 0:
         return model.simulate(record.u)
@@ -210,11 +212,11 @@ def simulate_record(
 
 
 def estimate_initial_state(
-    model: Any, record: Trajectory, samples: int, reached_by: Trajectory | None = None
+    model: Any, record: Trajectory, samples: int, excitation_record: Trajectory | None = None
 ) -> Float[np.ndarray, "n"]:
-    """Estimate the initial state of a record by regularised least squares. `argmin |y -
-    y_hat(x0)|^2 / noise + x0^T W^{-1} x0` over the first `samples`, W the Gramian of the states
-    that the input reaches.
+    """Estimate a model's initial state on a record from its first samples, by regularised least
+    squares. `argmin |y - y_hat(x0)|^2 / noise + x0^T W^{-1} x0` over the first `samples`, W the
+    Gramian of the states that the input reaches.
 
     W is that of the lifted input of the record, or of the one that is given (a decay has no input
     of its own), over its length, so a state that the input
@@ -225,8 +227,12 @@ def estimate_initial_state(
     lifted = model.driving_signals(record.u, record.d)
     first_outputs = record.y[:samples]
     target = model.scale.scaled_output(first_outputs)
-    reaching = lifted if reached_by is None else model.driving_signals(reached_by.u, reached_by.d)
-    prior = _record_gramian(model, reaching)
+    reaching = (
+        lifted
+        if excitation_record is None
+        else model.driving_signals(excitation_record.u, excitation_record.d)
+    )
+    prior = _excited_state_gramian(model, reaching)
     x0 = np.zeros(model.order)  # W, and the mean of the prior: rest
     for _ in range(GAUSS_NEWTON_STEPS):
         first_inputs = lifted[:samples]
@@ -251,38 +257,41 @@ def estimate_initial_state(
     return x0 if is_finite.all() else np.zeros(model.order)
 
 
-def _record_gramian(model: Any, lifted: Lifted) -> Gramian:
-    """Gramian of the states that the inputs of a record excite. With neurons it is the second
+def _excited_state_gramian(model: Any, mapped_input: Lifted) -> Gramian:
+    """Gramian of the model states that the inputs of a record excite. With neurons it is the second
     moment of the states that the inputs reach from rest."""
     if isinstance(model, SSM):
-        system = model.driven_system
-        input_deviation = lifted.std(axis=0)
+        system = model.system_with_disturbances
+        input_deviation = mapped_input.std(axis=0)
         b = system.b * input_deviation
-        samples = len(lifted)
+        samples = len(mapped_input)
         return reachability_gramian(system.a, b, samples)
-    _, states = model.simulate_mapped(lifted)
+    _, states = model.simulate_recurrence(mapped_input)
     return states.T @ states / len(states)
 
 
 def _linearise_output(
-    model: Any, lifted: Lifted, x0: Float[np.ndarray, "n"]
+    model: Any, mapped_input: Lifted, x0: Float[np.ndarray, "n"]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Simulated output from an initial state, and its derivative with respect to that state."""
+    """Simulated output of a model from an initial state, and its derivative with respect to that
+    state."""
     if isinstance(model, SSM):
         powers = [model.linear.c]  # C A^k, k = 0 ... T - 1
-        for _ in range(len(lifted) - 1):
+        for _ in range(len(mapped_input) - 1):
             next_power = powers[-1] @ model.linear.a
             powers.append(next_power)
-        ybar, _ = model.driven_system.simulate(lifted, x0)
+        ybar, _ = model.system_with_disturbances.simulate(mapped_input, x0)
         return ybar, np.stack(powers)
     # Here, for it loads numba.
     from ssm_study.models.structured_kernel import simulate_with_sensitivities
 
-    empty_shape = (1, len(lifted), 0)
+    empty_shape = (1, len(mapped_input), 0)
     empty_columns = np.zeros(empty_shape)
     none = np.zeros(0, dtype=np.int64)
-    matrices = model.driven_matrices if model.scale.disturbances else model.matrices
-    ybar, by = simulate_with_sensitivities(matrices, lifted[None], x0[None], empty_columns, none)
+    matrices = model.matrices_with_disturbances if model.scale.disturbances else model.matrices
+    ybar, by = simulate_with_sensitivities(
+        matrices, mapped_input[None], x0[None], empty_columns, none
+    )
     by_start = by["x0"][0]
     return ybar[0], by_start
 

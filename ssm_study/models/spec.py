@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 
 class ModelSpec(ABC):
-    """Base class of settings that build a trainable model, one class for each model structure.
-    `build` draws initial parameters from `seed`."""
+    """Base class of settings of a model structure, which build a trainable model. `build` draws
+    initial parameters from `seed`."""
 
     # Whether what is identified is an `SSM`, which the study goes on to certify; a baseline is
     # scored only.
@@ -39,18 +39,19 @@ class ModelSpec(ABC):
 
     @abstractmethod
     def build(self, data: DataSet, seed: int) -> "TorchModel":
-        """Build the trainable model with initial parameters that are drawn from a seed."""
+        """Build a trainable model with random initial parameters."""
 
-    def for_training_run(self, start: int) -> "ModelSpec":  # noqa: ARG002
-        """Copy of the settings with the initial values for one of several training runs. By default
-        they are the same for all; each has its own seed."""
+    def settings_of_training_run(self, run: int) -> "ModelSpec":  # noqa: ARG002
+        """Copy of the model settings for one of several training runs from different initial
+        parameters. By default they are the same for all; each has its own seed."""
         return self
 
 
 @dataclass(frozen=True, kw_only=True)
 class SSMSpec(ModelSpec):
-    """Settings of the linear recurrence between static maps. `x+ = A x + B S_u(u), y = S_y(C x + D
-    S_u(u))`: order n, slopes in `[slope_lower, slope_upper]`.
+    """Settings of a model with a linear recurrence between a static input map and a static output
+    map. `x+ = A x + B S_u(u), y = S_y(C x + D S_u(u))`: order n, slopes in `[slope_lower,
+    slope_upper]`.
 
     `start` "ring" draws modes with radii in `ring_radius` and angles (rad per sample) in
     `ring_frequency`, `real_modes` of them real. `slope_*` bound the scaffolding's own sector in
@@ -81,10 +82,10 @@ class SSMSpec(ModelSpec):
         starts = ("data", "ring")
         require_one_of(starts, "model.start", self.start)
         if self.start == "ring":
-            self._check_ring()
+            self._check_pole_ring()
 
-    def _check_ring(self) -> None:
-        """Raise `BadRequest` for an impossible ring or number of random modes."""
+    def _check_pole_ring(self) -> None:
+        """Raise `BadRequest` for an impossible ring of random poles or number of real poles."""
         require_whole_number(0, "real_modes", self.real_modes, "use 2")
         pairs = self.order - self.real_modes
         remedy = "leave an even number of states for the pairs"
@@ -100,17 +101,18 @@ class SSMSpec(ModelSpec):
             problem = f"needs two increasing numbers in [0, {most:g}]"
             require(fits, f"model.{name}", ends, problem, "correct the range")
 
-    def for_training_run(self, start: int) -> "SSMSpec":
-        """Copy of the settings with the initial values for one of several training runs. The first
-        begins with an estimated system, the others with random modes."""
-        if not start:
+    def settings_of_training_run(self, run: int) -> "SSMSpec":
+        """Copy of the model settings for one of several training runs: the first with an estimated
+        initial system, others random. The first begins with an estimated system, the others with
+        random modes."""
+        if not run:
             return self
         pairs = (self.order - 1) // 2
         real_modes = self.order - 2 * pairs
         return replace(self, start="ring", real_modes=real_modes)
 
     def build(self, data: DataSet, seed: int) -> "TorchSSM":
-        """Build the trainable linear recurrence between static maps."""
+        """Build the trainable model of a linear recurrence between static maps."""
         from ssm_study.models.torch_ssm import LRU, TorchSSM
 
         rng = np.random.default_rng(seed)
@@ -127,7 +129,7 @@ class SSMSpec(ModelSpec):
         return TorchSSM(scaffold_in, lru, scaffold_out)
 
     def _map_context(self, samples: Float[np.ndarray, "N c"]) -> MapContext:
-        """Width, slopes and input samples for one of the static maps."""
+        """Hidden width, slope bounds and input samples for one of the model's static maps."""
         slopes = (self.slope_lower, self.slope_upper)
         return MapContext(width=self.hidden_width, slopes=slopes, samples=samples)
 
@@ -144,7 +146,7 @@ class SSMSpec(ModelSpec):
 
 
 def scale_records(data: DataSet) -> Pairs:
-    """Training records converted to scaled units. `(u - u_eq) / input_scale`, `(y - y_eq) /
+    """Convert the training records to scaled units. `(u - u_eq) / input_scale`, `(y - y_eq) /
     output_scale`."""
     scale = data.scale
     inputs = [scale.scaled_input(record.u) for record in data.training]
@@ -154,18 +156,19 @@ def scale_records(data: DataSet) -> Pairs:
 
 
 def scale_records_with_disturbances(data: DataSet) -> Pairs:
-    """Training records converted to scaled units, with measured disturbances as further inputs."""
+    """Convert the training records to scaled units, with measured disturbances as further
+    inputs."""
     return scale_records(data.with_disturbances_as_inputs())
 
 
-def require_whole_number(least: int, name: str, value: object, remedy: str) -> None:
-    """Raise `BadRequest` for a setting that is no whole number or is below a minimum."""
-    fits = isinstance(value, int) and not isinstance(value, bool) and value >= least
-    require(fits, f"model.{name}", value, f"must be a whole number, at least {least}", remedy)
+def require_whole_number(minimum: int, name: str, value: object, remedy: str) -> None:
+    """Raise `BadRequest` for a model setting that is no whole number or is below its minimum."""
+    fits = isinstance(value, int) and not isinstance(value, bool) and value >= minimum
+    require(fits, f"model.{name}", value, f"must be a whole number, at least {minimum}", remedy)
 
 
 def check_slope_bounds(lower: float, upper: float) -> None:
-    """Raise `BadRequest` for slope bounds that are empty or include zero."""
+    """Raise `BadRequest` for slope bounds whose interval is empty or includes zero."""
     require_positive("model.slope_lower", lower, "use 0.01 or so")
     fits = lower < upper < np.inf
     names = "model.slope_lower, model.slope_upper"

@@ -23,8 +23,8 @@ Values = Float[np.ndarray, "*batch"] | float  # of one argument NumPy makes a fl
 
 
 class Activation(NamedTuple):
-    """Activation function, with its slope and its C expression. The slope `phi'(z)` is in [0, 1]
-    (right of a kink); the C text is an expression in `z` for math.h.
+    """Activation function of a neuron, with its derivative and its expression in C code. The slope
+    `phi'(z)` is in [0, 1] (right of a kink); the C text is an expression in `z` for math.h.
 
     What it serves: tanh friction and saturation, softplus overflow and rectifiers, clipped_cubic
     hardening, relu and saturation the same with kinks. Source: docs/theory.md, "With neurons".
@@ -36,17 +36,17 @@ class Activation(NamedTuple):
 
 
 def tanh_slope(z: Values) -> Values:
-    """Slope of the hyperbolic tangent."""
+    """Derivative of the hyperbolic tangent."""
     return 1.0 - np.tanh(z) ** 2
 
 
 def softplus(z: Values) -> Values:
-    """Logarithm of `1 + exp(z)`, without overflow."""
+    """Softplus function `log(1 + exp(z))`, computed without overflow."""
     return np.logaddexp(0.0, z)
 
 
 def softplus_slope(z: Values) -> Values:
-    """Slope of the softplus: the logistic function."""
+    """Derivative of the softplus function, which is the logistic function."""
     half_tanh = np.tanh(0.5 * z)
     return 0.5 * (1.0 + half_tanh)
 
@@ -61,27 +61,27 @@ def clipped_cubic(z: Values) -> Values:
 
 
 def clipped_cubic_slope(z: Values) -> Values:
-    """Slope of the clipped cubic."""
+    """Derivative of the clipped cubic function."""
     return np.minimum(z * z, 1.0)
 
 
 def relu(z: Values) -> Values:
-    """Positive part of a number."""
+    """Rectified linear unit: the positive part of a number."""
     return np.maximum(z, 0.0)
 
 
 def relu_slope(z: Values) -> Values:
-    """Slope of the positive part; one at zero."""
+    """Derivative of the rectified linear unit; one at zero."""
     return np.asarray(z >= 0.0, dtype=float)
 
 
 def saturation(z: Values) -> Values:
-    """Number limited to -1 ... 1."""
+    """Saturation function: a number limited to the interval from -1 to 1. 1."""
     return np.clip(z, -1.0, 1.0)
 
 
 def saturation_slope(z: Values) -> Values:
-    """Slope of the saturation; at a kink, the slope to its right."""
+    """Derivative of the saturation function."""
     is_above = z >= -1.0
     inside = np.logical_and(is_above, z < 1.0)
     return np.asarray(inside, dtype=float)
@@ -99,8 +99,8 @@ NEURONS["saturation"] = Activation(saturation, saturation_slope, "fmin(fmax(z, -
 
 
 def activation_codes(kinds: tuple[str, ...]) -> Int[np.ndarray, "q"]:
-    """Integer codes of the neurons' activation functions, for compiled code. Raises `BadRequest`
-    for an unknown activation."""
+    """Integer codes of the neurons' activation functions, for use in compiled code. Raises
+    `BadRequest` for an unknown activation."""
     known_kinds = list(NEURONS)
     for kind in kinds:
         require(
@@ -111,13 +111,13 @@ def activation_codes(kinds: tuple[str, ...]) -> Int[np.ndarray, "q"]:
 
 
 def evaluate_activations(
-    kinds: tuple[str, ...], z: Float[np.ndarray, "*batch q"], of: str = "value"
+    kinds: tuple[str, ...], z: Float[np.ndarray, "*batch q"], quantity: str = "value"
 ) -> Float[np.ndarray, "*batch q"]:
-    """Evaluate the neurons' activation functions, or their slopes. `phi_i(z_i)` for each neuron i,
-    or `phi_i'(z_i)` where `of` is "slope"."""
+    """Evaluate the activation functions of all neurons, or their derivatives. `phi_i(z_i)` for each
+    neuron i, or `phi_i'(z_i)` where `quantity` is "slope"."""
     out = np.empty_like(z)
     for i, kind in enumerate(kinds):
-        activation = getattr(NEURONS[kind], of)
+        activation = getattr(NEURONS[kind], quantity)
         channel_values = z[..., i]
         out[..., i] = activation(channel_values)
     return out
@@ -129,8 +129,9 @@ Injected = Float[np.ndarray, "*batch q"] | float
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredSSM(ScaffoldedModel):
-    """Identified model with neurons inside its recurrence, between static maps. `x+ = A x + B v + E
-    w, y = y_eq + output_scale S_y(C x + D v + H w), v = S_u((u - u_eq) / input_scale)`.
+    """Identified model with neurons inside its recurrence, between a static input map and a static
+    output map. `x+ = A x + B v + E w, y = y_eq + output_scale S_y(C x + D v + H w), v = S_u((u -
+    u_eq) / input_scale)`.
 
     `z = F x + G v + b,  w = phi(z) - phi(b)`, elementwise with slopes in [0, 1]: rest stays at
     rest. Shapes:
@@ -175,24 +176,25 @@ class StructuredSSM(ScaffoldedModel):
 
     @property
     def linear(self) -> StateSpace:  # type: ignore[override] # read only, as every field here
-        """Linear part of the recurrence, `(A, B, C, D)`, without the neurons."""
+        """Linear part `(A, B, C, D)` of a recurrence with neurons."""
         return StateSpace(a=self.a, b=self.b, c=self.c, d=self.d)
 
     @property
     def system(self) -> System:
-        """State-space system of the recurrence, with its neurons if it has any."""
+        """State-space system of a model without its static maps, including neurons if there are
+        any."""
         return self._structured_system if self.neurons else self.linear
 
     @property
     def _structured_system(self) -> StructuredSystem:
-        """Recurrence with its neurons, in the form that certificates use."""
+        """Recurrence with neurons in the form on which certificates are computed."""
         names = [block.name for block in fields(StructuredSystem)]
         blocks = {name: getattr(self, name) for name in names}
         return StructuredSystem(**blocks)
 
     @cached_property
     def matrices(self) -> "KernelMatrices":
-        """Matrices of the recurrence for compiled code."""
+        """Matrices of the model's recurrence in the layout for compiled code."""
         # Here, for it loads numba: reading a model does without.
         from ssm_study.models.structured_kernel import KernelMatrices
 
@@ -200,12 +202,12 @@ class StructuredSSM(ScaffoldedModel):
         return KernelMatrices.from_parts(vars(self), codes)
 
     @cached_property
-    def driven_matrices(self) -> "KernelMatrices":
-        """Matrices of the recurrence for compiled code, with measured disturbances as further
-        inputs. Disturbances only act on the state."""
+    def matrices_with_disturbances(self) -> "KernelMatrices":
+        """Matrices of the model's recurrence for compiled code, with measured disturbances as
+        further inputs. Disturbances only act on the state."""
         from ssm_study.models.structured_kernel import KernelMatrices
 
-        system = self.driven_system
+        system = self.system_with_disturbances
         columns = (0, self.scale.disturbances)
         driven = {"b": system.b, "d": system.d}
         no_rows = (0, 0)
@@ -217,8 +219,8 @@ class StructuredSSM(ScaffoldedModel):
     def linearise_at(
         self, x: Float[np.ndarray, "n"], ubar: Float[np.ndarray, "mbar"]
     ) -> StateSpace:
-        """Linearise the recurrence at one state and mapped input. Neurons are replaced by their
-        slopes there."""
+        """Linearise the recurrence with neurons at one state and mapped input. Neurons are replaced
+        by their slopes there."""
         linear_input = self.f @ x + self.g @ ubar
         z = linear_input + self.bias
         slopes = evaluate_activations(self.neurons, z, "slope")
@@ -227,16 +229,16 @@ class StructuredSSM(ScaffoldedModel):
     def neuron_outputs(
         self, x: State, ubar: Lifted, injected: Injected = 0.0
     ) -> Float[np.ndarray, "*batch q"]:
-        """Outputs of the neurons for a state and a mapped input. `w = phi(F x + G v + b + injected)
-        - phi(b)`; an observer injects `L_z (yh - y)`."""
+        """Outputs of all neurons for a state and an input after the static input map. `w = phi(F x
+        + G v + b + injected) - phi(b)`; an observer injects `L_z (yh - y)`."""
         linear_input = x @ self.f.T + ubar @ self.g.T
         z = linear_input + self.bias + injected  # what the neurons see
         at_rest = evaluate_activations(self.neurons, self.bias)
         return evaluate_activations(self.neurons, z) - at_rest
 
     def advance(self, x: State, ubar: Lifted, injected: Injected = 0.0) -> State:
-        """Advance the state by one sample, `x+ = A x + B v + E w`. `injected` is as in
-        `neuron_outputs`."""
+        """Advance the state of the recurrence with neurons by one sample, `x+ = A x + B v + E w`.
+        `injected` is as in `neuron_outputs`."""
         w = self.neuron_outputs(x, ubar, injected)
         linear_motion = x @ self.a.T + ubar @ self.b.T
         neuron_motion = w @ self.e.T
@@ -251,11 +253,12 @@ class StructuredSSM(ScaffoldedModel):
         ybar = linear_output + neuron_output
         return self.scaffold_out(ybar)
 
-    def simulate_mapped(
+    def simulate_recurrence(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, Float[np.ndarray, "*batch T1 n"]]:
-        """Simulate the recurrence for a sequence of mapped inputs, in compiled code. `C x + D v + H
-        w`, and the states, one more than samples: the last is the one after the last sample."""
+        """Simulate the recurrence with neurons, without the static maps, in compiled code. `C x + D
+        v + H w`, and the states, one more than samples: the last is the one after the last
+        sample."""
         from ssm_study.models.structured_kernel import simulate_compiled
 
         batch = ubar.shape[:-2]
@@ -269,7 +272,7 @@ class StructuredSSM(ScaffoldedModel):
         records = ubar.reshape(-1, samples, inputs)
         v = np.ascontiguousarray(records, dtype=np.float64)
         has_disturbances = inputs != self.b.shape[1]
-        matrices = self.driven_matrices if has_disturbances else self.matrices
+        matrices = self.matrices_with_disturbances if has_disturbances else self.matrices
         flat_start = start.reshape(-1, self.order)
         ybar, states = simulate_compiled(matrices, v, flat_start)
         outputs = ybar.reshape(*batch, samples, -1)
@@ -296,7 +299,7 @@ class StructuredSSM(ScaffoldedModel):
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> "StructuredSSM":
         """Read a structured model from its JSON form. A model with one layer has q = 0. Raises as
-        `Explicit` does."""
+        `JsonDataclass` does."""
         if data.get("neurons"):
             return super().from_json(data)
         plain = vars(SSM.from_json(data))
@@ -312,7 +315,8 @@ Model = SSM | StructuredSSM  # of one layer, or with neurons in the recurrence: 
 
 
 def linearise_at_equilibrium(model: Model) -> StateSpace:
-    """Linear recurrence in which the neurons are replaced by their slopes at the equilibrium."""
+    """Linear system obtained by linearising a model's recurrence with neurons at the
+    equilibrium."""
     if isinstance(model, SSM):
         return model.linear
     zero_state = np.zeros(model.order)

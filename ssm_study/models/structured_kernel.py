@@ -22,9 +22,9 @@ from ssm_study.models.matrix_shapes import matrix_shapes
 
 
 class KernelMatrices(NamedTuple):
-    """Matrices of a recurrence with neurons in the layout that compiled code takes. `a (n, n), b
-    (n, m), c (p, n), d (p, m), e (n, q), f (q, n), g (q, m), h (p, q)`, `bias (q,)`, `kinds
-    (q,)`."""
+    """Matrices of a recurrence with neurons in the memory layout that compiled code requires. `a
+    (n, n), b (n, m), c (p, n), d (p, m), e (n, q), f (q, n), g (q, m), h (p, q)`, `bias (q,)`,
+    `kinds (q,)`."""
 
     a: Float[np.ndarray, "n n"]
     b: Float[np.ndarray, "n m"]
@@ -39,8 +39,8 @@ class KernelMatrices(NamedTuple):
 
     @classmethod
     def from_parts(cls, parts: Mapping[str, Any], kinds: Int[np.ndarray, "q"]) -> "KernelMatrices":
-        """Make the matrices for compiled code from named arrays. For any other layout, numba would
-        compile everything once more."""
+        """Convert named matrices of a recurrence with neurons to the memory layout that compiled
+        code requires. For any other layout, numba would compile everything once more."""
         arrays = (np.array(parts[name], dtype=np.float64, order="C") for name in cls._fields[:-1])
         return cls._make((*arrays, kinds))
 
@@ -48,7 +48,8 @@ class KernelMatrices(NamedTuple):
 @compile_with_numba
 @no_type_check
 def activation_and_slope(code, z):
-    """Value and slope of the activation function with a given code. `(phi(z), phi'(z))`."""
+    """Value and derivative of the activation function with a given integer code. `(phi(z),
+    phi'(z))`."""
     if code == 0:
         value = tanh(z)
         return value, 1.0 - value * value
@@ -68,7 +69,7 @@ def activation_and_slope(code, z):
 @compile_with_numba
 @no_type_check
 def _evaluate_neurons(k, still, x, v, w, slope):
-    """Compute the outputs `w` and slopes of all neurons at one sample, in place. `still` is
+    """Compute the outputs and slopes of all neurons at one sample, in place. `still` is
     `phi(b)`."""
     for i in range(w.shape[0]):
         z = k.bias[i]
@@ -83,8 +84,8 @@ def _evaluate_neurons(k, still, x, v, w, slope):
 @compile_with_numba
 @no_type_check
 def _apply_matrices(state, through, inner, x, v, w, out):
-    """Compute the next state or the output from state, input and neuron outputs, in place. `out =
-    state x + through v + inner w`."""
+    """Compute the next state or the output of a recurrence from state, input and neuron outputs, in
+    place. `out = state x + through v + inner w`."""
     for i in range(out.shape[0]):
         total = 0.0
         for j in range(x.shape[0]):
@@ -99,8 +100,8 @@ def _apply_matrices(state, through, inner, x, v, w, out):
 @compile_with_numba
 @no_type_check
 def simulate_compiled(k, v, x0):
-    """Simulate the recurrence with neurons in compiled code. `(ybar (N, T, p), states (N, T + 1,
-    n))`: the states include the one after the last sample."""
+    """Simulate a recurrence with neurons on a batch of input sequences, in compiled code. `(ybar
+    (N, T, p), states (N, T + 1, n))`: the states include the one after the last sample."""
     records = v.shape[0]
     samples = v.shape[1]
     ybar = np.empty((records, samples, k.c.shape[0]))
@@ -124,7 +125,7 @@ def simulate_compiled(k, v, x0):
 def split_blocks(
     sizes: dict[str, tuple[int, ...]], j: Float[np.ndarray, "*batch P"]
 ) -> dict[str, Float[np.ndarray, "..."]]:
-    """Cut the last axis of an array into blocks of given shapes, in their order."""
+    """Cut the last axis of an array into consecutive blocks with given shapes."""
     *ends, _ = accumulate(map(prod, sizes.values()))
     return dict(zip(sizes, np.split(j, ends, axis=-1), strict=True))
 
@@ -132,7 +133,7 @@ def split_blocks(
 @compile_with_numba
 @no_type_check
 def _add_sample_sensitivity(row, weights, s, inner, scaled, through, here, basis, channel, own, at):
-    """Add one sample's contribution to the derivatives of a state or output with respect to all
+    """Add one sample's contribution to the derivatives of one state or output with respect to all
     parameters. It comes from `weights s`, from this row's own entries (from `own` on), and from the
     neurons.
 
@@ -173,30 +174,31 @@ def simulate_with_sensitivities(
     k: KernelMatrices,
     v: Float[np.ndarray, "N T m"],
     x0: Float[np.ndarray, "N n"],
-    moved: Float[np.ndarray, "N T K"],
-    channel: Int[np.ndarray, "K"],
+    map_derivatives: Float[np.ndarray, "N T K"],
+    parameter_channels: Int[np.ndarray, "K"],
 ) -> tuple[Float[np.ndarray, "N T p"], dict[str, Float[np.ndarray, "N T p _"]]]:
-    """Simulated output and its derivatives with respect to all parameters, in compiled code. The
-    derivatives are in the order of `BLOCKS`, flattened by rows.
+    """Simulate a recurrence with neurons, together with the derivatives of its output with respect
+    to all parameters. The derivatives are in the order of `BLOCKS`, flattened by rows.
 
-    Parameter j of `scaffold_in` moves the lifted input of `channel[j]` by `moved[., ., j]` per
-    unit; `x0` is the own record's.
+    Parameter j of `scaffold_in` moves the lifted input of `parameter_channels[j]` by
+    `map_derivatives[., ., j]` per unit; `x0` is the own record's.
     """
     n, m = k.b.shape
     shapes = matrix_shapes(n, m, len(k.c), len(k.bias))
-    shapes |= {"scaffold_in": channel.shape, "x0": (n,)}
+    shapes |= {"scaffold_in": parameter_channels.shape, "x0": (n,)}
     sizes = {name: shapes[name] for name in BLOCKS}
     places = tuple(accumulate(map(prod, sizes.values()), initial=0))
     inputs = np.ascontiguousarray(v)
-    basis = np.ascontiguousarray(moved)
-    ybar, j = _sensitivity_loop(k, inputs, x0, basis, channel, places)
+    basis = np.ascontiguousarray(map_derivatives)
+    ybar, j = _sensitivity_loop(k, inputs, x0, basis, parameter_channels, places)
     return ybar, split_blocks(sizes, j)
 
 
 @compile_with_numba
 @no_type_check
 def _sensitivity_loop(k, v, x0, basis, channel, places):
-    """Compiled loop over records for the output's derivatives with respect to the parameters."""
+    """Compiled loop over records that computes the output's derivatives with respect to the
+    parameters."""
     records, samples, m = v.shape
     n = k.a.shape[0]
     p = k.c.shape[0]
@@ -215,9 +217,9 @@ def _sensitivity_loop(k, v, x0, basis, channel, places):
 @compile_with_numba
 @no_type_check
 def _differentiate_record(k, at_rest, v, x0, moved, places, ybar, out):
-    """Compute one record's output and its derivatives with respect to the parameters, sample by
-    sample, in place. A state parameter keeps `dx` in one row of `s`; what drives it is sparse and
-    is added by its place."""
+    """Compute the output on one record and its derivatives with respect to the parameters, in
+    place. A state parameter keeps `dx` in one row of `s`; what drives it is sparse and is added by
+    its place."""
     still, rest = at_rest
     basis, channel = moved
     samples, m = v.shape
@@ -260,15 +262,15 @@ def _differentiate_record(k, at_rest, v, x0, moved, places, ybar, out):
 @compile_with_numba
 @no_type_check
 def _empty_linearisations(rows, n, m, q):
-    """Empty arrays for the linearisations of a recurrence at a number of samples."""
+    """Allocate arrays for the linearisations of a recurrence at several samples."""
     return np.empty((rows, q)), np.empty((rows, n)), np.empty((rows, m))
 
 
 @compile_with_numba
 @no_type_check
 def _linearise_at_slopes(state, through, inner, f, g, slope, scaled, by_state, by_input):
-    """Linearise the recurrence at given slopes of its neurons, in place. `scaled = inner S,
-    by_state = state + inner S f, by_input = through + inner S g`."""
+    """Linearise a recurrence with neurons at given slopes of the neurons, in place. `scaled = inner
+    S, by_state = state + inner S f, by_input = through + inner S g`."""
     for i in range(state.shape[0]):
         for u in range(slope.shape[0]):
             scaled[i, u] = inner[i, u] * slope[u]

@@ -43,10 +43,10 @@ Signals = Float[np.ndarray, "*batch c"]
 
 
 @dataclass(frozen=True)
-class TrainablePieces:
-    """Trainable piecewise-linear static map whose derivatives are explicit formulas. `S_c(v) =
-    int_0^v s_c`, slopes `s = lower + (upper - lower) / (1 + exp(-free))` between the sorted
-    `points`.
+class TrainablePiecewiseMap:
+    """Trainable piecewise-linear static map with analytical derivatives, used without torch.
+    `S_c(v) = int_0^v s_c`, slopes `s = lower + (upper - lower) / (1 + exp(-free))` between the
+    sorted `points`.
 
     Its parameters in order: `free (c, h + 1)`, then `points (c, h)`; without break points (`knots`)
     the identity, which has none. Behind the channels come `passed` ones that pass as they are:
@@ -61,7 +61,7 @@ class TrainablePieces:
 
     @property
     def parameter_channels(self) -> Int[np.ndarray, "P"]:
-        """Index of the channel to which each parameter of the map belongs."""
+        """Index of the channel to which each parameter of a piecewise-linear map belongs."""
         each = np.arange(self.channels)
         if not self.knots:
             return each[:0]
@@ -71,8 +71,8 @@ class TrainablePieces:
         return np.concatenate([of_slopes, of_points])
 
     def initial_parameters(self, samples: Float[np.ndarray, "N c"]) -> Free:
-        """Initial parameters of the map, with equal slopes and evenly spaced break points. None of
-        them is near the ends, which are rarely visited."""
+        """Initial parameters of a piecewise-linear map: equal slopes and evenly spaced break
+        points. None of them is near the ends, which are rarely visited."""
         if not self.knots:
             return np.zeros(0)
         mapped = samples[:, : self.channels]
@@ -87,8 +87,8 @@ class TrainablePieces:
         return np.concatenate([slopes, flat_points])
 
     def _slopes_and_points(self, theta: Free) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slopes, their derivatives with respect to the free parameters, and the sorted break
-        points. Each has one row per channel."""
+        """Slopes of a piecewise-linear map, their derivatives with respect to the free parameters,
+        and the break points. Each has one row per channel."""
         slope_count = self.knots + 1
         split = self.channels * slope_count
         free_slopes = theta[:split]
@@ -105,8 +105,9 @@ class TrainablePieces:
     def values_and_derivatives(
         self, theta: Free, v: Signals
     ) -> tuple[Signals, Signals, Float[np.ndarray, "*batch P"]]:
-        """Values of the map, its slopes, and its derivatives with respect to the parameters. A
-        parameter changes only the channel to which it belongs.
+        """Values and slopes of a piecewise-linear map at given inputs, and derivatives of the
+        values with respect to the parameters. A parameter changes only the channel to which it
+        belongs.
 
         `dS/ds_j` is the signed length of `[0, v]` within piece j; `dS/dt_j = s_j - s_{j+1}` where
         t_j lies between 0 and v, negative where v < 0.
@@ -146,7 +147,8 @@ class TrainablePieces:
         return values, at, np.concatenate(derivatives, axis=-1)
 
     def values(self, theta: Free, v: Signals) -> Signals:
-        """Values of the trainable map; channels without a trained map are returned unchanged."""
+        """Values of a piecewise-linear map at given inputs, with untrained channels returned
+        unchanged."""
         trained_map = self.freeze(theta)
         mapped = trained_map(v[..., : self.channels])
         if not self.passed:
@@ -156,7 +158,7 @@ class TrainablePieces:
         return np.concatenate(all_channels, axis=-1)
 
     def freeze(self, theta: Free) -> Scaffold:
-        """Freeze the trained map to explicit numbers, for the channels that it changes."""
+        """Convert a trained piecewise-linear map to plain numbers."""
         if not self.knots:
             return LinearScaffold.identity(self.channels)
         slopes, _, points = self._slopes_and_points(theta)
@@ -166,12 +168,13 @@ class TrainablePieces:
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredSpec(ModelSpec):
-    """Settings of the structured model. `x+ = A x + B v + E w, w = phi(F x + G v + b) - phi(b), y =
-    S_y(C x + D v + H w), v = S_u(u)`.
+    """Settings of the structured model, a recurrence with neurons between a static input map and a
+    static output map. `x+ = A x + B v + E w, w = phi(F x + G v + b) - phi(b), y = S_y(C x + D v + H
+    w), v = S_u(u)`.
 
     What each setting does: conf/model/structured.yaml and docs/models.md. `among_starts` takes one
-    of the results of several trainings (`for_training_run`), null that of the best validation fit.
-    Source: docs/theory.md, "With neurons".
+    of the results of several trainings (`settings_of_training_run`), null that of the best
+    validation fit. Source: docs/theory.md, "With neurons".
     """
 
     gives_ssm: ClassVar[bool] = True
@@ -205,7 +208,8 @@ class StructuredSpec(ModelSpec):
         self._check_integrator()
 
     def _check_whole_numbers(self) -> None:
-        """Raise `BadRequest` for settings that should be whole numbers but are not."""
+        """Raise `BadRequest` for settings of the structured model that should be whole numbers but
+        are not."""
         for name, least in LEAST.items():
             value = getattr(self, name)
             may_be_chosen = name in AUTOMATIC
@@ -215,7 +219,8 @@ class StructuredSpec(ModelSpec):
             require_whole_number(least, name, value, f"use 4 or so{alternative}")
 
     def _check_allowed_words(self) -> None:
-        """Raise `BadRequest` for a setting whose value is none of the allowed words."""
+        """Raise `BadRequest` for a setting of the structured model that is none of the allowed
+        words."""
         flags = (True, False, AUTO)
         require_one_of(flags, "model.feedthrough", self.feedthrough)
         require_one_of(flags, "model.integrating_output", self.integrating_output)
@@ -227,7 +232,8 @@ class StructuredSpec(ModelSpec):
         require_one_of(allowed_output_paths, "model.output_path", self.output_path)
 
     def _check_numbers(self) -> None:
-        """Raise `BadRequest` for numbers outside their ranges."""
+        """Raise `BadRequest` for numeric settings of the structured model outside their allowed
+        ranges."""
         check_slope_bounds(self.slope_lower, self.slope_upper)
         inside = self.rate is None or self.rate == AUTO or 0 < float(self.rate) <= 1
         remedy = "use 0.999, or null for a free model"
@@ -244,7 +250,8 @@ class StructuredSpec(ModelSpec):
         require(fits, "model.start_steps", steps, problem, "use [15, 20, 10]")
 
     def _check_integrator(self) -> None:
-        """Raise `BadRequest` for settings that contradict an integrator."""
+        """Raise `BadRequest` for settings that cannot be combined with an integrator at the model's
+        output."""
         if self.integrating_output is not True:
             return
         problem = "without neurons no integrator is set apart: a mode comes near one by itself"
@@ -256,7 +263,7 @@ class StructuredSpec(ModelSpec):
 
     @property
     def neuron_kinds(self) -> tuple[str, ...]:
-        """Kind of activation of each neuron."""
+        """Name of the activation function of each neuron."""
         kinds = [self.kinds] if isinstance(self.kinds, str) else list(self.kinds)
         kind_count = len(kinds)
         require(kind_count > 0, "model.kinds", kinds, "names no kind of neuron", "use tanh")
@@ -266,20 +273,21 @@ class StructuredSpec(ModelSpec):
 
     @property
     def automatic_settings(self) -> tuple[str, ...]:
-        """Names of the settings that are chosen from the records."""
+        """Names of the model settings that are to be chosen from the records."""
         automatic = (name for name in AUTOMATIC if getattr(self, name) == AUTO)
         return tuple(automatic)
 
     @property
     def training_count(self) -> int:
-        """Number of training runs from different initial parameters. It is `starts`, one more with
-        `among_starts`, and at least as many as `members` need."""
+        """Number of training runs from different initial parameters that the settings require. It
+        is `starts`, one more with `among_starts`, and at least as many as `members` need."""
         has_extra_start = self.among_starts is not None
         return max(self.starts + has_extra_start, self.members)
 
-    def for_training_run(self, start: int) -> "StructuredSpec":
-        """Copy of the settings with the initial values for one of several training runs. With
-        `among_starts` each odd number and the last have half the states, the last no neurons.
+    def settings_of_training_run(self, run: int) -> "StructuredSpec":
+        """Copy of the model settings for one of several training runs, some of which use a smaller
+        model. With `among_starts` each odd number and the last have half the states, the last no
+        neurons.
 
         More can be certified of such models, where they suffice.
         """
@@ -287,24 +295,25 @@ class StructuredSpec(ModelSpec):
             return self
         whole_order = int(self.order) + 1
         half = replace(self, order=whole_order // 2)
-        if start == self.training_count - 1:
+        if run == self.training_count - 1:
             return replace(half, neurons=0, integrating_output=False)
-        return half if start % 2 else self
+        return half if run % 2 else self
 
     def build_maps(
         self, channels: tuple[int, int], disturbances: int = 0
-    ) -> tuple[TrainablePieces, TrainablePieces]:
-        """Trainable input and output maps for given numbers of channels. Measured disturbances pass
-        through S_u unchanged."""
+    ) -> tuple[TrainablePiecewiseMap, TrainablePiecewiseMap]:
+        """Trainable input and output maps of the structured model for given numbers of channels.
+        Measured disturbances pass through S_u unchanged."""
         lower = self.slope_lower
         upper = self.slope_upper
         knots = int(self.knots)
-        lift = TrainablePieces(channels[0], knots, lower, upper, passed=disturbances)
-        read = TrainablePieces(channels[1], self.output_knots, lower, upper)
+        lift = TrainablePiecewiseMap(channels[0], knots, lower, upper, passed=disturbances)
+        read = TrainablePiecewiseMap(channels[1], self.output_knots, lower, upper)
         return lift, read
 
     def without_neurons(self) -> SSMSpec:
-        """Settings of the model without its neurons, which is trained as `model=ssm` is."""
+        """Settings of the linear recurrence that remains when the structured model has no
+        neurons."""
         inward = Monotone() if self.knots else Linear()
         outward = Monotone() if self.output_knots else Linear()
         knots = int(self.knots)
@@ -321,5 +330,5 @@ class StructuredSpec(ModelSpec):
         )
 
     def build(self, data: Any, seed: int) -> Any:  # noqa: ARG002
-        """Raise an error, since a structured model is trained without torch."""
+        """Raise an error, because a structured model is trained without torch."""
         raise TypeError("it has a training of its own")

@@ -28,9 +28,9 @@ Complex2 = Complex[Tensor, "*r n"]  # n2 = 2 n: real and imaginary parts
 _AGES = torch.arange(CHUNK + 1, dtype=torch.float64)[:, None]
 
 
-class ChunkedRecurrence(torch.autograd.Function):
-    """Simulation of a linear recurrence in blocks of 64 samples, with its gradient. Products of
-    blocks and a scan of the states between them; shapes as above, `x0 (e, n)` or None.
+class BlockwiseRecurrence(torch.autograd.Function):
+    """Differentiable torch operation that simulates a linear recurrence in blocks of 64 samples.
+    Products of blocks and a scan of the states between them; shapes as above, `x0 (e, n)` or None.
 
         y_q = U_q T + Re(X_q W),    X_{q+1} = lambda^64 X_q + U_q G          (rows: records; q
         counts blocks)
@@ -45,7 +45,8 @@ class ChunkedRecurrence(torch.autograd.Function):
     def forward(
         ctx: Any, decay: Tensor, b: Tensor, c: Tensor, d: Tensor, u: Tensor, x0: Tensor | None
     ) -> Tensor:
-        """Simulate the recurrence block by block, and store the values that the gradient needs."""
+        """Simulate a linear recurrence block by block, and store the values that the gradient
+        needs."""
         rate = decay.to(torch.complex128)  # powers are taken in it: a phase grows with its sample
         exponents = _AGES.to(u.device) * rate
         power = torch.exp(exponents).to(decay.dtype)  # lambda^k, k = 0 ... 64
@@ -78,8 +79,8 @@ class ChunkedRecurrence(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        """Gradients of the loss with respect to the recurrence's parameters, its input and its
-        initial state."""
+        """Gradients of the loss with respect to a linear recurrence's parameters, input and initial
+        state."""
         turns, power, b, c, lift, read, within_block, blocks, x = ctx.saved_tensors
         m = b.shape[1]
         p = len(c)
@@ -101,7 +102,7 @@ class ChunkedRecurrence(torch.autograd.Function):
         lift_products = inputs.mT @ pushed
         by_lift = lift_products.view(CHUNK, m, -1)
         d_lift = _as_complex(by_lift).flip(0)
-        d_read = _gradient_by_read(errors, x, tail, b)
+        d_read = _gradient_by_output_maps(errors, x, tail, b)
 
         power_conj = power.conj_physical()
         first_read = read[:-p]
@@ -122,13 +123,14 @@ class ChunkedRecurrence(torch.autograd.Function):
         return d_decay, d_b.mT, d_c, d_g[0], d_u, d_x0
 
 
-def _gradient_by_read(
+def _gradient_by_output_maps(
     errors: Float[Tensor, "qe sp"],
     x: Complex[Tensor, "q e n"],
     tail: Float[Tensor, "kp m"],
     b: Complex[Tensor, "n m"],
 ) -> Complex[Tensor, "s p n"]:
-    """Gradient of the loss by the maps from the state at the start of a block to its outputs.
+    """Gradient of the loss with respect to the matrices from a block's initial state to its
+    outputs.
 
     `tail` is the gradient by the impulse response after its first sample, through which the maps
     act on the loss, too.
@@ -143,13 +145,13 @@ def _gradient_by_read(
 
 
 def _as_real(table: Complex2) -> Real2:
-    """View complex numbers as real and imaginary parts side by side, without a copy."""
+    """View an array of complex numbers as real and imaginary parts side by side, without a copy."""
     parts = torch.view_as_real(table)
     return parts.flatten(-2)
 
 
 def _as_complex(table: Real2) -> Complex2:
-    """View pairs of real and imaginary parts as complex numbers."""
+    """View pairs of real and imaginary parts as complex numbers, without a copy."""
     pairs = table.view(*table.shape[:-1], -1, 2)
     return torch.view_as_complex(pairs)
 
@@ -186,7 +188,7 @@ def _diagonal_sums(table: Float[Tensor, "sm sp"], p: int, m: int) -> Float[Tenso
 
 
 def _split_into_blocks(signal: Float[Tensor, "e T m"]) -> Float[Tensor, "q e sm"]:
-    """Split a signal into blocks of samples, padded with zeros. Blocks come first."""
+    """Split a signal into blocks of 64 samples, padded with zeros. Blocks come first."""
     missing = -signal.shape[1] % CHUNK
     filled = torch.nn.functional.pad(signal, (0, 0, 0, missing))
     by_block = filled.unflatten(1, (-1, CHUNK)).transpose(0, 1)
@@ -196,32 +198,32 @@ def _split_into_blocks(signal: Float[Tensor, "e T m"]) -> Float[Tensor, "q e sm"
 def _join_blocks(
     blocks: Float[Tensor, "q e sp"], samples: int, channels: int
 ) -> Float[Tensor, "e T p"]:
-    """Join blocks of samples into one signal."""
+    """Join blocks of samples into one signal without the padding."""
     joined = blocks.unflatten(2, (CHUNK, channels)).transpose(0, 1).flatten(1, 2)
     return joined[:, :samples]
 
 
 def _scan_blocks(
-    turns: Complex[Tensor, "s 1 n"], rise: Complex[Tensor, "q e n"], x0: Tensor | None
+    powers: Complex[Tensor, "s 1 n"], increments: Complex[Tensor, "q e n"], x0: Tensor | None
 ) -> Tensor:
-    """Carry the state of a diagonal recurrence from one block of samples to the next. `x[0] = x0`,
-    `x[k+1] = lambda x[k] + rise[k]`: s steps in all groups of s at once, then from group to
-    group."""
-    groups = -(-len(rise) // len(turns))
-    padded_length = groups * len(turns)
-    x = rise.new_zeros(padded_length, *rise.shape[1:])
-    x[1 : len(rise)] = rise[:-1]
+    """Compute the state of a diagonal recurrence at the beginning of each block of samples. `x[0] =
+    x0`, `x[k+1] = lambda x[k] + increments[k]`: s steps in all groups of s at once, then from group
+    to group."""
+    groups = -(-len(increments) // len(powers))
+    padded_length = groups * len(powers)
+    x = increments.new_zeros(padded_length, *increments.shape[1:])
+    x[1 : len(increments)] = increments[:-1]
     if x0 is not None:
         x[0] = x0
-    group_length = len(turns)
-    table = x.view(groups, group_length, *rise.shape[1:])
+    group_length = len(powers)
+    table = x.view(groups, group_length, *increments.shape[1:])
     members_of_groups = table.unbind(1)
     for before, now in pairwise(members_of_groups):
-        now.addcmul_(before, turns[0])  # within all groups at once
+        now.addcmul_(before, powers[0])  # within all groups at once
     groups_in_order = table.unbind(0)
     for before, now in pairwise(groups_in_order):
-        now.addcmul_(before[-1:], turns)  # what the group before ends with, turned k times
-    return x[: len(rise)]
+        now.addcmul_(before[-1:], powers)  # what the group before ends with, turned k times
+    return x[: len(increments)]
 
 
 FEW_POWERS = 4096  # of fewer, doubling's many small operations cost more than the exponentials
@@ -237,8 +239,8 @@ Tables = tuple[Complex[Tensor, "s n"], Complex[Tensor, "q n"]]
 
 @dataclass(frozen=True, kw_only=True)
 class ModalForm:
-    """Linear recurrence in modal coordinates, by explicit parameters. `decay = log(lambda)` with
-    negative real part."""
+    """Linear recurrence in modal (diagonal) coordinates. `decay = log(lambda)` with negative real
+    part."""
 
     decay: Complex[Tensor, "n"]
     b: Complex[Tensor, "n m"]
@@ -247,8 +249,8 @@ class ModalForm:
 
 
 def final_state(modes: ModalForm, u: Input, x0: Modal | None = None) -> Modal:
-    """Modal state after the last sample of an input. `x[T] = lambda^T x0 + sum_j lambda^(T-1-j) B
-    u[j]`."""
+    """State of a modal recurrence after the last sample of an input. `x[T] = lambda^T x0 + sum_j
+    lambda^(T-1-j) B u[j]`."""
     samples = u.shape[1]
     rate = modes.decay.to(torch.complex128)
     later_powers = mode_powers(rate, samples).flip(0)
@@ -267,8 +269,9 @@ def final_state(modes: ModalForm, u: Input, x0: Modal | None = None) -> Modal:
 
 
 def simulate_by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
-    """Simulate a linear recurrence by FFT convolution. `y = g * u` by real transforms of a fast
-    length; it can be differentiated forward, vectorised, and any number of times."""
+    """Simulate a linear recurrence in modal form by FFT convolution with its impulse response. `y =
+    g * u` by real transforms of a fast length; it can be differentiated forward, vectorised, and
+    any number of times."""
     p, m = modes.d.shape
     samples = u.shape[1]
     both = power_tables(modes.decay, samples)
@@ -297,16 +300,16 @@ def simulate_by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None)
     return y.mT
 
 
-def simulate_in_chunks(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
-    """Simulate a linear recurrence in blocks of samples. Blocks of 64 samples are matrix products;
-    the states between blocks follow the same law, 64 times slower."""
-    return ChunkedRecurrence.apply(modes.decay, modes.b, modes.c, modes.d, u, x0)
+def simulate_in_blocks(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
+    """Simulate a linear recurrence in modal form in blocks of samples. Blocks of 64 samples are
+    matrix products; the states between blocks follow the same law, 64 times slower."""
+    return BlockwiseRecurrence.apply(modes.decay, modes.b, modes.c, modes.d, u, x0)
 
 
 def power_tables(decay: Complex[Tensor, "n"], samples: int) -> Tables:
-    """Two tables of powers of the modes, whose products give every power up to a number of samples.
-    `F_ri = lambda_i^r` and `C_qi = lambda_i^(s q)`, so that `lambda^k = C_q F_r` with `k = q s +
-    r`.
+    """Two tables of powers of the eigenvalues, whose products give every power up to a number of
+    samples. `F_ri = lambda_i^r` and `C_qi = lambda_i^(s q)`, so that `lambda^k = C_q F_r` with `k =
+    q s + r`.
 
     About sqrt(samples) rows each; the powers are taken in complex128.
     """
@@ -319,8 +322,8 @@ def power_tables(decay: Complex[Tensor, "n"], samples: int) -> Tables:
 
 
 def mode_powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "count n"]:
-    """Powers of the modes, one row for each exponent below `count`. Large tables are made by
-    doubling, nine times cheaper than the exponentials."""
+    """Powers of the eigenvalues of a modal recurrence, one row for each exponent below a limit.
+    Large tables are made by doubling, nine times cheaper than the exponentials."""
     if count * len(rate) <= FEW_POWERS:
         exponents = torch.arange(count, device=rate.device)
         products = exponents[:, None] * rate
@@ -334,10 +337,11 @@ def mode_powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "coun
     return table[:count]
 
 
-def modal_impulse_response(weights: Complex[Tensor, "r n"], both: Tables) -> Float[Tensor, "r K"]:
-    """Impulse response of a modal form, as weighted sums of powers of its modes. `Re sum_i
-    weights_i lambda_i^k`, as one real product of two tables, without a table of samples x n."""
-    fine, coarse = both
+def modal_impulse_response(weights: Complex[Tensor, "r n"], tables: Tables) -> Float[Tensor, "r K"]:
+    """Impulse response of a recurrence in modal form, as weighted sums of powers of the
+    eigenvalues. `Re sum_i weights_i lambda_i^k`, as one real product of two tables, without a table
+    of samples x n."""
+    fine, coarse = tables
     weight_rows = weights[:, None, :]
     weighted_powers = weight_rows * coarse
     left = torch.view_as_real(weighted_powers).flatten(-2)
@@ -352,7 +356,8 @@ _FORWARD = ContextVar("derivatives are taken forward", default=False)
 
 @contextmanager
 def allow_forward_derivatives() -> Iterator[None]:
-    """Context in which simulation uses only operations that have forward-mode derivatives."""
+    """Context manager in which simulation uses only operations that torch can differentiate in
+    forward mode."""
     token = _FORWARD.set(True)
     try:
         yield
@@ -361,10 +366,10 @@ def allow_forward_derivatives() -> Iterator[None]:
 
 
 def simulate_modal_form(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
-    """Simulate a linear recurrence by the fastest available method. Convolution and blocks give the
-    same result; their speed depends on length and order."""
+    """Simulate a linear recurrence in modal form by the faster of two equivalent methods.
+    Convolution and blocks give the same result; their speed depends on length and order."""
     are_few_modes = len(modes.decay) <= CHUNKS_UP_TO_MODES
     few = are_few_modes and u.shape[1] >= CHUNKS_FROM_SAMPLES
     takes_chunks = few and not _FORWARD.get()
-    simulate = simulate_in_chunks if takes_chunks else simulate_by_convolution
+    simulate = simulate_in_blocks if takes_chunks else simulate_by_convolution
     return simulate(modes, u, x0)

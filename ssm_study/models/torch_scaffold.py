@@ -31,26 +31,26 @@ class TorchScaffold(nn.Module):
             self.register_parameter(name, parameter)
 
     def explicit_parameters(self) -> Any:
-        """Explicit parameters of the trainable map."""
+        """Parameters of a trainable static map that respect its slope bounds."""
         free_parameters = self.named_parameters()
         return self.spec.explicit_parameters(dict(free_parameters), self.slopes)
 
     def forward(self, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch k"]:
-        """Evaluate the trainable map at a batch of vectors."""
+        """Evaluate a trainable static map at every vector of a batch."""
         explicit = self.explicit_parameters()
         return self.spec.evaluate(explicit, v)
 
     def freeze(self) -> Any:
-        """Freeze the trained static map to explicit numbers."""
+        """Convert a trained static map from torch to plain numbers."""
         explicit = self.explicit_parameters()
         return self.spec.freeze(explicit, self.slopes)
 
     def pieces(self) -> Pieces | None:
-        """Affine pieces of the map, if it is piecewise linear with one channel."""
+        """Affine pieces of a trainable static map, if it is piecewise linear with one channel."""
         explicit = self.explicit_parameters()
         return self.spec.pieces(explicit)
 
     def roughness(self) -> Float[Tensor, ""]:
-        """Roughness of the map, the total variation of its slopes, for the training penalty."""
+        """Total variation of a trainable static map's slope, which a training penalty weights."""
         explicit = self.explicit_parameters()
         return self.spec.roughness(explicit)

@@ -22,8 +22,9 @@ FEW_LEVELS = 8  # mean hold from which evaluating once per level beats the sorte
 
 
 class InputMapping(nn.Module):
-    """Module that applies the trainable input map to fixed records. `S_u(u)` for one fixed `u (e,
-    T, m)`, by the cheapest of three exact ways, which are prepared once.
+    """Torch module that applies a trainable static input map to fixed records, with sorting
+    prepared once for speed. `S_u(u)` for one fixed `u (e, T, m)`, by the cheapest of three exact
+    ways, which are prepared once.
 
     Held inputs repeat: once per distinct input vector, copied to where it occurs. One channel and a
     piecewise-linear map with h kinks: the sorted samples fall into h + 1 runs, each an affine map,
@@ -57,7 +58,7 @@ class InputMapping(nn.Module):
             self.register_buffer(name, tensor, persistent=False)
 
     def forward(self, scaffold: TorchScaffold) -> Float[Tensor, "e T k"]:
-        """Apply the input map to the fixed records."""
+        """Apply a trainable static input map to the fixed records."""
         if self.levels:
             return scaffold(self.values)[self.where]
         pieces = scaffold.pieces() if self.sorts else None
@@ -81,8 +82,8 @@ Place = Int[Tensor, "N"]
 
 
 class _PiecewiseEvaluation(torch.autograd.Function):
-    """Evaluation of a piecewise-linear map at sorted inputs, with its gradient. `y = slope_j u +
-    offset_j`."""
+    """Differentiable torch operation that evaluates a piecewise-linear map at sorted inputs. `y =
+    slope_j u + offset_j`."""
 
     @staticmethod
     def forward(
@@ -104,7 +105,8 @@ class _PiecewiseEvaluation(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        """Gradients of the loss with respect to the slopes and offsets of the map's pieces."""
+        """Gradients of the loss with respect to the slopes and offsets of a piecewise-linear
+        map."""
         counts, ranked, order = ctx.saved_tensors
         by_sample = upstream[0].index_select(0, order)
         pieces = {"lengths": counts, "initial": 0.0}
@@ -120,8 +122,8 @@ LEAST_DAMPING = 1e-8  # per sample: below it the radius rounds to one, and is st
 
 
 class LRU(nn.Module):
-    """Trainable linear recurrence in modal coordinates. `lambda = +-exp(-exp(nu))` for real modes,
-    `exp(-exp(nu) +- i theta)` for pairs.
+    """Trainable linear recurrence in modal coordinates (linear recurrent unit). `lambda =
+    +-exp(-exp(nu))` for real modes, `exp(-exp(nu) +- i theta)` for pairs.
 
     `B` is scaled by `sqrt(1 - |lambda|^2)`, which keeps the gain of a mode when its radius moves.
     With one input `B` is all ones and only `C` is trained: the modal form has exactly that much
@@ -175,20 +177,21 @@ class LRU(nn.Module):
 
     @property
     def order(self) -> int:
-        """Order of the recurrence, the number of real states: one for each real mode, two for each
+        """Number of real states of a modal recurrence: one for each real eigenvalue, two for each
         complex pair."""
         mode_count = len(self.nu)
         return 2 * mode_count - self.reals
 
     def forward(self, u: Signals, x0: States | None = None) -> Signals:
-        """Output of the linear recurrence for an input. The order of states is that of
+        """Simulate the output of the linear recurrence for an input. The order of states is that of
         `to_state_space`."""
         modal = None if x0 is None else self.to_modal_state(x0)
         modes = self.modal_form()
         return simulate_modal_form(modes, u, modal)
 
     def modal_form(self) -> ModalForm:
-        """Explicit modal form of the recurrence from its free parameters."""
+        """Modal form of the recurrence with stable eigenvalues, computed from unconstrained
+        parameters."""
         free_damping = torch.exp(self.nu)
         damping = free_damping.clamp(min=LEAST_DAMPING)
         angles = [self.flip, self.theta]
@@ -212,8 +215,8 @@ class LRU(nn.Module):
         return ModalForm(decay=decay, b=b, c=c.mT, d=d)  # y = Re(c_r x_r) + 2 Re(c_c x_c)
 
     def to_state_space(self) -> StateSpace:
-        """Real state-space matrices of the recurrence. A has a number on the diagonal for each real
-        mode, a 2 x 2 rotation block for each pair.
+        """Convert a recurrence in modal form to real state-space matrices. A has a number on the
+        diagonal for each real mode, a 2 x 2 rotation block for each pair.
 
         `x = Re z` for real modes, `(Re z, Im z)` for pairs; `Re(c z) = Re c Re z - Im c Im z`.
         """
@@ -235,10 +238,10 @@ class LRU(nn.Module):
         c_columns = c_rows.T.copy()
         return StateSpace(a=a, b=real_b, c=c_columns, d=d)
 
-    def to_modal_state(self, free: States) -> Modal:
-        """Convert real states to modal states."""
-        real = free[:, : self.reals]
-        pair_states = free[:, self.reals :]
+    def to_modal_state(self, states: States) -> Modal:
+        """Convert real states of a linear recurrence to complex modal states."""
+        real = states[:, : self.reals]
+        pair_states = states[:, self.reals :]
         pairs = pair_states.unflatten(1, (-1, 2))
         real_parts = [real, pairs[..., 0]]
         real_part = torch.cat(real_parts, 1)
@@ -246,18 +249,19 @@ class LRU(nn.Module):
         imaginary_part = torch.cat(imaginary_parts, 1)
         return torch.complex(real_part, imaginary_part)
 
-    def to_real_state(self, modal: Modal) -> States:
-        """Convert modal states to real states."""
-        real_modes = modal[:, : self.reals]
+    def to_real_state(self, modal_states: Modal) -> States:
+        """Convert complex modal states of a linear recurrence to real states."""
+        real_modes = modal_states[:, : self.reals]
         real = real_modes.real
-        pair_modes = modal[:, self.reals :]
+        pair_modes = modal_states[:, self.reals :]
         pairs = torch.view_as_real(pair_modes)
         flat_pairs = pairs.flatten(1)
         return torch.cat([real, flat_pairs], 1)
 
 
 def _real_rows(rows: Complex[np.ndarray, "modes k"], reals: int) -> Float[np.ndarray, "n k"]:
-    """Real rows of a modal matrix: the real part for a real mode, both parts for a pair."""
+    """Real rows of a complex modal matrix: one for each real eigenvalue, two for each complex
+    pair."""
     of_pairs = rows[reals:]
     both_parts = [of_pairs.real, of_pairs.imag]
     parts = np.stack(both_parts, 1)
@@ -269,7 +273,7 @@ def _real_rows(rows: Complex[np.ndarray, "modes k"], reals: int) -> Float[np.nda
 def _split_parameters(
     values: Complex[Tensor, "n k"], reals: int, trained: bool
 ) -> tuple[nn.Parameter, nn.Parameter]:
-    """Real and imaginary parts of complex modal values as separate trainable parameters."""
+    """Split complex modal values into real and imaginary parts that can be trained."""
     real_values = values.real.contiguous()
     real = nn.Parameter(real_values.clone(), requires_grad=trained)
     pair_values = values.imag[reals:]
@@ -280,7 +284,7 @@ def _split_parameters(
 def _join_parameters(
     real: Float[Tensor, "n k"], imag: Float[Tensor, "pairs k"]
 ) -> Complex[Tensor, "n k"]:
-    """Complex modal values from their real and imaginary parts."""
+    """Join separately trained real and imaginary parts to complex modal values."""
     reals = len(real) - len(imag)
     padded_imag = torch.nn.functional.pad(imag, (0, 0, reals, 0)) if reals else imag
     return torch.complex(real, padded_imag)
@@ -297,23 +301,24 @@ class TorchModel(nn.Module, ABC):
     differentiates_forward: ClassVar[bool] = True
 
     def forward(self, u: Signals, x0: States | None = None) -> Signals:
-        """Simulate the model's output from an initial state. A subclass overrides it where it can
-        be cheaper than `advance`."""
+        """Simulate a trainable model's output from an initial state. A subclass overrides it where
+        it can be cheaper than `advance`."""
         start = u.new_zeros(len(u), self.states) if x0 is None else x0
         return self.advance(u, start)[0]
 
     @abstractmethod
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
-        """Simulate the model's output, and return its final state, too."""
+        """Simulate a trainable model, and return its output and its final state."""
 
     @abstractmethod
     def freeze(self, data: DataSet) -> Simulator:
-        """Freeze the trained model to explicit numbers, with its scales."""
+        """Convert a trained torch model to plain numbers, with its signal scales."""
 
 
 class TorchSSM(TorchModel):
-    """Trainable linear recurrence between static maps. `x+ = A x + B S_u(u), y = S_y(C x + D
-    S_u(u))` on scaled signals `u (e, T, m)`, `y (e, T, p)`.
+    """Trainable torch model: a linear recurrence between a static input map and a static output
+    map. `x+ = A x + B S_u(u), y = S_y(C x + D S_u(u))` on scaled signals `u (e, T, m)`, `y (e, T,
+    p)`.
 
     Measured disturbances are further columns of u; they pass S_u by and reach the states alone.
     `lifted` is `S_u(u)`, with them, where it is known already; `x0` is ordered as in
@@ -335,7 +340,8 @@ class TorchSSM(TorchModel):
         return self.scaffold_out(linear_output)
 
     def driving_signals(self, u: Signals, lifted: Signals | None = None) -> Signals:
-        """Signals that drive the recurrence: mapped inputs and measured disturbances."""
+        """Signals that drive the linear recurrence: inputs after the static map, and measured
+        disturbances."""
         channel_count = u.shape[2]
         inputs = channel_count - self.lru.disturbances
         if lifted is None:
@@ -347,7 +353,7 @@ class TorchSSM(TorchModel):
     def advance(
         self, u: Signals, x0: States, lifted: Signals | None = None
     ) -> tuple[Signals, States]:
-        """Simulate the model's output, and return its final state, too."""
+        """Simulate the trainable model, and return its output and its final state."""
         lifted = self.driving_signals(u) if lifted is None else lifted
         modes = self.lru.modal_form()
         modal = self.lru.to_modal_state(x0)

@@ -33,9 +33,9 @@ States = tuple[State | None, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class PieceStarts:
+class InitialStateChoice:
     """Initial states of validation and test records, simulated from the log before them, and
-    whether they improve the prediction.
+    whether they predict better than estimated ones.
 
     `choice` is None where no record has a past: then its first samples are all there is.
     `is_undecided` says that the two are so near that rounding on another machine may choose the
@@ -48,31 +48,31 @@ class PieceStarts:
     is_undecided: bool = False
 
     def chosen_states(self, part: str) -> States:
-        """Chosen initial states of the validation or test records; None where they are estimated
-        from the first samples."""
+        """Chosen initial states of the validation or test records; None where the first samples are
+        used to estimate them."""
         from_past: States = getattr(self, part)
         return from_past if self.choice == PAST else (None,) * len(from_past)
 
 
-def choose_initial_state_source(model: Any, data: DataSet) -> PieceStarts:
-    """Choose whether a record's initial state is estimated from its first samples or simulated from
-    the log before it.
+def choose_initial_state_source(model: Any, data: DataSet) -> InitialStateChoice:
+    """Choose whether initial states of records are estimated from first samples or simulated from
+    the log before the record.
 
     Nothing of the test records is used but the inputs and outputs that precede them in their logs.
     """
-    none = PieceStarts(
+    none = InitialStateChoice(
         choice=None, validation=(None,) * len(data.validation), test=(None,) * len(data.test)
     )
     if data.start_up_samples == 0 or not isinstance(model, ScaffoldedModel):
         return none
-    validation = states_from_past(model, data, data.validation)
-    test = states_from_past(model, data, data.test)
+    validation = states_from_preceding_log(model, data, data.validation)
+    test = states_from_preceding_log(model, data, data.test)
     if all(state is None for state in (*validation, *test)):
         return none
     errors = initial_state_errors(model, data)
     if errors is None:
-        return PieceStarts(choice=SAMPLES, validation=validation, test=test)
-    return PieceStarts(
+        return InitialStateChoice(choice=SAMPLES, validation=validation, test=test)
+    return InitialStateChoice(
         choice=PAST if errors[PAST] < errors[SAMPLES] else SAMPLES,
         validation=validation,
         test=test,
@@ -81,14 +81,14 @@ def choose_initial_state_source(model: Any, data: DataSet) -> PieceStarts:
 
 
 def initial_state_errors(model: Any, data: DataSet) -> dict[str, float] | None:
-    """Mean free-run error with initial states from the first samples, and with those from the log
-    before; None without such a log.
+    """Mean simulation error with initial states estimated from first samples, and with those
+    simulated from the log before.
 
     Of every piece the error's power counts as a share of the
     piece's own, at most one: one divergent piece must not decide.
     """
-    pieces = records_for_start_choice(data)
-    from_past = states_from_past(model, data, pieces)
+    pieces = records_to_compare_starts(data)
+    from_past = states_from_preceding_log(model, data, pieces)
     pairs = zip(pieces, from_past, strict=True)
     with_past = [(piece, state) for piece, state in pairs if state is not None]
     if not with_past:
@@ -101,8 +101,8 @@ def initial_state_errors(model: Any, data: DataSet) -> dict[str, float] | None:
     }
 
 
-def records_for_start_choice(data: DataSet) -> Trajectories:
-    """Training and validation records on which the two ways to find an initial state are compared.
+def records_to_compare_starts(data: DataSet) -> Trajectories:
+    """Training and validation records on which two ways of finding initial states are compared.
     Long ones are cut into pieces as long as a test record."""
     records = [record for record in (*data.training, *data.validation) if record.log]
     tested = max((len(record) for record in data.test), default=0)
@@ -119,8 +119,8 @@ def records_for_start_choice(data: DataSet) -> Trajectories:
 def mean_relative_error_power(
     model: Any, data: DataSet, records: Trajectories, states: Sequence[Any]
 ) -> float:
-    """Mean relative power of the free-run error over several records, limited to one for each
-    record."""
+    """Mean power of the simulation error relative to the power of the output, limited to one for
+    each record."""
     scale = data.scale.output_scale
     run = Simulation.simulate_records(model, records, data.start_up_samples, tuple(states))
     shares = []
@@ -133,24 +133,24 @@ def mean_relative_error_power(
     return float(np.mean(shares))
 
 
-def states_from_past(model: Any, data: DataSet, pieces: Trajectories) -> States:
-    """State at the beginning of each record, simulated from the beginning of its log. It is None
-    for a record behind less than two start-up windows of its log."""
-    return tuple(state_from_past(model, data, piece) for piece in pieces)
+def states_from_preceding_log(model: Any, data: DataSet, records: Trajectories) -> States:
+    """State of a model at the beginning of each record, simulated from the beginning of the
+    record's log. It is None for a record behind less than two start-up windows of its log."""
+    return tuple(state_from_preceding_log(model, data, piece) for piece in records)
 
 
-def state_from_past(model: Any, data: DataSet, piece: Trajectory) -> State | None:
-    """State at the beginning of a record, simulated from the log before it."""
-    past = preceding_log(data, piece)
+def state_from_preceding_log(model: Any, data: DataSet, record: Trajectory) -> State | None:
+    """State of a model at the beginning of one record, simulated over the log before the record."""
+    past = preceding_log(data, record)
     if past is None or len(past) < SHORTEST_PAST * data.start_up_samples:
         return None
     start = estimate_initial_state(model, past, data.start_up_samples)
-    _, states = model.simulate_mapped(model.driving_signals(past.u, past.d), start)
+    _, states = model.simulate_recurrence(model.driving_signals(past.u, past.d), start)
     return np.asarray(states if isinstance(model, SSM) else states[-1], dtype=np.float64)
 
 
 def preceding_log(data: DataSet, piece: Trajectory) -> Trajectory | None:
-    """Stretch of the log that directly precedes a record; None if there is none."""
+    """Part of the log that directly precedes a record; None if there is none."""
     records = [*data.training, *data.validation, *data.test]
     all_records = [record for record in records if record.log and record.log == piece.log]
     joined: list[Trajectory] = []
@@ -170,7 +170,7 @@ def preceding_log(data: DataSet, piece: Trajectory) -> Trajectory | None:
 
 
 def join_log_stretches(data: DataSet) -> list[Trajectory]:
-    """Stretches of the logs without gaps, joined again from the records of a data set."""
+    """Join the records of a data set that follow each other in a log to parts without gaps."""
     records = [*data.training, *data.validation, *data.test]
     all_records = sorted((one for one in records if one.log), key=lambda one: (one.log, one.first))
     stretches: list[list[Trajectory]] = []
@@ -189,7 +189,7 @@ def join_log_stretches(data: DataSet) -> list[Trajectory]:
 
 
 def simulate_validation_and_test(model: Any, data: DataSet) -> tuple[Simulation, Simulation]:
-    """Free runs of the validation and test records from the chosen initial states."""
+    """Simulate a model on the validation and test records from the chosen initial states."""
     starts = choose_initial_state_source(model, data)
     window = data.start_up_samples
     validation = Simulation.simulate_records(
@@ -199,23 +199,25 @@ def simulate_validation_and_test(model: Any, data: DataSet) -> tuple[Simulation,
     return validation, test
 
 
-def simulate_unchosen_start(model: Any, data: DataSet, test: Simulation) -> Simulation | None:
-    """Free run of the test records from the initial states that were not chosen; None if there are
-    none."""
+def simulate_from_unchosen_states(model: Any, data: DataSet, test: Simulation) -> Simulation | None:
+    """Simulate a model on the test records from the initial states that were not chosen; None if
+    there are none."""
     if len(test.starts) != len(data.test) or not isinstance(model, ScaffoldedModel):
         return None
     states: States = (None,) * len(data.test)
     if all(state is None for state in test.starts):
-        states = states_from_past(model, data, data.test) if data.start_up_samples else states
+        states = (
+            states_from_preceding_log(model, data, data.test) if data.start_up_samples else states
+        )
         if all(state is None for state in states):
             return None
     return Simulation.simulate_records(model, data.test, data.start_up_samples, states)
 
 
 def initial_state_columns(model: Any, data: DataSet, test: Simulation) -> dict[str, Any]:
-    """Columns on how the initial states of validation and test records were found, with the test
-    fit of the other way. They are null where no test record has a log before it."""
-    other = simulate_unchosen_start(model, data, test)
+    """Table columns on how initial states of validation and test records were found, and the test
+    fit of the alternative. They are null where no test record has a log before it."""
+    other = simulate_from_unchosen_states(model, data, test)
     if other is None:
         return {"piece_start": None, "fit_test_other_start_percent": None}
     from_past = any(state is not None for state in test.starts)

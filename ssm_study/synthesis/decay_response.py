@@ -47,7 +47,7 @@ def simulate_decays(
         samples = min(SAMPLES[1], recorded_samples)
         y = trial.y[:samples]
         measured = model.scale.scaled_output(y)
-        start = estimate_initial_state(model, trial, samples, reached_by=validation[0])
+        start = estimate_initial_state(model, trial, samples, excitation_record=validation[0])
         first_inputs = trial.u[:samples]
         response = model.simulate(first_inputs, start)
         simulated = model.scale.scaled_output(response)

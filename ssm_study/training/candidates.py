@@ -12,7 +12,7 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured_spec import StructuredSpec
-from ssm_study.models.warm_start import PAST, SAMPLES, states_from_past
+from ssm_study.models.warm_start import PAST, SAMPLES, states_from_preceding_log
 from ssm_study.signals import DataSet, Trajectory
 from ssm_study.systems import StateSpace
 from ssm_study.training.metrics import records_fit_percent
@@ -194,7 +194,7 @@ class Trial:
         counts as failed."""
         self.example = model
         self.training_errors.append(training_error)
-        states = () if model is None else states_from_past(model, fold, fold.test)
+        states = () if model is None else states_from_preceding_log(model, fold, fold.test)
         record_count = len(states)
         starts = {SAMPLES: (None,) * record_count, PAST: states}
         for name, errors in self.by_start.items():

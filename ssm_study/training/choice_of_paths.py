@@ -95,7 +95,7 @@ def nearly_integrates(data: DataSet) -> bool:
     with np.errstate(all="ignore"):
         all_records = join_training_and_validation(data)
         slow_model = fit_linear_model(all_records, SLOW_ORDER, direct=False)
-        system = slow_model.driven_system
+        system = slow_model.system_with_disturbances
         modes, vectors = np.linalg.eig(system.a)
         modal_outputs = system.c @ vectors
         by_output = np.abs(modal_outputs).T

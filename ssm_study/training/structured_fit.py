@@ -365,7 +365,7 @@ def linearise_neuron(model: StructuredSSM, i: int, records: Trajectories) -> Str
     slopes = []
     for record in records:
         driving = model.driving_signals(record.u, record.d)
-        _, states = model.simulate_mapped(driving)
+        _, states = model.simulate_recurrence(driving)
         v = model.map_input(record.u)
         from_state = states[:-1] @ model.f.T
         from_input = v @ model.g.T

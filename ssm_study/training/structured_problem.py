@@ -18,7 +18,7 @@ from ssm_study.models.structured_kernel import (
     simulate_with_sensitivities,
     split_blocks,
 )
-from ssm_study.models.structured_spec import TrainablePieces
+from ssm_study.models.structured_spec import TrainablePiecewiseMap
 from ssm_study.training.gain_sign import MOST_NEURONS, gain_shortfall, jacobian_by_differences
 from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, levenberg_marquardt_step
 from ssm_study.training.record_batch import RecordBatch
@@ -45,8 +45,8 @@ class SimulationProblem:
 
     records: RecordBatch
     neurons: tuple[str, ...]
-    lift: TrainablePieces
-    read: TrainablePieces
+    lift: TrainablePiecewiseMap
+    read: TrainablePiecewiseMap
     rate: float | None = None
     integrating_output: bool = False
     ridge: float = 0.0

@@ -103,7 +103,7 @@ class Training:
             spec = spec.without_neurons()
         requested = getattr(spec, "training_count", self.starts)
         trainings = max(requested, members)
-        starts = [spec.for_training_run(k) for k in range(trainings)]
+        starts = [spec.settings_of_training_run(k) for k in range(trainings)]
         return self._train_best_of_several(starts, data, session, members)
 
     def _identify_chosen(

@@ -19,7 +19,7 @@ from ssm_study.models.torch_ssm import LRU
 
 EVALUATIONS = {
     "convolution": recurrence.simulate_by_convolution,
-    "chunks": recurrence.simulate_in_chunks,
+    "chunks": recurrence.simulate_in_blocks,
 }
 Evaluation = Callable[..., torch.Tensor]
 

@@ -21,7 +21,7 @@ from ssm_study.models.contracting import (
     transform_to_metric,
 )
 from ssm_study.models.spec import scale_records
-from ssm_study.models.structured_spec import TrainablePieces
+from ssm_study.models.structured_spec import TrainablePiecewiseMap
 from ssm_study.training.levenberg import DAMPING_RANGE
 from ssm_study.training.record_batch import RecordBatch
 from ssm_study.training.structured_problem import (
@@ -186,9 +186,9 @@ def problem(
     p = 2
     q = 3
     pairs = [(rng.normal(size=(t, m)), rng.normal(size=(t, p))) for t in (30, 22)]
-    lift = TrainablePieces(m, 4, 0.1, 1.5)
+    lift = TrainablePiecewiseMap(m, 4, 0.1, 1.5)
     knots = 0 if integrating_output else 3
-    read = TrainablePieces(p, knots, 0.3, 1.0)
+    read = TrainablePiecewiseMap(p, knots, 0.3, 1.0)
     shapes = {"b": (n, m), "c": (p, n), "d": (p, m)}
     shapes |= {"g": (q, m), "h": (p, q), "bias": (q,)}
     theta = {name: 0.5 * rng.normal(size=shape) for name, shape in shapes.items()}
@@ -237,8 +237,8 @@ def test_the_jacobian_is_that_of_differences(rate: float | None, integrating_out
 
 def test_the_gradient_is_that_of_the_adjoint() -> None:
     one, theta = problem(5, None)
-    lift = TrainablePieces(2, 0, 0.1, 1.0)
-    read = TrainablePieces(2, 0, 0.1, 1.0)
+    lift = TrainablePiecewiseMap(2, 0, 0.1, 1.0)
+    read = TrainablePiecewiseMap(2, 0, 0.1, 1.0)
     one = replace(one, lift=lift, read=read)
     scaffold_in = np.zeros(0)
     scaffold_out = np.zeros(0)
@@ -274,8 +274,8 @@ def test_the_ridge_weighs_the_squares_of_the_parameters_that_are_moved() -> None
 def test_a_step_whose_damped_matrix_overflows_has_failed_and_ends_nothing() -> None:
     """An unstable draw: the loss and the normal matrix are finite, not so the matrix times a
     damping."""
-    lift = TrainablePieces(1, 0, 0.1, 1.0)
-    read = TrainablePieces(1, 0, 0.1, 1.0)
+    lift = TrainablePiecewiseMap(1, 0, 0.1, 1.0)
+    read = TrainablePiecewiseMap(1, 0, 0.1, 1.0)
     maps = {"lift": lift, "read": read}
     ramp = np.arange(900.0)[:, None]
     pairs = [(np.ones((900, 1)), ramp)]
@@ -305,8 +305,8 @@ def test_a_refused_step_does_not_end_the_linear_fit_of_a_start() -> None:
     plant = from_yaml("plant", "dc_motor")
     excitation = from_yaml("excitation", "aprbs")
     recording = made.build(plant, excitation, 8)
-    lift = TrainablePieces(1, 16, 0.1, 1.0)
-    read = TrainablePieces(1, 0, 0.1, 1.0)
+    lift = TrainablePiecewiseMap(1, 16, 0.1, 1.0)
+    read = TrainablePiecewiseMap(1, 0, 0.1, 1.0)
     maps = {"lift": lift, "read": read}
     batch = RecordBatch.from_pairs(scale_records(recording))
     records = batch.take_whole_records(2000)
@@ -334,8 +334,8 @@ def test_slow_modes_are_found_where_the_next_sample_hardly_depends_on_the_input(
         x = np.array([slow_mode, driven_mode])
     standard_deviation = np.std(y)
     y = np.array(y) / standard_deviation
-    lift = TrainablePieces(1, 0, 0.1, 1.0)
-    read = TrainablePieces(1, 0, 0.1, 1.0)
+    lift = TrainablePiecewiseMap(1, 0, 0.1, 1.0)
+    read = TrainablePiecewiseMap(1, 0, 0.1, 1.0)
     maps = {"lift": lift, "read": read}
     pairs = [(u, y)]
     records = RecordBatch.from_pairs(pairs)

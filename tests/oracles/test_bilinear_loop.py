@@ -184,7 +184,7 @@ def test_the_vertices_hold_between_the_nodes(certificates: RestCertificates) -> 
         if v == 0.0:
             continue
         at_the_input = np.array([[v]])
-        all_hats = model.hats(at_the_input)
+        all_hats = model.hat_values(at_the_input)
         hats = all_hats[0]
         a = np.einsum("q,qij->ij", hats, model.a)
         b = hats @ model.b / v

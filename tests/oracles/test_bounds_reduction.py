@@ -215,10 +215,10 @@ class Model:
         self.linear = linear
 
     @property
-    def driven_system(self) -> StateSpace:
+    def system_with_disturbances(self) -> StateSpace:
         return self.linear
 
-    def with_driven_system(self, system: StateSpace) -> "Model":
+    def with_system_and_disturbances(self, system: StateSpace) -> "Model":
         return Model(system)
 
 

@@ -16,8 +16,8 @@ from ssm_study.models.baselines.solved import NARX, OutputError
 from ssm_study.models.baselines.starts import (
     OUTPUTS,
     RUN_IN,
-    as_state_space,
-    simulate_from_each_start,
+    arx_to_state_space,
+    simulate_by_kind_of_start,
 )
 from ssm_study.models.best_baseline import baseline_columns, fit_baselines, fit_best_baseline
 from ssm_study.models.warm_start import PAST, SAMPLES
@@ -180,7 +180,7 @@ def test_a_baseline_does_not_start_from_one_noisy_output() -> None:
     """A slow mode carries the noise of the first outputs on; a state from the past has none."""
     data = slow_records()
     model = fit_output_error(data, 1, 1)
-    runs = simulate_from_each_start(model, data, data.test)
+    runs = simulate_by_kind_of_start(model, data, data.test)
     fits = {start: run.fit_percent for start, run in runs.items()}
     assert fits[PAST] > fits[OUTPUTS] + 1.0
     assert fits[SAMPLES] > fits[OUTPUTS]
@@ -193,7 +193,7 @@ def test_a_baseline_does_not_start_from_one_noisy_output() -> None:
 def test_a_linear_recursion_is_the_same_as_its_state_space(delay: int) -> None:
     data = records(start_up=20)
     arx = fit_arx(data, 3, delay)
-    system = as_state_space(arx, data.step_s)
+    system = arx_to_state_space(arx, data.step_s)
     u = data.test[0].u
     assert system.simulate(u) - system.simulate(0 * u) == pytest.approx(
         arx.simulate(u) - arx.simulate(0 * u), abs=1e-9
@@ -203,7 +203,7 @@ def test_a_linear_recursion_is_the_same_as_its_state_space(delay: int) -> None:
 def test_a_polynomial_runs_through_the_log_before_a_record() -> None:
     data = slow_records()
     model = next(fit_narx_models(data, 1, 2, 1, [3]))
-    run = simulate_from_each_start(model, data, data.test)[PAST]
+    run = simulate_by_kind_of_start(model, data, data.test)[PAST]
     past = data.validation[0][-RUN_IN:]
     whole = np.concatenate([past.u, data.test[0].u])
     expected = model.simulate_from_outputs(whole, past.y[:20])[len(past) :]

@@ -19,7 +19,7 @@ from ssm_study.models.warm_start import (
     initial_state_columns,
     preceding_log,
     simulate_validation_and_test,
-    state_from_past,
+    state_from_preceding_log,
 )
 from ssm_study.signals import Channel, DataSet, Trajectory
 from ssm_study.systems import StateSpace
@@ -67,7 +67,7 @@ def test_the_state_from_the_past_is_that_of_the_plant() -> None:
     record = log()
     data = cut(record)
     piece = data.test[0]
-    state = state_from_past(model(), data, piece)
+    state = state_from_preceding_log(model(), data, piece)
     linear = model().linear
     first = data.test[0].first
     _, expected = linear.simulate(record.u[:first])

@@ -18,8 +18,8 @@ from ssm_study.signals import DataSet, Scale
 
 @dataclass(frozen=True, kw_only=True)
 class Recurrent(Simulator, names=("gru", "lstm")):
-    """Identified GRU or LSTM model as explicit numbers. It has one layer with a linear output,
-    computed by torch's documented equations."""
+    """Identified GRU or LSTM model with one layer and a linear output, as plain numbers without
+    torch. It has one layer with a linear output, computed by torch's documented equations."""
 
     kind: str  # type: ignore[misc] # of either cell
     weight_ih: Float[np.ndarray, "g m"]
@@ -89,7 +89,7 @@ class TorchRecurrent(TorchModel):
         return outputs, end_state[0]
 
     def freeze(self, data: DataSet) -> Recurrent:
-        """Freeze the trained recurrent model to explicit numbers, with its scales."""
+        """Convert the trained GRU or LSTM model to plain numbers, with its signal scales."""
         names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
         weights = {name: tensor_to_numpy(getattr(self.cell, f"{name}_l0")) for name in names}
         read_weight = self.read.weight
@@ -101,8 +101,8 @@ class TorchRecurrent(TorchModel):
 
 @dataclass(frozen=True, kw_only=True)
 class RecurrentSpec(ModelSpec):
-    """Settings of a GRU or LSTM model, for identification only. `cell` is gru or lstm, `hidden` the
-    number of its states."""
+    """Settings of a GRU or LSTM model, which can be identified but not certified. `cell` is gru or
+    lstm, `hidden` the number of its states."""
 
     cell: str
     hidden: int

@@ -35,8 +35,8 @@ Codes = Int[np.ndarray, "terms degree"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Polynomial(Simulator, names=("narx",)):
-    """Polynomial NARX model with one output; a linear ARX model is of degree one.
+class NarxModel(Simulator, names=("narx",)):
+    """Identified polynomial NARX model with one output; linear ARX is the case of degree one.
 
     `y[k] = sum_i theta_i prod_j factor_ij`, the factors named by codes: 1000 + l is `y[k-l]`, 2000
     + l is `u[k-l]` (3000 + l of the second input), 0 is one.
@@ -47,12 +47,12 @@ class Polynomial(Simulator, names=("narx",)):
     scale: Scale
 
     def simulate(self, u: Inputs) -> Outputs:
-        """Simulate the polynomial model in free run from the equilibrium."""
+        """Simulate a polynomial NARX model in free run from the equilibrium."""
         no_outputs = np.zeros((*u.shape[:-2], 0, 1))
         return self.simulate_from_outputs(u, no_outputs)
 
     def simulate_from_outputs(self, u: Inputs, y_start: Measured) -> Outputs:
-        """Simulate the polynomial model in free run after some measured outputs."""
+        """Simulate a polynomial NARX model in free run that continues some measured outputs."""
         v = self.scale.scaled_input(u)
         scaled_start = self.scale.scaled_output(y_start)
         measured = scaled_start[..., 0]
@@ -86,7 +86,7 @@ class Polynomial(Simulator, names=("narx",)):
 
 
 def _input_factor_product(codes: Codes, v: Float[np.ndarray, "*batch T m"]) -> np.ndarray:
-    """Product of the input factors in each term of a polynomial model, at each sample."""
+    """Product of the input factors in each term of a NARX model, at each sample."""
     run_shape = v.shape[:-1]
     product = np.ones((*run_shape, len(codes)))
     for term, row in enumerate(codes):
@@ -98,7 +98,7 @@ def _input_factor_product(codes: Codes, v: Float[np.ndarray, "*batch T m"]) -> n
 
 
 def regressor_codes(lags: int, delay: int, inputs: int) -> list[int]:
-    """Integer codes, one for each past output or input on which a polynomial model may depend."""
+    """Integer codes of the delayed outputs and inputs that a NARX model may use."""
     output_lags = range(1, lags + 1)
     outputs = [OUTPUT + lag for lag in output_lags]
     channels = range(inputs)
@@ -110,7 +110,7 @@ def regressor_codes(lags: int, delay: int, inputs: int) -> list[int]:
 def regression_arrays(
     records: Pairs, codes: Sequence[int]
 ) -> tuple[Float[np.ndarray, "N V"], Float[np.ndarray, "N"]]:
-    """Regressors and target outputs of several records for a least-squares fit. No row reaches
+    """Regressor matrix and target outputs of several records for least squares. No row reaches
     across two records."""
     first = max(code % 1000 for code in codes)
     rows = []
@@ -127,18 +127,18 @@ def regression_arrays(
     return all_rows, all_targets
 
 
-def _delayed_signal(u: np.ndarray, y: np.ndarray, code: int, first: int) -> Float[np.ndarray, "N"]:
-    """Samples of the delayed signal that an integer code of a regressor stands for."""
+def _delayed_signal(u: np.ndarray, y: np.ndarray, code: int, start: int) -> Float[np.ndarray, "N"]:
+    """Delayed output or input for which an integer code of a regressor stands."""
     if code == CONSTANT:
-        return np.ones(len(u) - first)
+        return np.ones(len(u) - start)
     lag = code % 1000
     signal = y[:, 0] if code < INPUT else u[:, (code - INPUT) // 1000]
     samples = len(signal)
-    return signal[first - lag : samples - lag]
+    return signal[start - lag : samples - lag]
 
 
-def fit_arx(data: DataSet, lags: int, delay: int) -> Polynomial:
-    """Fit a linear ARX model by least squares."""
+def fit_arx(data: DataSet, lags: int, delay: int) -> NarxModel:
+    """Fit a linear ARX model to the training records by least squares."""
     input_count = data.scale.inputs
     regressors = regressor_codes(lags, delay, input_count)
     codes = [CONSTANT, *regressors]
@@ -147,13 +147,13 @@ def fit_arx(data: DataSet, lags: int, delay: int) -> Polynomial:
     solution = np.linalg.lstsq(rows, target, rcond=None)
     theta = solution[0]
     code_array = np.array(codes)
-    return Polynomial(codes=code_array[:, None], theta=theta, scale=data.scale)
+    return NarxModel(codes=code_array[:, None], theta=theta, scale=data.scale)
 
 
 def fit_narx_models(
     data: DataSet, lags: int, degree: int, delay: int, counts: Sequence[int]
-) -> Iterator[Polynomial]:
-    """Fit polynomial NARX models with increasing numbers of terms, all from one forward regression.
+) -> Iterator[NarxModel]:
+    """Fit polynomial NARX models of increasing size by one forward regression.
 
     Source: Billings (2013), Nonlinear System Identification, chapter 3 (error reduction ratio).
     """
@@ -176,13 +176,13 @@ def fit_narx_models(
         chosen_columns = candidates[:, chosen]
         solution = np.linalg.lstsq(chosen_columns, target, rcond=None)
         theta = solution[0]
-        yield Polynomial(codes=np.array(codes)[products[chosen]], theta=theta, scale=data.scale)
+        yield NarxModel(codes=np.array(codes)[products[chosen]], theta=theta, scale=data.scale)
 
 
 def select_regressors(
     candidates: Float[np.ndarray, "N M"], target: Float[np.ndarray, "N"], count: int
 ) -> list[int]:
-    """Order regressors by the share of the remaining residual that each one explains."""
+    """Select regressors one by one, each the one that explains most of the residual."""
     left = candidates.copy()
     residual = target.copy()
     powers = (left**2).sum(axis=0)
@@ -207,9 +207,9 @@ def select_regressors(
     return chosen
 
 
-def fit_output_error(data: DataSet, order: int, delay: int) -> Polynomial:
-    """Fit a linear output-error model, which minimises the squared error of its free run. Each
-    record has its own initial state.
+def fit_output_error(data: DataSet, order: int, delay: int) -> NarxModel:
+    """Fit a linear output-error model to the training records by least squares on the free-run
+    error. Each record has its own initial state.
 
     `y = (sum_j B_j u_j + decay) / F + offset`; Levenberg-Marquardt from ARX of as many lags, and
     from an ARX of many lags reduced to the order, which noise disturbs less. Source: Ljung (1999),
@@ -229,12 +229,12 @@ def fit_output_error(data: DataSet, order: int, delay: int) -> Polynomial:
     codes = [CONSTANT, *regressors]
     theta = np.concatenate([[offset], -f, b])
     code_array = np.array(codes)
-    return Polynomial(codes=code_array[:, None], theta=theta, scale=data.scale)
+    return NarxModel(codes=code_array[:, None], theta=theta, scale=data.scale)
 
 
 def _initial_denominators(data: DataSet, order: int, delay: int) -> list[Float[np.ndarray, "n"]]:
-    """Stable denominator polynomials from which the fit of an output-error model starts. One is of
-    ARX, one of a long ARX reduced by a balanced realisation of its impulse response."""
+    """Stable denominator polynomials from which the fit of an output-error model is started. One is
+    of ARX, one of a long ARX reduced by a balanced realisation of its impulse response."""
     short = fit_arx(data, order, delay)
     short_denominator = short.theta[1 : order + 1]
     starts = [_stabilise_polynomial(-short_denominator)]
@@ -267,7 +267,7 @@ def _stabilise_polynomial(f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
 
 @dataclass(frozen=True)
 class _OutputErrorProblem:
-    """Least-squares problem of fitting an output-error model, by filtering with `1 / F`."""
+    """Nonlinear least-squares problem of fitting a linear output-error model."""
 
     records: Pairs
     order: int
@@ -275,11 +275,11 @@ class _OutputErrorProblem:
 
     @property
     def extra_parameter_count(self) -> int:
-        """Number of parameters for the offset and for each record's free decay."""
+        """Number of parameters for the output offset and each record's free response."""
         return 1 + self.order * len(self.records)
 
     def initial_parameters(self, f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "P"]:
-        """Initial parameters with a given denominator; all others are found by least squares."""
+        """Initial parameters of an output-error fit for a given denominator polynomial."""
         parameter_count = self.extra_parameter_count + self._input_coefficient_count
         other_parameters = np.zeros(parameter_count)
         parameters = np.concatenate([f, other_parameters])
@@ -290,19 +290,19 @@ class _OutputErrorProblem:
 
     @property
     def _input_coefficient_count(self) -> int:
-        """Number of coefficients of the model's numerator polynomials."""
+        """Number of coefficients in the numerator polynomials of an output-error model."""
         first_inputs = self.records[0][0]
         return self.order * first_inputs.shape[1]
 
     def squared_error(self, parameters: Float[np.ndarray, "P"]) -> float:
-        """Squared error of the free run over all records; infinite where the run is not finite."""
+        """Sum of squared free-run errors on all records; infinite if a run diverges."""
         residual, _ = self.residual_and_jacobian(parameters)
         value = float(residual @ residual)
         is_finite = np.isfinite(value)
         return value if is_finite else np.inf
 
     def residual_and_jacobian(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Simulation error of all records, and its Jacobian with respect to the parameters."""
+        """Free-run errors on all records, and their Jacobian with respect to the parameters."""
         residuals = []
         jacobians = []
         for index, (u, y) in enumerate(self.records):
@@ -343,7 +343,7 @@ class _OutputErrorProblem:
         return jacobian
 
     def minimise(self, parameters: np.ndarray) -> np.ndarray:
-        """Minimise the squared simulation error by the Levenberg-Marquardt method. At most
+        """Minimise the squared free-run error by the Levenberg-Marquardt method. At most
         `OUTPUT_ERROR_STEPS` steps; F stays stable."""
         residual, jacobian = self.residual_and_jacobian(parameters)
         damping = 1e-3
@@ -379,7 +379,7 @@ class _OutputErrorProblem:
 
 
 def _filter_recursively(f: np.ndarray, signal: np.ndarray) -> np.ndarray:
-    """Filter a signal by `1 / (1 + f_1 z^-1 + ...)`."""
+    """Filter a signal by the all-pole filter `1 / (1 + f_1 z^-1 + ...)`."""
     from scipy.signal import lfilter  # SciPy loads this part at its first use, in half a second
 
     denominator = [1.0, *f]
@@ -387,11 +387,11 @@ def _filter_recursively(f: np.ndarray, signal: np.ndarray) -> np.ndarray:
     return np.asarray(filtered)
 
 
-def _delayed_copies(signal: np.ndarray, first: int, count: int) -> np.ndarray:
-    """Copies of one signal with increasing delays, as columns."""
+def _delayed_copies(signal: np.ndarray, first_delay: int, count: int) -> np.ndarray:
+    """Matrix whose columns are copies of one signal with increasing delays."""
     samples = len(signal)
     columns = np.zeros((samples, count))
     for column in range(count):
-        lag = first + column
+        lag = first_delay + column
         columns[lag:, column] = signal[: len(signal) - lag]
     return columns

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.models.baselines.regression import (
-    Polynomial,
+    NarxModel,
     fit_arx,
     fit_narx_models,
     fit_output_error,
@@ -30,21 +30,22 @@ MOST_TERMS = 20
 
 
 class SolvedSpec(ModelSpec, ABC):
-    """Base class of settings of models that are fitted by direct computation, without training in
-    torch. `solve` returns their explicit numbers."""
+    """Base class of settings of models that are fitted by direct computation instead of gradient
+    training. `solve` returns their explicit numbers."""
 
     @abstractmethod
     def solve(self, data: DataSet) -> Simulator:
-        """Fit the model to the training records by direct computation."""
+        """Fit a model to the training records by direct computation."""
 
     def build(self, data: DataSet, seed: int) -> Any:  # noqa: ARG002
-        """Raise an error, because this model has no trainable form in torch."""
+        """Raise an error, because a model that is fitted by direct computation has no trainable
+        form in torch."""
         raise TypeError("solved, which is a training of its own")
 
 
 @dataclass(frozen=True, kw_only=True)
 class N4SID(SolvedSpec):
-    """Settings of subspace identification by N4SID with `block_rows` block rows. The result is an
+    """Settings of subspace identification of a linear state-space model by N4SID. The result is an
     SSM without nonlinearity.
 
     A and C are N4SID's. Its D is left out, since the loop samples the output before the input acts,
@@ -65,7 +66,8 @@ class N4SID(SolvedSpec):
         require(has_enough_rows, "model.block_rows", rows, problem, "use twice the order")
 
     def solve(self, data: DataSet) -> SSM:
-        """Identify a linear state-space model by subspace identification."""
+        """Identify a linear state-space model from the training records by the subspace method
+        N4SID."""
         nfoursid = import_library("nfoursid.nfoursid")
         pandas = import_library("pandas")
         scaled_records = scale_records(data)
@@ -96,9 +98,9 @@ class N4SID(SolvedSpec):
 def estimate_input_matrix(
     a: Float[np.ndarray, "n n"], c: Float[np.ndarray, "p n"], records: Pairs
 ) -> Float[np.ndarray, "n m"]:
-    """Estimate the input matrix of a linear model whose other matrices are known, by least squares.
-    `argmin over B and each record's x0 of sum |y - C x|^2, x+ = A x + B u`: linear in both, so
-    solved at once."""
+    """Estimate the input matrix B of a linear state-space model with given A and C, by least
+    squares. `argmin over B and each record's x0 of sum |y - C x|^2, x+ = A x + B u`: linear in
+    both, so solved at once."""
     n = len(a)
     first_inputs = records[0][0]
     m = first_inputs.shape[1]
@@ -137,9 +139,9 @@ def estimate_input_matrix(
 
 @dataclass(frozen=True, kw_only=True)
 class NARX(SolvedSpec):
-    """Settings of a polynomial NARX model of `degree` with `lags` past inputs and outputs. `terms`
-    of them are chosen by forward regression. Of degree one with every term it is ARX; then `terms`
-    may be null."""
+    """Settings of a polynomial NARX model, which is linear ARX for degree one. `terms` of them are
+    chosen by forward regression. Of degree one with every term it is ARX; then `terms` may be
+    null."""
 
     sizes: ClassVar = ("lags", "degree")
 
@@ -154,8 +156,8 @@ class NARX(SolvedSpec):
         if self.terms is not None:
             require_at_least(1, "model.terms", self.terms, "use 12 or so, or null for all")
 
-    def solve(self, data: DataSet) -> Polynomial:
-        """Fit the polynomial NARX model by forward regression."""
+    def solve(self, data: DataSet) -> NarxModel:
+        """Fit a polynomial NARX model to the training records by forward regression."""
         _refuse_several_outputs(data, "NARX")
         _refuse_short_records(data, self.lags + self.delay)
         if self.degree == 1 and self.terms is None:
@@ -167,7 +169,7 @@ class NARX(SolvedSpec):
 
 @dataclass(frozen=True, kw_only=True)
 class OutputError(SolvedSpec):
-    """Settings of a linear output-error model of a given `order`. Its free run, not its one-step
+    """Settings of a linear output-error model of given order. Its free run, not its one-step
     prediction, has the least error."""
 
     sizes: ClassVar = ("order",)
@@ -179,22 +181,25 @@ class OutputError(SolvedSpec):
         super().__post_init__()
         require_at_least(0, "model.delay", self.delay, "use 1, or 0 where the input acts at once")
 
-    def solve(self, data: DataSet) -> Polynomial:
-        """Fit the output-error model by Levenberg-Marquardt."""
+    def solve(self, data: DataSet) -> NarxModel:
+        """Fit a linear output-error model to the training records by the Levenberg-Marquardt
+        method."""
         _refuse_several_outputs(data, "OutputError")
         _refuse_short_records(data, self.order + self.delay)
         return fit_output_error(data, self.order, self.delay)
 
 
 def _refuse_several_outputs(data: DataSet, model: str) -> None:
-    """Raise `BadRequest` for records with several outputs, which the model cannot have."""
+    """Raise `BadRequest` for data with several outputs and a model structure that can have only
+    one."""
     problem = f"takes one output, and there are {data.scale.outputs}"
     output_count = data.scale.outputs
     require(output_count == 1, "model", model, problem, "choose another model")
 
 
 def _refuse_short_records(data: DataSet, lags: int) -> None:
-    """Raise `BadRequest` for training records that are shorter than the model's lags."""
+    """Raise `BadRequest` for training records that have fewer samples than the model needs past
+    values."""
     lengths = (len(record) for record in data.training)
     longest = max(lengths)
     problem = f"the longest training record has {longest} samples"
@@ -202,8 +207,8 @@ def _refuse_short_records(data: DataSet, lags: int) -> None:
 
 
 def import_library(name: str) -> Any:
-    """Import an optional package. Raises `BadRequest` that says what to install if it is
-    missing."""
+    """Import an optional Python package, or raise `BadRequest` that says what to install. Raises
+    `BadRequest` that says what to install if it is missing."""
     try:
         return import_module(name)
     except ImportError as error:

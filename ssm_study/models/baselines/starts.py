@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.models.baselines.regression import CONSTANT, INPUT, Polynomial
+from ssm_study.models.baselines.regression import CONSTANT, INPUT, NarxModel
 from ssm_study.models.identified import SSM
 from ssm_study.models.metrics import Simulation
-from ssm_study.models.warm_start import PAST, SAMPLES, preceding_log, states_from_past
+from ssm_study.models.warm_start import PAST, SAMPLES, preceding_log, states_from_preceding_log
 from ssm_study.signals import DataSet, Trajectories, Trajectory
 from ssm_study.systems import StateSpace
 
@@ -26,10 +26,11 @@ INTEGRATES = 1e-9  # least distance of `sum f` from one: an integrator has no eq
 RUN_IN = 300  # samples of the log before a record that a polynomial runs through at most
 
 
-def simulate_from_each_start(
-    model: Polynomial, data: DataSet, records: Trajectories, starts: Sequence[str] = STARTS
+def simulate_by_kind_of_start(
+    model: NarxModel, data: DataSet, records: Trajectories, starts: Sequence[str] = STARTS
 ) -> dict[str, Simulation]:
-    """Free runs of a simple model on some records of a data set, by kind of initial state.
+    """Free runs of an ARX or NARX model from each kind of initial state: measured outputs,
+    estimated, or the preceding log.
 
     Only the kinds that are named, and that there are: from rest, if every sample is scored.
     """
@@ -42,28 +43,33 @@ def simulate_from_each_start(
     is_linear = model.codes.shape[1] == 1
     if not is_linear:
         if PAST in starts:
-            runs[PAST] = simulate_after_run_in(model, data, records)
+            runs[PAST] = simulate_after_preceding_log(model, data, records)
         return runs
-    linear = as_state_space(model, data.step_s)
+    linear = arx_to_state_space(model, data.step_s)
     if SAMPLES in starts:
         runs[SAMPLES] = Simulation.simulate_records(linear, records, window)
     if PAST in starts:
-        states = states_from_past(linear, data, records)
+        states = states_from_preceding_log(linear, data, records)
         runs[PAST] = Simulation.simulate_records(linear, records, window, states)
     return runs
 
 
-def simulate_after_run_in(model: Polynomial, data: DataSet, records: Trajectories) -> Simulation:
-    """Free runs of records, each begun on the log before it. A record without such a log begins
-    with its own measured outputs."""
-    simulated = tuple(simulate_record_after_run_in(model, data, record) for record in records)
+def simulate_after_preceding_log(
+    model: NarxModel, data: DataSet, records: Trajectories
+) -> Simulation:
+    """Simulate a NARX model on several records, with each simulation begun on the log before the
+    record. A record without such a log begins with its own measured outputs."""
+    simulated = tuple(
+        simulate_record_after_preceding_log(model, data, record) for record in records
+    )
     return Simulation(records=records, simulated=simulated, start_up_samples=data.start_up_samples)
 
 
-def simulate_record_after_run_in(
-    model: Polynomial, data: DataSet, record: Trajectory
+def simulate_record_after_preceding_log(
+    model: NarxModel, data: DataSet, record: Trajectory
 ) -> Float[np.ndarray, "T p"]:
-    """Free run of one record, begun on the log before it."""
+    """Simulate a NARX model on one record, with the simulation begun on the log before the
+    record."""
     past = preceding_log(data, record)
     window = data.start_up_samples
     if past is None:
@@ -74,8 +80,8 @@ def simulate_record_after_run_in(
     return simulated[len(run_in) :]
 
 
-def as_state_space(model: Polynomial, step_s: float) -> SSM:
-    """State space of a linear recursion, in observer form.
+def arx_to_state_space(model: NarxModel, step_s: float) -> SSM:
+    """Convert a linear ARX model to a state-space model in observer canonical form.
 
     `y[k] = c + sum_i f_i y[k-i] + sum_j g_j u[k-j]` is `x+ = A x + B u, y = C x + D u` around the
     output `c / (1 - sum f)`, with `A` the companion matrix of `f`, `D = g_0`, `B_i = g_i + f_i D`.

@@ -20,14 +20,14 @@ from ssm_study.models.scaffolds.trainable import MapContext, Trainable
 
 @dataclass(frozen=True, kw_only=True)
 class LinearScaffold(Scaffold, names=("linear",)):
-    """Static map that is linear, `S(v) = gain v`. `gain (k, m)` is the identity where the model has
-    no nonlinearity."""
+    """Linear static map `S(v) = gain v`. `gain (k, m)` is the identity where the model has no
+    nonlinearity."""
 
     gain: Float[np.ndarray, "k m"]
 
     @classmethod
     def identity(cls, channels: int) -> "LinearScaffold":
-        """Identity map of several channels."""
+        """Identity map of a number of channels."""
         return cls(gain=np.eye(channels))
 
     def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch k"]:
@@ -56,8 +56,8 @@ class LinearScaffold(Scaffold, names=("linear",)):
 
 @dataclass(frozen=True, kw_only=True)
 class Linear(Trainable):
-    """Identity as an input or output map, without parameters to train. A trainable gain would only
-    repeat what B or C already contain."""
+    """Setting that makes a static map the identity, without parameters to train. A trainable gain
+    would only repeat what B or C already contain."""
 
     fixed = ("gain",)
 

@@ -25,8 +25,8 @@ StartingValues = dict[str, Float[np.ndarray, "..."]]
 
 @dataclass(frozen=True, kw_only=True)
 class MlpScaffold(Scaffold, names=("mlp",)):
-    """Static map that is a multilayer perceptron with leaky ReLU and is zero at zero. `S(v) = N(v)
-    - N(0)`, N of any depth and width.
+    """Static map given by a multilayer perceptron with leaky ReLU, shifted so that it is zero at
+    zero. `S(v) = N(v) - N(0)`, N of any depth and width.
 
     For one input and one hidden layer the slope is constant between the break points `-b_i / w_i`.
     Source: [Z26] section IV.
@@ -69,11 +69,12 @@ class MlpScaffold(Scaffold, names=("mlp",)):
 
 @dataclass(frozen=True, kw_only=True)
 class Mlp(Trainable):
-    """Trainable multilayer perceptron of the paper. It has `depth` hidden layers of leaky ReLU,
-    whose slopes are fixed at the sector's ends or trained inside the sector.
+    """Trainable static map: a multilayer perceptron whose slopes stay within given bounds. It has
+    `depth` hidden layers of leaky ReLU, whose slopes are fixed at the sector's ends or trained
+    inside the sector.
 
     `certified` keeps every Jacobian in the sector by construction: of one channel the slopes of the
-    whole map are trained, whatever `train_slopes` says (`OneChannel`); of several
+    whole map are trained, whatever `train_slopes` says (`OneChannelMlp`); of several
 
         S = S_L o ... o S_1,  S_l(v) = W^T (phi(W v + b) - phi(b)),  W^T W = I,  phi' in [lower_l,
         upper_l]
@@ -91,7 +92,7 @@ class Mlp(Trainable):
 
     def build(self, frame: MapContext, rng: np.random.Generator) -> Any:
         if self.certified and frame.samples.shape[1] == 1:
-            one_channel = OneChannel(depth=self.depth)
+            one_channel = OneChannelMlp(depth=self.depth)
             return one_channel.build(frame, rng)
         return super().build(frame, rng)
 
@@ -111,7 +112,8 @@ class Mlp(Trainable):
         return [self._layer_weights(free, i, slopes) for i in range(self.depth)]
 
     def _layer_weights(self, free: Free, i: int, slopes: Sector) -> Layer:
-        """Weights, biases and slopes of one layer of the perceptron."""
+        """Weights, biases and slopes of one layer of a perceptron with bounded slopes, from its
+        free parameters."""
         if not self.certified:
             bias = free[f"bias_{i}"]
             is_last = i == self.depth - 1
@@ -134,8 +136,8 @@ class Mlp(Trainable):
     def _bounded_slopes(
         self, free: Free, layer: int, sector: Sector, like: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Slopes of the neurons for negative and for positive arguments, within the sector. They
-        are fixed at its two ends, or trained inside by a logistic map."""
+        """Slopes of a layer's leaky-ReLU neurons for negative and positive arguments, within the
+        slope bounds. They are fixed at its two ends, or trained inside by a logistic map."""
         lower, upper = sector
         if not self.train_slopes:
             lower_slopes = torch.full_like(like, lower)
@@ -211,9 +213,9 @@ class Mlp(Trainable):
 def certified_initial_layers(
     frame: MapContext, depth: int, rng: np.random.Generator
 ) -> StartingValues:
-    """Initial weights and break points for each layer of a perceptron whose slopes are
-    certified."""
-    layers = [draw_layer(frame.samples, frame.width, rng) for _ in range(depth)]
+    """Random initial weights and break points for each layer of a perceptron with bounded
+    slopes."""
+    layers = [draw_initial_layer(frame.samples, frame.width, rng) for _ in range(depth)]
     directions = {f"direction_{i}": weights for i, (weights, _) in enumerate(layers)}
     kinks = {f"kink_{i}": values for i, (_, values) in enumerate(layers)}
     return directions | kinks
@@ -222,10 +224,10 @@ def certified_initial_layers(
 def unconstrained_initial_layers(
     frame: MapContext, depth: int, rng: np.random.Generator
 ) -> StartingValues:
-    """Initial weights and biases of a perceptron without slope constraints."""
+    """Random initial weights and biases for each layer of a perceptron without slope bounds."""
     h = frame.width
     channels = frame.samples.shape[1]
-    directions, kinks = draw_layer(frame.samples, h, rng)
+    directions, kinks = draw_initial_layer(frame.samples, h, rng)
     free = {"weight_0": directions}
     inner_shapes = [(h, h)]
     last_shape = [(channels, h)]
@@ -241,9 +243,10 @@ def unconstrained_initial_layers(
 
 
 @dataclass(frozen=True, kw_only=True)
-class OneChannel(Trainable):
-    """Trainable monotone perceptron with one channel. `S = S_L o ... o S_1`, piecewise-linear maps
-    whose sectors multiply to the requested sector.
+class OneChannelMlp(Trainable):
+    """Trainable monotone perceptron with one input and one output, a chain of piecewise-linear
+    maps. `S = S_L o ... o S_1`, piecewise-linear maps whose sectors multiply to the requested
+    sector.
 
     `S_l(v) = int_0^v s(t) dt`, `s = lower + (upper - lower) sigmoid(base + sum of jumps passed)`:
     `width - 1` leaky ReLUs with slopes `lower, upper` and one linear neuron write every such map,
@@ -287,7 +290,7 @@ class OneChannel(Trainable):
     ) -> Float[Tensor, "*batch 1"]:
         for points, slopes, offsets in explicit:
             pieces_of_rows = (points[None], slopes[None], offsets[None])
-            v = scaffold.evaluate_pieces(pieces_of_rows, v)
+            v = scaffold.evaluate_piecewise_linear_map(pieces_of_rows, v)
         return v
 
     def pieces(self, explicit: list[Pieces]) -> Pieces | None:
@@ -335,7 +338,8 @@ class OneChannel(Trainable):
 def layer_slope_bounds(
     lower: float, upper: float, depth: int, channels: int
 ) -> tuple[float, float]:
-    """Slope bounds for each layer, such that the product over all layers stays within given bounds.
+    """Slope bounds for each layer of a perceptron such that their product is the given bounds of
+    the whole.
 
     One channel: slopes multiply, so the depth-th roots. More: with `J_l = a (I + E_l), |E_l| <= d`,
     the product lies in the ball of centre `a^L` and radius `a^L ((1 + d)^L - 1)`, so `d =
@@ -352,11 +356,11 @@ def layer_slope_bounds(
     return centre * (1 - relative), centre * (1 + relative)
 
 
-def draw_layer(
+def draw_initial_layer(
     inputs: Float[np.ndarray, "N m"], width: int, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "h m"], Float[np.ndarray, "h"]]:
-    """Draw random initial weights and biases of a layer. Break points lie at evenly ranked samples
-    of the training input, so that each can be learned.
+    """Draw random initial weights and biases for one layer of a perceptron. Break points lie at
+    evenly ranked samples of the training input, so that each can be learned.
 
     With one input, neighbouring kinks bend in opposite directions: any region can then be made
     steeper or flatter.

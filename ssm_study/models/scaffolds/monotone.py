@@ -121,8 +121,8 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
 def continuous_offsets(
     breakpoints: Float[np.ndarray, "h"], slopes: Float[np.ndarray, "h1"]
 ) -> Float[np.ndarray, "h1"]:
-    """Offsets with which affine pieces join continuously. The piece `slope v + offset` that
-    contains v = 0 has offset zero."""
+    """Offsets with which the affine pieces of a piecewise-linear map join continuously. The piece
+    `slope v + offset` that contains v = 0 has offset zero."""
     pieces_below_zero = np.searchsorted(breakpoints, 0.0, side="right")
     home = int(pieces_below_zero)
     slopes_before = slopes[:-1]
@@ -136,8 +136,8 @@ def continuous_offsets(
 
 @dataclass(frozen=True, kw_only=True)
 class Monotone(Trainable):
-    """Trainable piecewise-linear monotone map. Slopes `lower + (upper - lower) sigmoid(free)`
-    between sorted break points, `hidden_width` of them per channel.
+    """Trainable static map that is piecewise linear and monotone in each channel. Slopes `lower +
+    (upper - lower) sigmoid(free)` between sorted break points, `hidden_width` of them per channel.
 
     The Jacobian is diagonal, so the sector is the ball. The break points move with training: when
     two cross, the piece between them has zero width and the map stays continuous in its parameters.
@@ -168,7 +168,7 @@ class Monotone(Trainable):
         return points, inside, offsets
 
     def evaluate(self, explicit: Pieces, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:
-        return scaffold.evaluate_pieces(explicit, v)
+        return scaffold.evaluate_piecewise_linear_map(explicit, v)
 
     def pieces(self, explicit: Pieces) -> Pieces | None:
         points, inside, offsets = explicit

@@ -19,9 +19,9 @@ from ssm_study.systems import JacobianBall
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualScaffold(Scaffold, names=("residual",)):
-    """Static map, in any dimension, whose Jacobians lie in a ball by construction. `S(v) = alpha v
-    + beta (G(v) - G(0))` with `|G(v) - G(w)| <= |v - w|` gives exactly the ball `alpha I + beta
-    Delta`.
+    """Static map of any dimension whose Jacobians lie in a known ball by construction. `S(v) =
+    alpha v + beta (G(v) - G(0))` with `|G(v) - G(w)| <= |v - w|` gives exactly the ball `alpha I +
+    beta Delta`.
 
     `multipliers[l] (h_l,) > 0` are the diagonal multipliers of the Lipschitz certificate of G. It
     is decided exactly whenever the ball is asked for (`bounds.lipschitz`). Where they prove nothing
@@ -64,7 +64,8 @@ class ResidualScaffold(Scaffold, names=("residual",)):
         return bound_from_ball(ball, "construction")
 
     def jacobian_centre(self) -> None:
-        """No centre matrix is needed: the Jacobians lie around a multiple of the identity."""
+        """No centre matrix, because the Jacobians of the map already lie around a multiple of the
+        identity."""
         return
 
     def as_portable(self) -> PortableMap:
@@ -77,9 +78,9 @@ class ResidualScaffold(Scaffold, names=("residual",)):
 
 @dataclass(frozen=True, kw_only=True)
 class Residual(Trainable):
-    """Trainable static map made of layers that are 1-Lipschitz by construction. G is a stack of
-    `depth` sandwich layers `h -> sqrt2 A^T Psi relu(sqrt2 Psi^-1 B h + b)`, followed by a linear
-    one.
+    """Trainable static map of any dimension, made of layers that are 1-Lipschitz by construction. G
+    is a stack of `depth` sandwich layers `h -> sqrt2 A^T Psi relu(sqrt2 Psi^-1 B h + b)`, followed
+    by a linear one.
 
     With `A A^T + B B^T = I` from a Cayley map every value of the free parameters is 1-Lipschitz;
     written out, G is a perceptron with Lipschitz multipliers `Psi^2`. It couples the channels.
@@ -168,8 +169,8 @@ Sandwich = tuple[tuple[float, float], list[Tensor], list[Tensor], list[Tensor]]
 def cayley_transform(
     skew: Float[Tensor, "h h"], tail: Float[Tensor, "m h"]
 ) -> tuple[Float[Tensor, "h h"], Float[Tensor, "h m"]]:
-    """Orthonormal rows `(A, B)` from unconstrained matrices, by the Cayley transform. `(A, B)` with
-    `A A^T + B B^T = I` for any real `skew, tail`.
+    """Matrix with orthonormal rows from unconstrained matrices, by the Cayley transform. `(A, B)`
+    with `A A^T + B B^T = I` for any real `skew, tail`.
 
     `Z = X - X^T + Y^T Y`, `A^T = (I + Z)^-1 (I - Z)`, `B^T = -2 Y (I + Z)^-1`.
     """

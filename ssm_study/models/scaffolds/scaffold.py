@@ -24,72 +24,74 @@ from ssm_study.systems import AGAIN, StateSpace, array_from_json
 FLAT = (Network, Scale, StateSpace)  # their entries stand beside those of what holds them
 
 
-class Explicit:
-    """Base class of dataclasses that are written to JSON and read from it. Fields are arrays,
-    numbers, words, `FLAT` nouns, others of this kind, or tuples."""
+class JsonDataclass:
+    """Base class of dataclasses that can be written to JSON and read back exactly. Fields are
+    arrays, numbers, words, `FLAT` nouns, others of this kind, or tuples."""
 
     kind: ClassVar[str | None] = None
 
     def to_json(self) -> dict[str, Any]:
-        """Fields of the object as plain values for JSON. Floats are read back as the same float64.
-        An empty array that a field has by default is left out."""
+        """Convert the fields of a dataclass to plain values for JSON. Floats are read back as the
+        same float64. An empty array that a field has by default is left out."""
         data = {} if self.kind is None else {"kind": self.kind}
         for field, value in _json_fields(self):
             nested = _json_fields(value) if isinstance(value, FLAT) else [(field, value)]
-            data |= {part.name: _to_plain(own) for part, own in nested}
+            data |= {part.name: _to_json_value(own) for part, own in nested}
         return data
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Any:
-        """Build the object from its JSON form. Raises `BadRequest` that names a missing or
-        malformed entry."""
+        """Build a dataclass instance from its JSON form. Raises `BadRequest` that names a missing
+        or malformed entry."""
         return _build_from_json(cls, data)
 
 
-def _json_fields(of: Any) -> list[tuple[Field[Any], Any]]:
-    """Fields of an object that are written to JSON, with their values."""
-    all_fields = fields(of)
-    entries = [(field, getattr(of, field.name)) for field in all_fields]
+def _json_fields(instance: Any) -> list[tuple[Field[Any], Any]]:
+    """Fields of a dataclass instance that are written to JSON, with their values."""
+    all_fields = fields(instance)
+    entries = [(field, getattr(instance, field.name)) for field in all_fields]
     return [
         (field, value) for field, value in entries if not (_is_optional(field) and not value.size)
     ]
 
 
 def _is_optional(field: Field[Any]) -> bool:
-    """Whether a field is empty by default, so that older files lack it."""
+    """Whether a dataclass field is empty by default and so may be missing in older JSON files."""
     return field.default_factory is not MISSING
 
 
-def _to_plain(value: Any) -> Any:
-    """Convert a value to plain lists and numbers for JSON."""
+def _to_json_value(value: Any) -> Any:
+    """Convert a field's value to lists, numbers and texts that JSON can store."""
     if isinstance(value, tuple):
-        return [_to_plain(part) for part in value]
+        return [_to_json_value(part) for part in value]
     if isinstance(value, np.ndarray):
         return value.tolist()
-    return value.to_json() if isinstance(value, Explicit) else value
+    return value.to_json() if isinstance(value, JsonDataclass) else value
 
 
 def _build_from_json(kind: Any, data: Mapping[str, Any]) -> Any:
-    """Build an object of a given class from its JSON form."""
+    """Build an instance of a given dataclass from its JSON form."""
     hints = get_type_hints(kind)
     all_fields = fields(kind)
     needed = (field for field in all_fields if field.name in data or not _is_optional(field))
-    entries = {field.name: _read_entry(hints[field.name], field.name, data) for field in needed}
+    entries = {
+        field.name: _read_json_field(hints[field.name], field.name, data) for field in needed
+    }
     return kind(**entries)
 
 
-def _read_entry(kind: Any, key: str, data: Mapping[str, Any]) -> Any:
-    """Read one field of an object from its JSON form."""
+def _read_json_field(kind: Any, key: str, data: Mapping[str, Any]) -> Any:
+    """Read one field of a dataclass from its JSON form."""
     if kind in FLAT:
         return _build_from_json(kind, data)
     if get_origin(kind) is tuple:
         stored_list = data.get(key)
         require(isinstance(stored_list, list), key, stored_list, "expected a list", AGAIN)
-        parts = (_read_entry(get_args(kind)[0], key, {key: part}) for part in data[key])
+        parts = (_read_json_field(get_args(kind)[0], key, {key: part}) for part in data[key])
         return tuple(parts)
     if kind is float:
         return float(array_from_json(data, key, 0))
-    if kind is str or issubclass(kind, Explicit):
+    if kind is str or issubclass(kind, JsonDataclass):
         needed = str if kind is str else Mapping
         stored_value = data.get(key)
         require(
@@ -115,9 +117,9 @@ ROUNDING = (
 )
 
 
-class Scaffold(Family, Explicit):
-    """Base class of static maps whose Jacobians lie in a known ball. `S: R^m -> R^k` with `S(0) =
-    0` exactly, as explicit parameters only.
+class Scaffold(Family, JsonDataclass):
+    """Base class of the static maps at the input and output of a model, whose Jacobians lie in a
+    known ball. `S: R^m -> R^k` with `S(0) = 0` exactly, as explicit parameters only.
 
     Scaled units on both sides. Every member is a frozen dataclass that is written to and read from
     JSON without loss.
@@ -125,57 +127,58 @@ class Scaffold(Family, Explicit):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Numbers of output and input channels of the static map."""
+        """Numbers of output channels and input channels of a static map."""
         portable = self.as_portable()
         outputs, inputs = portable.linear.shape
         return outputs, inputs
 
     @property
     def outputs(self) -> int:
-        """Number of output channels of the static map."""
+        """Number of output channels of a static map."""
         return self.shape[0]
 
     @property
     def inputs(self) -> int:
-        """Number of input channels of the static map."""
+        """Number of input channels of a static map."""
         return self.shape[1]
 
     @abstractmethod
     def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch k"]:
-        """Evaluate the static map at every vector of a batch."""
+        """Evaluate a static map at every vector of a batch."""
 
     @abstractmethod
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:
-        """Jacobian of the static map at one point. At a break point it has the slope to its right
-        (of the pre-activation)."""
+        """Jacobian matrix of a static map at one point. At a break point it has the slope to its
+        right (of the pre-activation)."""
 
     @abstractmethod
     def bound(self) -> SlopeBound:
-        """Bound on the slopes of the static map: a ball that contains all its Jacobians. `alpha I +
-        beta Delta`."""
+        """Ball of matrices that contains every Jacobian of a static map, as a bound on its slopes.
+        `alpha I + beta Delta`."""
 
     @abstractmethod
     def jacobian_centre(self) -> Square | None:
-        """Centre matrix of the map's Jacobians, which may be moved into the linear part."""
+        """Centre matrix of a static map's Jacobians, which may be moved into the linear part of the
+        model."""
 
     def compose_with_output_matrix(self, m: Square) -> "Scaffold":
-        """Static map whose output is multiplied by a matrix. `v -> m S(v)`, m the inverse of
-        `jacobian_centre()`; only called where there is one."""
+        """Static map that multiplies the output of this map by a matrix. `v -> m S(v)`, m the
+        inverse of `jacobian_centre()`; only called where there is one."""
         raise NotImplementedError(f"{self.kind}: no centre, so nothing to move")
 
     def compose_with_input_matrix(self, m: Square) -> "Scaffold":
-        """Static map whose input is first multiplied by a matrix. `v -> S(m v)`, m the inverse of
-        `jacobian_centre()`."""
+        """Static map that multiplies its input by a matrix before this map is applied. `v -> S(m
+        v)`, m the inverse of `jacobian_centre()`."""
         return self.compose_with_output_matrix(m)
 
     @abstractmethod
     def as_portable(self) -> PortableMap:
-        """The same map as plain arrays: a matrix and a leaky-ReLU network."""
+        """Convert a static map to plain arrays: a matrix and a leaky-ReLU network."""
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Any:
         """Read a static map of any kind from its JSON form. Raises `BadRequest` for an unknown
-        kind, and as `Explicit` does."""
+        kind, and as `JsonDataclass` does."""
         if "as_portable" not in cls.__abstractmethods__:
             return super().from_json(data)
         require_one_of(kinds := Scaffold.members(scaffolds), "kind", data.get("kind"))
@@ -184,7 +187,7 @@ class Scaffold(Family, Explicit):
 
 
 def tensor_to_numpy(values: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
-    """Convert a tensor to a float64 array."""
+    """Convert a torch tensor to a NumPy float64 array."""
     exact_values = values.detach().cpu().double()
     return exact_values.numpy().copy()
 
@@ -192,7 +195,7 @@ def tensor_to_numpy(values: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
 def zero_preserving_offsets(
     points: Float[Tensor, "*c h"], slopes: Float[Tensor, "*c h1"]
 ) -> Float[Tensor, "*c h1"]:
-    """Offsets of affine pieces that join continuously to a map that is exactly zero at zero."""
+    """Offsets with which affine pieces join continuously to a map that is exactly zero at zero."""
     slopes_before = slopes[..., :-1]
     slopes_after = slopes[..., 1:]
     slope_changes = slopes_before - slopes_after
@@ -209,9 +212,11 @@ def zero_preserving_offsets(
     return torch.cat(right_parts, -1) - torch.cat(left_parts, -1)
 
 
-def evaluate_pieces(pieces: Pieces, v: Float[Tensor, "*batch c"]) -> Float[Tensor, "*batch c"]:
-    """Evaluate a piecewise-linear map at every vector of a batch. Points, slopes and offsets have
-    one row per channel."""
+def evaluate_piecewise_linear_map(
+    pieces: Pieces, v: Float[Tensor, "*batch c"]
+) -> Float[Tensor, "*batch c"]:
+    """Evaluate a piecewise-linear map, given by break points, slopes and offsets, at every vector
+    of a batch. Points, slopes and offsets have one row per channel."""
     points, slopes, offsets = pieces
     rows_of_channels = v.flatten(0, -2)
     flat = rows_of_channels.mT.contiguous()  # searchsorted wants rows that lie in order
@@ -225,8 +230,8 @@ def evaluate_pieces(pieces: Pieces, v: Float[Tensor, "*batch c"]) -> Float[Tenso
 
 
 def relative_roughness(slopes: Float[Tensor, "*c h1"]) -> Float[Tensor, "*c"]:
-    """Total variation of a map's slope, relative to its largest slope. The absolute value is
-    rounded off at one percent of that slope.
+    """Total variation of a piecewise-linear map's slope, relative to the largest slope. The
+    absolute value is rounded off at one percent of that slope.
 
     A step from flat to steep costs the same however many pieces it takes; spikes between two levels
     of the data, which fit noise and widen the slope interval that a certificate must cover, cost

@@ -13,7 +13,8 @@ from ssm_study.models.scaffolds.scaffold import Free, Pieces, Scaffold
 
 @dataclass(frozen=True, kw_only=True)
 class MapContext:
-    """Width, slope sector and input samples that a model gives to each of its static maps."""
+    """Hidden width, slope bounds and input samples that a model gives to each of its trainable
+    static maps."""
 
     width: int
     slopes: tuple[float, float]
@@ -21,8 +22,8 @@ class MapContext:
 
 
 class Trainable(ABC):
-    """Base class of static maps that are trained. Free parameters give explicit parameters, which
-    give `S(v)`; the constraint is in the first step only.
+    """Base class of static maps whose parameters are trained. Free parameters give explicit
+    parameters, which give `S(v)`; the constraint is in the first step only.
 
     A choice of scaffolding: `build` returns a `TorchScaffold` with all slopes in the frame's
     sector. The paper's perceptron with free weights is the exception, and says so.
@@ -36,32 +37,33 @@ class Trainable(ABC):
     def initial_values(
         self, frame: MapContext, rng: np.random.Generator
     ) -> dict[str, Float[np.ndarray, "..."]]:
-        """Initial values of the map's free parameters."""
+        """Initial values of a static map's unconstrained parameters."""
 
     @abstractmethod
     def explicit_parameters(self, free: Free, slopes: tuple[float, float]) -> Any:
-        """Explicit parameters of the map, which respect its slope sector for any free
+        """Parameters of a static map that respect its slope bounds, computed from unconstrained
         parameters."""
 
     @abstractmethod
     def evaluate(self, explicit: Any, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch k"]:
-        """Evaluate the trainable map at a batch of vectors."""
+        """Evaluate a trainable static map at every vector of a batch."""
 
     @abstractmethod
     def freeze(self, explicit: Any, slopes: tuple[float, float]) -> Scaffold:
-        """Freeze the trained static map to explicit float64 numbers."""
+        """Convert a trained static map to plain float64 numbers."""
 
     def pieces(self, explicit: Any) -> Pieces | None:  # noqa: ARG002
-        """Affine pieces of a one-channel piecewise-linear map; None for any other map."""
+        """Affine pieces of a piecewise-linear static map with one channel; None for any other
+        map."""
         return None
 
     def roughness(self, explicit: Any) -> Float[Tensor, ""]:  # noqa: ARG002
-        """Roughness of the map, the total variation of its slopes, for the training penalty; zero
-        without explicit slopes."""
+        """Total variation of a static map's slope, which a training penalty weights; zero for a map
+        without slopes as parameters."""
         return torch.zeros((), dtype=torch.float64)
 
     def build(self, frame: MapContext, rng: np.random.Generator) -> Any:
-        """Build the torch module of the trainable map."""
+        """Build the torch module of a trainable static map."""
         from ssm_study.models.torch_scaffold import TorchScaffold
 
         initial_values = self.initial_values(frame, rng)
