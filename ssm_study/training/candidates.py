@@ -16,7 +16,7 @@ from ssm_study.models.warm_start import PAST, SAMPLES, states_from_preceding_log
 from ssm_study.signals import DataSet, Trajectory
 from ssm_study.systems import StateSpace
 from ssm_study.training.metrics import records_fit_percent
-from ssm_study.training.short_starts import STEPS, short_spec
+from ssm_study.training.short_starts import STEPS, spec_for_short_training
 from ssm_study.training.structured_fit import StructuredFit
 
 LINEAR = "linear output error"
@@ -39,7 +39,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """Model settings that were tried, with their free-run error on each held-out fold.
+    """Model settings that were tried, with their free-run error on each cross-validation fold.
 
     Errors are those of `relative_rms_error`. Folds that were left out, because the candidate was
     far behind, are missing at the end of `errors`. `best_start_kind` says from where the held-out
@@ -57,13 +57,13 @@ class Candidate:
 
     @property
     def mean_error_percent(self) -> float:
-        """Mean error over the folds, in percent."""
+        """Mean free-run error of a candidate model over the cross-validation folds, in percent."""
         return float(self.errors.mean())
 
-    def is_clearly_worse(self, other: "Candidate", by: float = NEARLY) -> bool:
-        """Whether a candidate's error on the folds is clearly larger than another's. It exceeds the
-        other's by that share of it, and by one standard error or on all folds but one: a single odd
-        piece makes the standard error large."""
+    def is_clearly_worse(self, other: "Candidate", tolerance: float = NEARLY) -> bool:
+        """Whether a candidate's cross-validation error is clearly larger than another's. It exceeds
+        the other's by the fraction `tolerance`, and by one standard error or on all folds but one:
+        a single odd piece makes the standard error large."""
         if len(self.errors) < len(other.errors):
             return True
         other_folds = len(other.errors)
@@ -71,17 +71,18 @@ class Candidate:
         deviation = excess.std(ddof=1)
         root_of_count = np.sqrt(len(excess))
         standard_error = float(deviation) / root_of_count
-        is_worse = excess > by * other.errors
+        is_worse = excess > tolerance * other.errors
         worse_folds = is_worse.sum()
         fold_count = len(excess)
         is_consistent = int(worse_folds) >= fold_count - 1
         mean_excess = excess.mean()
-        large_excess = by * other.mean_error_percent
+        large_excess = tolerance * other.mean_error_percent
         is_large = bool(mean_excess > large_excess)
         return is_large and (is_consistent or bool(excess.mean() > standard_error))
 
-    def folds_contradict(self, other: "Candidate", by: float = NEARLY) -> bool:
-        """Whether the folds contradict each other on which of two candidates is better.
+    def is_undecided_by_folds(self, other: "Candidate", tolerance: float = NEARLY) -> bool:
+        """Whether the errors on the folds differ so much that they do not decide which of two
+        candidates is better.
 
         One standard error of the difference is then larger than that share of the other's error.
         """
@@ -90,11 +91,11 @@ class Candidate:
         deviation = difference.std(ddof=1)
         root_of_count = np.sqrt(len(difference))
         standard_error = deviation / root_of_count
-        return bool(standard_error > by * other.mean_error_percent)
+        return bool(standard_error > tolerance * other.mean_error_percent)
 
     def is_worse_beyond_chance(self, other: "Candidate") -> bool:
-        """Whether a candidate's mean error on the folds exceeds another's by more than
-        `CHANCE` standard errors of the difference."""
+        """Whether a candidate's mean cross-validation error exceeds another's by several standard
+        errors of the difference."""
         if len(self.errors) < len(other.errors):
             return True
         excess = self.errors[: len(other.errors)] - other.errors
@@ -102,8 +103,8 @@ class Candidate:
         return bool(excess.mean() > CHANCE * standard_error)
 
     def fits_far_worse_than(self, other: "Candidate") -> bool:
-        """Whether another candidate fits the records on which it was trained far better than this
-        one, and nearly wholly.
+        """Whether a candidate fits the training records far worse than another, which explains them
+        almost wholly.
 
         What it leaves unexplained may come from a load that is not in the log; then what it
         explains of that is chance.
@@ -112,9 +113,9 @@ class Candidate:
             return False
         return self.training_error > EXPLAINS_LESS * other.training_error
 
-    def fails_where_other_predicts(self, other: "Candidate") -> bool:
-        """Whether a candidate predicts some fold no better than the mean, and another predicts all
-        of them better.
+    def fails_where_other_succeeds(self, other: "Candidate") -> bool:
+        """Whether a candidate predicts some fold no better than the output's mean, while another
+        predicts every fold better.
 
         It does not count where the other one explains less of the records: then that fold holds
         motions that no other has, and the last training has them all.
@@ -124,7 +125,8 @@ class Candidate:
         return fails and not other.fits_far_worse_than(self)
 
     def table_row(self, *, chosen: bool, certified: bool | None) -> Row:
-        """Row of the table of candidates. `certified` is None if that was not examined."""
+        """Row of the table of candidates: settings, cross-validation error, and whether the
+        candidate was chosen. `certified` is None if that was not examined."""
         fits = 100.0 - self.errors
         row: Row = {"question": self.question, "model": self.model, **self.settings}
         mean_fit = fits.mean()
@@ -142,26 +144,29 @@ class Candidate:
 
     @property
     def describe(self) -> str:
-        """Line of text with a candidate's settings and error."""
+        """Line of text with a candidate's settings and cross-validation error."""
         setting_texts = (f"{name} {value}" for name, value in self.settings.items())
         settings = ", ".join(setting_texts)
         return f"{self.question}: {self.model}, {settings}: {100.0 - self.mean_error_percent:.1f} %"
 
 
 def best_candidate(candidates: Iterable[Candidate]) -> Candidate:
-    """Candidate with the smallest mean error, among those that were tried on most folds."""
+    """Candidate with the smallest mean cross-validation error, among those that were tried on most
+    folds."""
     return min(
         candidates, key=lambda candidate: (-len(candidate.errors), candidate.mean_error_percent)
     )
 
 
-def simplest_good_candidate(candidates: Sequence[Candidate], by: float = NEARLY) -> Candidate:
-    """First candidate, in the given order, that is not clearly worse than the best."""
-    return good_candidates(candidates, by)[0]
+def simplest_good_candidate(
+    candidates: Sequence[Candidate], tolerance: float = NEARLY
+) -> Candidate:
+    """First candidate, in order of increasing size, that is not clearly worse than the best one."""
+    return good_candidates(candidates, tolerance)[0]
 
 
-def good_candidates(candidates: Sequence[Candidate], by: float = NEARLY) -> list[Candidate]:
-    """Candidates, in the given order, that are not clearly worse than the best.
+def good_candidates(candidates: Sequence[Candidate], tolerance: float = NEARLY) -> list[Candidate]:
+    """Candidates that are not clearly worse than the best one, in their given order.
 
     This holds for held-out pieces and for the records on which they were trained; and none fails on
     a fold while the best does not. Where the folds cannot tell another candidate from the best,
@@ -171,18 +176,22 @@ def good_candidates(candidates: Sequence[Candidate], by: float = NEARLY) -> list
     near = [
         candidate
         for candidate in candidates
-        if not (candidate.is_clearly_worse(best, by) or candidate.fails_where_other_predicts(best))
+        if not (
+            candidate.is_clearly_worse(best, tolerance)
+            or candidate.fails_where_other_succeeds(best)
+        )
     ]
-    rivals = [candidate for candidate in near if candidate.folds_contradict(best, by)]
+    rivals = [candidate for candidate in near if candidate.is_undecided_by_folds(best, tolerance)]
     rivals_and_best = [best, *rivals]
     explains_most = min(rivals_and_best, key=lambda candidate: candidate.training_error)
     return [candidate for candidate in near if not candidate.fits_far_worse_than(explains_most)]
 
 
 @dataclass
-class Trial:
-    """Free-run errors of one candidate on the folds so far, for both kinds of initial state. One is
-    estimated from the first samples, one simulated from the log before (`models.warm_start`)."""
+class CandidateErrors:
+    """Free-run errors of one candidate on the folds so far, separately for two ways of finding
+    initial states. One is estimated from the first samples, one simulated from the log before
+    (`models.warm_start`)."""
 
     by_start: dict[str, list[float]] = field(default_factory=lambda: {SAMPLES: [], PAST: []})
     example: Any = None
@@ -190,8 +199,8 @@ class Trial:
     fits: list[StructuredFit] = field(default_factory=list)
 
     def add_fold(self, model: Any, fold: DataSet, training_error: float = 0.0) -> None:
-        """Add the error of a model on the held-out part of one more fold. A model that is None
-        counts as failed."""
+        """Add the free-run error of a model on the held-out part of one more fold. A model that is
+        None counts as failed."""
         self.example = model
         self.training_errors.append(training_error)
         states = () if model is None else states_from_preceding_log(model, fold, fold.test)
@@ -205,7 +214,8 @@ class Trial:
             errors.append(relative_rms_error(run, fold))
 
     def add_fit(self, fit: StructuredFit, fold: DataSet) -> None:
-        """Add the error of a structured model on the fold without which it was trained."""
+        """Add the free-run error of a trained structured model on the fold that was held out from
+        its training."""
         loss = float(fit.loss)
         self.fits.append(fit)
         is_finite = np.isfinite(loss)
@@ -215,22 +225,25 @@ class Trial:
 
     @property
     def best_start_kind(self) -> str:
-        """Kind of initial state with the smaller mean error."""
+        """Way of finding initial states with which a candidate's mean error is smaller."""
         errors_with_past = self.by_start[PAST]
         errors_with_samples = self.by_start[SAMPLES]
         return PAST if sum(errors_with_past) < sum(errors_with_samples) else SAMPLES
 
     @property
     def errors(self) -> Float[np.ndarray, "folds"]:
-        """Errors on the folds for the kind of initial state with the smaller mean error."""
+        """Errors of a candidate on the folds, for the better of two ways of finding initial
+        states."""
         errors_of_kind = self.by_start[self.best_start_kind]
         return np.array(errors_of_kind)
 
 
-def try_linear_model(folds: Sequence[DataSet], order: int, delay: int, kind: str = LINEAR) -> Trial:
-    """Fit a linear model on every fold, and score it on the held-out part. A delay of 1 is no dead
-    time, 0 a direct path; the kind is output error or ARX."""
-    trial = Trial()
+def try_linear_model(
+    folds: Sequence[DataSet], order: int, delay: int, kind: str = LINEAR
+) -> CandidateErrors:
+    """Fit a linear model on every cross-validation fold, and compute its errors on the held-out
+    parts. A delay of 1 is no dead time, 0 a direct path; the kind is output error or ARX."""
+    trial = CandidateErrors()
     for fold in folds:
         part = fold.shift_out_dead_time(delay - 1) if delay > 1 else fold
         with np.errstate(all="ignore"):
@@ -241,8 +254,8 @@ def try_linear_model(folds: Sequence[DataSet], order: int, delay: int, kind: str
 
 
 def fit_linear_model(data: DataSet, order: int, *, direct: bool, kind: str = LINEAR) -> SSM:
-    """Fit a linear output-error or ARX model as a state space. `x+ = A x + B u + B_d d, y = C x + D
-    u`.
+    """Fit a linear output-error or ARX model to the training records, as a state-space model. `x+ =
+    A x + B u + B_d d, y = C x + D u`.
 
     The state of a held-out piece can then be estimated from many samples; the recursion itself
     would start from as many noisy outputs as it has lags. Measured disturbances are further inputs
@@ -287,16 +300,15 @@ def fit_linear_model(data: DataSet, order: int, *, direct: bool, kind: str = LIN
 
 
 def delay_disturbances(data: DataSet) -> DataSet:
-    """Training records in which measured disturbances are delayed by one sample. An effect within
-    the sample for the input is then one of the sample before for them."""
+    """Copy of a data set in which the measured disturbances are delayed by one sample. An effect
+    within the sample for the input is then one of the sample before for them."""
     delayed_records = (delay_disturbance(record) for record in data.training)
     late = tuple(delayed_records)
     return replace(data, training=late)
 
 
 def delay_disturbance(record: Trajectory) -> Trajectory:
-    """Record in which measured disturbances are delayed by one sample, with the first value
-    repeated."""
+    """Copy of a record in which the measured disturbances are delayed by one sample."""
     if record.d is None:
         return record
     first_value = record.d[:1]
@@ -307,13 +319,13 @@ def delay_disturbance(record: Trajectory) -> Trajectory:
 
 def try_structured_model(
     spec: StructuredSpec, folds: Sequence[DataSet], seed: int, best: Candidate | None
-) -> Trial:
-    """Train a structured model briefly on every fold, and score it on the held-out part. The last
-    folds are left out if it is far behind `best`."""
-    brief = short_spec(spec)
-    trial = Trial()
+) -> CandidateErrors:
+    """Train a structured model briefly on every cross-validation fold, and compute its errors on
+    the held-out parts. The last folds are left out if it is far behind `best`."""
+    brief = spec_for_short_training(spec)
+    trial = CandidateErrors()
     for fold in folds:
-        if best is not None and is_many_times_worse(trial.errors, best):
+        if best is not None and is_hopeless(trial.errors, best):
             break
         part = fold.shift_out_dead_time(int(spec.dead_time)) if spec.dead_time else fold
         fit = StructuredFit(brief, part, seed)
@@ -322,9 +334,11 @@ def try_structured_model(
     return trial
 
 
-def train_further(fits: Sequence[StructuredFit], folds: Sequence[DataSet], steps: int) -> Trial:
-    """Train the models of a candidate further on each fold, and score them anew."""
-    trial = Trial()
+def train_further(
+    fits: Sequence[StructuredFit], folds: Sequence[DataSet], steps: int
+) -> CandidateErrors:
+    """Continue the training of a candidate's models on all folds, and compute their errors anew."""
+    trial = CandidateErrors()
     for fit, fold in zip(fits, folds, strict=True):
         dead_time = int(fit.spec.dead_time)
         fit.take_further_steps(steps)
@@ -333,10 +347,9 @@ def train_further(fits: Sequence[StructuredFit], folds: Sequence[DataSet], steps
     return trial
 
 
-def is_many_times_worse(
-    errors: Sequence[float] | Float[np.ndarray, "folds"], best: Candidate
-) -> bool:
-    """Whether a candidate's errors so far are many times those of the best candidate."""
+def is_hopeless(errors: Sequence[float] | Float[np.ndarray, "folds"], best: Candidate) -> bool:
+    """Whether a candidate's errors on the first folds are many times those of the best
+    candidate."""
     count = len(errors)
     so_far = float(np.sum(errors))
     return count >= FEWEST_FOLDS and so_far > HOPELESS * float(best.errors[:count].sum())

@@ -13,51 +13,51 @@ from dataclasses import replace
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet
 from ssm_study.training.choice_of_paths import choose_delay, choose_input_path, choose_integrator
-from ssm_study.training.choice_of_products import choose_products
+from ssm_study.training.choice_of_products import choose_bilinear_model
 from ssm_study.training.choice_of_regression import choose_regression
 from ssm_study.training.choice_of_size import (
-    judge_integrator,
+    decide_on_integrator,
     other_structures,
     simplest_certifiable_candidate,
     try_model_sizes,
 )
 from ssm_study.training.folds import make_folds
-from ssm_study.training.search import Choice, Search, fill_in_defaults
+from ssm_study.training.search import SettingsChoice, SettingsSearch, fill_in_defaults
 
 REFIT_WORDS = "; trained on the training and validation records"
 MOST_TRAINED = 3  # choices, one after the other, until a model of one is certified
 
 
-def iterate_choices(
-    spec: StructuredSpec, data: DataSet, seed: int, announce: Callable[[str], None]
-) -> Iterator[Choice]:
-    """Iterate over choices of every setting that is `auto`, by its error on held-out folds: the
-    best first, the others in case no model of the first can be certified.
+def iterate_model_choices(
+    spec: StructuredSpec, data: DataSet, seed: int, print_line: Callable[[str], None]
+) -> Iterator[SettingsChoice]:
+    """Iterate over complete model settings, chosen by cross-validation, from the best to ones that
+    are easier to certify.
 
     The paths are the same in all. Records too short for folds choose nothing: the defaults of
     `model=structured` are taken.
     """
     folds = make_folds(data) if spec.automatic_settings else ()
     if not folds:
-        yield Choice(spec=fill_in_defaults(spec))
+        yield SettingsChoice(spec=fill_in_defaults(spec))
         return
-    search = Search(spec=spec, folds=folds, seed=seed, announce=announce)
+    search = SettingsSearch(spec=spec, folds=folds, seed=seed, announce=print_line)
     choose_delay(search, data)
     choose_integrator(search, data)
-    also_integrating = judge_integrator(search)
+    also_integrating = decide_on_integrator(search)
     choose_input_path(search)
     candidates = try_model_sizes(search, also_integrating=also_integrating)
     if not candidates:
-        yield search.make_choice(None)
+        yield search.build_choice(None)
         return
-    predictor = choose_products(search, data)
+    predictor = choose_bilinear_model(search, data)
     regression = choose_regression(search, candidates) if predictor is None else None
     if regression is not None:
-        yield search.make_choice(regression)
+        yield search.build_choice(regression)
     while candidates:
         chosen = simplest_certifiable_candidate(search, candidates)
         others = other_structures(candidates, chosen)
-        choice = search.make_choice(chosen, others)
+        choice = search.build_choice(chosen, others)
         yield replace(choice, predictor=predictor)
         if not search.is_certifiable(chosen):  # then none of them can
             return
@@ -66,8 +66,8 @@ def iterate_choices(
 
 
 def make_progress_printer(progress: bool, task: str = "choice by folds") -> Callable[[str], None]:
-    """Function that prints progress lines of a task, or does nothing if progress is switched
-    off."""
+    """Make a function that prints progress lines of a task, or that does nothing if progress is
+    switched off."""
     from rich.console import Console
 
     console = Console(stderr=True)

@@ -11,7 +11,7 @@ from ssm_study.data.log_dynamics import first_response_lag
 from ssm_study.signals import DataSet
 from ssm_study.training.candidates import Settings, fit_linear_model
 from ssm_study.training.folds import join_training_and_validation
-from ssm_study.training.search import Search
+from ssm_study.training.search import SettingsSearch
 
 LATE = 3  # samples until the output answers, from which on a dead time is tried
 SHORTEST = 200  # samples: of shorter records no lag is read
@@ -23,8 +23,8 @@ CARRIES = 0.25  # share of the modes' gains that such modes have
 TRIED_SIZE: Settings = {"order": 3, "neurons": 5, "knots": 16}  # while paths are chosen
 
 
-def choose_delay(search: Search, data: DataSet) -> None:
-    """Choose the dead time of a model, or a direct feedthrough.
+def choose_delay(search: SettingsSearch, data: DataSet) -> None:
+    """Choose the dead time of a model, or a direct feedthrough, by cross-validation.
 
     The samples until the output answers are read off the records. A dead time is compared where
     they are `LATE` or more, a direct path where they are none or one, or noise hides the answer.
@@ -40,9 +40,10 @@ def choose_delay(search: Search, data: DataSet) -> None:
 
 
 def choose_between_two(
-    search: Search, question: str, name: str, values: Sequence[object], gain: float
+    search: SettingsSearch, question: str, name: str, values: Sequence[object], gain: float
 ) -> None:
-    """Choose the second value of a setting if it reduces the error by enough, otherwise the first.
+    """Choose the second of two values of a setting if it reduces the cross-validation error by
+    enough, otherwise the first.
 
     Models of one size with and without it are compared; a single value is taken as it is.
     """
@@ -61,7 +62,8 @@ def choose_between_two(
 
 
 def response_lag(data: DataSet) -> int | None:
-    """Number of samples until the output first responds to an input; None if noise hides it."""
+    """Number of samples until the output first responds to the input in a data set; None if noise
+    hides it."""
     all_records = join_training_and_validation(data)
     record = max(all_records.training, key=len)
     if len(record) <= SHORTEST:
@@ -74,18 +76,19 @@ def response_lag(data: DataSet) -> int | None:
     return min(answered, default=None)
 
 
-def choose_integrator(search: Search, data: DataSet) -> None:
-    """Choose whether the model's output is a running sum. It is tried if a linear model nearly
-    integrates."""
+def choose_integrator(search: SettingsSearch, data: DataSet) -> None:
+    """Choose by cross-validation whether the model has an integrator at its output. It is tried if
+    a linear model nearly integrates."""
     if search.is_undecided("integrating_output"):
         neurons = search.spec.neurons
-        tried = neurons != 0 and nearly_integrates(data)
+        tried = neurons != 0 and is_nearly_integrating(data)
         values = (False, True) if tried else (False,)
         choose_between_two(search, "integrator", "integrating_output", values, DELAY_GAIN)
 
 
-def nearly_integrates(data: DataSet) -> bool:
-    """Whether very slow modes make up a large part of a linear model's output.
+def is_nearly_integrating(data: DataSet) -> bool:
+    """Whether very slow modes make up a large part of the output of a linear model fitted to the
+    data.
 
     A mode that a zero cancels says nothing: a model of more states than the records need has such
     modes anywhere.
@@ -113,9 +116,9 @@ def nearly_integrates(data: DataSet) -> bool:
     return bool(share > CARRIES)
 
 
-def choose_input_path(search: Search) -> None:
-    """Choose whether the input acts on the neurons directly. With an integrator it never does,
-    since neurons that can cut off the input prevent every certificate."""
+def choose_input_path(search: SettingsSearch) -> None:
+    """Choose by cross-validation whether the input acts on the neurons directly. With an integrator
+    it never does, since neurons that can cut off the input prevent every certificate."""
     if not search.is_undecided("input_path"):
         return
     if search.has_integrator or search.spec.neurons == 0:

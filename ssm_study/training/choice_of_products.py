@@ -14,9 +14,14 @@ from ssm_study.models.bilinear_spec import BilinearSpec
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.warm_start import PAST, SAMPLES
 from ssm_study.signals import DataSet
-from ssm_study.training.candidates import LARGEST_ERROR, Candidate, Trial, relative_rms_error
+from ssm_study.training.candidates import (
+    LARGEST_ERROR,
+    Candidate,
+    CandidateErrors,
+    relative_rms_error,
+)
 from ssm_study.training.metrics import records_fit_percent
-from ssm_study.training.search import PRODUCTS, Search
+from ssm_study.training.search import PRODUCTS, SettingsSearch
 
 PRODUCTS_GAIN = 0.25  # of the error of every other candidate that products must remove
 SIZES = ((2, 3), (3, 5))  # states and nodes
@@ -25,13 +30,13 @@ FOLD_STEPS = 30  # of the fits that are compared on the folds
 UNTRIED = {"dead_time": 0, "feedthrough": False, "integrating_output": False}
 
 
-def choose_products(search: Search, data: DataSet) -> BilinearSpec | None:
-    """Settings of a model with products of input and state that is to predict; None where it is not
-    clearly better than every candidate, or cannot be fitted."""
+def choose_bilinear_model(search: SettingsSearch, data: DataSet) -> BilinearSpec | None:
+    """Settings of a bilinear model if it predicts clearly better than every candidate, otherwise
+    None."""
     others = [*search.tried]
-    if not (others and can_be_tried(search, data)):
+    if not (others and can_try_bilinear_model(search, data)):
         return None
-    candidates = [try_products(search, order, nodes) for order, nodes in SIZES]
+    candidates = [try_bilinear_model(search, order, nodes) for order, nodes in SIZES]
     best = min(candidates, key=lambda candidate: candidate.mean_error_percent)
     are_worse = (other.is_clearly_worse(best, PRODUCTS_GAIN) for other in others)
     if not all(are_worse):
@@ -44,9 +49,10 @@ def choose_products(search: Search, data: DataSet) -> BilinearSpec | None:
     return BilinearSpec(order=order, nodes=nodes, starts=STARTS)
 
 
-def can_be_tried(search: Search, data: DataSet) -> bool:
-    """Whether a model with products of input and state can be fitted to the data. It takes one
-    input and no measured disturbance, and the user must have fixed neither size nor members."""
+def can_try_bilinear_model(search: SettingsSearch, data: DataSet) -> bool:
+    """Whether a bilinear model can be fitted to the data and the user's settings leave room for
+    one. It takes one input and no measured disturbance, and the user must have fixed neither size
+    nor members."""
     input_count = data.scale.inputs
     is_simple = input_count == 1 and not data.disturbances
     sizes = ("order", "neurons")
@@ -56,19 +62,19 @@ def can_be_tried(search: Search, data: DataSet) -> bool:
     return is_simple and is_undecided and is_alone and lacks_nothing
 
 
-def try_products(search: Search, order: int, nodes: int) -> Candidate:
-    """Fit a model with products of input and state on every fold, and score it on the held-out
-    part."""
+def try_bilinear_model(search: SettingsSearch, order: int, nodes: int) -> Candidate:
+    """Fit a bilinear model on every cross-validation fold, and compute its errors on the held-out
+    parts."""
     spec = BilinearSpec(order=order, nodes=nodes, starts=1, steps=FOLD_STEPS)
     settings = {"order": order, "nodes": nodes}
-    trial = score_on_folds(spec, search.folds)
+    trial = bilinear_errors_on_folds(spec, search.folds)
     return search.add_candidate("prediction", PRODUCTS, settings, trial)
 
 
-def score_on_folds(spec: BilinearSpec, folds: Sequence[DataSet]) -> Trial:
-    """Errors on the folds; the first samples of a held-out piece estimate its state. With one start
-    the held-out part chooses nothing."""
-    trial = Trial()
+def bilinear_errors_on_folds(spec: BilinearSpec, folds: Sequence[DataSet]) -> CandidateErrors:
+    """Free-run errors of a bilinear model on the held-out parts of the cross-validation folds. With
+    one start the held-out part chooses nothing."""
+    trial = CandidateErrors()
     for fold in folds:
         with np.errstate(all="ignore"):
             model = spec.solve(fold)

@@ -14,22 +14,22 @@ from ssm_study.training.candidates import (
     best_candidate,
     simplest_good_candidate,
 )
-from ssm_study.training.search import Search
+from ssm_study.training.search import SettingsSearch
 
 LOAD = 20.0  # percent of the output's deviation that a load leaves unexplained at least
 LAGS = (3, 4, 6, 8, 10, 15, 20)
 
 
-def choose_regression(search: Search, candidates: Sequence[Candidate]) -> Candidate | None:
-    """Linear ARX model that is to be taken instead of all candidates; None where they explain the
-    records, or predict the folds better by more than chance.
+def choose_regression(search: SettingsSearch, candidates: Sequence[Candidate]) -> Candidate | None:
+    """Linear ARX model to be preferred to all other candidates if unmeasured disturbances dominate
+    the log, otherwise None.
 
     The candidates explain the records if the one that predicts best leaves less than `LOAD` of
     those that it was trained on. Others may leave less: what they explain more does not help them
     predict.
     """
     best = best_candidate(candidates)
-    if best.training_error < LOAD or not can_be_tried(search):
+    if best.training_error < LOAD or not can_try_regression(search):
         return None
     is_direct = search.setting_value("feedthrough") is True
     delay = 0 if is_direct else 1 + int(search.setting_value("dead_time"))
@@ -39,8 +39,9 @@ def choose_regression(search: Search, candidates: Sequence[Candidate]) -> Candid
     return simplest if is_taken else None
 
 
-def can_be_tried(search: Search) -> bool:
-    """Whether a linear model of one output may be chosen: with no integrator, of any order."""
+def can_try_regression(search: SettingsSearch) -> bool:
+    """Whether the settings allow a linear ARX model with one output and any order, and without an
+    integrator."""
     has_one_output = search.folds[0].scale.outputs == 1
     is_open = has_one_output and search.is_undecided("order") and search.allows_linear_model
     return is_open and not search.has_integrator

@@ -13,7 +13,7 @@ from ssm_study.training.candidates import (
     simplest_good_candidate,
 )
 from ssm_study.training.choice_of_paths import DELAY_GAIN, TRIED_SIZE
-from ssm_study.training.search import LINEAR, STRUCTURED, Search
+from ssm_study.training.search import LINEAR, STRUCTURED, SettingsSearch
 
 LINEAR_ORDERS = (1, 2, 3, 4, 6, 8, 10)
 HIGH_LINEAR_ORDERS = (14, 20)  # one by one, while all that are smaller are behind
@@ -48,9 +48,9 @@ LARGER: tuple[Settings, ...] = (  # one by one, while all that are smaller are b
 )
 
 
-def judge_integrator(search: Search) -> bool:
-    """Compare a model with an integrator to models without neurons, and return whether models with
-    and without an integrator are both to be tried.
+def decide_on_integrator(search: SettingsSearch) -> bool:
+    """Decide on an integrator by comparison with models without neurons, and return whether to try
+    models both with and without one.
 
     The two models that were compared have neurons. Where something acts that is not in the log,
     both follow it in the records that they are trained on, and are wrong elsewhere. So the
@@ -70,9 +70,8 @@ def judge_integrator(search: Search) -> bool:
     return all(with_integrator.mean_error_percent < each.mean_error_percent for each in simple)
 
 
-def try_model_sizes(search: Search, *, also_integrating: bool = False) -> list[Candidate]:
-    """Candidates of increasing order, number of neurons and number of break points; empty if all of
-    these are given.
+def try_model_sizes(search: SettingsSearch, *, also_integrating: bool = False) -> list[Candidate]:
+    """Cross-validate models of increasing order, number of neurons and number of break points.
 
     Linear models of growing order are tried by output error first. With `also_integrating`,
     candidates with an integrator come next: one neuron on one state is smaller than one layer.
@@ -89,12 +88,12 @@ def try_model_sizes(search: Search, *, also_integrating: bool = False) -> list[C
     integrating = try_integrating_sizes(search, contracting) if also_integrating else []
     linear = [candidate for candidate in contracting if candidate.model == LINEAR]
     larger = [candidate for candidate in contracting if candidate.model != LINEAR]
-    far_ahead = candidates_far_ahead(free, contracting)
+    far_ahead = far_better_noncontracting(free, contracting)
     return [*linear, *integrating, *larger, *far_ahead]
 
 
-def one_layer_without_integrator(search: Search) -> list[Candidate]:
-    """One-layer candidates to which an integrator was preferred; none without an integrator.
+def one_layer_without_integrator(search: SettingsSearch) -> list[Candidate]:
+    """Candidates without neurons and integrator that were tried before an integrator was chosen.
 
     Of models with an integrator often only the smallest can be certified. One that then predicts
     worse than one layer without an integrator is no gain.
@@ -110,13 +109,16 @@ def one_layer_without_integrator(search: Search) -> list[Candidate]:
     ]
 
 
-def try_larger_models(search: Search, smaller: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates of high order, one by one, while all that are smaller are behind. The first is
-    tried, too, if a linear model needs more states than the others have."""
-    first_settings = smaller[0].settings
+def try_larger_models(
+    search: SettingsSearch, smaller_models: Sequence[Candidate]
+) -> list[Candidate]:
+    """Cross-validate models of higher order, one after another, as long as each is clearly better
+    than all smaller ones. The first is tried, too, if a linear model needs more states than the
+    others have."""
+    first_settings = smaller_models[0].settings
     first_order = first_settings.get("order")  # None where the order is given
     needs_order = first_order is not None and int(first_order) > int(TRIED_SIZE["order"])
-    candidates = [*smaller]
+    candidates = [*smaller_models]
     for larger in LARGER:
         is_last_good = simplest_good_candidate(candidates) is candidates[-1]
         if not (is_last_good or needs_order):
@@ -124,12 +126,15 @@ def try_larger_models(search: Search, smaller: Sequence[Candidate]) -> list[Cand
         needs_order = False
         larger_candidate = search.score_structured_model("size", larger)
         candidates.append(larger_candidate)
-    return candidates[len(smaller) :]
+    return candidates[len(smaller_models) :]
 
 
-def try_integrating_sizes(search: Search, contracting: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates with an integrator that can be certified, if the best of them leads those without
-    one; otherwise none. The best of several sizes are trained further before they are compared.
+def try_integrating_sizes(
+    search: SettingsSearch, contracting: Sequence[Candidate]
+) -> list[Candidate]:
+    """Cross-validate models with an integrator, and return those that predict better than all
+    others and can be certified. The best of several sizes are trained further before they are
+    compared.
 
     They are tried where the folds did not decide between the two.
     """
@@ -143,8 +148,8 @@ def try_integrating_sizes(search: Search, contracting: Sequence[Candidate]) -> l
     return [candidate for candidate in leading if search.is_certifiable(candidate)]
 
 
-def try_noncontracting_models(search: Search) -> list[Candidate]:
-    """Candidates that need not contract in open loop.
+def try_noncontracting_models(search: SettingsSearch) -> list[Candidate]:
+    """Cross-validate models that are not constrained to contract in open loop.
 
     No metric common to all slopes of a spring that hardens exists where it is lightly damped.
     Feedback adds the damping, so that the closed loop can be certified all the same. Many neurons
@@ -158,26 +163,30 @@ def try_noncontracting_models(search: Search) -> list[Candidate]:
     return score_sizes(search, "no contraction", FREE_SIZES)  # those of few neurons only once
 
 
-def score_sizes(search: Search, question: str, sizes: Sequence[Settings]) -> list[Candidate]:
-    """Candidates of several sizes, scored on the folds, equal sizes only once."""
+def score_sizes(
+    search: SettingsSearch, question: str, sizes: Sequence[Settings]
+) -> list[Candidate]:
+    """Cross-validate models of several sizes, with equal sizes only once."""
     scored = [search.score_structured_model(question, size) for size in sizes]
     distinct = {id(candidate): candidate for candidate in scored}
     return list(distinct.values())
 
 
-def candidates_far_ahead(
-    free: Sequence[Candidate], contracting: Sequence[Candidate]
+def far_better_noncontracting(
+    noncontracting: Sequence[Candidate], contracting: Sequence[Candidate]
 ) -> list[Candidate]:
-    """Candidates that are far better than all that contract in open loop."""
+    """Models without the contraction constraint that predict far better than all contracting
+    ones."""
     return [
         candidate
-        for candidate in free
+        for candidate in noncontracting
         if all(other.is_clearly_worse(candidate, FREE_GAIN) for other in contracting)
     ]
 
 
-def train_finalists(search: Search, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates on the folds, with the best structured ones trained further.
+def train_finalists(search: SettingsSearch, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Continue the training of the best structured candidates, and return all candidates with the
+    new errors.
 
     After a few steps large models are less trained than small ones.
     """
@@ -194,9 +203,9 @@ def train_finalists(search: Search, candidates: Sequence[Candidate]) -> list[Can
     ]
 
 
-def try_sizes_without_neurons(search: Search) -> list[Candidate]:
-    """Candidates without neurons: the best linear model, and models of similar order with an input
-    map."""
+def try_sizes_without_neurons(search: SettingsSearch) -> list[Candidate]:
+    """Cross-validate models without neurons: the best linear model, and models of similar order
+    with an input map."""
     order = int(TRIED_SIZE["order"])
     candidates = []
     scale = search.folds[0].scale
@@ -216,9 +225,9 @@ def try_sizes_without_neurons(search: Search) -> list[Candidate]:
     return candidates
 
 
-def choose_linear_order(search: Search) -> Candidate:
-    """Linear output-error model of the smallest order that is not clearly worse than the best
-    one."""
+def choose_linear_order(search: SettingsSearch) -> Candidate:
+    """Choose by cross-validation the smallest order of a linear output-error model that is not
+    clearly worse than the best."""
     feedthrough = search.setting_value("feedthrough") is True
     delay = 0 if feedthrough else 1 + int(search.setting_value("dead_time"))
     tried = [search.score_linear_model("linear order", order, delay) for order in LINEAR_ORDERS]
@@ -230,8 +239,10 @@ def choose_linear_order(search: Search) -> Candidate:
     return simplest_good_candidate(tried)
 
 
-def simplest_certifiable_candidate(search: Search, candidates: Sequence[Candidate]) -> Candidate:
-    """Smallest certifiable candidate that is not clearly worse than the best certifiable one. If
+def simplest_certifiable_candidate(
+    search: SettingsSearch, candidates: Sequence[Candidate]
+) -> Candidate:
+    """Smallest candidate that can be certified and is not clearly worse than the best of those. If
     none can be certified, all count.
 
     Certificates are asked for as they are needed, of the models trained on the folds.
@@ -246,8 +257,8 @@ def simplest_certifiable_candidate(search: Search, candidates: Sequence[Candidat
 
 
 def other_structures(candidates: Sequence[Candidate], chosen: Candidate) -> list[Candidate]:
-    """Contracting candidates of other structure that are about as good as the best, the best first.
-    Their mean with the chosen one contracts."""
+    """Contracting candidates of other structure whose predictions are about as good as the best, to
+    be averaged with the chosen one. Their mean with the chosen one contracts."""
     good = [candidate for candidate in good_candidates(candidates) if candidate is not chosen]
     structured = [candidate for candidate in good if candidate.fits]
     contracting = [candidate for candidate in structured if is_contracting(candidate)]
@@ -255,7 +266,7 @@ def other_structures(candidates: Sequence[Candidate], chosen: Candidate) -> list
 
 
 def is_contracting(candidate: Candidate) -> bool:
-    """Whether a candidate's models contract by construction: with a rate, without an integrator."""
+    """Whether a candidate's settings make its models contract by construction."""
     rate = candidate.settings.get("rate", 0.0)
     has_rate = rate is not None
     return has_rate and candidate.settings.get("integrating_output") is not True

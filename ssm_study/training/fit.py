@@ -29,7 +29,7 @@ UNMOVED = (
 
 
 class TrainingBatch(nn.Module):
-    """Batch of scaled training records of equal length, cut into windows. Shorter ones are padded
+    """Batch of scaled training records, cut into windows of equal length. Shorter ones are padded
     at the end, without weight.
 
     `u (e, T, m)`, with measured disturbances as further columns, `y (e, T, p)`, `weight (e, T,
@@ -78,18 +78,19 @@ class TrainingBatch(nn.Module):
         self.lift = InputMapping(plain_inputs, sorts)
 
     def simulate(self, model: TorchModel, x0: States | None = None) -> Signals:
-        """Simulate the model in free run over all records."""
+        """Simulate a model in free run over all training windows."""
         mapped = self._mapped_inputs(model)
         return model(self.u, x0, **mapped)
 
     def advance(self, model: TorchModel, x0: States) -> tuple[Signals, States]:
-        """Simulate the model over all records, and return the outputs and the final states. Padding
-        is simulated, too."""
+        """Simulate a model over all training windows, and return the outputs and the final states.
+        Padding is simulated, too."""
         mapped = self._mapped_inputs(model)
         return model.advance(self.u, x0, **mapped)
 
     def _mapped_inputs(self, model: TorchModel) -> dict[str, Signals]:
-        """Inputs after the input map, where they are computed once for all windows."""
+        """Training inputs after the model's input map, where they are computed once for all
+        windows."""
         if not isinstance(model, TorchSSM):
             return {}
         mapped_inputs = self.lift(model.scaffold_in)
@@ -97,15 +98,16 @@ class TrainingBatch(nn.Module):
         return {"lifted": signals}
 
     def squared_error(self, y_hat: Signals) -> Float[Tensor, ""]:
-        """Weighted squared error of simulated outputs, `sum weight |e|^2`, from which the fit is
+        """Weighted sum of squared simulation errors, `sum weight |e|^2`, from which the fit is
         computed."""
         squared_error = (y_hat - self.y) ** 2
         weighted_squares = self.weight * squared_error
         return weighted_squares.sum()
 
     def training_objective(self, y_hat: Signals) -> Float[Tensor, ""]:
-        """Training objective of simulated outputs. `(1 - share) sum weight |e|^2 + share |running
-        sum of e|^2 / |running sum of y|^2`.
+        """Training objective of simulated outputs: squared error, plus a weighted squared error of
+        the output's running sum. `(1 - share) sum weight |e|^2 + share |running sum of e|^2 /
+        |running sum of y|^2`.
 
         The running sum is what an integrator behind the output sees: position, where y is a
         velocity.
@@ -123,8 +125,8 @@ class TrainingBatch(nn.Module):
 
 
 class InitialStates(nn.Module):
-    """Trainable initial states of the training windows. `(e, n)`: rest, except for the rows that
-    are parameters."""
+    """Initial states of the training windows as trainable parameters. `(e, n)`: rest, except for
+    the rows that are parameters."""
 
     rows: Tensor
     later: Tensor
@@ -144,15 +146,15 @@ class InitialStates(nn.Module):
         self.free = nn.Parameter(first_values.clone())
 
     def forward(self) -> States:
-        """Initial states of all windows."""
+        """Initial states of all training windows."""
         window_count = len(self.cut.pieces)
         state_width = self.free.shape[1]
         zero_states = self.free.new_zeros(window_count, state_width)
         return zero_states.index_copy(0, self.rows, self.free)
 
     def shooting_defects(self, ends: States, starts: States) -> Float[Tensor, "k n"]:
-        """Differences between the final state of a window and the initial state of the next,
-        weighted for the penalty."""
+        """Weighted differences between the final state of each window and the initial state of the
+        next (multiple shooting)."""
         reached = ends[self.later - 1]  # where the window before ends
         squares = reached.square()
         sum_of_squares = squares.sum(0)
@@ -165,8 +167,8 @@ class InitialStates(nn.Module):
 
 
 def roughness_penalty(model: TorchModel, weight: float) -> Float[Tensor, ""]:
-    """Training penalty on the variation of the static maps' slopes. `weight (TV(S_u') + TV(S_y'))`;
-    zero for a baseline.
+    """Training penalty on the total variation of the slopes of a model's static maps. `weight
+    (TV(S_u') + TV(S_y'))`; zero for a baseline.
 
     It is free of scale, so a weight of 0.001 means a thousandth of the output's variance.
     """
@@ -179,8 +181,9 @@ def roughness_penalty(model: TorchModel, weight: float) -> Float[Tensor, ""]:
 
 
 class Fit(pl.LightningModule):
-    """Lightning module that trains a torch model. It minimises the training loss over the model
-    and, where they are free, the initial states of windows.
+    """Lightning module that trains a torch model, and the initial states of windows where they are
+    free. It minimises the training loss over the model and, where they are free, the initial states
+    of windows.
 
     `whole` are the records that the windows were cut from: the training fit that is shown is always
     that of whole records. Raises `BadRequest` for settings that this model cannot have.
@@ -216,7 +219,8 @@ class Fit(pl.LightningModule):
         self.starts = self._trainable_starts(cut)
 
     def _trainable_starts(self, cut: RecordWindows) -> InitialStates | None:
-        """Initial states of the windows as trainable parameters; None if none is free."""
+        """Initial states of the training windows as trainable parameters; None if all windows start
+        at rest."""
         model = self.model
         weight = self.settings.windows.continuity_weight
         how = self.settings.initial_state
@@ -235,8 +239,8 @@ class Fit(pl.LightningModule):
         return None if values is None else InitialStates(cut, sorted(rows), values, weight)
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are the batch
-        """Train for one epoch. Lightning's work around each call costs more than a step of a small
-        model."""
+        """Train for one epoch by a step of the optimiser. Lightning's work around each call costs
+        more than a step of a small model."""
         optimiser: Any = self.optimizers()
         for _ in range(self.settings.optimiser.calls_per_epoch):
             optimiser.step(self._loss_and_gradient)
@@ -245,14 +249,15 @@ class Fit(pl.LightningModule):
             rates.step()
 
     def _loss_and_gradient(self) -> Tensor:
-        """Compute the training loss and its gradient."""
+        """Compute the training loss of the current model and its gradient."""
         self.zero_grad()
         loss = self.training_loss()
         loss.backward()
         return loss.detach()
 
     def training_loss(self) -> Tensor:
-        """Training loss of the current model: simulation error, shooting defects and roughness."""
+        """Training loss of the current model: simulation error, multiple-shooting defects and
+        roughness penalty."""
         y_hat, defects = self.simulate_windows()
         weight = self.settings.roughness_weight
         added = roughness_penalty(self.model, weight)
@@ -261,7 +266,7 @@ class Fit(pl.LightningModule):
         return objective + squared_defects.sum() + added
 
     def simulate_windows(self) -> tuple[Signals, Float[Tensor, "k n"]]:
-        """Simulated outputs of all windows, and the differences of state between successive
+        """Simulate all training windows, and compute the differences of state between successive
         windows."""
         x0 = None if self.starts is None else self.starts()
         if self.starts is None or x0 is None or not self.starts.cut.continuing_windows:
@@ -273,8 +278,8 @@ class Fit(pl.LightningModule):
         return y_hat, defects
 
     def forward(self) -> Float[Tensor, "N"]:
-        """Residuals of the simulation, whose squared sum is minimised. `sqrt(weight) (y_hat - y)`,
-        then the defects."""
+        """Weighted simulation errors and multiple-shooting defects, whose squared sum the training
+        minimises. `sqrt(weight) (y_hat - y)`, then the defects."""
         records, (y_hat, defects) = self.training_records, self.simulate_windows()
         root_weight = torch.sqrt(records.weight)
         error = y_hat - records.y
@@ -283,7 +288,8 @@ class Fit(pl.LightningModule):
         return torch.cat([weighted_error, flat_defects])
 
     def residuals_at(self, flat: Float[Tensor, "P"]) -> Float[Tensor, "N"]:
-        """Residuals of the simulation as a function of all trainable parameters."""
+        """Residuals of the least-squares training problem as a function of all trainable
+        parameters."""
         named = [(name, p) for name, p in self.named_parameters() if p.requires_grad]
         sizes = [p.numel() for _, p in named]
         parts = flat.split(sizes)
@@ -293,8 +299,8 @@ class Fit(pl.LightningModule):
             return functional_call(self, values, ())
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
-        """Compute the training and validation fits of the current model. They are minus infinity
-        for a loss that is not finite.
+        """Compute the fits of the current model to the training and validation records. They are
+        minus infinity for a loss that is not finite.
 
         What an optimiser evaluated last may be a trial that it refused, or the model before its
         last step.
@@ -314,7 +320,7 @@ class Fit(pl.LightningModule):
             )
 
     def _estimate_validation_states(self) -> States:
-        """Initial states of the validation records, estimated from their first samples.
+        """Estimate the initial states of the validation records from their first samples.
 
         A record that starts in motion says nothing about a model that simulates it from rest:
         validation would then stop a training, or choose among several, by the error of the initial
@@ -337,12 +343,13 @@ class Fit(pl.LightningModule):
         return state_tensor.to(like)
 
     def configure_optimizers(self) -> Any:
-        """Build the optimiser of the training."""
+        """Build the optimiser that the training settings choose."""
         return self.settings.optimiser.build(self)
 
     def trained_model_with_remark(self) -> tuple[Simulator, str]:
-        """Trained model as explicit numbers, and a remark on it. Rounding to float32 is removed by
-        a few L-BFGS iterations in float64, if they end finite and lower."""
+        """Convert the trained model to plain numbers, after a few L-BFGS iterations in float64, and
+        remark on the conversion. Rounding to float32 is removed by a few L-BFGS iterations in
+        float64, if they end finite and lower."""
         training_outputs = self.training_records.y
         single = training_outputs.dtype == torch.float32
         self.to("cpu", torch.float64)
@@ -365,8 +372,8 @@ class Fit(pl.LightningModule):
 
 @torch.no_grad()
 def simulate_window_starts(model: TorchModel, records: TrainingBatch, cut: RecordWindows) -> States:
-    """Initial state of each window, from a simulation of the whole records. Shooting then begins
-    without defects.
+    """Initial state of each training window, from a simulation of the whole records. Shooting then
+    begins without defects.
 
     Records start at rest too: an estimate by the untrained model is far off in slow modes, and
     traps the optimiser.

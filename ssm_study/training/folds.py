@@ -14,8 +14,8 @@ MOST_SAMPLES = 12_000  # of training and validation together: of longer records,
 
 
 def join_training_and_validation(data: DataSet) -> DataSet:
-    """Data set in which training and validation records are one part. Pieces that follow each other
-    in the same log are joined."""
+    """Data set in which training and validation records together are one part. Pieces that follow
+    each other in the same log are joined."""
     both = (*data.training, *data.validation)
     records = sorted(both, key=lambda record: (record.log, record.first))
     joined = tuple(join_consecutive_records(records))
@@ -23,7 +23,7 @@ def join_training_and_validation(data: DataSet) -> DataSet:
 
 
 def join_consecutive_records(records: Sequence[Trajectory]) -> list[Trajectory]:
-    """Join records that follow each other in the same log."""
+    """Join records that follow each other directly in the same log."""
     joined: list[Trajectory] = []
     for record in records:
         before = joined[-1] if joined else None
@@ -39,15 +39,15 @@ def join_consecutive_records(records: Sequence[Trajectory]) -> list[Trajectory]:
     return joined
 
 
-def is_direct_continuation(record: Trajectory, before: Trajectory) -> bool:
-    """Whether a record begins directly after the end of another."""
-    samples_before = len(before)
-    return record.first == before.first + samples_before
+def is_direct_continuation(record: Trajectory, previous: Trajectory) -> bool:
+    """Whether a record begins directly after the end of another record of the same log."""
+    samples_before = len(previous)
+    return record.first == previous.first + samples_before
 
 
 def make_folds(data: DataSet) -> tuple[DataSet, ...]:
-    """Data sets for cross-validation, each with another fold as its test part; empty if the records
-    are too short.
+    """Data sets for cross-validation, each with a different part held out as test; empty if the
+    records are too short.
 
     Whole records are held out where there are enough, else pieces of the long ones. A piece starts
     in motion, so its first samples estimate its state and are not scored. No test record of `data`
@@ -61,7 +61,7 @@ def make_folds(data: DataSet) -> tuple[DataSet, ...]:
     folds = []
     for k in range(FOLDS):
         trained, held_out = hold_out_records(joined, k) if whole else hold_out_pieces(joined, k)
-        shortened = shorten_records(trained)
+        shortened = limit_total_length(trained)
         fold_data = replace(
             data, training=shortened, validation=held_out, test=held_out, start_up_samples=unscored
         )
@@ -70,14 +70,16 @@ def make_folds(data: DataSet) -> tuple[DataSet, ...]:
 
 
 def hold_out_records(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
-    """Training records without about every fourth one, and the records left out."""
+    """Split whole records for one cross-validation fold into those for training and those held
+    out."""
     remaining = (record for k, record in enumerate(records) if k % FOLDS != fold)
     trained = tuple(remaining)
     return trained, records[fold::FOLDS]
 
 
 def hold_out_pieces(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
-    """Training records without one piece of each record, and the pieces left out."""
+    """Cut a piece out of each record for one cross-validation fold, and return the rest and the
+    pieces held out."""
     training: list[Trajectory] = []
     held_out: list[Trajectory] = []
     for record in records:
@@ -90,8 +92,9 @@ def hold_out_pieces(records: Trajectories, fold: int) -> tuple[Trajectories, Tra
     return tuple(training), tuple(held_out)
 
 
-def shorten_records(records: Trajectories) -> Trajectories:
-    """Records cut at their ends to a given total length."""
+def limit_total_length(records: Trajectories) -> Trajectories:
+    """Cut records at their ends so that they have no more than a given number of samples
+    together."""
     lengths = (len(record) for record in records)
     total = sum(lengths)
     share = MOST_SAMPLES / total

@@ -24,9 +24,9 @@ MOST_NEURONS = 8  # 256 corners
 DIFFERENCE = 1e-6  # of a parameter, for the derivatives of few residuals
 
 
-def corner_gains(matrices: KernelMatrices) -> Float[np.ndarray, "corners"]:
-    """Gain from input to output at each combination of extreme neuron slopes, for one input and one
-    output."""
+def gains_at_extreme_slopes(matrices: KernelMatrices) -> Float[np.ndarray, "corners"]:
+    """Steady-state gain of a model at each combination of extreme neuron slopes, for one input and
+    one output."""
     n = len(matrices.a)
     q = matrices.e.shape[1]
     corners = product((0.0, 1.0), repeat=q)
@@ -43,17 +43,17 @@ def corner_gains(matrices: KernelMatrices) -> Float[np.ndarray, "corners"]:
     return gains[:, 0, 0]
 
 
-def gain_shortfall(matrices: KernelMatrices, least_share: float) -> Float[np.ndarray, "corners"]:
-    """Weighted amount by which the gain, at each combination of extreme slopes, falls short of a
+def gain_shortfall(matrices: KernelMatrices, least_fraction: float) -> Float[np.ndarray, "corners"]:
+    """Amount by which the gain at each combination of extreme neuron slopes falls short of a
     fraction of the largest gain."""
     with np.errstate(all="ignore"):
-        gains = corner_gains(matrices)
+        gains = gains_at_extreme_slopes(matrices)
     largest_index = np.argmax(np.abs(gains))
     largest = gains[largest_index]
     is_finite = np.isfinite(gains)
     if not is_finite.all() or largest == 0.0:
         return np.zeros(len(gains))
-    shortfall = least_share - gains / largest
+    shortfall = least_fraction - gains / largest
     return WEIGHT * np.maximum(shortfall, 0.0)
 
 
@@ -61,14 +61,14 @@ def jacobian_by_differences(
     residuals: Callable[[Float[np.ndarray, "P"]], Float[np.ndarray, "V"]],
     flat: Float[np.ndarray, "P"],
     present: Float[np.ndarray, "V"],
-    moving: Shaped[np.ndarray, "M"],
+    moving_indices: Shaped[np.ndarray, "M"],
 ) -> Float[np.ndarray, "V P"]:
-    """Jacobian of residuals with respect to the parameters that affect them, by central
+    """Jacobian of a residual vector with respect to some of its parameters, by central
     differences."""
     residual_count = len(present)
     parameter_count = len(flat)
     slopes = np.zeros((residual_count, parameter_count))
-    for i in moving:
+    for i in moving_indices:
         step = np.zeros(len(flat))
         step[i] = DIFFERENCE
         ahead = residuals(flat + step)

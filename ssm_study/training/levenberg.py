@@ -22,9 +22,9 @@ DAMPING_RANGE = (1e-12, 1e12)
 
 
 class DampingRule(NamedTuple):
-    """Settings of the damping in the Levenberg-Marquardt method. `tries` dampings before a step
-    counts as failed, each `grow` times the last; curvatures below `weakest`, relative to the
-    largest, are damped as if they had it."""
+    """Settings of the damping in the Levenberg-Marquardt method for least-squares problems. `tries`
+    dampings before a step counts as failed, each `grow` times the last; curvatures below `weakest`,
+    relative to the largest, are damped as if they had it."""
 
     tries: int
     grow: float
@@ -39,8 +39,8 @@ def levenberg_marquardt_step(
     rule: DampingRule, loss: float, gradient: Any, normal: Any, damping: float,
     solve_damped: Callable[[float], Any], loss_at: Callable[[Any], float],
 ) -> tuple[Any, float, float]:  # fmt: skip
-    """Take one accepted step of the Levenberg-Marquardt method. Returns the first step that gains
-    (None if all fail), the loss there, and the damping of the next step.
+    """Take one accepted step of the Levenberg-Marquardt method for least-squares problems. Returns
+    the first step that gains (None if all fail), the loss there, and the damping of the next step.
 
     The damping falls after a step that gains what the quadratic model expects, and grows after
     others. `solve_damped` gives the step of a damping, or None; arrays are NumPy's or torch's.
@@ -63,16 +63,16 @@ def levenberg_marquardt_step(
 
 
 def damping_factor(gained: float, expected: float) -> float:
-    """Factor for the damping after a step, from the actual and the expected decrease of the
-    loss."""
+    """Factor that updates the Levenberg-Marquardt damping after a step, from the actual and the
+    expected decrease of the loss."""
     if gained > 0.75 * expected:
         return 0.3
     return 1.0 if gained > 0.25 * expected else 2.0
 
 
 class LevenbergMarquardt(torch.optim.Optimizer):
-    """Levenberg-Marquardt method as a torch optimiser. `step` takes one accepted step, or none;
-    there is no penalty.
+    """Levenberg-Marquardt method for least-squares problems as a torch optimiser. `step` takes one
+    accepted step, or none; there is no penalty.
 
     Parameters that sit in exponentials (`nu`, `theta`) move by at most `longest_step` at once,
     where the linear model holds. `residual` takes all parameters in a row.
@@ -113,7 +113,7 @@ class LevenbergMarquardt(torch.optim.Optimizer):
         scale = diagonal.clamp(min=weakest)
 
         def solve_damped(damping: float) -> Tensor:
-            """Solve the damped normal equations, and limit the length of the step."""
+            """Solve the damped normal equations for a step of limited length."""
             damping_matrix = torch.diag(damping * scale)
             step = torch.linalg.solve(normal + damping_matrix, -gradient)
             below = torch.minimum(step, self.limits)
@@ -121,7 +121,7 @@ class LevenbergMarquardt(torch.optim.Optimizer):
             return torch.maximum(below, lowest)
 
         def loss_at(step: Tensor) -> float:
-            """Loss after a step from the current parameters."""
+            """Training loss after a given step from the current parameters."""
             trial = residual(flat + step)
             return float(trial @ trial)
 

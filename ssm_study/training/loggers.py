@@ -13,17 +13,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class NoLogger:
-    """Setting without a further logger of the training curve. Other loggers are Lightning's and
-    write below the training's own folder."""
+    """Setting of a training without a logger for its training curve. Other loggers are Lightning's
+    and write below the training's own folder."""
 
     def build(self, folder: Path) -> "Logger | None":  # noqa: ARG002 - nothing is written
-        """Build the logger; None if there is none."""
+        """Build the logger of a training curve; None for the setting without a logger."""
         return None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Csv(NoLogger):
-    """Logger that writes the training curve as CSV. One row per epoch in `csv/metrics.csv`."""
+    """Setting that writes the training curve to a CSV file. One row per epoch in
+    `csv/metrics.csv`."""
 
     def build(self, folder: Path) -> "Logger":
         from lightning.pytorch.loggers import CSVLogger
@@ -33,7 +34,7 @@ class Csv(NoLogger):
 
 @dataclass(frozen=True, kw_only=True)
 class TensorBoard(NoLogger):
-    """Logger that writes the training curve for TensorBoard. Event files in `tensorboard/`; needs
+    """Setting that writes the training curve for TensorBoard. Event files in `tensorboard/`; needs
     the extra `tensorboard`."""
 
     def build(self, folder: Path) -> "Logger":

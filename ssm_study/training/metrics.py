@@ -27,7 +27,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
-    """Identified model with its validation fit and a description of how it was identified.
+    """Identified model with its validation fit and facts on how it was identified.
 
     The fit is recomputed from `model` itself (float64, `free_run`), never taken from training.
     `curve` holds one row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`.
@@ -48,17 +48,18 @@ class Identification:
 
     @classmethod
     def from_model(cls, model: Simulator, data: DataSet, **how: Any) -> "Identification":
-        """Identified model with its fit to the validation records."""
+        """Identification result for a given model, with the fit to the validation records
+        computed."""
         fit_validation_percent = records_fit_percent(model, data.validation, data)
         return cls(model=model, fit_validation_percent=fit_validation_percent, **how)
 
 
 def records_fit_percent(model: Simulator, records: Trajectories, data: DataSet) -> float:
-    """Fit in percent of a model's free runs on several records."""
+    """Fit of a model's free runs to several records, in percent."""
     simulation = Simulation.simulate_records(model, records, data.start_up_samples)
     return simulation.fit_percent
 
 
-def training_columns(seconds: float, ended: str) -> dict[str, Any]:
-    """Columns on how long a training took and why it ended."""
-    return {"training_seconds": seconds, "training_ended": ended}
+def training_columns(seconds: float, reason_of_end: str) -> dict[str, Any]:
+    """Table columns on how long a training took and why it ended."""
+    return {"training_seconds": seconds, "training_ended": reason_of_end}

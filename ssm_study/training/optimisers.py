@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class OptimiserSpec(ABC):
-    """Base class of settings of an optimiser. `build` returns what Lightning takes: a torch
-    optimiser over the trainable parameters, perhaps with a schedule.
+    """Base class of settings of the optimiser of a training. `build` returns what Lightning takes:
+    a torch optimiser over the trainable parameters, perhaps with a schedule.
 
     An epoch is `calls_per_epoch` calls of it.
     """
@@ -30,17 +30,17 @@ class OptimiserSpec(ABC):
 
     @property
     def calls_per_epoch(self) -> int:
-        """Number of optimiser calls in an epoch."""
+        """Number of times that the optimiser is called in one training epoch."""
         return self.steps_per_epoch
 
     @abstractmethod
     def build(self, fit: "Fit") -> Any:
-        """Build the optimiser of a training."""
+        """Build the optimiser of a training from its settings."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lbfgs(OptimiserSpec):
-    """Settings of limited-memory BFGS with a strong Wolfe line search."""
+    """Settings of the optimiser L-BFGS (limited-memory BFGS with a strong Wolfe line search)."""
 
     history: int
 
@@ -66,7 +66,8 @@ class Lbfgs(OptimiserSpec):
 
 @dataclass(frozen=True, kw_only=True)
 class Levenberg(OptimiserSpec):
-    """Settings of the Levenberg-Marquardt method, which minimises the error without penalties."""
+    """Settings of the Levenberg-Marquardt optimiser, which minimises the simulation error without
+    penalties."""
 
     damping: float
     longest_step: float
@@ -86,8 +87,8 @@ class Levenberg(OptimiserSpec):
 
 @dataclass(frozen=True, kw_only=True)
 class Adam(OptimiserSpec):
-    """Settings of the Adam optimiser. Its rate falls along half a cosine to `final_fraction` of the
-    initial one."""
+    """Settings of the optimiser Adam with a learning rate that decreases to a fraction. Its rate
+    falls along half a cosine to `final_fraction` of the initial one."""
 
     learning_rate: float
     final_fraction: float
@@ -107,7 +108,7 @@ class Adam(OptimiserSpec):
         optimiser = torch.optim.Adam(parameters, lr=self.learning_rate, fused=True)
 
         def decay_factor(epoch: int) -> float:
-            """Factor of the learning rate in an epoch."""
+            """Factor of the learning rate in a given epoch, along half a cosine."""
             along = epoch / fit.settings.max_epochs
             cosine = math.cos(math.pi * along)
             variable_part = (1 - self.final_fraction) * (1 + cosine)

@@ -14,8 +14,8 @@ STILL = 0.1  # of the records' deviation: where they move less, no start is made
 
 
 class RecordBatch(NamedTuple):
-    """Scaled records of equal length, where shorter ones are padded. `weight` is 0 where padded,
-    and such that `|r|^2 = (1 - fit / 100)^2`."""
+    """Scaled records as one batch of equal length, with shorter ones padded by zeros. `weight` is 0
+    where padded, and such that `|r|^2 = (1 - fit / 100)^2`."""
 
     u: Float[np.ndarray, "N T m"]
     y: Float[np.ndarray, "N T p"]
@@ -23,7 +23,8 @@ class RecordBatch(NamedTuple):
 
     @classmethod
     def from_pairs(cls, pairs: Pairs) -> "RecordBatch":
-        """Records as one batch, where shorter ones are padded at their ends."""
+        """Combine input and output records of different lengths to one batch, padded at the
+        ends."""
         u, y = pad_records(pairs)
         outputs_of_records = [output for _, output in pairs]
         outputs = np.concatenate(outputs_of_records)
@@ -36,19 +37,19 @@ class RecordBatch(NamedTuple):
         is_recorded = sample[None, :, None] < lengths[:, None, None]
         return cls(u=u, y=y, weight=is_recorded / deviation)
 
-    def take_whole_records(self, samples: int) -> "RecordBatch":
-        """First whole records that have a given number of samples together. If the first is longer,
-        its beginning is taken."""
+    def cut_whole_records(self, samples: int) -> "RecordBatch":
+        """Smaller batch of the first whole records that together have at least a given number of
+        samples. If the first is longer, its beginning is taken."""
         padded_samples = self.u.shape[1]
         count = max(1, samples // padded_samples)
         parts = (part[:count, :samples] for part in self)
         return RecordBatch(*parts)
 
-    def find_moving_stretch(self, samples: int) -> "RecordBatch":
-        """Part of the records, of given length, in which input and output move. It is
-        `take_whole_records(samples)` if they move there, else the part of one record that moves
-        most. Raises `BadRequest` if none moves."""
-        beginning = self.take_whole_records(samples)
+    def cut_moving_part(self, samples: int) -> "RecordBatch":
+        """Smaller batch, of given length, in which input and output vary enough for an initial fit.
+        It is `cut_whole_records(samples)` if they move there, else the part of one record that
+        moves most. Raises `BadRequest` if none moves."""
+        beginning = self.cut_whole_records(samples)
         if self._relative_movement(beginning) >= STILL:
             return beginning
         stride = max(1, samples // 2)
@@ -64,13 +65,13 @@ class RecordBatch(NamedTuple):
         return moving
 
     def _cut_stretch(self, record: int, first: int, samples: int) -> "RecordBatch":
-        """Cut a range of samples out of one record."""
+        """Cut a range of samples out of one record of a batch."""
         parts = (part[record : record + 1, first : first + samples] for part in self)
         return RecordBatch(*parts)
 
     def _relative_movement(self, stretch: "RecordBatch") -> float:
-        """Standard deviation of a part of the records relative to that of all records, the smaller
-        of input and output."""
+        """Standard deviation of a part of a batch relative to that of the whole, the smaller of
+        input's and output's."""
         if not stretch.recorded_mask.any():
             return 0.0
         input_pair = (stretch.u, self.u)
@@ -89,5 +90,5 @@ class RecordBatch(NamedTuple):
 
     @property
     def recorded_mask(self) -> np.ndarray:
-        """For each sample, whether it was recorded rather than padded."""
+        """For each sample of a batch, whether it was recorded rather than padded."""
         return self.weight[..., 0] > 0

@@ -49,8 +49,8 @@ STILL_EPOCHS = 2
 
 
 class DurableCheckpointIO(CheckpointIO):
-    """Checkpoint writer whose files survive a crash. It writes beside the target, flushes and
-    renames; it reads tensors and plain containers only.
+    """Checkpoint reader and writer for Lightning whose files survive a crash. It writes beside the
+    target, flushes and renames; it reads tensors and plain containers only.
 
     The SHA-256 of the content follows it: torch does not notice a flipped bit (and reads past the
     sum without a word). Lightning's own writer goes through TMPDIR; with that on another file
@@ -63,7 +63,7 @@ class DurableCheckpointIO(CheckpointIO):
         path: str | Path,
         storage_options: Any | None = None,  # noqa: ARG002
     ) -> None:
-        """Write a checkpoint so that the file survives a crash."""
+        """Write a training checkpoint so that the file survives a crash."""
         target = Path(path)
         memory = io.BytesIO()
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -77,7 +77,7 @@ class DurableCheckpointIO(CheckpointIO):
     def load_checkpoint(
         self, path: str | Path, map_location: Any | None = None, weights_only: bool | None = True
     ) -> dict[str, Any]:  # fmt: skip
-        """Read a checkpoint from a file."""
+        """Read a training checkpoint from a file."""
         del weights_only  # never anything else: a checkpoint must not be able to run code
         whole = Path(path).read_bytes()
         content = whole[:-SEAL_BYTES]
@@ -88,7 +88,7 @@ class DurableCheckpointIO(CheckpointIO):
         return torch.load(io.BytesIO(content), map_location=device, weights_only=True)
 
     def remove_checkpoint(self, path: str | Path) -> None:
-        """Remove a checkpoint file."""
+        """Remove the file of a training checkpoint."""
         Path(path).unlink(missing_ok=True)
 
 
@@ -101,8 +101,9 @@ def train_with_lightning(
     progress: bool,
     keep_on_interrupt: bool = False,
 ) -> Identification:
-    """Train a model under Lightning, and return its best state. Epochs, checkpoints and early
-    stopping are the same for models with and without torch.
+    """Train a model with PyTorch Lightning, with checkpoints and early stopping, and return the
+    best model. Epochs, checkpoints and early stopping are the same for models with and without
+    torch.
 
     With `keep_on_interrupt` Ctrl-C ends the training with the best state so far, once an epoch has
     ended; raises `KeyboardInterrupt` otherwise.
@@ -122,7 +123,7 @@ def train_with_lightning(
     )
     line = [ProgressLine(settings.max_epochs)] if progress else []
     # Saved is what stopping has counted.
-    callbacks = [stopping, keeper, *line, OriginalSignals()]
+    callbacks = [stopping, keeper, *line, RestoreSignalHandlers()]
     try:
         run_trainer(settings, fit, callbacks, folder, find_resumable_checkpoint(folder, belongs_to))
     except KeyboardInterrupt:
@@ -144,7 +145,7 @@ def train_with_lightning(
 def build_lightning_module(
     settings: "Training", spec: ModelSpec, data: DataSet, seed: int
 ) -> "Fit | StructuredFit":
-    """Build the Lightning module that trains a model from its settings."""
+    """Build the Lightning module that trains a model with given settings."""
     if isinstance(spec, StructuredSpec):
         from ssm_study.training import structured_fit  # compiles
 
@@ -161,7 +162,7 @@ def run_trainer(
     folder: Path,
     resume_from: Path | None,
 ) -> None:
-    """Train a Lightning module until a callback or the number of epochs ends it."""
+    """Run the training of a Lightning module until a callback or the number of epochs ends it."""
     one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type] # the records are in Fit
     with warnings.catch_warnings():
         # Advice on Slurm, workers, loggers: of no use here.
@@ -173,8 +174,8 @@ def run_trainer(
 
 @contextmanager
 def raise_on_interrupt() -> Iterator[None]:
-    """Context in which Ctrl-C raises `KeyboardInterrupt`, as in plain Python. Lightning would exit
-    with status 1, as if the training had failed, and ignore Ctrl-C from then on."""
+    """Context manager in which Ctrl-C raises `KeyboardInterrupt`, as in plain Python. Lightning
+    would exit with status 1, as if the training had failed, and ignore Ctrl-C from then on."""
     is_main = threading.current_thread() is threading.main_thread()
     handler = signal.getsignal(signal.SIGINT)
     try:
@@ -188,8 +189,8 @@ def raise_on_interrupt() -> Iterator[None]:
             signal.signal(signal.SIGINT, handler)
 
 
-class OriginalSignals(Callback):
-    """Callback that restores the signal handlers that were set before the training.
+class RestoreSignalHandlers(Callback):
+    """Callback that restores the process's signal handlers, which Lightning replaces.
 
     Lightning turns SIGTERM into an exception of its own, which looks like an error of the run, and
     stops where submitit has asked the process to continue. Without it the process ends at once: the
@@ -202,7 +203,7 @@ class OriginalSignals(Callback):
         self.handlers = {number: signal.getsignal(number) for number in self.numbers}
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
-        """Restore the earlier signal handlers when the training begins."""
+        """Restore the signal handlers from before the training when the training begins."""
         if threading.current_thread() is not threading.main_thread():
             return  # neither Lightning nor we may set a handler there
         for number, handler in self.handlers.items():
@@ -230,8 +231,8 @@ def build_trainer(settings: "Training", callbacks: list[Callback], folder: Path)
 
 
 def training_fingerprint(spec: object, settings: object, data: DataSet) -> str:
-    """Hash of model settings, training settings and records, by which a checkpoint is matched to
-    its training."""
+    """Hash of model settings, training settings and records, by which a checkpoint is recognised as
+    that of a training."""
     scored = f"{data.scale!r} {data.start_up_samples} {data.step_s}"
     digest = hashlib.sha256(f"{spec!r} {settings!r} {scored}".encode())
     for record in (*data.training, *data.validation):
@@ -240,13 +241,13 @@ def training_fingerprint(spec: object, settings: object, data: DataSet) -> str:
     return digest.hexdigest()
 
 
-def find_resumable_checkpoint(folder: Path, expected: str) -> Path | None:
-    """Checkpoint from which an interrupted training can continue; None if there is none. Raises
-    `BadRequest` for a checkpoint of another training."""
+def find_resumable_checkpoint(folder: Path, fingerprint: str) -> Path | None:
+    """Find the checkpoint from which an interrupted training can continue; None if there is none.
+    Raises `BadRequest` for a checkpoint of another training."""
     path = folder / LAST
     if not path.exists():
         return None
-    is_expected = read_checkpoint(path).get("fingerprint") == expected
+    is_expected = read_checkpoint(path).get("fingerprint") == fingerprint
     problem = "the checkpoint there is of another model, training or data set"
     remedy = "choose an empty folder or remove last.ckpt"
     require(is_expected, "training folder", folder, problem, remedy)
@@ -254,7 +255,8 @@ def find_resumable_checkpoint(folder: Path, expected: str) -> Path | None:
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
-    """Read the content of a checkpoint file. Raises `BadRequest` when it is damaged."""
+    """Read the content of a training checkpoint, or raise `BadRequest` if the file is damaged.
+    Raises `BadRequest` when it is damaged."""
     try:
         return DurableCheckpointIO().load_checkpoint(path)
     except Exception as error:  # torch raises anything from UnpicklingError to RuntimeError here
@@ -263,7 +265,8 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
 
 class ProgressLine(Callback):
-    """Callback that shows epochs, fits and time left on one line of the terminal."""
+    """Callback that shows epochs, fits and remaining time of a training on one line of the
+    terminal."""
 
     def __init__(self, max_epochs: int) -> None:
         columns = (
@@ -279,24 +282,24 @@ class ProgressLine(Callback):
         self.task = self.progress.add_task("", total=max_epochs)
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
-        """Show the progress line when the training begins."""
+        """Show the progress line when a training begins."""
         self.progress.start()
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
-        """Show the fits of the epoch on the progress line."""
+        """Show the fits of the latest epoch on the progress line."""
         training, validation = (f"{trainer.callback_metrics[name]:.2f} %" for name in FITS)
         epoch = trainer.current_epoch + 1
         line = f"epoch {epoch}/{trainer.max_epochs}, fit {training}, validation {validation}"
         self.progress.update(self.task, completed=epoch, description=line)
 
     def teardown(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:  # noqa: ARG002
-        """Remove the progress line when the training ends."""
+        """Remove the progress line when a training ends."""
         self.progress.stop()
 
 
 class BestModelCheckpoint(Callback):
-    """Callback that stores the best state of a training, and stops it when its numbers are not
-    finite or no longer change.
+    """Callback that stores the best model of a training, and stops the training when the loss is
+    not finite or no longer changes.
 
     Validation fits of noisy records differ by chance: among states within `tolerance` percent
     points of the best validation fit the one with the best training fit is kept. Epochs that leave
@@ -336,39 +339,39 @@ class BestModelCheckpoint(Callback):
         self.still = 0
 
     def state_dict(self) -> dict[str, Any]:
-        """State of the callback that a checkpoint stores."""
+        """State of the best-model callback that a checkpoint stores."""
         return {name: getattr(self, name) for name in self.remembered}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Restore the state of the callback from a checkpoint."""
+        """Restore the state of the best-model callback from a checkpoint."""
         for name in self.remembered:
             setattr(self, name, state_dict[name])
         self.began -= self.curve[-1]["seconds"] if self.curve else 0.0  # as if it had never stopped
 
     @property
     def seconds(self) -> float:
-        """Duration of the training in seconds, with the time before an interruption."""
+        """Duration of the training in seconds, including the time before an interruption."""
         return time.perf_counter() - self.began
 
     def on_save_checkpoint(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, checkpoint: dict[str, Any]  # noqa: ARG002
     ) -> None:  # fmt: skip
-        """Add the identity of the training to a checkpoint."""
+        """Add the training's fingerprint to a checkpoint that is being saved."""
         checkpoint["fingerprint"] = self.belongs_to
 
     def on_train_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
-        """Write a checkpoint if the last one is old enough."""
+        """Write a checkpoint at the end of an epoch if the last one is old enough."""
         if time.monotonic() - self.saved_at >= self.every_s:
             trainer.save_checkpoint(self.folder / LAST)
             self.saved_at = time.monotonic()
 
     def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
-        """Store the initial state of the model until an epoch has ended."""
+        """Store the model's initial parameters as the best so far, before the first epoch."""
         if self.kept is None:  # until an epoch has ended, the starting point is the state to return
             self.kept = copy.deepcopy(pl_module.state_dict())
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Record the fits of the epoch, and store the best state of the model."""
+        """Record the fits of the epoch, and store the model if it is the best so far."""
         fits = {name: float(trainer.callback_metrics[name]) for name in FITS}
         self.record_epoch(trainer.current_epoch, fits[FITS[0]], fits[FITS[1]], pl_module)
         self.curve.append({"epoch": float(trainer.current_epoch), "seconds": self.seconds, **fits})
@@ -377,8 +380,8 @@ class BestModelCheckpoint(Callback):
     def record_epoch(
         self, epoch: int, training: float, validation: float, module: nn.Module
     ) -> None:
-        """Record the fits of one epoch, and store the model's state if it is the best. `ended` says
-        why to stop, if so."""
+        """Record the training and validation fits of one epoch, and store the model if it is the
+        best so far. `ended` says why to stop, if so."""
         if not (math.isfinite(training) and math.isfinite(validation)):
             remedy = "lower the learning rate, or start from modes further inside the unit circle"
             problem = f"the loss was not finite in epoch {epoch}"

@@ -14,9 +14,9 @@ from ssm_study.training.candidates import (
     LINEAR,
     REGRESSION,
     Candidate,
+    CandidateErrors,
     Row,
     Settings,
-    Trial,
     best_candidate,
     train_further,
     try_linear_model,
@@ -31,9 +31,9 @@ LINEAR_KINDS = (LINEAR, REGRESSION)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choice:
-    """Model settings that are all decided, with the table of candidates. The table is empty if
-    nothing was tried.
+class SettingsChoice:
+    """Completely decided model settings, with the table of candidates from which they were chosen.
+    The table is empty if nothing was tried.
 
     `linear_kind`: the output-error or ARX model itself is to be taken, of this order and delay.
     `others` are settings of other structures that the folds cannot tell from the chosen one.
@@ -48,7 +48,8 @@ class Choice:
     predictor: BilinearSpec | None = None
 
     def describe(self, automatic: Sequence[str]) -> str:
-        """Text on the settings that were chosen from the records, and from how many candidates."""
+        """Text on the model settings that were chosen from the records, and from how many
+        candidates."""
         settings = ", ".join(
             f"{setting_text(name)} {setting_text(getattr(self.spec, name))}" for name in automatic
         )
@@ -60,7 +61,7 @@ class Choice:
 
 
 def setting_text(value: object) -> str:
-    """Text of a setting's name or value, such as `dead time`, `yes` or `5`."""
+    """Text for the name or value of a setting, such as `dead time`, `yes` or `5`."""
     words = {"True": "yes", "False": "no", "None": "none"}
     text = str(value)
     plain_text = str(value).replace("_", " ")
@@ -68,8 +69,9 @@ def setting_text(value: object) -> str:
 
 
 @dataclass(kw_only=True)
-class Search:
-    """Candidates tried so far on the folds of a data set, and the settings decided so far."""
+class SettingsSearch:
+    """Search for model settings by cross-validation: candidates tried so far and settings decided
+    so far."""
 
     spec: StructuredSpec
     folds: Sequence[DataSet]
@@ -81,13 +83,13 @@ class Search:
     certified: dict[int, bool] = field(default_factory=dict)  # by identity of the candidate
 
     def is_undecided(self, name: str) -> bool:
-        """Whether a setting is to be chosen from the records and is not decided yet."""
+        """Whether a model setting is to be chosen from the records and is not decided yet."""
         value = getattr(self.spec, name)
         is_automatic = value == AUTO
         return bool(is_automatic) and name not in self.decided
 
     def score_structured_model(self, question: str, settings: Settings) -> Candidate:
-        """Score a structured model with given settings on the folds."""
+        """Cross-validate a structured model with given settings, and return it as a candidate."""
         spec = self.complete_settings(settings)
         settings = {name: getattr(spec, name) for name in self.spec.automatic_settings}
         tried = self.find_candidate(STRUCTURED, settings)
@@ -98,7 +100,7 @@ class Search:
         return self.add_candidate(question, STRUCTURED, settings, trial)
 
     def complete_settings(self, settings: Settings) -> StructuredSpec:
-        """Model settings completed from those decided so far and from defaults."""
+        """Complete partial model settings by those decided so far and by defaults."""
         wanted_settings = self.decided | settings
         if wanted_settings.get("neurons") == 0:
             wanted_settings["input_path"] = "none"  # there are no neurons for it to reach
@@ -112,7 +114,7 @@ class Search:
     def score_linear_model(
         self, question: str, order: int, delay: int, kind: str = LINEAR
     ) -> Candidate:
-        """Score a linear output-error or ARX model on the folds."""
+        """Cross-validate a linear output-error or ARX model, and return it as a candidate."""
         settings = {"order": order, "delay": delay}
         tried = self.find_candidate(kind, settings)
         if tried is not None:
@@ -121,18 +123,18 @@ class Search:
         return self.add_candidate(question, kind, settings, trial)
 
     def setting_value(self, name: str) -> Any:
-        """Value of a setting as decided so far, or as the user set it."""
+        """Value of a model setting as decided so far or as the user set it."""
         own_value = getattr(self.spec, name)
         return self.decided.get(name, own_value)
 
     @property
     def has_integrator(self) -> bool:
-        """Whether the model has an integrator at its output."""
+        """Whether the decided settings give the model an integrator at its output."""
         return self.setting_value("integrating_output") is True
 
     @property
     def allows_linear_model(self) -> bool:
-        """Whether the user requested neither neurons nor static maps."""
+        """Whether the user's settings allow a linear model, without neurons and static maps."""
         open_or_none = (AUTO, 0)
         neurons = self.spec.neurons
         knots = self.spec.knots
@@ -141,8 +143,8 @@ class Search:
         return all(are_open) and self.spec.output_knots == 0
 
     def is_certifiable(self, candidate: Candidate) -> bool:
-        """Whether a state feedback and an observer can be certified for one of the candidate's
-        models. It is true if the settings do not ask for that.
+        """Whether a state feedback and an observer can be certified for a model of a candidate. It
+        is true if the settings do not ask for that.
 
         One of the models that were trained on the folds is enough: the chosen candidate is trained
         from many starts, of which those with a certificate come first.
@@ -159,14 +161,15 @@ class Search:
         return self.certified[id(candidate)]
 
     def train_further(self, candidate: Candidate, steps: int) -> Candidate:
-        """Train a candidate's models further on the folds, and add the result to the table."""
+        """Continue the training of a candidate's models on the folds, and add the result as another
+        candidate."""
         trial = train_further(candidate.fits, self.folds, steps)
         return self.add_candidate("longer training", STRUCTURED, candidate.settings, trial)
 
     def add_candidate(
-        self, question: str, model: str, settings: Settings, trial: Trial
+        self, question: str, model: str, settings: Settings, trial: CandidateErrors
     ) -> Candidate:
-        """Add a candidate to the list and print its error."""
+        """Add a candidate to those tried so far, and print its cross-validation error."""
         median_error = np.median(trial.training_errors)
         training_error = float(median_error)
         fits = tuple(trial.fits)
@@ -185,18 +188,21 @@ class Search:
         return candidate
 
     def find_candidate(self, model: str, settings: Settings) -> Candidate | None:
-        """Candidate with exactly the given settings; None if there is none."""
+        """Find the candidate with exactly the given settings among those tried so far; None if
+        there is none."""
         alike = [one for one in self.tried if (one.model, one.settings) == (model, settings)]
         return alike[0] if alike else None
 
     def adopt_settings(self, candidate: Candidate, settings: Settings) -> None:
-        """Decide the undecided settings as a candidate has them."""
+        """Decide settings that are still undecided as a candidate has them."""
         self.chosen.append(candidate)
         self.decided |= {name: value for name, value in settings.items() if self.is_undecided(name)}
 
-    def make_choice(self, candidate: Candidate | None, others: Sequence[Candidate] = ()) -> Choice:
-        """Make the choice of all decided settings, with the sizes of a candidate. The mean that
-        predicts may have models of the others."""
+    def build_choice(
+        self, candidate: Candidate | None, others: Sequence[Candidate] = ()
+    ) -> SettingsChoice:
+        """Build the final choice from all decided settings and the model size of a candidate. The
+        mean that predicts may have models of the others."""
         chosen = [*self.chosen]
         error = None
         linear_kind = None
@@ -208,12 +214,12 @@ class Search:
         other_specs = tuple(decided_specs)
         spec = self._decided_spec(candidate)
         rows = self.candidate_rows(chosen)
-        return Choice(
+        return SettingsChoice(
             spec=spec, rows=rows, error=error, linear_kind=linear_kind, others=other_specs
         )
 
     def _decided_spec(self, candidate: Candidate | None) -> StructuredSpec:
-        """Specification with all decided settings and the sizes of a candidate."""
+        """Model settings with everything decided so far and the model size of a candidate."""
         decided = dict(self.decided)
         if candidate is not None:
             decided |= candidate.settings
@@ -224,7 +230,7 @@ class Search:
         return fill_in_defaults(replace(self.spec, **settings))
 
     def candidate_rows(self, chosen: Sequence[Candidate]) -> tuple[Row, ...]:
-        """Rows of the table of the candidates that were tried."""
+        """Rows of the table of all candidates that were tried."""
         rows = []
         for candidate in self.tried:
             is_chosen = any(candidate is other for other in chosen)
@@ -235,6 +241,6 @@ class Search:
 
 
 def fill_in_defaults(spec: StructuredSpec) -> StructuredSpec:
-    """Model settings in which every undecided setting has its default value."""
+    """Copy of the model settings in which every undecided setting has its default value."""
     defaults = {name: AUTOMATIC[name] for name in spec.automatic_settings}
     return replace(spec, **defaults)

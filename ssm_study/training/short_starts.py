@@ -17,8 +17,8 @@ STEPS = 20  # of a short training, inside the contracting set
 DRAWS = 3  # of several random neurons for such a training
 
 
-def short_spec(spec: StructuredSpec) -> StructuredSpec:
-    """Model settings for short training starts with few random draws of neurons.
+def spec_for_short_training(spec: StructuredSpec) -> StructuredSpec:
+    """Model settings for short training runs, with fewer random draws of initial neurons.
 
     A single neuron is drawn as often as ever: its draws are cheap, and more of them end badly.
     """
@@ -26,8 +26,8 @@ def short_spec(spec: StructuredSpec) -> StructuredSpec:
     return spec if has_one_neuron else replace(spec, draws=min(DRAWS, spec.draws))
 
 
-def count_starts(spec: StructuredSpec) -> tuple[int, int]:
-    """Number of short training runs, and number of those that are trained to their end.
+def count_short_and_full_runs(spec: StructuredSpec) -> tuple[int, int]:
+    """Number of short training runs, and number of those that are continued to the end.
 
     A model that need not contract has twice as many: fewer of its trainings end where a state
     feedback can be certified, and each takes less time.
@@ -46,10 +46,10 @@ def best_seeds(
     data: DataSet,
     first: int,
     count: int,
-    best: int,
-    announce: Callable[[str], object] = str,
+    kept_count: int,
+    print_line: Callable[[str], object] = str,
 ) -> list[int]:
-    """Random seeds of the training starts with the smallest loss after a few steps, the best first.
+    """Random seeds whose training runs have the smallest loss after a few steps, the best first.
 
     Starts whose model has no certified state feedback and observer come behind all that have, where
     the specification asks for them. Each start is announced when it is done.
@@ -60,33 +60,33 @@ def best_seeds(
         seed = first + 1000 * (done - 1)
         fits[seed] = StructuredFit(spec, part, seed)
         fits[seed].take_steps(STEPS)
-        announce(f"{done} of {count}, {training_fit_text(float(fits[seed].loss))}")
+        print_line(f"{done} of {count}, {training_fit_as_text(float(fits[seed].loss))}")
     finite = [seed for seed, fit in fits.items() if np.isfinite(float(fit.loss))]
     by_loss = sorted(finite, key=lambda seed: float(fits[seed].loss))
     finite_fits = {seed: fits[seed] for seed in by_loss}
-    certified = first_certified_seeds(spec, finite_fits, best)
+    certified = first_certifiable_seeds(spec, finite_fits, kept_count)
     others = [seed for seed in by_loss if seed not in certified]
     ordered_seeds = [*certified, *others]
-    return ordered_seeds[:best] or [first]
+    return ordered_seeds[:kept_count] or [first]
 
 
-def first_certified_seeds(
-    spec: StructuredSpec, fits: dict[int, StructuredFit], most: int
+def first_certifiable_seeds(
+    spec: StructuredSpec, fits: dict[int, StructuredFit], max_count: int
 ) -> list[int]:
-    """Random seeds of the first training runs, in the given order, whose models can be certified.
-    All count if the settings do not ask for certificates."""
+    """Random seeds of the first training runs whose models can be certified. All count if the
+    settings do not ask for certificates."""
     has_certificates = getattr(spec.among_starts, "has_certificates", None)
     certified: list[int] = []
     for seed, fit in fits.items():
-        if len(certified) == most:
+        if len(certified) == max_count:
             break
         if has_certificates is None or has_certificates(fit.as_model()):
             certified.append(seed)
     return certified
 
 
-def training_fit_text(loss: float) -> str:
-    """Text on the fit to the training records at a given loss."""
+def training_fit_as_text(loss: float) -> str:
+    """Text that states the fit to the training records in percent for a given loss."""
     if not np.isfinite(loss):
         return "the simulation diverges"
     return f"fit to the training records {fit_from_relative_error(np.sqrt(loss)):.1f} %"

@@ -20,7 +20,7 @@ from ssm_study.training.record_batch import RecordBatch
 from ssm_study.training.structured_problem import (
     CORE,
     FREE_CORE,
-    Descent,
+    DescentState,
     SimulationProblem,
     Theta,
     has_converged,
@@ -43,8 +43,8 @@ Matrices = dict[str, Float[np.ndarray, "..."]]  # of a model, by their names
 
 
 class StructuredFit(pl.LightningModule):
-    """Lightning module that trains a structured model by Levenberg-Marquardt. The parameters, the
-    damping and the loss are buffers.
+    """Lightning module that trains a structured model by the Levenberg-Marquardt method. The
+    parameters, the damping and the loss are buffers.
 
     So a checkpoint is the whole state, and a training that was killed goes on where it was. There
     is nothing for an optimiser of torch to do: the Jacobian is written out
@@ -69,7 +69,7 @@ class StructuredFit(pl.LightningModule):
             self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
 
     def _simulation_problem(self) -> SimulationProblem:
-        """Least-squares problem that the training records pose."""
+        """Build the least-squares problem of simulating the training records."""
         spec = self.spec
         scale = self.data.scale
         channels = (scale.inputs, scale.outputs)
@@ -90,7 +90,7 @@ class StructuredFit(pl.LightningModule):
         )
 
     def _parameter_shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shape of each block of trainable parameters."""
+        """Shape of each block of a structured model's trainable parameters."""
         spec = self.spec
         scale = self.data.scale
         n = int(spec.order)
@@ -111,7 +111,7 @@ class StructuredFit(pl.LightningModule):
 
     @property
     def parameter_blocks(self) -> Theta:
-        """Trainable parameters as NumPy arrays, keyed by block."""
+        """Trainable parameters of a structured model as NumPy arrays, keyed by block."""
         return {
             name: part.cpu().numpy()
             for name, part in self.named_buffers()
@@ -119,15 +119,15 @@ class StructuredFit(pl.LightningModule):
         }
 
     def take_steps(self, steps: int) -> None:
-        """Make the initial parameters, and take a limited number of training steps."""
+        """Compute initial parameters, and take a limited number of training steps from there."""
         start = self._initial_parameters()
         if self.problem.gain_share:
-            start = self._without_gain_penalty(start)
+            start = self._train_without_gain_penalty(start)
         at = minimise_simulation_error(self.problem, start, self._trained_blocks, steps)
         self._store_descent(at)
 
     def take_further_steps(self, steps: int) -> None:
-        """Take a limited number of further training steps."""
+        """Continue a training by a limited number of steps."""
         at = self._current_descent
         before = np.inf
         for _ in range(steps):
@@ -138,12 +138,12 @@ class StructuredFit(pl.LightningModule):
         self._store_descent(at)
 
     @property
-    def _current_descent(self) -> Descent:
-        """State of the minimisation, read from the module's buffers."""
+    def _current_descent(self) -> DescentState:
+        """Current parameters, loss and damping of the training, read from the module's buffers."""
         theta = {name: part.copy() for name, part in self.parameter_blocks.items()}
-        return Descent(theta=theta, loss=float(self.loss), damping=float(self.damping))
+        return DescentState(theta=theta, loss=float(self.loss), damping=float(self.damping))
 
-    def _without_gain_penalty(self, start: Theta) -> Theta:
+    def _train_without_gain_penalty(self, start: Theta) -> Theta:
         """Parameters after some training steps without the penalty on the gain's sign. With the
         penalty from the beginning, the training would end in far worse local minima."""
         free = replace(self.problem, gain_share=0.0)
@@ -151,8 +151,7 @@ class StructuredFit(pl.LightningModule):
         return descent.theta
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are in the problem
-        """Make the initial parameters in the first epoch, and take one training step in each
-        further epoch."""
+        """Compute initial parameters in the first epoch; take one training step in all others."""
         if torch.isnan(self.loss):
             self.take_steps(0)
             return
@@ -161,26 +160,27 @@ class StructuredFit(pl.LightningModule):
 
     @property
     def _trained_blocks(self) -> tuple[str, ...]:
-        """Names of the parameter blocks that training changes."""
+        """Names of the parameter blocks of a structured model that training changes."""
         rate = self.spec.rate
         core = CORE if rate is None else FREE_CORE
         return self._phase_blocks(core, self.spec.input_path != "none")
 
-    def _store_descent(self, at: Descent) -> None:
-        """Store the state of the minimisation in the module's buffers."""
+    def _store_descent(self, state: DescentState) -> None:
+        """Store parameters, loss and damping of the training in the module's buffers."""
         for name in self.parameter_blocks:
             buffer = getattr(self, name)
-            stored_values = at.theta[name]
+            stored_values = state.theta[name]
             buffer.copy_(torch.as_tensor(stored_values))
-        self.loss.fill_(at.loss)
-        self.damping.fill_(at.damping)
+        self.loss.fill_(state.loss)
+        self.damping.fill_(state.damping)
 
     def _initial_parameters(self) -> Theta:
-        """Initial parameters of the training, fitted to few samples. A linear fit and S_u come
-        first; then neurons are drawn at random several times, and the best draw is taken."""
+        """Initial parameters of a structured model, fitted to few samples of the records. A linear
+        fit and S_u come first; then neurons are drawn at random several times, and the best draw is
+        taken."""
         spec = self.spec
         rng = np.random.default_rng(self.seed)
-        stretch = self.problem.records.find_moving_stretch(START_SAMPLES)
+        stretch = self.problem.records.cut_moving_part(START_SAMPLES)
         short = replace(self.problem, records=stretch, gain_share=0.0)
         linear = replace(short, neurons=(), rate=None)
         moving = self._linear_block_names()
@@ -190,7 +190,7 @@ class StructuredFit(pl.LightningModule):
             map_steps = spec.start_steps[1]
             fitted_maps = minimise_simulation_error(linear, theta, maps, map_steps)
             theta = fitted_maps.theta
-        draws = [self._draw_neurons(short, theta, rng) for _ in range(spec.draws)]
+        draws = [self._draw_initial_neurons(short, theta, rng) for _ in range(spec.draws)]
         best_draw = min(draws, key=lambda draw: draw.loss)
         best = best_draw.theta
         # Records that the start has not seen begin at rest.
@@ -200,33 +200,34 @@ class StructuredFit(pl.LightningModule):
         return best | {"x0": x0}
 
     def _linear_block_names(self) -> tuple[str, ...]:
-        """Names of the parameter blocks of the linear model."""
+        """Names of the parameter blocks that a linear model has."""
         direct = ("d",) if self.spec.feedthrough else ()
         starts = ("x0",) if self.estimates else ()
         return ("a", "b", "c", *direct, *starts)
 
     def _fit_linear_model(
-        self, linear: SimulationProblem, moving: tuple[str, ...], rng: np.random.Generator
+        self, linear: SimulationProblem, block_names: tuple[str, ...], rng: np.random.Generator
     ) -> Theta:
-        """Fit a linear model to the records, from an ARX model or from random poles."""
+        """Fit a linear model to the training records, from an ARX model or from random poles."""
         spec = self.spec
         steps = spec.start_steps[0]
         order = int(spec.order)
         feedthrough = bool(spec.feedthrough)
         start = fit_initial_linear_model(linear, order, feedthrough, rng)
-        fitted = minimise_simulation_error(linear, start, moving, steps)
+        fitted = minimise_simulation_error(linear, start, block_names, steps)
         if self.integrates:
             return fitted.theta
         screened_start = fit_best_random_poles(linear, start, self.estimates, rng)
-        screened = minimise_simulation_error(linear, screened_start, moving, steps)
+        screened = minimise_simulation_error(linear, screened_start, block_names, steps)
         is_better = screened.loss < TRUSTED * fitted.loss
         return screened.theta if is_better else fitted.theta
 
-    def _draw_neurons(
+    def _draw_initial_neurons(
         self, short: SimulationProblem, theta: Theta, rng: np.random.Generator
-    ) -> Descent:
-        """Draw random initial parameters of the neurons, and improve them. A few steps without the
-        constraint, the nearest contracting model, a few steps with the constraint."""
+    ) -> DescentState:
+        """Draw random initial neurons, improve them by a few steps, and make the model contracting.
+        A few steps without the constraint, the nearest contracting model, a few steps with the
+        constraint."""
         spec = self.spec
         has_input_path = spec.input_path == "free"
         free = replace(short, rate=None)
@@ -241,7 +242,7 @@ class StructuredFit(pl.LightningModule):
         return minimise_simulation_error(short, theta, constrained, RACE)
 
     def _phase_blocks(self, core: tuple[str, ...], input_path: bool) -> tuple[str, ...]:
-        """Names of the parameter blocks that one phase of the training changes."""
+        """Names of the parameter blocks that are changed in one phase of the initial training."""
         spec = self.spec
         is_open = {
             "g": input_path,
@@ -253,8 +254,8 @@ class StructuredFit(pl.LightningModule):
         return (*core, "b", "c", "bias", "scaffold_in", "scaffold_out", *paths)
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
-        """Compute the training and validation fits of the current model. That of training uses the
-        fitted initial states, that of validation those of a score."""
+        """Compute the fits to the training and validation records. That of training uses the fitted
+        initial states, that of validation those of a score."""
         r = self.problem.weighted_error(self.parameter_blocks)
         relative_error = np.sqrt(r @ r)
         fit_training = fit_from_relative_error(relative_error)
@@ -263,11 +264,11 @@ class StructuredFit(pl.LightningModule):
         self.log("fit_validation_percent", fit_validation)
 
     def configure_optimizers(self) -> None:
-        """Return no optimiser, because a training step needs the Jacobian instead of a gradient."""
+        """Return no optimiser: a training step uses the Jacobian instead of a gradient."""
 
     def as_model(self) -> StructuredSSM:
-        """Trained model as explicit numbers. The running sum of `integrating_output` is one more
-        state per output."""
+        """Convert the trained structured model to plain numbers. The running sum of
+        `integrating_output` is one more state per output."""
         theta = self.parameter_blocks
         matrices = self.problem.matrices(theta)
         parts: dict[str, Any] = matrices._asdict()
@@ -289,7 +290,7 @@ class StructuredFit(pl.LightningModule):
         )
 
     def trained_model_with_remark(self) -> tuple[Model, str]:
-        """Trained model without idle neurons, and a remark on how many were removed.
+        """Trained model without superfluous neurons, and a remark on how many were removed.
 
         Without any neuron it is the model of one layer, of which more can be proved.
         """
@@ -303,8 +304,8 @@ class StructuredFit(pl.LightningModule):
 
 
 def append_integrator(parts: Matrices) -> Matrices:
-    """Append an integrator to the output of a recurrence. The running sums are states, and the
-    output."""
+    """Append an integrator (running sum) to the output of a recurrence. The running sums are
+    states, and the output."""
     a = parts["a"]
     c = parts["c"]
     f = parts["f"]
@@ -325,7 +326,7 @@ def append_integrator(parts: Matrices) -> Matrices:
 
 
 def split_disturbance_columns(parts: Matrices, inputs: int) -> Matrices:
-    """Split the input matrices into columns of inputs and columns of measured disturbances."""
+    """Split input matrices into columns for inputs and for measured disturbances."""
     split = {name: parts[name][:, :inputs] for name in ("b", "d", "g")}
     disturbance_columns = parts["b"][:, inputs:]
     disturbance_part = {"b_d": disturbance_columns}
@@ -333,8 +334,8 @@ def split_disturbance_columns(parts: Matrices, inputs: int) -> Matrices:
 
 
 def prune_neurons(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
-    """Remove neurons that can be replaced by a linear gain without a noticeable change of any
-    output. `w_i = s_i z_i`.
+    """Remove neurons that a linear gain can replace without a noticeable change of any output. `w_i
+    = s_i z_i`.
 
     A metric in which the model contracts is one of the pruned model too: `w_i = s_i z_i` satisfies
     the sector condition that the analysis LMI is about. A neuron between input and output is left
@@ -345,8 +346,8 @@ def prune_neurons(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
         if np.any(reaches_output) and np.any(model.g[i] != 0):
             continue
         candidate = linearise_neuron(model, i, records)
-        output = simulate_all(model, records)
-        simulated = simulate_all(candidate, records)
+        output = simulate_records_stacked(model, records)
+        simulated = simulate_records_stacked(candidate, records)
         change = np.linalg.norm(simulated - output)
         deviation = np.linalg.norm(output - output.mean(axis=0))
         if change / deviation < IDLE:
@@ -354,14 +355,16 @@ def prune_neurons(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
     return model
 
 
-def simulate_all(model: StructuredSSM, records: Trajectories) -> Float[np.ndarray, "T p"]:
-    """Simulated outputs of several records from the equilibrium, one below another."""
+def simulate_records_stacked(
+    model: StructuredSSM, records: Trajectories
+) -> Float[np.ndarray, "T p"]:
+    """Simulated outputs of several records from the equilibrium, stacked in one array."""
     outputs = [model.simulate(record.u, d=record.d) for record in records]
     return np.concatenate(outputs)
 
 
 def linearise_neuron(model: StructuredSSM, i: int, records: Trajectories) -> StructuredSSM:
-    """Model in which one neuron is replaced by its mean slope over the records."""
+    """Copy of a model in which one neuron is replaced by its mean slope over the records."""
     slopes = []
     for record in records:
         driving = model.driving_signals(record.u, record.d)

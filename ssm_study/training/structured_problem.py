@@ -35,8 +35,8 @@ SETTLED = 1e-4  # relative gain of a step below which a descent has ended
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationProblem:
-    """Least-squares problem of the simulation errors of a structured model. `r = weight (y_hat -
-    y)`, all records from their own x0.
+    """Least-squares problem of fitting the simulation of a structured model to the training
+    records. `r = weight (y_hat - y)`, all records from their own x0.
 
     With `rate` the core (A, E, F) is that of `models.contracting`, without it free. With
     `integrating_output` the output is the running sum of the model's, started at `x0`'s last entry.
@@ -53,11 +53,12 @@ class SimulationProblem:
     gain_share: float = 0.0
 
     def ridge_weight(self, block: str) -> float:
-        """Weight of a block's squared parameters in the training penalty."""
+        """Weight of the ridge penalty on one block of parameters."""
         return 0.0 if block in UNWEIGHTED else self.ridge
 
     def matrices(self, theta: Theta) -> KernelMatrices:
-        """Matrices of the recurrence for compiled code."""
+        """Matrices of the recurrence in the layout for compiled code, from the trainable
+        parameters."""
         if self.rate is not None:
             free = free_parameters(theta)
             core = matrices_from_parameters(free, self.rate)
@@ -68,14 +69,15 @@ class SimulationProblem:
     def initial_conditions(
         self, theta: Theta
     ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N p"]]:
-        """Initial states of the records, and initial outputs where the output is a running sum."""
+        """Initial states of all records, and initial outputs where the model has an integrator."""
         n = len(theta["b"])
         model_states = theta["x0"][:, :n]
         sums = theta["x0"][:, n:]
         return np.ascontiguousarray(model_states), sums
 
     def simulate_signals(self, theta: Theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Simulated mapped inputs, outputs before the output map, and states. `(N, T + 1, n)`."""
+        """Simulate all records, and return the inputs after the input map, the outputs before the
+        output map, and the states. `(N, T + 1, n)`."""
         mapped = self.lift.values(theta["scaffold_in"], self.records.u)
         v = np.ascontiguousarray(mapped)
         x0, _ = self.initial_conditions(theta)
@@ -84,7 +86,7 @@ class SimulationProblem:
         return v, ybar, states
 
     def simulate_output(self, theta: Theta) -> Float[np.ndarray, "N T p"]:
-        """Simulated scaled output of all records."""
+        """Simulate the scaled outputs of all records."""
         _, ybar, _ = self.simulate_signals(theta)
         if self.integrating_output:
             _, begun = self.initial_conditions(theta)
@@ -94,7 +96,7 @@ class SimulationProblem:
         return output_map(ybar)
 
     def weighted_error(self, theta: Theta) -> Float[np.ndarray, "R"]:
-        """Weighted simulation error of all records as one vector."""
+        """Weighted simulation errors of all records as one vector."""
         # A trial step may be unstable: its loss is infinite, and it is refused.
         with np.errstate(all="ignore"):
             simulated = self.simulate_output(theta)
@@ -116,7 +118,7 @@ class SimulationProblem:
         self, theta: Theta, free: tuple[str, ...]
     ) -> tuple[Float[np.ndarray, "V"], Float[np.ndarray, "V P"]]:
         """Residuals of the penalty on sign changes of the steady-state gain, and their Jacobian by
-        differences."""
+        finite differences."""
         missing = self.gain_sign_residuals(theta)
         flat = pack_parameters(theta, free)
         moves_gain = [np.full(theta[name].size, name in GAIN_BLOCKS) for name in free]
@@ -134,8 +136,8 @@ class SimulationProblem:
     def residual_and_jacobian(
         self, theta: Theta, free: tuple[str, ...]
     ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R K"], Float[np.ndarray, "K P"]]:
-        """Weighted simulation error, and its factored Jacobian with respect to some blocks of
-        parameters.
+        """Weighted simulation errors, and their Jacobian with respect to some blocks of parameters
+        in factored form.
 
         `turn` is the chain rule through `contracting.matrices_from_parameters`: cheap behind `J'J`,
         not on every sample.
@@ -162,7 +164,8 @@ class SimulationProblem:
     def _output_and_derivatives(
         self, theta: Theta
     ) -> tuple[Float[np.ndarray, "N T p"], dict[str, Float[np.ndarray, "N T p _"]]]:
-        """Simulated output, and its derivatives with respect to the parameters of each block."""
+        """Simulated outputs of all records, and their derivatives with respect to each block of
+        parameters."""
         u, target, _ = self.records
         v, _, by_input_map = self.lift.values_and_derivatives(theta["scaffold_in"], u)
         x0, begun = self.initial_conditions(theta)
@@ -190,8 +193,8 @@ class SimulationProblem:
     def _zero_disturbance_feedthrough(
         self, columns: dict[str, Float[np.ndarray, "N T p _"]]
     ) -> None:
-        """Set to zero the derivatives by which measured disturbances would act directly on the
-        output. These entries stay zero."""
+        """Set to zero the derivatives with respect to direct effects of measured disturbances on
+        the output. These entries stay zero."""
         inputs = self.lift.channels + self.lift.passed
         for name in ("d", "g"):
             column = columns[name]
@@ -201,7 +204,7 @@ class SimulationProblem:
             entries[..., self.lift.channels :] = 0.0
 
     def _derivatives_by_free_parameters(self, theta: Theta) -> Float[np.ndarray, "K F"]:
-        """Derivatives of the recurrence's matrices with respect to its free parameters."""
+        """Derivatives of the recurrence's matrices with respect to the unconstrained parameters."""
         packed = pack_parameters(theta, FREE_CORE)
         units = np.eye(packed.size)
         unit_blocks = unpack_parameters(units, theta, FREE_CORE)
@@ -216,8 +219,8 @@ class SimulationProblem:
     def _derivatives_by_initial_states(
         self, own: Float[np.ndarray, "N T p n"]
     ) -> Float[np.ndarray, "N T p _"]:
-        """Derivatives of the output with respect to the initial states of all records. Each affects
-        its own record; with `integrating_output` the initial sum does, too."""
+        """Derivatives of the simulated outputs with respect to the initial states of all records.
+        Each affects its own record; with `integrating_output` the initial sum does, too."""
         count, samples, p, n = own.shape
         width = n + p * self.integrating_output
         whole = np.zeros((count, samples, p, count, width))
@@ -229,13 +232,14 @@ class SimulationProblem:
 
 
 def free_parameters(theta: Theta) -> FreeParameters:
-    """Free parameters of a contracting recurrence, from the parameter blocks."""
+    """Unconstrained parameters of a contracting recurrence, taken from the trainable parameter
+    blocks."""
     blocks = (theta[name] for name in FREE_CORE)
     return FreeParameters(*blocks)
 
 
 def running_sum(y: Float[np.ndarray, "N T *rest"]) -> Float[np.ndarray, "N T *rest"]:
-    """Sum of a signal over all earlier samples, as an integrator gives it."""
+    """Sum of a signal over all earlier samples, as an integrator computes."""
     total = np.cumsum(y, axis=1)
     first = total[:, :1]
     earlier = total[:, :-1]
@@ -243,21 +247,25 @@ def running_sum(y: Float[np.ndarray, "N T *rest"]) -> Float[np.ndarray, "N T *re
 
 
 @dataclass(frozen=True, kw_only=True)
-class Descent:
-    """State of the minimisation of the simulation error: parameters, loss and the next step's
-    damping. The loss is `|r|^2 + penalty`."""
+class DescentState:
+    """State of a Levenberg-Marquardt minimisation: parameters, loss and damping for the next step.
+    The loss is `|r|^2 + penalty`."""
 
     theta: Theta
     loss: float
     damping: float = 1e-2
 
 
-def regularised_loss(problem: SimulationProblem, theta: Theta, free: tuple[str, ...]) -> float:
-    """Squared simulation error with a ridge penalty. `|r|^2 + ridge sum |block|^2` over the blocks
-    `free`, infinite if the simulation is not finite."""
+def regularised_loss(
+    problem: SimulationProblem, theta: Theta, block_names: tuple[str, ...]
+) -> float:
+    """Squared simulation error plus a ridge penalty on some blocks of parameters. `|r|^2 + ridge
+    sum |block|^2` over the blocks `block_names`, infinite if the simulation is not finite."""
     residual = problem.weighted_error(theta)
     with np.errstate(all="ignore"):
-        penalties = [problem.ridge_weight(name) * float(np.sum(theta[name] ** 2)) for name in free]
+        penalties = [
+            problem.ridge_weight(name) * float(np.sum(theta[name] ** 2)) for name in block_names
+        ]
         squared_error = float(residual @ residual)
         ridge_penalty = sum(penalties)
         value = squared_error + ridge_penalty
@@ -268,21 +276,23 @@ def regularised_loss(problem: SimulationProblem, theta: Theta, free: tuple[str, 
     return value if is_finite else np.inf
 
 
-def take_step(problem: SimulationProblem, at: Descent, free: tuple[str, ...]) -> Descent:
+def take_step(
+    problem: SimulationProblem, state: DescentState, block_names: tuple[str, ...]
+) -> DescentState:
     """Take one accepted Levenberg-Marquardt step in some blocks of parameters."""
-    gradient, normal = linearise_loss(problem, at.theta, free)
-    flat = pack_parameters(at.theta, free)
+    gradient, normal = linearise_loss(problem, state.theta, block_names)
+    flat = pack_parameters(state.theta, block_names)
     if not np.isfinite(normal).all():
-        return replace(at, damping=np.inf)
+        return replace(state, damping=np.inf)
     diagonal = np.diagonal(normal)
     largest = diagonal.max()
     weakest = WRITTEN_OUT.weakest * largest
     scale = np.maximum(diagonal, weakest)
 
     def parameters_after(by: Float[np.ndarray, "P"]) -> Theta:
-        """Parameter blocks after a step."""
-        moved_blocks = unpack_parameters(flat + by, at.theta, free)
-        return at.theta | moved_blocks
+        """Parameter blocks after a given step from the current ones."""
+        moved_blocks = unpack_parameters(flat + by, state.theta, block_names)
+        return state.theta | moved_blocks
 
     def solve_damped(damping: float) -> Float[np.ndarray, "P"] | None:
         """Solve the damped normal equations for a step."""
@@ -290,24 +300,24 @@ def take_step(problem: SimulationProblem, at: Descent, free: tuple[str, ...]) ->
         return solve_damped_equations(normal + damping_matrix, gradient)
 
     def loss_at(by: Float[np.ndarray, "P"]) -> float:
-        """Loss after a step from the current parameters."""
-        return regularised_loss(problem, parameters_after(by), free)
+        """Regularised loss after a given step from the current parameters."""
+        return regularised_loss(problem, parameters_after(by), block_names)
 
     with np.errstate(over="ignore"):  # a damped matrix that overflows is a step that failed
         by, value, damping = levenberg_marquardt_step(
-            WRITTEN_OUT, at.loss, gradient, normal, at.damping, solve_damped, loss_at
+            WRITTEN_OUT, state.loss, gradient, normal, state.damping, solve_damped, loss_at
         )
-    theta = at.theta if by is None else parameters_after(by)
-    return Descent(theta=theta, loss=value, damping=damping)
+    theta = state.theta if by is None else parameters_after(by)
+    return DescentState(theta=theta, loss=value, damping=damping)
 
 
 def linearise_loss(
-    problem: SimulationProblem, theta: Theta, free: tuple[str, ...]
+    problem: SimulationProblem, theta: Theta, block_names: tuple[str, ...]
 ) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P P"]]:
-    """Half the gradient of the regularised loss, and its Gauss-Newton matrix. `J'J + R`, with the
-    penalty on the gain's sign; second derivatives of the residual are left out."""
-    residual, j, turn = problem.residual_and_jacobian(theta, free)
-    ridges = [np.full(theta[name].size, problem.ridge_weight(name)) for name in free]
+    """Gradient of the regularised simulation loss (halved), and its Gauss-Newton matrix. `J'J + R`,
+    with the penalty on the gain's sign; second derivatives of the residual are left out."""
+    residual, j, turn = problem.residual_and_jacobian(theta, block_names)
+    ridges = [np.full(theta[name].size, problem.ridge_weight(name)) for name in block_names]
     weights = np.concatenate(ridges)  # R, its diagonal
     with np.errstate(all="ignore"):
         gram = j.T @ j
@@ -315,33 +325,34 @@ def linearise_loss(
         normal = turned_gram @ turn
         error_gradient = j.T @ residual
         turned_gradient = turn.T @ error_gradient
-        parameters = pack_parameters(theta, free)
+        parameters = pack_parameters(theta, block_names)
         gradient = turned_gradient + weights * parameters
     normal[np.diag_indices_from(normal)] += weights
-    missing, slopes = problem.gain_sign_residuals_and_jacobian(theta, free)
+    missing, slopes = problem.gain_sign_residuals_and_jacobian(theta, block_names)
     normal += slopes.T @ slopes
     gradient += slopes.T @ missing
     return gradient, normal
 
 
 def minimise_simulation_error(
-    problem: SimulationProblem, theta: Theta, free: tuple[str, ...], most: int
-) -> Descent:
-    """Minimise the simulation error by the Levenberg-Marquardt method. It takes a limited number of
-    steps, until `has_converged`."""
-    loss = regularised_loss(problem, theta, free)
-    at = Descent(theta=theta, loss=loss)
-    for _ in range(most):
+    problem: SimulationProblem, theta: Theta, block_names: tuple[str, ...], max_steps: int
+) -> DescentState:
+    """Minimise the simulation error over some blocks of parameters by the Levenberg-Marquardt
+    method. It takes a limited number of steps, until `has_converged`."""
+    loss = regularised_loss(problem, theta, block_names)
+    at = DescentState(theta=theta, loss=loss)
+    for _ in range(max_steps):
         before = at.loss
-        at = take_step(problem, at, free)
+        at = take_step(problem, at, block_names)
         if has_converged(before, at.loss, at.damping):
             break
     return at
 
 
 def has_converged(before: float, after: float, damping: float) -> bool:
-    """Whether a minimisation has converged. An accepted step gained less than `SETTLED`; after a
-    refused one, damped more, a shorter step may still gain."""
+    """Whether a Levenberg-Marquardt minimisation has converged, from the decrease of the loss and
+    the damping. An accepted step gained less than `SETTLED`; after a refused one, damped more, a
+    shorter step may still gain."""
     refused = after == before and damping < DAMPING_RANGE[1]
     return not refused and not after < before * (1.0 - SETTLED)
 
@@ -349,7 +360,7 @@ def has_converged(before: float, after: float, damping: float) -> bool:
 def solve_damped_equations(
     damped_normal: Float[np.ndarray, "P P"], gradient: Float[np.ndarray, "P"]
 ) -> Float[np.ndarray, "P"] | None:
-    """Solve the damped normal equations for a step; None if they have no solution."""
+    """Solve the damped normal equations of a least-squares step; None if they have no solution."""
     try:
         return -cho_solve(cho_factor(damped_normal), gradient)
     except (np.linalg.LinAlgError, ValueError):  # not positive definite; not finite
@@ -357,16 +368,16 @@ def solve_damped_equations(
 
 
 def pack_parameters(theta: Theta, names: tuple[str, ...]) -> Float[np.ndarray, "P"]:
-    """Join named blocks of parameters to one vector."""
+    """Join named blocks of parameters to one flat vector."""
     flat_blocks = [theta[name].ravel() for name in names]
     return np.concatenate(flat_blocks)
 
 
 def unpack_parameters(
-    flat: Float[np.ndarray, "*batch P"], like: Theta, names: tuple[str, ...]
+    flat: Float[np.ndarray, "*batch P"], template: Theta, names: tuple[str, ...]
 ) -> Theta:
-    """Split a vector into blocks of parameters with the shapes of `like`."""
-    shapes_of = {name: like[name].shape for name in names}
+    """Split a flat vector into named blocks of parameters with given shapes."""
+    shapes_of = {name: template[name].shape for name in names}
     batch = flat.shape[:-1]
     parts = split_blocks(shapes_of, flat)
     return {name: part.reshape(*batch, *shapes_of[name]) for name, part in parts.items()}

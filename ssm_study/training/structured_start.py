@@ -32,9 +32,10 @@ RESTS_WITHIN = 1.0  # of the bias of a neuron whose argument has unit size
 def fit_initial_linear_model(
     problem: SimulationProblem, order: int, feedthrough: bool, rng: np.random.Generator
 ) -> Theta:
-    """Fit the linear model with which the training of a structured model begins. It is ARX by least
-    squares, a balanced realisation of its impulse response, its poles inside the unit circle."""
-    records = unpadded_records(problem)
+    """Fit the linear model with which the training of a structured model begins, by ARX and
+    balanced realisation. It is ARX by least squares, a balanced realisation of its impulse
+    response, its poles inside the unit circle."""
+    records = records_without_padding(problem)
     inputs, outputs = (np.concatenate(signals) for signals in zip(*records, strict=True))
     if problem.integrating_output:
         records = [(u[:-1], np.diff(y, axis=0)) for u, y in records]
@@ -68,14 +69,15 @@ def fit_initial_linear_model(
 
 
 def arx_lag_count(order: int) -> int:
-    """Number of lags of the ARX model from which an initial model of a given order is realised."""
+    """Number of lags of the ARX model from which an initial linear model of given order is
+    realised."""
     return ARX_LAGS if 2 * order <= ARX_LAGS else LAGS_PER_STATE * order
 
 
-def unpadded_records(
+def records_without_padding(
     problem: SimulationProblem,
 ) -> list[tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]]:
-    """Inputs and outputs of each record, without padding."""
+    """Inputs and outputs of each training record, without the samples that were padded."""
     inputs, outputs, _ = problem.records
     masks = problem.records.recorded_mask
     records = zip(inputs, outputs, masks, strict=True)
@@ -85,13 +87,13 @@ def unpadded_records(
 def remove_disturbance_feedthrough(
     problem: SimulationProblem, d: Float[np.ndarray, "p m"]
 ) -> Float[np.ndarray, "p m"]:
-    """Set to zero the feedthrough columns of measured disturbances."""
+    """Set to zero the columns of a feedthrough matrix that belong to measured disturbances."""
     is_input = np.arange(d.shape[1]) < problem.lift.channels
     return np.where(is_input, d, 0.0)
 
 
 def normalise_states(problem: SimulationProblem, theta: Theta) -> Theta:
-    """Scale the states of a linear model to a root mean square of one over the records.
+    """Scale the states of a linear model to a root mean square of one over the training records.
 
     Balanced states differ a thousandfold in size, and a step of Levenberg-Marquardt that suits one
     overturns another.
@@ -112,7 +114,8 @@ def normalise_states(problem: SimulationProblem, theta: Theta) -> Theta:
 
 
 def states_at_scored_samples(problem: SimulationProblem, theta: Theta) -> Float[np.ndarray, "N n"]:
-    """States before each scored sample of all records, one below another."""
+    """Model states at all samples of the training records that count in the error, stacked in one
+    array."""
     _, _, states = problem.simulate_signals(theta)
     earlier_states = states[:, :-1]
     is_recorded = problem.records.recorded_mask
@@ -120,26 +123,26 @@ def states_at_scored_samples(problem: SimulationProblem, theta: Theta) -> Float[
 
 
 def fit_best_random_poles(
-    problem: SimulationProblem, begun: Theta, estimates: bool, rng: np.random.Generator
+    problem: SimulationProblem, initial: Theta, estimates_states: bool, rng: np.random.Generator
 ) -> Theta:
-    """Initial linear model with the best of several random sets of poles. The residues of the best
-    set explain the records best.
+    """Fit linear models with several random sets of poles, and return the one that fits the records
+    best. The residues of the best set explain the records best.
 
     With poles and B given the output is linear in C, and in C times the free decay of a record's
     unknown start: two least-squares problems. ARX weighs the next sample; where that hardly depends
     on the input it misses slow modes.
     """
-    order = len(begun["a"])
+    order = len(initial["a"])
     candidates = []
     for _ in range(SCREENED):
         poles = draw_poles(order, rng)
-        fitted = fit_model_with_poles(problem, begun, poles, estimates, rng)
-        candidates.append(begun | fitted)
+        fitted = fit_model_with_poles(problem, initial, poles, estimates_states, rng)
+        candidates.append(initial | fitted)
     return min(candidates, key=lambda candidate: regularised_loss(problem, candidate, ()))
 
 
 def draw_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
-    """Draw random real and complex poles whose time constants are spread evenly on a logarithmic
+    """Draw random real and complex poles with time constants spread evenly on a logarithmic
     scale."""
     blocks: list[np.ndarray] = []
     while (left := order - sum(map(len, blocks))) > 0:
@@ -164,19 +167,19 @@ def draw_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]
 
 def fit_model_with_poles(
     problem: SimulationProblem,
-    begun: Theta,
+    initial: Theta,
     a: Float[np.ndarray, "n n"],
-    estimates: bool,
+    estimates_states: bool,
     rng: np.random.Generator,
 ) -> Theta:
-    """Fit a linear model with given poles by least squares. States have unit size; C and initial
-    states are fitted."""
+    """Fit a linear model with given poles to the training records by least squares. States have
+    unit size; C and initial states are fitted."""
     _, outputs, weight = problem.records
-    zero_states = 0.0 * begun["x0"]
-    no_feedthrough = 0.0 * begun["d"]
+    zero_states = 0.0 * initial["x0"]
+    no_feedthrough = 0.0 * initial["d"]
     zero_blocks = {"x0": zero_states, "d": no_feedthrough}
-    at_rest = begun | zero_blocks
-    b = rng.normal(size=begun["b"].shape)
+    at_rest = initial | zero_blocks
+    b = rng.normal(size=initial["b"].shape)
     drawn = {"a": a, "b": b}
     driven = at_rest | drawn
     _, _, states = problem.simulate_signals(driven)
@@ -188,16 +191,16 @@ def fit_model_with_poles(
     b = b / size[:, None]
 
     # All slopes of S_y are equal here.
-    output_map = problem.read.freeze(begun["scaffold_out"])
+    output_map = problem.read.freeze(initial["scaffold_out"])
     output_slope = output_map(np.ones_like(outputs))
     y = outputs / output_slope
     sample_count = outputs.shape[1]
     decay = matrix_powers(a, sample_count)
-    c = least_squares_output_matrix(x, y, weight, decay, estimates)
+    c = least_squares_output_matrix(x, y, weight, decay, estimates_states)
     record_count = len(outputs)
     state_count = len(a)
     x0 = np.zeros((record_count, state_count))
-    if estimates:
+    if estimates_states:
         explained = x @ c.T
         remaining = y - explained
         x0 = least_squares_initial_states(remaining, weight, c, decay)
@@ -210,13 +213,13 @@ def least_squares_output_matrix(
     y: Float[np.ndarray, "N T p"],
     weight: Float[np.ndarray, "N T 1"],
     decay: Float[np.ndarray, "T n n"],
-    estimates: bool,
+    estimates_states: bool,
 ) -> Float[np.ndarray, "p n"]:
-    """Output matrix that fits the outputs best, for states that the input drives from zero. Each
+    """Output matrix that fits the measured outputs best, by least squares on simulated states. Each
     record may also have a free decay, if it may begin in motion."""
     count, samples, n = x.shape
     regressors = x
-    if estimates:
+    if estimates_states:
         # The columns of each record span what its initial state can do.
         summed_decay = decay.sum(axis=2)
         decays = [summed_decay] * count
@@ -236,7 +239,8 @@ def least_squares_initial_states(
     c: Float[np.ndarray, "p n"],
     decay: Float[np.ndarray, "T n n"],
 ) -> Float[np.ndarray, "N n"]:
-    """Initial states whose free decay fits best what the input leaves unexplained in the output."""
+    """Initial states whose free response best fits what the input leaves unexplained in the
+    output."""
     count = len(residual)
     n = c.shape[1]
     weight_rows = weight[..., None]
@@ -249,7 +253,7 @@ def least_squares_initial_states(
 
 
 def matrix_powers(a: Float[np.ndarray, "n n"], count: int) -> Float[np.ndarray, "T n n"]:
-    """Powers of a matrix, computed by repeated doubling."""
+    """Powers of a matrix up to a given exponent, by repeated doubling."""
     identity = np.eye(len(a))
     powers = identity[None]
     ahead = a
@@ -263,7 +267,7 @@ def matrix_powers(a: Float[np.ndarray, "n n"], count: int) -> Float[np.ndarray, 
 def regularised_least_squares(
     x: Float[np.ndarray, "N k"], y: Float[np.ndarray, "N p"]
 ) -> Float[np.ndarray, "k p"]:
-    """Least-squares coefficients with a small ridge penalty."""
+    """Coefficients of a least-squares fit with a small ridge penalty."""
     normal = x.T @ x
     k = len(normal)
     ridge = RESIDUE_RIDGE * np.trace(normal) / k
@@ -275,8 +279,9 @@ def regularised_least_squares(
 def add_random_neurons(
     problem: SimulationProblem, theta: Theta, count: int, rng: np.random.Generator
 ) -> Theta:
-    """Add random neurons to the initial parameters of a linear model. States have unit size; F and
-    the bias are random, so that neurons bend within the data, E small, G and H zero."""
+    """Add random neurons to the initial parameters of a structured model that is linear so far.
+    States have unit size; F and the bias are random, so that neurons bend within the data, E small,
+    G and H zero."""
     theta = normalise_states(problem, theta)
     n, m = theta["b"].shape
     p = len(theta["c"])
@@ -297,8 +302,8 @@ def add_random_neurons(
 
 
 def contracting_initial_parameters(problem: SimulationProblem, theta: Theta, rate: float) -> Theta:
-    """Initial parameters of a contracting model close to a given one. It is the nearest on the path
-    of `contracting.project_to_contracting`."""
+    """Initial parameters of a contracting structured model that is close to a given model. It is
+    the nearest on the path of `contracting.project_to_contracting`."""
     v, _, states = problem.simulate_signals(theta)
     recorded = problem.records.recorded_mask
     earlier_states = states[:, :-1]

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from ssm_study.models.spec import ModelSpec
     from ssm_study.models.structured_spec import StructuredSpec
     from ssm_study.training.metrics import Identification
-    from ssm_study.training.search import Choice
+    from ssm_study.training.search import SettingsChoice
 
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
-    """Settings of a training, and the identification that they run. It minimises the simulation
-    error until validation gains less than `min_gain_percent` in `patience` epochs.
+    """Settings of a training, with the method that identifies a model by them. It minimises the
+    simulation error until validation gains less than `min_gain_percent` in `patience` epochs.
 
     The settings: conf/training/default.yaml. `validation_tolerance_percent`: see
     `BestModelCheckpoint`; the weights: see `penalty`; `integrated_share`: see `Records`; `windows`:
@@ -109,16 +109,19 @@ class Training:
     def _identify_chosen(
         self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Identify a model whose settings the records choose, on training and validation
-        records."""
+        """Identify a model some of whose settings are to be chosen from the records."""
         from itertools import islice
 
-        from ssm_study.training.choice import MOST_TRAINED, iterate_choices, make_progress_printer
+        from ssm_study.training.choice import (
+            MOST_TRAINED,
+            iterate_model_choices,
+            make_progress_printer,
+        )
         from ssm_study.training.folds import join_training_and_validation
 
         began = time.perf_counter()
         printer = make_progress_printer(session.progress)
-        choices = iterate_choices(spec, data, session.seed, printer)
+        choices = iterate_model_choices(spec, data, session.seed, printer)
         best: Identification | None = None
         first_choices = islice(choices, MOST_TRAINED)
         for k, choice in enumerate(first_choices):
@@ -139,10 +142,10 @@ class Training:
         return replace(best, seconds=now_s - began)
 
     def _identify_choice(
-        self, choice: "Choice", data: DataSet, session: "TrainingSession"
+        self, choice: "SettingsChoice", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Identify a model by training it with the chosen settings. If folds chose it, the
-        validation records are used for training, too."""
+        """Identify a model by training it with chosen settings. If folds chose it, the validation
+        records are used for training, too."""
         from ssm_study.training.choice import REFIT_WORDS
         from ssm_study.training.folds import join_training_and_validation
         from ssm_study.training.metrics import records_fit_percent
@@ -156,9 +159,9 @@ class Training:
         return replace(best, ended=ended, refitted=True, fit_validation_percent=fit)
 
     def _train_choice(
-        self, choice: "Choice", data: DataSet, session: "TrainingSession"
+        self, choice: "SettingsChoice", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Train the linear or structured model that a choice of settings describes."""
+        """Train the linear or structured model that chosen settings describe."""
         if choice.linear_kind is None:
             best = self._train_from_best_starts(choice.spec, data, session)
             return self._with_other_structures(best, choice, data, session)
@@ -178,9 +181,13 @@ class Training:
         return Identification.from_model(model, data, seconds=seconds, curve=[], ended=ended)
 
     def _with_other_structures(
-        self, best: "Identification", choice: "Choice", data: DataSet, session: "TrainingSession"
+        self,
+        best: "Identification",
+        choice: "SettingsChoice",
+        data: DataSet,
+        session: "TrainingSession",
     ) -> "Identification":
-        """Replace some of several averaged models by models of other structures.
+        """Replace some of the models whose outputs are averaged by models of other structure.
 
         Folds cannot tell these from the chosen one; where structures err differently, their mean
         errs less than that of one structure's trainings.
@@ -207,13 +214,17 @@ class Training:
     def _train_from_best_starts(
         self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Train a chosen model from the best of many short training runs."""
+        """Train a model to the end from the best of many short training runs."""
         from ssm_study.training.choice import make_progress_printer
-        from ssm_study.training.short_starts import best_seeds, count_starts, short_spec
+        from ssm_study.training.short_starts import (
+            best_seeds,
+            count_short_and_full_runs,
+            spec_for_short_training,
+        )
 
-        brief = short_spec(spec)
+        brief = spec_for_short_training(spec)
         announce = make_progress_printer(session.progress, "short starts")
-        start_counts = count_starts(spec)
+        start_counts = count_short_and_full_runs(spec)
         seeds = best_seeds(brief, data, session.seed, *start_counts, announce)
         starts = [brief] * len(seeds)
         return self._train_best_of_several(
@@ -229,7 +240,8 @@ class Training:
         only_certified: bool = False,
         seeds: Sequence[int] | None = None,
     ) -> "Identification":
-        """Train several times from different initial parameters, and choose the best model.
+        """Train a model several times from different initial parameters, and return the best
+        result.
 
         With `only_certified` those without a certified state feedback and observer are dropped, if
         any has both.
@@ -266,8 +278,8 @@ class Training:
         data: DataSet,
         session: "TrainingSession",
     ) -> list["Identification"]:
-        """Train several times, each time from other initial parameters. After Ctrl-C the finished
-        ones remain."""
+        """Train a model several times, each time from other initial parameters, and return all
+        results. After Ctrl-C the finished ones remain."""
         from ssm_study.training import saving  # loads torch's compiler, as any optimiser does
 
         identified: list[Identification] = []
@@ -290,7 +302,8 @@ class Training:
 def select_by_training_fit(
     identified: Sequence["Identification"], data: DataSet, count: int
 ) -> list[Any]:
-    """Models with the best fits to the training records, whose mean output is the prediction.
+    """Select the models with the best fits to the training records, whose outputs are to be
+    averaged.
 
     A mean of models that were not ranked can be worse than one of them.
     """
@@ -304,7 +317,7 @@ def select_by_training_fit(
 
 
 def can_be_certified(spec: "ModelSpec", model: Any) -> bool:
-    """Whether some state feedback and some observer for a model can be certified. It is true if the
+    """Whether some state feedback and some observer can be certified for a model. It is true if the
     settings do not ask for that."""
     rule = getattr(spec, "among_starts", None)
     has_certificates = getattr(rule, "has_certificates", None)
@@ -312,7 +325,8 @@ def can_be_certified(spec: "ModelSpec", model: Any) -> bool:
 
 
 def refuse_disturbances_without_path(spec: "ModelSpec", data: DataSet) -> None:
-    """Raise `BadRequest` for measured disturbances if the model has no path for them."""
+    """Raise `BadRequest` for data with measured disturbances if the model structure has no input
+    for them."""
     from ssm_study.models.spec import SSMSpec
     from ssm_study.models.structured_spec import StructuredSpec
 
@@ -326,7 +340,7 @@ def refuse_disturbances_without_path(spec: "ModelSpec", data: DataSet) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingSession:
-    """Seed, folder and options that all training runs of one identification share."""
+    """Seed, folder and options that all training runs of one identification have in common."""
 
     seed: int
     folder: Path

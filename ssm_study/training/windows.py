@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Windows:
-    """Settings that cut training records into windows of `samples` consecutive samples.
-    `samples=None` leaves records whole.
+    """Settings that cut training records into windows of equal length. `samples=None` leaves
+    records whole.
 
     Multiple shooting: the first window of a record starts as the record does, the state `s_i` at
     the start of each later window is a parameter, and the objective gains
@@ -36,8 +36,8 @@ class Windows:
             require_positive(f"{field}.continuity_weight", self.continuity_weight, "use 1")
 
     def cut_records(self, records: Sequence[Trajectory], start_up_samples: int) -> "RecordWindows":
-        """Cut the training records into windows. Raises `BadRequest` if a record is shorter than a
-        window, or its start-up samples fill one."""
+        """Cut the training records into windows of equal length. Raises `BadRequest` if a record is
+        shorter than a window, or its start-up samples fill one."""
         if self.samples is None:
             unscored = (start_up_samples,) * len(records)
             whole_records = tuple(records)
@@ -62,7 +62,7 @@ class Windows:
         return RecordWindows(all_pieces, tuple(unscored_samples), first_windows)
 
     def _refuse_short_records(self, records: Sequence[Trajectory], start_up_samples: int) -> None:
-        """Raise `BadRequest` for training records that are shorter than a window."""
+        """Raise `BadRequest` for training records that are shorter than a training window."""
         assert self.samples is not None
         field = "training.windows.samples"
         shortest = min(records, key=len)
@@ -76,8 +76,9 @@ class Windows:
 
 @dataclass(frozen=True)
 class RecordWindows:
-    """Windows that were cut from the training records, in order. With the number of samples at the
-    beginning of each that are not scored, and which of them begin a record."""
+    """Windows cut from the training records, with the number of unscored samples at the beginning
+    of each. With the number of samples at the beginning of each that are not scored, and which of
+    them begin a record."""
 
     pieces: Trajectories
     unscored: tuple[int, ...]
@@ -85,7 +86,7 @@ class RecordWindows:
 
     @property
     def continuing_windows(self) -> list[int]:
-        """Indices of the windows that continue an earlier window of the same record."""
+        """Indices of the training windows that continue an earlier window of the same record."""
         window_count = len(self.pieces)
         all_windows = set(range(window_count))
         return sorted(all_windows - set(self.first))

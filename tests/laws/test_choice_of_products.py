@@ -14,9 +14,9 @@ from ssm_study.data.assembly import assemble_dataset
 from ssm_study.models.bilinear import Bilinear
 from ssm_study.models.structured_spec import AUTO, AUTOMATIC, StructuredSpec
 from ssm_study.signals import DataSet, Trajectory
-from ssm_study.training.choice_of_products import choose_products
+from ssm_study.training.choice_of_products import choose_bilinear_model
 from ssm_study.training.folds import make_folds
-from ssm_study.training.search import Search
+from ssm_study.training.search import SettingsSearch
 
 DECIDED = {"dead_time": 0, "feedthrough": False, "integrating_output": False}
 OPEN = dict.fromkeys(AUTOMATIC, AUTO)
@@ -38,11 +38,11 @@ def records(model: Bilinear) -> DataSet:
     return assemble_dataset(parts, rest, CHANNELS, 20)
 
 
-def search_on(data: DataSet, **settings: object) -> Search:
+def search_on(data: DataSet, **settings: object) -> SettingsSearch:
     """Search that has tried a linear model and decided the paths."""
     spec = StructuredSpec(**(OPEN | settings))  # type: ignore[arg-type]
     folds = make_folds(data)
-    search = Search(spec=spec, folds=folds, seed=0, announce=lambda _: None)
+    search = SettingsSearch(spec=spec, folds=folds, seed=0, announce=lambda _: None)
     search.decided |= DECIDED
     search.score_linear_model("size", 2, 1)
     return search
@@ -55,7 +55,7 @@ def data() -> DataSet:
 
 def test_the_folds_prefer_products_on_a_plant_that_has_them(data: DataSet) -> None:
     search = search_on(data)
-    chosen = choose_products(search, data)
+    chosen = choose_bilinear_model(search, data)
     assert chosen is not None
     size_of_model = (chosen.order, chosen.nodes)
     expected_size = (2, 3)
@@ -69,7 +69,7 @@ def test_the_folds_prefer_products_on_a_plant_that_has_them(data: DataSet) -> No
     row = rows[1]
     assert row["model"] == "products of input and state"
     assert row["chosen"]
-    choice = search.make_choice(linear)
+    choice = search.build_choice(linear)
     changed_choice = replace(choice, predictor=chosen)
     words = changed_choice.describe(["order"])
     assert words.endswith("products of input and state predict")
@@ -87,7 +87,7 @@ def test_a_linear_plant_keeps_its_model() -> None:
     linear = replace(model, a=same, b=b)
     data = records(linear)
     search = search_on(data)
-    assert choose_products(search, data) is None
+    assert choose_bilinear_model(search, data) is None
     assert search.chosen == []
 
 
@@ -106,5 +106,5 @@ def test_what_the_class_lacks_or_the_user_set_is_not_overruled(
 ) -> None:
     search = search_on(data, **settings)
     search.decided |= decided
-    assert choose_products(search, data) is None
+    assert choose_bilinear_model(search, data) is None
     assert len(search.tried) == 1

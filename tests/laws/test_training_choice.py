@@ -18,14 +18,14 @@ from ssm_study.signals import DataSet, Trajectory
 from ssm_study.systems import StateSpace
 from ssm_study.training.candidates import (
     Candidate,
-    Trial,
+    CandidateErrors,
     best_candidate,
     fit_linear_model,
-    is_many_times_worse,
+    is_hopeless,
     simplest_good_candidate,
 )
-from ssm_study.training.choice import iterate_choices
-from ssm_study.training.choice_of_paths import nearly_integrates
+from ssm_study.training.choice import iterate_model_choices
+from ssm_study.training.choice_of_paths import is_nearly_integrating
 from ssm_study.training.choice_of_size import simplest_certifiable_candidate
 from ssm_study.training.folds import (
     join_consecutive_records,
@@ -35,7 +35,7 @@ from ssm_study.training.folds import (
 from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.optimisers import Lbfgs
 from ssm_study.training.record_batch import RecordBatch
-from ssm_study.training.search import Choice, Search
+from ssm_study.training.search import SettingsChoice, SettingsSearch
 from ssm_study.training.structured_fit import StructuredFit
 from ssm_study.training.training import Training
 
@@ -102,7 +102,7 @@ def summed(record: Trajectory) -> np.ndarray:
 def test_the_delay_is_what_the_records_show(change: object, name: str, expected: object) -> None:
     data = changed(data_set(noise=0.02, samples=250, records=4), change)
     spec = StructuredSpec(**FIXED | BRIEF | {name: "auto"})  # type: ignore[arg-type]
-    choice = next(iterate_choices(spec, data, 0, quiet))
+    choice = next(iterate_model_choices(spec, data, 0, quiet))
     assert getattr(choice.spec, name) == expected
     text = json.dumps(choice.rows)
     rows = json.loads(text)
@@ -111,8 +111,8 @@ def test_the_delay_is_what_the_records_show(change: object, name: str, expected:
 
 def test_an_integrator_is_found_and_not_invented() -> None:
     data = data_set(noise=0.0, samples=500, records=4)
-    assert not nearly_integrates(data)
-    assert nearly_integrates(changed(data, summed))
+    assert not is_nearly_integrating(data)
+    assert is_nearly_integrating(changed(data, summed))
 
 
 def test_the_test_records_are_not_looked_at() -> None:
@@ -122,8 +122,8 @@ def test_the_test_records_are_not_looked_at() -> None:
     test = (replace(data.test[0], y=y),)
     other = replace(data, test=test)
     spec = StructuredSpec(**FIXED | BRIEF | {"feedthrough": "auto"})  # type: ignore[arg-type]
-    choice = next(iterate_choices(spec, data, 0, quiet))
-    expected = next(iterate_choices(spec, other, 0, quiet))
+    choice = next(iterate_model_choices(spec, data, 0, quiet))
+    expected = next(iterate_model_choices(spec, other, 0, quiet))
     assert choice.rows
     assert choice == expected
 
@@ -132,9 +132,9 @@ def test_short_records_choose_nothing() -> None:
     data = data_set(samples=120, records=1)
     spec = StructuredSpec(order="auto", neurons="auto", input_path="auto", knots="auto")
     changed_data = replace(data, validation=data.training)
-    choice = next(iterate_choices(spec, changed_data, 0, quiet))
+    choice = next(iterate_model_choices(spec, changed_data, 0, quiet))
     structured_spec = StructuredSpec(order=5, neurons=5)
-    expected = Choice(spec=structured_spec)
+    expected = SettingsChoice(spec=structured_spec)
     assert choice == expected
     message = choice.describe(["order", "neurons"])
     assert message.startswith("nothing, as no record beside the test has 240 samples")
@@ -145,7 +145,7 @@ def test_short_records_choose_nothing() -> None:
 def test_what_is_fixed_stays_fixed() -> None:
     data = data_set(noise=0.02, samples=200, records=4)
     spec = StructuredSpec(order="auto", neurons=0, knots=4, **BRIEF)  # type: ignore[arg-type]
-    choice = next(iterate_choices(spec, data, 0, quiet))
+    choice = next(iterate_model_choices(spec, data, 0, quiet))
     assert choice.spec.neurons == 0
     assert choice.spec.knots == 4
     assert choice.spec.automatic_settings == ()
@@ -187,10 +187,10 @@ def test_a_loss_on_one_odd_fold_does_not_hide_gains_on_all_others() -> None:
 def test_far_behind_after_two_folds_is_not_tried_on() -> None:
     best = candidate("best", 2.0, 2.0, 2.0, 2.0)
     errors = [4.0, 4.0]
-    assert is_many_times_worse(errors, best)
-    assert not is_many_times_worse([40.0], best)
+    assert is_hopeless(errors, best)
+    assert not is_hopeless([40.0], best)
     errors = [2.5, 2.5]
-    assert not is_many_times_worse(errors, best)
+    assert not is_hopeless(errors, best)
 
 
 @pytest.mark.parametrize("direct", [True, False])
@@ -236,7 +236,7 @@ class OnlyLinear:
 
 def test_what_cannot_be_certified_is_dropped_and_told() -> None:
     spec = StructuredSpec(**FIXED | BRIEF | {"order": "auto"}, among_starts=OnlyLinear())  # type: ignore[arg-type]
-    search = Search(spec=spec, folds=(), seed=0, announce=quiet)
+    search = SettingsSearch(spec=spec, folds=(), seed=0, announce=quiet)
     behind = replace(candidate("behind", 9.0, 9.0), example="linear")
     best = replace(candidate("best", 2.0, 2.0), example="neurons")
     search.tried += [behind, best]
@@ -266,7 +266,7 @@ def test_a_held_out_piece_starts_from_where_its_output_is_predicted_better() -> 
     validation = (log[1800:],)
     test = (log[1800:],)
     data = replace(data_set(samples=400), training=(log[:1800],), validation=validation, test=test)
-    trial = Trial()
+    trial = CandidateErrors()
     changed_data = replace(data, scale=model.scale, start_up_samples=20)
     trial.add_fold(model, changed_data)
     assert trial.best_start_kind == "past"
@@ -351,12 +351,12 @@ def moving_late(samples: int = 6000) -> RecordBatch:
 
 def test_a_start_is_made_where_the_record_moves() -> None:
     records = moving_late()
-    stretch = records.find_moving_stretch(2000)
+    stretch = records.cut_moving_part(2000)
     assert stretch.u.std() > 0.8
-    standard_deviation = records.take_whole_records(2000).u.std()
+    standard_deviation = records.cut_whole_records(2000).u.std()
     assert standard_deviation == 0.0
     late = RecordBatch(*(part[:, 3000:] for part in records))
-    assert np.shares_memory(late.find_moving_stretch(2000).u, late.take_whole_records(2000).u)
+    assert np.shares_memory(late.cut_moving_part(2000).u, late.cut_whole_records(2000).u)
 
 
 def test_records_at_rest_have_no_start() -> None:
@@ -366,7 +366,7 @@ def test_records_at_rest_have_no_start() -> None:
     records = RecordBatch.from_pairs(pairs)
     still = RecordBatch(records.u * 0.0, records.y, records.weight)
     with pytest.raises(BadRequest, match="no stretch of the training records moves"):
-        still.find_moving_stretch(100)
+        still.cut_moving_part(100)
 
 
 def test_a_log_that_stands_still_at_first_trains() -> None:

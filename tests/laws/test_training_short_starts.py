@@ -15,8 +15,8 @@ from ssm_study.signals import DataSet
 from ssm_study.training import choice_of_size
 from ssm_study.training.candidates import Candidate, simplest_good_candidate
 from ssm_study.training.choice_of_size import (
-    candidates_far_ahead,
-    judge_integrator,
+    decide_on_integrator,
+    far_better_noncontracting,
     one_layer_without_integrator,
     other_structures,
     simplest_certifiable_candidate,
@@ -28,8 +28,8 @@ from ssm_study.training.choice_of_size import (
 from ssm_study.training.folds import make_folds
 from ssm_study.training.metrics import Identification
 from ssm_study.training.optimisers import Lbfgs
-from ssm_study.training.search import STRUCTURED, Choice, Search
-from ssm_study.training.short_starts import STEPS, best_seeds, training_fit_text
+from ssm_study.training.search import STRUCTURED, SettingsChoice, SettingsSearch
+from ssm_study.training.short_starts import STEPS, best_seeds, training_fit_as_text
 from ssm_study.training.structured_fit import StructuredFit
 from ssm_study.training.training import Training, TrainingSession
 
@@ -83,13 +83,13 @@ def test_the_training_records_decide_where_the_folds_contradict_each_other() -> 
     small = replace(candidate("small", 17.7, 40.2, 14.4, 22.0), training_error=18.6)
     large = replace(candidate("large", 7.0, 73.0, 25.3, 11.8), training_error=8.3)
     failing = replace(large, errors=np.array([6.9, 100.0, 25.6, 11.8]))
-    assert large.folds_contradict(small)
+    assert large.is_undecided_by_folds(small)
     assert simplest_good_candidate([small, large]) is large
     assert simplest_good_candidate([small, failing]) is failing
     assert simplest_good_candidate([small, replace(failing, training_error=16.0)]) is small
     assert simplest_good_candidate([small, replace(large, training_error=16.0)]) is small
     agreed = replace(large, errors=small.errors + 0.5)
-    assert not agreed.folds_contradict(small)
+    assert not agreed.is_undecided_by_folds(small)
     assert simplest_good_candidate([small, agreed]) is small
 
 
@@ -98,7 +98,7 @@ def test_members_are_of_the_structures_that_folds_cannot_tell_apart(tmp_path: Pa
     spec = StructuredSpec(**FIXED | BRIEF | {"order": AUTO, "members": 3})  # type: ignore[arg-type]
     data = data_set(noise=0.02, samples=250, records=4)
     other = replace(spec, order=1)
-    choice = Choice(spec=replace(spec, order=2), others=(other,))
+    choice = SettingsChoice(spec=replace(spec, order=2), others=(other,))
     session = TrainingSession(seed=0, folder=tmp_path)
     orders = [member.order for member in train_choice(choice, data, session).members]
     assert orders == [2, 2, 1]
@@ -106,7 +106,7 @@ def test_members_are_of_the_structures_that_folds_cannot_tell_apart(tmp_path: Pa
     assert train_choice(alone, data, session).members == ()
 
 
-def train_choice(choice: Choice, data: DataSet, session: TrainingSession) -> Identification:
+def train_choice(choice: SettingsChoice, data: DataSet, session: TrainingSession) -> Identification:
     """Train a choice for one epoch."""
     return training(max_epochs=1)._train_choice(choice, data, session)
 
@@ -148,10 +148,10 @@ def test_the_best_of_short_starts_goes_on_and_certified_ones_come_first() -> Non
     data = data_set(noise=0.02, samples=300, records=2)
     spec = StructuredSpec(**FIXED | BRIEF)  # type: ignore[arg-type]
     lines: list[str] = []
-    seeds = best_seeds(spec, data, 7, 3, best=3, announce=lines.append)
+    seeds = best_seeds(spec, data, 7, 3, kept_count=3, print_line=lines.append)
     assert [line.split(",")[0] for line in lines] == ["1 of 3", "2 of 3", "3 of 3"]
     assert all("fit to the training records" in line for line in lines)
-    assert training_fit_text(float("inf")) == "the simulation diverges"
+    assert training_fit_as_text(float("inf")) == "the simulation diverges"
     losses = []
     for seed in seeds:
         fit = StructuredFit(spec, data, seed)
@@ -173,17 +173,17 @@ def test_the_best_of_short_starts_goes_on_and_certified_ones_come_first() -> Non
     fit.take_steps(STEPS)
     last = fit.as_model()
     asked = replace(spec, among_starts=OnlyTheLast())
-    assert best_seeds(asked, data, 7, 3, best=2) == [seeds[-1], seeds[0]]
+    assert best_seeds(asked, data, 7, 3, kept_count=2) == [seeds[-1], seeds[0]]
 
 
 def test_a_model_that_need_not_contract_has_to_gain_a_quarter() -> None:
     contracting = [candidate("one layer", 10.0, 10.0, 11.0, 10.0), candidate("neurons", 9.0, 9.0)]
     spec = StructuredSpec(order=AUTO, neurons=5, knots=0, rate=AUTO)
-    search = Search(spec=spec, folds=(), seed=0, announce=quiet)
+    search = SettingsSearch(spec=spec, folds=(), seed=0, announce=quiet)
     for order, error in ((2, 7.0), (3, 9.0)):
         free = candidate("structured", *[error] * 4)
         search.tried.append(replace(free, settings={"order": order, "rate": None}))
-    taken = candidates_far_ahead(try_noncontracting_models(search), contracting)
+    taken = far_better_noncontracting(try_noncontracting_models(search), contracting)
     assert [one.settings["order"] for one in taken] == [2]
     search.decided["integrating_output"] = True
     assert try_noncontracting_models(search) == []
@@ -192,7 +192,7 @@ def test_a_model_that_need_not_contract_has_to_gain_a_quarter() -> None:
 def test_many_neurons_without_contraction_need_few_that_were_not_given_up() -> None:
     spec = StructuredSpec(order=AUTO, neurons=AUTO, knots=0, input_path="none", rate=AUTO)
     fold = data_set(samples=100)
-    search = Search(spec=spec, folds=(fold,) * 4, seed=0, announce=quiet)
+    search = SettingsSearch(spec=spec, folds=(fold,) * 4, seed=0, announce=quiet)
     for size in (2, 3):
         given_up = candidate("structured", 90.0, 90.0)
         settings = {"order": size, "neurons": size, "rate": None}
@@ -203,7 +203,7 @@ def test_many_neurons_without_contraction_need_few_that_were_not_given_up() -> N
 
 def test_one_layer_stays_where_no_good_model_with_an_integrator_can_be_certified() -> None:
     spec = StructuredSpec(order=AUTO, neurons=AUTO, knots=AUTO, integrating_output=AUTO)
-    search = Search(spec=spec, folds=(), seed=0, announce=quiet)
+    search = SettingsSearch(spec=spec, folds=(), seed=0, announce=quiet)
     without = candidate(STRUCTURED, 20.0, 22.0, 21.0, 23.0)
     one_layer = replace(without, settings={"neurons": 0, "integrating_output": False})
     neurons = replace(without, settings={"neurons": 5, "integrating_output": False})
@@ -235,7 +235,7 @@ def test_finalists_are_trained_further_and_nothing_else() -> None:
     """After a few steps a large model is less trained than a small one."""
     spec = StructuredSpec(**FIXED | BRIEF | {"order": AUTO})  # type: ignore[arg-type]
     data = data_set(noise=0.02, samples=250, records=4)
-    search = Search(spec=spec, folds=make_folds(data)[:2], seed=0, announce=quiet)
+    search = SettingsSearch(spec=spec, folds=make_folds(data)[:2], seed=0, announce=quiet)
     tried = [search.score_structured_model("size", {"order": order}) for order in (1, 2)]
     small, large = tried
     hopeless = replace(small, errors=3.0 * large.errors)
@@ -252,7 +252,7 @@ def test_an_integrator_has_to_beat_models_without_neurons() -> None:
     folds = make_folds(data_set(noise=0.02, samples=250, records=4))
     for error, is_needed in ((50.0, False), (0.1, True)):
         search = search_with_integrator(spec, folds, error)
-        assert not judge_integrator(search)
+        assert not decide_on_integrator(search)
         assert search.has_integrator is is_needed
         assert len(search.chosen) == int(is_needed)
 
@@ -266,7 +266,7 @@ def test_an_integrator_that_leads_but_not_clearly_is_trained_further(
     folds = make_folds(data_set(noise=0.02, samples=250, records=4))
     one_layer = try_sizes_without_neurons(search_of(spec, folds))[0]
     search = search_with_integrator(spec, folds, 0.99 * one_layer.mean_error_percent)
-    assert judge_integrator(search)
+    assert decide_on_integrator(search)
     assert not search.has_integrator
     assert search.chosen == []
     assert try_integrating_sizes(search, [one_layer]) == []
@@ -276,12 +276,14 @@ def test_an_integrator_that_leads_but_not_clearly_is_trained_further(
     assert leading[0].question == "longer training"
 
 
-def search_of(spec: StructuredSpec, folds: Sequence[DataSet]) -> Search:
+def search_of(spec: StructuredSpec, folds: Sequence[DataSet]) -> SettingsSearch:
     """Search on two folds in which nothing is tried yet."""
-    return Search(spec=spec, folds=folds[:2], seed=0, announce=quiet)
+    return SettingsSearch(spec=spec, folds=folds[:2], seed=0, announce=quiet)
 
 
-def search_with_integrator(spec: StructuredSpec, folds: Sequence[DataSet], error: float) -> Search:
+def search_with_integrator(
+    spec: StructuredSpec, folds: Sequence[DataSet], error: float
+) -> SettingsSearch:
     """Search that has adopted an integrator, with the same error on both folds."""
     search = search_of(spec, folds)
     search.adopt_settings(candidate("with", error, error), {"integrating_output": True})

@@ -27,7 +27,7 @@ from ssm_study.training.record_batch import RecordBatch
 from ssm_study.training.structured_problem import (
     CORE,
     FREE_CORE,
-    Descent,
+    DescentState,
     SimulationProblem,
     Theta,
     has_converged,
@@ -264,7 +264,7 @@ def test_the_ridge_weighs_the_squares_of_the_parameters_that_are_moved() -> None
     expected = bare + 0.3 * squares
     assert regularised_loss(weighed, theta, free) == pytest.approx(expected)
     descent_loss = regularised_loss(weighed, theta, free)
-    at = Descent(theta=theta, loss=descent_loss, damping=1e-2)
+    at = DescentState(theta=theta, loss=descent_loss, damping=1e-2)
     after = take_step(weighed, at, free)
     expected = regularised_loss(weighed, after.theta, free)
     assert after.loss == pytest.approx(expected)
@@ -286,7 +286,7 @@ def test_a_step_whose_damped_matrix_overflows_has_failed_and_ends_nothing() -> N
     a = np.array([[1.48]])
     begun = theta | {"a": a}
     descent_loss = regularised_loss(one, begun, ())
-    at = Descent(theta=begun, loss=descent_loss, damping=1e6)
+    at = DescentState(theta=begun, loss=descent_loss, damping=1e6)
     jacobian = one.residual_and_jacobian(begun, ("a",))[1]
     normal = np.square(jacobian).sum()
     assert np.isfinite(at.loss)
@@ -309,7 +309,7 @@ def test_a_refused_step_does_not_end_the_linear_fit_of_a_start() -> None:
     read = TrainablePiecewiseMap(1, 0, 0.1, 1.0)
     maps = {"lift": lift, "read": read}
     batch = RecordBatch.from_pairs(scale_records(recording))
-    records = batch.take_whole_records(2000)
+    records = batch.cut_whole_records(2000)
     one = SimulationProblem(records=records, neurons=(), **maps)  # type: ignore[arg-type]
     rng = np.random.default_rng(8)
     begun = fit_initial_linear_model(one, 5, False, rng)

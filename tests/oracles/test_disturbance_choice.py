@@ -21,7 +21,7 @@ from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.systems import StateSpace
 from ssm_study.training.candidates import fit_linear_model, try_linear_model
-from ssm_study.training.choice_of_paths import nearly_integrates
+from ssm_study.training.choice_of_paths import is_nearly_integrating
 from ssm_study.training.folds import join_training_and_validation, make_folds
 
 SLOW = 0.99
@@ -132,7 +132,7 @@ def test_linear_candidates_are_told_the_disturbance() -> None:
     trial = try_linear_model(make_folds(without), 1, 1)
     mean = trial.errors.mean()
     assert mean > 30.0
-    assert not nearly_integrates(data)
+    assert not is_nearly_integrating(data)
 
 
 @pytest.mark.parametrize("direct", [False, True])
