@@ -18,7 +18,7 @@ ON_AXIS = 1e-4
 
 
 def frequency_response(system: StateSpace, angles: Angles) -> Complex[np.ndarray, "F p m"]:
-    """Frequency response matrix of a discrete-time system at the given angles. `C (e^{j angle} I
+    """Frequency response matrix of a discrete-time linear system at given angles. `C (e^{j angle} I
     - A)^{-1} B + D`, angles in radians per sample."""
     points = np.exp(1j * angles)[:, None, None]
     shifted = points * np.eye(system.order) - system.a
@@ -28,14 +28,14 @@ def frequency_response(system: StateSpace, angles: Angles) -> Complex[np.ndarray
 
 
 def largest_gains(system: StateSpace, angles: Angles) -> Angles:
-    """Largest singular value of the frequency response at each angle."""
+    """Largest singular value of a linear system's frequency response at each given angle."""
     response = frequency_response(system, angles)
     return np.linalg.norm(response, ord=2, axis=(1, 2))
 
 
 def hinf_norm(system: StateSpace) -> float:
-    """H-infinity norm of a discrete-time system, infinite for an unstable one. `sup_w sigma_max(C
-    (e^{jw} I - A)^{-1} B + D)`; infinite also where floats cannot decide stability.
+    """H-infinity norm of a discrete-time linear system; infinite for an unstable system. `sup_w
+    sigma_max(C (e^{jw} I - A)^{-1} B + D)`; infinite also where floats cannot decide stability.
 
     A bilinear map carries the unit circle to the imaginary axis and leaves the norm; there, `gamma`
     exceeds the norm iff the Hamiltonian of `gamma` has no imaginary eigenvalue, and between
@@ -51,8 +51,8 @@ def hinf_norm(system: StateSpace) -> float:
 
 
 def _peak_gain(system: StateSpace) -> float:
-    """Largest gain of a stable system over all frequencies (H-infinity norm), by raising a level
-    until no frequency response crosses it."""
+    """H-infinity norm of a stable system, by raising a level until no frequency response exceeds
+    it."""
     poles = np.linalg.eigvals(system.a)
     pole_angles = np.abs(np.angle(poles))
     grid = np.geomspace(1e-4, np.pi, 32)
@@ -78,8 +78,8 @@ def _peak_gain(system: StateSpace) -> float:
 
 
 def _continuous_equivalent(system: StateSpace) -> StateSpace:
-    """Continuous-time system with the same H-infinity norm as a discrete-time one, by the bilinear
-    transform."""
+    """Continuous-time system with the same H-infinity norm as a given discrete-time one, by the
+    bilinear transform."""
     identity = np.eye(system.order)
     root2 = np.sqrt(2)
     shifted = np.linalg.inv(identity + system.a)  # exists: no eigenvalue at -1, A is stable
@@ -90,20 +90,20 @@ def _continuous_equivalent(system: StateSpace) -> StateSpace:
     return StateSpace(a=a, b=b, c=c, d=d)
 
 
-def _crossing_frequencies(system: StateSpace, gamma: float) -> Float[np.ndarray, "w"]:
-    """Frequencies of both signs, in ascending order, at which a singular value of the response
-    equals a given gain."""
+def _crossing_frequencies(system: StateSpace, gain: float) -> Float[np.ndarray, "w"]:
+    """Frequencies at which a singular value of a system's frequency response equals a given
+    gain."""
     a = system.a
     b = system.b
     c = system.c
     d = system.d
     outputs, inputs = d.shape
-    r = gamma**2 * np.eye(inputs) - d.T @ d
-    s = gamma**2 * np.eye(outputs) - d @ d.T
+    r = gain**2 * np.eye(inputs) - d.T @ d
+    s = gain**2 * np.eye(outputs) - d @ d.T
     # blocks of gamma's Hamiltonian matrix
     state_block = a + b @ np.linalg.solve(r, d.T @ c)
-    input_block = gamma * b @ np.linalg.solve(r, b.T)
-    output_block = -gamma * c.T @ np.linalg.solve(s, c)
+    input_block = gain * b @ np.linalg.solve(r, b.T)
+    output_block = -gain * c.T @ np.linalg.solve(s, c)
     top = np.hstack([state_block, input_block])
     bottom = np.hstack([output_block, -state_block.T])
     hamiltonian = np.vstack([top, bottom])

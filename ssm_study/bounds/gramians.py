@@ -22,8 +22,9 @@ RANK_FLOOR = (
 
 
 def controllability_gramian(a: Square, b: InputMatrix, horizon: int | None = None) -> Square:
-    """Controllability Gramian of a pair `(A, B)`, over a finite or infinite horizon. `W = sum_k A^k
-    B B^T (A^T)^k`, over `horizon` samples or, for a stable model, over all: `W = A W A^T + B B^T`.
+    """Controllability Gramian of a linear system `(A, B)`, over a finite or infinite horizon. `W =
+    sum_k A^k B B^T (A^T)^k`, over `horizon` samples or, for a stable model, over all: `W = A W A^T
+    + B B^T`.
 
     Controllability's; observability's is that of `(A^T, C^T)`. Raises `BadRequest` for an infinite
     horizon on a model that is not stable. Source: [Z26] eq. (9), without the scaffolding.
@@ -45,15 +46,15 @@ def controllability_gramian(a: Square, b: InputMatrix, horizon: int | None = Non
 
 
 def hankel_singular_values(linear: StateSpace) -> Float[np.ndarray, "n"]:
-    """Hankel singular values of a linear system. `sqrt(eig(W_c W_o))`, descending: how much each
-    balanced state carries from past input to future output."""
+    """Hankel singular values of a discrete-time linear system, in descending order. `sqrt(eig(W_c
+    W_o))`, descending: how much each balanced state carries from past input to future output."""
     root_c, root_o = _gramian_factors(linear)
     return np.asarray(scipy.linalg.svdvals(root_o.T @ root_c))
 
 
 def balanced_realization(linear: StateSpace, order: int | None = None) -> StateSpace:
-    """Balanced realization of a linear system, truncated to fewer states on request. `z = T^+ x` by
-    square roots (Laub et al. 1987): both Gramians are diagonal with the Hankel singular values.
+    """Balanced realisation of a linear system, truncated to fewer states if requested. `z = T^+ x`
+    by square roots (Laub et al. 1987): both Gramians are diagonal with the Hankel singular values.
 
     Keeps the first `order` states (default: all); twice the sum of the values dropped bounds the
     H-infinity norm of what truncation changes (Enns 1984; Glover 1984). Raises `BadRequest` for a
@@ -86,24 +87,24 @@ def balanced_realization(linear: StateSpace, order: int | None = None) -> StateS
 
 
 def _gramian_factors(linear: StateSpace) -> tuple[Square, Square]:
-    """Square-root factors of the controllability and observability Gramians."""
+    """Square-root factors of a linear system's controllability and observability Gramians."""
     controllability_factor = _square_root_factor(controllability_gramian(linear.a, linear.b))
     observability_factor = _square_root_factor(controllability_gramian(linear.a.T, linear.c.T))
     return controllability_factor, observability_factor
 
 
 def _square_root_factor(gramian: Square) -> Square:
-    """Square-root factor `R` of a Gramian, `R R^T = W`, which may be singular."""
+    """Square-root factor `R`, with `R R^T = W`, of a Gramian `W` that may be singular."""
     values, vectors = np.linalg.eigh(gramian)
     roots = np.sqrt(np.maximum(values, 0.0))
     return vectors * roots
 
 
 @dataclass(frozen=True, kw_only=True)
-class LocalProperty:
-    """Two-sided bound on how strongly a nonlinear model's inputs reach its states (or states its
-    outputs). `mu^2 W' <= W <= nu^2 W'` for the Gramian W of the variational dynamics along any
-    trajectory of n steps.
+class LocalGramianBounds:
+    """Lower and upper bound on local controllability or observability of a nonlinear model along
+    any trajectory. `mu^2 W' <= W <= nu^2 W'` for the Gramian W of the variational dynamics along
+    any trajectory of n steps.
 
     `lower = mu^2 lambda_min(W')` and `upper = nu^2 lambda_max(W')`, W' the Gramian of the linear
     part over as many steps as it has states. `holds`: no mode is out of reach, within rounding, and
@@ -116,8 +117,10 @@ class LocalProperty:
     upper: float
 
 
-def bound_local_controllability(a: Square, b: InputMatrix, ball: JacobianBall) -> LocalProperty:
-    """Bound from both sides how strongly inputs reach the states of a nonlinear model along any
+def bound_local_controllability(
+    a: Square, b: InputMatrix, ball: JacobianBall
+) -> LocalGramianBounds:
+    """Lower and upper bound on how strongly inputs move the states of a nonlinear model along any
     trajectory. The states can be steered in both directions along any input if `(A, B)` is
     controllable and `mu_u > 0`.
 
@@ -134,12 +137,12 @@ def bound_local_controllability(a: Square, b: InputMatrix, ball: JacobianBall) -
     holds = bool(least_gain > 0 and is_reached)
     lower = max(least_gain, 0.0) ** 2 * max(values[0], 0.0)
     upper = largest_gain**2 * values[-1]
-    return LocalProperty(holds=holds, lower=float(lower), upper=float(upper))
+    return LocalGramianBounds(holds=holds, lower=float(lower), upper=float(upper))
 
 
 def _distance_to_uncontrollable(a: Square, b: InputMatrix) -> float:
-    """Smallest singular value of `[A - lambda I, B]` over the eigenvalues lambda of A, a distance
-    to uncontrollability. By Popov, Belevitch and Hautus a mode is out of reach iff this matrix
+    """Distance of a pair `(A, B)` to an uncontrollable one, from the Popov-Belevitch-Hautus test at
+    the eigenvalues of A. By Popov, Belevitch and Hautus a mode is out of reach iff this matrix
     loses rank."""
     identity = np.eye(len(a))
     smallest_values = []

@@ -20,7 +20,7 @@ from ssm_study.exact import Exact, is_positive_definite
 
 
 def is_proved_nonexpansive(network: Network, multipliers: Sequence[Float[np.ndarray, "_"]]) -> bool:
-    """Whether given multipliers prove, in exact arithmetic, that a network is 1-Lipschitz.
+    """Whether given multipliers prove in exact arithmetic that a network is 1-Lipschitz.
 
     False says that they prove nothing, not that the network expands.
     """
@@ -45,8 +45,8 @@ def is_proved_nonexpansive(network: Network, multipliers: Sequence[Float[np.ndar
 
 
 def _selection_matrices(network: Network) -> list[Exact]:
-    """Selection matrices that pick the input and the output of each layer from one stacked vector.
-    The stack is `(v, d_1, ..., d_L)`."""
+    """Matrices that select each layer's input and output from the vector of all signals of a
+    network. The stack is `(v, d_1, ..., d_L)`."""
     sizes = [network.inputs, *(len(bias) for bias in network.biases)]
     ends = np.cumsum(sizes)
     identity = np.eye(ends[-1])
@@ -58,5 +58,5 @@ def _selection_matrices(network: Network) -> list[Exact]:
 
 
 def _exact_diagonal_matrix(entries: Float[np.ndarray, "_"]) -> Exact:
-    """Diagonal matrix in exact numbers."""
+    """Diagonal matrix with given entries in exact rational arithmetic."""
     return Exact.from_floats(entries).diagonal_matrix()

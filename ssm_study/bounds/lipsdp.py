@@ -34,9 +34,10 @@ ENLARGED = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
 def lipsdp_ball(
     network: Network, scalar_centre: bool = False
 ) -> tuple[Float[np.ndarray, "k m"], float]:
-    """Smallest ball of matrices that, as semidefinite programming proves, contains every Jacobian
-    of a network. Centre and least radius with `|J(v) - centre|_2 <= radius` for every v, for any
-    centre or (`scalar_centre`) for a centre `alpha I`. Raises `BadRequest` as stated above."""
+    """Smallest ball of matrices that provably contains every Jacobian of a network, by semidefinite
+    programming (LipSDP). Centre and least radius with `|J(v) - centre|_2 <= radius` for every v,
+    for any centre or (`scalar_centre`) for a centre `alpha I`. Raises `BadRequest` as stated
+    above."""
     hidden = [len(b) for b in network.biases]
     multipliers = [cp.Variable(h, nonneg=True) for h in hidden]
     shape = (network.outputs, network.inputs)
@@ -50,7 +51,7 @@ def lipsdp_ball(
     identity = np.eye(network.outputs)
     matrix = cp.bmat([[form, deviation.T], [deviation, identity]])
     problem = cp.Problem(cp.Minimize(square), [matrix >> 0])
-    _solve(problem)
+    _solve_program(problem)
     message = f"the solver reports {problem.status}"
     require(square.value is not None, "bound_method", "lipsdp", message, "use interval")
     best_centre = np.asarray(centre.value, dtype=float).reshape(shape)
@@ -65,9 +66,9 @@ def lipsdp_ball(
     return best_centre, radius
 
 
-def _solve(problem: cp.Problem) -> None:
-    """Solve a semidefinite program without the solver's warnings. Raises `BadRequest` if the solver
-    fails."""
+def _solve_program(problem: cp.Problem) -> None:
+    """Solve a semidefinite program, and raise `BadRequest` if the solver fails. Raises `BadRequest`
+    if the solver fails."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -78,8 +79,8 @@ def _solve(problem: cp.Problem) -> None:
 
 
 def _proved_radius(network: Network, multipliers: list[Vector], centre: Matrix) -> float:
-    """Smallest radius of a ball of Jacobians around a given centre that given multipliers prove;
-    infinite if they prove none. The radius follows from the Schur complement onto v of all other
+    """Radius of a ball around a given centre that, by given multipliers, provably contains every
+    Jacobian of a network. The radius follows from the Schur complement onto v of all other
     signals."""
     m = network.inputs
     largest = max(float(t.max(initial=0.0)) for t in multipliers)
@@ -104,8 +105,8 @@ def _proved_radius(network: Network, multipliers: list[Vector], centre: Matrix) 
 
 
 def _selection_matrix(network: Network, layer: int) -> Float[np.ndarray, "h w"]:
-    """Matrix that picks the input or the output of one layer from one stacked vector. The stack is
-    `(v, d_1, ..., d_L)`; layer 0 stands for the input `v`."""
+    """Matrix that selects one layer's input or output from the vector of all signals of a network.
+    The stack is `(v, d_1, ..., d_L)`; layer 0 stands for the input `v`."""
     sizes = [network.inputs, *(len(b) for b in network.biases)]
     start = sum(sizes[:layer])
     end = start + sizes[layer]
@@ -114,8 +115,8 @@ def _selection_matrix(network: Network, layer: int) -> Float[np.ndarray, "h w"]:
 
 
 def _slope_constraint(network: Network, multipliers: Sequence[Any]) -> Any:
-    """Quadratic constraint that bounds the slopes of all neurons of a network. `-2 sum_l (d - lo
-    q)^T T (hi q - d)` as a symmetric matrix; T symbolic or numeric."""
+    """Matrix of the quadratic constraint that bounds the slopes of all neurons of a network. `-2
+    sum_l (d - lo q)^T T (hi q - d)` as a symmetric matrix; T symbolic or numeric."""
     total: Any = 0
     for layer, t in enumerate(multipliers):
         negative = network.negative_slopes[layer]

@@ -56,9 +56,9 @@ COLUMNS = (*LINEAR_COLUMNS, *SLOPE_COLUMNS, *CONTROLLABILITY_COLUMNS, *OBSERVABI
 
 
 def model_bound_columns(model: Any) -> dict[str, Any]:
-    """Columns with the properties of the model without a controller: slopes, spectral radius,
-    Hankel singular values, local Gramians. The paper's slopes, which are not a sound lower bound,
-    stand beside them.
+    """Table columns with properties of a model without controller: slope bounds, spectral radius,
+    Hankel singular values, Gramians. The paper's slopes, which are not a sound lower bound, stand
+    beside them.
 
     Local controllability and observability, [Z26] Propositions 1 and 2, are of a recurrence without
     neurons. One that integrates has no Hankel values.
@@ -86,8 +86,8 @@ def model_bound_columns(model: Any) -> dict[str, Any]:
 
 
 def _slope_columns(model: Any, input_bound: SlopeBound, output_bound: SlopeBound) -> dict[str, Any]:
-    """Columns with the proved slopes of input map and output map, and with the slopes by the
-    paper's method."""
+    """Table columns with proved bounds on the slopes of a model's static maps, and with those by
+    the paper's method."""
     facts = dict[str, Any]()
     for side, bound in {"input": input_bound, "output": output_bound}.items():
         facts[f"{side}_slope_lower"] = bound.lower

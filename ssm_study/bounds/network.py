@@ -24,16 +24,16 @@ Slopes = Float[np.ndarray, "h"]
 
 
 def leaky_relu(z: Activations, negative: Slopes, positive: Slopes) -> Activations:
-    """Leaky ReLU with one slope for positive and one for negative arguments. `phi(z) = positive
-    z` for `z >= 0`, `negative z` below."""
+    """Leaky ReLU function with given slopes for positive and for negative arguments. `phi(z) =
+    positive z` for `z >= 0`, `negative z` below."""
     slopes = np.where(z >= 0, positive, negative)
     return slopes * z
 
 
 @dataclass(frozen=True, kw_only=True)
 class Network:
-    """Leaky-ReLU network whose value at zero is exactly zero. `N(v) = W_{L+1} d_L,  d_l = phi_l(W_l
-    d_{l-1} + b_l) - phi_l(b_l),  d_0 = v`.
+    """Neural network with leaky ReLU whose output at zero is exactly zero. `N(v) = W_{L+1} d_L, d_l
+    = phi_l(W_l d_{l-1} + b_l) - phi_l(b_l), d_0 = v`.
 
     Any multilayer perceptron minus its value at zero has this form, with `b_l` the pre-activations
     at zero; here the subtraction happens before rounding can enter, so `N(0) = 0` exactly. `L =
@@ -60,13 +60,13 @@ class Network:
 
     @property
     def inputs(self) -> int:
-        """Number of inputs."""
+        """Number of input channels of a neural network."""
         first_weight = self.weights[0]
         return first_weight.shape[1]
 
     @property
     def outputs(self) -> int:
-        """Number of outputs."""
+        """Number of output channels of a neural network."""
         last_weight = self.weights[-1]
         return last_weight.shape[0]
 
@@ -80,8 +80,8 @@ class Network:
         return d @ last_weight.T
 
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:
-        """Jacobian matrix of the network at a point. `W_{L+1} Phi_L W_L ... Phi_1 W_1` with the
-        slopes active at `v`."""
+        """Jacobian matrix of a neural network at a point. `W_{L+1} Phi_L W_L ... Phi_1 W_1` with
+        the slopes active at `v`."""
         d = v
         product = np.eye(self.inputs)
         for w, b, low, high in self.hidden_layers():
@@ -93,14 +93,14 @@ class Network:
         return self.weights[-1] @ product
 
     def hidden_layers(self) -> list[tuple[Float[np.ndarray, "..."], ...]]:
-        """Weight, bias, negative and positive slopes of each hidden layer."""
+        """Weights, biases and leaky-ReLU slopes of each hidden layer of a network."""
         hidden_weights = self.weights[:-1]
         slopes = (self.negative_slopes, self.positive_slopes)
         layers = zip(hidden_weights, self.biases, *slopes, strict=True)
         return list(layers)
 
     def to_json(self) -> dict[str, Any]:
-        """Weights, biases and slopes as nested lists for JSON."""
+        """Convert the weights, biases and slopes of a network to nested lists for JSON."""
         lists = {}
         for name, layers in vars(self).items():
             lists[name] = [layer.tolist() for layer in layers]
@@ -109,7 +109,7 @@ class Network:
 
 @dataclass(frozen=True, kw_only=True)
 class PortableMap:
-    """Static map as plain matrices, for evaluation without a deep-learning framework. `S(v) =
+    """Static map as plain matrices, the sum of a linear map and a leaky-ReLU network. `S(v) =
     linear v + N(v)`, N a leaky-ReLU network around its value at zero, or None. `linear (k, m)`."""
 
     linear: Float[np.ndarray, "k m"]
@@ -122,7 +122,7 @@ class PortableMap:
         return linear_value + self.network(v)
 
     def as_network(self) -> Network:
-        """Rewrite the whole map as one network, with its linear part as neurons of slope one."""
+        """Rewrite a static map as one network, with the linear part as neurons of slope one."""
         inputs = self.linear.shape[1]
         identity = np.eye(inputs)
         no_bias = np.zeros(inputs)
@@ -141,21 +141,21 @@ class PortableMap:
         last = np.hstack([last_weight, self.linear])
         return Network(
             weights=(first, *inner, last),
-            biases=_append_to_each(net.biases, no_bias),
-            negative_slopes=_append_to_each(net.negative_slopes, unit_slopes),
-            positive_slopes=_append_to_each(net.positive_slopes, unit_slopes),
+            biases=_append_to_each_layer(net.biases, no_bias),
+            negative_slopes=_append_to_each_layer(net.negative_slopes, unit_slopes),
+            positive_slopes=_append_to_each_layer(net.positive_slopes, unit_slopes),
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Linear part and network as nested lists for JSON."""
+        """Convert the linear part and the network of a static map to nested lists for JSON."""
         linear_part = {"linear": self.linear.tolist()}
         if self.network is None:
             return linear_part
         return linear_part | self.network.to_json()
 
 
-def _append_to_each(layers: tuple[Vector, ...], entries: Vector) -> tuple[Vector, ...]:
-    """Append the same entries to the vector of each network layer."""
+def _append_to_each_layer(layers: tuple[Vector, ...], entries: Vector) -> tuple[Vector, ...]:
+    """Append the same entries to the vector of each layer of a network."""
     return tuple(np.append(layer, entries) for layer in layers)
 
 
@@ -164,7 +164,7 @@ End = Fraction | float  # of an interval; a float only where it is infinite
 
 
 @dataclass(frozen=True)
-class _Piece:
+class _AffinePiece:
     """Affine piece of a piecewise-linear scalar network, in exact integer arithmetic. On `(low,
     high)` the layer's output is `(slope t + offset) / 2^bits`, vectors of integers."""
 
@@ -194,26 +194,26 @@ def slope_interval(network: Network) -> tuple[Fraction, Fraction]:
 
 
 def break_points(network: Network) -> list[Fraction]:
-    """Points, in ascending order, at which the slope of a scalar network may change. Raises
-    `BadRequest` for more than one channel."""
+    """Points at which the slope of a network with one input and one output may change, in ascending
+    order. Raises `BadRequest` for more than one channel."""
     lower_ends = [piece.low for piece in _affine_pieces(network)]
     return [end for end in lower_ends if isinstance(end, Fraction)]
 
 
-def _affine_pieces(network: Network) -> list[_Piece]:
-    """Affine pieces of a scalar network, found layer by layer. Refuses a network with several
-    inputs or outputs."""
+def _affine_pieces(network: Network) -> list[_AffinePiece]:
+    """Affine pieces of a network with one input and one output, computed layer by layer. Refuses a
+    network with several inputs or outputs."""
     shape = (network.inputs, network.outputs)
     problem = "break points order scalar maps only"
     require(shape == (1, 1), "scaffold", shape, problem, "use method=interval or lipsdp")
     one = np.array([1], dtype=object)
-    identity = _Piece(-inf, inf, slope=one, offset=0 * one, bits=0)
+    identity = _AffinePiece(-inf, inf, slope=one, offset=0 * one, bits=0)
     pieces = [identity]
     for weights, biases, *slopes in network.hidden_layers():
         exact_weights = _as_scaled_integers(weights)
         exact_biases = _as_scaled_integers(biases)
         exact_slopes = _as_scaled_integers(np.stack(slopes))
-        parts = list[_Piece]()
+        parts = list[_AffinePiece]()
         for piece in pieces:
             parts += _split_at_layer(piece, exact_weights, exact_biases, exact_slopes)
         pieces = parts
@@ -221,8 +221,8 @@ def _affine_pieces(network: Network) -> list[_Piece]:
 
 
 def _as_scaled_integers(matrix: Float[np.ndarray, "..."]) -> Exact:
-    """Write a matrix of floats exactly as integers divided by a power of two. `matrix = integers /
-    2^bits`."""
+    """Exact representation of a matrix of floats as integers divided by a power of two. `matrix =
+    integers / 2^bits`."""
     ratios = [float(value).as_integer_ratio() for value in matrix.ravel()]
     exponents = [denominator.bit_length() - 1 for _, denominator in ratios]
     bits = max(exponents)
@@ -233,9 +233,11 @@ def _as_scaled_integers(matrix: Float[np.ndarray, "..."]) -> Exact:
     return integers.reshape(matrix.shape), bits
 
 
-def _split_at_layer(piece: _Piece, weights: Exact, biases: Exact, slopes: Exact) -> list[_Piece]:
-    """Split an affine piece where a neuron of the next layer changes sign, and apply the neurons'
-    slopes."""
+def _split_at_layer(
+    piece: _AffinePiece, weights: Exact, biases: Exact, slopes: Exact
+) -> list[_AffinePiece]:
+    """Split an affine piece of a network where neurons of the next layer change sign, and apply
+    that layer."""
     weight_integers, weight_bits = weights
     bias_integers, bias_bits = biases
     (negative, positive), slope_bits = slopes
@@ -257,12 +259,12 @@ def _split_at_layer(piece: _Piece, weights: Exact, biases: Exact, slopes: Exact)
         active = np.where(pre_activation >= 0, positive, negative)
         output_slope = active * slope
         output_offset = active * offset - value_at_zero
-        parts.append(_Piece(low, high, output_slope, output_offset, output_bits))
+        parts.append(_AffinePiece(low, high, output_slope, output_offset, output_bits))
     return parts
 
 
 def _number_between(low: End, high: End) -> Fraction:
-    """Number inside an interval that may be unbounded."""
+    """Some number inside an interval whose ends may be infinite."""
     if not isinstance(low, Fraction):
         return Fraction(0) if high == inf else Fraction(high) - 1
     if high == inf:
@@ -275,7 +277,7 @@ ScalarPieces = tuple[Vector, Vector, Vector]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inverse:
+class InverseMap:
     """Inverse of a static map that is linear, or piecewise linear in each channel. `v = matrix w`,
     or per channel, with its points, slopes and offsets, `v = slopes[j] w + offsets[j]`.
 
@@ -296,7 +298,7 @@ class Inverse:
         return v
 
 
-def invert_map(portable: PortableMap) -> Inverse | None:
+def invert_map(portable: PortableMap) -> InverseMap | None:
     """Exact inverse of a static map; None for a map that couples its channels or is not strictly
     monotone.
 
@@ -307,17 +309,17 @@ def invert_map(portable: PortableMap) -> Inverse | None:
     if portable.network is None:
         is_square = len(set(gain.shape)) == 1
         is_regular = is_square and np.linalg.matrix_rank(gain) == len(gain)
-        return Inverse(matrix=np.linalg.inv(gain)) if is_regular else None
+        return InverseMap(matrix=np.linalg.inv(gain)) if is_regular else None
     scalar_maps = _split_into_scalar_maps(portable)
     inverses = [_invert_scalar_map(scalar_map) for scalar_map in scalar_maps]
     channels = tuple(channel for channel in inverses if channel is not None)
     if not inverses or len(channels) < len(inverses):
         return None
-    return Inverse(channels=channels)
+    return InverseMap(channels=channels)
 
 
 def _split_into_scalar_maps(portable: PortableMap) -> list[PortableMap]:
-    """Split a static map into one scalar map for each channel; empty if a neuron couples two
+    """Split a static map into scalar maps, one for each channel; empty if a neuron couples two
     channels."""
     net = portable.network
     linear = portable.linear
@@ -355,8 +357,8 @@ def _split_into_scalar_maps(portable: PortableMap) -> list[PortableMap]:
 
 
 def _invert_scalar_map(portable: PortableMap) -> ScalarPieces | None:
-    """Break points, slopes and offsets of the inverse of a scalar piecewise-linear map. None where
-    the map is not strictly monotone."""
+    """Inverse of a piecewise-linear scalar map, as break points, slopes and offsets; None if it is
+    not strictly monotone. None where the map is not strictly monotone."""
     points = [float(t) for t in break_points(portable.as_network())]
     knots = np.unique(points)  # pieces of one slope share a point
     t = np.array([-1.0, 1.0])

@@ -10,7 +10,7 @@ from ssm_study.refusal import require, require_at_least
 
 @dataclass(frozen=True, kw_only=True)
 class Reduction:
-    """Settings of the reduction of a model to fewer states by balanced truncation. `x = T z` with
+    """Settings for the reduction of a model to fewer states by balanced truncation. `x = T z` with
     equal, diagonal Gramians, of which the states with the largest Hankel singular values stay:
     conf/reduction/balanced.yaml.
 

@@ -19,8 +19,9 @@ ROUNDING_SHARE = 1e-12
 
 @dataclass(frozen=True, kw_only=True)
 class SlopeBound:
-    """Proved ball of Jacobians of a static map, and the method that proved it. `J = alpha I + beta
-    Delta` contains every Jacobian; the smallest and the largest slope have a sign.
+    """Ball of matrices that provably contains every Jacobian of a static map, with the method of
+    proof. `J = alpha I + beta Delta` contains every Jacobian; the smallest and the largest slope
+    have a sign.
 
     In several dimensions these are the ends `alpha -+ beta` of the ball.
     """
@@ -32,8 +33,8 @@ class SlopeBound:
 
 
 def bound_from_interval(lower: Fraction, upper: Fraction, method: str) -> SlopeBound:
-    """Slope bound from a smallest and a largest slope. Both ends are rounded outwards to floats, so
-    that the ball contains the exact interval."""
+    """Slope bound of a static map from an interval that contains all its slopes. Both ends are
+    rounded outwards to floats, so that the ball contains the exact interval."""
     least = _round_down(lower)
     most = -_round_down(-upper)
     ball = enclosing_ball(lower, upper)
@@ -41,14 +42,14 @@ def bound_from_interval(lower: Fraction, upper: Fraction, method: str) -> SlopeB
 
 
 def bound_from_ball(ball: JacobianBall, method: str) -> SlopeBound:
-    """Slope bound from a ball of Jacobians. `lower, upper = alpha -+ beta`, with sign: `alpha < 0`
-    is a decreasing map."""
+    """Slope bound of a static map from a ball that contains all its Jacobians. `lower, upper =
+    alpha -+ beta`, with sign: `alpha < 0` is a decreasing map."""
     return SlopeBound(lower=ball.lower, upper=ball.upper, ball=ball, method=method)
 
 
 def enclosing_ball(lower: Fraction, upper: Fraction) -> JacobianBall:
-    """Smallest ball of Jacobians in floats that contains an interval of slopes. `alpha - beta <=
-    lower` and `upper <= alpha + beta` in exact arithmetic."""
+    """Smallest ball of Jacobians, in floating-point numbers, that contains an exact interval of
+    slopes. `alpha - beta <= lower` and `upper <= alpha + beta` in exact arithmetic."""
     ends = (float(lower), float(upper))
     require(lower <= upper, "slopes", ends, "lower exceeds upper", "swap them")
     middle = (lower + upper) / 2
@@ -60,17 +61,15 @@ def enclosing_ball(lower: Fraction, upper: Fraction) -> JacobianBall:
 
 
 def _round_down(value: Fraction) -> float:
-    """Round a rational number down to the nearest float that does not exceed it."""
+    """Largest floating-point number that does not exceed a rational number."""
     nearest = float(value)
     if Fraction(nearest) <= value:
         return nearest
     return float(np.nextafter(nearest, -np.inf))
 
 
-def enclosing_ball_at_scaled_identity(
-    centre: Float[np.ndarray, "m m"], radius: float
-) -> JacobianBall:
-    """Ball of Jacobians that contains a given ball and whose centre is a multiple of the identity.
+def ball_around_scaled_identity(centre: Float[np.ndarray, "m m"], radius: float) -> JacobianBall:
+    """Ball of matrices around a multiple of the identity that contains a given ball of matrices.
     Its radius grows by the distance between the centres.
 
     `alpha = trace(centre)/m`; of a rotation far from the identity the ball contains zero, which
@@ -86,8 +85,8 @@ def enclosing_ball_at_scaled_identity(
 
 
 def network_bound(network: Network) -> SlopeBound:
-    """Tightest proved ball of Jacobians of a network. Exact for one channel, otherwise the
-    narrower of LipSDP and interval arithmetic."""
+    """Tightest of the slope bounds that several methods prove for a network. Exact for one channel,
+    otherwise the narrower of LipSDP and interval arithmetic."""
     if network.inputs == 1:
         return bound_from_interval(*slope_interval(network), "break_points")
     interval = interval_bound(network)
@@ -99,15 +98,15 @@ def network_bound(network: Network) -> SlopeBound:
 
 
 def tightness_key(bound: SlopeBound) -> tuple[float, float]:
-    """Sort key of slope bounds, the smallest for the tightest. Balls that exclude zero compare by
+    """Sort key of slope bounds, smallest for the tightest bound. Balls that exclude zero compare by
     their relative radius, as the frontier sees them; the others by their radius."""
     relative_radius = min(bound.ball.relative_radius, 1.0)
     return relative_radius, bound.ball.beta
 
 
 def lipsdp_bound(network: Network) -> SlopeBound:
-    """Smallest ball of Jacobians around a multiple of the identity that LipSDP proves for a
-    network. Raises `BadRequest` if the solver fails."""
+    """Slope bound of a network, proved by semidefinite programming (LipSDP). Raises `BadRequest` if
+    the solver fails."""
     from ssm_study.bounds.lipsdp import lipsdp_ball  # CVXPY takes a second to import
 
     centre, radius = lipsdp_ball(network, scalar_centre=True)
@@ -117,7 +116,7 @@ def lipsdp_bound(network: Network) -> SlopeBound:
 
 
 def interval_bound(network: Network) -> SlopeBound:
-    """Ball of Jacobians of a network, proved by interval arithmetic. `|J(v) - centre| <= radius`
+    """Slope bound of a network, proved by interval arithmetic. `|J(v) - centre| <= radius`
     entrywise for every v, by interval products `W_{L+1} Phi_L W_L ... Phi_1 W_1`.
 
     So `||J - centre||_2 <= || radius ||_2`: sound on both sides, cheap, loose where neurons cancel.
@@ -144,14 +143,14 @@ def interval_bound(network: Network) -> SlopeBound:
     rounding = ROUNDING_SHARE * (np.abs(last) @ size)
     radius = np.abs(last) @ radius + rounding
     norm_of_radius = float(np.linalg.norm(radius, 2))
-    ball = enclosing_ball_at_scaled_identity(last @ centre, norm_of_radius)
+    ball = ball_around_scaled_identity(last @ centre, norm_of_radius)
     return bound_from_ball(ball, method="interval")
 
 
 def spectral_norm_bound(network: Network) -> tuple[float, float]:
-    """Bounds on the slopes of a network by products of its weights' singular values. `prod
-    ||W_l||_2 max|phi'|` above, `prod sigma_min(W_l) min|phi'|` below: the paper's figure, [Z26]
-    section IV.
+    """Bounds on the slopes of a network by products of the singular values of its weights, as in
+    the paper. `prod ||W_l||_2 max|phi'|` above, `prod sigma_min(W_l) min|phi'|` below: the paper's
+    figure, [Z26] section IV.
 
     The upper figure is sound. The lower one is not: `W1 = [1, 1]^T, W2 = [1, -1]` is the zero map,
     yet the product is positive. Neither says where the Jacobians lie: figures to print, never to
@@ -170,8 +169,8 @@ def spectral_norm_bound(network: Network) -> tuple[float, float]:
 
 
 def jacobian_ball(scaffold: Any) -> SlopeBound:
-    """Ball that contains every Jacobian of a static map and whose centre is a multiple of the
-    identity. Alpha carries the sign of the slopes.
+    """Ball around a multiple of the identity that contains every Jacobian of a static map. Alpha
+    carries the sign of the slopes.
 
     Each kind knows its own: exact (scalar networks, monotone, linear), by construction (residual),
     or the narrower of LipSDP and interval arithmetic. Raises `BadRequest` for a scaffolding that is
@@ -184,8 +183,8 @@ def jacobian_ball(scaffold: Any) -> SlopeBound:
 
 
 def certified_balls(model: Any) -> Balls:
-    """Proved balls of Jacobians of a model's input map and output map. Raises `BadRequest` where
-    none is proved."""
+    """Balls that provably contain all Jacobians of a model's input map and of its output map.
+    Raises `BadRequest` where none is proved."""
     input_bound = jacobian_ball(model.scaffold_in)
     output_bound = jacobian_ball(model.scaffold_out)
     return Balls(input=input_bound.ball, output=output_bound.ball)

@@ -14,13 +14,14 @@ from ssm_study.extensions import extension_configuration_folders
 
 
 def configuration_folders() -> list[Path]:
-    """Folders that hold the yaml files of configuration groups, this package's first, in the order
-    in which Hydra searches them."""
+    """Folders with the yaml files of configuration groups, in the order in which Hydra searches
+    them."""
     return [configuration_folder(), *extension_configuration_folders()]
 
 
 def list_choices(group: str) -> list[str]:
-    """Names of all choices of a configuration group, except those with missing values (`???`)."""
+    """Names of all choices of a configuration group whose yaml file has no missing values
+    (`???`)."""
     names = set()
     for folder in configuration_folders():
         for path in (folder / group).glob("*.yaml"):
@@ -31,7 +32,8 @@ def list_choices(group: str) -> list[str]:
 
 @cache
 def construct_choice(group: str, choice: str) -> Any:
-    """Object that a study would construct for one choice of a configuration group."""
+    """Object that a study would construct for one choice of a configuration group, such as a
+    plant."""
     from ssm_study.cli.from_python import compose_configuration
     from ssm_study.construction import construct_part
     from ssm_study.engine.settings import plain_settings

@@ -12,13 +12,13 @@ HALF = 15
 
 @pytest.fixture(params=list_choices("plant"))
 def plant(request: pytest.FixtureRequest) -> Plant:
-    """Plant of one choice of the configuration group `plant`."""
+    """One plant for each choice of the configuration group `plant`."""
     chosen_plant: Plant = construct_choice("plant", request.param)
     return chosen_plant
 
 
 def random_inputs(plant: Plant, cases: int) -> np.ndarray:
-    """Random input sequences within the plant's default amplitude, one for each case."""
+    """Random input sequences within a plant's default excitation amplitude."""
     rng = np.random.default_rng(0)
     shape = (cases, SAMPLES, len(plant.inputs))
     levels = rng.uniform(-1, 1, shape)
@@ -27,7 +27,8 @@ def random_inputs(plant: Plant, cases: int) -> np.ndarray:
 
 
 def test_the_equilibrium_is_a_fixed_point(plant: Plant) -> None:
-    """A plant that starts at its equilibrium with the equilibrium input stays there."""
+    """A plant that starts at its equilibrium with the equilibrium input stays at the
+    equilibrium."""
     rest = plant.equilibrium()
     held = np.tile(rest.u, (1, SAMPLES, 1))
     x, y = plant.simulate(held)
@@ -38,7 +39,7 @@ def test_the_equilibrium_is_a_fixed_point(plant: Plant) -> None:
 
 
 def test_shapes_and_names_agree(plant: Plant) -> None:
-    """Inputs, outputs and states have as many entries as the plant has names for them."""
+    """A plant's inputs, outputs and states have as many entries as names."""
     x, y = plant.simulate(random_inputs(plant, 3))
     assert x.shape == (3, SAMPLES, len(plant.states))
     assert y.shape == (3, SAMPLES, len(plant.outputs))
@@ -50,7 +51,7 @@ def test_shapes_and_names_agree(plant: Plant) -> None:
 
 
 def test_a_batch_equals_its_rows(plant: Plant) -> None:
-    """Simulating a batch gives the same as simulating its cases one by one."""
+    """Simulating a batch of cases gives the same as simulating the cases one by one."""
     u = random_inputs(plant, 3)
     _, together = plant.simulate(u)
     outputs = []
@@ -72,8 +73,8 @@ def test_two_halves_equal_the_whole(plant: Plant) -> None:
     np.testing.assert_allclose(again, second_half, rtol=1e-12, atol=1e-14)
 
 
-def test_states_at_reads_back(plant: Plant) -> None:
-    """The state that a plant gives for an output produces that output."""
+def test_equilibrium_states_give_outputs(plant: Plant) -> None:
+    """The equilibrium state that a plant returns for a given output produces that output."""
     offsets = np.linspace(*plant.initial_range, 5)
     each_output = np.ones(len(plant.outputs))
     of_each_output = offsets[:, None] * each_output
@@ -98,7 +99,7 @@ def test_outputs_do_not_depend_on_later_inputs(plant: Plant) -> None:
 
 
 def test_disturbances_act(plant: Plant) -> None:
-    """Every declared disturbance changes the output."""
+    """Every disturbance that a plant declares changes its output."""
     u = random_inputs(plant, 1)
     undisturbed, _ = plant.simulate(u)
     for push in 1e-3 * np.eye(len(plant.disturbances)):

@@ -11,7 +11,7 @@ from string import Template
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.bounds.network import Inverse, PortableMap
+from ssm_study.bounds.network import InverseMap, PortableMap
 from ssm_study.export import c_monitor
 from ssm_study.export.c_monitor import Monitor
 from ssm_study.export.c_neurons import join_lines, render_neurons
@@ -382,14 +382,14 @@ def _render_equilibrium_map(
     return _render_function(function_name, "w", tables, body, c_type)
 
 
-def _render_inverse_map(function_name: str, inverse_map: Inverse, prefix: str, c_type: str) -> str:
+def _render_inverse_map(function_name: str, inverse: InverseMap, prefix: str, c_type: str) -> str:
     """C function that evaluates the inverse of a static map. `out = S^{-1}(w)`."""
-    if inverse_map.matrix is not None:
-        body = _render_product(prefix, "linear", inverse_map.matrix, "w", "out")
-        return _render_function(function_name, "w", {"linear": inverse_map.matrix}, body, c_type)
+    if inverse.matrix is not None:
+        body = _render_product(prefix, "linear", inverse.matrix, "w", "out")
+        return _render_function(function_name, "w", {"linear": inverse.matrix}, body, c_type)
     tables: dict[str, Float[np.ndarray, ...]] = {}
     body = "    int j;\n"
-    for c, (points, slopes, offsets) in enumerate(inverse_map.channels):
+    for c, (points, slopes, offsets) in enumerate(inverse.channels):
         search = "j = 0;"
         if len(points):  # C has no array of size zero
             tables[f"at{c}"] = points

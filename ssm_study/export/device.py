@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.bounds.network import Inverse, PortableMap, invert_map
+from ssm_study.bounds.network import InverseMap, PortableMap, invert_map
 from ssm_study.export.portable import PortableController, Vector, convert_floats, multiply_in_order
 from ssm_study.export.rest_points import (
     EquilibriumCurve,
@@ -46,8 +46,8 @@ class SetPoints:
     )  # the least input where inputs outnumber outputs
     at_rest: Float[np.ndarray, "n k"] | PiecewiseLinear
     seen: Float[np.ndarray, "q k"] | PiecewiseLinear
-    inward: Inverse
-    outward: Inverse
+    inward: InverseMap
+    outward: InverseMap
     missed: float = 0.0
 
     @property
@@ -136,7 +136,7 @@ class Device:
         return "two equilibria of the model have one output, or one was not found"
 
     def _linear_set_point_maps(
-        self, model: StateSpace, inverse_input_map: Inverse, inverse_output_map: Inverse
+        self, model: StateSpace, inverse_input_map: InverseMap, inverse_output_map: InverseMap
     ) -> SetPoints | None:
         """Maps between set points and equilibria of a linear model, as matrices; None for a model
         that integrates or cannot reach every output."""
@@ -164,8 +164,8 @@ class Device:
     def _interpolated_set_point_maps(
         self,
         controller: PortableController,
-        inverse_input_map: Inverse,
-        inverse_output_map: Inverse,
+        inverse_input_map: InverseMap,
+        inverse_output_map: InverseMap,
     ) -> SetPoints | None:
         """Maps between set points and equilibria of a model with neurons, by interpolation between
         tabulated equilibria; None where they are not unique. Points between the interpolated ones
@@ -357,7 +357,7 @@ def _count_map_products(static_map: PortableMap) -> int:
     return products
 
 
-def _count_inverse_products(inverse_map: Inverse) -> int:
+def _count_inverse_products(inverse_map: InverseMap) -> int:
     """Number of multiplications in one evaluation of the inverse of a static map."""
     if inverse_map.matrix is None:
         return len(inverse_map.channels)
@@ -387,7 +387,7 @@ def _evaluate_map(static_map: PortableMap, v: Vector) -> Vector:
     return multiply_in_order(last_weight, d, out)
 
 
-def _evaluate_inverse_map(inverse_map: Inverse, w: Vector) -> Vector:
+def _evaluate_inverse_map(inverse_map: InverseMap, w: Vector) -> Vector:
     """Value of the inverse of a static map, computed in the same order of operations as in the C
     code.
 

@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ssm_study.bounds.network import Inverse, invert_map
+from ssm_study.bounds.network import InverseMap, invert_map
 from ssm_study.certificates.certificate import Design
 from ssm_study.loop.trajectory import (
     Plan,
@@ -120,7 +120,7 @@ class EstimateFeedback(Controller):
 
     model: Model
     gains: Gains
-    inverse: Inverse | None = None  # of S_u, where the law undoes it
+    inverse: InverseMap | None = None  # of S_u, where the law undoes it
 
     @property
     def step_s(self) -> float:  # type: ignore[override]  # here the model knows it

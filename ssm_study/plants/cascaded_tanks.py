@@ -22,7 +22,7 @@ from ssm_study.signals import Channel
 
 @dataclass(frozen=True, kw_only=True)
 class CascadedTanks(Plant):
-    """Plant of two tanks in cascade, which empty by Torricelli's law and overflow at their brims.
+    """Plant of two water tanks in cascade, which empty by Torricelli's law and can overflow.
 
         dx1/dt = k4 u - k1 sqrt(x1),                       x1 <= brim, the excess spills
         dx2/dt = k2 sqrt(x1) - k3 sqrt(x2) + k5 spill + d,  x2 <= brim, and what spills here is lost
@@ -72,7 +72,7 @@ class CascadedTanks(Plant):
         return Equilibrium(u=u, x=np.array([upper, lower]), y=np.array([lower]))
 
     def equilibrium_states(self, y0: Outputs) -> States:
-        """States with the lower tank's level at the output and the upper tank in equilibrium."""
+        """States of the tanks for given lower levels, with the upper tank in equilibrium."""
         upper = np.full_like(y0, self.equilibrium().x[0])
         return np.concatenate([upper, y0], axis=1)
 
@@ -81,7 +81,7 @@ class CascadedTanks(Plant):
         substep_s = self.step_s / self.substeps
 
         def level_rates(levels: States) -> States:
-            """Time derivatives of both levels under constant input."""
+            """Time derivatives of both water levels under constant pump input."""
             return self._level_rates(levels, pumped, d[:, 0])
 
         for _ in range(self.substeps):  # the brim is enforced after each substep
@@ -92,7 +92,7 @@ class CascadedTanks(Plant):
     def _level_rates(
         self, x: States, pumped: Float[np.ndarray, "N"], d: Float[np.ndarray, "N"]
     ) -> States:
-        """Time derivatives of both water levels."""
+        """Time derivatives of both water levels for given levels, pump flow and disturbance."""
         roots = np.sqrt(np.clip(x, 0.0, self.brim_v))
         root_upper = roots[:, 0]
         root_lower = roots[:, 1]

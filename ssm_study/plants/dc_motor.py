@@ -41,7 +41,7 @@ NOT_NEGATIVE = (
 
 @dataclass(frozen=True, kw_only=True)
 class DCMotor(Plant):
-    """DC motor that drives a load through an elastic coupling, with Coulomb friction.
+    """Plant: DC motor that drives a load through an elastic coupling, with Coulomb friction.
 
     Coulomb friction can hold each shaft still; the input has a dead-zone.
 
@@ -103,7 +103,7 @@ class DCMotor(Plant):
 
     @cached_property
     def constants(self) -> MotorConstants:
-        """Physical constants of the motor in the form that the compiled simulation reads."""
+        """Physical constants of the motor in the form that the compiled simulation takes."""
         return MotorConstants(
             resistance=float(self.resistance_ohm),
             per_inductance=float(1.0 / self.inductance_h),
@@ -122,7 +122,7 @@ class DCMotor(Plant):
         return Equilibrium(u=np.zeros(1), x=np.zeros(4), y=np.zeros(1))
 
     def equilibrium_states(self, y0: Outputs) -> States:
-        """States with both shafts turning at the given speed, no current and no twist."""
+        """States of the motor with both shafts at a given speed, no current and no twist."""
         still = np.zeros_like(y0)
         return np.concatenate([still, y0, y0, still], axis=1)
 

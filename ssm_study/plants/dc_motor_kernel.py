@@ -23,7 +23,7 @@ BISECTIONS = 60  # below the spacing of doubles for any substep
 @compile_with_numba
 @no_type_check
 def _torques_without_coulomb(p, i, wm, wl, th, load):
-    """Torques on the motor's shaft and the load without Coulomb friction, in N m."""
+    """Torques on the motor shaft and on the load, in N m, without Coulomb friction."""
     shaft = p.stiffness * th + p.damping * (wm - wl)
     return p.k * i - shaft - p.motor_viscous * wm, shaft - p.load_viscous * wl - load
 
@@ -31,8 +31,8 @@ def _torques_without_coulomb(p, i, wm, wl, th, load):
 @compile_with_numba
 @no_type_check
 def _fill_taylor_series(p, c, v, load, motor_mode, load_mode):
-    """Compute the Taylor coefficients of the motor's motion over time, in place. Row 0 is the
-    state.
+    """Compute the Taylor coefficients of the motor's states as functions of time, in place. Row 0
+    is the state.
 
     A stuck body has speed zero in every row, hence exactly.
     """
@@ -56,7 +56,7 @@ def _fill_taylor_series(p, c, v, load, motor_mode, load_mode):
 @compile_with_numba
 @no_type_check
 def _evaluate_series(c, j, t):
-    """Evaluate the Taylor series of one state at a given time."""
+    """Evaluate the Taylor series of one state of the motor at a given time."""
     value = c[ORDER, j]
     for q in range(ORDER - 1, -1, -1):
         value = value * t + c[q, j]  # Horner
@@ -66,7 +66,8 @@ def _evaluate_series(c, j, t):
 @compile_with_numba
 @no_type_check
 def _mode_margin(p, c, t, load, body, mode):
-    """Margin by which a body stays stuck or sliding; negative once that friction mode has ended."""
+    """Distance of a body's motion from the end of its friction mode (sticking or sliding); negative
+    after the end."""
     if mode != 0:
         return mode * _evaluate_series(c, 1 + body, t)
     tm, tl = _torques_without_coulomb(
@@ -83,8 +84,8 @@ def _mode_margin(p, c, t, load, body, mode):
 @compile_with_numba
 @no_type_check
 def _mode_switch_time(p, c, h, load, body, mode):
-    """Time at which a body changes between stuck and sliding, by bisection; larger than h if it
-    does not."""
+    """Time at which a body changes between sticking and sliding, by bisection; beyond the step if
+    it does not change."""
     if _mode_margin(p, c, h, load, body, mode) >= 0.0:
         return 2.0 * h
     low = 0.0
@@ -101,8 +102,8 @@ def _mode_switch_time(p, c, h, load, body, mode):
 @compile_with_numba
 @no_type_check
 def _friction_mode(speed, torque, coulomb):
-    """Friction mode of a body: 0 if it is stuck, otherwise the sign of its motion or of its
-    beginning motion."""
+    """Friction mode of a body: 0 if it sticks, otherwise the sign of its present or beginning
+    motion."""
     if speed != 0.0:
         return 1 if speed > 0.0 else -1
     if abs(torque) <= coulomb:
@@ -113,7 +114,8 @@ def _friction_mode(speed, torque, coulomb):
 @compile_with_numba
 @no_type_check
 def _advance_substep(p, c, h, v, load):
-    """Advance the motor's state by one substep, through changes of the friction modes."""
+    """Advance the motor's state by one integration substep, with changes between sticking and
+    sliding at exact times."""
     tm, tl = _torques_without_coulomb(p, c[0, 0], c[0, 1], c[0, 2], c[0, 3], load)
     motor_mode = _friction_mode(c[0, 1], tm, p.coulomb)
     load_mode = _friction_mode(c[0, 2], tl, p.coulomb)
@@ -140,8 +142,8 @@ def _advance_substep(p, c, h, v, load):
 @compile_with_numba
 @no_type_check
 def advance_batch(p, x, u, d, h, substeps):
-    """Advance the states of all simulated motors by a number of substeps under constant voltage and
-    load torque.
+    """Advance the states of a batch of simulated motors by several integration substeps under
+    constant voltage and load torque.
 
     Under voltage `u (N, 1)` and load torque `d (N, 1)`.
     """

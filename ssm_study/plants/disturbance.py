@@ -12,14 +12,15 @@ Signal = Float[np.ndarray, "T"]
 
 
 class Disturbance(ABC):
-    """Interface of a disturbance as a function of time, in the unit of its channel.
+    """Base class of disturbances on a plant as functions of time, in the unit of the disturbed
+    channel.
 
     In a closed loop that is the plant's first channel (the motor's: load torque, N m).
     """
 
     @abstractmethod
     def signal(self, time_s: Signal) -> Signal:
-        """Values of the disturbance at given times."""
+        """Values of a disturbance at given times."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +33,7 @@ class NoDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class StepDisturbance(Disturbance):
-    """Disturbance that is a step of `size` at `at_s`, which may end at `until_s`."""
+    """Disturbance that is a step at a given time, which may end at a later time."""
 
     size: float
     at_s: float
@@ -52,7 +53,7 @@ class StepDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class PeriodicDisturbance(Disturbance):
-    """Sinusoidal disturbance, `d = amplitude sin(2 pi frequency_hz t)`."""
+    """Disturbance that is a sine of given amplitude and frequency."""
 
     amplitude: float
     frequency_hz: float
@@ -66,8 +67,7 @@ class PeriodicDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class RampDisturbance(Disturbance):
-    """Disturbance that changes by `slope_per_s` from `from_s` to `until_s` and is constant before
-    and after."""
+    """Disturbance that changes linearly between two times and is constant before and after."""
 
     slope_per_s: float
     from_s: float
@@ -86,8 +86,7 @@ class RampDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class RandomDisturbance(Disturbance):
-    """Disturbance of random levels, uniform in `[-amplitude, amplitude]`, each of which lasts
-    `hold_s`.
+    """Disturbance of uniformly distributed random levels, each held for a fixed time.
 
     A function of seed and time alone.
     """

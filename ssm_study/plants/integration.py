@@ -11,7 +11,8 @@ Rate = Callable[[States], States]
 
 
 def runge_kutta(rate: Rate, x: States, step_s: float, substeps: int) -> States:
-    """Integrate `dx/dt = rate(x)` over one sampling period by the classical Runge-Kutta method.
+    """Integrate a differential equation over one sampling period by the classical Runge-Kutta
+    method.
 
     Fourth order where the rate is smooth.
     """

@@ -20,7 +20,7 @@ Outputs = Float[np.ndarray, "N p"]
 
 @dataclass(frozen=True, kw_only=True)
 class Equilibrium:
-    """Equilibrium of a plant: input, state and output with `x = f(x, u)` and `y = h(x)`.
+    """Equilibrium of a plant: constant input, state and output with `x = f(x, u)` and `y = h(x)`.
 
     Held at `u (m,)`, a plant started in `x (n,)` stays there and reads `y (p,)`.
     """
@@ -31,7 +31,8 @@ class Equilibrium:
 
 
 class Plant(ABC):
-    """Sampled plant whose input is constant within a sample, in physical units throughout.
+    """Base class of plants that are simulated in discrete time with input held constant between
+    samples.
 
     `x[k+1] = f(x[k], u[k], d[k]),  y[k] = h(x[k])`. Concrete plants are frozen keyword-only
     dataclasses, one file and one yaml each, that name their
@@ -66,59 +67,60 @@ class Plant(ABC):
     @property
     @abstractmethod
     def initial_range(self) -> tuple[float, float]:
-        """Range of the initial outputs of closed-loop experiments, as offsets from the
+        """Range of initial outputs in closed-loop experiments, as offsets from the plant's
         equilibrium."""
 
     @property
     def input_amplitude(self) -> tuple[float, ...]:
-        """Default amplitude of an excitation: offset of each input from its equilibrium."""
+        """Default amplitude of excitation signals, as offset of each plant input from its
+        equilibrium."""
         return (1.0,) * len(self.inputs)
 
     @property
     def input_clock_s(self) -> float:
-        """Shortest time, in seconds, for which an excitation stays at one level by default."""
+        """Default for the shortest time, in seconds, for which an excitation signal holds one
+        level."""
         return 10 * self.step_s
 
     @property
     def noise_variance(self) -> tuple[float, ...]:
-        """Variance of the measurement noise of each output."""
+        """Variance of the measurement noise on each output of the plant."""
         return (0.0,) * len(self.outputs)
 
     @property
     def real(self) -> bool:
-        """Whether the plant is a physical device.
+        """Whether the plant is a physical device instead of a simulation.
 
         A device runs one case at a time, from where it is, and never again to check a record.
         """
         return False
 
     def stop(self) -> None:  # noqa: B027  a simulated plant needs nothing
-        """Stop the plant, if it is a physical device, by switching it off. Called at the end of
-        every closed loop, also after an error."""
+        """Switch a physical plant off, which is called at the end of every closed-loop run. Called
+        at the end of every closed loop, also after an error."""
 
     @abstractmethod
     def equilibrium(self) -> Equilibrium:
-        """Input, state and output of the plant at its equilibrium."""
+        """Input, state and output of a plant at its equilibrium."""
 
     @abstractmethod
     def equilibrium_states(self, y0: Outputs) -> States:
-        """States of the plant at given outputs, with everything else in equilibrium."""
+        """States of a plant at given outputs, with all other quantities in equilibrium."""
 
     @abstractmethod
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
-        """Advance the plant's states by one sampling period under constant input and
-        disturbance."""
+        """Advance a plant's states by one sampling period under constant input and disturbance."""
 
     def disturbance_effect(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
-        """Contribution of a measured disturbance to the plant's next state. Only identified models
-        have one."""
+        """Contribution of measured disturbances to a plant's next state, which only identified
+        models have. Only identified models have one."""
         problem = f"{type(self).__name__} has no input for a measured disturbance"
         remedy = "close the loop on the identified model, or use the plant's own disturbance"
         raise refusal.BadRequest("disturbance", len(measured), problem, remedy)
 
     @abstractmethod
     def output(self, x: States) -> Outputs:
-        """Outputs of the plant, measured before the input of the same sample acts."""
+        """Outputs of a plant for given states."""
 
     def simulate(
         self,
@@ -126,7 +128,7 @@ class Plant(ABC):
         x0: States | None = None,
         d: Float[np.ndarray, "N T q"] | None = None,
     ) -> tuple[Float[np.ndarray, "N T n"], Float[np.ndarray, "N T p"]]:
-        """Simulate the plant's states and outputs at the sampling instants.
+        """Simulate a plant's states and outputs at the sampling instants for given input sequences.
 
         `x0` None starts at the equilibrium, `d` None is undisturbed.
         """
@@ -146,11 +148,11 @@ class Plant(ABC):
 
 
 def field_property(field: str, factors: tuple[int, ...] = ()) -> Any:
-    """Property that returns a field of the plant, multiplied by further fields if some are
-    named."""
+    """Make a property that returns a field of the plant, multiplied by constant factors if some are
+    given."""
 
     def read_field(plant: Plant) -> Any:
-        """Value of a field of the plant, multiplied by the factors."""
+        """Value of a field of the plant, multiplied by constant factors."""
         value = getattr(plant, field)
         if not factors:
             return value
@@ -162,7 +164,8 @@ def field_property(field: str, factors: tuple[int, ...] = ()) -> Any:
 def refuse_wrong_signs(
     plant: Plant, positive: tuple[str, ...] | None = None, not_negative: tuple[str, ...] = ()
 ) -> None:
-    """Raise `BadRequest` for settings of a plant that have the wrong sign or are not finite.
+    """Raise `BadRequest` for physical constants of a plant that have the wrong sign or are not
+    finite.
 
     `positive` None: every one that is not among `not_negative`.
     """

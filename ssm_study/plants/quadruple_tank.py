@@ -27,7 +27,7 @@ LENGTHS = {"area_cm2": 4, "outlet_cm2": 4, "pump_cm3_per_vs": 2, "rest_pump_v": 
 
 @dataclass(frozen=True, kw_only=True)
 class QuadrupleTank(Plant):
-    """Four coupled tanks: pump 1 fills tanks 1 and 4, pump 2 fills 2 and 3.
+    """Plant of four coupled water tanks, filled by two pumps.
 
     Tank 3 drains into 1 and 4 into 2.
 
@@ -76,7 +76,7 @@ class QuadrupleTank(Plant):
         refuse_wrong_signs(self, not_negative=("level_noise_variance",))
 
     def equilibrium(self) -> Equilibrium:
-        """Equilibrium at which the outflow of each tank equals its inflow."""
+        """Equilibrium of the four tanks, at which the outflow of each tank equals its inflow."""
         u = np.array(self.rest_pump_v, dtype=np.float64)
         into = self._pump_flows(u[None])[0]
         from_upper = np.array([into[2], into[3], 0.0, 0.0])  # upper tanks drain into lower ones
@@ -85,8 +85,7 @@ class QuadrupleTank(Plant):
         return Equilibrium(u=u, x=x, y=self.output(x[None])[0])
 
     def equilibrium_states(self, y0: Outputs) -> States:
-        """States with the lower tanks' levels at the given outputs and the upper tanks in
-        equilibrium."""
+        """States of the four tanks for given lower levels, with the upper tanks in equilibrium."""
         upper = np.tile(self.equilibrium().x[2:], (len(y0), 1))
         lower = y0 / self.sensor_v_per_cm
         return np.concatenate([lower, upper], axis=1)
@@ -96,14 +95,14 @@ class QuadrupleTank(Plant):
         into[:, :2] += d
 
         def level_rates(levels: States) -> States:
-            """Time derivatives of the four levels under constant input."""
+            """Time derivatives of the four water levels under constant pump input."""
             return self._level_rates(levels, into)
 
         levels = runge_kutta(level_rates, x, self.step_s, self.substeps)
         return np.maximum(levels, 0.0)
 
     def _level_rates(self, h: States, into: States) -> States:
-        """Time derivatives of the four water levels."""
+        """Time derivatives of the four water levels for given levels and inflows."""
         speed = np.sqrt(2 * GRAVITY_CM_PER_S2 * np.maximum(h, 0.0))  # Torricelli
         out = np.array(self.outlet_cm2) * speed
         out_of_upper = out[:, 2:]
@@ -111,7 +110,8 @@ class QuadrupleTank(Plant):
         return (into + from_above - out) / np.array(self.area_cm2)
 
     def _pump_flows(self, u: Inputs) -> States:
-        """Flows from the pumps into each tank, in cm^3/s. A negative voltage pumps nothing."""
+        """Flows from both pumps into each of the four tanks, in cm^3/s. A negative voltage pumps
+        nothing."""
         flow = np.array(self.pump_cm3_per_vs) * np.maximum(u, 0.0)
         share = np.array(self.share_below)
         into_lower = share * flow

@@ -22,7 +22,7 @@ from ssm_study.signals import Channel
 
 @dataclass(frozen=True, kw_only=True)
 class StribeckDrive(Plant):
-    """Servo drive with one inertia, Stribeck friction and a saturated current loop.
+    """Plant: servo drive with one inertia, Stribeck friction and a limited current.
 
         tau di/dt = sat(u) - i,    J dw/dt = K i - b w - F(w) - d
         F(w) = sgn(w) (Fc + (Fs - Fc) exp(-(w/ws)^2)),   at rest any torque up to Fs
@@ -92,8 +92,8 @@ class StribeckDrive(Plant):
         return np.stack([i, w], axis=1)
 
     def friction_nm(self, w: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
-        """Largest friction torque, in N m, at a given speed. It is `Fs` at rest and falls to
-        `Fc`."""
+        """Magnitude of the Stribeck friction torque, in N m, at a given speed. It is `Fs` at rest
+        and falls to `Fc`."""
         extra = self.static_torque_nm - self.coulomb_torque_nm
         fading = np.exp(-((w / self.stribeck_speed_rad_per_s) ** 2))
         return self.coulomb_torque_nm + extra * fading

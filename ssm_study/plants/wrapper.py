@@ -15,14 +15,15 @@ Limit = float | tuple[float, ...] | list[float]
 Memory = Float[np.ndarray, "N r"]  # the appended states of each case
 
 
-def _inner_property(name: str) -> Any:
-    """Property that returns the wrapped plant's property of the same name."""
+def _wrapped_plant_property(name: str) -> Any:
+    """Property that returns the property of the same name of the plant inside a wrapper."""
     return property(attrgetter(f"plant.{name}"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wrapper(Plant):
-    """Base class of plants that are built around another plant and change a part of its behaviour.
+    """Base class of plants that wrap another plant and change a part of its behaviour, such as its
+    input.
 
     A wrapper with `memory` appends states of its own.
     """
@@ -30,24 +31,24 @@ class Wrapper(Plant):
     memory: ClassVar[tuple[Channel, ...]] = ()
     plant: Plant
 
-    step_s = _inner_property("step_s")
-    settling_band = _inner_property("settling_band")
-    initial_range = _inner_property("initial_range")
-    inputs = _inner_property("inputs")
-    outputs = _inner_property("outputs")
-    disturbances = _inner_property("disturbances")
-    input_amplitude = _inner_property("input_amplitude")
-    input_clock_s = _inner_property("input_clock_s")
-    noise_variance = _inner_property("noise_variance")
-    real = _inner_property("real")
-    stop = _inner_property("stop")
+    step_s = _wrapped_plant_property("step_s")
+    settling_band = _wrapped_plant_property("settling_band")
+    initial_range = _wrapped_plant_property("initial_range")
+    inputs = _wrapped_plant_property("inputs")
+    outputs = _wrapped_plant_property("outputs")
+    disturbances = _wrapped_plant_property("disturbances")
+    input_amplitude = _wrapped_plant_property("input_amplitude")
+    input_clock_s = _wrapped_plant_property("input_clock_s")
+    noise_variance = _wrapped_plant_property("noise_variance")
+    real = _wrapped_plant_property("real")
+    stop = _wrapped_plant_property("stop")
 
     @property
     def states(self) -> tuple[Channel, ...]:
         return (*self.plant.states, *self.memory)
 
     def initial_memory(self) -> Float[np.ndarray, "r"]:
-        """Initial values of the states that a wrapper adds to its plant, zeros by default."""
+        """Initial values of the states that a plant wrapper adds to the wrapped plant."""
         return np.zeros(len(self.memory))
 
     def equilibrium(self) -> Equilibrium:
@@ -60,7 +61,7 @@ class Wrapper(Plant):
         return np.hstack([self.plant.equilibrium_states(y0), memory])
 
     def split_states(self, x: States) -> tuple[Float[np.ndarray, "N k"], Memory]:
-        """Split the states into those of the wrapped plant and those that the wrapper adds."""
+        """Split a state into that of the wrapped plant and the states that the wrapper adds."""
         inner = len(self.plant.states)
         return x[:, :inner], x[:, inner:]
 
@@ -70,11 +71,11 @@ class Wrapper(Plant):
         return np.concatenate([advanced, self.next_memory(memory, u)], axis=1)
 
     def applied_input(self, memory: Memory, u: Inputs) -> Inputs:  # noqa: ARG002
-        """Input that reaches the wrapped plant."""
+        """Input that reaches the wrapped plant when a given input is applied to the wrapper."""
         return u
 
     def next_memory(self, memory: Memory, u: Inputs) -> Memory:  # noqa: ARG002
-        """Values of the states that the wrapper adds, one sample later."""
+        """Next values of the states that a plant wrapper adds to the wrapped plant."""
         return memory
 
     def output(self, x: States) -> Outputs:
@@ -83,7 +84,7 @@ class Wrapper(Plant):
 
 @dataclass(frozen=True, kw_only=True)
 class SaturatedInput(Wrapper):
-    """Plant with a limited input, `x+ = f(x, clip(u, lower, upper), d)`.
+    """Plant wrapper that limits the input, `x+ = f(x, clip(u, lower, upper), d)`.
 
     Limits in the input's unit, one number or one per input.
     """
@@ -110,7 +111,7 @@ class SaturatedInput(Wrapper):
 
 @dataclass(frozen=True, kw_only=True)
 class DelayedInput(Wrapper):
-    """Plant with a dead time of whole samples at its input, `x+ = f(x, u[k - samples], d)`.
+    """Plant wrapper that delays the input by whole samples, `x+ = f(x, u[k - samples], d)`.
 
     The inputs that are under way are the appended states.
     """
@@ -122,7 +123,7 @@ class DelayedInput(Wrapper):
 
     @property
     def memory(self) -> tuple[Channel, ...]:  # type: ignore[override]  # nothing elsewhere
-        """Names and units of the states that hold the delayed inputs."""
+        """Names and units of the states in which a dead time stores past inputs."""
         channels = []
         for age in range(self.samples):
             for channel in self.inputs:

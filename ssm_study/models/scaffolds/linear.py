@@ -9,9 +9,9 @@ from jaxtyping import Float
 from ssm_study.bounds.network import PortableMap
 from ssm_study.bounds.slopes import (
     SlopeBound,
+    ball_around_scaled_identity,
     bound_from_ball,
     bound_from_interval,
-    enclosing_ball_at_scaled_identity,
 )
 from ssm_study.models.lazy_torch import Tensor
 from ssm_study.models.scaffolds.scaffold import Free, Scaffold, Square
@@ -41,7 +41,7 @@ class LinearScaffold(Scaffold, names=("linear",)):
             scalar_gain = self.gain[0, 0]
             gain = Fraction(float(scalar_gain))
             return bound_from_interval(gain, gain, "construction")
-        ball = enclosing_ball_at_scaled_identity(self.gain, 0.0)
+        ball = ball_around_scaled_identity(self.gain, 0.0)
         return bound_from_ball(ball, "construction")
 
     def jacobian_centre(self) -> Square:
