@@ -56,7 +56,7 @@ def row(plant: str, seed: int, overrides: list[str]) -> dict[str, object]:
         "radius_at_rest": linearise_at_equilibrium(model).spectral_radius,
         "r_controller": factors[0],
         "r_observer": factors[1],
-        "seconds_per_start": spent / part.model.training_count,
+        "seconds_per_start": spent / part.model.training_run_count,
     }
     sizes = {
         "plant": plant,

@@ -90,7 +90,7 @@ NAMES: Mapping[str, str] = {
     "engine.stages.Kept": "engine.stages.StageOutput",
     "loop.reference.Rest": "loop.reference.EquilibriumReference",
     "models.identified.Wired": "models.identified.ScaffoldedModel",
-    "models.spec.Start": "models.initial_system.Initialisation",
+    "models.spec.Start": "models.initial_system.InitialLinearSystem",
     "plants.plant.check_signs": "plants.plant.refuse_wrong_signs",
     "plants.plant.stated": "plants.plant.field_property",
     "refusal.at_least": "refusal.require_at_least",

@@ -24,12 +24,12 @@ from ssm_study.api.systems import read_folder
 from ssm_study.bounds.metrics import model_bound_columns
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.data.arrays import check_time_index, disturbance_array, signal_array_and_names
-from ssm_study.data.metrics import data_columns
+from ssm_study.data.metrics import data_set_columns
 from ssm_study.evidence.metrics import Judgement
 from ssm_study.models.bilinear import Bilinear
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.members import mean_output_of_models, member_columns
-from ssm_study.models.metrics import fit_columns, size_columns
+from ssm_study.models.metrics import fit_columns, model_size_columns
 from ssm_study.models.structured import StructuredSSM, linearise_at_equilibrium
 from ssm_study.models.warm_start import initial_state_columns, simulate_validation_and_test
 from ssm_study.refusal import BadRequest, require
@@ -66,9 +66,9 @@ class Model:
         data = self.data
         validation, test = simulate_validation_and_test(self.simulator, data)
         training = self.identification
-        facts = dict(data_columns(data))
+        facts = dict(data_set_columns(data))
         facts |= training_columns(training.seconds, training.ended)
-        facts |= size_columns(self.simulator)
+        facts |= model_size_columns(self.simulator)
         fit_train_percent = records_fit_percent(self.simulator, data.training, data)
         facts |= {"fit_train_percent": fit_train_percent}
         facts |= fit_columns(validation, test)

@@ -94,10 +94,10 @@ def network_bound(network: Network) -> SlopeBound:
         lipsdp = lipsdp_bound(network)
     except BadRequest:  # the solver failed: what it was to improve on stands
         return interval
-    return min(interval, lipsdp, key=tightness_key)
+    return min(interval, lipsdp, key=tightness_sort_key)
 
 
-def tightness_key(bound: SlopeBound) -> tuple[float, float]:
+def tightness_sort_key(bound: SlopeBound) -> tuple[float, float]:
     """Sort key of slope bounds, smallest for the tightest bound. Balls that exclude zero compare by
     their relative radius, as the frontier sees them; the others by their radius."""
     relative_radius = min(bound.ball.relative_radius, 1.0)

@@ -96,14 +96,14 @@ def parse_digit_dates(times: Times) -> Times | None:
     return seconds
 
 
-def describe_day_numbers(title: str, finite: Times) -> str:
+def describe_day_numbers(title: str, numbers: Times) -> str:
     """Description of the calendar from which numbers count days, as in a spreadsheet; empty for
     numbers that are no days.
 
     The name says it, or the step is a round number of seconds as days and none as it stands.
     """
-    low = float(finite.min())
-    high = float(finite.max())
+    low = float(numbers.min())
+    high = float(numbers.max())
     calendars = (first <= low and high <= last for first, last in DAY_COUNTS)
     if not any(calendars):
         return ""
@@ -111,7 +111,7 @@ def describe_day_numbers(title: str, finite: Times) -> str:
     words = lower_title.replace("_", " ").split()
     if any(word in DAY_WORDS for word in words):
         return "days, as a spreadsheet counts them"
-    steps = np.diff(finite)
+    steps = np.diff(numbers)
     rising = steps[steps > 0]
     if not len(rising):
         return ""

@@ -68,24 +68,24 @@ def largest_jitter(time_s: ClockTimes) -> float:
     return float(late.max())
 
 
-def refuse_decreasing_times(time_s: ClockTimes, where: str) -> None:
+def refuse_decreasing_times(time_s: ClockTimes, source: str) -> None:
     """Raise `BadRequest` for recorded times that decrease, or repeat because of rounding."""
     steps = np.diff(time_s)
     if (steps < 0).any():
         first_backward = np.argmax(steps < 0)
         k = int(first_backward) + 1
         problem = f"sample {k} is not later than the one before"
-        raise BadRequest(f"{where} (time)", time_s[k], problem, "sort the record")
+        raise BadRequest(f"{source} (time)", time_s[k], problem, "sort the record")
     if (steps == 0).any():
         first_repeated = np.argmax(steps == 0)
         k = int(first_repeated) + 1
-        first_s = typical_period_s(time_s)
+        first_s = median_period_s(time_s)
         problem = f"sample {k} has the time of the one before: the times were rounded"
         remedy = f"use data.step_s (the first rows show about {first_s:.4g} s)"
-        raise BadRequest(f"{where} (time)", time_s[k], problem, remedy)
+        raise BadRequest(f"{source} (time)", time_s[k], problem, remedy)
 
 
-def refuse_repeated_row(time_s: ClockTimes, values: RowValues, where: str) -> None:
+def refuse_repeated_row(time_s: ClockTimes, values: RowValues, source: str) -> None:
     """Raise `BadRequest` for a row of a log that equals the row before it, if equal rows are rare
     in the log."""
     is_still = np.diff(time_s) == 0
@@ -97,10 +97,10 @@ def refuse_repeated_row(time_s: ClockTimes, values: RowValues, where: str) -> No
     if np.array_equal(values[row], before, equal_nan=True):
         problem = f"row {row} of the file repeats the one before, time and all"
         remedy = "remove the repeated rows"
-        raise BadRequest(f"{where} (time)", time_s[row], problem, remedy)
+        raise BadRequest(f"{source} (time)", time_s[row], problem, remedy)
 
 
-def typical_period_s(time_s: ClockTimes) -> float:
+def median_period_s(time_s: ClockTimes) -> float:
     """Typical sampling period of recorded times: the median of the first hundred positive time
     differences."""
     steps = np.diff(time_s)
@@ -113,7 +113,7 @@ def resample_to_even_clock(
     time_s: ClockTimes,
     values: RowValues,
     inputs: int,
-    where: str,
+    source: str,
     *,
     step_s: float | None,
     tolerance: float,
@@ -128,23 +128,23 @@ def resample_to_even_clock(
     has_time = np.isfinite(time_s)
     time_s = time_s[has_time]
     values = values[has_time]
-    require_at_least(3, f"{where} (samples with a time)", len(time_s), "use a longer record")
+    require_at_least(3, f"{source} (samples with a time)", len(time_s), "use a longer record")
     is_still = np.diff(time_s) == 0
     if step_s is not None and is_still.any():
-        return apply_stated_period(time_s, values, step_s, where)
+        return apply_stated_period(time_s, values, step_s, source)
     if step_s is None and not resample:
         rounded = recover_rounded_clock(time_s, values, tolerance)
         if rounded is not None:
             return rounded
-    refuse_repeated_row(time_s, values, where)
-    refuse_decreasing_times(time_s, where)
+    refuse_repeated_row(time_s, values, source)
+    refuse_decreasing_times(time_s, source)
     mean_s, late = period_and_jitter(time_s)
     if late.max() <= tolerance and not resample:
-        require_equal_period(step_s, mean_s, where)
+        require_equal_period(step_s, mean_s, source)
         period_s = mean_s if step_s is None else step_s
         rows = EvenRows(values=[values], starts=[0], step_s=period_s, remarks=[])
-        return cut_at_missing_values(rows)
-    return cut_at_gaps(time_s, values, inputs, where, step_s, tolerance, resample)
+        return cut_pieces_at_missing_values(rows)
+    return cut_log_at_gaps(time_s, values, inputs, source, step_s, tolerance, resample)
 
 
 def recover_rounded_clock(
@@ -170,17 +170,17 @@ def recover_rounded_clock(
         f"explains every row (to {error:.2g} of it; data.step_s states it exactly)"
     )
     rows = EvenRows(values=[values], starts=[0], step_s=period_s, remarks=[remark])
-    return cut_at_missing_values(rows)
+    return cut_pieces_at_missing_values(rows)
 
 
 def apply_stated_period(
-    time_s: ClockTimes, values: RowValues, step_s: float, where: str
+    time_s: ClockTimes, values: RowValues, step_s: float, source: str
 ) -> EvenRows:
     """Give rows with rounded times the even times of a stated period, after checking both. Raises
     `BadRequest` where the times contradict the stated one."""
     steps_s = np.diff(time_s)
     moves = np.append(True, steps_s != 0)
-    refuse_decreasing_times(time_s[moves], where)
+    refuse_decreasing_times(time_s[moves], source)
     last_s = time_s[-1]
     span_s = float(last_s - time_s[0])
     coarsest_s = float(np.diff(time_s).max())
@@ -188,28 +188,28 @@ def apply_stated_period(
     allowed_s = AGREEMENT * span_s + 2.0 * coarsest_s
     agrees = abs(span_s - expected_s) <= allowed_s
     period_s = span_s / (len(time_s) - 1)
-    problem = f"the times of {where}, which were rounded, show {period_s:.4g} s"
+    problem = f"the times of {source}, which were rounded, show {period_s:.4g} s"
     remedy = "correct one of them (units?)"
     require(agrees, "data.step_s", step_s, problem, remedy)
     remark = f"times rounded to {coarsest_s:.3g} s at their end, data.step_s taken"
     rows = EvenRows(values=[values], starts=[0], step_s=step_s, remarks=[remark])
-    return cut_at_missing_values(rows)
+    return cut_pieces_at_missing_values(rows)
 
 
-def require_equal_period(step_s: float | None, period_s: float, where: str) -> None:
+def require_equal_period(step_s: float | None, period_s: float, source: str) -> None:
     """Raise `BadRequest` for a stated sampling period that differs from the period of the recorded
     times."""
     agrees = step_s is None or abs(step_s - period_s) <= AGREEMENT * period_s
     remedy = "correct one of them (units?), or leave step_s null"
-    problem = f"the times of {where} show {period_s:.6g} s"
+    problem = f"the times of {source} show {period_s:.6g} s"
     require(agrees, "data.step_s", step_s, problem, remedy)
 
 
-def cut_at_gaps(
+def cut_log_at_gaps(
     time_s: ClockTimes,
     values: RowValues,
     inputs: int,
-    where: str,
+    source: str,
     step_s: float | None,
     tolerance: float,
     resample: bool,
@@ -229,23 +229,23 @@ def cut_at_gaps(
         stretch_periods = (b - a - 1 for a, b in stretches)
         periods = sum(stretch_periods)
         period_s = float(elapsed_s / periods)
-        require_equal_period(step_s, period_s, where)
+        require_equal_period(step_s, period_s, source)
         period_s = period_s if step_s is None else step_s
         since_s = time_s - time_s[0]
         starts = [round(since_s[a] / period_s) for a, _ in stretches]
         cut = [values[a:b] for a, b in stretches]
         rows = EvenRows(values=cut, starts=starts, step_s=period_s, remarks=remarks)
-        return cut_at_missing_values(rows)
+        return cut_pieces_at_missing_values(rows)
     clock = None if resample else find_scattered_clock(time_s, stretches)
     if clock is not None:
-        require_equal_period(step_s, clock.period_s, where)
+        require_equal_period(step_s, clock.period_s, source)
         return number_scattered_rows(time_s, values, stretches, clock, step_s, remarks)
     problem = "no stretch without a hole is left"
     remedy = "record for longer, without interruptions"
-    require(stretches, f"{where} (time)", "holes", problem, remedy)
-    refuse_uneven_times(steps, median_s, where, resample)
+    require(stretches, f"{source} (time)", "holes", problem, remedy)
+    refuse_uneven_times(steps, median_s, source, resample)
     if not resample:
-        require_equal_period(step_s, median_s, where)
+        require_equal_period(step_s, median_s, source)
     period_s = median_s if step_s is None else step_s
     return interpolate_pieces(time_s, values, inputs, stretches, period_s, remarks)
 
@@ -270,7 +270,7 @@ def number_scattered_rows(
     cut = [values[a:b] for a, b in stretches]
     all_remarks = [*remarks, remark]
     rows = EvenRows(values=cut, starts=starts, step_s=period_s, remarks=all_remarks)
-    return cut_at_missing_values(rows)
+    return cut_pieces_at_missing_values(rows)
 
 
 def gap_remarks(steps: ClockTimes, gaps: Int[np.ndarray, "H"], period_s: float) -> list[str]:
@@ -285,7 +285,7 @@ def gap_remarks(steps: ClockTimes, gaps: Int[np.ndarray, "H"], period_s: float) 
     return [f"cut at {len(gaps)} {word} of {length} s in all"]
 
 
-def refuse_uneven_times(steps: ClockTimes, median_s: float, where: str, resample: bool) -> None:
+def refuse_uneven_times(steps: ClockTimes, median_s: float, source: str, resample: bool) -> None:
     """Raise `BadRequest` for unevenly spaced times, unless resampling is requested."""
     percentiles = [5, 95]
     low, high = np.percentile(steps, percentiles)
@@ -296,7 +296,7 @@ def refuse_uneven_times(steps: ClockTimes, median_s: float, where: str, resample
         "data.step_s if the median is not its period"
     )
     is_even_enough = resample or spread <= WANDERS
-    require(is_even_enough, f"{where} (time)", median_s, problem, remedy)
+    require(is_even_enough, f"{source} (time)", median_s, problem, remedy)
 
 
 def interpolate_pieces(
@@ -341,7 +341,7 @@ def interpolate_pieces(
         remark += f"; data.jitter_tolerance={late + 0.01:.2f} numbers the rows instead"
     remarks = [*remarks, remark]
     rows = EvenRows(values=cut, starts=starts, step_s=period_s, remarks=remarks)
-    return cut_at_missing_values(rows)
+    return cut_pieces_at_missing_values(rows)
 
 
 def nearest_row_indices(clock: Instants, times: ClockTimes) -> Int[np.ndarray, "K"]:
@@ -369,7 +369,7 @@ def interpolate_column(
     return np.interp(clock, times, column)
 
 
-def cut_at_missing_values(pieces: EvenRows) -> EvenRows:
+def cut_pieces_at_missing_values(pieces: EvenRows) -> EvenRows:
     """Cut the pieces of a log where a value is missing, and leave out pieces of one or two rows."""
     cut: list[np.ndarray] = []
     starts: list[int] = []

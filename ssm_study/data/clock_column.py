@@ -42,15 +42,15 @@ UNREAD = "not read, column"  # of a clock whose cells are neither numbers nor da
 MOSTLY = 0.9  # share of steps in one direction, from which on a column is a clock out of order
 
 
-def stated_time_unit_s(title: str, stated: str) -> float | None:
+def stated_time_unit_s(title: str, stated_unit: str) -> float | None:
     """Length in seconds of the time unit that a column's title or unit states; None if no unit is
     stated.
 
     `time(ms)`, `time_ms`, `t [ms]`, `time ms`, `millis`. Raises `BadRequest` for a unit that is
     none of time.
     """
-    if stated:
-        trimmed_unit = stated.strip()
+    if stated_unit:
+        trimmed_unit = stated_unit.strip()
         unit = trimmed_unit.replace("µ", "μ")
         unit_word = unit.lower().rstrip(".")
         seconds = SECONDS.get(unit_word)
@@ -145,7 +145,7 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     first = next(titles, None)
     if first is None or first not in free or len(table.columns) < 2:
         return None
-    if not is_nameless(table, first):
+    if not has_no_title(table, first):
         return None
     times = table.columns[first]
     if not is_increasing(times) or are_row_numbers(times):
@@ -172,7 +172,7 @@ def dated_clock_of_another_span(table: Table, title: str, free: Sequence[str]) -
     return None
 
 
-def is_nameless(table: Table, title: str) -> bool:
+def has_no_title(table: Table, title: str) -> bool:
     """Whether a column has no title of its own in the log file."""
     return title == "" or table.nameless or title.startswith("Unnamed")
 
@@ -254,12 +254,12 @@ def clock_column_seconds(
     read = parse_calendar_numbers(title, times)
     if read is not None:
         return read[0], f"{words} ({read[1]}){after}"
-    if not is_stated and is_in_small_units(times):
+    if not is_stated and has_subsecond_unit(times):
         return times, f"{words} ({MAYBE_SMALLER}){after}"
     return times, f"{words} (no unit: seconds){after}"
 
 
-def is_in_small_units(times: ClockTimes) -> bool:
+def has_subsecond_unit(times: ClockTimes) -> bool:
     """Whether times are whole numbers whose spacing suggests a unit smaller than a second."""
     finite = times[np.isfinite(times)]
     steps = np.diff(finite)
@@ -271,12 +271,12 @@ def is_in_small_units(times: ClockTimes) -> bool:
     return period >= FEWEST_UNITS and period % 60 != 0
 
 
-def first_column_counts_rows(contents: Table) -> bool:
+def has_row_number_column(contents: Table) -> bool:
     """Whether the first column of a log has no title and contains the row numbers."""
     columns = contents.columns.items()
     title, times = next(iter(columns))
     column_count = len(contents.columns)
-    if column_count < 2 or not is_nameless(contents, title):
+    if column_count < 2 or not has_no_title(contents, title):
         return False
     if not np.isfinite(times).all():
         return False

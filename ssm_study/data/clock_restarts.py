@@ -43,7 +43,7 @@ def resample_experiments(
     time_s: Float[np.ndarray, "T"],
     values: Float[np.ndarray, "T c"],
     inputs: int,
-    where: str,
+    source: str,
     *,
     step_s: float | None,
     tolerance: float,
@@ -62,14 +62,14 @@ def resample_experiments(
     for a, b in pairwise(bounds):
         own_times = time_s[a:b]
         own_values = values[a:b]
-        rows = resample_to_even_clock(own_times, own_values, inputs, where, **settings)
+        rows = resample_to_even_clock(own_times, own_values, inputs, source, **settings)
         experiments.append(rows)
     if not restarts:
         return experiments[0]
-    return join_experiments(experiments, where)
+    return join_experiments(experiments, source)
 
 
-def join_experiments(experiments: Sequence[EvenRows], where: str) -> EvenRows:
+def join_experiments(experiments: Sequence[EvenRows], source: str) -> EvenRows:
     """Join the experiments of one log file, which have one sampling period, into one log of
     separate pieces."""
     steps_s = [experiment.step_s for experiment in experiments]
@@ -79,7 +79,7 @@ def join_experiments(experiments: Sequence[EvenRows], where: str) -> EvenRows:
     listing = ", ".join(f"{each:.4g}" for each in steps_s)
     problem = "its clock starts again, and the experiments have different sampling times"
     remedy = "put each experiment into a file of its own"
-    require(alike, f"{where} (time)", listing, problem, remedy)
+    require(alike, f"{source} (time)", listing, problem, remedy)
     values: list[np.ndarray] = []
     starts: list[int] = []
     end = 0

@@ -34,7 +34,7 @@ def unwrap_clock(times: Times, *, is_dated: bool) -> tuple[Times, str]:
         lowest = times.min()
         fits = lowest >= 0 and times.max() < size
         wrapped = steps[is_back] + size
-        if fits and is_back.any() and _is_one_period_long(wrapped, period).all():
+        if fits and is_back.any() and _one_period_mask(wrapped, period).all():
             turn_counts = np.cumsum(is_back)
             turns = np.concatenate([[0], turn_counts])
             bits = int(size).bit_length() - 1
@@ -47,7 +47,7 @@ def _undo_summer_time(times: Times, steps: Steps, period: float) -> tuple[Times,
     is_back = (steps <= 0) & (period <= HOUR_S)
     later = steps[is_back] + HOUR_S
     goes_back = is_back.any()
-    if not goes_back or not _is_one_period_long(later, period).all():
+    if not goes_back or not _one_period_mask(later, period).all():
         return times, ""
     hour_counts = np.cumsum(is_back)
     hours = np.concatenate([[0], hour_counts])
@@ -56,7 +56,7 @@ def _undo_summer_time(times: Times, steps: Steps, period: float) -> tuple[Times,
     return times + HOUR_S * hours, f"an hour stands twice at row {row}: end of summer time"
 
 
-def _is_one_period_long(steps: Steps, period: float) -> np.ndarray:
+def _one_period_mask(steps: Steps, period: float) -> np.ndarray:
     """For each time difference, whether it is as long as one sampling period."""
     deviation = np.abs(steps - period)
     return deviation <= NEAR * period

@@ -23,7 +23,7 @@ class ColumnFacts:
     held: float
     rows: int
 
-    def table_line(self) -> str:
+    def as_table_line(self) -> str:
         """Line of text on one column of a log: range, number of distinct values and missing
         values."""
         printed_name = self.name or "(no name)"

@@ -72,7 +72,7 @@ def dates_to_seconds(cells: list[str]) -> DateSeconds:
     most = len(cells) / 2
     has_hour = of_day["hour"].notna()
     if has_hour.sum() > most:
-        seconds = unwrap_midnight(seconds_since_midnight(of_day))
+        seconds = unwrap_times_of_day(seconds_since_midnight(of_day))
     elif of_watch["minute"].notna().sum() > most:
         seconds = seconds_since_midnight(of_watch)
     elif form is not None:
@@ -121,7 +121,7 @@ def seconds_since_midnight(parts: pd.DataFrame) -> DateSeconds:
     return valid_total.to_numpy(dtype=np.float64)
 
 
-def unwrap_midnight(seconds: DateSeconds) -> DateSeconds:
+def unwrap_times_of_day(seconds: DateSeconds) -> DateSeconds:
     """Correct times of day that continue past midnight, so that they never jump back by a day."""
     numbers = np.nan_to_num(seconds, nan=0.0)
     first_time = seconds[:1]
@@ -131,7 +131,7 @@ def unwrap_midnight(seconds: DateSeconds) -> DateSeconds:
     return seconds + DAY_S * days
 
 
-def numeric_dates_to_seconds(parts: pd.DataFrame, dotted: bool) -> DateSeconds:
+def numeric_dates_to_seconds(parts: pd.DataFrame, has_dots: bool) -> DateSeconds:
     """Convert dates given as three numbers to seconds since 1970, in the order of day, month and
     year that suits all dates."""
     time_of_day_s = seconds_since_midnight(parts)
@@ -140,7 +140,7 @@ def numeric_dates_to_seconds(parts: pd.DataFrame, dotted: bool) -> DateSeconds:
     shift = filled_zones.to_numpy(dtype=float)
     readings = []
     for order in ORDERS.values():
-        if dotted and order == "cab":
+        if has_dots and order == "cab":
             continue
         days = days_since_1970(parts, order)
         if days is not None:

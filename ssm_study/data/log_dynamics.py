@@ -275,10 +275,10 @@ def increment_regression_data(
     return np.stack(columns, axis=1), dy[LAGS:]
 
 
-def delayed_signal(values: Signal, lag: int, longest: int) -> Float[np.ndarray, "K"]:
+def delayed_signal(values: Signal, lag: int, longest_lag: int) -> Float[np.ndarray, "K"]:
     """Values of a signal delayed by a number of samples, cut to the length that the largest delay
     leaves."""
-    return values[longest - lag : len(values) - lag]
+    return values[longest_lag - lag : len(values) - lag]
 
 
 def feedback_error_reduction(u: Signal, y: Signal) -> float:

@@ -16,7 +16,7 @@ from ssm_study.data.clock import INTERPOLATED
 from ssm_study.data.clock_column import (
     clock_column_seconds,
     find_clock_column,
-    first_column_counts_rows,
+    has_row_number_column,
     is_evenly_spaced,
     resembles_clock,
 )
@@ -98,7 +98,7 @@ class LogLook:
     disturbed_command: str = ""
 
     def __str__(self) -> str:
-        lines = [f"{self.path.name}", *(column.table_line() for column in self.columns)]
+        lines = [f"{self.path.name}", *(column.as_table_line() for column in self.columns)]
         lines += skipped_column_lines(self.skipped)
         lines += [f"- {sentence}" for sentence in self.sentences]
         lines += ["", self.command]
@@ -108,8 +108,7 @@ class LogLook:
 
 
 def skipped_column_lines(skipped: dict[str, str]) -> list[str]:
-    """Lines of text on the columns of a log that were skipped, with the reasons. A long list is
-    shortened to columns with numbers."""
+    """Lines of text on the columns of a log that were skipped, shortened if there are many."""
     worth = skipped
     if len(skipped) > MOST_SKIPPED:
         long = [(name, why) for name, why in skipped.items() if "samples" in why]
@@ -120,7 +119,7 @@ def skipped_column_lines(skipped: dict[str, str]) -> list[str]:
 
 
 def refuse_wrong_types(path: object, step_s: object, settings: object) -> None:
-    """Raise `BadRequest` for a path, sampling period or settings of a wrong type."""
+    """Raise `BadRequest` for a path, period or settings of a wrong type."""
     is_path = isinstance(path, str | Path)
     require(is_path, "path", type(path).__name__, "is no path", "give the name of a file")
     is_number = isinstance(step_s, int | float) and not isinstance(step_s, bool)
@@ -183,9 +182,9 @@ def examine_log(path: Path, stated: LogSettings) -> LogLook:
         sentences += reading.sentences
         sentences += angle_sentences(table.columns, y)
         counters = [column.name for column in facts if is_counter(column, table)]
-        others = other_signal_names(facts, clock, (u, y, stated.disturbance))
+        others = possible_disturbance_names(facts, clock, (u, y, stated.disturbance))
         others = [name for name in others if name not in counters]
-        sentences += other_signal_sentences(others)
+        sentences += possible_disturbance_sentences(others)
     command = NO_SIGNALS if doubts else study_command(path, u, y, stated, reading, facts, sentences)
     return LogLook(
         path=path,
@@ -281,7 +280,7 @@ def set_point_sentences(
 
 def clock_column_name(table: Table) -> str | None:
     """Name of the column of a log that contains the times or the numbers of the rows."""
-    if first_column_counts_rows(table):
+    if has_row_number_column(table):
         return next(iter(table.columns))
     return find_clock_column(table, ())
 
@@ -317,7 +316,7 @@ def examine_signals(
     return LogReading(records=records, step_is_known=True, sentences=sentences)
 
 
-def other_signal_names(
+def possible_disturbance_names(
     facts: Sequence[ColumnFacts], clock: str | None, signals: Sequence[str | None]
 ) -> list[str]:
     """Names of the varying columns of a log other than input, output and time."""
@@ -328,7 +327,7 @@ def other_signal_names(
     return [name for name in moving if not is_set_point_title(name)]
 
 
-def other_signal_sentences(names: Sequence[str]) -> list[str]:
+def possible_disturbance_sentences(names: Sequence[str]) -> list[str]:
     """Sentence that lists the columns of a log that may be measured disturbances."""
     if not names:
         return []
@@ -344,7 +343,7 @@ def clock_sentences(table: Table, clock: str | None) -> list[str]:
     """Sentences on the time column and the sampling period of a log."""
     if clock is None or clock not in table.columns:
         return ["no clock found: give data.step_s in seconds, or name the column data.time"]
-    if first_column_counts_rows(table):
+    if has_row_number_column(table):
         return []
     time_s, words = clock_column_seconds(clock, table)
     steps = np.diff(time_s[np.isfinite(time_s)])

@@ -241,7 +241,7 @@ def _read_groups(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
     """Read the groups of signals and the metadata of an MCAP file, after checking that the file is
     complete."""
     records_by_type: dict[type, list[Any]] = defaultdict(list)
-    for record in iterate_records(path):
+    for record in iterate_mcap_records(path):
         records_by_type[type(record)].append(record)
     schemas = {schema.id: schema for schema in records_by_type[records.Schema]}
     channels = {channel.id: channel for channel in records_by_type[records.Channel]}
@@ -270,7 +270,7 @@ def _read_groups(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
     return numeric, metadata
 
 
-def iterate_records(path: Path) -> Iterator[records.McapRecord]:
+def iterate_mcap_records(path: Path) -> Iterator[records.McapRecord]:
     """Iterate over the records of an MCAP file, including those in compressed chunks. Raises
     `BadRequest` before more than `LARGEST` bytes are unpacked."""
     unpacked = 0

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from mcap import records
 
-from ssm_study.data.mcap import METADATA_NAME, iterate_records, read_mcap
+from ssm_study.data.mcap import METADATA_NAME, iterate_mcap_records, read_mcap
 
 
 def list_unread_contents(path: Path) -> list[str]:
@@ -21,7 +21,7 @@ def list_unread_contents(path: Path) -> list[str]:
     foreign = list[str]()
     channels = dict[int, str]()
     metadata = list[str]()
-    for record in iterate_records(path):
+    for record in iterate_mcap_records(path):
         if isinstance(record, records.Attachment):
             foreign.append(f"attachment {record.name}")
         elif isinstance(record, records.Metadata):

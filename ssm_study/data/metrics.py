@@ -39,7 +39,7 @@ COLUMNS = (
 )
 
 
-def data_columns(data: DataSet) -> dict[str, Any]:
+def data_set_columns(data: DataSet) -> dict[str, Any]:
     """Table columns that describe a data set: its origin and how well its inputs excite the
     plant."""
     disturbances = [channel.name for channel in data.disturbances]

@@ -10,13 +10,13 @@ from ssm_study.data.channel_names import Names, as_name_tuple, name_channels
 from ssm_study.data.clock import (
     EvenRows,
     count_log_samples,
-    cut_at_missing_values,
+    cut_pieces_at_missing_values,
     require_equal_period,
 )
 from ssm_study.data.clock_column import (
     clock_column_seconds,
     find_clock_column,
-    first_column_counts_rows,
+    has_row_number_column,
     refuse_backward_clock,
     refuse_clock_as_signal,
     unreadable_clock_remarks,
@@ -214,7 +214,7 @@ class Columns:
             if stated_s is not None:
                 require_equal_period(self.step_s, stated_s, path.name)
             rows = EvenRows(values=[values], starts=[0], step_s=period_s, remarks=[])
-            pieces = cut_at_missing_values(rows)
+            pieces = cut_pieces_at_missing_values(rows)
         else:
             pieces = resample_experiments(
                 time_s,
@@ -317,18 +317,18 @@ class Columns:
         title = find_clock_column(contents, signal_titles)
         if title is None or len(contents.columns[title]) != length:
             refuse_backward_clock(contents, signal_titles, file, is_stated=self.step_s is not None)
-            time_s, remarks = self._row_number_times(contents, length)
+            time_s, remarks = self._times_from_row_numbers(contents, length)
             return time_s, [*remarks, *unreadable_clock_remarks(contents)]
         time_s, words = clock_column_seconds(title, contents, is_stated=self.step_s is not None)
         return time_s, [words]
 
-    def _row_number_times(
+    def _times_from_row_numbers(
         self, contents: Table, length: int
     ) -> tuple[ClockTimes | None, list[str]]:
         """Times of a log whose first column has the row numbers instead of times. They are in
         seconds in a file without names (which the evidence doubts), None where the sampling time is
         given; refused otherwise."""
-        if not first_column_counts_rows(contents):
+        if not has_row_number_column(contents):
             return None, []
         if self.step_s is not None:
             return None, ["the first column counts rows"]

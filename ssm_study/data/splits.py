@@ -23,12 +23,12 @@ UNLIKE = 1.0
 
 
 def split_pieces(
-    log_pieces: Sequence[Trajectory], split_record: Callable[[Trajectory], Pieces], shortest: int
+    log_pieces: Sequence[Trajectory], split_record: Callable[[Trajectory], Pieces], min_samples: int
 ) -> Pieces:
     """Split a log that has gaps into training, validation and test as if it had none. Its samples
     are counted over the gaps.
 
-    Parts of a piece that are shorter than `shortest` samples are left out.
+    Parts of a piece that are shorter than `min_samples` samples are left out.
     """
     if len(log_pieces) == 1:
         return split_record(log_pieces[0])
@@ -36,12 +36,12 @@ def split_pieces(
     parts: Pieces = ([], [], [])
     for part, records in zip(parts, split_record(whole), strict=True):
         for record in records:
-            part += _cut_record_at_gaps(record, log_pieces, shortest)
+            part += _cut_record_at_gaps(record, log_pieces, min_samples)
     return parts
 
 
 def _cut_record_at_gaps(
-    record: Trajectory, log_pieces: Sequence[Trajectory], shortest: int
+    record: Trajectory, log_pieces: Sequence[Trajectory], min_samples: int
 ) -> list[Trajectory]:
     """Cut a record of a log at the gaps of the log."""
     stretches = []
@@ -50,7 +50,7 @@ def _cut_record_at_gaps(
         begin = record.first - start
         a = max(begin, 0)
         b = min(begin + len(record), len(piece))
-        if b - a >= shortest:
+        if b - a >= min_samples:
             stretches.append(piece[a:b])
         start += len(piece)
     return stretches

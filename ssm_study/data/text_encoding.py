@@ -67,7 +67,7 @@ def detect_code_page(content: bytes) -> str:
     readings = {
         "cp1251": all(is_cyrillic_word(word, "cp1251") for word in words),
         "cp866": all(is_cyrillic_word(word, "cp866") for word in words),
-        "gb18030": are_chinese_words(words) and not could_be_korean_words(words),
+        "gb18030": are_chinese_words(words) and not can_be_korean_words(words),
     }
     pages = [page for page, fits in readings.items() if fits]
     return pages[0] if words and len(pages) == 1 else "cp1252"
@@ -94,7 +94,7 @@ def are_chinese_words(words: list[bytes]) -> bool:
     return is_paired and is_known and frequent >= GB_MOSTLY * len(leads)
 
 
-def could_be_korean_words(words: list[bytes]) -> bool:
+def can_be_korean_words(words: list[bytes]) -> bool:
     """Whether byte pairs could be Korean syllables in the encoding EUC-KR."""
     return all(lead in KOREAN_SYLLABLES for word in words for lead in word[::2])
 

@@ -23,7 +23,7 @@ def count_phrase(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def may_be_header(row: list[str], columns: int, sample_rows: list[list[str]]) -> bool:
+def can_be_header(row: list[str], columns: int, sample_rows: list[list[str]]) -> bool:
     """Whether a row above the numbers of a text file can be the header, with one name for each
     column."""
     if len(row) == columns + 1:
@@ -70,7 +70,7 @@ def remove_repeated_header_lines(body: list[NumberedLine]) -> tuple[list[Numbere
     return lines, len(body) - len(lines)
 
 
-def remove_prose_below(
+def remove_prose_below_table(
     body: list[NumberedLine], separator: str, decimal: str, columns: int
 ) -> tuple[list[NumberedLine], int]:
     """Remove lines of prose below the last row of numbers of a text file, and count them.
@@ -100,15 +100,15 @@ def split_names_and_units(header_rows: list[list[str]]) -> tuple[list[str] | Non
         folded = map(normalise_header_cell, names)
         if any(cell in CLOCK_WORDS for cell in folded):
             below = header_rows[k + 1 : k + 2]
-            return names, parse_units(below, len(names))
+            return names, parse_unit_row(below, len(names))
     *before, last = header_rows
-    units = parse_units([last], len(before[-1])) if before else []
+    units = parse_unit_row([last], len(before[-1])) if before else []
     if before and are_possible_units(last, len(before[-1])):
         return before[-1], units
     return last, []
 
 
-def parse_units(rows: list[list[str]], columns: int) -> list[str]:
+def parse_unit_row(rows: list[list[str]], columns: int) -> list[str]:
     """Parse the row of units below the column names of a text file, if there is such a row."""
     if not rows or not are_possible_units(rows[0], columns):
         return []

@@ -17,12 +17,12 @@ from ssm_study.data.text_cells import MISSING, is_number, is_value, split_cells
 from ssm_study.data.text_encoding import decode_text
 from ssm_study.data.text_header import (
     NumberedLine,
+    can_be_header,
     count_phrase,
-    may_be_header,
     numbered_column_names,
     parse_names_in_comment,
     refuse_shifted_names,
-    remove_prose_below,
+    remove_prose_below_table,
     remove_repeated_header_lines,
     split_names_and_units,
 )
@@ -115,7 +115,7 @@ class SampledCells:
         spread = [split_cells(line, separator) for line in sample_lines(lines)]
         lengths = Counter(map(len, spread))
         columns = lengths.most_common(1)[0][0]
-        numeric = find_numeric_columns(spread, columns, decimal)
+        numeric = numeric_column_mask(spread, columns, decimal)
         return cls(first=first, spread=spread, decimal=decimal, columns=columns, numeric=numeric)
 
     def header_line_count(self) -> int | None:
@@ -164,7 +164,7 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
     remarks = [count_phrase(len(comments), "comment line")] if comments else []
     if repeats:
         remarks.append(f"the line of names {count_phrase(repeats, 'time')} more")
-    rows, prose = remove_prose_below(body[header.lines :], separator, decimal, cells.columns)
+    rows, prose = remove_prose_below_table(body[header.lines :], separator, decimal, cells.columns)
     below = [f"{count_phrase(prose, 'line')} of prose below"] if prose else []
     return TextLayout(
         separator=separator,
@@ -210,7 +210,7 @@ def read_header(path: Path, cells: SampledCells, length: int, has_header: bool |
     """Read column names and units from the lines above the numbers of a text file. Raises
     `BadRequest` for names where none are stated."""
     above = cells.first[:length]
-    titles = [row for row in above if may_be_header(row, cells.columns, cells.spread)]
+    titles = [row for row in above if can_be_header(row, cells.columns, cells.spread)]
     refuse_shifted_names(path, above, titles, cells.columns)
     names, units = split_names_and_units(titles)
     if names is not None and has_header is False:
@@ -281,7 +281,7 @@ def table_score(rows: list[list[str]], decimal: str) -> float:
     return count / len(rows) * share + 1e-3 * min(length, 20) * (share > 0.99)
 
 
-def find_numeric_columns(rows: list[list[str]], columns: int, decimal: str) -> list[bool]:
+def numeric_column_mask(rows: list[list[str]], columns: int, decimal: str) -> list[bool]:
     """For each column of a text file, whether at least nine in ten sampled cells contain a value. A
     column of missing values does not count."""
     regular = [row for row in rows if len(row) == columns]

@@ -167,9 +167,9 @@ class BilinearProblem:
         zero_rows = np.tile(at_zero, (len(self.nodes), 1))
         return np.eye(node_count) - zero_rows
 
-    def model(self, parts: FitParameters, scale: Scale, step_s: float) -> Bilinear:
-        """Bilinear model in physical units, built from the parameters of the fit. The offset of the
-        output moves its equilibrium."""
+    def build_model(self, parts: FitParameters, scale: Scale, step_s: float) -> Bilinear:
+        """Build the bilinear model in physical units from the parameters of the fit. The offset of
+        the output moves its equilibrium."""
         moved_by = scale.output_scale * parts.offset
         moved = scale.output_equilibrium + moved_by
         state_matrices = self.state_matrices(parts)

@@ -73,7 +73,7 @@ class BilinearSpec(SolvedSpec):
             spread = SPREAD if start else 0.0
             try:
                 parts = problem_of_fit.initial_parameters(rng, spread)
-                candidate = self._fit_from(problem_of_fit, parts, data)
+                candidate = self._fit_from_initial_parameters(problem_of_fit, parts, data)
                 candidates.append(candidate)
             except np.linalg.LinAlgError:  # the records do not excite as many states
                 continue
@@ -81,12 +81,12 @@ class BilinearSpec(SolvedSpec):
         require(candidates, "model.order", self.order, problem, "use fewer states")
         return max(candidates, key=lambda model: validation_fit_percent(model, data))
 
-    def _fit_from(
+    def _fit_from_initial_parameters(
         self, problem: "BilinearProblem", parts: "FitParameters", data: DataSet
     ) -> Bilinear:
         """Fit a bilinear model from given initial parameters."""
         fitted = problem.minimise(parts, self.steps)
-        return problem.model(fitted, data.scale, data.step_s)
+        return problem.build_model(fitted, data.scale, data.step_s)
 
 
 def validation_fit_percent(model: Bilinear, data: DataSet) -> float:

@@ -123,15 +123,15 @@ def _slack_cholesky_factor(e: Float[np.ndarray, "n q"]) -> Float[np.ndarray, "q 
     return np.linalg.cholesky(2.0 * identity - squared_e)
 
 
-def parameters_from_matrices(core: RecurrenceMatrices, rate: float) -> FreeParameters:
+def parameters_from_matrices(matrices: RecurrenceMatrices, rate: float) -> FreeParameters:
     """Unconstrained parameters that reproduce the matrices of a given contracting recurrence. The
     inverse of `matrices_from_parameters` with `d = 1`; `LinAlgError` where the LMI does not hold
     with `M = I, Lambda = I`."""
-    e = core.e / np.sqrt(2.0)
-    root = _slack_cholesky_factor(core.e)
-    through_neurons = core.e.T @ core.a
-    gh = np.linalg.solve(root, core.f + through_neurons)  # from F = R Gh - E'A
-    rows = [core.a, gh]
+    e = matrices.e / np.sqrt(2.0)
+    root = _slack_cholesky_factor(matrices.e)
+    through_neurons = matrices.e.T @ matrices.a
+    gh = np.linalg.solve(root, matrices.f + through_neurons)  # from F = R Gh - E'A
+    rows = [matrices.a, gh]
     stacked = np.vstack(rows)
     x_e = _invert_cayley_contraction(e)
     x_g = _invert_cayley_contraction(stacked / rate)
@@ -140,33 +140,34 @@ def parameters_from_matrices(core: RecurrenceMatrices, rate: float) -> FreeParam
 
 
 def project_to_contracting(
-    core: RecurrenceMatrices, slope: Float[np.ndarray, "q"], rate: float
+    matrices: RecurrenceMatrices, slope: Float[np.ndarray, "q"], rate: float
 ) -> ContractingRecurrence:
     """Change the matrices of a recurrence with neurons just so far that it contracts at a given
-    rate. It is the first on a path from `core` that does; `slope` is the neurons' average slope.
+    rate. It is the first on a path from `matrices` that does; `slope` is the neurons' average
+    slope.
 
     Along the path E shrinks while A takes over what the neurons did on average, `A + E diag(slope)
     F`, which is itself pulled inside `rate` first: at the end of the path no neuron is left. Raises
     `BadRequest` where floats hold none.
     """
-    scaled_e = core.e * slope
-    mean = scaled_e @ core.f  # what the neurons add to A on average
-    mean_matrix = core.a + mean
+    scaled_e = matrices.e * slope
+    mean = scaled_e @ matrices.f  # what the neurons add to A on average
+    mean_matrix = matrices.a + mean
     eigenvalues = np.linalg.eigvals(mean_matrix)
     moduli = np.abs(eigenvalues)
     radius = float(moduli.max(initial=0.0))
     positive_radius = max(radius, 1e-12)
     shrinkage = PULLED * rate / positive_radius
     pulled = min(1.0, shrinkage)
-    average = pulled * (core.a + mean)
+    average = pulled * (matrices.a + mean)
     low = 0.0
     high = 1.0
     share = 1.0
     contracting = None
     for _ in range(HALVINGS):
         shifted_a = average - share * mean
-        shrunk_e = share * core.e
-        on_path = RecurrenceMatrices(a=shifted_a, e=shrunk_e, f=core.f)
+        shrunk_e = share * matrices.e
+        on_path = RecurrenceMatrices(a=shifted_a, e=shrunk_e, f=matrices.f)
         trial = find_contraction_metric(on_path, rate)
         if trial is None:
             high = share
@@ -177,8 +178,8 @@ def project_to_contracting(
             break
         share = 0.5 * (low + high)
     if contracting is None:
-        no_e = 0.0 * core.e
-        without_neurons = RecurrenceMatrices(a=average, e=no_e, f=core.f)
+        no_e = 0.0 * matrices.e
+        without_neurons = RecurrenceMatrices(a=average, e=no_e, f=matrices.f)
         contracting = find_contraction_metric(without_neurons, rate)
     if contracting is None:
         problem = "the linear part of the model does not contract at this rate"
@@ -186,7 +187,9 @@ def project_to_contracting(
     return contracting
 
 
-def find_contraction_metric(core: RecurrenceMatrices, rate: float) -> ContractingRecurrence | None:
+def find_contraction_metric(
+    matrices: RecurrenceMatrices, rate: float
+) -> ContractingRecurrence | None:
     """Find a metric in which a recurrence with neurons contracts at a given rate; None if the
     search finds none. The metric is M and Lambda.
 
@@ -194,10 +197,10 @@ def find_contraction_metric(core: RecurrenceMatrices, rate: float) -> Contractin
     F/2)/r`, `B = E Lambda^{-1/2}/2`, `C = Lambda^{1/2} F/r`; Lambda balances the rows and columns
     of its largest entries over the frequencies (Osborne 1960), `2 M` solves the Riccati equation.
     """
-    mean_neurons = core.e @ core.f / 2.0
-    a = (core.a + mean_neurons) / rate
-    b = core.e / 2.0
-    c = core.f / rate
+    mean_neurons = matrices.e @ matrices.f / 2.0
+    a = (matrices.a + mean_neurons) / rate
+    b = matrices.e / 2.0
+    c = matrices.f / rate
     eigenvalues = np.linalg.eigvals(a)
     moduli = np.abs(eigenvalues)
     if moduli.max(initial=0.0) >= 1.0:
@@ -223,7 +226,7 @@ def find_contraction_metric(core: RecurrenceMatrices, rate: float) -> Contractin
         else:
             p = scipy.linalg.solve_discrete_lyapunov(a.T, weight)
         half_metric_factor = np.linalg.cholesky(p / 2.0)
-        contracting = ContractingRecurrence(core, half_metric_factor.T, d)
+        contracting = ContractingRecurrence(matrices, half_metric_factor.T, d)
         parameters_from_matrices(transform_to_metric(contracting), rate)
     except (np.linalg.LinAlgError, ValueError):  # the gain is one or more: there is no solution
         return None

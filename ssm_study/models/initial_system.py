@@ -24,7 +24,7 @@ Pairs = Sequence[Record]  # their lengths may differ
 
 
 @dataclass(frozen=True, kw_only=True)
-class Initialisation:
+class InitialLinearSystem:
     """Linear system in modal form with which the training of a recurrence begins.
 
     `y = Re(c_r x_r) + 2 Re(c_c x_c) + d u`: the factor two of the pairs is not in `c`.
@@ -56,7 +56,7 @@ def draw_modes_on_ring(
     frequency: Range,
     channels: tuple[int, int],
     rng: np.random.Generator,
-) -> Initialisation:
+) -> InitialLinearSystem:
     """Draw a random stable linear system whose eigenvalues lie in a ring inside the unit circle.
     Radii are uniform in area between the two given, angles uniform in `frequency` (rad per sample);
     gains are small and random.
@@ -83,7 +83,7 @@ def draw_modes_on_ring(
     b[:real_modes].imag = 0.0
     c[:, :real_modes].imag = 0.0
     no_feedthrough = np.zeros((p, m))
-    return Initialisation(modes=modes, b=b, c=c, d=no_feedthrough)
+    return InitialLinearSystem(modes=modes, b=b, c=c, d=no_feedthrough)
 
 
 def draw_complex_normal(
@@ -98,7 +98,7 @@ def draw_complex_normal(
 
 def estimate_initial_system(
     records: Pairs, order: int, rng: np.random.Generator, feedthrough: bool
-) -> Initialisation:
+) -> InitialLinearSystem:
     """Estimate the linear system with which training begins from the training records, by ARX and
     balanced realisation. ARX by least squares over all records, its impulse response, a balanced
     realisation of it, its modes.
@@ -117,7 +117,7 @@ def estimate_initial_system(
         arx_matrices = fit_arx_matrices(records, lags, feedthrough)
         response = arx_impulse_response(*arx_matrices)
         realised = realise_impulse_response(response, order, rng)
-        start = modal_initialisation(realised)
+        start = modal_initial_system(realised)
         share = output_regression_coefficient(start, records)
         if share >= LEAST_SHARE:
             return start
@@ -126,7 +126,7 @@ def estimate_initial_system(
     return replace(start, c=c, d=d)
 
 
-def output_regression_coefficient(start: Initialisation, records: Pairs) -> float:
+def output_regression_coefficient(start: InitialLinearSystem, records: Pairs) -> float:
     """Coefficient of the regression of the measured output on the simulated output of an initial
     linear system. `<y, ys> / <ys, ys>` of the free runs `ys` from rest: half or more if these are
     nearer to `y` than zero is."""
@@ -242,7 +242,7 @@ def realise_impulse_response(
     return StateSpace(a=a, b=b, c=c, d=h[0])
 
 
-def modal_initialisation(system: StateSpace) -> Initialisation:
+def modal_initial_system(system: StateSpace) -> InitialLinearSystem:
     """Initial linear system in modal form with the eigenvalues of a given system, moved inside the
     unit circle. Real ones come first, then one of each pair; `b`, `c` are in eigenvector
     coordinates."""
@@ -258,7 +258,7 @@ def modal_initialisation(system: StateSpace) -> Initialisation:
     indices = np.concatenate([real, upper])
     modes = values[indices].astype(complex)
     modal_output_map = c[:, indices]
-    return Initialisation(modes=modes, b=b[indices], c=modal_output_map, d=system.d)
+    return InitialLinearSystem(modes=modes, b=b[indices], c=modal_output_map, d=system.d)
 
 
 def stabilise_eigenvalues(values: Inexact[np.ndarray, "n"]) -> Inexact[np.ndarray, "n"]:

@@ -159,7 +159,7 @@ class Simulation:
         return all_measured, all_simulated
 
 
-def size_columns(model: Simulator) -> dict[str, Any]:
+def model_size_columns(model: Simulator) -> dict[str, Any]:
     """Table columns on the size of a model, such as its numbers of states and neurons. They may
     differ from the configuration, where folds chose the size."""
     if not isinstance(model, StructuredSSM):

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.models.initial_system import (
-    Initialisation,
+    InitialLinearSystem,
     Pairs,
     Range,
     draw_modes_on_ring,
@@ -133,7 +133,7 @@ class SSMSpec(ModelSpec):
         slopes = (self.slope_lower, self.slope_upper)
         return MapContext(width=self.hidden_width, slopes=slopes, samples=samples)
 
-    def _initial_system(self, records: Pairs, rng: np.random.Generator) -> Initialisation:
+    def _initial_system(self, records: Pairs, rng: np.random.Generator) -> InitialLinearSystem:
         """Linear system with which the training begins, estimated or drawn at random."""
         if self.start == "data":
             return estimate_initial_system(records, self.order, rng, self.feedthrough)

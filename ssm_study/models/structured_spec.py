@@ -278,7 +278,7 @@ class StructuredSpec(ModelSpec):
         return tuple(automatic)
 
     @property
-    def training_count(self) -> int:
+    def training_run_count(self) -> int:
         """Number of training runs from different initial parameters that the settings require. It
         is `starts`, one more with `among_starts`, and at least as many as `members` need."""
         has_extra_start = self.among_starts is not None
@@ -295,7 +295,7 @@ class StructuredSpec(ModelSpec):
             return self
         whole_order = int(self.order) + 1
         half = replace(self, order=whole_order // 2)
-        if run == self.training_count - 1:
+        if run == self.training_run_count - 1:
             return replace(half, neurons=0, integrating_output=False)
         return half if run % 2 else self
 

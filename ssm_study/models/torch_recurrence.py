@@ -157,13 +157,13 @@ def _as_complex(table: Real2) -> Complex2:
 
 
 def _toeplitz_table(
-    d: Float[Tensor, "p m"], read: Float[Tensor, "kp n2"], b: Float[Tensor, "m n2"]
+    d: Float[Tensor, "p m"], output_maps: Float[Tensor, "kp n2"], b: Float[Tensor, "m n2"]
 ) -> Tensor:
     """Block Toeplitz matrix of an impulse response. `T[(j, input), (k, output)] = g[output, input,
     k - j]`."""
     p, m = d.shape
     before = d.new_zeros(CHUNK - 1, p, m)
-    response = read[:-p] @ b.mT
+    response = output_maps[:-p] @ b.mT
     after = response.view(-1, p, m)
     whole_response = [before, d[None], after]
     g = torch.cat(whole_response)

@@ -16,7 +16,7 @@ from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
 
 if TYPE_CHECKING:
-    from ssm_study.models.initial_system import Initialisation
+    from ssm_study.models.initial_system import InitialLinearSystem
 
 FEW_LEVELS = 8  # mean hold from which evaluating once per level beats the sorted evaluation
 
@@ -134,7 +134,9 @@ class LRU(nn.Module):
     flip: Tensor
     pairs: Tensor
 
-    def __init__(self, start: "Initialisation", feedthrough: bool, disturbances: int = 0) -> None:
+    def __init__(
+        self, start: "InitialLinearSystem", feedthrough: bool, disturbances: int = 0
+    ) -> None:
         super().__init__()
         modes = torch.from_numpy(start.modes)
         moduli = modes.abs()

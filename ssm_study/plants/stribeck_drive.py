@@ -86,12 +86,12 @@ class StribeckDrive(Plant):
         for _ in range(self.substeps):
             torque = self.torque_constant_nm_per_a * i - self.viscous_nms_per_rad * w - d[:, 0]
             frictionless = w + (h / self.inertia_kgm2) * torque
-            friction = (h / self.inertia_kgm2) * self.friction_nm(w)
+            friction = (h / self.inertia_kgm2) * self.friction_torque_nm(w)
             w = np.sign(frictionless) * np.maximum(np.abs(frictionless) - friction, 0.0)
             i = drive + (i - drive) * keep  # exact over the substep
         return np.stack([i, w], axis=1)
 
-    def friction_nm(self, w: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
+    def friction_torque_nm(self, w: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
         """Magnitude of the Stribeck friction torque, in N m, at a given speed. It is `Fs` at rest
         and falls to `Fc`."""
         extra = self.static_torque_nm - self.coulomb_torque_nm

@@ -24,7 +24,7 @@ from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import Rollouts, replay_error
 from ssm_study.loop.textbook_pi import textbook_pi_columns
 from ssm_study.models.members import NAMES, member_columns
-from ssm_study.models.metrics import Simulation, fit_columns, size_columns
+from ssm_study.models.metrics import Simulation, fit_columns, model_size_columns
 from ssm_study.models.warm_start import choose_initial_state_source, initial_state_columns
 from ssm_study.signals import DataSet
 from ssm_study.study.design_claims import check_certificate
@@ -132,7 +132,7 @@ def check_records(run: RunFiles) -> Claims:
 def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
     """Check the recorded values and recordings that are computed from the data set of a run."""
     with warnings.catch_warnings(action="ignore"):  # the warning is a column
-        yield DerivedColumns(data_metrics.data_columns(records))
+        yield DerivedColumns(data_metrics.data_set_columns(records))
     yield DerivedColumns(
         {"fit_train_percent": records_fit_percent(run.model, records.training, records)}
     )
@@ -214,7 +214,7 @@ def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[
 def check_model(run: RunFiles) -> Claims:
     """Check the proved properties of the stored model of a run, and its sampling time."""
     if run.has_certifiable_model:
-        yield DerivedColumns(model_bound_columns(run.model) | size_columns(run.model))
+        yield DerivedColumns(model_bound_columns(run.model) | model_size_columns(run.model))
         steps = run.model.step_s, run.simulated.validation.records[0].step_s
         yield check_agreement(
             "model.json step_s", {"step_s": steps}, ONE_FORMULA, "that of the records"

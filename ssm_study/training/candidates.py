@@ -124,9 +124,9 @@ class Candidate:
         fails = bool(largest_error >= LARGEST_ERROR > other.errors.max())
         return fails and not other.fits_far_worse_than(self)
 
-    def table_row(self, *, chosen: bool, certified: bool | None) -> Row:
+    def table_row(self, *, is_chosen: bool, is_certified: bool | None) -> Row:
         """Row of the table of candidates: settings, cross-validation error, and whether the
-        candidate was chosen. `certified` is None if that was not examined."""
+        candidate was chosen. `is_certified` is None if that was not examined."""
         fits = 100.0 - self.errors
         row: Row = {"question": self.question, "model": self.model, **self.settings}
         mean_fit = fits.mean()
@@ -138,8 +138,8 @@ class Candidate:
         row["fit_training_percent"] = 100.0 - self.training_error
         row["folds"] = len(fits)
         row["piece_start"] = self.start
-        row["certified"] = certified
-        row["chosen"] = chosen
+        row["certified"] = is_certified
+        row["chosen"] = is_chosen
         return row
 
     @property
@@ -238,7 +238,7 @@ class CandidateErrors:
         return np.array(errors_of_kind)
 
 
-def try_linear_model(
+def cross_validate_linear_model(
     folds: Sequence[DataSet], order: int, delay: int, kind: str = LINEAR
 ) -> CandidateErrors:
     """Fit a linear model on every cross-validation fold, and compute its errors on the held-out
@@ -247,13 +247,15 @@ def try_linear_model(
     for fold in folds:
         part = fold.shift_out_dead_time(delay - 1) if delay > 1 else fold
         with np.errstate(all="ignore"):
-            model = fit_linear_model(part, order, direct=delay == 0, kind=kind)
+            model = fit_linear_model(part, order, has_feedthrough=delay == 0, kind=kind)
             fit_training = records_fit_percent(model, part.training, part)
             trial.add_fold(model, part, 100.0 - fit_training)
     return trial
 
 
-def fit_linear_model(data: DataSet, order: int, *, direct: bool, kind: str = LINEAR) -> SSM:
+def fit_linear_model(
+    data: DataSet, order: int, *, has_feedthrough: bool, kind: str = LINEAR
+) -> SSM:
     """Fit a linear output-error or ARX model to the training records, as a state-space model. `x+ =
     A x + B u + B_d d, y = C x + D u`.
 
@@ -261,18 +263,18 @@ def fit_linear_model(data: DataSet, order: int, *, direct: bool, kind: str = LIN
     would start from as many noisy outputs as it has lags. Measured disturbances are further inputs
     of the recursion, from one sample before on.
     """
-    records = delay_disturbances(data) if direct else data
+    records = delay_disturbances(data) if has_feedthrough else data
     fit_recursion = FIT_RECURSION[kind]
     records_with_inputs = records.with_disturbances_as_inputs()
-    delay = 0 if direct else 1
+    delay = 0 if has_feedthrough else 1
     model = fit_recursion(records_with_inputs, order, delay)
     f = model.theta[1 : order + 1]
     input_coefficients = model.theta[order + 1 :]
     both = input_coefficients.reshape(-1, order).T  # (lags, inputs and disturbances)
     input_count = data.scale.inputs
     gains = both[:, :input_count]
-    d = gains[:1] if direct else np.zeros((1, gains.shape[1]))
-    by_lag = np.concatenate([gains[1:], 0.0 * d]) if direct else gains
+    d = gains[:1] if has_feedthrough else np.zeros((1, gains.shape[1]))
+    by_lag = np.concatenate([gains[1:], 0.0 * d]) if has_feedthrough else gains
     a = np.eye(order, k=1)
     a[:, 0] = f
     scaled_constant = data.scale.output_scale * model.theta[0]
@@ -317,7 +319,7 @@ def delay_disturbance(record: Trajectory) -> Trajectory:
     return replace(record, d=late)
 
 
-def try_structured_model(
+def cross_validate_structured_model(
     spec: StructuredSpec, folds: Sequence[DataSet], seed: int, best: Candidate | None
 ) -> CandidateErrors:
     """Train a structured model briefly on every cross-validation fold, and compute its errors on

@@ -33,13 +33,13 @@ def choose_delay(search: SettingsSearch, data: DataSet) -> None:
     if search.is_undecided("dead_time"):
         late = lag is not None and lag >= LATE and search.spec.feedthrough is not True
         values = (0, lag - 1) if lag is not None and late else (0,)
-        choose_between_two(search, "dead time", "dead_time", values, DELAY_GAIN)
+        choose_between_two_values(search, "dead time", "dead_time", values, DELAY_GAIN)
     if search.is_undecided("feedthrough"):
         values = (False, True) if lag is None or lag < LATE - 1 else (False,)
-        choose_between_two(search, "direct path", "feedthrough", values, DIRECT_GAIN)
+        choose_between_two_values(search, "direct path", "feedthrough", values, DIRECT_GAIN)
 
 
-def choose_between_two(
+def choose_between_two_values(
     search: SettingsSearch, question: str, name: str, values: Sequence[object], gain: float
 ) -> None:
     """Choose the second of two values of a setting if it reduces the cross-validation error by
@@ -83,7 +83,7 @@ def choose_integrator(search: SettingsSearch, data: DataSet) -> None:
         neurons = search.spec.neurons
         tried = neurons != 0 and is_nearly_integrating(data)
         values = (False, True) if tried else (False,)
-        choose_between_two(search, "integrator", "integrating_output", values, DELAY_GAIN)
+        choose_between_two_values(search, "integrator", "integrating_output", values, DELAY_GAIN)
 
 
 def is_nearly_integrating(data: DataSet) -> bool:
@@ -97,7 +97,7 @@ def is_nearly_integrating(data: DataSet) -> bool:
         return False
     with np.errstate(all="ignore"):
         all_records = join_training_and_validation(data)
-        slow_model = fit_linear_model(all_records, SLOW_ORDER, direct=False)
+        slow_model = fit_linear_model(all_records, SLOW_ORDER, has_feedthrough=False)
         system = slow_model.system_with_disturbances
         modes, vectors = np.linalg.eig(system.a)
         modal_outputs = system.c @ vectors
@@ -125,4 +125,4 @@ def choose_input_path(search: SettingsSearch) -> None:
         search.decided["input_path"] = "none"
         return
     paths = ("none", "free")
-    choose_between_two(search, "input path", "input_path", paths, DELAY_GAIN)
+    choose_between_two_values(search, "input path", "input_path", paths, DELAY_GAIN)

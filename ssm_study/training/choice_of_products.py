@@ -36,7 +36,7 @@ def choose_bilinear_model(search: SettingsSearch, data: DataSet) -> BilinearSpec
     others = [*search.tried]
     if not (others and can_try_bilinear_model(search, data)):
         return None
-    candidates = [try_bilinear_model(search, order, nodes) for order, nodes in SIZES]
+    candidates = [cross_validate_bilinear_model(search, order, nodes) for order, nodes in SIZES]
     best = min(candidates, key=lambda candidate: candidate.mean_error_percent)
     are_worse = (other.is_clearly_worse(best, PRODUCTS_GAIN) for other in others)
     if not all(are_worse):
@@ -62,7 +62,7 @@ def can_try_bilinear_model(search: SettingsSearch, data: DataSet) -> bool:
     return is_simple and is_undecided and is_alone and lacks_nothing
 
 
-def try_bilinear_model(search: SettingsSearch, order: int, nodes: int) -> Candidate:
+def cross_validate_bilinear_model(search: SettingsSearch, order: int, nodes: int) -> Candidate:
     """Fit a bilinear model on every cross-validation fold, and compute its errors on the held-out
     parts."""
     spec = BilinearSpec(order=order, nodes=nodes, starts=1, steps=FOLD_STEPS)

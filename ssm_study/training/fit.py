@@ -371,15 +371,17 @@ class Fit(pl.LightningModule):
 
 
 @torch.no_grad()
-def simulate_window_starts(model: TorchModel, records: TrainingBatch, cut: RecordWindows) -> States:
+def simulate_window_starts(
+    model: TorchModel, records: TrainingBatch, windows: RecordWindows
+) -> States:
     """Initial state of each training window, from a simulation of the whole records. Shooting then
     begins without defects.
 
     Records start at rest too: an estimate by the untrained model is far off in slow modes, and
     traps the optimiser.
     """
-    states = records.u.new_zeros(len(cut.pieces), model.states)
-    for later in cut.continuing_windows:
+    states = records.u.new_zeros(len(windows.pieces), model.states)
+    for later in windows.continuing_windows:
         window = records.u[later - 1 : later]
         start = states[later - 1 : later]
         advanced = model.advance(window, start)

@@ -60,12 +60,12 @@ def gain_shortfall(matrices: KernelMatrices, least_fraction: float) -> Float[np.
 def jacobian_by_differences(
     residuals: Callable[[Float[np.ndarray, "P"]], Float[np.ndarray, "V"]],
     flat: Float[np.ndarray, "P"],
-    present: Float[np.ndarray, "V"],
+    current: Float[np.ndarray, "V"],
     moving_indices: Shaped[np.ndarray, "M"],
 ) -> Float[np.ndarray, "V P"]:
     """Jacobian of a residual vector with respect to some of its parameters, by central
     differences."""
-    residual_count = len(present)
+    residual_count = len(current)
     parameter_count = len(flat)
     slopes = np.zeros((residual_count, parameter_count))
     for i in moving_indices:

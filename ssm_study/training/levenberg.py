@@ -62,12 +62,12 @@ def levenberg_marquardt_step(
     return None, loss, damping
 
 
-def damping_factor(gained: float, expected: float) -> float:
+def damping_factor(actual_decrease: float, expected_decrease: float) -> float:
     """Factor that updates the Levenberg-Marquardt damping after a step, from the actual and the
     expected decrease of the loss."""
-    if gained > 0.75 * expected:
+    if actual_decrease > 0.75 * expected_decrease:
         return 0.3
-    return 1.0 if gained > 0.25 * expected else 2.0
+    return 1.0 if actual_decrease > 0.25 * expected_decrease else 2.0
 
 
 class LevenbergMarquardt(torch.optim.Optimizer):

@@ -18,9 +18,9 @@ from ssm_study.training.candidates import (
     Row,
     Settings,
     best_candidate,
+    cross_validate_linear_model,
+    cross_validate_structured_model,
     train_further,
-    try_linear_model,
-    try_structured_model,
 )
 from ssm_study.training.folds import FOLDS, SHORTEST_FOLD
 
@@ -47,11 +47,12 @@ class SettingsChoice:
     others: tuple[StructuredSpec, ...] = ()
     predictor: BilinearSpec | None = None
 
-    def describe(self, automatic: Sequence[str]) -> str:
+    def describe(self, automatic_settings: Sequence[str]) -> str:
         """Text on the model settings that were chosen from the records, and from how many
         candidates."""
         settings = ", ".join(
-            f"{setting_text(name)} {setting_text(getattr(self.spec, name))}" for name in automatic
+            f"{setting_text(name)} {setting_text(getattr(self.spec, name))}"
+            for name in automatic_settings
         )
         if not self.rows:
             return f"nothing, {TOO_SHORT}; the defaults: {settings}" if settings else ""
@@ -96,7 +97,7 @@ class SettingsSearch:
         if tried is not None:
             return tried
         best = best_candidate(self.tried) if self.tried else None
-        trial = try_structured_model(spec, self.folds, self.seed, best)
+        trial = cross_validate_structured_model(spec, self.folds, self.seed, best)
         return self.add_candidate(question, STRUCTURED, settings, trial)
 
     def complete_settings(self, settings: Settings) -> StructuredSpec:
@@ -119,7 +120,7 @@ class SettingsSearch:
         tried = self.find_candidate(kind, settings)
         if tried is not None:
             return tried
-        trial = try_linear_model(self.folds, order, delay, kind)
+        trial = cross_validate_linear_model(self.folds, order, delay, kind)
         return self.add_candidate(question, kind, settings, trial)
 
     def setting_value(self, name: str) -> Any:
@@ -167,19 +168,19 @@ class SettingsSearch:
         return self.add_candidate("longer training", STRUCTURED, candidate.settings, trial)
 
     def add_candidate(
-        self, question: str, model: str, settings: Settings, trial: CandidateErrors
+        self, question: str, model: str, settings: Settings, errors: CandidateErrors
     ) -> Candidate:
         """Add a candidate to those tried so far, and print its cross-validation error."""
-        median_error = np.median(trial.training_errors)
+        median_error = np.median(errors.training_errors)
         training_error = float(median_error)
-        fits = tuple(trial.fits)
+        fits = tuple(errors.fits)
         candidate = Candidate(
             question=question,
             model=model,
             settings=settings,
-            errors=trial.errors,
-            start=trial.best_start_kind,
-            example=trial.example,
+            errors=errors.errors,
+            start=errors.best_start_kind,
+            example=errors.example,
             training_error=training_error,
             fits=fits,
         )
@@ -235,7 +236,7 @@ class SettingsSearch:
         for candidate in self.tried:
             is_chosen = any(candidate is other for other in chosen)
             is_certified = self.certified.get(id(candidate))
-            row = candidate.table_row(chosen=is_chosen, certified=is_certified)
+            row = candidate.table_row(is_chosen=is_chosen, is_certified=is_certified)
             rows.append(row)
         return tuple(rows)
 

@@ -163,7 +163,7 @@ class StructuredFit(pl.LightningModule):
         """Names of the parameter blocks of a structured model that training changes."""
         rate = self.spec.rate
         core = CORE if rate is None else FREE_CORE
-        return self._phase_blocks(core, self.spec.input_path != "none")
+        return self._phase_block_names(core, self.spec.input_path != "none")
 
     def _store_descent(self, state: DescentState) -> None:
         """Store parameters, loss and damping of the training in the module's buffers."""
@@ -232,16 +232,16 @@ class StructuredFit(pl.LightningModule):
         has_input_path = spec.input_path == "free"
         free = replace(short, rate=None)
         theta = add_random_neurons(free, theta, int(spec.neurons), rng)
-        unconstrained = self._phase_blocks(CORE, has_input_path)
+        unconstrained = self._phase_block_names(CORE, has_input_path)
         drawn = minimise_simulation_error(free, theta, unconstrained, spec.start_steps[2])
         if spec.rate is None:
             return drawn
         rate = float(spec.rate)
         theta = contracting_initial_parameters(free, drawn.theta, rate)
-        constrained = self._phase_blocks(FREE_CORE, has_input_path)
+        constrained = self._phase_block_names(FREE_CORE, has_input_path)
         return minimise_simulation_error(short, theta, constrained, RACE)
 
-    def _phase_blocks(self, core: tuple[str, ...], input_path: bool) -> tuple[str, ...]:
+    def _phase_block_names(self, core: tuple[str, ...], input_path: bool) -> tuple[str, ...]:
         """Names of the parameter blocks that are changed in one phase of the initial training."""
         spec = self.spec
         is_open = {

@@ -217,15 +217,15 @@ class SimulationProblem:
         return all_changes.T
 
     def _derivatives_by_initial_states(
-        self, own: Float[np.ndarray, "N T p n"]
+        self, record_derivatives: Float[np.ndarray, "N T p n"]
     ) -> Float[np.ndarray, "N T p _"]:
         """Derivatives of the simulated outputs with respect to the initial states of all records.
         Each affects its own record; with `integrating_output` the initial sum does, too."""
-        count, samples, p, n = own.shape
+        count, samples, p, n = record_derivatives.shape
         width = n + p * self.integrating_output
         whole = np.zeros((count, samples, p, count, width))
         for record in range(count):
-            whole[record, :, :, record, :n] = own[record]
+            whole[record, :, :, record, :n] = record_derivatives[record]
             if self.integrating_output:
                 whole[record, :, :, record, n:] = np.eye(p)
         return whole.reshape(count, samples, p, -1)
@@ -349,12 +349,12 @@ def minimise_simulation_error(
     return at
 
 
-def has_converged(before: float, after: float, damping: float) -> bool:
+def has_converged(loss_before: float, loss_after: float, damping: float) -> bool:
     """Whether a Levenberg-Marquardt minimisation has converged, from the decrease of the loss and
     the damping. An accepted step gained less than `SETTLED`; after a refused one, damped more, a
     shorter step may still gain."""
-    refused = after == before and damping < DAMPING_RANGE[1]
-    return not refused and not after < before * (1.0 - SETTLED)
+    refused = loss_after == loss_before and damping < DAMPING_RANGE[1]
+    return not refused and not loss_after < loss_before * (1.0 - SETTLED)
 
 
 def solve_damped_equations(

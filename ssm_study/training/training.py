@@ -97,16 +97,16 @@ class Training:
             seed=seed, folder=folder, progress=progress, keep_on_interrupt=keep_on_interrupt
         )
         if isinstance(spec, StructuredSpec) and spec.automatic_settings:
-            return self._identify_chosen(spec, data, session)
+            return self._choose_settings_and_identify(spec, data, session)
         members = getattr(spec, "members", 1)
         if isinstance(spec, StructuredSpec) and spec.neurons == 0:
             spec = spec.without_neurons()
-        requested = getattr(spec, "training_count", self.starts)
+        requested = getattr(spec, "training_run_count", self.starts)
         trainings = max(requested, members)
         starts = [spec.settings_of_training_run(k) for k in range(trainings)]
         return self._train_best_of_several(starts, data, session, members)
 
-    def _identify_chosen(
+    def _choose_settings_and_identify(
         self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
         """Identify a model some of whose settings are to be chosen from the records."""
@@ -164,7 +164,7 @@ class Training:
         """Train the linear or structured model that chosen settings describe."""
         if choice.linear_kind is None:
             best = self._train_from_best_starts(choice.spec, data, session)
-            return self._with_other_structures(best, choice, data, session)
+            return self._replace_by_other_structures(best, choice, data, session)
         from ssm_study.training.candidates import ENDED_LINEAR, fit_linear_model
         from ssm_study.training.metrics import Identification
 
@@ -173,14 +173,16 @@ class Training:
         records = data.shift_out_dead_time(dead_time) if dead_time else data
         direct = choice.spec.feedthrough is True
         order = int(choice.spec.order)
-        model: Any = fit_linear_model(records, order, direct=direct, kind=choice.linear_kind)
+        model: Any = fit_linear_model(
+            records, order, has_feedthrough=direct, kind=choice.linear_kind
+        )
         if dead_time:
             model = model.with_dead_time(dead_time)
         seconds = time.perf_counter() - began
         ended = ENDED_LINEAR[choice.linear_kind]
         return Identification.from_model(model, data, seconds=seconds, curve=[], ended=ended)
 
-    def _with_other_structures(
+    def _replace_by_other_structures(
         self,
         best: "Identification",
         choice: "SettingsChoice",

@@ -71,7 +71,7 @@ def test_neurons_must_gain_a_percent_point() -> None:
 
 def test_every_other_start_has_half_the_states_and_the_last_no_neurons() -> None:
     spec = StructuredSpec(order=5, neurons=4, starts=3, among_starts=LargestCertifiableRate())
-    runs = [spec.settings_of_training_run(k) for k in range(spec.training_count)]
+    runs = [spec.settings_of_training_run(k) for k in range(spec.training_run_count)]
     sizes = [(run.order, run.neurons) for run in runs]
 
     large = (5, 4)
@@ -81,7 +81,7 @@ def test_every_other_start_has_half_the_states_and_the_last_no_neurons() -> None
     assert sizes == expected
     best = replace(spec, among_starts=None)
     expected = [best] * 3
-    numbers_of_runs = range(best.training_count)
+    numbers_of_runs = range(best.training_run_count)
     specs = [best.settings_of_training_run(k) for k in numbers_of_runs]
     assert specs == expected
 

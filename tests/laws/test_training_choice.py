@@ -198,7 +198,7 @@ def test_the_linear_model_as_a_state_space_is_the_recursion(direct: bool) -> Non
     """Both are simulated from rest: they differ by the recursion's offset, which decays."""
     data = data_set(noise=0.01, samples=600, records=2)
     data = changed(data, answering_at_once) if direct else data
-    model = fit_linear_model(data, 2, direct=direct)
+    model = fit_linear_model(data, 2, has_feedthrough=direct)
     delay = 0 if direct else 1
     recursion = fit_output_error(data, 2, delay)
     u = data.test[0].u
@@ -220,7 +220,7 @@ def test_lightly_damped_modes_are_found_by_a_long_regression_cut_down() -> None:
     record = replace(data.training[0], u=u, y=y, step_s=kind.step_s)
     test = (record[1000:],)
     data = replace(data, training=(record[:1000],), test=test, start_up_samples=20)
-    model = fit_linear_model(data, 10, direct=False)
+    model = fit_linear_model(data, 10, has_feedthrough=False)
     assert records_fit_percent(model, data.test, data) > 95.0
 
 

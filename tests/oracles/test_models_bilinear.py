@@ -73,7 +73,7 @@ def test_a_linear_model_does_not_explain_it(data: DataSet) -> None:
     """Negative control: with one matrix for all inputs the products are missed."""
     problem = BilinearProblem.from_records(scale_records(data), 2, 3, None)
     parts = problem.initial_parameters(np.random.default_rng(0), 0.0)
-    linear = problem.model(parts, data.scale, data.step_s)
+    linear = problem.build_model(parts, data.scale, data.step_s)
     assert records_fit_percent(linear, data.test, data) < 90
 
 

@@ -165,7 +165,7 @@ def drive() -> StribeckDrive:
 def test_the_drive_converges_with_order_one_to_a_general_solver(drive: StribeckDrive) -> None:
     def rate(_: float, x: np.ndarray) -> list[float]:
         w = np.array([x[1]])
-        friction_torques = drive.friction_nm(w)
+        friction_torques = drive.friction_torque_nm(w)
         friction = friction_torques[0]
         driving_torque = drive.torque_constant_nm_per_a * x[0]
         viscous_torque = drive.viscous_nms_per_rad * x[1]

@@ -69,10 +69,10 @@ class Excitation(ABC):
 
     def signal(self, request: SignalRequest, rng: np.random.Generator) -> Inputs:
         """Generate an excitation signal in the physical units of the input."""
-        own_request = self._with_own_amplitude_and_clock(request)
+        own_request = self._apply_own_amplitude_and_clock(request)
         return self.unit_signal(own_request, rng) * np.array(own_request.amplitude)
 
-    def _with_own_amplitude_and_clock(self, request: SignalRequest) -> SignalRequest:
+    def _apply_own_amplitude_and_clock(self, request: SignalRequest) -> SignalRequest:
         """Replace the plant's default amplitude and holding time in a request by those that the
         excitation sets itself."""
         amplitude = request.amplitude if self.amplitude is None else self.amplitude

@@ -30,7 +30,7 @@ class OwnSignal(Excitation):
         values = self._read_columns(request)
         if self.amplitude is not None:
             largest = np.abs(values).max(axis=0)
-            amplitude = np.array(self._with_own_amplitude_and_clock(request).amplitude)
+            amplitude = np.array(self._apply_own_amplitude_and_clock(request).amplitude)
             values = values / largest * amplitude
         start = int(rng.integers(len(values) - request.samples + 1))
         return values[start : start + request.samples]

@@ -16,12 +16,12 @@ class ExcelReader(Reader, names=(".xlsx", ".xls", ".ods", ".xlsm")):
     values are found as in a text with tabs."""
 
     def read(self, path: Path, names: list[str]) -> Table:
-        return self._text_reader(path).read(path, names)
+        return self._sheet_as_text_reader(path).read(path, names)
 
     def read_all_columns(self, path: Path) -> Table:
-        return self._text_reader(path).read_all_columns(path)
+        return self._sheet_as_text_reader(path).read_all_columns(path)
 
-    def _text_reader(self, path: Path) -> TextReader:
+    def _sheet_as_text_reader(self, path: Path) -> TextReader:
         """Convert the first sheet of a spreadsheet to CSV text, and return a reader of that
         text."""
         try:

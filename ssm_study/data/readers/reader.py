@@ -102,7 +102,7 @@ def choose_reader(path: Path, settings: TextSettings | None = None) -> Reader:
 
 def read_table(
     path: Path,
-    wanted: dict[str, str],
+    requested: dict[str, str],
     settings: TextSettings | None = None,
     missing: bool = False,
     reader: "Reader | None" = None,
@@ -115,12 +115,12 @@ def read_table(
     that the file contradicts.
     """
     chosen = choose_reader(path, settings) if reader is None else reader
-    table = chosen.read(path, list(wanted))
-    lengths = {name: len(table.columns[name]) for name in wanted}
+    table = chosen.read(path, list(requested))
+    lengths = {name: len(table.columns[name]) for name in requested}
     same = len(set(lengths.values())) <= 1
     remedy = "cut them to the same length"
     require(same, f"{path.name} (lengths)", lengths, "columns differ in length", remedy)
-    for name, unit in wanted.items():
+    for name, unit in requested.items():
         refuse_unusable_values(path, name, table, missing)
         stated = table.units.get(name, "")
         problem = f"{path.name} states {stated}"
@@ -173,7 +173,7 @@ def has_columns(path: Path, names: Sequence[str], settings: TextSettings | None 
 
 
 def check_column_names(
-    where: str,
+    field: str,
     names: list[str],
     titles: Sequence[str],
     container: str = "file",
@@ -188,9 +188,9 @@ def check_column_names(
         if len(named) > MOST_LISTED:
             listing += " ..."
         problem = f"the {container} has {listing}"
-        require(count > 0, where, name, problem, remedy)
+        require(count > 0, field, name, problem, remedy)
         problem = f"the {container} has it {count} times"
-        require(count == 1, where, name, problem, "rename the others")
+        require(count == 1, field, name, problem, "rename the others")
 
 
 def title_without_unit(title: str) -> str:

@@ -202,7 +202,7 @@ def strip_cells(column: pa.ChunkedArray) -> pa.ChunkedArray:
     return pc.utf8_trim_whitespace(column)
 
 
-def mark_missing_cells(cells: pa.ChunkedArray) -> pa.ChunkedArray:
+def missing_cell_mask(cells: pa.ChunkedArray) -> pa.ChunkedArray:
     """For each cell of a column, whether its text stands for a missing value."""
     words = pa.array(sorted(MISSING))
     return pc.is_in(pc.utf8_lower(cells), value_set=words)
@@ -212,7 +212,7 @@ def parse_column(column: pa.ChunkedArray, layout: TextLayout) -> tuple[ColumnVal
     """Parse a column of text to numbers, or dates to seconds; for other texts, return None and a
     description of them. For a column of other texts, return None and a description of the texts."""
     cells = strip_cells(column)
-    missing = mark_missing_cells(cells)
+    missing = missing_cell_mask(cells)
     plain = cells
     has_groups = False
     if layout.decimal == ",":
@@ -301,7 +301,7 @@ def date_column_names(table: pa.Table, places: dict[str, int]) -> frozenset[str]
 def describe_first_unread_cell(column: pa.ChunkedArray, layout: TextLayout) -> str:
     """Text that quotes the first cell of a column that should be a number but is not."""
     cells = strip_cells(column)
-    plain = normalise_numbers(cells, mark_missing_cells(cells), layout.decimal)[0]
+    plain = normalise_numbers(cells, missing_cell_mask(cells), layout.decimal)[0]
     is_number = pc.match_substring_regex(plain, NUMBER)
     share = pc.mean(is_number.cast(pa.float64())).as_py()
     if share < MOSTLY:
@@ -322,7 +322,7 @@ def unreadable_cell_error(
         cell = next(text for text in texts if mark in text)
         return BadRequest(where, cell, problem, "write 20007 or 20.007, whichever is meant")
     dated = problem.startswith("no date")
-    plain = normalise_numbers(cells, mark_missing_cells(cells), layout.decimal)[0].to_pylist()
+    plain = normalise_numbers(cells, missing_cell_mask(cells), layout.decimal)[0].to_pylist()
     for text, number, line in zip(texts, plain, layout.line_numbers, strict=True):
         good = is_date(text) if dated else re.match(NUMBER, number)
         if not good and text.lower() not in MISSING:

@@ -134,14 +134,14 @@ class Mlp(Trainable):
         return (w, bias, *self._bounded_slopes(free, i, sector, bias), w.T)
 
     def _bounded_slopes(
-        self, free: Free, layer: int, sector: Sector, like: Tensor
+        self, free: Free, layer: int, sector: Sector, template: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Slopes of a layer's leaky-ReLU neurons for negative and positive arguments, within the
         slope bounds. They are fixed at its two ends, or trained inside by a logistic map."""
         lower, upper = sector
         if not self.train_slopes:
-            lower_slopes = torch.full_like(like, lower)
-            upper_slopes = torch.full_like(like, upper)
+            lower_slopes = torch.full_like(template, lower)
+            upper_slopes = torch.full_like(template, upper)
             return lower_slopes, upper_slopes
         sides = (free[f"slope_{side}_{layer}"] for side in ("negative", "positive"))
         low, high = (lower + (upper - lower) * torch.sigmoid(side) for side in sides)

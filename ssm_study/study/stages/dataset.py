@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from ssm_study.data.metrics import data_columns
+from ssm_study.data.metrics import data_set_columns
 from ssm_study.engine.stages import Stage
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import DataSet
@@ -45,4 +45,6 @@ def read_dataset(folder: Path) -> DataSet:
     return dataset_from_tensors(arrays, read_json(folder / "records.json"))
 
 
-DATASET = Stage("dataset", compute_dataset, read_dataset, data_columns, ("excitation.mcap", TRIALS))
+DATASET = Stage(
+    "dataset", compute_dataset, read_dataset, data_set_columns, ("excitation.mcap", TRIALS)
+)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.models.members import member_columns
-from ssm_study.models.metrics import size_columns
+from ssm_study.models.metrics import model_size_columns
 from ssm_study.models.stored import read_model_json
 from ssm_study.signals import DataSet
 from ssm_study.study.stages.files import read_json, write_json
@@ -74,7 +74,7 @@ def read_trained_model(folder: Path) -> Trained:
 def training_result_columns(trained: Trained, data: DataSet) -> Facts:
     """Table columns on a model's training: its duration, its end, the model's size, chosen
     settings, and a baseline's fit."""
-    facts = training_columns(trained.seconds, trained.ended) | size_columns(trained.model)
+    facts = training_columns(trained.seconds, trained.ended) | model_size_columns(trained.model)
     if trained.chosen:
         facts["model_choice"] = trained.chosen
     return facts | member_columns(trained.members, data) | (trained.baseline or {})
