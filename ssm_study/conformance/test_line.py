@@ -44,7 +44,7 @@ SMALL_INTEGRAL_GRID = "synthesis.integral_weights=[0.001]"
 OPTIONS = {"plant": "plant", "scaffold": "scaffold@model.scaffold_in", "reduction": "reduction"}
 
 
-def run_choices() -> list[tuple[str, ...]]:
+def runs_of_all_choices() -> list[tuple[str, ...]]:
     """Command-line words of one run for each choice of the configuration groups and each experiment
     of an extension package."""
     words: list[tuple[str, ...]] = []
@@ -91,7 +91,7 @@ def shared_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return (base.parent if is_worker else base) / "every"
 
 
-@pytest.mark.parametrize("choice", run_choices(), ids=lambda choice: choice[-1])
+@pytest.mark.parametrize("choice", runs_of_all_choices(), ids=lambda choice: choice[-1])
 def test_every_choice_runs_to_a_record(choice: tuple[str, ...], shared_results: Path) -> None:
     """Every choice of a configuration group runs from data to a finished record."""
     study = "".join(letter if letter.isalnum() else "_" for letter in choice[-1])
@@ -113,13 +113,13 @@ def test_every_choice_runs_to_a_record(choice: tuple[str, ...], shared_results: 
 def test_no_choice_of_another_package_hides_behind_ours() -> None:
     """No extension package has a yaml file or figure with the name of one of this package."""
     ours, *others = configuration_folders()
-    our_files = yaml_files(ours)
+    our_files = configuration_files(ours)
     for theirs in others:
-        assert not yaml_files(theirs) & our_files
+        assert not configuration_files(theirs) & our_files
     our_figures = {path.stem for path in Path(figures.__file__).parent.glob("*.py")}
     assert not set(extension_modules("figures")) & our_figures
 
 
-def yaml_files(folder: Path) -> set[Path]:
+def configuration_files(folder: Path) -> set[Path]:
     """Group and name of every yaml file in a configuration folder."""
     return {path.relative_to(folder) for path in folder.glob("*/*.yaml")}

@@ -9,7 +9,7 @@ import scipy
 
 from ssm_study.data.closed_loop import project_inputs_on_set_points, reconstruct_pi_set_point
 from ssm_study.data.recorded import RecordedData
-from ssm_study.evidence.feedback import EARLIER, PRESENT, feedback_share
+from ssm_study.evidence.feedback import EARLIER, PRESENT, feedback_error_reduction
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
 
@@ -139,9 +139,9 @@ def test_set_point_and_pi_give_the_same_input_and_no_doubt_of_feedback(tmp_path:
     largest_difference = difference.max()
     upper_limit = 0.05 * np.ptp(by_name)
     assert largest_difference < upper_limit
-    assert feedback_share(plain, 0) > PRESENT
-    assert feedback_share(named, 0) < EARLIER
-    assert feedback_share(wrong, 0) > PRESENT
+    assert feedback_error_reduction(plain, 0) > PRESENT
+    assert feedback_error_reduction(named, 0) < EARLIER
+    assert feedback_error_reduction(wrong, 0) > PRESENT
     assert plain.metadata.get("by_set_point") is None
     by_set_point = float(named.metadata["by_set_point"])
     assert 0.3 < by_set_point < 0.99

@@ -87,7 +87,7 @@ def test_a_file_of_version_7_3_is_refused_in_a_sentence(
     with pytest.raises(BadRequest, match="is text, not real numbers"):
         source.read_pieces(path)
     with pytest.raises(ValueError, match="holds more than 0 MiB"):
-        mat_hdf5.parse_hdf5(path, 100)
+        mat_hdf5.parse_mat_hdf5(path, 100)
     content = path.read_bytes()
     path.write_bytes(content[:2000])
     with pytest.raises(BadRequest, match="not a complete MAT file"):
