@@ -229,7 +229,7 @@ class GainSearch:
 
     def certify_gains(self, start_design: Design, gains: Gains) -> Design | None:
         """Design with given gains, certified at the largest contraction rates that can be proved
-        for them. None if a certificate is missing, or the loop is not predicted to be stable."""
+        for them. None if a certificate is missing."""
         feedback, observer = start_design.parts()
         new_feedback = certify_replaced_gains(feedback, k=gains.k)
         injected: dict[str, Any] = {"l": gains.l}
