@@ -15,7 +15,7 @@ from ssm_study.training.candidates import REGRESSION, Candidate
 from ssm_study.training.choice_of_regression import LAGS, choose_regression
 from ssm_study.training.folds import make_folds
 from ssm_study.training.optimisers import Lbfgs
-from ssm_study.training.search import Search
+from ssm_study.training.search import SettingsSearch
 from ssm_study.training.training import Training, TrainingSession
 
 AUTO = {"order": "auto", "neurons": "auto", "knots": "auto"}
@@ -51,9 +51,9 @@ def loaded() -> DataSet:
     return replace(data, **parts)
 
 
-def search_in(data: DataSet, spec: StructuredSpec = SPEC) -> Search:
+def search_in(data: DataSet, spec: StructuredSpec = SPEC) -> SettingsSearch:
     folds = make_folds(data)
-    return Search(spec=spec, folds=folds, seed=0, announce=lambda _: None)
+    return SettingsSearch(spec=spec, folds=folds, seed=0, announce=lambda _: None)
 
 
 def candidate(training_error: float, *errors: float) -> Candidate:
@@ -94,7 +94,7 @@ def test_a_regression_is_taken_where_folds_cannot_tell(loaded: DataSet, tmp_path
     smaller = [other for other in search.tried if other.settings["order"] < order]
     best = min(search.tried, key=lambda other: other.mean_error_percent)
     assert all(other.is_clearly_worse(best) for other in smaller)
-    chosen = search.make_choice(tried)
+    chosen = search.build_choice(tried)
     assert chosen.linear_kind == REGRESSION
     session = TrainingSession(seed=0, folder=tmp_path)
     identified = TRAINING._train_choice(chosen, loaded, session)
@@ -116,8 +116,8 @@ def test_the_regression_is_the_first_choice_and_the_candidates_follow(
     settings = {"order": 2, "neurons": 1}
     other = replace(unexplained, settings=settings)
     monkeypatch.setattr(choice, "try_model_sizes", lambda *_, **__: [other])
-    monkeypatch.setattr(choice, "choose_products", lambda *_: None)
-    choices = choice.iterate_choices(SPEC, loaded, 0, lambda _: None)
+    monkeypatch.setattr(choice, "choose_bilinear_model", lambda *_: None)
+    choices = choice.iterate_model_choices(SPEC, loaded, 0, lambda _: None)
     first, second = choices
     assert first.linear_kind == REGRESSION
     assert second.linear_kind is None

@@ -10,12 +10,12 @@ from ssm_study.models.contracting import (
     RecurrenceMatrices,
     matrices_from_parameters,
 )
-from ssm_study.models.structured_spec import TrainablePieces
-from ssm_study.training.gain_sign import corner_gains
+from ssm_study.models.structured_spec import TrainablePiecewiseMap
+from ssm_study.training.gain_sign import gains_at_extreme_slopes
 from ssm_study.training.record_batch import RecordBatch
 from ssm_study.training.structured_problem import (
     FREE_CORE,
-    Descent,
+    DescentState,
     SimulationProblem,
     Theta,
     pack_parameters,
@@ -27,7 +27,7 @@ from ssm_study.training.structured_problem import (
 N = 3
 Q = 2
 RATE = 0.95
-LINEAR = TrainablePieces(1, 0, 0.1, 1.0)
+LINEAR = TrainablePiecewiseMap(1, 0, 0.1, 1.0)
 MOVED = (*FREE_CORE, "b", "c", "bias")
 
 
@@ -70,7 +70,7 @@ def gains_of(theta: Theta) -> np.ndarray:
     """Gains at the corners of the slopes."""
     problem = integrating(0.0)
     matrices = problem.matrices(theta)
-    return corner_gains(matrices)
+    return gains_at_extreme_slopes(matrices)
 
 
 def has_two_signs(theta: Theta) -> bool:
@@ -84,9 +84,9 @@ def turned_round() -> Theta:
     return next(theta for theta in candidates if has_two_signs(theta))
 
 
-def start_descent(problem: SimulationProblem, theta: Theta) -> Descent:
+def start_descent(problem: SimulationProblem, theta: Theta) -> DescentState:
     loss = regularised_loss(problem, theta, MOVED)
-    return Descent(theta=theta, loss=loss, damping=1e-2)
+    return DescentState(theta=theta, loss=loss, damping=1e-2)
 
 
 def test_the_penalty_is_part_of_loss_and_step() -> None:

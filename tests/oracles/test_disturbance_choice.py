@@ -16,11 +16,11 @@ from ssm_study.data.splits import split_by_time
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured import StructuredSSM
-from ssm_study.models.warm_start import preceding_log, state_from_past
+from ssm_study.models.warm_start import preceding_log, state_from_preceding_log
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.systems import StateSpace
-from ssm_study.training.candidates import fit_linear_model, try_linear_model
+from ssm_study.training.candidates import cross_validate_linear_model, fit_linear_model
 from ssm_study.training.choice_of_paths import is_nearly_integrating
 from ssm_study.training.folds import join_training_and_validation, make_folds
 
@@ -87,8 +87,8 @@ def test_the_past_of_a_piece_is_driven_by_its_disturbance() -> None:
     d = whole.d[start:end]
     model = slow_model()
     driving_signals = model.driving_signals(u, d)
-    final_state = model.simulate_mapped(driving_signals, X0)[1]
-    state = state_from_past(model, data, piece)
+    final_state = model.simulate_recurrence(driving_signals, X0)[1]
+    state = state_from_preceding_log(model, data, piece)
     expected = final_state.reshape(-1)[-1]
     np.testing.assert_allclose(state, expected, rtol=1e-6)
     before = preceding_log(data, piece)
@@ -126,10 +126,10 @@ def leave_out_disturbance(data: DataSet) -> DataSet:
 def test_linear_candidates_are_told_the_disturbance() -> None:
     """With it a first-order model is exact; with it left out most of the output is missed."""
     data = dataset()
-    trial = try_linear_model(make_folds(data), 1, 1)
+    trial = cross_validate_linear_model(make_folds(data), 1, 1)
     assert trial.errors.max() < 1.0
     without = leave_out_disturbance(data)
-    trial = try_linear_model(make_folds(without), 1, 1)
+    trial = cross_validate_linear_model(make_folds(without), 1, 1)
     mean = trial.errors.mean()
     assert mean > 30.0
     assert not is_nearly_integrating(data)

@@ -96,9 +96,9 @@ def test_a_log_in_open_loop_is_not_taken_for_a_closed_one(u, noise):
     saturated_u = np.tanh(3 * u)
     y = answer(saturated_u, noise=noise)
     saturated = case(u, y)
-    of_linear = feedback.feedback_share(linear.data, 0)
+    of_linear = feedback.feedback_error_reduction(linear.data, 0)
     assert of_linear < feedback.EARLIER
-    of_saturated = feedback.feedback_share(saturated.data, 1)
+    of_saturated = feedback.feedback_error_reduction(saturated.data, 1)
     assert of_saturated < feedback.EARLIER / 2
 
 
@@ -108,9 +108,9 @@ def test_a_controller_that_acts_a_sample_late_is_found_by_the_outputs_before():
     u, y = in_loop(SLOW_LEVELS, 0.007, 1)
     log = case(u, y)
 
-    present = feedback.feedback_share(log.data, 0)
-    before = feedback.feedback_share(log.data, 1)
-    two_ago = feedback.feedback_share(log.data, 2)
+    present = feedback.feedback_error_reduction(log.data, 0)
+    before = feedback.feedback_error_reduction(log.data, 1)
+    two_ago = feedback.feedback_error_reduction(log.data, 2)
     (doubt,) = feedback.judge_feedback(log)
 
     assert two_ago < feedback.EARLIER < before

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import ssm_study as st
-from ssm_study.data.arrays import check_time_index, signal_columns, write_log_files
+from ssm_study.data.arrays import check_time_index, signal_array_and_names, write_log_files
 from ssm_study.refusal import BadRequest
 
 T = 2000
@@ -76,19 +76,19 @@ def test_their_good_twins_are_taken(tmp_path) -> None:  # type: ignore[no-untype
 def test_frames_are_matched_by_the_names_of_their_columns() -> None:
     frame = pd.DataFrame({"b": Y, "a (V)": U})
     columns = ["a_V", "b"]
-    _, by_name = signal_columns(frame, "u", 2, columns)
+    _, by_name = signal_array_and_names(frame, "u", 2, columns)
     signals = np.stack([U, Y], axis=1)
     assert np.array_equal(by_name, signals)
     columns = ["a", "b"]
     swapped_signals = np.stack([Y, U], axis=1)
     swapped = pd.DataFrame(swapped_signals)
-    _, by_place = signal_columns(swapped, "u", 2, columns)
+    _, by_place = signal_array_and_names(swapped, "u", 2, columns)
     assert np.array_equal(by_place, swapped_signals)
     columns = ["a", "b"]
     renamed = frame.set_axis(["b", "c"], axis=1)
     words = r"u \(columns\) = b, c: the model's channels are a, b"
     with pytest.raises(BadRequest, match=words):
-        signal_columns(renamed, "u", 2, columns)
+        signal_array_and_names(renamed, "u", 2, columns)
 
 
 LAST = INDEX[-1:] + pd.Timedelta("10ms")
