@@ -139,7 +139,7 @@ def test_linear_candidates_are_told_the_disturbance() -> None:
 def test_a_linear_model_of_the_choice_has_a_path_for_the_disturbance(direct: bool) -> None:
     """The disturbance is no input of it, or it would be commanded."""
     data = dataset()
-    model = fit_linear_model(data, 1, direct=direct)
+    model = fit_linear_model(data, 1, has_feedthrough=direct)
     assert model.linear.b.shape == (1, 1)
     assert model.linear.d.shape == (1, 1)
     whole = log_of_slow_model()
