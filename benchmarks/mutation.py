@@ -77,7 +77,7 @@ CHOSEN = (
     "tests/oracles/test_loop_area.py tests/oracles/test_loop_mismatch.py "
     "tests/laws/test_auto_choice.py"
 )
-CHOSEN += " tests/oracles/test_loop_trials.py"
+CHOSEN += " tests/oracles/test_loop_trials.py tests/oracles/test_controller_radius.py"
 VIEWS = (
     "tests/oracles/test_loop_views.py::test_no_phase_is_read_from_noise_below_the_largest_amplitude"
 )

@@ -14,17 +14,10 @@ from ssm_study.export.c_monitor import Monitor
 from ssm_study.export.device import Device
 from ssm_study.export.targets import load_controller
 
-WARNINGS = [
-    "-pedantic",
-    "-Wall",
-    "-Wextra",
-    "-Werror",
-    "-Wconversion",
-    "-Wdouble-promotion",
-    "-Wshadow",
-    "-Wundef",
-    "-Wcomment",
-]
+STRICT = ["-pedantic", "-Wall", "-Wextra", "-Werror"]
+OF_NUMBERS = ["-Wconversion", "-Wdouble-promotion"]
+OF_NAMES = ["-Wshadow", "-Wundef", "-Wcomment"]
+WARNINGS = [*STRICT, *OF_NUMBERS, *OF_NAMES]
 EXACT = ["-O2", "-ffp-contract=off"]
 COUNTING = """
 #include <math.h>
@@ -53,17 +46,21 @@ def device(
     integral: bool | list[str] = False,
 ) -> Device:
     """With limits that the replay runs into."""
-    controller = load_controller(
-        random_run(folder / "run", kind=kind, channels=channels, seed=channels, integral=integral)
-    )
-    signs = (-1, 1)
-    ends = (controller.scale.physical_input(np.full(channels, sign * LIMIT)) for sign in signs)
+    size = {"channels": channels, "seed": channels}
+    run = random_run(folder / "run", kind=kind, integral=integral, **size)
+    controller = load_controller(run)
+    ends = []
+    for sign in (-1, 1):
+        scaled_limit = np.full(channels, sign * LIMIT)
+        limit = controller.scale.physical_input(scaled_limit)
+        ends.append(limit)
     return Device.from_controller(controller, real, *ends)
 
 
 def written(device: Device, folder: Path, about: str = "test", name: str = "controller") -> Path:
     folder.mkdir(parents=True, exist_ok=True)
-    for file, text in render_c_files(device, name, origin_text=about).items():
+    files = render_c_files(device, name, origin_text=about)
+    for file, text in files.items():
         (folder / file).write_text(text)
     return folder
 
@@ -77,20 +74,24 @@ def compiled(
     """Build and run; what the program says. A compiler that is not there skips the test."""
     if shutil.which(compiler) is None:
         pytest.skip(f"no {compiler} on this machine")
-    subprocess.run(
-        [compiler, *WARNINGS, *EXACT, *words, *sources, "-o", "replay"], cwd=folder, check=True
-    )
-    done = subprocess.run([folder / "replay"], capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    command = [compiler, *WARNINGS, *EXACT, *words]
+    command += [*sources, "-o", "replay"]
+    subprocess.run(command, cwd=folder, check=True)
+    program = [folder / "replay"]
+    replay = subprocess.run(program, capture_output=True, text=True)
+    assert replay.returncode == 0, replay.stdout + replay.stderr
+    return replay.stdout
 
 
 def products(device: Device, folder: Path, monitor: Monitor | None = None) -> int:
     """How often the C code multiplies two floats in one sample: compiled as C++, with a type that
     counts."""
-    text = render_c_files(device, origin_text="counted", monitor=monitor)["controller.h"]
-    header = text.replace("#include <math.h>", "")
-    words = ("-w", "-O0", *["-DMONITOR"] * (monitor is not None))
+    files = render_c_files(device, origin_text="counted", monitor=monitor)
+    header = files["controller.h"].replace("#include <math.h>", "")
+    counting_header = re.sub(r"\bdouble\b", "Real", header)
+    words = ["-w", "-O0"]
+    if monitor is not None:
+        words.append("-DMONITOR")
     outputs = device.controller.scale.outputs
     inputs = device.controller.scale.inputs
     sizes = (outputs, outputs, inputs)
@@ -100,5 +101,7 @@ def products(device: Device, folder: Path, monitor: Monitor | None = None) -> in
     )
     main = f'int main() {{ {body} controller_{called}; printf("%ld", products); }}'
     folder.mkdir()
-    (folder / "counted.cpp").write_text(COUNTING + re.sub(r"\bdouble\b", "Real", header) + main)
-    return int(compiled(folder, *words, sources=("counted.cpp",), compiler="g++"))
+    path = folder / "counted.cpp"
+    path.write_text(COUNTING + counting_header + main)
+    printed = compiled(folder, *words, sources=("counted.cpp",), compiler="g++")
+    return int(printed)

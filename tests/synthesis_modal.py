@@ -45,10 +45,13 @@ def modal_gain(
     moved = modes[:, None] - reflected
     apart = modes[:, None] - modes
     np.fill_diagonal(apart, 1.0)
-    k = np.zeros(len(eigenvalues), dtype=complex)
+    count = len(eigenvalues)
+    k = np.zeros(count, dtype=complex)
     # One quotient at a time: the products alone overflow for hundreds of modes.
-    reach = b[fast] * (1 - ball.relative_radius**2)
-    product = np.prod(moved / apart, axis=1)
+    outside_ball = 1 - ball.relative_radius**2
+    reach = b[fast] * outside_ball
+    quotients = moved / apart
+    product = np.prod(quotients, axis=1)
     k[fast] = -product / (reach * ball.alpha)
     return k
 
@@ -81,31 +84,26 @@ def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver:
     transformed = ah @ root
     balanced_a = scipy.linalg.solve_triangular(root, transformed, lower=True)
     balanced_b = scipy.linalg.solve_triangular(root, bh, lower=True)
-    state_weight = np.eye(modes.fast_count)
-    lmi = CompiledLmi(
-        a=balanced_a,
-        b=balanced_b,
-        objective=objective,
-        full=False,
-        state_weight=state_weight,
-        input_weight=1.0,
-    )
+    weights = {"state_weight": np.eye(modes.fast_count), "input_weight": 1.0}
+    form = {"objective": objective, "full": False}
+    lmi = CompiledLmi(a=balanced_a, b=balanced_b, **form, **weights)
     # Scaled by 1/r, the asked factor is one: a rate just above zero stands for it.
     rate = float(np.finfo(float).eps)
     state_weight = np.eye(modes.fast_count)
-    changed_problem = replace(
+    balanced_problem = replace(
         problem, a=balanced_a, b=balanced_b, rate=rate, state_weight=state_weight
     )
-    found = lmi.solve(changed_problem, solver)
-    triangular = scipy.linalg.solve_triangular(root, found.k.T, lower=True, trans="T")
-    k = triangular.T @ modes.left[: modes.fast_count]
-    metric = found.p / found.sigma
-    scaled_metric = root @ (metric) @ root.T
+    solution = lmi.solve(balanced_problem, solver)
+    transposed = solution.k.T
+    triangular = scipy.linalg.solve_triangular(root, transposed, lower=True, trans="T")
+    fast_coordinates = modes.left[: modes.fast_count]
+    k = triangular.T @ fast_coordinates
+    metric = solution.p / solution.sigma
+    scaled_metric = root @ metric @ root.T
     fast = FastGain(k=k, p=scaled_metric)
     p = weighted_block_metric(problem, modes, fast)
-    return Solution(
-        p=p, y=p, k=k, sigma=1.0, status=f"{found.status} on {modes.fast_count} fast modes"
-    )
+    status = f"{solution.status} on {modes.fast_count} fast modes"
+    return Solution(p=p, y=p, k=k, sigma=1.0, status=status)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,18 +118,17 @@ class ModalLmiSynthesis(Synthesis):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        choices = tuple(name for name in OBJECTIVES if name != "guaranteed_cost")
-        condition = self.objective in choices
-        require(
-            condition, "synthesis.objective", self.objective, "unknown", f"use one of {choices}"
-        )
+        objectives = tuple(name for name in OBJECTIVES if name != "guaranteed_cost")
+        condition = self.objective in objectives
+        advice = f"use one of {objectives}"
+        require(condition, "synthesis.objective", self.objective, "unknown", advice)
         condition = self.solver in SOLVERS
-        require(
-            condition, "synthesis.solver", self.solver, "unknown", f"use one of {tuple(SOLVERS)}"
-        )
+        advice = f"use one of {tuple(SOLVERS)}"
+        require(condition, "synthesis.solver", self.solver, "unknown", advice)
 
     def solve(self, problem: Problem) -> Solution:
-        return solve_on_fast_modes(problem, problem.contraction, self.objective, self.solver)
+        contraction = problem.contraction
+        return solve_on_fast_modes(problem, contraction, self.objective, self.solver)
 
     def solution_attempts(
         self, problem: Problem, frontier: Frontier
@@ -139,5 +136,6 @@ class ModalLmiSynthesis(Synthesis):
         r = problem.contraction
         solve = partial(solve_on_fast_modes, objective=self.objective, solver=self.solver)
         floor = max(frontier.contraction_limit, FASTEST * r)
-        rates = [float(r * (floor / r) ** share) for share in SHARES]
+        ratio = floor / r
+        rates = [float(r * ratio**share) for share in SHARES]
         return [partial(solve, problem, rate) for rate in rates]

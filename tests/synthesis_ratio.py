@@ -18,5 +18,7 @@ def ratio_limit(a: np.ndarray, b: np.ndarray, contraction: float) -> float:
     if b.shape[1] == 1:
         eigenvalues = np.linalg.eigvals(a)
         moduli = np.abs(eigenvalues)
-        return float(np.prod(contraction / np.maximum(moduli, contraction)))
-    return float(1 / np.sqrt(1 + largest_control_energy(a, b, contraction)))
+        shares = contraction / np.maximum(moduli, contraction)
+        return float(np.prod(shares))
+    energy = largest_control_energy(a, b, contraction)
+    return float(1 / np.sqrt(1 + energy))

@@ -19,19 +19,28 @@ from ssm_study.data.metrics import (
 )
 from ssm_study.refusal import BadRequest
 
-REQUEST = SignalRequest(samples=600, step_s=0.01, amplitude=(4.0, 0.5), clock_s=0.05)
+SAMPLED = {"samples": 600, "step_s": 0.01}
+REQUEST = SignalRequest(amplitude=(4.0, 0.5), clock_s=0.05, **SAMPLED)
+AMPLITUDE = np.array(REQUEST.amplitude)
 EVERY = pytest.mark.parametrize("name", choices("excitation"))
+
+
+def make_signal(name: str, request: SignalRequest) -> np.ndarray:
+    """The signal of a yaml, drawn from seed zero."""
+    rng = np.random.default_rng(0)
+    excitation = from_yaml("excitation", name)
+    return excitation.signal(request, rng)
 
 
 @EVERY
 def test_signals_stay_within_the_amplitude_and_use_it(name: str) -> None:
-    rng = np.random.default_rng(0)
-    u = from_yaml("excitation", name).signal(REQUEST, rng)
+    u = make_signal(name, REQUEST)
     assert u.shape == (600, 2)
-    upper_limit = np.array(REQUEST.amplitude) * (1 + 1e-12)
-    assert (np.abs(u) <= upper_limit).all()
-    lower_limit = 0.7 * np.array(REQUEST.amplitude)
-    largest = np.abs(u).max(axis=0)
+    upper_limit = AMPLITUDE * (1 + 1e-12)
+    size = np.abs(u)
+    assert (size <= upper_limit).all()
+    lower_limit = 0.7 * AMPLITUDE
+    largest = size.max(axis=0)
     assert (largest > lower_limit).all()
 
 
@@ -50,9 +59,9 @@ def test_equal_generators_give_equal_signals_and_others_do_not(name: str) -> Non
 
 @EVERY
 def test_channels_differ(name: str) -> None:
-    rng = np.random.default_rng(0)
-    u = from_yaml("excitation", name).signal(REQUEST, rng)
-    correlation = np.corrcoef(u.T)[0, 1]
+    u = make_signal(name, REQUEST)
+    correlations = np.corrcoef(u.T)
+    correlation = correlations[0, 1]
     assert np.abs(correlation) < 0.9
 
 
@@ -60,15 +69,13 @@ def test_channels_differ(name: str) -> None:
 def test_every_excitation_identifies_order_eight(name: str) -> None:
     """With a clock of twice the sampling time; band-limited signals reach less at slower clocks,
     and should."""
-    rng = np.random.default_rng(0)
     faster = replace(REQUEST, clock_s=0.02)
-    u = from_yaml("excitation", name).signal(faster, rng)
+    u = make_signal(name, faster)
     assert persistency_order(u) >= 17
 
 
 def test_levels_are_held_for_the_clock() -> None:
-    rng = np.random.default_rng(0)
-    u = from_yaml("excitation", "prbs").signal(REQUEST, rng)
+    u = make_signal("prbs", REQUEST)
     differences = np.diff(u[:, 0])
     indices = np.flatnonzero(differences)
     changes = indices + 1
@@ -78,12 +85,14 @@ def test_levels_are_held_for_the_clock() -> None:
 def test_a_prbs_is_a_maximum_length_sequence() -> None:
     """Its circular autocorrelation is -1/(2^n - 1) at every shift but zero."""
     length = 2**7 - 1
-    request = SignalRequest(samples=length, step_s=1.0, amplitude=(1.0,), clock_s=1.0)
+    unit_step = {"samples": length, "step_s": 1.0}
+    request = SignalRequest(amplitude=(1.0,), clock_s=1.0, **unit_step)
     prbs = PRBS(register_bits=7)
     rng = np.random.default_rng(0)
-    u = prbs.signal(request, rng)[:, 0]
-    spectrum = np.abs(np.fft.fft(u))
-    correlation = np.fft.ifft(spectrum**2).real / length
+    signal = prbs.signal(request, rng)
+    spectrum = np.abs(np.fft.fft(signal[:, 0]))
+    power = spectrum**2
+    correlation = np.fft.ifft(power).real / length
     actual = correlation[1:]
     np.testing.assert_allclose(actual, -1 / length, atol=1e-12)
 
@@ -105,24 +114,30 @@ def test_coverage_tells_two_levels_from_many() -> None:
 @pytest.mark.parametrize("sines", [1, 3])
 def test_a_sum_of_sines_is_persistently_exciting_of_twice_their_number(sines: int) -> None:
     t = np.arange(1000)
-    u = sum(np.sin(2 * np.pi * (0.05 + 0.07 * k) * t + k) for k in range(sines))[:, None]
-    assert persistency_order(u - 0.0) == 2 * sines
+    u = np.zeros(1000)
+    for k in range(sines):
+        frequency = 0.05 + 0.07 * k
+        u += np.sin(2 * np.pi * frequency * t + k)
+    assert persistency_order(u[:, None]) == 2 * sines
 
 
-ONE = SignalRequest(samples=1000, step_s=0.01, amplitude=(2.0,), clock_s=0.05)
+OF_ONE_INPUT = {"step_s": 0.01, "clock_s": 0.05}
+ONE = SignalRequest(samples=1000, amplitude=(2.0,), **OF_ONE_INPUT)
 
 
 def test_a_multisine_has_equal_power_in_its_band_and_none_outside() -> None:
     multisine = Multisine(band_low_hz=1.0, band_high_hz=5.0)
     rng = np.random.default_rng(0)
     u = multisine.signal(ONE, rng)
-    frequencies = np.fft.rfftfreq(len(u), ONE.step_s)
+    samples = len(u)
+    frequencies = np.fft.rfftfreq(samples, ONE.step_s)
     spectrum = np.fft.rfft(u[:, 0])
-    amplitude = 2 * np.abs(spectrum) / len(u)
+    amplitude = 2 * np.abs(spectrum) / samples
     inside = (frequencies > 0.99) & (frequencies < 5.01)
     assert inside.sum() == 41
-    expected = amplitude[inside].mean()
-    np.testing.assert_allclose(amplitude[inside], expected, rtol=1e-9)
+    in_band = amplitude[inside]
+    expected = in_band.mean()
+    np.testing.assert_allclose(in_band, expected, rtol=1e-9)
     actual = amplitude[~inside]
     np.testing.assert_allclose(actual, 0.0, atol=1e-12)
 
@@ -138,12 +153,13 @@ def crest_factor(u: np.ndarray) -> float:
 def test_clipping_lowers_the_crest_factor(seed: int) -> None:
     multisine = Multisine(crest_iterations=0)
     rng = np.random.default_rng(seed)
-    random = multisine.signal(ONE, rng)[:, 0]
+    signal = multisine.signal(ONE, rng)
+    random_crest = crest_factor(signal[:, 0])
     rng = np.random.default_rng(seed)
     signal = Multisine().signal(ONE, rng)
-    clipped = signal[:, 0]
-    assert crest_factor(clipped) < 0.75 * crest_factor(random)
-    assert crest_factor(clipped) < 2.0
+    clipped_crest = crest_factor(signal[:, 0])
+    assert clipped_crest < 0.75 * random_crest
+    assert clipped_crest < 2.0
 
 
 def test_a_chirp_sweeps_its_band() -> None:
@@ -164,7 +180,8 @@ def test_a_chirp_sweeps_its_band() -> None:
 def test_a_staircase_holds_uniform_levels() -> None:
     rng = np.random.default_rng(0)
     staircase = from_yaml("excitation", "staircase")
-    u = staircase.signal(ONE, rng)[:, 0]
+    signal = staircase.signal(ONE, rng)
+    u = signal[:, 0]
     actual = np.unique(u)
     expected = np.linspace(-2.0, 2.0, 11)
     np.testing.assert_allclose(actual, expected, atol=1e-12)
@@ -174,44 +191,42 @@ def test_a_staircase_holds_uniform_levels() -> None:
     assert (differences == 15).all()
 
 
+def position_of(value: float, values: np.ndarray) -> int:
+    """The position of the entry that is nearest to a value."""
+    difference = np.abs(values - value)
+    return int(difference.argmin())
+
+
 def test_a_file_is_taken_as_it_is(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     values = rng.uniform(-3, 3, 1500)
     table = pd.DataFrame({"volt": values})
-    table.to_csv(tmp_path / "u.csv", index=False)
-    path = str(tmp_path / "u.csv")
-    own_signal = OwnSignal(path=path, column="volt")
+    path = tmp_path / "u.csv"
+    table.to_csv(path, index=False)
+    column = {"path": str(path), "column": "volt"}
+    own_signal = OwnSignal(**column)
     rng = np.random.default_rng(0)
     u = own_signal.signal(ONE, rng)[:, 0]
-    position_of_largest = np.argmax(values == u[0])
-    start = int(position_of_largest)
+    start = position_of(u[0], values)
     expected = values[start : start + 1000]
     np.testing.assert_array_equal(u, expected)
     plant = from_yaml("plant", "dc_motor")
-    asked = from_yaml("data", "simulated", "samples=1000", "trajectories=2")
-    path = str(tmp_path / "u.csv")
-    own = OwnSignal(path=path, column="volt")
-    for record in asked.build(plant, own, 0).training:  # from rest on, as the file has it
-        rest = plant.equilibrium().u[0]
+    spec = from_yaml("data", "simulated", "samples=1000", "trajectories=2")
+    data = spec.build(plant, own_signal, 0)
+    rest = plant.equilibrium().u[0]
+    for record in data.training:  # from rest on, as the file has it
         applied = record.u[:, 0] - rest
-        difference = np.abs(values - applied[0])
-        position_of_smallest = difference.argmin()
-        start = int(position_of_smallest)
+        start = position_of(applied[0], values)
         expected = values[start : start + 1000]
         np.testing.assert_allclose(applied, expected, atol=1e-12)
-    path = str(tmp_path / "u.csv")
-    scaled = OwnSignal(path=path, column="volt", amplitude=1.0)
+    scaled = OwnSignal(amplitude=1.0, **column)
     rng = np.random.default_rng(0)
-    largest = np.abs(scaled.signal(ONE, rng)).max()
-    assert largest <= 1.0
-    long = SignalRequest(samples=2000, step_s=0.01, amplitude=(1.0,), clock_s=0.1)
-    path = str(tmp_path / "u.csv")
-    own_signal = OwnSignal(path=path, column="volt")
+    size = np.abs(scaled.signal(ONE, rng))
+    assert size.max() <= 1.0
+    long = replace(ONE, samples=2000, amplitude=(1.0,), clock_s=0.1)
     rng = np.random.default_rng(0)
     with pytest.raises(BadRequest, match="has 1500 rows and records of 2000 samples"):
         own_signal.signal(long, rng)
-    path = str(tmp_path / "u.csv")
-    own_signal = OwnSignal(path=path, column="volt")
     rng = np.random.default_rng(0)
     with pytest.raises(BadRequest, match="the plant has 2 inputs"):
         own_signal.signal(REQUEST, rng)

@@ -12,7 +12,8 @@ from jaxtyping import TypeCheckError
 
 from ssm_study.signals import fit_percent
 
-PACKAGE = Path(__file__).resolve().parents[2] / "ssm_study"
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "ssm_study"
 ROOMS_OF_THEOREMS = ("bounds", "synthesis")
 SOURCE = re.compile(r"\[Z26\]|docs/(?:theory|trust)\.md|\b(?:19|20)\d\d\b")
 REFUSAL = re.compile(r"BadRequest|[Rr]efus|[Rr]aises|NoSolution")
@@ -28,129 +29,155 @@ Public = ast.FunctionDef | ast.ClassDef
 @cache
 def parse_modules() -> dict[str, ast.Module]:
     """Syntax tree of each module by its path, parsed once by the worker that runs these tests."""
-    paths = [path for path in sorted(PACKAGE.rglob("*.py")) if not path.name.startswith("test_")]
-    return {str(path.relative_to(PACKAGE)): ast.parse(path.read_text()) for path in paths}
+    modules = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        if not path.name.startswith("test_"):
+            relative_path = path.relative_to(PACKAGE)
+            text = path.read_text()
+            modules[str(relative_path)] = ast.parse(text)
+    return modules
 
 
 def public(module: ast.Module) -> list[Public]:
-    return [
-        node for node in module.body if isinstance(node, Public) and not node.name.startswith("_")
-    ]
+    definitions = [node for node in module.body if isinstance(node, Public)]
+    return [node for node in definitions if not node.name.startswith("_")]
 
 
 def named(kind: type[ast.AST]) -> list[tuple[str, Public]]:
-    modules = parse_modules().items()
-    return [
-        (path, node)
-        for path, module in modules
-        for node in public(module)
-        if isinstance(node, kind)
-    ]
+    """Public names of this kind, each with the path of its module."""
+    definitions = []
+    for path, module in parse_modules().items():
+        for node in public(module):
+            if isinstance(node, kind):
+                definitions.append((path, node))
+    return definitions
+
+
+def docstring_of(node: ast.Module | Public) -> str:
+    return ast.get_docstring(node) or ""
+
+
+ENDS_OF_A_SENTENCE = (".", ":", "?", ";", "`")
 
 
 def test_a_module_says_what_it_answers() -> None:
     """In sentences: a first paragraph that ends as one."""
     modules = parse_modules().items()
-    first = {
-        path: (ast.get_docstring(module) or "").split("\n\n")[0].rstrip()
-        for path, module in modules
-    }
-    assert not [
-        path for path, said in first.items() if not said.endswith((".", ":", "?", ";", "`"))
-    ]
+    unfinished = []
+    for path, module in modules:
+        first, *_ = docstring_of(module).split("\n\n")
+        if not first.rstrip().endswith(ENDS_OF_A_SENTENCE):
+            unfinished.append(path)
+    assert not unfinished
+
+
+def is_part_of_a_figure(path: str, node: Public) -> bool:
+    is_figure = path.startswith("report/figures/")
+    return is_figure and node.name in ("figure", "draw")
 
 
 def test_every_public_name_is_told() -> None:
     """Every public name has a docstring, except `figure` and `draw` of a figure, the interface of
     its room: the module's docstring tells them."""
-    silent = [
-        f"{path}: {node.name}"
-        for path, node in named(Public)  # type: ignore[arg-type]
-        if ast.get_docstring(node) is None
-        and not (path.startswith("report/figures/") and node.name in ("figure", "draw"))
-    ]
+    silent = []
+    for path, node in named(Public):  # type: ignore[arg-type]
+        if ast.get_docstring(node) is None and not is_part_of_a_figure(path, node):
+            silent.append(f"{path}: {node.name}")
     assert not silent
 
 
 def test_every_theorem_and_bound_names_its_source() -> None:
     modules = parse_modules().items()
-    without = [
-        path
-        for path, module in modules
-        if path.startswith(ROOMS_OF_THEOREMS) and public(module) and not SOURCE.search(told(module))
-    ]
+    without = []
+    for path, module in modules:
+        needs_source = path.startswith(ROOMS_OF_THEOREMS) and public(module)
+        if needs_source and not SOURCE.search(join_docstrings(module)):
+            without.append(path)
     assert not without
 
 
-def told(module: ast.Module) -> str:
+def join_docstrings(module: ast.Module) -> str:
     """All docstrings of a module."""
-    definitions = [n for n in ast.walk(module) if isinstance(n, ast.FunctionDef | ast.ClassDef)]
-    tellers = [module, *definitions]
-    docstrings = [ast.get_docstring(node) or "" for node in tellers]
+    nodes = list(ast.walk(module))
+    definitions = [node for node in nodes if isinstance(node, Public)]
+    docstrings = [docstring_of(node) for node in (module, *definitions)]
     return "\n".join(docstrings)
 
 
+def is_refusing(function: Public) -> bool:
+    """Whether a function raises a refusal."""
+    nodes = list(ast.walk(function))
+    raises = [node for node in nodes if isinstance(node, ast.Raise)]
+    return any("BadRequest(" in ast.unparse(node) for node in raises)
+
+
 def test_who_refuses_says_so() -> None:
-    silent = [
-        f"{path}: {node.name}"
-        for path, node in named(ast.FunctionDef)
-        if any(isinstance(n, ast.Raise) and "BadRequest(" in ast.unparse(n) for n in ast.walk(node))
-        and not REFUSAL.search(ast.get_docstring(node) or "")
-    ]
+    silent = []
+    for path, node in named(ast.FunctionDef):
+        if is_refusing(node) and not REFUSAL.search(docstring_of(node)):
+            silent.append(f"{path}: {node.name}")
     assert not silent
 
 
 def test_arrays_of_public_functions_have_shapes() -> None:
-    shapeless = [
-        f"{path}: {node.name}"
-        for path, node in named(ast.FunctionDef)
-        if isinstance(node, ast.FunctionDef) and any(ARRAY.search(text) for text in signature(node))
-    ]
+    shapeless = []
+    for path, node in named(ast.FunctionDef):
+        assert isinstance(node, ast.FunctionDef)
+        if any(ARRAY.search(text) for text in signature(node)):
+            shapeless.append(f"{path}: {node.name}")
     assert not shapeless
 
 
 def signature(function: ast.FunctionDef) -> list[str]:
-    posonlyargs = function.args.posonlyargs
-    kwonlyargs = function.args.kwonlyargs
-    arguments = [*posonlyargs, *function.args.args, *kwonlyargs]
-    given = [a.annotation for a in arguments]
-    annotations = [*given, function.returns]
+    parameters = function.args
+    arguments = [*parameters.posonlyargs, *parameters.args, *parameters.kwonlyargs]
+    annotations = [argument.annotation for argument in arguments]
+    annotations.append(function.returns)
     return [ast.unparse(annotation) for annotation in annotations if annotation is not None]
+
+
+def has_unit(field: str, node: ast.ClassDef) -> bool:
+    """Whether the name of a field ends in its unit, or the class speaks of the field."""
+    if UNIT.search(field):
+        return True
+    return re.search(rf"\b{field}\b", docstring_of(node)) is not None
 
 
 def test_numbers_of_a_plant_name_their_unit() -> None:
     """In the name of the field, or else in the docstring of the class."""
-    unnamed = [
-        f"{path}: {node.name}.{field}"
-        for path, node in named(ast.ClassDef)
-        if path.startswith("plants/") and isinstance(node, ast.ClassDef) and yaml_sets(node)
-        for field in numbers(node)
-        if not UNIT.search(field) and not re.search(rf"\b{field}\b", ast.get_docstring(node) or "")
-    ]
+    unnamed = []
+    for path, node in named(ast.ClassDef):
+        assert isinstance(node, ast.ClassDef)
+        if path.startswith("plants/") and yaml_sets(node):
+            without_unit = [field for field in numbers(node) if not has_unit(field, node)]
+            unnamed += [f"{path}: {node.name}.{field}" for field in without_unit]
     assert not unnamed
 
 
 def yaml_sets(node: ast.ClassDef) -> bool:
-    return any("kw_only=True" in ast.unparse(decorator) for decorator in node.decorator_list)
+    decorators = [ast.unparse(decorator) for decorator in node.decorator_list]
+    return any("kw_only=True" in text for text in decorators)
 
 
 def numbers(node: ast.ClassDef) -> list[str]:
-    fields = [
-        n
-        for n in node.body
-        if isinstance(n, ast.AnnAssign) and ast.unparse(n.annotation).startswith("float")
-    ]
-    return [n.target.id for n in fields if isinstance(n.target, ast.Name)]
+    """The names of the fields of a class that are floating-point numbers."""
+    fields = [field for field in node.body if isinstance(field, ast.AnnAssign)]
+    names = []
+    for field in fields:
+        is_number = ast.unparse(field.annotation).startswith("float")
+        if is_number and isinstance(field.target, ast.Name):
+            names.append(field.target.id)
+    return names
 
 
 def test_the_rules_can_refuse() -> None:
-    wrong = ast.parse(
-        "def f(x: np.ndarray) -> None:\n    raise BadRequest('x', x, 'bad', 'mend it')"
-    )
-    (function,) = (node for node in wrong.body if isinstance(node, ast.FunctionDef))
+    code = "def f(x: np.ndarray) -> None:\n    raise BadRequest('x', x, 'bad', 'mend it')"
+    wrong = ast.parse(code)
+    (function,) = [node for node in wrong.body if isinstance(node, ast.FunctionDef)]
     assert ast.get_docstring(wrong) is None
-    assert not SOURCE.search(told(wrong))
-    assert ARRAY.search(signature(function)[0])
+    assert not SOURCE.search(join_docstrings(wrong))
+    annotation = signature(function)[0]
+    assert ARRAY.search(annotation)
     assert not ARRAY.search('Float[np.ndarray, "n n"]')
     assert not UNIT.search("clock")
     assert UNIT.search("clock_s")
@@ -160,8 +187,10 @@ def test_the_rules_can_refuse() -> None:
 def test_shapes_are_checked_anew_in_every_test(length: int) -> None:
     """The shapes are checked in each function's first calls: the second test would find none of
     them left."""
+    measured = np.zeros((3, 1))
+    simulated = np.zeros((length, 1))
     with pytest.raises(TypeCheckError, match="fit_percent"):
-        fit_percent(np.zeros((3, 1)), np.zeros((length, 1)))
+        fit_percent(measured, simulated)
     for _ in range(100):
         ramp = np.arange(3.0)[:, None]
-        fit_percent(ramp, np.zeros((3, 1)))
+        fit_percent(ramp, measured)

@@ -27,9 +27,11 @@ def test_the_figure_draws_the_same_bytes_twice_with_a_unit_on_every_axis(
     files = []
     for folder in (tmp_path / "once", tmp_path / "again"):
         with style.paper_style():
-            figure = getattr(synthesis_figures, name)(table(name))
+            draw = getattr(synthesis_figures, name)
+            figure = draw(table(name))
             paths = style.save_figure(figure, folder, name)
-            files.append([path.read_bytes() for path in paths])
+            contents = [path.read_bytes() for path in paths]
+            files.append(contents)
     assert files[0] == files[1]
     (axes,) = figure.axes
     assert "(" in axes.get_xlabel()
@@ -38,11 +40,15 @@ def test_the_figure_draws_the_same_bytes_twice_with_a_unit_on_every_axis(
 
 def test_every_verdict_is_a_point_and_the_frontier_is_the_tables() -> None:
     rows = table("feasibility_map")
-    (axes,) = synthesis_figures.feasibility_map(rows).axes
-    certified, none = (points.get_offsets() for points in axes.collections[1:])
+    figure = synthesis_figures.feasibility_map(rows)
+    (axes,) = figure.axes
+    _, of_certified, of_uncertified = axes.collections
+    certified = of_certified.get_offsets()
+    uncertified = of_uncertified.get_offsets()
     held = rows.solver_certified
-    np.testing.assert_array_equal(certified, rows.loc[held, ["slope_floor", "rate"]])
-    np.testing.assert_array_equal(none, rows.loc[~held, ["slope_floor", "rate"]])
+    points = rows[["slope_floor", "rate"]]
+    np.testing.assert_array_equal(certified, points[held])
+    np.testing.assert_array_equal(uncertified, points[~held])
     floors, limits = axes.lines[0].get_data()
     rate_limit = rows.groupby("slope_floor").rate_limit
     expected = rate_limit.first()

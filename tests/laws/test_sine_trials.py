@@ -50,7 +50,8 @@ MISMATCH = measure_mismatch(SSM_MODEL, NOISY_RECORDS)
 
 
 def sine(answer, line: int, amplitude: float, noise: float, seed: int = 0) -> Trajectory:
-    angles = 2 * np.pi * line * np.arange(PERIOD) / PERIOD
+    samples = np.arange(PERIOD)
+    angles = 2 * np.pi * line * samples / PERIOD
     wave = amplitude * np.sin(angles)
     u = np.tile(wave[:, None], (3, 1))
     rng = np.random.default_rng(seed)
@@ -59,53 +60,75 @@ def sine(answer, line: int, amplitude: float, noise: float, seed: int = 0) -> Tr
     return Trajectory(u=u, y=y, step_s=0.01, name="sine")
 
 
+def measure_sines(*trials: Trajectory) -> list[SineMismatch]:
+    """The mismatch of the model at each sine."""
+    return measure_sine_mismatch(SSM_MODEL, trials, MISMATCH, PERIOD)
+
+
+def error_gain(line: int) -> float:
+    """The gain of the error's response at a line: a share of the model's own."""
+    angles = np.array([2 * np.pi * line / PERIOD])
+    response = frequency_response(MODEL, angles)
+    return SHARE * abs(response[0, 0, 0])
+
+
+def input_responses(angles: np.ndarray) -> np.ndarray:
+    """Absolute response of the input to the error, in the fast design's loop."""
+    loop = error_to_input_response(SSM_MODEL.linear, FAST.pair, 1.0, 1.0)
+    responses = frequency_response(loop, angles)
+    return np.abs(responses[:, 0, 0])
+
+
 @pytest.mark.parametrize("line", [5, 43, 128, 400])  # 128 repeats within a period, too
 def test_a_sine_shows_the_gain_of_its_line(line: int) -> None:
     trial = sine(scaled_model(SHARE), line, 0.5, 1e-3)
-    (measured,) = measure_sine_mismatch(SSM_MODEL, (trial,), MISMATCH, PERIOD)
+    (measured,) = measure_sines(trial)
     expected = 2 * np.pi * line / PERIOD
     assert measured.angle == pytest.approx(expected)
     expected = 0.5 / np.sqrt(2)
     assert measured.amplitude == pytest.approx(expected, rel=1e-3)
-    angles = np.array([measured.angle])
-    response = frequency_response(MODEL, angles)[0, 0, 0]
-    exact = SHARE * abs(response)
-    assert exact * 0.999 < measured.gain < 1.05 * exact + 1e-3
+    exact = error_gain(line)
+    upper_limit = 1.05 * exact + 1e-3
+    assert exact * 0.999 < measured.gain < upper_limit
+
+
+def gains_of_small_sines(share: float) -> np.ndarray:
+    """Measured gains of forty small sines of one line, each with its noise."""
+    answer = scaled_model(share)
+    trials = [sine(answer, 43, 0.01, 1e-3, seed) for seed in range(40)]
+    measured = measure_sines(*trials)
+    return np.array([trial.gain for trial in measured])
 
 
 def test_what_noise_hides_is_not_zero() -> None:
     """Without any mismatch the limit is that of the noise, and an upper one nearly always."""
-    trials = tuple(sine(scaled_model(0.0), 43, 0.01, 1e-3, seed) for seed in range(40))
-    sine_mismatch = measure_sine_mismatch(SSM_MODEL, trials, MISMATCH, PERIOD)
-    gains = [trial.gain for trial in sine_mismatch]
-    assert min(gains) > 0
-    scale = 1e-3 / 0.01 * np.sqrt(2 / PERIOD)
+    gains = gains_of_small_sines(0.0)
+    assert gains.min() > 0
+    noise_of_a_line = np.sqrt(2 / PERIOD)
+    scale = 1e-3 / 0.01 * noise_of_a_line
     median = np.median(gains)
     assert 0.3 * scale < median < 3 * scale
-    small = tuple(sine(scaled_model(SHARE), 43, 0.01, 1e-3, seed) for seed in range(40))
-    sine_mismatch = measure_sine_mismatch(SSM_MODEL, small, MISMATCH, PERIOD)
-    limits = [trial.gain for trial in sine_mismatch]
-    response = frequency_response(MODEL, np.array([2 * np.pi * 43 / PERIOD]))
-    exact = SHARE * abs(response[0, 0, 0])
-    mean = np.mean(np.array(limits) > exact)
+    limits = gains_of_small_sines(SHARE)
+    is_above = limits > error_gain(43)
+    mean = np.mean(is_above)
     assert mean > 0.9
 
 
 def test_a_sine_that_shows_more_than_the_records_refutes_the_prediction() -> None:
     before = predict_margins(SSM_MODEL, FAST.pair, BALLS, MISMATCH)
     assert before.predicts_stability()
-    (line, *_) = sensitive_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
-    angle = 2 * np.pi * line / PERIOD
-    loop = error_to_input_response(SSM_MODEL.linear, FAST.pair, 1.0, 1.0)
-    response = frequency_response(loop, np.array([angle]))
-    peak = abs(response[0, 0, 0])
+    first_line, *_ = sensitive_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
+    angle = 2 * np.pi * first_line / PERIOD
+    angles = np.array([angle])
+    (peak,) = input_responses(angles)
     harmful = SineMismatch(angle=angle, amplitude=0.3, gain=1.2 / peak)
     facts = sine_columns(FAST, SSM_MODEL, BALLS, MISMATCH, [harmful])
     assert facts["predicted_stable"] is False
     assert facts["sine_margin"] < 1
     harmless = replace(harmful, gain=1e-6)
     facts = sine_columns(FAST, SSM_MODEL, BALLS, MISMATCH, [harmless])
-    expected = {"predicted_stable": True, "sine_margin": before.resolved_margin}
+    margin = before.resolved_margin
+    expected = {"predicted_stable": True, "sine_margin": margin}
     assert facts == expected
     without_sines = sine_columns(FAST, SSM_MODEL, BALLS, MISMATCH, [])
     assert without_sines == {}
@@ -133,10 +156,9 @@ def test_the_trials_lie_at_the_peaks_of_the_sensitivity() -> None:
     lines = sensitive_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
     assert 1 <= len(lines) <= 2
     angles = 2 * np.pi * np.arange(4, PERIOD // 2) / PERIOD
-    loop = error_to_input_response(SSM_MODEL.linear, FAST.pair, 1.0, 1.0)
-    responses = frequency_response(loop, angles)
-    size = np.abs(responses[:, 0, 0])
-    largest = max(size[line - 4] for line in lines)
+    size = input_responses(angles)
+    at_lines = [size[line - 4] for line in lines]
+    largest = max(at_lines)
     assert largest > 0.99 * size.max()
 
 
@@ -145,29 +167,32 @@ def test_the_line_where_the_records_decide_the_margin_is_tried_last() -> None:
     lines = spectral_lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)
     at_peaks = sensitive_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
     assert lines[: len(at_peaks)] == at_peaks
-    assert (
-        spectral_lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD, only_peaks=True)
-        == at_peaks
-    )
+    judged = (FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)
+    assert spectral_lines_to_test(*judged, only_peaks=True) == at_peaks
     deciding = deciding_line(SSM_MODEL, FAST.pair, BALLS, MISMATCH, PERIOD)
     assert deciding in lines
-    hidden = replace(MISMATCH.views[-1], by_frequency=1e-6 * np.ones(33))
-    gain_at_one_band = hidden.by_frequency.copy()
+    view = MISMATCH.views[-1]
+    gain_at_one_band = 1e-6 * np.ones(33)
     gain_at_one_band[7] = 0.1
-    everything_counts = {"linear": 0 * hidden.linear, "rest": gain_at_one_band}
-    peaked = replace(hidden, by_frequency=gain_at_one_band, **everything_counts)
+    no_linear_part = 0 * view.linear
+    everything_counts = {"linear": no_linear_part, "rest": gain_at_one_band}
+    peaked = replace(view, by_frequency=gain_at_one_band, **everything_counts)
     mismatch = replace(MISMATCH, views=(peaked,))
     line = deciding_line(SSM_MODEL, FAST.pair, BALLS, mismatch, PERIOD)
     assert line is not None
-    assert abs(2 * np.pi * line / PERIOD - 7 * np.pi / 32) < np.pi / 32
+    angle = 2 * np.pi * line / PERIOD
+    band_angle = 7 * np.pi / 32
+    assert abs(angle - band_angle) < np.pi / 32
 
 
 def test_records_without_a_mismatch_decide_at_no_line() -> None:
     view = MISMATCH.views[-1]
-    none = np.zeros(33)
-    silent = replace(view, by_frequency=none, linear=0 * view.linear, rest=none)
+    zero = np.zeros(33)
+    no_linear_part = 0 * view.linear
+    silent = replace(view, by_frequency=zero, linear=no_linear_part, rest=zero)
     mismatch = replace(MISMATCH, views=(silent,))
-    assert deciding_line(SSM_MODEL, FAST.pair, BALLS, mismatch, PERIOD) is None
+    line = deciding_line(SSM_MODEL, FAST.pair, BALLS, mismatch, PERIOD)
+    assert line is None
 
 
 def test_where_no_noise_is_known_nothing_is_tried() -> None:
@@ -191,7 +216,9 @@ def test_the_simulated_sines_repeat_and_reach_down_to_a_hundredth() -> None:
         actual = u[PERIOD : 2 * PERIOD]
         expected = u[2 * PERIOD :]
         np.testing.assert_array_equal(actual, expected)
-    largest = max(float(np.abs(trial.u - plant.equilibrium().u).max()) for trial in trials)
+    rest = plant.equilibrium().u
+    reaches = [np.abs(trial.u - rest).max() for trial in trials]
+    largest = float(max(reaches))
     expected = plant.input_amplitude[0]
     assert largest == pytest.approx(expected, rel=1e-3)
     rng = np.random.default_rng(0)
@@ -216,11 +243,12 @@ def covered() -> tuple[Design, float]:
 def test_a_sine_asks_of_the_disc_what_its_record_asks(centre: float) -> None:
     """Two routes: from the stored powers of the sine, and from its record's spectrum."""
     trial = sine(scaled_model(SHARE), 43, 0.5, 1e-3)
-    (measured,) = measure_sine_mismatch(SSM_MODEL, (trial,), MISMATCH, PERIOD)
+    (measured,) = measure_sines(trial)
     item = requirement_from_measured_sine(measured, centre)
     errors = RecordErrors.from_record(SSM_MODEL, trial, 0)
     last_two_periods = replace(errors, start=PERIOD, period=PERIOD)
-    spectrum = line_spectrum(last_two_periods, np.array(MISMATCH.noise))
+    noise = np.array(MISMATCH.noise)
+    spectrum = line_spectrum(last_two_periods, noise)
     other = requirement_from_sine(spectrum, centre)
     assert item is not None
     input_power = other.input_power.sum()
@@ -234,15 +262,17 @@ def test_a_sine_asks_of_the_disc_what_its_record_asks(centre: float) -> None:
 def test_the_proof_covers_only_what_it_covers_at_the_sines(covered: tuple[Design, float]) -> None:
     proved, coverage = covered
     trial = sine(scaled_model(SHARE), 43, 0.5, 1e-3)
-    (usual,) = measure_sine_mismatch(SSM_MODEL, (trial,), MISMATCH, PERIOD)
+    (usual,) = measure_sines(trial)
     facts = sine_coverage_columns(proved, [usual], coverage)
     assert facts["sine_coverage"] > 1
     assert usual.error_power is not None
     larger_gain = 2 * facts["sine_coverage"]
-    larger = replace(usual, error_power=usual.error_power * larger_gain**2)
+    error_power = usual.error_power * larger_gain**2
+    larger = replace(usual, error_power=error_power)
     facts = sine_coverage_columns(proved, [usual, larger], coverage)
-    assert facts["coverage"] == facts["sine_coverage"]
-    assert facts["coverage"] == pytest.approx(0.5, rel=0.1)
+    smaller_coverage = facts["coverage"]
+    assert smaller_coverage == facts["sine_coverage"]
+    assert smaller_coverage == pytest.approx(0.5, rel=0.1)
     assert "one sine at" in facts["coverage_reference"]
 
 
@@ -252,8 +282,10 @@ def test_without_a_coverage_or_powers_the_sines_change_none(covered: tuple[Desig
     null = {"sine_coverage": None}
     assert sine_coverage_columns(proved, [gain_alone], coverage) == null
     assert sine_coverage_columns(proved, [], coverage) == {}
-    powers = {"error_power": 25.0, "model_power": 1.0, "cross_power": 0.0, "noise_power": 0.0}
-    harmful = replace(gain_alone, **powers)
+    powers = {"error_power": 25.0, "model_power": 1.0}
+    no_power = {"cross_power": 0.0, "noise_power": 0.0}
+    harmful = replace(gain_alone, **powers, **no_power)
     assert sine_coverage_columns(proved, [harmful], None) == null
     assert sine_coverage_columns(FAST, [harmful], coverage) == null
-    assert sine_coverage_columns(proved, [harmful], coverage)["coverage"] < 1
+    facts = sine_coverage_columns(proved, [harmful], coverage)
+    assert facts["coverage"] < 1

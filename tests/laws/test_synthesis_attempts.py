@@ -19,10 +19,11 @@ BALLS = [UNIT_SLOPE, JacobianBall.from_slopes(0.4, 1.0)]  # a frontier at r = 0,
 
 
 def problem(ball: JacobianBall, rate: float = 0.1) -> Problem:
-    a = np.array([[1.05, 0.1, 0.0], [-0.1, 0.97, 0.2], [0.0, 0.0, 0.4]])
+    rotation = [[1.05, 0.1, 0.0], [-0.1, 0.97, 0.2]]
+    a = np.array([*rotation, [0.0, 0.0, 0.4]])
     b = np.array([[0.1], [1.0], [0.5]])
-    state_weight = np.eye(3)
-    return Problem(a=a, b=b, ball=ball, rate=rate, state_weight=state_weight, input_weight=1.0)
+    weights = {"state_weight": np.eye(3), "input_weight": 1.0}
+    return Problem(a=a, b=b, ball=ball, rate=rate, **weights)
 
 
 def limits(asked: Problem) -> Frontier:
@@ -34,8 +35,9 @@ def shares(asked: Problem, contractions: list[float]) -> np.ndarray:
     where that is zero."""
     contraction_limit = limits(asked).contraction_limit
     floor = max(contraction_limit, asked.contraction / 2)
-    logs = np.log(np.array(contractions) / asked.contraction)
-    return logs / np.log(floor / asked.contraction)
+    asked_contraction = asked.contraction
+    logs = np.log(np.array(contractions) / asked_contraction)
+    return logs / np.log(floor / asked_contraction)
 
 
 @pytest.mark.parametrize("ball", BALLS)
@@ -43,20 +45,23 @@ def test_gains_in_closed_form_are_built_inside_the_room(ball: JacobianBall) -> N
     """The status of each attempt gives its rate; no two are the same matrices, as they would be
     with scales a power of two apart."""
     asked = problem(ball)
-    made: list[tuple[float, str]] = []
+    rate_limit = limits(asked).rate_limit
+    solutions: list[tuple[float, str]] = []
     built: list[float] = []
     for attempt in minimum_energy_attempts(asked):
         try:
-            found = attempt()
+            solution = attempt()
         except NoSolution:
             continue
-        words = found.status.split("at rate ")[1]
+        words = solution.status.split("at rate ")[1]
         rate = float(words.split(",")[0])
-        assert asked.rate < rate < limits(asked).rate_limit
-        assert 1 <= found.sigma < 2
-        made.append((found.sigma, found.status))
-        built.append(float(np.sqrt(1 - rate)))
-    assert len(set(made)) == len(made) > 20
+        assert asked.rate < rate < rate_limit
+        assert 1 <= solution.sigma < 2
+        solutions.append((solution.sigma, solution.status))
+        contraction = np.sqrt(1 - rate)
+        built.append(float(contraction))
+    assert len(solutions) > 20
+    assert len(set(solutions)) == len(solutions)
     contractions = built[: len(SHARES)]
     actual = shares(asked, contractions)
     np.testing.assert_allclose(actual, SHARES, atol=1e-4)
@@ -73,9 +78,9 @@ def test_the_asked_rate_comes_first_and_repairs_lie_inside_the_room(ball: Jacobi
 
     asked = problem(ball)
     noting = Noting(rate_controller=0.1, rate_observer=0.1)
-    attempts: list[Callable[[], Solution]] = super(RiccatiSynthesis, noting).solution_attempts(
-        asked, limits(asked)
-    )
+    frontier = limits(asked)
+    riccati = super(RiccatiSynthesis, noting)
+    attempts: list[Callable[[], Solution]] = riccati.solution_attempts(asked, frontier)
     for attempt in attempts:
         with pytest.raises(NoSolution):
             attempt()
@@ -84,7 +89,8 @@ def test_the_asked_rate_comes_first_and_repairs_lie_inside_the_room(ball: Jacobi
     contractions = [float(np.sqrt(1 - rate)) for rate in repairs]
     actual = shares(asked, contractions)
     np.testing.assert_allclose(actual, REPAIRS)
-    assert all(asked.rate < rate < limits(asked).rate_limit for rate in repairs)
+    for rate in repairs:
+        assert asked.rate < rate < frontier.rate_limit
     assert repairs == sorted(repairs)  # the mildest first
 
 
@@ -92,10 +98,9 @@ def test_the_smallest_tau_itself_is_not_admissible() -> None:
     """`kappa = 0`: the equation says nothing of the input, though it still has a solution where A
     is stable."""
     one = np.ones((1, 1))
-    state_weight = 0.1 * one
-    asked = Problem(
-        a=0.5 * one, b=one, ball=BALLS[0], rate=0.1, state_weight=state_weight, input_weight=1.0
-    )
+    a = 0.5 * one
+    weights = {"state_weight": 0.1 * one, "input_weight": 1.0}
+    asked = Problem(a=a, b=one, ball=BALLS[0], rate=0.1, **weights)
     assert solve_at_tau(asked, 1.0) is None
     assert solve_at_tau(asked, 2.0) is not None
 
@@ -108,9 +113,11 @@ def test_without_a_radius_the_weights_give_the_linear_quadratic_regulator() -> N
     asked = problem(ball)
     a = asked.a / r
     b = 2.0 * asked.b / r
-    s = scipy.linalg.solve_discrete_are(a, b, asked.state_weight, np.eye(1))
-    input_cost = np.eye(1) + b.T @ s @ b
-    gain = -np.linalg.solve(input_cost, b.T @ s @ a)
+    identity = np.eye(1)
+    s = scipy.linalg.solve_discrete_are(a, b, asked.state_weight, identity)
+    input_cost = identity + b.T @ s @ b
+    coupling = b.T @ s @ a
+    gain = -np.linalg.solve(input_cost, coupling)
     actual = guaranteed_cost(asked).k
     np.testing.assert_allclose(actual, gain, rtol=1e-6)
 
@@ -122,6 +129,7 @@ def test_the_weights_are_tried_at_the_asked_rate_and_two_faster_ones_before_the_
     method = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
     attempts_at_all_rates = method.solution_attempts(asked, limits(asked))
     attempts = attempts_at_all_rates[:5]
-    said = [attempt().status.split()[0] for attempt in attempts]
+    statuses = [attempt().status for attempt in attempts]
+    first_words = [status.split()[0] for status in statuses]
     expected = ["tau", "tau", "tau", "minimum", "minimum"]
-    assert said == expected
+    assert first_words == expected

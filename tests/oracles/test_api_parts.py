@@ -12,19 +12,22 @@ from ssm_study.cli.from_python import compose_configuration
 from ssm_study.engine.settings import plain_settings
 from ssm_study.refusal import BadRequest
 
-CONF = Path(__file__).parents[2] / "conf"
-CHOICES = [
-    (group, path.stem)
-    for group in (*GROUPS, "plant")
-    for path in sorted((CONF / group).glob("*.yaml"))
-]
-WORDS = (
+ROOT = Path(__file__).parents[2]
+CONF = ROOT / "conf"
+CHOICES: list[tuple[str, str]] = []
+for group_name in (*GROUPS, "plant"):
+    yamls = sorted((CONF / group_name).glob("*.yaml"))
+    CHOICES += [(group_name, path.stem) for path in yamls]
+WORDS_OF_MODELS = (
     ("model=ssm", "model.order=4", "scaffold@model.scaffold_in=monotone"),
     ("model=structured", "model.ridge=1e-3", "model.kinds=[tanh,relu]"),
+)
+WORDS_OF_OTHERS = (
     ("training/optimiser=adam", "training.max_epochs=7"),
     ("synthesis=riccati", "synthesis.rate_controller=0.2"),
     ("reference@loop.reference=step", "loop.horizon_s=3"),
 )
+WORDS = (*WORDS_OF_MODELS, *WORDS_OF_OTHERS)
 
 
 def test_the_folder_is_ours() -> None:
@@ -42,31 +45,30 @@ def test_every_choice_is_what_hydra_composes(group: str, choice: str) -> None:
 
 @pytest.mark.parametrize("words", WORDS)
 def test_settings_are_what_hydra_composes(words: tuple[str, ...]) -> None:
-    defaults = {
-        "model": "ssm", "training": "default", "synthesis": "auto", "loop": "regulation",
-    }  # fmt: skip
+    defaults = {"model": "ssm", "training": "default"}
+    defaults |= {"synthesis": "auto", "loop": "regulation"}
     parts = Parts(defaults, words)
     config = compose_configuration([*words, "study=any"])
     theirs = plain_settings(config)
     for name, tree in parts.trees.items():
         assert tree == dict(theirs[name])
-    config = compose_configuration([*parts.command_overrides(), "study=any"])
+    overrides = parts.command_overrides()
+    config = compose_configuration([*overrides, "study=any"])
     again = plain_settings(config)
     for name in parts.trees:
         assert again[name] == theirs[name]
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("model=none",), "is no choice"),
-        (("order=4",), "is no setting"),
-        (("-m",), "is no setting"),
-        (("model.order.deep=4",), "there is no part order"),
-        (("seed=-1",), "not a whole number"),
-        (("scaffold@plant.scaffold=mlp",), "is no part of a model"),
-    ],
-)
+NO_SETTINGS = [(("order=4",), "is no setting"), (("-m",), "is no setting")]
+NO_PARTS = [
+    (("model=none",), "is no choice"),
+    (("model.order.deep=4",), "there is no part order"),
+    (("scaffold@plant.scaffold=mlp",), "is no part of a model"),
+]
+NO_SEED = (("seed=-1",), "not a whole number")
+
+
+@pytest.mark.parametrize(("words", "message"), [*NO_SETTINGS, *NO_PARTS, NO_SEED])
 def test_other_words_are_refused(words: tuple[str, ...], message: str) -> None:
     choices = {"model": "ssm"}
     with pytest.raises(BadRequest, match=message):
@@ -80,6 +82,13 @@ def test_a_missing_value_is_named() -> None:
 
 
 VALUES = {"feedthrough": False, "slope_lower": 0.1, "nodes": 3}
+UNQUOTED_WORD = re.compile(r"(?<![\w\"])\w+(?![\w\"])")
+
+
+def parts_with_model(model: str) -> Parts:
+    """The parts of a fit with this model."""
+    choices = fitting.CHOICES | {"model": model}
+    return Parts(choices)
 
 
 def test_the_help_of_fit_names_settings_that_each_model_takes() -> None:
@@ -88,12 +97,14 @@ def test_the_help_of_fit_names_settings_that_each_model_takes() -> None:
     listed = re.findall(r'"(\w+)" \[([^\]]*)\]', text)
     assert len(listed) >= 8
     for model, words in listed:
-        for name in re.findall(r"(?<![\w\"])\w+(?![\w\"])", words.replace("as ", "")):
+        names = UNQUOTED_WORD.findall(words.replace("as ", ""))
+        for name in names:
             field = "slope_lower" if name == "slopes" else name
-            parts = Parts(fitting.CHOICES | {"model": model})
-            parts.set_fields("model", **{field: VALUES.get(field, 2)})
+            value = VALUES.get(field, 2)
+            parts = parts_with_model(model)
+            parts.set_fields("model", **{field: value})
             parts.build("model")
-    parts = Parts(fitting.CHOICES | {"model": "arx"})
+    parts = parts_with_model("arx")
     parts.set_fields("model", order=2)
     with pytest.raises(BadRequest, match="order"):
         parts.build("model")

@@ -10,14 +10,14 @@ from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
 ROOT = Path(__file__).resolve().parents[2]
+RESULTS = ROOT / "results" / "reference" / "benchmarks"
 TABLES = {"emps": "rehearsal", "ced": "choice", "cascaded_tanks": "choice"}
 DATA = {"emps": "emps_position", "ced": "ced", "cascaded_tanks": "cascaded_tanks"}
 
 
 def rows(benchmark: str) -> list[dict[str, str]]:
-    with (ROOT / "results" / "reference" / "benchmarks" / f"{TABLES[benchmark]}.csv").open(
-        newline=""
-    ) as stream:
+    path = RESULTS / f"{TABLES[benchmark]}.csv"
+    with path.open(newline="") as stream:
         dict_reader = csv.DictReader(stream)
         return [row for row in dict_reader if row["benchmark"] == benchmark]
 
@@ -30,13 +30,16 @@ def composed(*overrides: str) -> DictConfig:
 @pytest.mark.parametrize("benchmark", DATA)
 def test_the_table_ranks_by_the_error_over_all_parts(benchmark: str) -> None:
     part = "rehearsal" if TABLES[benchmark] == "rehearsal" else "fold"
-    pooled = [float(row["held_out_rmse"]) for row in rows(benchmark)]
+    ranked = rows(benchmark)
+    pooled = [float(row["held_out_rmse"]) for row in ranked]
     assert pooled == sorted(pooled)
-    for row, error in zip(rows(benchmark), pooled, strict=True):
-        parts = [
-            float(row[f"{part}_{k}"] or "inf") for k in range(4)
-        ]  # a setting that failed on one is out
-        assert math.sqrt(sum(e**2 for e in parts) / 4) == pytest.approx(error, rel=1e-3)
+    for row, error in zip(ranked, pooled, strict=True):
+        cells = [row[f"{part}_{k}"] for k in range(4)]
+        # A setting that failed on one is out.
+        parts = [float(cell or "inf") for cell in cells]
+        squares = [part_error**2 for part_error in parts]
+        mean_square = sum(squares) / 4
+        assert math.sqrt(mean_square) == pytest.approx(error, rel=1e-3)
 
 
 @pytest.mark.parametrize("benchmark", DATA)
@@ -50,7 +53,8 @@ def test_the_chosen_settings_are_those_that_are_scored(benchmark: str) -> None:
     slope_lower = scored.model.slope_lower
     assert slope_lower == float(best["slope_lower"])
     scaffold_out = scored.model.scaffold_out
-    assert scaffold_out._target_.rsplit(".", 1)[-1].lower() == best["scaffold_out"]
+    scaffold_name = scaffold_out._target_.rsplit(".", 1)[-1]
+    assert scaffold_name.lower() == best["scaffold_out"]
 
 
 def test_the_servo_is_scored_as_it_was_rehearsed() -> None:
@@ -65,5 +69,6 @@ def test_the_servo_is_scored_as_it_was_rehearsed() -> None:
     training = scored.data.training
     assert training == rehearsed.data.experiments.training
     output_equilibrium = scored.data.output_equilibrium
-    expected = [float(rows("emps")[0]["output_equilibrium"])]
+    best = rows("emps")[0]
+    expected = [float(best["output_equilibrium"])]
     assert output_equilibrium == expected

@@ -23,22 +23,20 @@ import pytest
 from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
 from ssm_study.signals import Channel
 
-SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "plants_foxglove.cjs"
-
-
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPT = ROOT / "benchmarks" / "plants_foxglove.cjs"
 STUDIO = SCRIPT.with_name("plants_foxglove_studio.py")
+PACKAGES = "require('@mcap/core'); require('@mcap/support')"
 
 
 def node(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(["node", *words], capture_output=True, text=True, timeout=60, check=False)
+    command = ["node", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def foxglove() -> None:
-    if (
-        shutil.which("node") is None
-        or node("-e", "require('@mcap/core'); require('@mcap/support')").returncode != 0
-    ):
+    if shutil.which("node") is None or node("-e", PACKAGES).returncode != 0:
         pytest.skip("needs node and Foxglove's packages in NODE_PATH, see above")
 
 
@@ -48,27 +46,32 @@ def as_foxglove_reads(path: Path) -> Any:
     return json.loads(read.stdout)
 
 
+def encode_double(value: float) -> str:
+    """The bits of a double, in hexadecimal digits."""
+    return struct.pack(">d", value).hex()
+
+
 def test_foxglove_reads_what_was_written(tmp_path: Path) -> None:
     """Topics, protobuf schemas, units, metadata, log times of the sampling clock, and every double
     to its last bit."""
     rng = np.random.default_rng(0)
     white_noise = rng.standard_normal((3000, 2))
-    values = np.concatenate([[[0.0, -0.0], [np.inf, 5e-324]], white_noise])
-    channels = (Channel(name="speed", unit="rad/s"), Channel(name="torque", unit="Nm"))
+    extremes = [[0.0, -0.0], [np.inf, 5e-324]]
+    values = np.concatenate([extremes, white_noise])
+    speed = Channel(name="speed", unit="rad/s")
+    torque = Channel(name="torque", unit="Nm")
+    channels = (speed, torque)
     time_s = np.arange(3002) * 0.01
     output = SignalGroup(topic="/output", time_s=time_s, channels=channels, values=values)
     time_s = np.arange(9) * 0.5
-    signal_group_channels = channels[:1]
-    signal_group_values = values[:9, :1]
-    slow = SignalGroup(
-        topic="/input", time_s=time_s, channels=signal_group_channels, values=signal_group_values
-    )
+    first_values = values[:9, :1]
+    slow = SignalGroup(topic="/input", time_s=time_s, channels=(speed,), values=first_values)
     groups = (output, slow)
     metadata = {"plant": "DCMotor", "seed": "0"}
-    write_mcap(tmp_path / "a.mcap", groups, metadata)
-    seen = as_foxglove_reads(tmp_path / "a.mcap")
-    expected = {"ssm-study": {"plant": "DCMotor", "seed": "0"}}
-    assert seen["metadata"] == expected
+    path = tmp_path / "a.mcap"
+    write_mcap(path, groups, metadata)
+    seen = as_foxglove_reads(path)
+    assert seen["metadata"] == {"ssm-study": metadata}
     expected = {"/output", "/input"}
     assert set(seen["topics"]) == expected
     topic = seen["topics"]["/output"]
@@ -76,16 +79,18 @@ def test_foxglove_reads_what_was_written(tmp_path: Path) -> None:
     assert topic["schema_encoding"] == "protobuf"
     expected = {"unit.speed": "rad/s", "unit.torque": "Nm"}
     assert topic["metadata"] == expected
-    assert (
-        topic["log_times_ns"]
-        == topic["publish_times_ns"]
-        == [str(k * 10_000_000) for k in range(3002)]
-    )
-    digits = [[message[channel.name] for channel in channels] for message in topic["messages"]]
-    expected = [[struct.pack(">d", value).hex() for value in row] for row in values]
+    expected = [str(k * 10_000_000) for k in range(3002)]
+    assert topic["log_times_ns"] == expected
+    assert topic["publish_times_ns"] == expected
+    digits = [[message["speed"], message["torque"]] for message in topic["messages"]]
+    expected = []
+    for of_speed, of_torque in values:
+        row = [encode_double(of_speed), encode_double(of_torque)]
+        expected.append(row)
     assert digits == expected
     expected = [str(k * 500_000_000) for k in range(9)]
-    assert seen["topics"]["/input"]["log_times_ns"] == expected
+    slow_topic = seen["topics"]["/input"]
+    assert slow_topic["log_times_ns"] == expected
     expected = ["3011", "0", "30010000000"]
     assert seen["statistics"] == expected
     assert seen["chunks"] > 1
@@ -96,7 +101,8 @@ def test_every_recording_of_a_run_opens(smoke_run: Path) -> None:
     for path in sorted(paths):
         seen = as_foxglove_reads(path)
         topics = seen["topics"].values()
-        assert all(topic["messages"] for topic in topics), path.name
+        messages = [topic["messages"] for topic in topics]
+        assert all(messages), path.name
         assert seen["metadata"]["ssm-study"], path.name
 
 
@@ -106,51 +112,54 @@ def test_foxglove_refuses_a_flipped_bit(tmp_path: Path) -> None:
     values = rng.standard_normal((100, 1))
     channel = Channel(name="speed", unit="rad/s")
     time_s = np.arange(100) * 0.01
-    group = SignalGroup(topic="/output", time_s=time_s, channels=(channel,), values=values)
-    write_mcap(tmp_path / "a.mcap", (group,), {})
-    content = bytearray((tmp_path / "a.mcap").read_bytes())
+    signals = {"channels": (channel,), "values": values}
+    group = SignalGroup(topic="/output", time_s=time_s, **signals)
+    path = tmp_path / "a.mcap"
+    write_mcap(path, (group,), {})
+    content = bytearray(path.read_bytes())
     content[len(content) // 3] ^= 1
-    (tmp_path / "a.mcap").write_bytes(content)
-    a_path = str(tmp_path / "a.mcap")
-    returncode = node(str(SCRIPT), a_path).returncode
+    path.write_bytes(content)
+    returncode = node(str(SCRIPT), str(path)).returncode
     assert returncode != 0
+
+
+def find_studio() -> Path | None:
+    """The folder of modules that holds the application, if there is one."""
+    places = os.environ["NODE_PATH"].split(os.pathsep)
+    modules = [Path(place) for place in places]
+    holding = [place for place in modules if (place / "@foxglove" / "studio-base").is_dir()]
+    return holding[0] if holding else None
 
 
 def test_the_application_shows_a_recording(smoke_run: Path) -> None:
     """Foxglove Studio itself: topics with schemas and counts, times, nothing failed, and the
     numbers of one sample."""
-    places = os.environ["NODE_PATH"].split(os.pathsep)
-    modules = [Path(place) for place in places]
-    holding = [place for place in modules if (place / "@foxglove" / "studio-base").is_dir()]
-    if not holding or shutil.which("chromedriver") is None:
+    modules = find_studio()
+    if modules is None or shutil.which("chromedriver") is None:
         pytest.skip("needs Foxglove Studio in NODE_PATH and chromium with chromedriver")
     recording = smoke_run / "closed_loop.mcap"
-    words = [
-        sys.executable,
-        str(STUDIO),
-        str(recording),
-        "--modules",
-        str(holding[0]),
-        "--beside",
-        "/case_0.states",
-    ]
-    ran = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    command = [sys.executable, str(STUDIO), str(recording)]
+    command += ["--modules", str(modules), "--beside", "/case_0.states"]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert ran.returncode == 0, ran.stderr
     seen = json.loads(ran.stdout)
     assert seen["failures"] == []
+    text = seen["text"]
     groups, _ = read_mcap(recording)
-    for topic in {
-        group.topic.rpartition("/")[0] for group in groups
-    }:  # the groups of a case are fields of its topic
-        assert re.search(rf"{topic}\nssm_study\.\w+\n{len(groups[0].values):,}\n", seen["text"]), (
-            topic
-        )
+    count = len(groups[0].values)
+    # The groups of a case are fields of its topic.
+    topics = {group.topic.rpartition("/")[0] for group in groups}
+    for topic in topics:
+        row = rf"{topic}\nssm_study\.\w+\n{count:,}\n"
+        assert re.search(row, text), topic
     states = next(group for group in groups if group.topic == "/case_0/states")
-    assert f"END TIME\n{states.time_s[-1]:.9f}" in seen["text"]
-    at = float(re.findall(r" @ ([0-9.]+) sec", seen["text"])[0])
-    difference = np.abs(states.time_s - at)
+    assert f"END TIME\n{states.time_s[-1]:.9f}" in text
+    shown_times = re.findall(r" @ ([0-9.]+) sec", text)
+    difference = np.abs(states.time_s - float(shown_times[0]))
     position_of_smallest = int(np.argmin(difference))
-    row = states.values[position_of_smallest]
-    tail = seen["text"][seen["text"].rindex(" sec") :]
-    for channel, value in zip(states.channels, row, strict=True):
-        assert float(re.findall(rf"{channel.name}\s+(\S+)", tail)[0]) == value, channel.name
+    sample = states.values[position_of_smallest]
+    start = text.rindex(" sec")
+    tail = text[start:]
+    for channel, value in zip(states.channels, sample, strict=True):
+        shown_values = re.findall(rf"{channel.name}\s+(\S+)", tail)
+        assert float(shown_values[0]) == value, channel.name

@@ -3,6 +3,7 @@ Foxglove builds on."""
 
 import resource
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from mcap import records
 from mcap.data_stream import RecordBuilder
+from mcap.reader import McapReader as McapReferenceReader
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
@@ -26,14 +28,18 @@ from ssm_study.signals import Channel
 def group(topic: str, values: np.ndarray, step_s: float = 0.01) -> SignalGroup:
     numbers = range(values.shape[1])
     channels = tuple(Channel(name=f"signal_{k}", unit="rad/s") for k in numbers)
-    time_s = np.arange(len(values)) * step_s
+    samples = len(values)
+    time_s = np.arange(samples) * step_s
     return SignalGroup(topic=topic, time_s=time_s, channels=channels, values=values)
 
 
-SHAPES = st.tuples(st.integers(1, 20), st.integers(1, 20))
+SIDE = st.integers(1, 20)
+SHAPES = st.tuples(SIDE, SIDE)
+DOUBLES = st.floats(width=64)
+ARRAYS = arrays(np.float64, SHAPES, elements=DOUBLES)
 
 
-@given(values=arrays(np.float64, SHAPES, elements=st.floats(width=64)))
+@given(values=ARRAYS)
 def test_every_double_survives(
     values: np.ndarray, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -41,7 +47,8 @@ def test_every_double_survives(
     groups = (group("/output", values),)
     write_mcap(path, groups, {"plant": "DCMotor"})
     (back,), metadata = read_mcap(path)
-    read_back = np.ascontiguousarray(back.values).tobytes()
+    in_rows = np.ascontiguousarray(back.values)
+    read_back = in_rows.tobytes()
     assert read_back == values.tobytes()
     assert metadata == {"plant": "DCMotor"}
 
@@ -49,29 +56,37 @@ def test_every_double_survives(
 def test_groups_units_and_times_survive(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     white_noise = rng.standard_normal((500, 1))
-    signal_group = group("/input", white_noise)
+    inputs = group("/input", white_noise)
     white_noise = rng.standard_normal((300, 4))
-    groups = (signal_group, group("/states/true", white_noise, 0.02))
-    write_mcap(tmp_path / "a.mcap", groups, {"plant": "DCMotor", "seed": "0"})
-    back, metadata = read_mcap(tmp_path / "a.mcap")
-    for wanted, found in zip(groups, back, strict=True):
-        assert wanted.topic == found.topic
-        assert wanted.channels == found.channels
-        np.testing.assert_array_equal(wanted.values, found.values)
-        np.testing.assert_allclose(found.time_s, wanted.time_s, atol=0.5e-9)
+    states = group("/states/true", white_noise, 0.02)
+    groups = (inputs, states)
+    path = tmp_path / "a.mcap"
+    write_mcap(path, groups, {"plant": "DCMotor", "seed": "0"})
+    back, metadata = read_mcap(path)
+    for written, read in zip(groups, back, strict=True):
+        assert written.topic == read.topic
+        assert written.channels == read.channels
+        np.testing.assert_array_equal(written.values, read.values)
+        np.testing.assert_allclose(read.time_s, written.time_s, atol=0.5e-9)
     assert metadata["seed"] == "0"
+
+
+def make_reference_reader(stream: IO[bytes]) -> McapReferenceReader:
+    """The reference reader of a stream, with the decoder of protocol buffers."""
+    decoder_factories = [DecoderFactory()]
+    return make_reader(stream, validate_crcs=True, decoder_factories=decoder_factories)
 
 
 def test_the_reference_reader_agrees(tmp_path: Path) -> None:
     """Schemas decode, log times are the sampling clock's, messages come in order of time."""
     rng = np.random.default_rng(1)
     values = rng.standard_normal((50, 3))
-    signal_group = group("/output", values)
-    groups = (signal_group, group("/input", -values))
-    write_mcap(tmp_path / "a.mcap", groups, {})
-    with (tmp_path / "a.mcap").open("rb") as stream:
-        decoder_factories = [DecoderFactory()]
-        reader = make_reader(stream, validate_crcs=True, decoder_factories=decoder_factories)
+    outputs = group("/output", values)
+    inputs = group("/input", -values)
+    path = tmp_path / "a.mcap"
+    write_mcap(path, (outputs, inputs), {})
+    with path.open("rb") as stream:
+        reader = make_reference_reader(stream)
         messages = list(reader.iter_decoded_messages(log_time_order=False))
         summary = reader.get_summary()
         schemas = summary.schemas.values()
@@ -79,66 +94,76 @@ def test_the_reference_reader_agrees(tmp_path: Path) -> None:
     assert names == {"ssm_study.Output", "ssm_study.Input"}
     times = [message.log_time for _, _, message, _ in messages]
     assert times == sorted(times)
-    outputs = [
-        (m.log_time, d.signal_0, d.signal_2) for _, c, m, d in messages if c.topic == "/output"
-    ]
-    expected = [(10_000_000 * k, values[k, 0], values[k, 2]) for k in range(50)]
-    assert outputs == expected
+    decoded_outputs = []
+    for _, channel, message, decoded in messages:
+        if channel.topic == "/output":
+            row = (message.log_time, decoded.signal_0, decoded.signal_2)
+            decoded_outputs.append(row)
+    expected = [(10_000_000 * k, row[0], row[2]) for k, row in enumerate(values)]
+    assert decoded_outputs == expected
+
+
+IN_ONE_TOPIC = ("/case_0/input", "/case_0/output")
+IN_ANOTHER_TOPIC = ("/case_1/input", "/case_1/output")
 
 
 def test_groups_below_one_name_share_their_messages(tmp_path: Path) -> None:
     """On one clock: read back as they were given, by the reference reader as fields."""
     rng = np.random.default_rng(4)
-    groups = [
-        group(f"/case_{i}/{name}", rng.standard_normal((400, 1)))
-        for i in (0, 1)
-        for name in ("input", "output")
-    ]
+    groups = []
+    for topic in (*IN_ONE_TOPIC, *IN_ANOTHER_TOPIC):
+        white_noise = rng.standard_normal((400, 1))
+        groups.append(group(topic, white_noise))
     white_noise = rng.standard_normal((400, 40))
     late = group("/case_1/late", white_noise, 0.02)  # on a clock of its own
-    write_mcap(tmp_path / "a.mcap", (*groups[:2], *groups[2:], late), {})
-    mcap = read_mcap(tmp_path / "a.mcap")
-    back = {one.topic: one for one in mcap[0]}
-    for wanted in (*groups, late):
-        assert back[wanted.topic].channels == wanted.channels
-        assert len(back) == 5
-        actual = back[wanted.topic].values
-        np.testing.assert_array_equal(actual, wanted.values)
-        actual = back[wanted.topic].time_s
-        np.testing.assert_allclose(actual, wanted.time_s, atol=0.5e-9)
-    with (tmp_path / "a.mcap").open("rb") as stream:
-        decoder_factories = [DecoderFactory()]
-        reader = make_reader(stream, validate_crcs=True, decoder_factories=decoder_factories)
-        seen = [d for _, c, _, d in reader.iter_decoded_messages() if c.topic == "/case_0"]
+    path = tmp_path / "a.mcap"
+    write_mcap(path, (*groups, late), {})
+    read_groups, _ = read_mcap(path)
+    back = {read.topic: read for read in read_groups}
+    assert len(back) == 5
+    for written in (*groups, late):
+        read = back[written.topic]
+        assert read.channels == written.channels
+        np.testing.assert_array_equal(read.values, written.values)
+        np.testing.assert_allclose(read.time_s, written.time_s, atol=0.5e-9)
+    input_values = groups[0].values[:, 0]
+    output_values = groups[1].values[:, 0]
+    with path.open("rb") as stream:
+        reader = make_reference_reader(stream)
+        messages = list(reader.iter_decoded_messages())
         summary = reader.get_summary()
-        signals = summary.channels.values()
-        channels = {c.topic: c.metadata for c in signals}
-    expected = list(groups[1].values[:, 0])
-    assert [d.output.signal_0 for d in seen] == expected
+        channels = {channel.topic: channel for channel in summary.channels.values()}
+    of_case_0 = [decoded for _, channel, _, decoded in messages if channel.topic == "/case_0"]
+    decoded_outputs = [decoded.output.signal_0 for decoded in of_case_0]
+    assert decoded_outputs == list(output_values)
     expected = {"/case_0", "/case_1/input", "/case_1/output", "/case_1/late"}
     assert set(channels) == expected
-    assert channels["/case_0"]["unit.input.signal_0"] == "rad/s"
-    names = [
-        "/case_0.output.signal_0",
-        "/case_0/input.signal_0",
-    ]  # as Foxglove plots them, and as topic.field
-    columns = McapReader().read(tmp_path / "a.mcap", names).columns
+    metadata = channels["/case_0"].metadata
+    assert metadata["unit.input.signal_0"] == "rad/s"
+    # As Foxglove plots them, and as topic.field.
+    names = ["/case_0.output.signal_0", "/case_0/input.signal_0"]
+    columns = McapReader().read(path, names).columns
     actual = [columns[name] for name in names]
-    expected = [groups[1].values[:, 0], groups[0].values[:, 0]]
+    expected = [output_values, input_values]
     np.testing.assert_array_equal(actual, expected)
 
 
+SIGNALS = ("input", "output", "measured", "estimate")
+
+
 def test_groups_below_one_name_take_half_the_bytes_of_topics_apart(tmp_path: Path) -> None:
-    values = np.random.default_rng(4).standard_normal((400, 1))
+    rng = np.random.default_rng(4)
+    values = rng.standard_normal((400, 1))
+    path = tmp_path / "b.mcap"
     sizes = []
     for topic in ("/case_0/{}", "/{}_alone"):
-        names = [topic.format(name) for name in ("input", "output", "measured", "estimate")]
+        names = [topic.format(name) for name in SIGNALS]
         groups = tuple(group(name, values) for name in names)
-        write_mcap(tmp_path / "b.mcap", groups, {})
-        st_size = (tmp_path / "b.mcap").stat().st_size
-        sizes.append(st_size)
-    upper_limit = sizes[1] / 2
-    assert sizes[0] < upper_limit
+        write_mcap(path, groups, {})
+        size = path.stat().st_size
+        sizes.append(size)
+    in_one_topic, in_topics_apart = sizes
+    assert in_one_topic < in_topics_apart / 2
 
 
 @pytest.fixture
@@ -151,7 +176,10 @@ def recording(tmp_path: Path) -> Path:
     return tmp_path / "a.mcap"
 
 
-@pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.7, 0.99, 0.9999])
+SHARES = [0.0, 0.001, 0.3, 0.7, 0.99, 0.9999]
+
+
+@pytest.mark.parametrize("share", SHARES)
 def test_a_truncated_recording_is_refused(recording: Path, share: float) -> None:
     whole = recording.read_bytes()
     kept_bytes = int(share * len(whole))
@@ -165,37 +193,37 @@ def test_no_flipped_bit_changes_a_number_silently(recording: Path) -> None:
     (true,), about = read_mcap(recording)
     rng = np.random.default_rng(3)
     refused = 0
-    positions = rng.integers(0, 8 * len(whole), 300)
+    bits = 8 * len(whole)
+    positions = rng.integers(0, bits, 300)
     for position in positions:
         damaged = bytearray(whole)
-        damaged[position // 8] ^= 1 << (position % 8)
+        byte, bit = divmod(position, 8)
+        damaged[byte] ^= 1 << bit
         recording.write_bytes(damaged)
         try:
-            (found,), metadata = read_mcap(recording)
+            (read,), metadata = read_mcap(recording)
         except BadRequest:
             refused += 1
             continue
-        np.testing.assert_array_equal(found.values, true.values)
+        np.testing.assert_array_equal(read.values, true.values)
         assert metadata == about
-        assert found.channels == true.channels
-        np.testing.assert_array_equal(found.time_s, true.time_s)
+        assert read.channels == true.channels
+        np.testing.assert_array_equal(read.time_s, true.time_s)
     assert refused > 200  # the rest hit the index at the end, which is not needed to read
 
 
 def test_a_name_that_is_no_identifier_is_refused() -> None:
     time_s = np.arange(2.0)
     channel = Channel(name="a b", unit="V")
-    channels = (channel,)
-    signal_group_values = np.ones((2, 1))
+    signals = {"channels": (channel,), "values": np.ones((2, 1))}
     with pytest.raises(BadRequest, match="unique identifier"):
-        SignalGroup(topic="/y", time_s=time_s, channels=channels, values=signal_group_values)
+        SignalGroup(topic="/y", time_s=time_s, **signals)
 
 
 def test_an_existing_recording_is_replaced_whole_or_not_at_all(recording: Path) -> None:
     before = recording.read_bytes()
-    signal_group = group("/a", np.ones((2, 1)))
-    other_group = group("/a", np.ones((2, 1)))
-    groups = (signal_group, other_group)
+    ones = np.ones((2, 1))
+    groups = (group("/a", ones), group("/a", ones))
     with pytest.raises(BadRequest, match="share a topic"):
         write_mcap(recording, groups, {})
     assert recording.read_bytes() == before
@@ -209,9 +237,9 @@ def test_a_full_disk_is_the_systems_own_error(
     rng = np.random.default_rng(0)
     values = rng.standard_normal((4000, 2))
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(
-        resource.RLIMIT_FSIZE, (10_000, hard)
-    )  # bytes of a file: writes beyond fail as on a full disk
+    # Bytes of a file: writes beyond fail as on a full disk.
+    small = (10_000, hard)
+    resource.setrlimit(resource.RLIMIT_FSIZE, small)
     try:
         groups = (group("/output", values),)
         with pytest.raises(OSError, match="File too large"):
@@ -223,36 +251,49 @@ def test_a_full_disk_is_the_systems_own_error(
     assert output == ("", "")
 
 
+def largest_memory_kib() -> int:
+    """The most memory that this process has held."""
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return usage.ru_maxrss
+
+
+def write_chunk(path: Path, packed: bytes, claimed: int) -> None:
+    """A recording of one packed chunk that claims this size."""
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start()
+        chunk = records.Chunk("zstd", packed, 0, 0, 0, claimed)
+        builder = RecordBuilder()
+        chunk.write(builder)
+        file.write(builder.end())
+        writer.finish()
+
+
 def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
     """A few kilobytes that would unpack to a gigabyte: what the chunk claims does not matter, its
     frame says it."""
     zstd_compressor = zstandard.ZstdCompressor()
     press = zstd_compressor.compressobj(size=2**30)
-    blocks = [press.compress(bytes(2**20)) for _ in range(2**10)]
-    packed = b"".join([*blocks, press.flush()])
+    zeros = bytes(2**20)
+    blocks = [press.compress(zeros) for _ in range(2**10)]
+    blocks.append(press.flush())
+    packed = b"".join(blocks)
+    words = "unpacks to more than 256 MiB; split the recording"
     for claimed in (2**30, 100):
         path = tmp_path / f"{claimed}.mcap"
-        with path.open("wb") as file:
-            writer = Writer(file, use_chunking=False)
-            writer.start()
-            chunk = records.Chunk("zstd", packed, 0, 0, 0, claimed)
-            chunk.write(builder := RecordBuilder())
-            file.write(builder.end())
-            writer.finish()
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        with pytest.raises(BadRequest, match="unpacks to more than 256 MiB; split the recording"):
+        write_chunk(path, packed, claimed)
+        before = largest_memory_kib()
+        with pytest.raises(BadRequest, match=words):
             read_mcap(path)
-        ru_maxrss = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        difference = ru_maxrss - before
-        assert difference < 2**17  # kilobytes
+        difference = largest_memory_kib() - before
+        assert difference < 2**17
 
 
 def logged(writer: Writer, topic: str, field: dict[str, object], contents: list[bytes]) -> None:
     """A topic of another program's: messages of one field or none, or of other messages with a
     double each."""
-    file = descriptor_pb2.FileDescriptorProto(
-        name=f"{topic}.proto", package="theirs", syntax="proto3"
-    )
+    names = {"name": f"{topic}.proto", "package": "theirs"}
+    file = descriptor_pb2.FileDescriptorProto(syntax="proto3", **names)
     point = file.message_type.add(name="Point")
     point.field.add(name="x", number=1, type=1, label=1)
     whole = file.message_type.add(name=topic)
@@ -266,20 +307,31 @@ def logged(writer: Writer, topic: str, field: dict[str, object], contents: list[
         writer.add_message(channel, k, content, k)
 
 
+DOUBLE_FIELD = b"\x09"
+SPEED = {"name": "speed", "type": 1, "label": 1}
+POINTS = {"name": "points", "type": 11, "label": 3, "type_name": ".theirs.Point"}
+
+
+def encode_double(value: float) -> bytes:
+    """A message with one number."""
+    return DOUBLE_FIELD + np.float64(value).tobytes()
+
+
 def test_topics_of_others_without_numbers_are_passed_over(tmp_path: Path) -> None:
     """A message without fields, and a list of messages, of which no sample has a number."""
-    number, point = (b"\x09" + np.float64(x).tobytes() for x in (2.5, 7.0))
-    with (tmp_path / "a.mcap").open("wb") as stream:
+    number = encode_double(2.5)
+    point = encode_double(7.0)
+    listed_point = b"\x0a\x09" + point
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start()
-        speed = {"name": "speed", "type": 1, "label": 1}
-        logged(writer, "Speed", speed, [number] * 3)
+        logged(writer, "Speed", SPEED, [number] * 3)
         logged(writer, "Ping", {}, [b""] * 3)
-        listed = {"name": "points", "type": 11, "label": 3, "type_name": ".theirs.Point"}
-        paths = [(b"\x0a\x09" + point) * k for k in (1, 2, 0)]
-        logged(writer, "Path", listed, paths)
+        lists = [listed_point, listed_point * 2, b""]
+        logged(writer, "Path", POINTS, lists)
         writer.finish()
-    (found,), _ = read_mcap(tmp_path / "a.mcap")
-    assert found.topic == "/Speed"
+    (read,), _ = read_mcap(path)
+    assert read.topic == "/Speed"
     expected = [[2.5]] * 3
-    assert found.values.tolist() == expected
+    assert read.values.tolist() == expected

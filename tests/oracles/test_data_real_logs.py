@@ -9,32 +9,39 @@ import pytest
 from ssm_study.data.look import LogLook, look
 from ssm_study.data.recorded import RecordedData
 
-FOLDER = Path(__file__).parents[3] / "shared" / "data" / "logs_real"
-pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="needs ../shared/data/logs_real")
+SHARED = Path(__file__).parents[3] / "shared"
+FOLDER = SHARED / "data" / "logs_real"
+IS_MISSING = not FOLDER.is_dir()
+pytestmark = pytest.mark.skipif(IS_MISSING, reason="needs ../shared/data/logs_real")
+TANKER_LOGS = ("tanker_zigzag_10.dat", "tanker_zigzag_minus20.dat")
 SIGNALS = {
     "heat_exchanger.dat": ("1", "2"),
     "house_heat_pump.csv": ("Ph", "Ti"),
     "propeller_bench.csv": ("Servo 3 (µs)", "Motor Optical Speed (RPM)"),
     "servo_position.csv": ("inputSignal(8bits)", "enconder(steps)"),
-    "tanker_zigzag_10.dat": ("9", "8"),
-    "tanker_zigzag_minus20.dat": ("9", "8"),
 }
+GUESSED = tuple(SIGNALS)
+SIGNALS |= dict.fromkeys(TANKER_LOGS, ("9", "8"))
 STEP_S = {
     "heat_exchanger.dat": 1.0,
     "house_heat_pump.csv": 3600.0,
     "propeller_bench.csv": 5.521,
     "servo_position.csv": 0.1,
-    "tanker_zigzag_10.dat": 0.1353,
-    "tanker_zigzag_minus20.dat": 0.1353,
 }
+STEP_S |= dict.fromkeys(TANKER_LOGS, 0.1353)
 SAMPLES = {"heat_exchanger.dat": 4000, "house_heat_pump.csv": 792, "servo_position.csv": 3000}
+OF_HEAT_EXCHANGER = ["semicolons, no names", "counts the rows", "within the same sample"]
+OF_HEAT_PUMP = ["nameless first column (dates)", "next sample", "measured too: Ta, Th"]
+OF_PROPELLER = ["clock Time (s)", "99% of the samples interpolated"]
+OF_SERVO = ["clock time(ms)", "integrator: the input explains 76%"]
+OF_TANKERS = ["times rounded to 1 s", "of the output's"]
 SAYS = {
-    "heat_exchanger.dat": ["semicolons, no names", "counts the rows", "within the same sample"],
-    "house_heat_pump.csv": ["nameless first column (dates)", "next sample", "measured too: Ta, Th"],
-    "propeller_bench.csv": ["clock Time (s)", "99% of the samples interpolated"],
-    "servo_position.csv": ["clock time(ms)", "integrator: the input explains 76%"],
-    "tanker_zigzag_10.dat": ["2 lines of prose above", "times rounded to 1 s", "of the output's"],
-    "tanker_zigzag_minus20.dat": ["tabs, no names", "times rounded to 1 s", "of the output's"],
+    "heat_exchanger.dat": OF_HEAT_EXCHANGER,
+    "house_heat_pump.csv": OF_HEAT_PUMP,
+    "propeller_bench.csv": OF_PROPELLER,
+    "servo_position.csv": OF_SERVO,
+    "tanker_zigzag_10.dat": ["2 lines of prose above", *OF_TANKERS],
+    "tanker_zigzag_minus20.dat": ["tabs, no names", *OF_TANKERS],
 }
 SETTINGS = {
     "heat_exchanger.dat": ["model.feedthrough=true"],
@@ -46,8 +53,10 @@ KNOWN_SETTINGS = ("model.feedthrough=true", "model.integrating_output=true")
 @pytest.fixture(scope="module")
 def looks() -> dict[str, LogLook]:
     """Each log once, its input and output named as its source names them."""
-    signals = SIGNALS.items()
-    return {name: look(FOLDER / name, input=u, output=y) for name, (u, y) in signals}
+    outcomes = {}
+    for name, (u, y) in SIGNALS.items():
+        outcomes[name] = look(FOLDER / name, input=u, output=y)
+    return outcomes
 
 
 @pytest.mark.parametrize("name", SIGNALS)
@@ -57,29 +66,36 @@ def test_the_plain_command_reads_it(name: str) -> None:
     path = str(FOLDER / name)
     recorded_data = RecordedData(path=path, input=u, output=y)
     data = recorded_data.build(0)
-    assert data.step_s == pytest.approx(STEP_S[name], rel=3e-4)
+    step_s = STEP_S[name]
+    assert data.step_s == pytest.approx(step_s, rel=3e-4)
     records = (*data.training, *data.validation, *data.test)
-    total = sum(len(record) for record in records)
+    lengths = [len(record) for record in records]
+    total = sum(lengths)
     expected = SAMPLES.get(name, total)
     assert total == pytest.approx(expected, rel=0.002)
-    assert all(np.isfinite(record.u).all() for record in records)
+    for record in records:
+        assert np.isfinite(record.u).all()
 
 
 @pytest.mark.parametrize("name", SIGNALS)
 def test_look_says_what_is_known(name: str, looks: dict[str, LogLook]) -> None:
-    text = str(looks[name])
+    log_look = looks[name]
+    text = str(log_look)
     for sentence in SAYS[name]:
         assert sentence in text
     assert "closed loop" not in text
     settings = SETTINGS.get(name, [])
-    assert [words for words in KNOWN_SETTINGS if words in looks[name].command] == settings
+    command = log_look.command
+    assert [words for words in KNOWN_SETTINGS if words in command] == settings
 
 
-@pytest.mark.parametrize("name", [name for name in SIGNALS if not name.startswith("tanker")])
+@pytest.mark.parametrize("name", GUESSED)
 def test_input_and_output_are_guessed(name: str, looks: dict[str, LogLook]) -> None:
     """The ship is left out: of its eleven nameless columns the input alone can be told."""
     guessed = look(FOLDER / name)
-    assert (guessed.input, guessed.output) == SIGNALS[name]
+    u, y = SIGNALS[name]
+    assert guessed.input == u
+    assert guessed.output == y
     expected = looks[name].command
     assert guessed.command == expected
 

@@ -6,6 +6,7 @@ qemu-system-arm, gcc-arm-none-eabi, libnewlib-arm-none-eabi); `python
 tests/oracles/test_export_cortex_m.py` writes it again.
 """
 
+import itertools
 import shutil
 import subprocess
 import sys
@@ -28,41 +29,30 @@ COMPILER = "arm-none-eabi-gcc"
 EMULATOR = "qemu-system-arm"
 
 
+START = ROOT / "tests" / "cortex_m" / "start.c"
+MEMORY = ROOT / "tests" / "cortex_m" / "memory.ld"
+BARE = ["-nostartfiles", "--specs=rdimon.specs", "-T", MEMORY]
+STRICT = ["-Wall", "-Wextra", "-Werror"]
+CHIP = ["-mcpu=cortex-m4", "-mthumb", "-std=c99", *EXACT, *STRICT]
+SEMIHOSTING = ["-semihosting-config", "enable=on,target=native"]
+BOARD = [EMULATOR, "-M", "mps2-an386", "-nographic", *SEMIHOSTING]
+
+
 def emulated(kind: str, real: str, unit: str, folder: Path) -> str:
     """One line of the log."""
-    made = device(folder, kind=kind, real=real, integral=kind == "mlp")
-    written(made, folder / "c")
-    bare = ["-nostartfiles", "--specs=rdimon.specs", "-T", ROOT / "tests/cortex_m/memory.ld"]
-    sources = [ROOT / "tests/cortex_m/start.c", "controller_replay.c"]
-    chip = [
-        "-mcpu=cortex-m4",
-        "-mthumb",
-        *UNITS[unit],
-        "-std=c99",
-        *EXACT,
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-    ]
-    subprocess.run(
-        [COMPILER, *chip, *bare, *sources, "-o", "replay.elf"], cwd=folder / "c", check=True
-    )
-    board = [
-        EMULATOR,
-        "-M",
-        "mps2-an386",
-        "-nographic",
-        "-semihosting-config",
-        "enable=on,target=native",
-    ]
-    replay_path = folder / "c" / "replay.elf"
-    done = subprocess.run(
-        [*board, "-kernel", replay_path], capture_output=True, text=True, timeout=120
-    )
-    return f"{kind}, {real}, {unit}: exit {done.returncode}, {done.stdout.strip()}"
+    with_integrator = kind == "mlp"
+    controller = device(folder, kind=kind, real=real, integral=with_integrator)
+    sources = folder / "c"
+    written(controller, sources)
+    command = [COMPILER, *CHIP, *UNITS[unit], *BARE]
+    command += [START, "controller_replay.c", "-o", "replay.elf"]
+    subprocess.run(command, cwd=sources, check=True)
+    run = [*BOARD, "-kernel", sources / "replay.elf"]
+    replay = subprocess.run(run, capture_output=True, text=True, timeout=120)
+    return f"{kind}, {real}, {unit}: exit {replay.returncode}, {replay.stdout.strip()}"
 
 
-CASES = [(kind, real, unit) for kind in KINDS for real in ("double", "float") for unit in UNITS]
+CASES = list(itertools.product(KINDS, ("double", "float"), UNITS))
 
 
 def test_the_log_shows_no_difference() -> None:
@@ -70,7 +60,8 @@ def test_the_log_shows_no_difference() -> None:
     lines = log.splitlines()[1:]
     assert len(lines) == len(CASES)
     for line, (kind, real, unit) in zip(lines, CASES, strict=True):
-        assert line == f"{kind}, {real}, {unit}: exit 0, 0 of 200 inputs differ, the largest by 0"
+        case = f"{kind}, {real}, {unit}"
+        assert line == f"{case}: exit 0, 0 of 200 inputs differ, the largest by 0"
 
 
 @pytest.mark.parametrize(("kind", "real", "unit"), [CASES[4], CASES[11]])
@@ -78,24 +69,34 @@ def test_the_emulated_chip(tmp_path: Path, kind: str, real: str, unit: str) -> N
     for program in (COMPILER, EMULATOR):
         if shutil.which(program) is None:
             pytest.skip(f"no {program} on this machine; its log is {LOG.relative_to(ROOT)}")
-    library = subprocess.run(
-        [COMPILER, "-print-file-name=rdimon.specs"], capture_output=True, text=True, check=True
-    )
+    question = [COMPILER, "-print-file-name=rdimon.specs"]
+    library = subprocess.run(question, capture_output=True, text=True, check=True)
+    path = Path(library.stdout.strip())
     # A name that the compiler did not find comes back as it is.
-    if not Path(library.stdout.strip()).is_absolute():
+    if not path.is_absolute():
         pytest.skip(
             f"{COMPILER} has no C library (libnewlib-arm-none-eabi); its log is "
             f"{LOG.relative_to(ROOT)}"
         )
-    assert emulated(kind, real, unit, tmp_path) in LOG.read_text().splitlines()
+    line = emulated(kind, real, unit, tmp_path)
+    log = LOG.read_text()
+    assert line in log.splitlines()
+
+
+def version_of(program: str) -> str:
+    """The first line of what a program says of itself."""
+    answer = subprocess.run([program, "--version"], capture_output=True, text=True)
+    return answer.stdout.splitlines()[0]
 
 
 if __name__ == "__main__":
-    versions = [
-        subprocess.run([p, "--version"], capture_output=True, text=True).stdout
-        for p in (COMPILER, EMULATOR)
-    ]
+    versions = [version_of(program) for program in (COMPILER, EMULATOR)]
+    lines = ["; ".join(versions)]
     with tempfile.TemporaryDirectory() as place:
-        lines = [emulated(*case, Path(place) / "-".join(case).replace(" ", "_")) for case in CASES]
+        for case in CASES:
+            name = "-".join(case).replace(" ", "_")
+            line = emulated(*case, Path(place) / name)
+            lines.append(line)
     LOG.parent.mkdir(parents=True, exist_ok=True)
-    LOG.write_text("\n".join(["; ".join(v.splitlines()[0] for v in versions), *lines]) + "\n")
+    text = "\n".join(lines)
+    LOG.write_text(text + "\n")

@@ -3,6 +3,7 @@ plant; plants that it must and must not flag."""
 
 import itertools
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -43,102 +44,139 @@ int main(void) {
 def covered() -> tuple[SSM, Design]:
     model = SSM.from_linear(MODEL, 0.01)
     records = premise(scaled_model(0.4), noise=0.01)
-    return model, add_coverage_certificate(design(), model, BALLS, records)
+    certified = add_coverage_certificate(design(), model, BALLS, records)
+    return model, certified
 
 
 @pytest.fixture(scope="module")
 def monitor(covered: tuple[SSM, Design]) -> Monitor:
-    made = Monitor.for_design(*covered)
-    assert made is not None
-    return made
+    coverage_monitor = Monitor.for_design(*covered)
+    assert coverage_monitor is not None
+    return coverage_monitor
 
 
 @pytest.fixture(scope="module")
 def device(covered: tuple[SSM, Design]) -> Device:
-    return Device.from_controller(convert_controller(*covered), "double", *UNLIMITED)
+    controller = convert_controller(*covered)
+    return Device.from_controller(controller, "double", *UNLIMITED)
+
+
+def write_sources(folder: Path, device: Device, monitor: Monitor) -> None:
+    """Write the C files of a monitored controller, and a program that reads samples."""
+    files = render_c_files(device, origin_text="test", monitor=monitor)
+    for file, text in files.items():
+        (folder / file).write_text(text)
+    (folder / "main.c").write_text(MAIN)
+
+
+COMPILER = ["gcc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-DMONITOR"]
+
+
+Watch = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @pytest.fixture(scope="module")
-def watched(device: Device, monitor: Monitor, tmp_path_factory: pytest.TempPathFactory):
+def watched(device: Device, monitor: Monitor, tmp_path_factory: pytest.TempPathFactory) -> Watch:
     """Sum and flag of the C code at each sample, for outputs and applied inputs."""
     folder = tmp_path_factory.mktemp("monitor")
-    for file, text in render_c_files(device, origin_text="test", monitor=monitor).items():
-        (folder / file).write_text(text)
-    (folder / "main.c").write_text(MAIN)
+    write_sources(folder, device, monitor)
     compiled(folder, "-std=c99", "-DMONITOR")  # the replay is what it is without
 
-    words = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-DMONITOR"]
-    subprocess.run(["gcc", *words, "main.c", "-o", "main"], cwd=folder, check=True)
+    command = [*COMPILER, "main.c", "-o", "main"]
+    subprocess.run(command, cwd=folder, check=True)
 
     def watch(y: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        samples = [f"{a!r} {b!r}" for a, b in zip(y.tolist(), u.tolist(), strict=True)]
+        pairs = zip(y.tolist(), u.tolist(), strict=True)
+        samples = [f"{output!r} {applied!r}" for output, applied in pairs]
         text = " ".join(samples)
         program = [folder / "main"]
-        done = subprocess.run(program, input=text, capture_output=True, text=True, check=True)
-        numbers = np.array(done.stdout.split(), dtype=float)
+        piped = {"input": text, "capture_output": True, "text": True}
+        process = subprocess.run(program, check=True, **piped)
+        words = process.stdout.split()
+        numbers = np.array(words, dtype=float)
         table = numbers.reshape(-1, 2)
-        flags = table[:, 1].astype(bool)
-        return table[:, 0], flags
+        sums, flags = table.T
+        return sums, flags.astype(bool)
 
     return watch
 
 
-def part_of(made: Design) -> MeasuredDiscs:
-    part = made.extra_certificates[MeasuredDiscs.part]
+def part_of(certified: Design) -> MeasuredDiscs:
+    part = certified.extra_certificates[MeasuredDiscs.part]
     assert isinstance(part, MeasuredDiscs)
     return part
 
 
-def loop(made: Design, plant, start: float, samples: int = SAMPLES) -> tuple[np.ndarray, ...]:
+Plant = Callable[[float, int], float]
+
+
+def loop(certified: Design, plant: Plant, start: float) -> tuple[np.ndarray, ...]:
     """The loop on `y = plant(m, k)` with m from the model's state, the estimate from rest: y, u, m,
     and the states of model and estimate."""
-    gains = made.gains
+    gains = certified.gains
     identity = np.eye(2)
-    x = np.linalg.solve(identity - MODEL.a, MODEL.b)[:, 0]
+    equilibrium = np.linalg.solve(identity - MODEL.a, MODEL.b)
+    x = equilibrium[:, 0]
     output = float((MODEL.c @ x)[0])
     x *= start / output
     xh = np.zeros(2)
     rows = []
-    for k in range(samples):
+    for k in range(SAMPLES):
         u = float((gains["k"] @ xh)[0])
         m = float((MODEL.c @ x)[0])
         y = plant(m, k)
-        rows.append((y, u, m, *x, *xh))
+        row = (y, u, m, *x, *xh)
+        rows.append(row)
         injected = MODEL.c @ xh - y
         model_input = MODEL.b[:, 0] * u
         x = MODEL.a @ x + model_input
-        predicted = MODEL.a @ xh + MODEL.b[:, 0] * u
+        predicted = MODEL.a @ xh + model_input
         xh = predicted + gains["l"] @ injected
     table = np.array(rows)
-    return table[:, 0], table[:, 1], table[:, 2], table[:, 3:]
+    y, u, m, *states = table.T
+    return y, u, m, np.stack(states, axis=1)
 
 
-def test_the_sum_is_the_running_sum_of_the_premise_that_never_falls_below_zero(
-    covered: tuple[SSM, Design], monitor: Monitor, watched
-) -> None:
-    part = part_of(covered[1])
-    rng = np.random.default_rng(0)
-    levels = rng.uniform(-1, 1, SAMPLES // 20)
-    y = np.repeat(levels, 20)
-    y[0] = 0.5
-    u = rng.uniform(-1, 1, SAMPLES)
-    m = MODEL.simulate(u[:, None])[0]
-    e = y[:, None] - m
+def sum_constraint(part: MeasuredDiscs, *signals: np.ndarray) -> np.ndarray:
+    """The running sum of a certificate's premise over input, model output and error."""
     weights = certificate_weights(part)
-    whole = running_constraint_sum(weights, part.centre, part.kappa, u[:, None], m, e)
-    added = np.diff(whole, prepend=0.0) - monitor.allowance
-    expected = np.zeros(SAMPLES)
+    return running_constraint_sum(weights, part.centre, part.kappa, *signals)
+
+
+def sum_above_zero(added: np.ndarray) -> np.ndarray:
+    """The running sum that never falls below zero."""
+    sums = np.zeros(SAMPLES)
     last = 0.0
     for k, more in enumerate(added):
         last = max(last + more, 0.0)
-        expected[k] = last
+        sums[k] = last
+    return sums
+
+
+def test_the_sum_is_the_running_sum_of_the_premise_that_never_falls_below_zero(
+    covered: tuple[SSM, Design], monitor: Monitor, watched: Watch
+) -> None:
+    part = part_of(covered[1])
+    rng = np.random.default_rng(0)
+    count = SAMPLES // 20
+    levels = rng.uniform(-1, 1, count)
+    y = np.repeat(levels, 20)
+    y[0] = 0.5
+    u = rng.uniform(-1, 1, SAMPLES)
+    inputs = u[:, None]
+    m = MODEL.simulate(inputs)[0]
+    e = y[:, None] - m
+    whole = sum_constraint(part, inputs, m, e)
+    increments = np.diff(whole, prepend=0.0)
+    expected = sum_above_zero(increments - monitor.allowance)
     sums, flags = watched(y, u)
     np.testing.assert_allclose(sums, expected, rtol=1e-9, atol=1e-12)
     limit = monitor.sum_limit(y[:1])
     assert expected.max() > limit > monitor.limit > 0
     assert flags[-1]
     largest_so_far = np.maximum.accumulate(expected)
-    np.testing.assert_array_equal(flags, largest_so_far > limit)
+    has_passed = largest_so_far > limit
+    np.testing.assert_array_equal(flags, has_passed)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -147,63 +185,85 @@ def test_the_sum_bounds_the_energy_of_any_plant(covered: tuple[SSM, Design], see
     that at the start and the sum, at every sample."""
     part = part_of(covered[1])
     rng = np.random.default_rng(seed)
-    noise = rng.standard_normal(SAMPLES).cumsum() / 10
-    y, u, m, states = loop(covered[1], lambda m, k: rng.uniform(-1, 2) * m + noise[k], 0.0)
+    steps = rng.standard_normal(SAMPLES)
+    noise = steps.cumsum() / 10
+
+    def plant(m: float, k: int) -> float:
+        return rng.uniform(-1, 2) * m + noise[k]
+
+    y, u, m, states = loop(covered[1], plant, 0.0)
     e = (y - m)[:, None]
-    signals = (u[:, None], m[:, None], e)
-    weights = certificate_weights(part)
-    sums = running_constraint_sum(weights, part.centre, part.kappa, *signals)
-    estimation_error = states[:, 2:] - states[:, :2]
-    xi = np.hstack([states[:, :2], estimation_error])
+    sums = sum_constraint(part, u[:, None], m[:, None], e)
+    model_states = states[:, :2]
+    estimation_error = states[:, 2:] - model_states
     of_output = filter_states(part.weight_output, m)
     of_input = filter_states(part.weight_input, u)
-    filtered = np.hstack([of_output, of_input])
-    xi = np.hstack([xi, filtered])
+    xi = np.hstack([model_states, estimation_error, of_output, of_input])
     energies = np.einsum("ti,ij,tj->t", xi, part.p, xi)
-    allowed = energies[0] + sums[:-1] + 1e-9
+    allowed = energies[0] + sums[:-1]
+    allowed += 1e-9
     assert (energies[1:] <= allowed).all()
     assert energies.max() > 1e-3
 
 
 def filter_states(weight: np.ndarray, signal: np.ndarray) -> np.ndarray:
     order = len(weight) - 1
-    states = np.zeros((len(signal), order))
-    for k in range(len(signal) - 1):
-        kept_state = weight[:order, :order] @ states[k]
-        states[k + 1] = kept_state + weight[:order, -1] * signal[k]
+    transition = weight[:order, :order]
+    gain = weight[:order, -1]
+    samples = len(signal)
+    states = np.zeros((samples, order))
+    for k in range(samples - 1):
+        kept_state = transition @ states[k]
+        states[k + 1] = kept_state + gain * signal[k]
     return states
 
 
-def test_a_plant_of_the_records_raises_no_flag(covered: tuple[SSM, Design], watched) -> None:
+STARTS = (-0.5, 0.2, 0.5)
+SHARES = (0.7, 1.4, 3.0)
+
+
+def make_noisy_plant(share: float, noise: np.ndarray) -> Plant:
+    """A plant that answers with a share of the model's output, and noise."""
+
+    def plant(m: float, k: int) -> float:
+        return share * m + noise[k]
+
+    return plant
+
+
+def test_a_plant_of_the_records_raises_no_flag(covered: tuple[SSM, Design], watched: Watch) -> None:
     rng = np.random.default_rng(1)
-    cases = itertools.product((-0.5, 0.2, 0.5), (0.7, 1.4, 3.0))
-    for start, share in cases:
+    for start, share in itertools.product(STARTS, SHARES):
         noise = 0.01 * rng.standard_normal(SAMPLES)
-
-        def plant(m: float, k: int, share: float = share, noise: np.ndarray = noise) -> float:
-            return share * m + noise[k]
-
+        plant = make_noisy_plant(share, noise)
         y, u, _, _ = loop(covered[1], plant, start / share)
         last_outputs = np.abs(y[-100:])
         assert last_outputs.max() < 0.05
-        assert not watched(y, u)[1].any()
+        _, flags = watched(y, u)
+        assert not flags.any()
 
 
-def test_a_decay_from_afar_raises_no_flag(covered: tuple[SSM, Design], watched) -> None:
+def test_a_decay_from_afar_raises_no_flag(covered: tuple[SSM, Design], watched: Watch) -> None:
     """The plant is its model and starts three scales away, the monitor's model at rest."""
-    model = covered[0]
-    y, u, _, _ = loop(covered[1], lambda m, _: m, 3.0)
+    model, certified = covered
+    y, u, _, _ = loop(certified, lambda m, _: m, 3.0)
     limit = Monitor.for_design(*covered).limit
-    assert free_decay_energy(model.linear) * 3.0**2 > 30 * limit
-    assert not watched(y, u)[1].any()
+    energy = free_decay_energy(model.linear) * 3.0**2
+    assert energy > 30 * limit
+    _, flags = watched(y, u)
+    assert not flags.any()
 
 
-@pytest.mark.parametrize("share", [-2.0, -6.0, 7.0, 12.0])
+LOST_SHARES = [-2.0, -6.0, 7.0, 12.0]
+
+
+@pytest.mark.parametrize("share", LOST_SHARES)
 def test_a_plant_that_the_loop_loses_is_flagged_before_it_leaves(
-    covered: tuple[SSM, Design], watched, share: float
+    covered: tuple[SSM, Design], watched: Watch, share: float
 ) -> None:
     """It answers `share` times as strongly as the model: the loop swings and grows."""
-    y, u, _, _ = loop(covered[1], lambda m, _: share * m, 1e-2)
+    certified = covered[1]
+    y, u, _, _ = loop(certified, lambda m, _: share * m, 1e-2)
     is_beyond = np.abs(y) > 3
     left = int(np.argmax(is_beyond))
     assert left > 0
@@ -217,12 +277,16 @@ def test_it_costs_less_than_the_controller_again(
     without = products(device, tmp_path / "without")
     with_it = products(device, tmp_path / "with", monitor)
     states = len(monitor.output.a) + len(monitor.input.a)
-    assert without < with_it <= 2 * without + 2 * states + 8
+    most = 2 * without + 2 * states + 8
+    assert without < with_it <= most
 
 
 def test_without_a_proof_there_is_none(covered: tuple[SSM, Design]) -> None:
-    assert Monitor.for_design(covered[0], design()) is None
-    controller = convert_controller(covered[0], design())
+    model = covered[0]
+    uncovered = design()
+    assert Monitor.for_design(model, uncovered) is None
+    controller = convert_controller(model, uncovered)
     bare = Device.from_controller(controller, "double", *UNLIMITED)
-    text = render_c_files(bare, origin_text="test")["controller.h"]
-    assert '#error "no monitor' in text
+    files = render_c_files(bare, origin_text="test")
+    header = files["controller.h"]
+    assert '#error "no monitor' in header

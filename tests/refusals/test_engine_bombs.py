@@ -14,15 +14,30 @@ from ssm_study.stored_yaml import read_stored_yaml
 from ssm_study.study.findings import Checked
 from ssm_study.study.verify import UNGIVEN, finding_lines
 
-ALIASES = "\n".join(
-    ["a0: &a0 [x,x,x,x,x,x,x,x,x,x]"]
-    + [f"a{i}: &a{i} [{','.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
-)
+FIRST_ALIAS = "a0: &a0 [x,x,x,x,x,x,x,x,x,x]"
+FIRST_INTERPOLATION = "a0: xxxxxxxx"
+
+
+def alias_ten_times(i: int) -> str:
+    """A list of ten times the list before."""
+    aliases = ",".join([f"*a{i - 1}"] * 10)
+    return f"a{i}: &a{i} [{aliases}]"
+
+
+def interpolate_three_times(i: int) -> str:
+    """A text of three times the text before."""
+    before = f"${{a{i - 1}}}"
+    return f"a{i}: {before * 3}"
+
+
+ALIAS_LINES = [alias_ten_times(i) for i in range(1, 12)]
+ALIASES = "\n".join([FIRST_ALIAS, *ALIAS_LINES])
+INTERPOLATION_LINES = [interpolate_three_times(i) for i in range(1, 20)]
+INTERPOLATIONS = "\n".join([FIRST_INTERPOLATION, *INTERPOLATION_LINES])
 TEXTS = {
     "aliases": ALIASES,
     "an alias of itself": "a: &a [*a]",
-    "interpolations": "a0: xxxxxxxx\n"
-    + "\n".join(f"a{i}: ${{a{i - 1}}}${{a{i - 1}}}${{a{i - 1}}}" for i in range(1, 20)),
+    "interpolations": INTERPOLATIONS,
     "no YAML": "a: [",
     "two documents": "a: 1\n---\nb: 2\n",
     "depth": "[" * 5000,
@@ -76,14 +91,13 @@ def test_one_cause_is_one_line() -> None:
     """One unreadable file was told seven times, and eighty columns after it."""
     cause = "cannot be derived: the file is damaged"
     checked = Checked(claim="files", holds=True, found="as written")
-    findings = [
-        checked,
-        Checked(claim="data", holds=False, found=cause),
-        Checked(claim="order", holds=False, found=f"stored 4, yet {UNGIVEN}"),
-        Checked(claim="model", holds=False, found=cause),
-        Checked(claim="seed", holds=False, found=f"stored 0, yet {UNGIVEN}"),
-        Checked(claim="run", holds=False, found="derived a, stored b"),
-    ]
+    underived = f"yet {UNGIVEN}"
+    data = Checked(claim="data", holds=False, found=cause)
+    order = Checked(claim="order", holds=False, found=f"stored 4, {underived}")
+    model = Checked(claim="model", holds=False, found=cause)
+    seed = Checked(claim="seed", holds=False, found=f"stored 0, {underived}")
+    run = Checked(claim="run", holds=False, found="derived a, stored b")
+    findings = [checked, data, order, model, seed, run]
     expected = [
         "holds  files: as written",
         f"FAILS  data, model: {cause}",
@@ -91,4 +105,5 @@ def test_one_cause_is_one_line() -> None:
         "FAILS  run: derived a, stored b",
     ]
     assert finding_lines(findings) == expected
-    assert finding_lines(findings[1:3])[1] == f"FAILS  order: stored 4, yet {UNGIVEN}"
+    second_line = finding_lines([data, order])[1]
+    assert second_line == f"FAILS  order: stored 4, yet {UNGIVEN}"

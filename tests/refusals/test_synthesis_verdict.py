@@ -13,7 +13,7 @@ import pytest
 
 from ssm_study import exact
 from ssm_study.certificates.certificate import Design, Infeasible, StateFeedback, certificate_digest
-from ssm_study.certificates.frontier import contraction_frontier
+from ssm_study.certificates.frontier import Frontier, contraction_frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.certificates.theorem import (
     VerificationContext,
@@ -29,12 +29,11 @@ from ssm_study.systems import Balls, JacobianBall, StateSpace
 INPUT_BALL = JacobianBall.from_slopes(0.3, 1.0)
 OUTPUT_BALL = JacobianBall.from_slopes(0.8, 1.2)
 BALLS = Balls(input=INPUT_BALL, output=OUTPUT_BALL)
-PLANT = StateSpace(
-    a=np.array([[0.95, 0.1], [-0.1, 0.9]]),
-    b=np.array([[0.0], [1.0]]),
-    c=np.array([[1.0, 0.5]]),
-    d=np.zeros((1, 1)),
-)
+A = np.array([[0.95, 0.1], [-0.1, 0.9]])
+B = np.array([[0.0], [1.0]])
+C = np.array([[1.0, 0.5]])
+D = np.zeros((1, 1))
+PLANT = StateSpace(a=A, b=B, c=C, d=D)
 
 
 class Model:
@@ -47,16 +46,23 @@ def designed(rate: float = 0.3) -> Design:
 
 
 def stored(rate: float) -> dict:
-    text = json.dumps(designed(rate).to_json())
+    content = designed(rate).to_json()
+    text = json.dumps(content)
     return json.loads(text)
+
+
+def frontier_of_plant() -> Frontier:
+    return contraction_frontier(PLANT.a, PLANT.b, BALLS.input)
 
 
 def test_an_attempt_without_matrices_is_followed_by_the_next() -> None:
     riccati_synthesis = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3)
     problem = riccati_synthesis.problem(PLANT, BALLS.input)
-    limit = contraction_frontier(PLANT.a, PLANT.b, BALLS.input)
-    asked = {"rate": 0.3, "ball": BALLS.input, "frontier": limit}
-    request = DesignAttempt(theorem=StateFeedbackOfBall, **asked, method="any", started=0.0)
+    ball_and_frontier = {"ball": BALLS.input, "frontier": frontier_of_plant()}
+    bookkeeping = {"method": "any", "started": 0.0}
+    request = DesignAttempt(
+        theorem=StateFeedbackOfBall, rate=0.3, **ball_and_frontier, **bookkeeping
+    )
 
     def nothing() -> Solution:
         raise NoSolution("nothing")
@@ -70,9 +76,11 @@ def test_an_attempt_without_matrices_is_followed_by_the_next() -> None:
 def test_margins_are_of_a_unit_diagonal() -> None:
     matrix = np.array([[4.0, 1.0], [1.0, 9.0]])
     scaled = scale_to_unit_diagonal(matrix)
-    expected = [[1, 1 / 6], [1 / 6, 1]]
+    correlation = 1 / 6
+    expected = [[1, correlation], [correlation, 1]]
     np.testing.assert_allclose(scaled, expected)
-    assert smallest_eigenvalue(scaled) == pytest.approx(5 / 6)
+    smallest = smallest_eigenvalue(scaled)
+    assert smallest == pytest.approx(5 / 6)
 
 
 def test_what_the_frontier_excludes_is_a_claim_that_holds() -> None:
@@ -80,7 +88,8 @@ def test_what_the_frontier_excludes_is_a_claim_that_holds() -> None:
     assert content["state_feedback"]["proved"]
     assert failed_checks(content, PLANT, BALLS) == []
     inside = content["state_feedback"] | {"rate": 0.1}
-    content["state_feedback"] = inside | {"digest": certificate_digest(inside)}
+    digest = certificate_digest(inside)
+    content["state_feedback"] = inside | {"digest": digest}
     claims = failed_checks(content, PLANT, BALLS)
     assert any("inside the frontier" in claim for claim in claims)
 
@@ -91,7 +100,8 @@ def test_a_certificate_of_another_order_does_not_fit() -> None:
     c = np.ones((1, 1))
     d = np.zeros((1, 1))
     smaller = StateSpace(a=a, b=b, c=c, d=d)
-    broken = failed_checks(stored(0.3), smaller, BALLS)
+    content = stored(0.3)
+    broken = failed_checks(content, smaller, BALLS)
     for side in ("state_feedback", "observer"):
         assert f"{side}: the matrices do not fit the model" in broken
 
@@ -108,21 +118,29 @@ def test_a_malformed_part_says_what_is_wrong_with_it() -> None:
     strange = copy.deepcopy(content)
     del missing["observer"]["eta"]
     strange["observer"]["gain"] = 1.0
-    for wrong, told in ((missing, "is missing"), (strange, "is not part of a certificate")):
-        with pytest.raises(BadRequest, match=told):
+    malformed = ((missing, "is missing"), (strange, "is not part of a certificate"))
+    for wrong, words in malformed:
+        with pytest.raises(BadRequest, match=words):
             Design.from_json(wrong)
 
 
-@pytest.mark.parametrize(
-    "made",
-    [str, bool, lambda entry: [entry], lambda _: 10**400],
-    ids=["words", "bools", "lists", "huge"],
-)
-def test_entries_of_a_matrix_are_numbers(made: Callable[[float], object]) -> None:
+WRONG_ENTRIES = {
+    "words": str,
+    "bools": bool,
+    "lists": lambda entry: [entry],
+    "huge": lambda _: 10**400,
+}
+wrong_entries = pytest.mark.parametrize("convert", WRONG_ENTRIES.values(), ids=WRONG_ENTRIES)
+
+
+@wrong_entries
+def test_entries_of_a_matrix_are_numbers(convert: Callable[[float], object]) -> None:
     content = stored(0.3)
-    row = content["observer"]["l"][0]
-    row[0] = made(row[0])
-    with pytest.raises(BadRequest, match=r"certificate.observer.l .*not a finite matrix"):
+    rows = content["observer"]["l"]
+    row = rows[0]
+    row[0] = convert(row[0])
+    words = r"certificate.observer.l .*not a finite matrix"
+    with pytest.raises(BadRequest, match=words):
         Design.from_json(content)
 
 
@@ -156,20 +174,37 @@ def test_one_matrix_of_another_order_does_not_fit(name: str) -> None:
     object.__setattr__(
         part, name, wrong_shape
     )  # as a file may hold it: its shapes are checked here only
-    known = VerificationContext(system=PLANT, controlled=PLANT, balls=BALLS, gains=design.gains)
-    assert part.failed_checks(known) == [": the matrices do not fit the model"], side
+    gains = design.gains
+    context = VerificationContext(system=PLANT, controlled=PLANT, balls=BALLS, gains=gains)
+    checks = part.failed_checks(context)
+    assert checks == [": the matrices do not fit the model"], side
 
 
-BELOW_HALF = np.nextafter(0.5, 0)
-EDGE = {"p": 1.0, "y": 1.0, "sigma": float(BELOW_HALF), "rate": 0.5}
+BELOW_HALF = float(np.nextafter(0.5, 0))
+ABOVE_HALF = float(np.nextafter(0.5, 1))
+EDGE = {"p": 1.0, "y": 1.0, "sigma": BELOW_HALF, "rate": 0.5}
 
 
 STORED_NUMBERS = [
     ("p", 1.0, 0.0),
-    ("sigma", EDGE["sigma"], 1.0),
+    ("sigma", BELOW_HALF, 1.0),
     ("rate", 0.5, 1.0),
-    ("y", float(np.nextafter(0.5, 1)), 0.0),
+    ("y", ABOVE_HALF, 0.0),
 ]
+
+
+def scalar_model() -> StateSpace:
+    """`x+ = u`, `y = x`."""
+    one = np.ones((1, 1))
+    zero = np.zeros((1, 1))
+    return StateSpace(a=zero, b=one, c=one, d=zero)
+
+
+def as_stored(state_feedback: StateFeedback) -> dict:
+    """A design with this state feedback, as its file holds it."""
+    design = replace(designed(), state_feedback=state_feedback)
+    text = json.dumps(design.to_json())
+    return json.loads(text)
 
 
 @pytest.mark.parametrize(("name", "start", "towards"), STORED_NUMBERS)
@@ -181,31 +216,33 @@ def test_one_unit_in_the_last_place_of_a_stored_number_is_found(
 
     The digest is written anew and the products still fit: exact arithmetic alone can find it.
     """
-    one = np.ones((1, 1))
-    zero = np.zeros((1, 1))
-    linear = StateSpace(a=zero, b=one, c=one, d=zero)
-    ball = BALLS.input
-    limit = contraction_frontier(zero, one, ball).rate_limit
-    state_feedback = designed().state_feedback
-    scalar = replace(state_feedback, a=zero, b=one, p=one, y=one, k=zero, x=zero, rate_limit=limit)
-    changed = replace(designed(), state_feedback=scalar)
-    text = json.dumps(changed.to_json())
-    content = json.loads(text)
+    linear = scalar_model()
+    zero = linear.a
+    one = linear.b
+    limit = contraction_frontier(zero, one, BALLS.input).rate_limit
+    matrices = {"a": zero, "b": one, "p": one, "y": one, "k": zero, "x": zero}
+    scalar = replace(designed().state_feedback, rate_limit=limit, **matrices)
+    content = as_stored(scalar)
 
     def claims(value: float) -> list[str]:
-        part = content["state_feedback"] | EDGE | {name: value}
-        matrices = {key: [[part[key]]] for key in "py"}
-        part |= {"certified_rate": part["rate"], **matrices}
-        state_feedback = part | {"digest": certificate_digest(part)}
-        said = failed_checks(content | {"state_feedback": state_feedback}, linear, BALLS)
-        return [claim for claim in said if claim.startswith("state_feedback")]
+        part = content["state_feedback"] | EDGE
+        part[name] = value
+        part["certified_rate"] = part["rate"]
+        part["p"] = [[part["p"]]]
+        part["y"] = [[part["y"]]]
+        digest = certificate_digest(part)
+        state_feedback = part | {"digest": digest}
+        changed = content | {"state_feedback": state_feedback}
+        messages = failed_checks(changed, linear, BALLS)
+        return [message for message in messages if message.startswith("state_feedback")]
 
     away = 0.0 if towards else 2.0
     next_away = float(np.nextafter(start, away))
-    assert claims(start) == claims(next_away) == []
+    assert claims(start) == []
+    assert claims(next_away) == []
     next_towards = float(np.nextafter(start, towards))
-    (found,) = claims(next_towards)
-    assert "in exact arithmetic the inequality fails" in found
+    (claim,) = claims(next_towards)
+    assert "in exact arithmetic the inequality fails" in claim
 
 
 @pytest.mark.parametrize("rate", [1.0, 1.5, 3.0])
@@ -213,31 +250,28 @@ def test_a_rate_of_one_or_more_is_no_certificate_though_the_inequality_may_hold(
     rate: float,
 ) -> None:
     """With `p < 0` the corner `(1 - rho) p - sigma` is positive, and so are `2 y - p` and sigma."""
-    one = np.ones((1, 1))
-    zero = np.zeros((1, 1))
-    linear = StateSpace(a=zero, b=one, c=one, d=zero)
-    state_feedback = designed().state_feedback
-    forged = replace(
-        state_feedback, a=zero, b=one, p=-one, y=zero, k=zero, x=zero, sigma=0.1, rate=rate
-    )
+    linear = scalar_model()
+    zero = linear.a
+    one = linear.b
+    matrices = {"a": zero, "b": one, "p": -one, "y": zero, "k": zero, "x": zero}
+    forged = replace(designed().state_feedback, sigma=0.1, rate=rate, **matrices)
     conditions = StateFeedbackOfBall.exact_conditions(**forged.variables)
-    assert exact.is_positive_definite(conditions["inequality"]) is (rate > 1)
-    changed = replace(designed(), state_feedback=forged)
-    text = json.dumps(changed.to_json())
-    content = json.loads(text)
-    said = failed_checks(content, linear, BALLS)
-    assert any("state_feedback.certified = True" in claim for claim in said)
+    is_definite = exact.is_positive_definite(conditions["inequality"])
+    assert is_definite is (rate > 1)
+    content = as_stored(forged)
+    messages = failed_checks(content, linear, BALLS)
+    assert any("state_feedback.certified = True" in message for message in messages)
 
 
 def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
-    limit = contraction_frontier(PLANT.a, PLANT.b, BALLS.input)
+    limit = frontier_of_plant()
+    bookkeeping = {"method": "any", "started": 0.0}
     request = DesignAttempt(
         theorem=StateFeedbackOfBall,
         rate=limit.rate_limit,
         ball=BALLS.input,
         frontier=limit,
-        method="any",
-        started=0.0,
+        **bookkeeping,
     )
     refused = request.infeasible_beyond_limit()
     assert isinstance(refused, Infeasible)
@@ -247,21 +281,19 @@ def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
     assert changed_request.infeasible_beyond_limit() is None
 
 
-OUTSIDE = [
-    ("rate", 0.0),
-    ("rate", 1.0),
-    ("rate", 1.5),
-    ("input_weight", 0.0),
-    ("input_weight", -1.0),
-]
+OUTSIDE_RATES = [("rate", 0.0), ("rate", 1.0), ("rate", 1.5)]
+OUTSIDE_WEIGHTS = [("input_weight", 0.0), ("input_weight", -1.0)]
+OUTSIDE = [*OUTSIDE_RATES, *OUTSIDE_WEIGHTS]
 
 
 @pytest.mark.parametrize(("name", "value"), OUTSIDE)
 def test_a_problem_outside_its_hypotheses(name: str, value: float) -> None:
-    asked = {"rate": 0.1, "input_weight": 1.0, name: value}
+    numbers = {"rate": 0.1, "input_weight": 1.0, name: value}
     state_weight = np.eye(2)
+    a = PLANT.a
+    b = PLANT.b
     with pytest.raises(BadRequest, match=name):
-        Problem(a=PLANT.a, b=PLANT.b, ball=BALLS.input, state_weight=state_weight, **asked)
+        Problem(a=a, b=b, ball=BALLS.input, state_weight=state_weight, **numbers)
 
 
 def test_the_margin_is_that_of_the_exact_inequality() -> None:
@@ -271,16 +303,14 @@ def test_the_margin_is_that_of_the_exact_inequality() -> None:
     change = np.array([[1.0, 0.1], [0.0, 1.2]])
     y = part.y @ change
     numbers = part.variables | {"y": y}
-    as_floats = type(part).as_floats
-    ours, exactly = (
-        conditions(**numbers)["inequality"]
-        for conditions in (as_floats, type(part).exact_conditions)
-    )
+    theorem = type(part)
+    in_floats = theorem.as_floats(**numbers)["inequality"]
+    exactly = theorem.exact_conditions(**numbers)["inequality"]
     expected = scale_to_unit_diagonal(exactly.to_floats())
-    np.testing.assert_allclose(ours, expected, atol=1e-13)
-    known = {"method": "", "status": "", "rate_limit": 1.0, "started": 0.0}
-    margin = type(part).from_numbers(numbers, **known).margin
-    assert margin == smallest_eigenvalue(ours)
+    np.testing.assert_allclose(in_floats, expected, atol=1e-13)
+    outcome = {"method": "", "status": "", "rate_limit": 1.0, "started": 0.0}
+    margin = theorem.from_numbers(numbers, **outcome).margin
+    assert margin == smallest_eigenvalue(in_floats)
 
 
 def test_what_stands_beside_the_matrices() -> None:
@@ -296,5 +326,6 @@ def test_what_stands_beside_the_matrices() -> None:
     entries = observer.l**2
     expected = np.sqrt(entries.sum())
     assert observer.gain_norm == pytest.approx(expected)
-    parts = (feedback, observer, beyond)
-    assert all(0 <= part.seconds <= elapsed for part in parts)
+    seconds = [part.seconds for part in (feedback, observer, beyond)]
+    assert min(seconds) >= 0
+    assert max(seconds) <= elapsed
