@@ -22,6 +22,8 @@ from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
 from ssm_study.systems import Gains
 
+pytestmark = pytest.mark.usefixtures("made_once", "without_baselines")
+
 LOG = ["data=recorded", "data.input=voltage", "data.output=speed", f"data.step_s={STEP_S}"]
 
 

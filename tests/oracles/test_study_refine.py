@@ -24,7 +24,7 @@ from ssm_study.study.run_files import RunFiles
 from ssm_study.study.trials import TRIED, refined_run_name
 from ssm_study.study.verify import verify
 
-pytestmark = pytest.mark.usefixtures("made_once")
+pytestmark = pytest.mark.usefixtures("made_once", "without_baselines")
 
 # At full amplitude the gain is one nearly all the time; at rest it is eleven, and no record is
 # taken there.
