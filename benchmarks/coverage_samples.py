@@ -29,7 +29,7 @@ from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.models.identified import SSM
-from ssm_study.models.stored import read_model_json
+from ssm_study.models.stored import model_from_json
 from ssm_study.robustness.coverage import Weights
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_search import certify_largest_radius
@@ -140,7 +140,7 @@ class EdgeLoops:
 
 def of_run(run: Path) -> EdgeLoops:
     """The certificate of a run; exits where it has none."""
-    model = read_model_json(json.loads((run / "model.json").read_text()))
+    model = model_from_json(json.loads((run / "model.json").read_text()))
     design = Design.load(run / "certificate.json")
     proof = design.extra_certificates.get("coverage")
     if not isinstance(proof, MeasuredDiscs) or not isinstance(design.state_feedback, StateFeedback):

@@ -71,8 +71,8 @@ def unstable_loop_text(
     slopes: Pair,
     output_slopes: Pair,
 ) -> str | None:
-    """Text on the plant with extreme slopes whose closed loop is least stable when the observer
-    assumes the mean slopes; None if all such loops are stable.
+    """Warning that a loop is unstable whose observer assumes mean slopes of the static maps while
+    the plant has extreme ones; None if all such loops are stable. It names the worst.
 
     `input_feedback` is B K, `output_correction` is L C.
     """

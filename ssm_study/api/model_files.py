@@ -11,7 +11,7 @@ import numpy as np
 
 from ssm_study.api.scratch import copy_temporary_logs
 from ssm_study.durable import sha256_of_file
-from ssm_study.models.stored import read_model_json
+from ssm_study.models.stored import model_from_json
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.training.metrics import Identification
@@ -113,7 +113,7 @@ def read_model_fields(folder: Path) -> dict[str, Any]:
     """
     try:
         model_text = (folder / MODEL_FILE).read_text(encoding="utf-8")
-        simulator = read_model_json(json.loads(model_text))
+        simulator = model_from_json(json.loads(model_text))
         history_text = (folder / HISTORY_FILE).read_text(encoding="utf-8")
         content = json.loads(history_text)
         check_seal(folder, content)
@@ -122,7 +122,7 @@ def read_model_fields(folder: Path) -> dict[str, Any]:
             data = read_data(content["data"], signals)
         facts = content["identification"]
         facts["choice"] = tuple(facts["choice"])
-        member_models = (read_model_json(member) for member in content["members"])
+        member_models = (model_from_json(member) for member in content["members"])
         members = tuple(member_models)
         place = str(folder.resolve())
         overrides = [override.replace(SAVED_FOLDER, place) for override in content["overrides"]]

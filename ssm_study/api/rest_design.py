@@ -24,7 +24,7 @@ from ssm_study.export.bilinear_c import render_bilinear_c
 from ssm_study.loop.bilinear_feedback import BilinearFeedback, BilinearPlant
 from ssm_study.loop.rollout import simulate_closed_loop
 from ssm_study.models.bilinear import Bilinear, hat_functions
-from ssm_study.models.stored import read_model_json
+from ssm_study.models.stored import model_from_json
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require, require_positive
 from ssm_study.signals import Channel
@@ -172,7 +172,7 @@ class RestDesign:
         """Load a saved design for a bilinear model. Raises `BadRequest` where its claims do not
         hold."""
         refuse_foreign_files(folder)
-        model = read_model_json(read_json(folder / MODEL))
+        model = model_from_json(read_json(folder / MODEL))
         content = read_json(folder / CERTIFICATE)
         broken = failed_rest_checks(content, model)
         remedy = "`ssm-study verify` names every claim"

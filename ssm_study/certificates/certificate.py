@@ -82,8 +82,8 @@ class Side(Theorem, abstract=True):
         return context.balls.output if cls.observes else context.balls.input
 
     def certificate_at_largest_rate(self) -> "Side | None":
-        """Certificate of the same gain at the largest rate that is proved for it; None where the
-        certified rate is already that large."""
+        """Certificate with an unchanged gain matrix at the largest contraction rate that can be
+        proved for it; None where the present certificate already has that rate."""
         return None
 
     @staticmethod

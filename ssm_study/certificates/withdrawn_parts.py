@@ -1,10 +1,9 @@
-"""Parts of `certificate.json` that earlier versions wrote and that nothing decides any more."""
+"""Parts of `certificate.json` that earlier versions wrote and that are no longer checked."""
 
 from typing import Any
 
 TOLERANCE = "tolerance"  # the disc on the input alone
-# Parts that 0.1 wrote and that nothing decides any more, each with its theorems: kept as they were
-# read, and never checked.
+# Parts that 0.1 wrote, each with the names of its theorems: kept as they were read.
 WITHDRAWN_TOLERANCES = {"tolerance", "structured_tolerance"}
 WITHDRAWN_PARTS = {"noise": {"noise_gain"}, TOLERANCE: WITHDRAWN_TOLERANCES}
 WITHDRAWN_PARTS["tolerance_by_frequency"] = WITHDRAWN_TOLERANCES

@@ -27,7 +27,7 @@ from ssm_study.export.onnx import build_onnx_model
 from ssm_study.export.portable import PortableController, convert_controller, convert_floats
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
-from ssm_study.models.stored import read_model_json
+from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel, input_limits
@@ -236,7 +236,7 @@ def load_controller(run: Path) -> PortableController:
 
 def load_model(run: Path) -> Model:
     """Model of a run, read from its file."""
-    model = read_model_json(json.loads((run / "model.json").read_text()))
+    model = model_from_json(json.loads((run / "model.json").read_text()))
     kind = type(model).__name__
     is_certifiable = isinstance(model, Model)
     require(is_certifiable, "model", kind, "has no certificate", "use model=ssm or structured")

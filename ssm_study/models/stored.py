@@ -10,7 +10,7 @@ from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import require_one_of
 
 
-def read_model_json(data: Mapping[str, Any]) -> Simulator:
+def model_from_json(data: Mapping[str, Any]) -> Simulator:
     """Read an identified model of any kind from its JSON form. Raises `BadRequest` for an unknown
     kind. An SSM has no kind there, a structured model has neurons instead."""
     if data.get("kind") is None:

@@ -81,8 +81,8 @@ def choose_initial_state_source(model: Any, data: DataSet) -> InitialStateChoice
 
 
 def initial_state_errors(model: Any, data: DataSet) -> dict[str, float] | None:
-    """Mean simulation error with initial states estimated from first samples, and with those
-    simulated from the log before.
+    """Mean simulation errors for two kinds of initial states: estimated from a record's first
+    samples, and simulated through the part of the log before the record.
 
     Of every piece the error's power counts as a share of the
     piece's own, at most one: one divergent piece must not decide.

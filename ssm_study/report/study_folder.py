@@ -17,7 +17,7 @@ import yaml  # type: ignore[import-untyped]
 from ssm_study.certificates.certificate import Design
 from ssm_study.durable import read_limited_bytes
 from ssm_study.models.identified import SSM
-from ssm_study.models.stored import read_model_json
+from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.refusal import BadRequest, require
 from ssm_study.report.words import Units
@@ -78,14 +78,14 @@ class RunFolder:
         """Identified model of a run that can be certified; None for a baseline or a model with
         neurons."""
         data = self._parse_file("model.json")
-        stored_model = None if data is None else read_model_json(data)
+        stored_model = None if data is None else model_from_json(data)
         return stored_model if isinstance(stored_model, SSM) else None
 
     @cached_property
     def any_model(self) -> Model | None:
         """Identified model of a run, with or without neurons; None for a baseline."""
         data = self._parse_file("model.json")
-        stored_model = None if data is None else read_model_json(data)
+        stored_model = None if data is None else model_from_json(data)
         return stored_model if isinstance(stored_model, SSM | StructuredSSM) else None
 
     @cached_property

@@ -188,8 +188,8 @@ def label_pairs(
 
 
 def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checked]:
-    """Check that the free runs of a model begin with the kind of initial state that the record
-    names.
+    """Check that the free runs of a model begin with the kind of initial state that the run's
+    `record.json` states.
 
     Records of 0.1 know no choice: they begin with the first samples.
     """

@@ -83,7 +83,7 @@ class Study(Task["Specification"]):
 
             # Wrong columns are known only by reading.
             records = read_data_set(specification.data, specification.seed)
-            specification.refuse_unfitting_limits(records.scale.input_equilibrium)
+            specification.require_valid_input_limits(records.scale.input_equilibrium)
             if isinstance(specification.refine, list):
                 from ssm_study.study.trials import read_logs
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from ssm_study.api.rest_design import CERTIFICATE, CHANNELS, MODEL, foreign_files, read_json
 from ssm_study.certificates.bilinear_certificates import RestCertificates, failed_rest_checks
 from ssm_study.models.bilinear import Bilinear
-from ssm_study.models.stored import read_model_json
+from ssm_study.models.stored import model_from_json
 from ssm_study.refusal import BadRequest
 from ssm_study.study.findings import Checked
 
@@ -19,7 +19,7 @@ def check_rest_design(folder: Path) -> Iterator[Checked]:
     for name in foreign_files(folder):
         yield Checked(claim=name, holds=False, found="belongs to no saved bilinear design")
     try:
-        model = read_model_json(read_json(folder / MODEL))
+        model = model_from_json(read_json(folder / MODEL))
         content = read_json(folder / CERTIFICATE)
     except NO_FILES as error:
         yield Checked(claim=MODEL, holds=False, found=str(error))

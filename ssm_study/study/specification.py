@@ -79,7 +79,7 @@ class Specification:
         )
         specification.refuse_excessive_sizes()
         if plant is not None:
-            specification.refuse_unfitting_limits(plant.equilibrium().u)
+            specification.require_valid_input_limits(plant.equilibrium().u)
         specification.refuse_feedthrough()
         specification.refuse_fast_modes()
         return specification
@@ -139,7 +139,7 @@ class Specification:
         for field, count in counts.items():
             require(count <= LARGEST_NUMBER, field, count, problem, "use fewer")
 
-    def refuse_unfitting_limits(self, equilibrium_input: Float[np.ndarray, "m"]) -> None:
+    def require_valid_input_limits(self, equilibrium_input: Float[np.ndarray, "m"]) -> None:
         """Raise `BadRequest` for input limits whose number or range does not fit the plant or the
         log.
 

@@ -93,7 +93,7 @@ def try_model_sizes(search: SettingsSearch, *, also_integrating: bool = False) -
 
 
 def one_layer_without_integrator(search: SettingsSearch) -> list[Candidate]:
-    """Candidates without neurons and integrator that were tried before an integrator was chosen.
+    """Linear candidate models without an integrator, tried before models with one were chosen.
 
     Of models with an integrator often only the smallest can be certified. One that then predicts
     worse than one layer without an integrator is no gain.

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
-from ssm_study.models.stored import read_model_json
+from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured import NEURONS, StructuredSSM, evaluate_activations
 from ssm_study.models.structured_kernel import activation_and_slope
 from ssm_study.refusal import BadRequest
@@ -131,7 +131,7 @@ def test_a_model_reads_back_to_the_same_bits(kinds: tuple[str, ...]) -> None:
     document = model.to_json()
     text = json.dumps(document)
     content = json.loads(text)
-    back = read_model_json(content)
+    back = model_from_json(content)
     rng = np.random.default_rng(2)
     u = rng.normal(size=(50, 2))
     assert isinstance(back, StructuredSSM)
@@ -198,4 +198,4 @@ DAMAGED = [("neurons", "tanh"), ("f", [[1.0]]), ("h", None)]
 def test_a_damaged_document_is_refused(field: str, value: object) -> None:
     data = drawn(6).to_json()
     with pytest.raises(BadRequest):
-        read_model_json(data | {field: value})
+        model_from_json(data | {field: value})

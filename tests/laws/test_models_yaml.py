@@ -14,7 +14,7 @@ from models_cases import data_set
 
 from ssm_study.models.baselines.solved import SolvedSpec
 from ssm_study.models.spec import ModelSpec
-from ssm_study.models.stored import read_model_json
+from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.training.choice import fill_in_defaults
@@ -58,7 +58,7 @@ def test_every_model_yaml_is_identified_and_replayed(choice: str, tmp_path: Path
     assert np.isfinite(records_fit_percent(found.model, data.training, data))
     text = json.dumps(found.model.to_json())
     content = json.loads(text)
-    again = read_model_json(content)
+    again = model_from_json(content)
     test_u = data.test[0].u
     actual = again.simulate(test_u)
     test_u = data.test[0].u
@@ -122,7 +122,7 @@ def test_a_model_without_a_network_to_train_says_so() -> None:
 
 def test_an_unknown_stored_model_is_refused() -> None:
     with pytest.raises(BadRequest, match="kind = transformer"):
-        read_model_json({"kind": "transformer"})
+        model_from_json({"kind": "transformer"})
 
 
 def test_a_baseline_whose_package_is_missing_says_how_to_get_it(

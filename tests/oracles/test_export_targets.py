@@ -27,7 +27,7 @@ from ssm_study.export.targets import (
 )
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.trajectory import scaled_equilibrium
-from ssm_study.models.stored import read_model_json
+from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured import NEURONS, StructuredSSM
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 
@@ -60,7 +60,7 @@ MAIN_LIMITED_C = MAIN_C.replace(
 def python_loop(run: Path, y: np.ndarray, limit: float = np.inf) -> np.ndarray:
     text = (run / "model.json").read_text()
     content = json.loads(text)
-    model = read_model_json(content)
+    model = model_from_json(content)
     design = Design.load(run / "certificate.json")
     law = ObserverFeedback(model=model, gains=design.pair)
     memory = law.initial_memory(1)
@@ -209,7 +209,7 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
     run = structured_run(tmp_path / "run", kinds, 0.05)
     text = (run / "model.json").read_text()
     content = json.loads(text)
-    model = read_model_json(content)
+    model = model_from_json(content)
     ends = (-2.0, 2.0)
     device = Device.from_controller(
         load_controller(run),

@@ -21,7 +21,7 @@ from ssm_study.data.splits import rest_segments
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
-from ssm_study.models.stored import read_model_json
+from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Scale, Trajectory
@@ -133,7 +133,7 @@ def test_a_model_without_a_load_is_written_as_before() -> None:
         stored = written.to_json()
         text = json.dumps(stored)
         content = json.loads(text)
-        again = read_model_json(content)
+        again = model_from_json(content)
         assert again.to_json() == stored
     b_d = np.zeros((0, 0))
     with pytest.raises(BadRequest, match="b_d"):

@@ -12,7 +12,7 @@ from ssm_study.models.bilinear import Bilinear, hat_functions
 from ssm_study.models.bilinear_problem import BilinearProblem, spread_nodes
 from ssm_study.models.bilinear_spec import BilinearSpec
 from ssm_study.models.spec import scale_records
-from ssm_study.models.stored import read_model_json
+from ssm_study.models.stored import model_from_json
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.training.metrics import records_fit_percent
@@ -189,7 +189,7 @@ def test_a_stored_model_is_read_back_or_refused() -> None:
     stored = model.to_json()
     text = json.dumps(stored)
     content = json.loads(text)
-    again = read_model_json(content)
+    again = model_from_json(content)
     u = levels(50, 6)
     actual = again.simulate(u)
     expected = model.simulate(u)
@@ -197,7 +197,7 @@ def test_a_stored_model_is_read_back_or_refused() -> None:
     moved = [[0.3, 0.1], [0.1, 0.0], [0.5, 0.2]]
     drifts = content | {"b": moved}
     with pytest.raises(BadRequest, match="the model does not rest there"):
-        read_model_json(drifts)
+        model_from_json(drifts)
     twice = np.array([0.0, 0.0, 1.0])
     with pytest.raises(BadRequest, match="the nodes must ascend"):
         replace(model, nodes=twice)

@@ -35,7 +35,7 @@ def bode_picture(
     lowest_hz = 10.0**-DECADES * nyquist
     hertz = np.geomspace(lowest_hz, nyquist, POINTS)
     angles = 2 * np.pi * hertz * model.step_s
-    response = equilibrium_response(model, angles)
+    response = frequency_response_at_equilibrium(model, angles)
     wrapped_angle = np.angle(response)
     angle = np.unwrap(wrapped_angle)
     magnitude = np.abs(response)
@@ -136,7 +136,7 @@ def _gain_band(
     return (band,)
 
 
-def equilibrium_response(model: Model, angles: Angles) -> Complex[np.ndarray, "F"]:
+def frequency_response_at_equilibrium(model: Model, angles: Angles) -> Complex[np.ndarray, "F"]:
     """Frequency response of the model at its equilibrium, from the first input to the first output.
     `s_y J_y (C (zI - A)^-1 B + D) J_u / s_u`, `z = exp(j angle)`."""
     linear = linearise_at_equilibrium(model)

@@ -275,7 +275,7 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def largest_provable_rate(cls, context: VerificationContext) -> None:
-        """Return None, because the theorem of measured discs claims no contraction rate."""
+        """No contraction rate (None): the theorem proves that a loop comes to rest, not when."""
 
 
 def count_rows(matrix: Any) -> int:

@@ -98,8 +98,8 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
 
     @classmethod
     def neuron_difference_pairs(cls, proof: Any, rows: Any) -> list[tuple[Any, Any]]:
-        """Differences of the neurons' outputs and of their inputs between model, observer and
-        equilibrium, in pairs."""
+        """Pairs of an output difference and an input difference of the neurons: model against
+        equilibrium, observer against model, and observer against equilibrium."""
         n = proof.c.shape[1]
         z = proof.f @ rows.x + proof.g @ rows.drive
         dz = proof.f[:, :n] @ rows.eps + proof.l_z @ rows.injected

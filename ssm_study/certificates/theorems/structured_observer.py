@@ -96,8 +96,9 @@ def _closes_algebraic_loop(h: NeuronOutput, l_z: NeuronInjection) -> bool:
 
 
 def structured_observer_inequality(proof: Any, multipliers: Any, injection_product: Any) -> Blocks:
-    """Blocks of the matrix inequality of an observer for a model with neurons, for given
-    multipliers and neuron injection. `N = Lambda L_z`; `multipliers` is the diagonal matrix Lambda.
+    """Blocks of the matrix inequality by which an observer of a model with neurons contracts, for
+    given multipliers and a given gain to the neurons' inputs. `injection_product` is
+    `N = Lambda L_z`; `multipliers` is the diagonal matrix Lambda.
     """
     neuron_inputs = multipliers @ proof.f + proof.alpha * (injection_product @ proof.c)
     error_step = proof.u @ proof.a + proof.alpha * (proof.v @ proof.c)

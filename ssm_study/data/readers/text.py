@@ -115,7 +115,7 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
 
 
 def blank_duplicate_titles(titles: list[str], table: pa.Table) -> list[str]:
-    """Remove the titles of columns that have both the title and the values of an earlier column."""
+    """Titles of all columns, empty for a column that repeats an earlier one in title and values."""
     unique_titles = list(titles)
     for place, title in enumerate(titles):
         first = titles.index(title)

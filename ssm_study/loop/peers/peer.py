@@ -90,7 +90,7 @@ class Peer(Family):
 
     @abstractmethod
     def build(self, plant: Plant, identified: Identified, rate: float) -> Controller | Design:
-        """Build the controller or the certified design of a control method for a plant.
+        """Build the controller of a comparison method for a plant; a design where it is certified.
 
         Raises `BadRequest` for a model or plant that the method has no controller for.
         """

@@ -43,7 +43,7 @@ def draw(study: StudyFolder) -> Figure:
         gain = 1.0
     else:
         reach = REACH_IN_DEAD_ZONES * threshold
-        gain = _gain_to_volts(model, threshold)
+        gain = _scale_to_dead_zone(model, threshold)
     voltage = _voltage_range(model, reach)
     learned = gain * _mapped_voltage(model, voltage)
     value.plot(voltage, learned, color=style.BLUE, label="learned S$_u$", zorder=3)
@@ -116,7 +116,7 @@ def _dead_zone_sentence(model: SSM, voltage: Range, threshold: float) -> str:
     return f"Learned: {learned}. Inside the true one the slope is {percent} of that outside."
 
 
-def _gain_to_volts(model: SSM, threshold: float) -> float:
+def _scale_to_dead_zone(model: SSM, threshold: float) -> float:
     """Factor that scales a learned input map so that it comes closest to the dead zone, by least
     squares. S_u is determined only up to a factor, which B compensates."""
     scale = float(model.scale.input_scale[0])

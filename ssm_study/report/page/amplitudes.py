@@ -39,7 +39,7 @@ def physical_coverage_reference(text: str, run: RunFolder | None, unit: str) -> 
     number = NUMBER.search(record)
     if number is None or not AMPLITUDE.fullmatch(record):
         return text
-    scale, step_s = (None, None) if run is None else stored_scale(run)
+    scale, step_s = (None, None) if run is None else read_input_scale_and_step(run)
     known_scale: InputScale | None = None if scale is None else (scale, unit)
     labels = {record: amplitude_text(float(number[0]), known_scale)}
     if step_s is None:
@@ -47,7 +47,7 @@ def physical_coverage_reference(text: str, run: RunFolder | None, unit: str) -> 
     return coverage_requirement_text(text, labels, step_s)
 
 
-def stored_scale(run: RunFolder) -> tuple[float | None, float | None]:
+def read_input_scale_and_step(run: RunFolder) -> tuple[float | None, float | None]:
     """Read the input scale and the sampling time of a model with one input from its run. Each is
     None if the file lacks it."""
     with suppress(OSError, ValueError, KeyError):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.models.members import member_columns
 from ssm_study.models.metrics import model_size_columns
-from ssm_study.models.stored import read_model_json
+from ssm_study.models.stored import model_from_json
 from ssm_study.signals import DataSet
 from ssm_study.study.stages.files import read_json, write_json
 from ssm_study.training.metrics import training_columns
@@ -82,13 +82,13 @@ def training_result_columns(trained: Trained, data: DataSet) -> Facts:
 
 def read_model(folder: Path) -> Any:
     """Read the identified model from its stored parameters, without torch."""
-    return read_model_json(read_json(folder / "model.json"))
+    return model_from_json(read_json(folder / "model.json"))
 
 
 def read_averaged_models(folder: Path) -> tuple[Any, ...]:
     """Read the models whose mean output is the prediction; empty if a single model is used."""
     path = folder / MEMBERS
-    return tuple(read_model_json(each) for each in read_json(path)) if path.exists() else ()
+    return tuple(model_from_json(each) for each in read_json(path)) if path.exists() else ()
 
 
 def replace_nonfinite_by_none(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
