@@ -176,8 +176,8 @@ def recover_rounded_clock(
 def apply_stated_period(
     time_s: ClockTimes, values: RowValues, step_s: float, source: str
 ) -> EvenRows:
-    """Give rows with rounded times the even times of a stated period, after checking both. Raises
-    `BadRequest` where the times contradict the stated one."""
+    """Replace rounded time stamps by evenly spaced ones with the stated sampling period. Raises
+    `BadRequest` where the time stamps contradict the period."""
     steps_s = np.diff(time_s)
     moves = np.append(True, steps_s != 0)
     refuse_decreasing_times(time_s[moves], source)

@@ -69,8 +69,8 @@ class Judgement:
 
     @classmethod
     def from_json(cls, content: list[Mapping[str, Any]]) -> "Judgement":
-        """Read the findings of a judgement from JSON. Raises `BadRequest` for anything but a list
-        of findings."""
+        """Read from JSON what the checks of a run's records found. Raises `BadRequest` for anything
+        but a list of findings."""
         for k, entry in enumerate(content if isinstance(content, list) else [content]):
             sound = isinstance(entry, dict) and entry.keys() == {"level", "sentence"}
             require(sound, f"evidence.json [{k}]", entry, "is no finding", "run the study again")

@@ -308,7 +308,8 @@ class Loop:
         return bool(is_outside.any())
 
     def run_on_model(self, plant: Plant, controller: ObserverFeedback, y0: Outputs) -> Rollouts:
-        """Simulate a controller in closed loop with its own model, without noise and disturbance.
+        """Simulate a controller in closed loop with its own model in place of the plant, without
+        noise and disturbance.
 
         This is the situation that the certificate speaks of.
         """

@@ -152,7 +152,7 @@ def field_property(field: str, factors: tuple[int, ...] = ()) -> Any:
     given."""
 
     def read_field(plant: Plant) -> Any:
-        """Value of a field of the plant, multiplied by constant factors."""
+        """Value of an attribute of the plant, or its products with constant factors."""
         value = getattr(plant, field)
         if not factors:
             return value

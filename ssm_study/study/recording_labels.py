@@ -120,8 +120,8 @@ def find_wrong_labels(run: RunFiles, data: DataSet) -> Iterator[tuple[str, list[
 
 
 def find_foreign_contents(path: Path) -> list[str]:
-    """Names of the contents of a recording that no run writes into a file of that name: topics,
-    attachments and metadata records."""
+    """Names of topics, attachments and metadata records in a recording that a run does not write
+    there."""
     topics = TOPICS_BY_FILE[path.name]
     cases = RecordedCases.from_file(path).cases
     kind = "case" if path.name in (ON_PLANT, ON_MODEL, NOISE_FREE) else "record"

@@ -137,7 +137,7 @@ def _case_number(prefix: str) -> int:
 def signal_groups(
     prefix: str, time_s: Float[np.ndarray, "T"], signals: Signals
 ) -> list[SignalGroup]:
-    """Group signals that share their sample times, each under its own topic of a recording."""
+    """Signals with their sample times, as the topics of a recording."""
     groups = []
     for name, (channels, values) in signals.items():
         topic = f"{prefix}/{name}"

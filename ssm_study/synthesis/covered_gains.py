@@ -122,7 +122,8 @@ class GainSearch:
     def search_best_gains(
         self, start_design: Design, target_coverage: float, rounds: int, largest_area: float
     ) -> ScoredGains:
-        """Best gains after several rounds of random search, not yet certified."""
+        """Search at random for the fastest gains that tolerate a required multiple of the recorded
+        model error; the gains are not yet certified."""
         feedback = start_design.state_feedback
         assert isinstance(feedback, StateFeedback)
         controlled = controlled_system(self.model, feedback)

@@ -170,8 +170,8 @@ class LmiSynthesis(Synthesis):
 def certificate_from_paper_lmi(
     system: StateSpace, ball: JacobianBall, rate: float, theorem: type[Side] = StateFeedbackOfBall
 ) -> Any:
-    """Certificate found by solving the linear matrix inequality exactly as [Z26] prints it. Any
-    solution with the block matrix `>= I` is taken.
+    """Contraction certificate from the linear matrix inequality in the form that the paper (Zakwan
+    et al.) prints. Any solution with the block matrix `>= I` is taken.
 
     One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for
     every record. A certificate, certified or not; `Infeasible` without matrices.

@@ -88,8 +88,8 @@ def exclusion_reason(design: Design, model: Model) -> str | None:
 def coverage_columns(
     design: Design, model: Model, premise: Premise, fresh_premise: Premise | None = None
 ) -> dict[str, Any]:
-    """Table columns that compare the proved model error with the recorded one. `coverage` is null,
-    with its reason, if nothing is covered."""
+    """Table columns that compare the model error that a proof tolerates with the recorded one.
+    `coverage` is their ratio, or null with its reason if nothing is covered."""
     if not design.feasible:
         return {}
     part = design.extra_certificates.get(PART)

@@ -77,8 +77,8 @@ SCALES = (1.0, 1.1, 1.25, 1.4, 1.6, 1.8)
 def minimum_energy_gain(
     modes: Modes, ball: JacobianBall, contraction: float, widens_ball: bool = True
 ) -> FastGain:
-    """Minimum-energy gain that moves the fast modes of a system inside a circle of a given radius.
-    It is zero if there are none.
+    """Gain of minimum input energy that moves modes outside a circle into it; the circle's radius
+    is the contraction factor. The gain is zero if there are none.
 
     `widens_ball` designs for a ball between the asked one and the widest possible at this r.
     """

@@ -131,7 +131,7 @@ class _FilterChecker(ast.NodeTransformer):
         return ast.BoolOp(conjunction, operands)
 
     def _null_comparison(self, side: ast.expr, operator: ast.cmpop) -> ast.expr:
-        """Filter expression that replaces a comparison with null, such as `x == null`."""
+        """Rewrite a comparison with null, such as `x == null`, as a test for a missing value."""
         equalities = ast.Eq | ast.Is
         is_equality = isinstance(operator, equalities)
         is_comparison = is_equality or isinstance(operator, ast.NotEq | ast.IsNot)

@@ -61,8 +61,8 @@ class LqgPeer(Peer, names=("lqg",)):
 
 
 def lqg_weights(plant: Plant, identified: Identified, rate: float) -> Synthesis:
-    """Cost weights of the LQG controller: those of `synthesis=riccati`, with the noise variance of
-    the plant's sensors.
+    """Weights of the LQG controller: the cost weights of `synthesis=riccati`, and the variance of
+    the plant's sensor noise.
 
     One input scale drives the states; a linear design has no rate.
     """
