@@ -30,12 +30,13 @@ install: .venv/.installed
 study: .venv/.running
 	$(BIN)/ssm-study run experiment=paper
 
+# One worker more than there are cores: many tests wait for processes that they start.
 test: install
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
 	$(BIN)/mypy
-	$(BIN)/pytest -n logical --maxprocesses 8 --dist worksteal
+	$(BIN)/pytest -n $$($(BIN)/python -c "import os; print(min(8, (os.cpu_count() or 1) + 1))") --dist worksteal
 
 docs: install
 	$(BIN)/mkdocs build --strict

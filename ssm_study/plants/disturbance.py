@@ -33,7 +33,8 @@ class NoDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class StepDisturbance(Disturbance):
-    """Disturbance that is a step at a given time, which may end at a later time."""
+    """Disturbance that is a step of a given `size`, in the unit of what it acts on. It begins at
+    `at_s` and ends at `until_s`, or never."""
 
     size: float
     at_s: float
@@ -88,7 +89,8 @@ class RampDisturbance(Disturbance):
 class RandomDisturbance(Disturbance):
     """Disturbance of uniformly distributed random levels, each held for a fixed time.
 
-    A function of seed and time alone.
+    Levels lie within `amplitude` of zero, in the unit of what it acts on. They depend on seed and
+    time alone.
     """
 
     amplitude: float

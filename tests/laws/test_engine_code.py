@@ -94,7 +94,7 @@ def test_a_comment_a_docstring_and_layout_change_nothing(scratch: Path) -> None:
     comment = (r"^import numpy as np$", "# why\nimport numpy as np\n\n")
     edited = stale(scratch, "plants/dc_motor.py", *comment)
     assert edited == set()
-    sentence = (r'"""Simulate the model in', '"""Simulation of the model in')
+    sentence = (r'"""Simulate a model in', '"""Simulation of a model in')
     edited = stale(scratch, "training/fit.py", *sentence)
     assert edited == set()
 

@@ -31,7 +31,7 @@ ADDED = {
             'Column("curve_rows", "Int64", word="Rows of the curve", '
             'unchecked="the curve is not kept"),'
         ),
-        '"training_seconds": seconds,': '"curve_rows": len(ended),',
+        '"training_seconds": seconds,': '"curve_rows": len(reason_of_end),',
     },
 }
 # One program for all: to load the libraries takes longer than what it does with them.

@@ -67,6 +67,7 @@ def free_run(
     for k in range(start, len(y)):
         row = regressors(u, y, k, input_lags, constant)
         y[k] = row @ theta
+    return y[:, None]
 
 
 def test_the_tanks_row_of_arx_is_reproduced(built) -> None:  # type: ignore[no-untyped-def]

@@ -33,7 +33,7 @@ Example. A gain `y = 0.5 x` of `x+ = 0.9 x + S_u(u)`: the integrator is a second
 >>> from ssm_study.systems import StateSpace
 >>> one = np.ones((1, 1))
 >>> model = StateSpace(a=0.9 * one, b=one, c=0.5 * one, d=0 * one)
->>> print(augmented_system(model, gain=np.eye(1), modes=np.eye(1)).a.tolist())
+>>> print(augmented_system(model, np.eye(1), np.eye(1)).a.tolist())
 [[0.9, 0.0], [0.5, 1.0]]
 >>> print(internal_model(["ramp", "sine(0.25Hz)"], step_s=1.0, outputs=1).round(9).tolist())
 [[1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, -1.0], [0.0, 0.0, 1.0, 0.0]]
