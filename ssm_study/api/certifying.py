@@ -19,7 +19,7 @@ from ssm_study.api.design import Design
 from ssm_study.api.known_maps import describe_slope_range
 from ssm_study.api.loop_of_both import add_loop_verdict, describe_loop_verdict, unstable_loop_text
 from ssm_study.api.missing_rate import (
-    describe_missing_rate,
+    explain_uncertifiable_gain,
     describe_uncontrollable_mode,
     spectral_radius,
 )
@@ -333,7 +333,7 @@ def certify_gain(
     )
     if supremum <= 0:
         reason = describe_uncontrollable_mode(frontier, theorem.observes)
-        reason = reason or describe_missing_rate(a, b @ k, ball)
+        reason = reason or explain_uncertifiable_gain(a, b @ k, ball)
         return result(rate=None, certificate=None, reason=reason)
     problem_rate = max(SMALLEST_RATE, 0.5 * supremum)
     state_weight = np.eye(len(a))

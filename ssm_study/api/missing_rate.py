@@ -19,7 +19,7 @@ def describe_uncontrollable_mode(frontier: Frontier, is_observer: bool) -> str:
     return f"a mode of modulus {frontier.contraction_limit:.4g} is not stable and {cause}"
 
 
-def describe_missing_rate(
+def explain_uncertifiable_gain(
     a: Float[np.ndarray, "n n"], feedback_matrix: Float[np.ndarray, "n n"], ball: JacobianBall
 ) -> str:
     """Text that explains, from closed-loop eigenvalues at extreme and mean slopes, why no

@@ -234,7 +234,7 @@ def numbered_header(header: Header, cells: SampledCells, has_header: bool | None
 
 
 def sample_lines(lines: list[str]) -> list[str]:
-    """Sample lines evenly from a text file, except for its beginning."""
+    """Evenly spaced lines of a text file, without those at its beginning."""
     later = lines[min(len(lines) // 2, 20) :]
     stride = max(len(later) // SAMPLED_ROWS, 1)
     return later[::stride][:SAMPLED_ROWS]

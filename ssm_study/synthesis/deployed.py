@@ -37,7 +37,7 @@ from ssm_study.certificates.withdrawn_parts import TOLERANCE
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require
-from ssm_study.synthesis.input_inversion import model_and_balls_of_control_law
+from ssm_study.synthesis.input_inversion import certified_model_and_balls
 from ssm_study.systems import Balls
 
 Inputs = Float[np.ndarray, "m"]
@@ -54,7 +54,7 @@ def add_gain_certificates(
     For a law that undoes the input map nothing is proved with limits: they are not those of what
     it commands.
     """
-    model, balls = model_and_balls_of_control_law(design, model, balls)
+    model, balls = certified_model_and_balls(design, model, balls)
     bare_design = replace(design, extra_certificates={})
     design = add_largest_rates(bare_design)
     tolerance = tolerance_certificate(design, model, balls)

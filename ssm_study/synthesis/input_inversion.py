@@ -98,9 +98,7 @@ def mark_as_input_inverting(design: Design) -> Design:
     return replace(design, state_feedback=kind(**feedback_fields))
 
 
-def model_and_balls_of_control_law(
-    design: Design, model: Model, balls: Balls
-) -> tuple[Model, Balls]:
+def certified_model_and_balls(design: Design, model: Model, balls: Balls) -> tuple[Model, Balls]:
     """Model for which a design's gains are certified, without its input map if the control law
     inverts that, and its balls of Jacobians. They are the model itself, or the model with input v.
     """

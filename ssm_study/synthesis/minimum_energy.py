@@ -136,7 +136,7 @@ def minimum_energy_solution(problem: Problem, rate_fraction: float = SHARES[0]) 
     between makes it strict, and pays for the slow modes. Raises `NoSolution` near an eigenvalue
     with `|lambda| = r`, or where floats run out.
     """
-    modes, fast, faster = _gain_between_rates(problem, rate_fraction)
+    modes, fast, faster = _gain_at_intermediate_rate(problem, rate_fraction)
     p = weighted_block_metric(problem, modes, fast)
     status = f"minimum energy at rate {1 - faster**2:.6g}"
     return Solution(p=p, y=p, k=fast.k, sigma=1.0, status=status)
@@ -151,14 +151,16 @@ def solution_with_full_metric(
     `rate_fraction` places the rate between the requested and the largest provable one;
     `metric_factor` is the multiple.
     """
-    modes, fast, faster = _gain_between_rates(problem, rate_fraction)
+    modes, fast, faster = _gain_at_intermediate_rate(problem, rate_fraction)
     smallest_metric = full_metric(problem, modes, fast, faster)
     p = metric_factor * smallest_metric
     status = f"minimum energy at rate {1 - faster**2:.6g}, metric of the whole model"
     return Solution(p=p, y=p, k=fast.k, sigma=metric_factor, status=status)
 
 
-def _gain_between_rates(problem: Problem, rate_fraction: float) -> tuple[Modes, FastGain, float]:
+def _gain_at_intermediate_rate(
+    problem: Problem, rate_fraction: float
+) -> tuple[Modes, FastGain, float]:
     """Modes, minimum-energy gain and contraction factor at a rate between the requested and the
     largest provable one."""
     ball = problem.ball

@@ -214,8 +214,8 @@ def coupling_conditions(proof: Any) -> dict[str, Blocks]:
 
 
 def input_bound_block(proof: Any, gain: Any, metric: Any) -> Blocks:
-    """Block matrix that is positive definite exactly if the input is bounded by a gain times the
-    norm in a metric."""
+    """Block matrix that is positive definite exactly if `|K x| <= gain |x|_metric` for every
+    state."""
     one = np.eye(1)
     return gain_bound_blocks(proof.k, one, gain, metric)
 
