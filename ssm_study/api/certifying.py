@@ -19,8 +19,8 @@ from ssm_study.api.design import Design
 from ssm_study.api.known_maps import describe_slope_range
 from ssm_study.api.loop_of_both import add_loop_verdict, describe_loop_verdict, unstable_loop_text
 from ssm_study.api.missing_rate import (
-    explain_uncertifiable_gain,
     describe_uncontrollable_mode,
+    explain_uncertifiable_gain,
     spectral_radius,
 )
 from ssm_study.api.summaries import html_table, render_text_table, round_rate_down
