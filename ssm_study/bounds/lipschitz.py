@@ -1,5 +1,5 @@
-"""Exact decision whether stored multipliers prove a network 1-Lipschitz, `|N(v) - N(w)| <= |v -
-w|`.
+"""Exact test of whether stored multipliers prove that a network is 1-Lipschitz, `|N(v) - N(w)| <=
+|v - w|`.
 
 Neurons of slopes `lo <= hi`, diagonal `T_l > 0`: the network is 1-Lipschitz if
 

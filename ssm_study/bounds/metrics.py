@@ -1,4 +1,4 @@
-"""Columns of a record that describe the certified model: its linear part, slopes and local
+"""Result-table columns that describe the certified model: its linear part, slopes and local
 Gramians."""
 
 from typing import Any
@@ -86,8 +86,8 @@ def model_bound_columns(model: Any) -> dict[str, Any]:
 
 
 def _slope_columns(model: Any, input_bound: SlopeBound, output_bound: SlopeBound) -> dict[str, Any]:
-    """Table columns with proved bounds on the slopes of a model's static maps, and with those by
-    the paper's method."""
+    """Table columns with proved slope bounds of a model's static maps, and with the bounds by the
+    method of Zakwan et al."""
     facts = dict[str, Any]()
     for side, bound in {"input": input_bound, "output": output_bound}.items():
         facts[f"{side}_slope_lower"] = bound.lower

@@ -32,8 +32,8 @@ def leaky_relu(z: Activations, negative: Slopes, positive: Slopes) -> Activation
 
 @dataclass(frozen=True, kw_only=True)
 class Network:
-    """Neural network with leaky ReLU whose output at zero is exactly zero. `N(v) = W_{L+1} d_L, d_l
-    = phi_l(W_l d_{l-1} + b_l) - phi_l(b_l), d_0 = v`.
+    """Neural network with leaky ReLU whose output for zero input is exactly zero. `N(v) = W_{L+1}
+    d_L, d_l = phi_l(W_l d_{l-1} + b_l) - phi_l(b_l), d_0 = v`.
 
     Any multilayer perceptron minus its value at zero has this form, with `b_l` the pre-activations
     at zero; here the subtraction happens before rounding can enter, so `N(0) = 0` exactly. `L =
@@ -155,7 +155,7 @@ class PortableMap:
 
 
 def _append_to_each_layer(layers: tuple[Vector, ...], entries: Vector) -> tuple[Vector, ...]:
-    """Append the same entries to the vector of each layer of a network."""
+    """Append the same numbers to one vector, such as the biases, of every layer of a network."""
     return tuple(np.append(layer, entries) for layer in layers)
 
 

@@ -148,8 +148,8 @@ def interval_bound(network: Network) -> SlopeBound:
 
 
 def spectral_norm_bound(network: Network) -> tuple[float, float]:
-    """Bounds on the slopes of a network by products of the singular values of its weights, as in
-    the paper. `prod ||W_l||_2 max|phi'|` above, `prod sigma_min(W_l) min|phi'|` below: the paper's
+    """Bounds on a network's slopes by products of the singular values of its weights, as in Zakwan
+    et al. `prod ||W_l||_2 max|phi'|` above, `prod sigma_min(W_l) min|phi'|` below: the paper's
     figure, [Z26] section IV.
 
     The upper figure is sound. The lower one is not: `W1 = [1, 1]^T, W2 = [1, -1]` is the zero map,

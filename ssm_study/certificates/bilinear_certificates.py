@@ -41,8 +41,7 @@ class RestCertificates:
         return any(name in self.parts and self.parts[name].certified for name in names)
 
     def to_json(self) -> dict[str, Any]:
-        """Content of the file `certificate.json` as plain data, whose numbers read back to the same
-        floats."""
+        """Content of `certificate.json` as plain data; numbers are read back without rounding."""
         content: dict[str, Any] = {"k": self.k.tolist(), "l_nodes": self.l_nodes.tolist()}
         content["reasons"] = dict(self.reasons)
         for label, part in self.parts.items():
@@ -81,8 +80,8 @@ class RestCertificates:
 
 
 def failed_rest_checks(content: Mapping[str, Any], model: Any) -> list[str]:
-    """Sentences on those claims in the stored `certificate.json` of a bilinear model that do not
-    hold; empty if all hold.
+    """One sentence for each claim in a bilinear model's stored `certificate.json` that does not
+    hold.
 
     Claims are each part's digest, the model's fields, the deployed gains, and `certified`.
     """

@@ -40,7 +40,7 @@ LETTERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Side(Theorem, abstract=True):
-    """Base class of the certificate of one gain, that of the controller or that of the observer.
+    """Base class of certificates of one gain matrix, either the controller's or the observer's.
     Distances shrink by `r = sqrt(1 - rate)` a sample, for every Jacobian in the ball.
 
     `rate_limit` is the exact frontier of all gains at this ball; `observes` tells an observer from
@@ -60,7 +60,7 @@ class Side(Theorem, abstract=True):
 
     @property
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
-        """Gain matrices of a certificate by symbol: `k`, or `l` and, with neurons, `l_z`."""
+        """Gain matrices of a certificate by symbol: `k`, or `l` (and `l_z` for neurons)."""
         stored = vars(self)
         return {letter: stored[letter] for letter in ("k", "l", "l_z") if letter in stored}
 
@@ -82,8 +82,8 @@ class Side(Theorem, abstract=True):
         return context.balls.output if cls.observes else context.balls.input
 
     def certificate_at_largest_rate(self) -> "Side | None":
-        """Certificate with an unchanged gain matrix at the largest contraction rate that can be
-        proved for it; None where the present certificate already has that rate."""
+        """Certificate of a larger contraction rate for the same gain matrix; None if no larger rate
+        can be proved."""
         return None
 
     @staticmethod
@@ -115,8 +115,8 @@ class ProblemCertificate(Side, abstract=True):
 
     @classmethod
     def _certified_system(cls, context: VerificationContext) -> Any:
-        """System for which a certificate is proved: the model, for a controller together with its
-        internal model."""
+        """System for which a certificate is proved: the model and, for a controller, any internal
+        model of disturbances or references."""
         return context.system if cls.observes else context.controlled
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
@@ -209,7 +209,7 @@ class StateFeedback(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Observer(Side, abstract=True):
-    """Certificate that an observer makes the estimation error contract in the metric `M = Q`."""
+    """Certificate that an observer makes the estimation error contract in a metric, `M = Q`."""
 
     c: Float[np.ndarray, "p n"]
     q: Float[np.ndarray, "n n"]
@@ -222,8 +222,8 @@ class Observer(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Infeasible:
-    """Entry of a design in place of a missing certificate, with the reason why there is none. It is
-    a result, not an error; `rate_limit` says which rate was possible.
+    """Reason why a design has no certificate for its controller or for its observer. It is a
+    result, not an error; `rate_limit` says which rate was possible.
 
     `proved`: the exact frontier (or a hypothesis) excludes it for every method; otherwise this one
     found nothing.
@@ -257,7 +257,7 @@ WITHDRAWN = "withdrawn in 0.2"
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """Certified controller and observer; either may be missing, with the reason.
+    """Controller and observer with their certificates; either may be missing, with the reason.
 
     `extra_certificates`: what is proved of the pair as deployed, by the names of the file.
     `withdrawn`: entries of an older file that are not claimed any more, as they were read.
@@ -307,7 +307,7 @@ class Design:
 
     @property
     def certificates_by_name(self) -> dict[str, Theorem | Infeasible]:
-        """All certificates of a design, by the names that they have in `certificate.json`."""
+        """All certificates of a design, keyed by their names in `certificate.json`."""
         return {
             "state_feedback": self.state_feedback,
             "observer": self.observer,
@@ -316,7 +316,7 @@ class Design:
 
     @property
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
-        """Gain matrices of a design by symbol, without the missing ones: `k`, `l` and `l_z`."""
+        """Gain matrices present in a design, by symbol: `k`, `l` and `l_z`."""
         gains = dict[str, Float[np.ndarray, "r c"]]()
         for part in (self.state_feedback, self.observer):
             if isinstance(part, Side):
@@ -324,8 +324,8 @@ class Design:
         return gains
 
     def certified_rate(self, side: str) -> float | None:
-        """Largest contraction rate that is proved for a gain, of controller or observer; None if
-        none is."""
+        """Largest proved contraction rate of the controller's or the observer's gain; None if no
+        rate is proved."""
         part = self.certificates_by_name[side]
         deployed_part = self.extra_certificates.get(f"{side}_deployed")
         certificates = [one for one in (part, deployed_part) if isinstance(one, Side)]
@@ -333,7 +333,7 @@ class Design:
         return max(rates, default=None)
 
     def to_json(self) -> dict[str, Any]:
-        """Content of `certificate.json`, whose numbers read back to the same floats."""
+        """Content of `certificate.json`; its numbers are read back without rounding."""
         content = {}
         for label, part in self.certificates_by_name.items():
             is_theorem = isinstance(part, Theorem)
@@ -383,8 +383,8 @@ def certificate_digest(content: dict[str, Any]) -> str:
 
 
 def read_certificate(label: str, content: dict[str, Any]) -> Any:
-    """Construct a certificate from its stored fields by the theorem that they name. A part that
-    names none belongs to the theorem of the part's own name."""
+    """Construct a certificate from its stored fields, which name its theorem. A part that names
+    none belongs to the theorem of the part's own name."""
     where = f"certificate.{label}"
     require(isinstance(content, dict), where, content, "is no object", AGAIN)
     derived = ("digest", "certified_rate")

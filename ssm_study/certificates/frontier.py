@@ -109,8 +109,8 @@ def contraction_frontier(a: Square, b: InputMatrix, ball: JacobianBall) -> Front
 
 
 def largest_uncontrollable_modulus(a: Square, b: InputMatrix) -> float:
-    """Largest modulus of an eigenvalue that the input does not control, by the
-    Popov-Belevitch-Hautus test; 0 if it controls all.
+    """Largest modulus of an uncontrollable eigenvalue, by the Popov-Belevitch-Hautus test; 0 if
+    there is none.
 
     A repeated eigenvalue has no single eigenvector to test: there the rank of `[A - lambda I, B]`
     decides.
@@ -160,8 +160,8 @@ def inverse_time_gramian_root(a: FastMatrix, b: Float[np.ndarray, "k m"]) -> Fas
 
 
 def largest_control_energy(a: Square, b: InputMatrix, contraction: float) -> float:
-    """Largest eigenvalue of the minimum control energy with which a contraction factor can be
-    reached. `lambda_max(Bh^T S Bh)`: 0 when every mode is fast enough already, infinite when a slow
+    """Largest eigenvalue of the matrix that gives the minimum control energy for a contraction
+    factor. `lambda_max(Bh^T S Bh)`: 0 when every mode is fast enough already, infinite when a slow
     mode cannot be reached.
 
     Those with `|lambda| > r` are a left invariant subspace: the ordered real Schur form of `A^T`
@@ -186,9 +186,9 @@ def largest_control_energy(a: Square, b: InputMatrix, contraction: float) -> flo
 
 
 def _contraction_at_moduli_product(moduli: Float[np.ndarray, "n"], ratio: float) -> float:
-    """Contraction factor r at which the product of the ratios of r to the moduli of faster modes
-    has a given value. The `r` with `prod over |lambda_i| > r of r/|lambda_i| = ratio`; moduli in
-    descending order.
+    """Contraction factor r for which the ratios `r / |lambda_i|` of all larger moduli have a given
+    product. The `r` with `prod over |lambda_i| > r of r/|lambda_i| = ratio`; moduli in descending
+    order.
 
     With the k largest modes faster than r, `r = (ratio prod |lambda_i|)^(1/k)`; the right k is the
     one whose r lies between its neighbours, and the largest candidate is that one.

@@ -1,5 +1,5 @@
-"""Synthesis problem that every method solves: Theorem 1's inequality; Theorem 2's is the same for
-the dual system.
+"""Synthesis problem that every design method solves: the matrix inequality of a state feedback
+(Theorem 1), or of an observer (Theorem 2) as the dual.
 
 Source: [Z26], with the corrections of docs/theory.md.
 """
@@ -58,7 +58,7 @@ class Neurons:
         return np.exp2(np.round(np.log2(ratio) / 2))
 
     def in_balanced_units(self) -> "Neurons":
-        """Neurons in units in which their input and output weights are of equal size."""
+        """Copy of the neurons, scaled so that their input and output weights are of equal size."""
         d = self.neuron_scales
         return Neurons(
             e=self.e / d, f=self.f * d[:, None], g=self.g * d[:, None], observes=self.observes
@@ -154,8 +154,8 @@ class Solution:
     logs: Float[np.ndarray, "s"] | None = None
 
     def undo_neuron_scaling(self, neurons: Neurons) -> "Solution":
-        """Convert a solution's multipliers and neuron injection to the units of the unscaled
-        neurons."""
+        """Convert a solution's multipliers and its observer gain at the neurons to the units of the
+        unscaled neurons."""
         assert self.multipliers is not None
         assert self.k_w is not None
         d = neurons.neuron_scales

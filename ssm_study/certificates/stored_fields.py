@@ -32,8 +32,7 @@ def read_fields(
 def _require_matching_sizes(
     error_label: str, types: Mapping[str, Any], values: Mapping[str, Any]
 ) -> None:
-    """Raise `BadRequest` for matrices whose declared shapes have a dimension in common but whose
-    sizes differ in it."""
+    """Raise `BadRequest` for matrices whose sizes differ in a dimension that they must share."""
     # The size of each letter of a shape, and the field that has it first.
     sizes = dict[str, tuple[int, str]]()
     for name, matrix in values.items():

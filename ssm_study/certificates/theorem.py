@@ -109,8 +109,7 @@ def scaled_condition_number(matrix: Float[np.ndarray, "n n"]) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class VerificationContext:
-    """Data that a verifier derives from the model file by itself, for the comparison with a stored
-    certificate.
+    """Data that a verifier computes from the model file, to compare them with a stored certificate.
 
     `system` is the model's recurrence and `controlled` what the state feedback acts on (with
     integral action another); `gains` are those of the parts that stand beside this one in the file,
@@ -199,7 +198,7 @@ class Theorem(ABC):
 
     @classmethod
     def name(cls) -> str:
-        """Name of the file that defines a theorem, by which a stored certificate is read back."""
+        """Name of the file that defines a theorem, by which stored certificates refer to it."""
         return cls.__module__.rpartition(".")[2]
 
     @classmethod
@@ -288,8 +287,7 @@ class Theorem(ABC):
         return {name: value for name, value in vars(self).items() if name not in others}
 
     def failed_checks(self, context: VerificationContext) -> list[str]:
-        """Sentences on those claims of a certificate that do not hold for the model, one for each
-        claim.
+        """One sentence for each claim of a certificate that does not hold for the model.
 
         A theorem that knows no neurons (a matrix `e`) proves nothing of a model with them, nor the
         reverse.

@@ -1,4 +1,4 @@
-"""Parts of `certificate.json` that earlier versions wrote and that are no longer checked."""
+"""Certificates in `certificate.json` that earlier versions wrote and that are no longer checked."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ WITHDRAWN_PARTS["tolerance_by_frequency"] = WITHDRAWN_TOLERANCES
 
 
 def is_withdrawn_part(label: str, content: Any) -> bool:
-    """Whether a part of a stored `certificate.json` claims a theorem of an earlier version that no
+    """Whether a certificate in `certificate.json` is by a theorem of an earlier version that no
     longer exists."""
     named = content.get("theorem", label) if isinstance(content, dict) else None
     return named in WITHDRAWN_PARTS.get(label, ())

@@ -1,4 +1,4 @@
-"""Laws that every plant, scaffolding, theorem, model and experiment obeys: `pytest --pyargs
+"""Tests that every plant, static map, theorem, model and experiment must pass: `pytest --pyargs
 ssm_study.conformance`.
 
 Judged is every yaml of a group, ours and those of trusted packages (`ssm_study.extensions`); `-k

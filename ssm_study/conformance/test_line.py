@@ -1,5 +1,5 @@
-"""Law that every choice of every part of a study runs from data to record. A new yaml is a new test
-case."""
+"""Test that a study with any choice of any configuration group runs from data to a finished result.
+A new yaml is a new test case."""
 
 import json
 import os
@@ -57,7 +57,8 @@ def runs_of_all_choices() -> list[tuple[str, ...]]:
 
 
 def shorten_synthesis(synthesis: str) -> tuple[str, ...]:
-    """Words that shorten a choice of `synthesis/`: small grids if it searches, else no trials."""
+    """Command-line words that make a choice of `synthesis/` quick: small search grids, or no
+    closed-loop trials."""
     texts = []
     for folder in configuration_folders():
         path = folder / "synthesis" / f"{synthesis}.yaml"
@@ -111,7 +112,7 @@ def test_every_choice_runs_to_a_record(choice: tuple[str, ...], shared_results: 
 
 
 def test_no_choice_of_another_package_hides_behind_ours() -> None:
-    """No extension package has a yaml file or figure with the name of one of this package."""
+    """No extension package has a yaml file or figure of the same name as one in this package."""
     ours, *others = configuration_folders()
     our_files = configuration_files(ours)
     for theirs in others:

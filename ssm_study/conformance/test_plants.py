@@ -51,7 +51,7 @@ def test_shapes_and_names_agree(plant: Plant) -> None:
 
 
 def test_a_batch_equals_its_rows(plant: Plant) -> None:
-    """Simulating a batch of cases gives the same as simulating the cases one by one."""
+    """Simulating a batch of input sequences gives the same as simulating each by itself."""
     u = random_inputs(plant, 3)
     _, together = plant.simulate(u)
     outputs = []

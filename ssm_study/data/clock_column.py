@@ -158,8 +158,8 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
 
 
 def dated_clock_of_another_span(table: Table, title: str, free: Sequence[str]) -> str | None:
-    """Column of dates that contradicts a clock without a unit, which then does not count seconds;
-    None if there is none."""
+    """Column of dates whose span contradicts a unitless time column read in seconds; None if there
+    is no such column."""
     has_unit = stated_time_unit_s(title, table.units.get(title, "")) is not None
     if has_unit or title in table.dated:
         return None
@@ -224,8 +224,7 @@ def is_evenly_spaced(times: ClockTimes) -> bool:
 
 
 def are_row_numbers(times: ClockTimes) -> bool:
-    """Whether the values in a column are the row numbers 0, 1, 2, ... or 1, 2, 3, ... or 1, 2, 3,
-    ..."""
+    """Whether the values in a column are the row numbers 0, 1, 2, ... or 1, 2, 3, ..."""
     finite = times[np.isfinite(times)]
     is_one = np.diff(finite) == 1.0
     starts_at_one_or_zero = finite[0] in (0.0, 1.0)

@@ -1,4 +1,5 @@
-"""Parts of the command that `look` proposes: quoted values, and the units of the chosen columns."""
+"""Words of the command that `ssm-study look` proposes: quoted values, and the units of the chosen
+columns."""
 
 import re
 from collections.abc import Mapping, Sequence

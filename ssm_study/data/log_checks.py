@@ -1,5 +1,5 @@
-"""Checks of a log before its dynamics are measured: pieces that are too short or stand still, and
-angles that start again after a turn."""
+"""Checks of a log before its dynamics are measured: stretches that are too short or at rest, and
+angles that wrap around."""
 
 from collections.abc import Mapping
 
@@ -17,8 +17,8 @@ Signal = Float[np.ndarray, "T"]
 
 
 def unmeasured_reason(u: Signal, y: Signal, fewest: int) -> str:
-    """Reason why the longest piece of a log shows no dynamics, for which it needs `fewest` samples;
-    empty if it can show them."""
+    """Reason why the longest gap-free part of a log shows no dynamics: too short, or constant;
+    empty if it shows them."""
     if len(u) < fewest:
         return f"the longest piece has {len(u)} samples, fewer than {fewest}"
     if np.ptp(u) == 0:
@@ -27,8 +27,8 @@ def unmeasured_reason(u: Signal, y: Signal, fewest: int) -> str:
 
 
 def angle_sentences(columns: Mapping[str, Signal], output: str) -> list[str]:
-    """Sentence on an output, as it stands in the file, that jumps by a whole turn, as an angle that
-    starts again does; none without such jumps."""
+    """Sentence on an output that jumps by a whole turn, like an angle that wraps around; none
+    without such jumps."""
     place = find_column_index(list(columns), output)
     y = np.empty(0) if place is None else list(columns.values())[place]
     finite = y[np.isfinite(y)]

@@ -45,7 +45,7 @@ NO_COMMAND = "no command yet: change what the line `not read yet` names, and loo
 
 @dataclass(frozen=True, kw_only=True)
 class LogSettings:
-    """Columns, sampling period and text format of a log as stated by the user; None if detected."""
+    """Columns, sampling period and text format that the user states for a log; None if unstated."""
 
     input: str | None = None
     output: str | None = None
@@ -246,8 +246,8 @@ def choose_input_and_output(
 
 
 def is_counter(column: ColumnFacts, table: Table) -> bool:
-    """Whether a column is no signal, because it counts rows or times: it increases evenly, or has
-    the title or the unit of a clock and runs like one."""
+    """Whether a column only counts rows or times and so is no signal, by its even increase, title
+    or unit."""
     if is_evenly_spaced(table.columns[column.name]):
         return True
     return resembles_clock(column.name, column.unit, table.columns[column.name])
@@ -288,7 +288,7 @@ def clock_column_name(table: Table) -> str | None:
 def examine_signals(
     path: Path, table: Table, clock: str | None, source: RecordedData
 ) -> LogReading:
-    """Read the input and output of a log as a run would, and describe their dynamics.
+    """Read the input and output of a log as a study would read them, and describe their dynamics.
 
     Where the sampling time alone is missing, lags, rests and noise are those of the samples.
     """

@@ -1,4 +1,5 @@
-"""Contents of MCAP recordings that no reader of this project reads, and a viewer shows."""
+"""Contents of MCAP recordings that this project's reader ignores, although an MCAP viewer shows
+them."""
 
 from collections import Counter
 from pathlib import Path

@@ -1,5 +1,5 @@
-"""Columns of a record that describe the data: their origin, what their inputs excite, and the
-scores of public benchmarks."""
+"""Result-table columns that describe the data: their origin, what their inputs excite, and
+benchmark scores."""
 
 import warnings
 from typing import Any

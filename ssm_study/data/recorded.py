@@ -389,7 +389,7 @@ class RecordedData(Columns, RecordedAboutEquilibrium):
 
 @dataclass(frozen=True, kw_only=True)
 class _Log:
-    """Pieces of one log without gaps, with remarks on how the log was read."""
+    """One log as pieces without gaps, with remarks on how the log was read."""
 
     pieces: list[Trajectory]
     remark: str

@@ -45,8 +45,8 @@ def estimate_period_s(time_s: ClockTimes) -> tuple[float, float] | None:
 
 
 def period_bounds_s(time_s: ClockTimes, tolerance_s: ClockTimes) -> tuple[float, float] | None:
-    """Smallest and largest sampling period with which evenly spaced times stay within a tolerance
-    of all recorded times; None if none does."""
+    """Smallest and largest sampling period of an even clock that stays within a tolerance of all
+    recorded times; None if there is none."""
     rows = len(time_s) - 1
     span_s = float(time_s[-1] - time_s[0])
     scaled = (time_s - time_s[0]) / span_s

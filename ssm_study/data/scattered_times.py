@@ -16,8 +16,8 @@ STANDARD_ERRORS = 3.0  # on both sides of a period
 
 @dataclass(frozen=True, kw_only=True)
 class ScatteredClock:
-    """Period of the evenly spaced times around which recorded times scatter, and the largest
-    deviation from them in periods."""
+    """Sampling period of a clock whose recorded times scatter around even spacing, and their
+    largest deviation in periods."""
 
     period_s: float
     largest: float

@@ -47,9 +47,8 @@ def guess_input_and_output(
 
 
 def output_score(column: ColumnFacts, input_name: str) -> tuple[float, bool, bool]:
-    """Score of how much a column looks like the output: by the words of its title, then by what it
-    shares with the input's (`Heater 2`, `Temperature 2`; `leftCommand`, `leftSpeed`), then by its
-    levels."""
+    """Score of how much a column looks like the output: by its title, a word shared with the
+    input's title, and its levels."""
     by_words = title_word_score(column.name, OUTPUT_WORDS)
     if by_words < title_word_score(column.name, INPUT_WORDS):
         by_words = -1.0
@@ -58,14 +57,15 @@ def output_score(column: ColumnFacts, input_name: str) -> tuple[float, bool, boo
 
 
 def place_words(name: str) -> set[str]:
-    """Numbers and words of a title that say which of several signals it is."""
+    """Numbers and words that distinguish one of several similar signals by its title, such as 2 in
+    `Heater 2`."""
     numbers = re.findall(r"[A-Za-z]\W?(\d+)\b", name)
     own_words = [word for word in title_parts(name) if word not in (*INPUT_WORDS, *OUTPUT_WORDS)]
     return {*numbers, *(word for word in own_words if len(word) > 1)}
 
 
 def title_parts(name: str) -> list[str]:
-    """Words of letters in a title, in lower case."""
+    """Words in a column title, in lower case and without digits."""
     spaced = re.sub(WORD_STARTS, " ", name)
     return [part for part in re.split(r"[^a-z]+", spaced.lower()) if part]
 
@@ -86,7 +86,7 @@ def input_score(column: ColumnFacts) -> float:
 
 
 def level_score(column: ColumnFacts) -> float:
-    """Score of how long a column holds its levels, and of how few it has."""
+    """Score of how long a column holds each of its values, and how few distinct values it has."""
     few_levels = max(0.0, 1.0 - 2.0 * column.levels / column.rows)
     return HOLDS_COUNT * round(column.held, 1) + FEW_LEVELS_COUNT * round(few_levels, 1)
 

@@ -189,8 +189,8 @@ def _rest_ranges(record: Trajectory, includes_beginning: bool = False) -> list[t
 
 
 def _cut_into_parts(record: Trajectory, codes: Int[np.ndarray, "T"]) -> Pieces:
-    """Cut a record into pieces for training, validation and test, as a code for each sample says. 0
-    trains, 1 validates, 2 tests."""
+    """Cut a record into pieces for training, validation and test, according to a code for each
+    sample. 0 trains, 1 validates, 2 tests."""
     pieces: Pieces = ([], [], [])
     changes = np.diff(codes, prepend=-1, append=-1)
     edges = np.flatnonzero(changes)

@@ -225,7 +225,7 @@ def read_header(path: Path, cells: SampledCells, length: int, has_header: bool |
 
 
 def numbered_header(header: Header, cells: SampledCells, has_header: bool | None) -> Header:
-    """Made-up header for a text file without column names; skips a first row that numbers them."""
+    """Header with column numbers as names, for a text file whose first row numbers the columns."""
     if header.names is not None:
         return header
     names, skipped = numbered_column_names(cells.first, cells.columns, has_header)

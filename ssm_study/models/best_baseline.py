@@ -1,4 +1,4 @@
-"""The best of several simple models, which stands beside the model of a log.
+"""Best of several simple models, reported for comparison with the model fitted to a log.
 
 ARX, output error and polynomial NARX of several sizes are fitted to the training records. The one
 that simulates the validation records best is scored on the test records. So is the kind of initial

@@ -25,9 +25,9 @@ AGAIN = "write model.json again"
 
 
 def hat_functions(nodes: Nodes, v: Float[np.ndarray, "T"]) -> Hats:
-    """Values of the hat functions of piecewise-linear interpolation between nodes, at given inputs.
-    They are linear between the nodes and constant beyond the ends, so that each row adds up to
-    one."""
+    """Values of the hat functions that interpolate linearly between input levels (nodes), at given
+    inputs. They are linear between the nodes and constant beyond the ends, so that each row adds up
+    to one."""
     units = np.eye(len(nodes))
     unit_responses = [np.interp(v, nodes, unit) for unit in units]
     return np.stack(unit_responses, axis=1)

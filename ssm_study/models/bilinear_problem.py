@@ -99,8 +99,8 @@ class BilinearProblem:
         )
 
     def initial_parameters(self, rng: np.random.Generator, spread: float) -> FitParameters:
-        """Initial parameters of a bilinear fit: a linear ARX model at every node, plus a random
-        perturbation."""
+        """Initial parameters of a bilinear fit: one linear ARX model at every input level (node),
+        randomly perturbed."""
         n = self.order
         lengths = (len(u) for u, _ in self.records)
         longest = max(lengths)
@@ -149,7 +149,7 @@ class BilinearProblem:
         return parameters_from_matrices(core, self.rate).x_g
 
     def state_matrices(self, parts: FitParameters) -> Float[np.ndarray, "q n n"]:
-        """State matrices `A_i` of a bilinear model at all nodes."""
+        """State matrices `A_i` of a bilinear model at all input levels (nodes)."""
         if self.rate is None:
             return parts.x
         matrices = [
@@ -159,8 +159,8 @@ class BilinearProblem:
 
     @property
     def equilibrium_projection(self) -> Float[np.ndarray, "q q"]:
-        """Matrix that subtracts the input vector `b` of the node at zero from all others, so that
-        the equilibrium stays at zero."""
+        """Matrix that subtracts the input vector `b` at input level zero from all others, so that
+        the equilibrium is at zero."""
         is_zero_node = self.nodes == 0.0
         at_zero = np.where(is_zero_node, 1.0, 0.0)
         node_count = len(self.nodes)

@@ -23,8 +23,8 @@ SPREAD = 0.15  # random part of a further start's matrices
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearSpec(SolvedSpec):
-    """Settings of a bilinear model: its order, and the number of input levels (nodes) at which it
-    has a matrix.
+    """Settings of a bilinear model: its order and the number of input levels (nodes) at which its
+    matrices are given.
 
     With a `rate` the matrices have norms below it, so that the model contracts in open loop; null
     leaves them free. Levenberg-Marquardt on the error of the free run, at most `steps` steps from

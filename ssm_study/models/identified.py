@@ -338,8 +338,8 @@ class SSM(ScaffoldedModel):
 def _factor_out_centre(
     scaffold: Scaffold, method: str
 ) -> tuple[Scaffold, Float[np.ndarray, "m m"]] | None:
-    """Split a static map into a linear factor and a rest with tighter slope bounds; None if the
-    bounds become no tighter."""
+    """Split a static map into a linear factor and a remainder with tighter slope bounds; None if
+    they get no tighter."""
     has_other_channels = scaffold.inputs != scaffold.outputs
     if has_other_channels or scaffold.inputs == 1:
         return None

@@ -1,5 +1,5 @@
-"""Substitute for torch that imports it when one of its names is first used. It takes two seconds,
-and reading a stored model needs none.
+"""Substitute for the module torch, which imports torch only when one of its functions is first
+used. It takes two seconds, and reading a stored model needs none.
 
 Only `torch.name` inside functions is possible; annotations say `Tensor`.
 """

@@ -51,6 +51,6 @@ class TorchScaffold(nn.Module):
         return self.spec.pieces(explicit)
 
     def roughness(self) -> Float[Tensor, ""]:
-        """Total variation of a trainable static map's slope, which a training penalty weights."""
+        """Total variation of a trainable static map's slope, used in a training penalty."""
         explicit = self.explicit_parameters()
         return self.spec.roughness(explicit)

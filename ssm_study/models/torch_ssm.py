@@ -22,8 +22,8 @@ FEW_LEVELS = 8  # mean hold from which evaluating once per level beats the sorte
 
 
 class InputMapping(nn.Module):
-    """Torch module that applies a trainable static input map to fixed records, with sorting
-    prepared once for speed. `S_u(u)` for one fixed `u (e, T, m)`, by the cheapest of three exact
+    """Torch module that applies a trainable static input map to fixed records, whose samples are
+    sorted once for speed. `S_u(u)` for one fixed `u (e, T, m)`, by the cheapest of three exact
     ways, which are prepared once.
 
     Held inputs repeat: once per distinct input vector, copied to where it occurs. One channel and a

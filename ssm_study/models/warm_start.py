@@ -1,5 +1,5 @@
-"""Choice of a record's initial state: estimated from its first samples, or simulated from the log
-before it.
+"""Choice of a record's initial state: estimated from its first samples, or simulated over the
+preceding log.
 
 A piece that is cut out of a log has a past: the model, run from the beginning of the log to the
 piece, arrives there in a state that owes nothing to the piece's outputs. The first samples of the
@@ -34,8 +34,8 @@ States = tuple[State | None, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class InitialStateChoice:
-    """Initial states of validation and test records, simulated from the log before them, and
-    whether they predict better than estimated ones.
+    """Initial states of validation and test records, simulated over the preceding log, and whether
+    they beat estimated ones.
 
     `choice` is None where no record has a past: then its first samples are all there is.
     `is_undecided` says that the two are so near that rounding on another machine may choose the
@@ -55,8 +55,8 @@ class InitialStateChoice:
 
 
 def choose_initial_state_source(model: Any, data: DataSet) -> InitialStateChoice:
-    """Choose whether initial states of records are estimated from first samples or simulated from
-    the log before the record.
+    """Choose whether records' initial states are estimated from first samples or simulated over the
+    preceding log.
 
     Nothing of the test records is used but the inputs and outputs that precede them in their logs.
     """
@@ -81,8 +81,8 @@ def choose_initial_state_source(model: Any, data: DataSet) -> InitialStateChoice
 
 
 def initial_state_errors(model: Any, data: DataSet) -> dict[str, float] | None:
-    """Mean simulation errors for two kinds of initial states: estimated from a record's first
-    samples, and simulated through the part of the log before the record.
+    """Mean simulation errors with two kinds of initial states: estimated from first samples, or
+    simulated over the preceding log.
 
     Of every piece the error's power counts as a share of the
     piece's own, at most one: one divergent piece must not decide.
@@ -134,8 +134,8 @@ def mean_relative_error_power(
 
 
 def states_from_preceding_log(model: Any, data: DataSet, records: Trajectories) -> States:
-    """State of a model at the beginning of each record, simulated from the beginning of the
-    record's log. It is None for a record behind less than two start-up windows of its log."""
+    """State of a model at the beginning of each record, simulated over the part of the log before
+    the record. It is None for a record behind less than two start-up windows of its log."""
     return tuple(state_from_preceding_log(model, data, piece) for piece in records)
 
 
@@ -170,7 +170,7 @@ def preceding_log(data: DataSet, piece: Trajectory) -> Trajectory | None:
 
 
 def join_log_stretches(data: DataSet) -> list[Trajectory]:
-    """Join the records of a data set that follow each other in a log to parts without gaps."""
+    """Join the records of a data set that follow each other in a log to stretches without gaps."""
     records = [*data.training, *data.validation, *data.test]
     all_records = sorted((one for one in records if one.log), key=lambda one: (one.log, one.first))
     stretches: list[list[Trajectory]] = []
@@ -200,8 +200,8 @@ def simulate_validation_and_test(model: Any, data: DataSet) -> tuple[Simulation,
 
 
 def simulate_from_unchosen_states(model: Any, data: DataSet, test: Simulation) -> Simulation | None:
-    """Simulate a model on the test records from the initial states that were not chosen; None if
-    there are none."""
+    """Simulate a model on the test records from the alternative initial states; None if there are
+    no alternatives."""
     if len(test.starts) != len(data.test) or not isinstance(model, ScaffoldedModel):
         return None
     states: States = (None,) * len(data.test)

@@ -1,4 +1,4 @@
-"""Nonlinear DC motor with two masses, the main plant of the study."""
+"""Nonlinear DC motor with two masses, the main example plant of this project."""
 
 from collections import namedtuple
 from dataclasses import dataclass

@@ -33,8 +33,8 @@ class NoDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class StepDisturbance(Disturbance):
-    """Disturbance that is a step of a given `size`, in the unit of what it acts on. It begins at
-    `at_s` and ends at `until_s`, or never."""
+    """Disturbance that is a step of a given `size`, in the unit of the disturbed channel. It begins
+    at `at_s` and ends at `until_s`, or never."""
 
     size: float
     at_s: float

@@ -1,5 +1,5 @@
-"""Simulation of one sampling period of a smooth plant by the classical Runge-Kutta method, all
-cases at once."""
+"""Simulation of a smooth plant over one sampling period by the classical Runge-Kutta method, for a
+batch of states."""
 
 from collections.abc import Callable
 

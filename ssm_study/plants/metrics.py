@@ -1,4 +1,4 @@
-"""Column that names the plant of a run."""
+"""Result-table column that names the plant of a run."""
 
 from ssm_study.columns import Column
 

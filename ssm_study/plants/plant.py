@@ -96,8 +96,8 @@ class Plant(ABC):
         return False
 
     def stop(self) -> None:  # noqa: B027  a simulated plant needs nothing
-        """Switch a physical plant off, which is called at the end of every closed-loop run. Called
-        at the end of every closed loop, also after an error."""
+        """Switch a physical plant off; called at the end of every closed-loop run. Called at the
+        end of every closed loop, also after an error."""
 
     @abstractmethod
     def equilibrium(self) -> Equilibrium:
@@ -112,8 +112,8 @@ class Plant(ABC):
         """Advance a plant's states by one sampling period under constant input and disturbance."""
 
     def disturbance_effect(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
-        """Contribution of measured disturbances to a plant's next state, which only identified
-        models have. Only identified models have one."""
+        """Contribution of measured disturbances to the next state; only identified models have such
+        inputs. Only identified models have one."""
         problem = f"{type(self).__name__} has no input for a measured disturbance"
         remedy = "close the loop on the identified model, or use the plant's own disturbance"
         raise refusal.BadRequest("disturbance", len(measured), problem, remedy)
@@ -148,8 +148,7 @@ class Plant(ABC):
 
 
 def field_property(field: str, factors: tuple[int, ...] = ()) -> Any:
-    """Make a property that returns a field of the plant, multiplied by constant factors if some are
-    given."""
+    """Make a property that returns a field of the plant, multiplied by given constants."""
 
     def read_field(plant: Plant) -> Any:
         """Value of an attribute of the plant, or its products with constant factors."""

@@ -1,1 +1,1 @@
-"""Model error of a plant, measured from records, and the stability of a loop in spite of it."""
+"""Model error measured from records, and stability of the closed loop in spite of that error."""

@@ -1,5 +1,4 @@
-"""Requirements that all records put on a disc of model errors, which the certificate
-`measured_discs` has to contain.
+"""Inequalities that a disc of model errors must satisfy to contain the error seen in every record.
 
 A disc with two references bounds the mismatch `e = y - m` of the model's output m for the input u:
 
@@ -77,8 +76,8 @@ class Weights:
         return squared_gain(self.input, angles)
 
     def largest_required_radius(self, requirements: Sequence[Item]) -> tuple[float, str]:
-        """Smallest disc radius that contains the model errors of all records, and the requirement
-        that decides it. It is infinite where a reference signal vanishes."""
+        """Smallest disc radius that contains the model errors of all records, and the record and
+        band that determine it. It is infinite where a reference signal vanishes."""
         needs = [(self.required_radius(item), item.label) for item in requirements]
         return max(needs, default=(0.0, ""))
 
@@ -93,7 +92,7 @@ class Weights:
         return float(np.sqrt(squared_radius))
 
     def reference_power(self, requirement: Item) -> float:
-        """Weighted power of model output and input, to which the power of the model error is
+        """Weighted power of model output and input, with which the power of the model error is
         compared. `sum over the item's lines of (X model + Y input)`."""
         of_output = self.output_weight(requirement.angles) @ requirement.model_power
         of_input = self.input_weight(requirement.angles) @ requirement.input_power
@@ -118,9 +117,9 @@ def squared_gain(filter_matrix: FilterMatrix, angles: Powers) -> Powers:
 
 @dataclass(frozen=True, kw_only=True)
 class Premise:
-    """Spectra of the model error in all records, which a certificate of stability on the plant has
-    to contain. `sines` are those of single sines; `reason` says why nothing can be covered, and is
-    None where it can."""
+    """Spectra of the recorded model error, which a certificate must cover to prove stability on the
+    plant. `sines` are those of single sines; `reason` says why nothing can be covered, and is None
+    where it can."""
 
     repeating: tuple[MismatchSpectrum, ...]
     averaged: tuple[AveragedSpectrum, ...]
@@ -128,8 +127,9 @@ class Premise:
     reason: str | None = None
 
     def requirements(self, centre: float) -> list[Item]:
-        """Requirements that all records put on the frequency weights of a disc of model errors with
-        a given centre. The repeating record with the largest amplitude counts without doubt."""
+        """Inequalities that a disc of model errors with a given centre must satisfy to contain the
+        error of every record. The repeating record with the largest amplitude counts without doubt.
+        """
         amplitudes = [record.amplitude for record in self.repeating]
         largest = max(amplitudes, default=0.0)
         items = list[Item]()
@@ -167,8 +167,8 @@ def measure_premise(
     start_up_samples: int = 0,
     mismatch_records: Trajectories = (),
 ) -> Premise:
-    """Measure the spectra of the model error in all records, which a certificate of stability on
-    the plant has to contain. Where they are not enough, its `reason` says why."""
+    """Measure the spectra of the recorded model error, which a certificate must cover to prove
+    stability on the plant. Where they are not enough, its `reason` says why."""
     reason = None
     if not mismatch.plant_comes_to_rest:
         reason = NOT_AT_REST

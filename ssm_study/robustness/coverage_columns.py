@@ -1,4 +1,5 @@
-"""Columns of the coverage: how many times the measured model error the proof tolerates."""
+"""Result-table columns of the coverage: ratio of the model error that the proof tolerates to the
+measured one."""
 
 from ssm_study.columns import Column, iterative_result_column
 

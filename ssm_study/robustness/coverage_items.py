@@ -1,5 +1,5 @@
-"""Requirements that one record puts on a disc of model errors: from its frequency bands, groups of
-bands, and total power.
+"""Inequalities that a disc of model errors must satisfy for one record: per frequency band, group
+of bands, and in total.
 
 Below the largest amplitude only what exceeds `SURE` standard errors counts, in totals whatever
 repeats; where nothing repeats, noise counts as mismatch. Source: docs/trust.md, "Covered".
@@ -30,8 +30,8 @@ BandSelection = Bool[np.ndarray, "F"]
 
 @dataclass(frozen=True, kw_only=True)
 class Item:
-    """Requirement on the frequency weights of a disc of model errors, from one frequency range of a
-    record. It is `seen <= sum over lines of (X model + Y input)` at its angles.
+    """Inequality that a disc of model errors must satisfy to contain the error in one frequency
+    range of a record. It is `seen <= sum over lines of (X model + Y input)` at its angles.
 
     X is `floor^2 + |W|^2` and Y `|V|^2`. `dark`: its input has next to no power here, so noise is
     part of what is seen. `is_band`: one band of the record, no group of bands, mean or total.
@@ -48,7 +48,7 @@ class Item:
 
     @property
     def label(self) -> str:
-        """Label of a requirement: name of the record and frequency range."""
+        """Label of an inequality: name of the record and frequency range."""
         return f"{self.record}, {self.place}"
 
 
@@ -107,8 +107,8 @@ class RepeatingPower:
     def mismatch_power(
         self, lines: LineSelection, *, is_doubtful: bool, is_unexcited: bool = False
     ) -> float:
-        """Power of the model error in given spectral lines, after noise is subtracted where it is
-        known."""
+        """Power of the model error in given spectral lines, with noise subtracted where its power
+        is known."""
         if is_unexcited:
             measured = self.measured[lines]
             return float(measured.sum())
@@ -128,8 +128,7 @@ class RepeatingPower:
         is_unexcited: bool = False,
         is_band: bool = False,
     ) -> Item:
-        """Combine the powers at several spectral lines to one requirement on the weights of a disc
-        of model errors."""
+        """Combine the powers at several spectral lines to one inequality on a disc of errors."""
         record = self.record
         measured_power = self.mismatch_power(
             lines, is_doubtful=is_doubtful, is_unexcited=is_unexcited
@@ -151,8 +150,8 @@ class RepeatingPower:
 def requirements_from_periods(
     record: MismatchSpectrum, centre: float, *, has_no_doubt: bool
 ) -> list[Item]:
-    """Requirements on the weights of a disc from a record with two equal periods: from bands,
-    groups of bands and total power. In a `has_no_doubt` record everything that repeats counts."""
+    """Inequalities that a disc must satisfy to contain the model error in a record with two equal
+    periods. In a `has_no_doubt` record everything that repeats counts."""
     powers = RepeatingPower.from_record(record, centre)
     items = list[Item]()
     for band in np.flatnonzero(powers.has_lines):
@@ -173,8 +172,8 @@ def requirements_from_periods(
 def _requirements_from_band_groups(
     powers: RepeatingPower, bands_per_group: int, *, is_doubtful: bool
 ) -> list[Item]:
-    """Requirements on the weights of a disc of model errors from groups of neighbouring frequency
-    bands."""
+    """Inequalities that a disc must satisfy to contain the model error in groups of neighbouring
+    frequency bands."""
     items = list[Item]()
     for start in range(0, len(ANGLES), bands_per_group):
         end = start + bands_per_group
@@ -191,8 +190,8 @@ def _requirements_from_band_groups(
 
 
 def requirement_from_sine(record: MismatchSpectrum, centre: float) -> Item:
-    """Requirement on the weights of a disc of model errors from a record of a single sine, at its
-    frequency only."""
+    """Inequality that a disc must satisfy to contain the model error in a single-sine record, at
+    the sine's frequency."""
     powers = RepeatingPower.from_record(record, centre)
     without_mean = record.input_power[1:]
     strongest = 1 + int(without_mean.argmax())
@@ -204,8 +203,8 @@ def requirement_from_sine(record: MismatchSpectrum, centre: float) -> Item:
 
 
 def requirement_from_measured_sine(sine: SineMismatch, centre: float) -> Item | None:
-    """Requirement on the weights of a disc from the model error at a single sine measured for a
-    finished design; None if its powers were not stored. With `D = e - c m` of both periods,
+    """Inequality that a disc must satisfy for a single-sine test of a finished design; None if the
+    powers are not stored. With `D = e - c m` of both periods,
 
         Re(D_1 conj D_2) = error - 2 c cross + c^2 model
 
@@ -240,8 +239,8 @@ def requirement_from_measured_sine(sine: SineMismatch, centre: float) -> Item | 
 
 
 def requirements_from_average(record: AveragedSpectrum, centre: float) -> list[Item]:
-    """Requirements on the weights of a disc from a record whose input does not repeat: one for each
-    frequency bin, and one for the total power."""
+    """Inequalities that a disc must satisfy for a record whose input does not repeat: one per
+    frequency bin, and one in total."""
     measured_power = record.error_power_about_centre(centre)
     mean_input_power = record.input_power.mean()
     dark = record.input_power < EXCITED * mean_input_power

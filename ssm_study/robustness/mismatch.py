@@ -99,7 +99,7 @@ class Mismatch:
 
     @property
     def gain(self) -> float:
-        """Gain from the input to the model error at the largest recorded amplitude."""
+        """Gain from the input to the model error in the records of the largest input amplitude."""
         return self.views[-1].gain
 
     @property
@@ -122,8 +122,8 @@ class Mismatch:
 
     @property
     def by_frequency(self) -> Float[np.ndarray, "F"]:
-        """Gain from input to model error in each frequency band: the larger of those at the largest
-        amplitude and in closed loop."""
+        """Gain from input to model error per frequency band, the larger of the largest amplitude's
+        and the closed loop's."""
         largest = self.views[-1].by_frequency
         if self.loop is None:
             return largest

@@ -132,8 +132,8 @@ def robustness_measure(
 def loops_at_constant_slopes(
     model: Model, gains: Gains, balls: Balls, mismatch: Mismatch
 ) -> Iterator[tuple[StateSpace, Gains, SlopePair, Mismatch]]:
-    """Linear closed loops at every combination of constant slopes of the static maps and neurons,
-    each with the model error that applies."""
+    """Linear closed loops for all combinations of constant slopes of static maps and neurons, each
+    with its model error."""
     for met_balls, records in _group_by_amplitude(model, balls, mismatch):
         combinations = slope_combinations(model.system, gains, met_balls)
         for linear, own_gains, slope_in, slope_out in combinations:

@@ -118,8 +118,8 @@ class RecordErrors:
         return float(mean_square)
 
     def gain_standard_error(self) -> float:
-        """Standard error of the logarithm of the gain from input to model error in one record, from
-        pieces of the record."""
+        """Standard error of the logarithm of one record's gain from input to model error, from
+        blocks of the record."""
         errors = np.array_split(self.e, BLOCKS)
         inputs = np.array_split(self.u, BLOCKS)
         ratios = []

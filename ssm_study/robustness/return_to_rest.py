@@ -73,8 +73,8 @@ def offsets_after_returns(
 
 
 def largest_equilibrium_difference(scale: Scale, records: list[Trajectory]) -> float:
-    """Largest distance between the final outputs of records that end at the same constant input;
-    zero if one still moves."""
+    """Largest distance between final outputs of records that end at the same constant input; zero
+    if an output still moves."""
     offsets = list[float]()
     for outputs in _group_outputs_by_final_input(scale, records).values():
         largest_swing = max(map(oscillation_amplitude, outputs))

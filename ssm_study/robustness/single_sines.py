@@ -159,8 +159,8 @@ def add_sine_errors(
 
 
 def raise_gain_at_sine(amplitude_error: View, sine: SineMismatch) -> View:
-    """Raise the recorded gain of the model error near the frequency of a single sine that shows a
-    larger one."""
+    """Raise the recorded gain of the model error near a single sine's frequency to the larger gain
+    that the sine shows."""
     above = int(np.searchsorted(ANGLES, sine.angle))
     band_below = max(above - 1, 0)
     band_above = min(above, len(ANGLES) - 1)

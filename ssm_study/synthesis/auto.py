@@ -126,14 +126,13 @@ class Auto:
         )
 
     def _side_or_common_rate(self, requested_rate: float | str) -> float | str:
-        """Contraction rate requested for the controller or the observer alone; the common rate of
-        both where that is `auto`."""
+        """Contraction rate set for the controller or the observer alone, or the common rate if that
+        setting is `auto`."""
         return self.rate if requested_rate == "auto" else requested_rate
 
     def candidates(self, model: Model, balls: Balls) -> Candidates | None:
-        """Candidate gains of controller and observer, for all rates and weights of the grid at
-        which the Riccati equation has a solution; None if there are none for controller or
-        observer."""
+        """Candidate gains at all rates and weights of the grid with a Riccati solution; None if
+        controller or observer has no candidate."""
         return self.grid.candidates(model, balls)
 
     def design(
@@ -183,9 +182,9 @@ class Auto:
     def _make_covered_gains_search(
         self, response: ExpectedResponse, premise: Premise, validation: Trajectories
     ) -> Search:
-        """Make the function that searches, near the gains of a design, for gains whose certificate
-        holds for the recorded model error. The search is longer, and accepts slower gains, if a
-        coverage is requested."""
+        """Make the function that searches near a design's gains for gains whose certificate covers
+        the recorded model error. The search is longer, and accepts slower gains, if a coverage is
+        requested."""
         is_asked = self.cover is not None
         has_neurons = not isinstance(response.model, SSM)
         search = GainSearch(
@@ -217,8 +216,8 @@ class Auto:
     def _largest_margin_design(
         self, model: Model, balls: Balls, candidates: Candidates, peaks: Float[np.ndarray, "C O"]
     ) -> Design:
-        """Design with the largest stability margin among the candidate gains, with the reason why
-        no design was preferred to it."""
+        """Design with the largest stability margin among the candidate gains, and why no other
+        design was preferred."""
         smallest_peak = np.argmin(peaks)
         best = np.array(np.unravel_index(smallest_peak, peaks.shape))
         specification = candidates.specification(best)
@@ -242,8 +241,8 @@ class Auto:
         return replace(self, limits=(lower, upper)) if has_room else self
 
     def prefer_covered_designs(self, premise: Premise) -> "Auto":
-        """Copy of this synthesis that prefers designs whose certificate holds for the model error
-        seen in the records."""
+        """Copy of this synthesis that prefers designs whose certificate covers the model error seen
+        in the records."""
         return replace(self, premise=premise)
 
     def prefer_faster_than_decays(self, decays: Float[np.ndarray, "N T p"]) -> "Auto":
@@ -267,8 +266,7 @@ class Auto:
         return replace(specifications[0], **least).design(model, balls)
 
     def _with_search_outcome(self, design: Design, status: str) -> Design:
-        """Copy of a design that names this synthesis as its method and states the outcome of the
-        search."""
+        """Copy of a design with this synthesis as its method and with the outcome of the search."""
         feedback = design.state_feedback
         observer = design.observer
         return Design(

@@ -1,4 +1,4 @@
-"""Grid of rates and weights for which gains are computed, as candidates of `auto`.
+"""Grid of rates and weights at which the candidate gains of the synthesis `auto` are computed.
 
 Source: docs/theory.md, "The frontier"; docs/closed_loop.md, "Rates chosen for you".
 """
@@ -68,9 +68,8 @@ class CandidateGrid:
         ]
 
     def candidates(self, model: Model, balls: Balls) -> Candidates | None:
-        """Candidate gains of controller and observer, for all rates and weights of the grid at
-        which the Riccati equation has a solution; None if there are none for controller or
-        observer."""
+        """Candidate gains at all rates and weights of the grid with a Riccati solution; None if
+        controller or observer has no candidate."""
         if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
             return None
         rest = equilibrium_slopes(model)
@@ -245,8 +244,8 @@ def equilibrium_slopes(model: Model) -> Slopes | None:
 
 
 def stack_neuron_injections(observers: list[GainCandidate]) -> Float[np.ndarray, "O q p"] | None:
-    """Gains with which several observers inject the output error into the neurons, as one array;
-    None if the first observer has none."""
+    """Gains with which several observers correct the neurons by the output error, as one array;
+    None if the first has no such gain."""
     gains = [solution.k_w for _, solution in observers]
     if gains[0] is None:
         return None

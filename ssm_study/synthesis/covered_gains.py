@@ -258,8 +258,8 @@ def is_worth_another_round(coverages: Sequence[float], target_coverage: float, r
 
 
 def certify_replaced_gains(certificate: Any, **gains: Any) -> Any:
-    """Certificate of other gains by the same theorem as a given certificate, at the largest
-    provable rate; None if no rate can be proved."""
+    """Certificate of changed gains by the theorem of a given certificate, at the largest rate; None
+    if no rate is proved."""
     try:
         with linear_algebra_failures_as_no_solution():
             slow_part = replace(certificate, rate=LEAST_RATE, **gains)

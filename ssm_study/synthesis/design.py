@@ -143,8 +143,8 @@ class DesignAttempt:
     def first_certified_solution(
         self, problem: Problem, attempts: Iterable[Callable[[], Solution]]
     ) -> Any:
-        """First certificate that exact arithmetic confirms among several attempts to solve a
-        problem; otherwise the result of the last one.
+        """First certificate confirmed in exact arithmetic among several attempts to solve a
+        problem, or else the last attempt's result.
 
         Matrices that floats could have held are handed on as found, not certified; hopeless ones
         are refused.
@@ -184,8 +184,7 @@ class DesignAttempt:
 def failed_checks(
     content: dict[str, Any], system: Any, balls: Balls, controlled: Any = None
 ) -> list[str]:
-    """Sentences on those claims in a stored `certificate.json` that do not hold for the model;
-    empty if all hold.
+    """One sentence for each claim in a stored `certificate.json` that does not hold for the model.
 
     `system` is the recurrence, `balls` those of `model.json`, `controlled` what the state feedback
     acts on where that is not the model itself (integral action). Claims are each part's digest, the
@@ -231,7 +230,7 @@ def failed_checks(
 
 
 def _failed_checks_of_part(part: Theorem | Infeasible, context: VerificationContext) -> list[str]:
-    """Sentences on those claims of one stored certificate that do not hold for the model."""
+    """One sentence for each claim of one certificate that does not hold for the model."""
     theorem = find_theorem(part.theorem) if isinstance(part, Infeasible) else type(part)
     ball = theorem.required_ball(context)
     limit = theorem.largest_provable_rate(context)
@@ -344,20 +343,19 @@ class Synthesis(ABC):
         return Design(state_feedback=feedback, observer=observer)
 
     def state_feedback(self, system: System, ball: JacobianBall) -> StateFeedback | Infeasible:
-        """Certified state feedback for a system, or an entry with the reason why there is none."""
+        """Certified state feedback for a system, or the reason why there is none."""
         neurons = isinstance(system, StructuredSystem)
         theorem = StructuredStateFeedback if neurons else self.feedback_theorem
         return self._design_gain(theorem, system, ball)
 
     def observer(self, system: System, ball: JacobianBall) -> Observer | Infeasible:
-        """Certified observer for a system, or an entry with the reason why there is none."""
+        """Certified observer for a system, or the reason why there is none."""
         neurons = isinstance(system, StructuredSystem)
         theorem = StructuredObserver if neurons else self.observer_theorem
         return self._design_gain(theorem, system, ball)
 
     def _design_gain(self, theorem: type[Side], system: System, ball: JacobianBall) -> Any:
-        """Certificate of one gain by a given theorem, or an entry with the reason why there is
-        none."""
+        """Certificate of one gain by a given theorem, or the reason why there is none."""
         rate = self.rate_observer if theorem.observes else self.rate_controller
         limit = controller_frontier(dual_system(system) if theorem.observes else system, ball)
         started = time.perf_counter()

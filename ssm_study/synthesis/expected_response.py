@@ -172,8 +172,8 @@ class ExpectedResponse:
 def indices_to_compare(
     response_areas: Float[np.ndarray, "N"], is_slow: Bool[np.ndarray, "N"]
 ) -> list[int]:
-    """Indices of the designs to compare: those with the smallest areas under the response, and some
-    spread over the others."""
+    """Indices of the designs to compare: those with the smallest response areas, and a spread-out
+    sample of the others."""
     order = np.lexsort((response_areas, is_slow))
     design_count = len(order)
     step = max(design_count // COMPARED, 1)
@@ -186,7 +186,7 @@ def indices_to_compare(
 def predicts_faster_response(
     model: Model, gains: Gains, mismatch: Mismatch, validation: Trajectories, trials: Trajectories
 ) -> bool:
-    """Whether a design is clearly faster than the open loop, on the model and compared with the
+    """Whether a design responds clearly faster than the open loop, both on the model and in the
     recorded decays. Input limits are not considered."""
     k = gains.k[None]
     l_ = gains.l[None]

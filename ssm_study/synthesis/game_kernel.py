@@ -270,7 +270,8 @@ def _cost_gradient(
 @compile_with_numba
 @no_type_check
 def solve_saddle_point(a, b, f, drive, state_weight, input_weight, m, r, injects, logs, barrier):
-    """Saddle point of the game for given log multipliers, with guaranteed cost and gradient."""
+    """Saddle point of a dynamic game for given logarithms of the multipliers, with guaranteed cost
+    and gradient."""
     (q, n), inputs = f.shape, drive.shape[1]
     cost, own, s = _cost_matrices(f, drive, state_weight, input_weight, m, r, logs)
     across = transpose(b)

@@ -99,8 +99,8 @@ def mark_as_input_inverting(design: Design) -> Design:
 
 
 def certified_model_and_balls(design: Design, model: Model, balls: Balls) -> tuple[Model, Balls]:
-    """Model for which a design's gains are certified, without its input map if the control law
-    inverts that, and its balls of Jacobians. They are the model itself, or the model with input v.
+    """Model and balls of Jacobians for which a design is certified, without the input map if the
+    control law inverts it. They are the model itself, or the model with input v.
     """
     if not design.inverts_input_map:
         return model, balls

@@ -1,4 +1,4 @@
-"""Theorems 1 and 2 of [Z26] as the paper states them, as linear matrix inequalities that CVXPY
+"""Theorems 1 and 2 of [Z26] (Zakwan et al.) as printed there: linear matrix inequalities that CVXPY
 solves.
 
 Compiled once per pair `(A, B)`; rate and ball are parameters, so a sweep over rates re-solves
@@ -37,7 +37,8 @@ Matrix = Float[np.ndarray, "_ _"]
 
 
 class CompiledLmi:
-    """Linear matrix inequality of Theorem 1, compiled once and solved for any rate and ball.
+    """Matrix inequality of a state feedback, compiled once and solved for any contraction rate and
+    ball of Jacobians.
 
     `full` keeps the extra matrix Y; `Y = P` is lossless with a third of the unknowns. Weights
     matter for `guaranteed_cost` only, whose cost is that of the Riccati route.
@@ -133,8 +134,8 @@ def _compiled_inequality(
 
 @dataclass(frozen=True, kw_only=True)
 class LmiSynthesis(Synthesis):
-    """Synthesis by the linear matrix inequalities of the paper. `objective` is one of `OBJECTIVES`,
-    `solver` CLARABEL or SCS."""
+    """Synthesis by the linear matrix inequalities of Zakwan et al. `objective` is one of
+    `OBJECTIVES`, `solver` CLARABEL or SCS."""
 
     objective: str = "guaranteed_cost"
     full: bool = False
@@ -170,8 +171,8 @@ class LmiSynthesis(Synthesis):
 def certificate_from_paper_lmi(
     system: StateSpace, ball: JacobianBall, rate: float, theorem: type[Side] = StateFeedbackOfBall
 ) -> Any:
-    """Contraction certificate from the linear matrix inequality in the form that the paper (Zakwan
-    et al.) prints. Any solution with the block matrix `>= I` is taken.
+    """Contraction certificate from the linear matrix inequality exactly as Zakwan et al. print it.
+    Any solution with the block matrix `>= I` is taken.
 
     One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for
     every record. A certificate, certified or not; `Infeasible` without matrices.

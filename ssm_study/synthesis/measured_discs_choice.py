@@ -50,9 +50,9 @@ def first_covering_design(
     requested_coverage: float | None,
     search: Search | None = None,
 ) -> tuple[Design | None, str]:
-    """First design whose certificate holds for the recorded model error, otherwise the best
-    substitute, with a word for the kind of design returned. Substitutes are the result of a search
-    around the design that covers most, then the first that is covered at all, then the first.
+    """First design whose certificate covers the recorded model error, or else the best other
+    design, and which kind it is. Substitutes are the result of a search around the design that
+    covers most, then the first that is covered at all, then the first.
 
     `search(first, most, cover)` is given the first design, the one that covers most, and the
     coverage wanted of its certificate. With neurons, where one look takes a second, fewer pairs
@@ -98,15 +98,15 @@ def first_covering_design(
 
 
 def usual_proof_loss(model: Model) -> float:
-    """Usual ratio of the coverage that is computed frequency by frequency to the coverage that a
-    certificate then proves."""
+    """Usual ratio of the coverage computed frequency by frequency to the coverage that is then
+    proved."""
     return LOST_WITH_NEURONS if isinstance(model.system, StructuredSystem) else LOST
 
 
 @dataclass(kw_only=True)
 class GridWalk:
-    """Walk through pairs of controller and observer gains, fastest expected response first, that
-    computes the coverage of fewer and fewer of them.
+    """Search through gain pairs, the fastest expected response first, that computes the coverage of
+    ever fewer of them.
 
     Kept are the first design, the first that is covered `barely`, and the one with the `largest`
     coverage, `most`. `lost` is the loss of a proof.
@@ -124,8 +124,7 @@ class GridWalk:
     unseen: Design | None = None
 
     def first_design(self) -> Design | None:
-        """First certified design of a walk through pairs of gains, the fastest expected response
-        first."""
+        """First certified design in a search through gain pairs, sorted by expected response."""
         for place, pair in self.pairs:
             design = self.make(pair)
             if design is not None:
@@ -139,8 +138,8 @@ class GridWalk:
     def first_covered_design(
         self, coverage_of: Callable[[Design, float], float], last_place: int
     ) -> Design | None:
-        """First design of a walk through pairs of gains whose coverage reaches the target; None if
-        there is none up to a given place."""
+        """First design in a search through gain pairs whose coverage reaches the target; None if
+        none does up to a given index."""
         for design in self._examined_designs(last_place):
             coverage = coverage_of(design, self.largest)
             self._add_design(design, coverage)
@@ -149,8 +148,7 @@ class GridWalk:
         return None
 
     def _examined_designs(self, last_place: int) -> Iterator[Design]:
-        """Designs of those pairs of gains, up to a given place of the walk, whose coverage is to be
-        computed."""
+        """Designs of the gain pairs, up to a given index, whose coverage is to be computed."""
         if self.unseen is not None:
             design = self.unseen
             self.unseen = None
@@ -164,8 +162,8 @@ class GridWalk:
                 return
 
     def _add_design(self, design: Design, coverage: float) -> None:
-        """Compare a design and its coverage with the best designs of the walk so far, and store it
-        if it is better."""
+        """Compare a design and its coverage with the best designs of the search so far, and store
+        it if it is better."""
         if self.barely is None and coverage >= self.lost:
             self.barely = design
         if self.most is None or coverage > self.largest:
@@ -173,8 +171,8 @@ class GridWalk:
             self.largest = coverage
 
     def best_substitute(self) -> tuple[Design | None, str]:
-        """Best design of a walk in which none reaches the target coverage, with a word for the kind
-        of substitute."""
+        """Best design of a search in which no design reaches the target coverage, and which kind it
+        is."""
         if self.barely is not None:
             return self.barely, LESS_COVERED
         return self.first, NOT_COVERED

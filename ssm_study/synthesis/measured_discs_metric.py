@@ -1,5 +1,4 @@
-"""Search for a metric P that proves a measured disc: candidates from Riccati equations, of which
-the first that exact arithmetic accepts is taken.
+"""Search for a metric P that proves a measured disc, among candidates from Riccati equations.
 
 Source: docs/theory.md, "Measured discs".
 """

@@ -138,8 +138,8 @@ def radii_needed_by_fresh_data(
     fresh_sets: Iterable[MismatchRecords],
     start_up_samples: int,
 ) -> list[float]:
-    """Disc radius that the model error in each fresh data set requires, relative to that of the
-    run's own records; empty without a certificate."""
+    """Disc radius that each fresh data set requires, relative to that of the run's own records;
+    empty without a certificate."""
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs) or premise.missing_reason(part.centre) is not None:
         return []
@@ -163,8 +163,8 @@ def fresh_data_column(required_radii: Sequence[float]) -> dict[str, Any]:
 def null_coverage_of_unknown_band(
     kappa: float, weights: Weights, requirements: Sequence[Item]
 ) -> dict[str, Any]:
-    """Table columns without a value for the coverage, which name the frequency band in which the
-    input had no power."""
+    """Table columns that leave the coverage empty and name the frequency band in which the input
+    had no power."""
     lit = [item for item in requirements if not item.dark]
     if kappa < weights.largest_required_radius(lit)[0]:
         return {}

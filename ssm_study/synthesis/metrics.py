@@ -1,4 +1,4 @@
-"""Columns that describe a design: feasible, certified, distance from the largest provable rate,
+"""Result-table columns that describe a design: feasible, certified, distance from the largest rate,
 predicted stability.
 
 Rates and limits: docs/theory.md, [Z26]; margins: `synthesis.mismatch`.
@@ -268,8 +268,8 @@ def paper_feasibility_columns(design: Design, model: Model, balls: Balls) -> dic
 def certificate_columns(
     side: str, certificate: StateFeedback | Observer | Infeasible
 ) -> dict[str, Any]:
-    """Table columns that describe the certificate of controller or observer; null if there is
-    none."""
+    """Table columns that describe the certificate of controller or observer; without values if it
+    is missing."""
     facts: dict[str, Any] = {
         f"rate_{side}": certificate.rate,
         f"{side}_feasible": not isinstance(certificate, Infeasible),

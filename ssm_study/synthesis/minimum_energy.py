@@ -116,8 +116,8 @@ def minimum_energy_gain(
 
 
 def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:
-    """Functions that solve a synthesis problem by minimum-energy gains at several rates up to the
-    limit, the cheapest first."""
+    """Functions that solve a synthesis problem by minimum-energy gains at several contraction
+    rates, the cheapest first."""
     attempts: list[Callable[[], Solution]] = []
     for share in SHARES:
         attempt = partial(minimum_energy_solution, problem, share)
@@ -145,8 +145,8 @@ def minimum_energy_solution(problem: Problem, rate_fraction: float = SHARES[0]) 
 def solution_with_full_metric(
     problem: Problem, rate_fraction: float, metric_factor: float
 ) -> Solution:
-    """Minimum-energy gain and a multiple of the smallest metric of fast and slow modes together, in
-    which the closed loop contracts.
+    """Minimum-energy gain with a contraction metric of fast and slow modes together, a multiple of
+    the smallest one.
 
     `rate_fraction` places the rate between the requested and the largest provable one;
     `metric_factor` is the multiple.

@@ -86,8 +86,8 @@ def sine_columns(
 def sine_coverage_columns(
     design: Design, sines: Sequence[SineMismatch], coverage: float | None
 ) -> dict[str, Any]:
-    """Table column with the ratio of the proved model error to that of single-sine tests; null
-    without a certificate, empty without tests.
+    """Table column with the ratio of the proved model error to that of single-sine tests; no value
+    if nothing is proved, no column without tests.
 
     `coverage` is that over the run's records, None where nothing is covered. The premise must hold
     for the sines, too, so where they need more, theirs takes its place.

@@ -165,8 +165,8 @@ def _delete_block_rows(upper_blocks: Blocks, deleted_indices: list[int]) -> Bloc
 
 
 def is_confirmed_exactly(problem: Problem, solution: Solution) -> bool:
-    """Whether exact arithmetic confirms that a solver's matrices satisfy the theorem of a model
-    with neurons."""
+    """Whether exact arithmetic confirms the matrices that a solver returned for a model with
+    neurons."""
     theorem: type[Side] = structured_state_feedback.StructuredStateFeedback
     if problem.required_neurons.observes:
         theorem = structured_observer.StructuredObserver
@@ -218,8 +218,8 @@ def _confirmed_solution(program: StructuredLmi, problem: Problem, rate: float) -
 
 
 def certify_largest_rate(certificate: Any) -> Side | None:
-    """Certificate of the same gain as a given one, for a model with neurons, at the largest
-    contraction rate that can be proved."""
+    """Certificate of the largest contraction rate that can be proved for the certified gain of a
+    model with neurons."""
     started = time.perf_counter()
     problem, gains = certificate.as_problem()
     provable_rate = largest_rate_with_neurons(problem, gains)

@@ -1,5 +1,5 @@
-"""Coverage (ratio of proved to recorded model error) that is not reported: of a controller that
-hardly acts, or that is unstable by itself.
+"""Reasons not to report a coverage (ratio of proved to recorded model error): the controller hardly
+acts or is unstable by itself.
 
 A controller that hardly acts covers any model error, for the plant comes to rest without it. A
 controller that is unstable by itself needs the plant's answer at every amplitude, beyond those on
@@ -27,8 +27,8 @@ UNSTABLE = (
 
 
 def reported_coverage(design: Design, model: Model, premise: Premise) -> float | None:
-    """Coverage of a design (ratio of proved to recorded model error) as it is reported; None if
-    there is none or it is withheld."""
+    """Coverage of a design (ratio of proved to recorded model error) for the report; None if it is
+    missing or withheld."""
     facts = coverage_columns(design, model, premise)
     if design.feasible:
         facts = withhold_coverage(facts, model, design.pair)
@@ -37,8 +37,8 @@ def reported_coverage(design: Design, model: Model, premise: Premise) -> float |
 
 
 def withhold_coverage(columns: dict[str, Any], model: Model, gains: Gains) -> dict[str, Any]:
-    """Remove the coverage from a run's table columns if the controller hardly acts or is unstable
-    by itself, and state that reason."""
+    """Remove the coverage of a controller that hardly acts or is unstable by itself from a run's
+    columns, and state why."""
     coverage = columns.get("coverage")
     if coverage is None or coverage < 1:
         return columns

@@ -1,4 +1,4 @@
-"""Candidate settings of a model, scored by their free-run error on held-out folds."""
+"""Candidate settings of a model, scored by their free-run error in cross-validation."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace

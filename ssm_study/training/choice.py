@@ -1,5 +1,5 @@
-"""Choice of a model's settings by its error on held-out folds. The model that a log deserves: paths
-first, then sizes, by folds of training and validation.
+"""Choice of a model's settings by cross-validation, its error on held-out parts of the records. The
+model that a log deserves: paths first, then sizes, by folds of training and validation.
 
 Cheap models decide cheap questions: linear ones the delay, and how many states a linear model
 needs; structured ones, trained for a few steps, decide the rest. Of candidates that are about as

@@ -1,4 +1,5 @@
-"""Choice whether products of input and state predict: only where the folds clearly prefer them.
+"""Choice of a bilinear model (with products of input and state), only where cross-validation
+clearly prefers it.
 
 A model of that class is fitted in a second (`models.bilinear_spec`), so it is tried on every log
 that it can be fitted to. It predicts in place of the chosen model where its error on held-out

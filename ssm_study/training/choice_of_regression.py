@@ -1,4 +1,4 @@
-"""Choice of a linear regression (ARX) where something acts that is not in the log.
+"""Choice of a linear regression (ARX) for logs that unmeasured disturbances dominate.
 
 The error of a free run is then mostly the load, which is slow: a few thousand samples hold few
 independent values of it, and models that minimise this error follow it by chance. The errors of one

@@ -93,7 +93,8 @@ def try_model_sizes(search: SettingsSearch, *, also_integrating: bool = False) -
 
 
 def one_layer_without_integrator(search: SettingsSearch) -> list[Candidate]:
-    """Linear candidate models without an integrator, tried before models with one were chosen.
+    """Linear candidate models without an integrator, tried before an integrator was chosen for the
+    model.
 
     Of models with an integrator often only the smallest can be certified. One that then predicts
     worse than one layer without an integrator is no gain.

@@ -1,4 +1,5 @@
-"""Folds of the training and validation records, by which model settings are chosen."""
+"""Cross-validation folds of the training and validation records, by which model settings are
+chosen."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -70,8 +71,7 @@ def make_folds(data: DataSet) -> tuple[DataSet, ...]:
 
 
 def hold_out_records(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
-    """Split whole records for one cross-validation fold into those for training and those held
-    out."""
+    """Split whole records for one cross-validation fold into training and held-out ones."""
     remaining = (record for k, record in enumerate(records) if k % FOLDS != fold)
     trained = tuple(remaining)
     return trained, records[fold::FOLDS]

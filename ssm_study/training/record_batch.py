@@ -1,4 +1,4 @@
-"""Scaled training records as one batch of equal lengths, and the parts of it that move."""
+"""Scaled training records as one batch of equal lengths, and smaller batches cut out of it."""
 
 from itertools import product
 from typing import NamedTuple
@@ -70,8 +70,8 @@ class RecordBatch(NamedTuple):
         return RecordBatch(*parts)
 
     def _relative_movement(self, stretch: "RecordBatch") -> float:
-        """Standard deviation of a part of a batch relative to that of the whole, the smaller of
-        input's and output's."""
+        """Standard deviation in a part of a batch relative to the whole batch, the smaller of those
+        of input and output."""
         if not stretch.recorded_mask.any():
             return 0.0
         input_pair = (stretch.u, self.u)

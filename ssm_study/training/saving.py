@@ -231,8 +231,7 @@ def build_trainer(settings: "Training", callbacks: list[Callback], folder: Path)
 
 
 def training_fingerprint(spec: object, settings: object, data: DataSet) -> str:
-    """Hash of model settings, training settings and records, by which a checkpoint is recognised as
-    that of a training."""
+    """Hash of settings and records that shows whether a checkpoint belongs to a training."""
     scored = f"{data.scale!r} {data.start_up_samples} {data.step_s}"
     digest = hashlib.sha256(f"{spec!r} {settings!r} {scored}".encode())
     for record in (*data.training, *data.validation):

@@ -1,4 +1,4 @@
-"""Bilinear loop whose input is limited: it comes to rest from every initial state.
+"""Bilinear closed loop with a limited input that comes to rest from every initial state.
 
 Problem. That of `bilinear_loop`, with `v = sat(K xh)`, cut at `v_1` and `v_q`: does the loop come
 to rest from every start?
@@ -58,7 +58,8 @@ class BilinearEverywhere(BilinearLoopTheorem):
 
     @staticmethod
     def conditions(proof: Any) -> dict[str, Blocks]:
-        """Matrix inequalities at all vertices of a bilinear model, with and without control."""
+        """Matrix inequalities at every pair of input level (node) and segment of a bilinear model,
+        with and without control."""
         matrices = (
             feedback_conditions(proof) | observer_conditions(proof) | coupling_conditions(proof)
         )
@@ -77,8 +78,8 @@ class BilinearEverywhere(BilinearLoopTheorem):
 
 
 def example_numbers(factor_uncontrolled: float) -> dict[str, Any]:
-    """Numbers of the worked example of this theorem: a bilinear closed loop with one state and
-    three nodes."""
+    """Numbers of this theorem's worked example: a bilinear loop with one state and three input
+    levels (nodes)."""
     numbers = bilinear_loop.example_numbers(0.45)
     del numbers["radius"], numbers["gain_error"], numbers["gain_state"]
     return numbers | {"factor": 0.7, "factor_uncontrolled": factor_uncontrolled}

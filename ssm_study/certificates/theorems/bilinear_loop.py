@@ -157,8 +157,8 @@ def input_vector_step(proof: Any, segment: int) -> Any:
 
 
 def contraction_blocks(matrix: Any, metric: Any, factor: Any) -> Blocks:
-    """Block matrix that is positive definite exactly if a matrix reduces every vector's norm in a
-    metric to less than a given factor. `X' P X < factor^2 P`, by its Schur complement."""
+    """Block matrix that is positive definite exactly if a matrix shrinks the norm in a metric by a
+    given factor. `X' P X < factor^2 P`, by its Schur complement."""
     square = factor * factor
     changed = matrix.T @ metric
     return [[square * metric, changed], [metric]]
@@ -173,8 +173,8 @@ def gain_bound_blocks(matrix: Any, output_metric: Any, bound: Any, metric: Any) 
 
 
 def feedback_conditions(proof: Any) -> dict[str, Blocks]:
-    """Conditions on the state feedback of a bilinear model, one for each pair of node and segment,
-    both sides times the segment's width."""
+    """Conditions on the state feedback of a bilinear model, one for each input level (node) and
+    each segment between levels."""
     conditions: dict[str, Blocks] = {}
     for segment in range(count_nodes(proof) - 1):
         width = segment_width(proof, segment)
@@ -189,7 +189,7 @@ def feedback_conditions(proof: Any) -> dict[str, Blocks]:
 
 
 def observer_conditions(proof: Any) -> dict[str, Blocks]:
-    """Conditions on the observer of a bilinear model, one for each node."""
+    """Conditions on the observer of a bilinear model, one for each input level (node)."""
     conditions: dict[str, Blocks] = {}
     for node in range(count_nodes(proof)):
         rows = rows_of_node(proof, node)
@@ -201,8 +201,8 @@ def observer_conditions(proof: Any) -> dict[str, Blocks]:
 
 
 def coupling_conditions(proof: Any) -> dict[str, Blocks]:
-    """Conditions that bound the effect of the estimation error on the state of a bilinear closed
-    loop, one for each segment."""
+    """Conditions that bound how much the estimation error moves the state of a bilinear loop, one
+    per segment between input levels."""
     conditions: dict[str, Blocks] = {}
     for segment in range(count_nodes(proof) - 1):
         width = segment_width(proof, segment)
@@ -237,13 +237,13 @@ def cascade_conditions(proof: Any) -> dict[str, Blocks]:
 
 
 def positivity_conditions(proof: Any, *names: str) -> dict[str, Blocks]:
-    """Conditions that certain numbers of a certificate are positive."""
+    """Conditions that some scalars in a certificate, such as the radius, are positive."""
     return {f"{name} above 0": [[getattr(proof, name)]] for name in names}
 
 
 def range_conditions(proof: Any) -> dict[str, Blocks]:
-    """Conditions under which the input stays within the outermost nodes, from every initial state
-    in the certified set."""
+    """Conditions under which the input stays between the outermost input levels (nodes), from every
+    certified initial state."""
     conditions = positivity_conditions(proof, "radius", "gain_state", "gain_error")
     by_state = proof.radius * proof.gain_state
     by_error = proof.radius * proof.gain_error
@@ -257,7 +257,7 @@ def range_conditions(proof: Any) -> dict[str, Blocks]:
 
 
 def example_numbers(factor_controller: float) -> dict[str, Any]:
-    """Numbers of a worked example: a bilinear closed loop with one state, three nodes and `L_i =
+    """Numbers of a worked example: a bilinear loop with one state, three input levels and `L_i =
     0.1 - A_i`."""
     one = np.ones((1, 1))
     a_nodes = np.array([[0.4], [0.5], [0.6]])

@@ -1,5 +1,5 @@
-"""Largest contraction rate that a single metric proves for a given gain, which is often larger than
-the rate it was designed for.
+"""Largest contraction rate that one metric proves for a given gain, often above the rate requested
+of the design.
 
 Problem. A gain K is deployed with a certificate at the rate that was asked; find the largest rate
 at which some metric certifies this very gain. For an observer the same of `(A^T, C^T, L^T)`.
@@ -104,8 +104,8 @@ def largest_rate(
 
 
 def certificate_at_largest_rate(certificate: Any) -> Side | None:
-    """Certificate of the same gain as a given one at the largest contraction rate that is proved,
-    with a new metric; None where no larger rate is proved."""
+    """Certificate of the largest contraction rate that is proved for a certified gain; None if its
+    rate is not improved."""
     started = time.perf_counter()
     problem, solution = certificate.as_problem()
     limit = min(largest_rate(problem.a, problem.b, solution.k, problem.ball), LARGEST_RATE)

@@ -49,7 +49,7 @@ LEAST = 1e-6  # below it nothing is said to contract
 
 @dataclass(frozen=True, kw_only=True)
 class LimitedFeedback(StateFeedbackOfBall):
-    """Certificate that a state feedback contracts when its input is cut at the limits. It has the
+    """Certificate that a closed loop contracts when its input saturates at the limits. It has the
     fields of `state_feedback`, for a wider ball."""
 
     @classmethod

@@ -1,5 +1,5 @@
-"""Certificate that the closed loop comes to rest on every plant whose deviation from the model
-stays within a measured disc.
+"""Certificate that the closed loop comes to rest on every plant whose model error lies within a
+disc measured from records.
 
 Problem. The loop `u = K xh` with its observer runs on a plant whose output is `y = m + e`, m the
 model's output for the same input. Records bound e in a disc around `c m`, by frequency, with two
@@ -86,9 +86,9 @@ OF_THE_OUTPUT = ("c", "d", "h")  # read from the model, the others from what is 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredDiscs(Theorem):
-    """Certificate that the closed loop comes to rest on every plant whose deviation from the model
-    stays within a measured disc. `kappa` and its proof `p (n_xi, n_xi)`, `lambda_p`, `lambda_out
-    (3,)`, which is empty for a linear S_y.
+    """Certificate that the closed loop comes to rest on every plant whose model error lies within a
+    measured disc. `kappa` and its proof `p (n_xi, n_xi)`, `lambda_p`, `lambda_out (3,)`, which is
+    empty for a linear S_y.
 
     The disc is `centre, floor, weight_output, weight_input`: `[A, B; C, D]` of a filter of one
     channel, applied to each. The loop is `a, b, k` (controlled), `c, d, l, alpha_out, beta_out`
@@ -130,8 +130,8 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def conditions(cls, proof: Any) -> dict[str, Blocks]:
-        """Matrices that must be positive definite for the closed loop to come to rest on every
-        plant within a measured disc."""
+        """Matrices that must be positive definite for the loop to come to rest on every plant with
+        a model error within the disc."""
         signals = cls.signal_matrices(proof)
         storage = signals.xi.T @ proof.p @ signals.xi
         next_storage = signals.step.T @ proof.p @ signals.step
@@ -284,7 +284,7 @@ def count_rows(matrix: Any) -> int:
 
 
 def selection_matrices(sizes: dict[str, int]) -> dict[str, Float[np.ndarray, "_ N"]]:
-    """Matrices that select each named part of a stacked vector."""
+    """Matrices that select each named block of a stacked vector."""
     ends = np.cumsum(list(sizes.values()))
     identity = np.eye(int(ends[-1]))
     pieces = np.split(identity, ends[:-1])

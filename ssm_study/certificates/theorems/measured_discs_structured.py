@@ -1,5 +1,5 @@
-"""Certificate that the loop of a model with neurons comes to rest on every plant whose deviation
-from the model stays within a measured disc.
+"""Certificate that the loop of a model with neurons comes to rest on every plant with a model error
+within a measured disc.
 
 Problem. As in `measured_discs`, for the model and the observer of `structured_observer`.
 

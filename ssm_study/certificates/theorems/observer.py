@@ -1,4 +1,5 @@
-"""Observer with linear output injection whose error contracts in spite of a monotone output map.
+"""Observer with linear output injection whose estimation error contracts despite a monotone
+nonlinear output map.
 
 Problem. `x+ = A x + B S_u(u)`, `y = S_y(C x + D S_u(u))` with `A (n, n)`, `C (p, n)`: find `L` such
 that `xh+ = A xh + B S_u(u) + L (yh - y)`, `yh = S_y(C xh + D S_u(u))`, comes nearer to `x` by `r =
@@ -46,8 +47,8 @@ from ssm_study.certificates.theorem import Blocks
 
 @dataclass(frozen=True, kw_only=True)
 class ObserverOfBall(ProblemCertificate, Observer):
-    """Certificate of an observer for a model whose static output map has its slopes in a ball of
-    Jacobians."""
+    """Certificate of an observer for a model whose static output map has all Jacobians in a known
+    ball."""
 
     u: Float[np.ndarray, "n n"]
     v: Float[np.ndarray, "n p"]

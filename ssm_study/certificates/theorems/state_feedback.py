@@ -1,4 +1,4 @@
-"""Linear state feedback that makes a linear recurrence behind a monotone input map contract.
+"""Linear state feedback that makes a linear system with a monotone nonlinear input map contract.
 
 Problem. `x+ = A x + B S_u(u)` with `A (n, n)`, `B (n, m)`: find `K` such that `u = K x` makes the
 distance of any two trajectories shrink by `r = sqrt(1 - rate)` or more in each sample.
@@ -47,8 +47,8 @@ from ssm_study.certificates.theorem import Blocks
 
 @dataclass(frozen=True, kw_only=True)
 class StateFeedbackOfBall(ProblemCertificate, StateFeedback):
-    """Certificate of a state feedback for a model whose static input map has its slopes in a ball
-    of Jacobians."""
+    """Certificate of a state feedback for a model whose static input map has all Jacobians in a
+    known ball."""
 
     y: Float[np.ndarray, "n n"]
     x: Float[np.ndarray, "m n"]

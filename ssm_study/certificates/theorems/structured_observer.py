@@ -1,4 +1,5 @@
-"""Observer whose error contracts for a model with neurons, with injection also inside the neurons.
+"""Observer of a model with neurons that injects the output error also into the neurons, and whose
+error contracts.
 
 Problem. For `x+ = A x + B v + E w`, `w = phi(F x + G v + bias) - phi(bias)`, `y = S_y(C x + D v + H
 w)`: find `L` and
@@ -81,8 +82,8 @@ class StructuredObserver(ProblemCertificate, Observer):
         return super().holds(**numbers)
 
     def failed_checks(self, context: VerificationContext) -> list[str]:
-        """Sentences on those claims of the observer's certificate that do not hold for the model,
-        one for each claim."""
+        """One sentence for each claim of the observer's certificate that does not hold for the
+        model."""
         messages = []
         if _closes_algebraic_loop(self.h, self.l_z) and self.certified:
             messages.append(".l_z: must be zero, for neurons stand in the output (H)")
@@ -96,9 +97,9 @@ def _closes_algebraic_loop(h: NeuronOutput, l_z: NeuronInjection) -> bool:
 
 
 def structured_observer_inequality(proof: Any, multipliers: Any, injection_product: Any) -> Blocks:
-    """Blocks of the matrix inequality by which an observer of a model with neurons contracts, for
-    given multipliers and a given gain to the neurons' inputs. `injection_product` is
-    `N = Lambda L_z`; `multipliers` is the diagonal matrix Lambda.
+    """Blocks of the matrix inequality that proves contraction of an observer of a model with
+    neurons, for given multipliers. `injection_product` is `N = Lambda L_z`; `multipliers` is the
+    diagonal matrix Lambda.
     """
     neuron_inputs = multipliers @ proof.f + proof.alpha * (injection_product @ proof.c)
     error_step = proof.u @ proof.a + proof.alpha * (proof.v @ proof.c)

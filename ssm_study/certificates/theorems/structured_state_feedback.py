@@ -76,8 +76,8 @@ class StructuredStateFeedback(ProblemCertificate, StateFeedback):
 
 
 def structured_feedback_inequality(proof: Any, neuron_row: tuple[Any, Any, Any]) -> Blocks:
-    """Blocks of the matrix inequality of a state feedback for a model with neurons, the block row
-    of the neurons being scaled as given. For any diagonal S, `neuron_row` is `(S, S T, S T S)`."""
+    """Blocks of the matrix inequality of a state feedback for a model with neurons, with a given
+    scaling of the neurons' rows. For any diagonal S, `neuron_row` is `(S, S T, S T S)`."""
     scale, scaled_t, t = neuron_row
     identity = np.eye(proof.b.shape[1])
     state_step = proof.a @ proof.y + proof.alpha * (proof.b @ proof.x)

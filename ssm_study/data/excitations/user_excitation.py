@@ -81,8 +81,8 @@ class OwnPlantRecord:
         return np.concatenate(parts)
 
     def sine(self, angle: float, amplitude: float, settling: int) -> Float[np.ndarray, "T"]:
-        """Generate a sine with a whole number of samples per cycle: a part to settle, then two
-        parts to measure. It has three parts, each as long as the plant takes to settle."""
+        """Generate a sine with a whole number of samples per cycle, in three equal parts: one to
+        settle, two to measure. It has three parts, each as long as the plant takes to settle."""
         cycle = max(round(2 * np.pi / angle), 4)
         cycles = max(-(-settling // cycle), SINE_CYCLES)
         reach = amplitude * min(self.upper - self.rest, self.rest - self.lower)

@@ -272,7 +272,7 @@ def _parse_variable(data: bytes, order: str, owner: str = "") -> Iterator[tuple[
 
 
 def describe_object(name: str, class_name: str) -> str:
-    """Describe an object of a new MATLAB class, and name the property that has its numbers."""
+    """Describe an object of a new MATLAB class, and name the property that contains its numbers."""
     if not class_name:
         return CLASSES[OPAQUE]
     member = NUMBERS_OF_CLASSES.get(class_name)

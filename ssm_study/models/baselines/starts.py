@@ -29,8 +29,8 @@ RUN_IN = 300  # samples of the log before a record that a polynomial runs throug
 def simulate_by_kind_of_start(
     model: NarxModel, data: DataSet, records: Trajectories, starts: Sequence[str] = STARTS
 ) -> dict[str, Simulation]:
-    """Free runs of an ARX or NARX model from each kind of initial state: measured outputs,
-    estimated, or the preceding log.
+    """Free runs of an ARX or NARX model from three kinds of initial states: measured, estimated, or
+    from the preceding log.
 
     Only the kinds that are named, and that there are: from rest, if every sample is scored.
     """
@@ -57,8 +57,8 @@ def simulate_by_kind_of_start(
 def simulate_after_preceding_log(
     model: NarxModel, data: DataSet, records: Trajectories
 ) -> Simulation:
-    """Simulate a NARX model on several records, with each simulation begun on the log before the
-    record. A record without such a log begins with its own measured outputs."""
+    """Simulate a NARX model on several records, each simulation beginning in the preceding part of
+    the log. A record without such a log begins with its own measured outputs."""
     simulated = tuple(
         simulate_record_after_preceding_log(model, data, record) for record in records
     )
@@ -68,8 +68,7 @@ def simulate_after_preceding_log(
 def simulate_record_after_preceding_log(
     model: NarxModel, data: DataSet, record: Trajectory
 ) -> Float[np.ndarray, "T p"]:
-    """Simulate a NARX model on one record, with the simulation begun on the log before the
-    record."""
+    """Simulate a NARX model on one record, beginning in the preceding part of the log."""
     past = preceding_log(data, record)
     window = data.start_up_samples
     if past is None:

@@ -1,5 +1,5 @@
-"""Static map of the paper: a multilayer perceptron with leaky ReLU, shifted so that it is zero at
-zero."""
+"""Static map as in Zakwan et al.: a multilayer perceptron with leaky ReLU, shifted so that it is
+zero at zero."""
 
 from dataclasses import dataclass, replace
 from typing import Any

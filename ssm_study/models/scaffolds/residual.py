@@ -64,8 +64,7 @@ class ResidualScaffold(Scaffold, names=("residual",)):
         return bound_from_ball(ball, "construction")
 
     def jacobian_centre(self) -> None:
-        """No centre matrix, because the Jacobians of the map already lie around a multiple of the
-        identity."""
+        """Return None: the Jacobians of the map already lie around a multiple of the identity."""
         return
 
     def as_portable(self) -> PortableMap:

@@ -56,7 +56,7 @@ def _json_fields(instance: Any) -> list[tuple[Field[Any], Any]]:
 
 
 def _is_optional(field: Field[Any]) -> bool:
-    """Whether a dataclass field is empty by default and so may be missing in older JSON files."""
+    """Whether a dataclass field has an empty default, so that an older JSON file may lack it."""
     return field.default_factory is not MISSING
 
 
@@ -118,8 +118,8 @@ ROUNDING = (
 
 
 class Scaffold(Family, JsonDataclass):
-    """Base class of the static maps at the input and output of a model, whose Jacobians lie in a
-    known ball. `S: R^m -> R^k` with `S(0) = 0` exactly, as explicit parameters only.
+    """Base class of a model's static input and output maps; all Jacobians of a map lie in a known
+    ball. `S: R^m -> R^k` with `S(0) = 0` exactly, as explicit parameters only.
 
     Scaled units on both sides. Every member is a frozen dataclass that is written to and read from
     JSON without loss.
@@ -158,16 +158,16 @@ class Scaffold(Family, JsonDataclass):
 
     @abstractmethod
     def jacobian_centre(self) -> Square | None:
-        """Centre matrix of a static map's Jacobians, which may be moved into the linear part of the
-        model."""
+        """Centre of a static map's Jacobians, a matrix that may be moved into the linear part of
+        the model."""
 
     def compose_with_output_matrix(self, m: Square) -> "Scaffold":
-        """Static map that multiplies the output of this map by a matrix. `v -> m S(v)`, m the
-        inverse of `jacobian_centre()`; only called where there is one."""
+        """Static map that results when this map's output is multiplied by a matrix. `v -> m S(v)`,
+        m the inverse of `jacobian_centre()`; only called where there is one."""
         raise NotImplementedError(f"{self.kind}: no centre, so nothing to move")
 
     def compose_with_input_matrix(self, m: Square) -> "Scaffold":
-        """Static map that multiplies its input by a matrix before this map is applied. `v -> S(m
+        """Static map that results when this map's input is multiplied by a matrix first. `v -> S(m
         v)`, m the inverse of `jacobian_centre()`."""
         return self.compose_with_output_matrix(m)
 

@@ -58,8 +58,8 @@ class Trainable(ABC):
         return None
 
     def roughness(self, explicit: Any) -> Float[Tensor, ""]:  # noqa: ARG002
-        """Total variation of a static map's slope, which a training penalty weights; zero for a map
-        without slopes as parameters."""
+        """Total variation of a static map's slope, used in a training penalty; zero for a map
+        without slope parameters."""
         return torch.zeros((), dtype=torch.float64)
 
     def build(self, frame: MapContext, rng: np.random.Generator) -> Any:
