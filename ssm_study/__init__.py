@@ -106,7 +106,7 @@ def limit_threads() -> None:
 
 
 def save_as_run(design: Any, folder: Any) -> Any:
-    """Save a design as a run folder, equal to the one that `ssm-study run` writes for the same
+    """Save a controller design as the run folder that `ssm-study run` would write for the same
     settings.
 
     The package knows both its Python functions and its command; neither imports the other.

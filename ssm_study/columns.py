@@ -1,5 +1,5 @@
-"""Definitions of the columns of a record, stated once for each: name, unit, and how it is printed,
-ranked and verified."""
+"""Definitions of the columns of the results table: name, unit, and how each is printed, ranked and
+verified."""
 
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -91,6 +91,6 @@ def iterative_result_column(
     unit: str = "",
     heading: str = "",
 ) -> Column:
-    """Definition of a table column that is computed by an iterative method, such as a norm or an
-    eigenvalue, and therefore compared with a wider tolerance."""
+    """Definition of a column from an iterative computation, such as a norm, compared with a wider
+    tolerance."""
     return Column(name, "Float64", better, heading, printed_name, unit, ITERATED)

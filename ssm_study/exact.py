@@ -73,7 +73,7 @@ class Exact:
         return Exact._from_entries(self._entries()[index])
 
     def diagonal_matrix(self) -> "Exact":
-        """Diagonal matrix whose diagonal has the entries of a matrix with one row."""
+        """Diagonal matrix with the entries of a row vector on its diagonal."""
         return Exact._from_entries(np.diagflat(self._entries()[0]))
 
     def to_floats(self) -> Float[np.ndarray, "r c"]:

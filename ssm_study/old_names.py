@@ -1,4 +1,4 @@
-"""Tables of the names of earlier versions, each with today's name.
+"""Tables of the old names of earlier versions, each with the current name.
 
 One table for each kind of name: modules, classes and functions, methods, settings, columns. To
 rename something that strangers rely on, add a line to the table of its kind; `renamed` reads them.

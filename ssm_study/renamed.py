@@ -221,7 +221,7 @@ class OldModules(MetaPathFinder):
             execute = spec.loader.exec_module
 
             def exec_module(module: ModuleType) -> None:
-                """Run the module's code, then add the old names to it."""
+                """Run the module's code, then add the old names to the module."""
                 execute(module)
                 _restore_old_names(module, inner)
 
@@ -274,7 +274,7 @@ def _restore_old_names(module: ModuleType, inner: str) -> None:
     }
 
     def find_renamed_object(name: str) -> Any:
-        """Object of the module that an old name stands for; a warning is issued."""
+        """Object that an old name in a module stands for; a warning is issued."""
         if name not in old_names:
             raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}")
         warn_of_old_name(f"{module.__name__}.{name}", f"{OURS}.{old_names[name]}")
@@ -298,7 +298,7 @@ def support_old_methods(base: type, methods: Mapping[str, str]) -> None:
     defined = vars(base).get("__init_subclass__")
 
     def redirect_renamed_overrides(cls: type, **options: Any) -> None:
-        """Let a method of a new subclass override the renamed method if it has the old name."""
+        """Let a subclass's method with an old name override the renamed method."""
         add_method_aliases(cls, methods)
         if defined is None:
             super(base, cls).__init_subclass__(**options)  # type: ignore[arg-type]
@@ -310,7 +310,7 @@ def support_old_methods(base: type, methods: Mapping[str, str]) -> None:
 
 
 def add_method_aliases(kind: type, methods: Mapping[str, str]) -> None:
-    """Give each renamed method that a class defines its other name, too."""
+    """Make each renamed method of a class available under its other name, too."""
     for old, new in methods.items():
         defined = vars(kind)
         if old in defined and new not in defined:

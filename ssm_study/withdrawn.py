@@ -1,4 +1,4 @@
-"""Settings, choices, classes, theorems and columns that earlier versions had and today's has not.
+"""Settings, choices, classes, theorems and columns of earlier versions that were removed.
 
 To withdraw something, add a line to the table of its kind, with the version and the remedy;
 `renamed` refuses what is withdrawn with that sentence.

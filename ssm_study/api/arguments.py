@@ -1,4 +1,4 @@
-"""Types of arguments that hold numbers, with the short names that signatures print."""
+"""Type hints of numeric arguments, with the short names that signatures of functions show."""
 
 from collections.abc import Sequence
 

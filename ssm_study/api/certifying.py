@@ -128,7 +128,7 @@ class Certification:
 
     @property
     def certified(self) -> bool:
-        """Whether all given gains, and their closed loop where both were given, are certified."""
+        """Whether every given gain is certified, and the closed loop of both if both were given."""
         return bool(self.verdicts) and all(self.verdicts.values())
 
     @property
@@ -146,7 +146,7 @@ class Certification:
         return add_loop_verdict(verdicts, self.unknown_maps)
 
     def summary(self) -> pd.Series:
-        """Table with proved rate, largest possible rate and reason of each gain, and the loop's
+        """Table of each gain's proved rate, rate limit and reason for failure, and the loop's
         verdict."""
         lines: dict[str, str] = {}
         for name, gain in (("controller", self.controller), ("observer", self.observer)):

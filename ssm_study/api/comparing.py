@@ -180,7 +180,7 @@ def compare_simulations(
 
 
 def _name_models(models: Sequence[Model]) -> dict[str, Model]:
-    """Name models by their kind, such as `ssm`, with a number where several are of one kind."""
+    """Name models by their kind, such as `ssm`, numbered if several models are of the same kind."""
     kinds = [kind_of_model(model) for model in models]
     names = []
     for i, kind in enumerate(kinds):

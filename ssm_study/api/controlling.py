@@ -149,8 +149,7 @@ def design_bilinear_controller(
 
 
 def check_input_limits(limits: Any) -> None:
-    """Raise `BadRequest` unless input limits are a pair of lowest and highest input, each None or
-    numbers."""
+    """Raise `BadRequest` unless input limits are a pair (lowest, highest) of numbers or None."""
     is_sequence = isinstance(limits, tuple | list)
     is_pair = is_sequence and len(limits) == 2
     remedy = "give (lowest, highest), or None for the range that the records visited"
@@ -243,8 +242,8 @@ def _linear_map(ball: JacobianBall, channels: int) -> LinearScaffold:
 
 
 def replace_setting_names_in_advice(certificate: Certificates) -> Certificates:
-    """Replace the names of study settings in a certificate's advice, because a system given as
-    matrices has no such settings."""
+    """Replace names of study settings in a certificate's advice, for a system that is given as
+    matrices."""
     sides = {}
     for side in SIDES:
         part = certificate.certificates_by_name[side]
@@ -258,6 +257,7 @@ def replace_setting_names_in_advice(certificate: Certificates) -> Certificates:
 
 
 def slope_ball(name: str, slopes: Slopes) -> JacobianBall:
-    """Ball of Jacobians of a static map with a given smallest and largest slope."""
+    """Ball of matrices that contains all Jacobians of a static map with given smallest and largest
+    slope."""
     lower, upper = read_positive_slopes(name, slopes)
     return JacobianBall.from_slopes(lower, upper)

@@ -110,8 +110,8 @@ class Design:
 
     @cached_property
     def unknown_maps(self) -> dict[str, str]:
-        """Static maps, such as an input nonlinearity, of which only the range of slopes was given,
-        not the map itself."""
+        """Static maps, such as an input nonlinearity, that are known only by their range of
+        slopes."""
         is_identified = self.origin is not None or bool(self.stored_record)
         if is_identified or self.certificate.inverts_input_map:
             return {}
@@ -119,7 +119,7 @@ class Design:
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        """Numbers on a design by the results table's column names: rates, limits, gains and
+        """Numbers on a design, keyed by column names of the results table: rates, limits, gains,
         predictions.
 
         A bare system has no records, hence no predictions; a loaded design has its run's columns.
@@ -334,8 +334,8 @@ class Design:
         )
 
     def coverage_plot(self) -> Any:
-        """Draw, for each frequency band, how many times the measured model error the proof
-        tolerates.
+        """Draw the coverage (tolerated model error divided by the measured one) for each frequency
+        band.
 
         Returns the Matplotlib figure. Raises `BadRequest` for a design without records, and where
         nothing is covered for want of a proof.

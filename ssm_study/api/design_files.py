@@ -1,4 +1,4 @@
-"""Files in the folder of a saved design: recorded signals for its export, and what is read back."""
+"""Files of a saved design: recorded signals that its export needs, and reading a design back."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -46,7 +46,8 @@ def write_records(data: DataSet, folder: Path) -> None:
 
 
 def group_training_inputs(data: DataSet) -> Iterator[SignalGroup]:
-    """Inputs of the training records as MCAP signal groups, with one topic for each record."""
+    """Inputs of the training records as signal groups of an MCAP file, with one topic for each
+    record."""
     channels = tuple(data.inputs)
     for i, record in enumerate(data.training):
         topic = f"/record_{i}/input"
@@ -54,8 +55,8 @@ def group_training_inputs(data: DataSet) -> Iterator[SignalGroup]:
 
 
 def group_training_disturbances(data: DataSet) -> Iterator[SignalGroup]:
-    """Measured disturbances of the training records as MCAP signal groups, with one topic for each
-    record."""
+    """Measured disturbances of the training records as signal groups of an MCAP file, with one
+    topic for each record."""
     channels = tuple(data.disturbances)
     for i, record in enumerate(data.training):
         if record.d is not None:
@@ -64,8 +65,8 @@ def group_training_disturbances(data: DataSet) -> Iterator[SignalGroup]:
 
 
 def group_validation_outputs(data: DataSet) -> Iterator[SignalGroup]:
-    """Measured outputs of the validation records as MCAP signal groups, with one topic for each
-    record."""
+    """Measured outputs of the validation records as signal groups of an MCAP file, with one topic
+    for each record."""
     channels = tuple(data.outputs)
     for i, record in enumerate(data.validation):
         topic = f"/record_{i}/measured"

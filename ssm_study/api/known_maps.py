@@ -1,4 +1,4 @@
-"""Whether an observer knows the static maps that the certificates of a design suppose.
+"""Checks that an observer knows the static maps on which the certificates of a design rely.
 
 The observer `xh+ = A xh + B S_u(u) + L (S_y(C xh) - y)` of [Z26] computes S_u and S_y themselves.
 Of a linear system only the slopes of its maps are given: the certificates then hold for every such
@@ -21,13 +21,13 @@ MAPS = {"slopes": "input map", "output_slopes": "output map"}
 
 
 class UnknownMap(UserWarning):
-    """Warning that a simulation uses a constant gain in place of a static map of which only the
-    slopes are known."""
+    """Warning that a simulation uses a constant gain for a static map that is known only by its
+    slopes."""
 
 
 def name_unknown_maps(model: Any, certificate: Certificates) -> dict[str, str]:
-    """Static maps of a design that are given by a range of slopes alone, each with that range as
-    text. Keyed by the argument of `control` that gives the range."""
+    """Text for each static map of a design that is known only by its range of slopes. Keyed by the
+    argument of `control` that gives the range."""
     balls = certified_balls(model)
     computed = {"state_feedback": balls.input, "observer": balls.output}
     unknown = {}
@@ -51,8 +51,8 @@ def describe_slope_range(argument: str, lower: float, upper: float) -> str:
 
 
 def refuse_unknown_maps(unknown: dict[str, str]) -> None:
-    """Raise `BadRequest` for the export of a controller whose observer would compute another static
-    map than the plant has."""
+    """Raise `BadRequest` for an export if the observer's static map would differ from the
+    plant's."""
     maps = " and ".join(unknown.values())
     problem = (
         f"the observer has to compute the {maps}, of which only the slopes are given; with another "
@@ -64,8 +64,8 @@ def refuse_unknown_maps(unknown: dict[str, str]) -> None:
 
 
 def warn_of_unknown_maps(unknown: dict[str, str]) -> None:
-    """Warn that a simulation uses the mean slope for each static map of which only the slopes are
-    known."""
+    """Warn that a simulation uses the mean slope for each static map that is known only by its
+    slopes."""
     if not unknown:
         return
     maps = " and the ".join(unknown.values())

@@ -1,4 +1,5 @@
-"""The loop of controller and observer, `u = K xh`: what its verdict supposes, in words.
+"""Text on whether the closed loop with estimated state, `u = K xh`, is certified, and under which
+assumptions.
 
 Both certificates give it where the observer computes the plant's own maps S_u and S_y: then its
 error shrinks by itself and the model comes to rest. Where only a range of slopes is given, the
@@ -36,8 +37,8 @@ def describe_loop_verdict(
 def add_loop_verdict(
     gain_verdicts: Mapping[str, bool], unknown_maps: Mapping[str, str]
 ) -> dict[str, bool]:
-    """Verdicts on controller, on observer and on their closed loop, where the last follows from the
-    first two. It is certified where both are and the observer computes the plant's own maps."""
+    """Verdicts on a controller, an observer and their closed loop; the third follows from the first
+    two. It is certified where both are and the observer computes the plant's own maps."""
     holds_for_gains = all(gain_verdicts.values())
     is_certified = holds_for_gains and not unknown_maps
     return {**gain_verdicts, "loop": is_certified}
@@ -50,8 +51,8 @@ def list_maps(unknown_maps: Mapping[str, str]) -> str:
 
 
 def find_unstable_example(certificates: Certificates) -> str | None:
-    """Find a plant, within the slopes of two certificates, whose closed loop with observer is
-    unstable, and describe it as text; None if none is found."""
+    """Text on a plant within the certified slopes whose closed loop is unstable; None if none is
+    found."""
     feedback = certificates.state_feedback
     observer = certificates.observer
     if not isinstance(feedback, StateFeedback) or not isinstance(observer, Observer):
@@ -71,8 +72,8 @@ def unstable_loop_text(
     slopes: Pair,
     output_slopes: Pair,
 ) -> str | None:
-    """Warning that a loop is unstable whose observer assumes mean slopes of the static maps while
-    the plant has extreme ones; None if all such loops are stable. It names the worst.
+    """Warning that a loop is unstable if the observer has mean slopes and the plant extreme ones;
+    None if all such loops are stable. It names the worst.
 
     `input_feedback` is B K, `output_correction` is L C.
     """

@@ -1,4 +1,5 @@
-"""Simulation of a design's closed loop, on a plant or on the identified model in its place."""
+"""Simulation of a design's closed loop with a given plant or, without one, with the identified
+model."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -84,8 +85,8 @@ def _disturbance_names(design: "Design") -> list[str]:
 
 
 def tabulate_rollouts(rollouts: Rollouts, plant: Plant | IdentifiedPlant) -> pd.DataFrame:
-    """Table of simulated closed loops with one row for each case and sample. Its columns are
-    `case`, `time_s`, and the inputs and outputs by name."""
+    """Table of simulated closed loops with one row for each initial condition and sample. Its
+    columns are `case`, `time_s`, and the inputs and outputs by name."""
     channels = (*plant.inputs, *plant.outputs)
     names = [channel.name for channel in channels]
     tables = []

@@ -1,4 +1,4 @@
-"""Reasons why a given gain contracts at no rate that can be proved, in words."""
+"""Text on the reasons why no contraction rate can be proved for a given gain."""
 
 import numpy as np
 from jaxtyping import Float
@@ -22,9 +22,8 @@ def describe_uncontrollable_mode(frontier: Frontier, is_observer: bool) -> str:
 def explain_uncertifiable_gain(
     a: Float[np.ndarray, "n n"], feedback_matrix: Float[np.ndarray, "n n"], ball: JacobianBall
 ) -> str:
-    """Text that explains, from closed-loop eigenvalues at extreme and mean slopes, why no
-    contraction rate can be certified for a gain. The eigenvalues are those of `A + s B K` at the
-    slopes s.
+    """Text that explains by closed-loop eigenvalues why no contraction rate can be certified for a
+    gain. The eigenvalues are those of `A + s B K` at the slopes s.
 
     `feedback_matrix` is `B K`, or `(L C)^T` of an observer.
     """

@@ -85,7 +85,7 @@ class Model:
 
     @cached_property
     def evidence(self) -> Judgement:
-        """Judgement of which statements about the plant the recorded data support."""
+        """Findings on which statements about the plant the recorded data support."""
         return judge_evidence(self.ssm, self.data, self.mismatch)
 
     @property

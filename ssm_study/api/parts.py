@@ -1,4 +1,5 @@
-"""Parts of a study from the yaml files of `conf/`, composed without Hydra.
+"""Configuration of the parts of a study (data, model, ...) from YAML files in `conf/`, without
+Hydra.
 
 The files are the one home of default values: a script and the command begin from the same numbers.
 What Hydra would compose from the same words is compared in `tests/oracles/test_api_parts.py`.
@@ -103,12 +104,13 @@ def _load_default(group: str, entry: Any) -> Tree:
 
 
 class Replacement(dict[str, Any]):
-    """Tree of settings that is put in place of another tree instead of being merged with it."""
+    """Settings that replace another nested dictionary of settings instead of being merged into
+    it."""
 
 
 def merge_trees(tree: Tree, other: Mapping[str, Any]) -> None:
-    """Merge one tree of settings into another, in place. A subtree that is a `Replacement` is not
-    merged but put in place of the other."""
+    """Merge one nested dictionary of settings into another, in place. A subtree that is a
+    `Replacement` is not merged but put in place of the other."""
     for key, value in other.items():
         is_tree = isinstance(value, dict)
         is_merged = is_tree and isinstance(tree.get(key), dict)
@@ -121,8 +123,8 @@ def merge_trees(tree: Tree, other: Mapping[str, Any]) -> None:
 
 
 def assign_value(tree: Tree, path: str, value: Any) -> None:
-    """Assign a value at a dotted path of a settings tree. Raises `BadRequest` where the path leads
-    through a value."""
+    """Assign a value to the setting at a dotted path, such as `model.order`. Raises `BadRequest`
+    where the path leads through a value."""
     *parents, last = path.split(".")
     place: Any = tree
     for name in parents:
@@ -134,7 +136,7 @@ def assign_value(tree: Tree, path: str, value: Any) -> None:
 
 
 def assign_nested(tree: Tree, path: str, value: Any) -> None:
-    """Assign a value at a dotted path of a settings tree, creating subtrees that do not exist
+    """Assign a value to the setting at a dotted path, and create the levels that do not exist
     yet."""
     *parents, last = path.split(".")
     for name in parents:
@@ -280,8 +282,8 @@ class Parts:
             raise self._name_argument_in_error(error) from error.__cause__
 
     def _name_argument_in_error(self, error: BadRequest) -> BadRequest:
-        """Copy of an error about a setting that names the function argument from which the value
-        came."""
+        """Copy of an error about a setting, with the name of the function argument that gave the
+        value."""
         field = error.field.partition(",")[0]
         argument = self.arguments.get(field)
         if argument is None:

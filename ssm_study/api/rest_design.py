@@ -74,7 +74,7 @@ class RestDesign:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Numbers that are proved for the closed loop of a bilinear model, by the names of the
+        """Numbers that are proved for the closed loop of a bilinear model, keyed by the
         certificates' fields."""
         facts: dict[str, Any] = {"certified": self.certified}
         for label, part in self.certificates.parts.items():
@@ -126,8 +126,8 @@ class RestDesign:
 
     @property
     def _default_samples(self) -> int:
-        """Number of samples that a simulation lasts by default: until the proved factor leaves one
-        percent of the initial distance."""
+        """Default length of a simulation in samples: until the proved bound is 1 % of the initial
+        distance."""
         factors = [value for name, value in self.facts.items() if name.endswith("_factor")]
         slowest = max(factors, default=DECAYED)
         decay_a_sample = np.log(slowest)
@@ -200,8 +200,8 @@ class RestDesign:
         return pd.Series(lines, name="design", dtype=object)
 
     def _describe_part(self, part: Any) -> str:
-        """Text on the contraction factor that a certificate proves and the set of states in which
-        it holds."""
+        """Text on the contraction factor that a certificate proves and the states for which the
+        factor holds."""
         ten_thousandths = np.ceil(part.factor * 1e4)
         factor = ten_thousandths / 1e4
         words = f"to {factor:.4f} of its distance or less in each sample"
@@ -255,7 +255,7 @@ def equilibrium_state(model: Bilinear, v: float) -> Float[np.ndarray, "n"] | Non
 
 
 def certified_norm(part: Any, x: Float[np.ndarray, "n"]) -> float:
-    """Norm of an initial state by which a certificate decides whether the state lies in its set."""
+    """Norm that decides whether an initial state lies in the set for which a certificate holds."""
     squared_state_norm = x @ part.p @ x
     norm = float(np.sqrt(squared_state_norm))
     if not hasattr(part, "m"):

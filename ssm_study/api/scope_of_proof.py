@@ -1,5 +1,5 @@
-"""Lines of a design's table on where its proof ends: the frequency that decides what is covered,
-the simulated loop, and what is not proved."""
+"""Lines of a design's summary on the scope of its proof: deciding frequency, simulated loop, and
+what is not proved."""
 
 import re
 from typing import TYPE_CHECKING, Any
@@ -79,8 +79,7 @@ def describe_deciding_band(design: "Design") -> str:
 
 
 def describe_frequency(reference: str, step_s: float) -> str:
-    """Text in Hz on the frequency range where the proof tolerates the least model error; empty
-    where no range is named."""
+    """Text in Hz of the frequency range with the smallest coverage; empty if no range is given."""
     angles = ANGLE.search(reference)
     if angles is None:
         return ""
@@ -92,9 +91,9 @@ def describe_frequency(reference: str, step_s: float) -> str:
 
 
 def describe_input_power(design: "Design", reference: str) -> str:
-    """Text that says whether the record for which the proof tolerates the least model error lacks
-    input power in the deciding frequency band. Of a loaded design its evidence is quoted, if the
-    band lies above the first that is not excited."""
+    """Text that says whether the record with the smallest coverage lacks input power in the
+    deciding frequency band. Of a loaded design its evidence is quoted, if the band lies above the
+    first that is not excited."""
     from ssm_study.api.steps import measure_coverage_premise
     from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 
@@ -124,8 +123,7 @@ def describe_input_power(design: "Design", reference: str) -> str:
 
 
 def describe_simulated_loop(design: "Design") -> str:
-    """Text on the simulated closed loop of a design: how many initial states settle, how soon, and
-    how soon without control."""
+    """Text on how many simulated initial states settle, how fast, and how fast without control."""
     try:
         record = design.record
     except BadRequest as error:
@@ -155,8 +153,8 @@ def describe_unproved(design: "Design") -> str:
 
 
 def refuse_picture_without_records(origin: "Model | None", folder: "Path | None") -> None:
-    """Raise `BadRequest` for a picture that compares the proof with records, where a design has no
-    records. A loaded design has none, nor has one of given matrices."""
+    """Raise `BadRequest` for a picture that needs records if a design has no records. A loaded
+    design has none, nor has one of given matrices."""
     problem = "comes without its model's records, with which the picture compares the proof"
     remedy = "st.load the saved model, or st.fit it again, and give it to st.control"
     has_model = origin is not None

@@ -1,4 +1,4 @@
-"""Free runs of a model on a given record, scored as its own test records are.
+"""Free-run simulation of a model on a given record, scored in the same way as the test records.
 
 A slice of a record begins in motion. Its first samples tell the state in which it begins and are
 not scored, just as for the model's own records; with no such samples it starts from equilibrium.

@@ -173,8 +173,8 @@ def summarise_slowest_poles(slowest: dict[str, float]) -> dict[str, str]:
 
 
 def name_python_arguments(sentence: str) -> str:
-    """Sentence of a certificate in which the names of study settings are replaced by those of
-    Python arguments."""
+    """Replace names of study settings by names of Python arguments in a sentence of a
+    certificate."""
     for setting, argument in PYTHON_ARGUMENTS.items():
         sentence = sentence.replace(setting, argument)
     return sentence
@@ -216,8 +216,7 @@ def summarise_assumptions(certificate: Certificates) -> dict[str, str]:
 
 
 def round_rate_down(rate: float, digits: int = 3) -> str:
-    """Text of a contraction rate, rounded down to a few significant digits, so that it is never
-    more than what is proved."""
+    """Text of a contraction rate, rounded down so that no more is stated than is proved."""
     if rate <= 0:
         return f"{rate:.{digits}g}"
     exponent = math.floor(math.log10(rate))

@@ -92,8 +92,8 @@ def write_excitation(options: argparse.Namespace) -> None:
 
 
 def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
-    """Settings of an excitation signal: those suggested by an earlier run of the plant, overridden
-    by command-line options."""
+    """Settings of an excitation signal, suggested by an earlier run and changed by command-line
+    options."""
     settings: dict[str, Any] = {}
     if options.after is not None:
         from ssm_study.study.run_files import RunFiles
@@ -177,7 +177,7 @@ def refine_run(options: argparse.Namespace) -> int:
 
 
 def reproduce_run(options: argparse.Namespace) -> int:
-    """Run the configuration of a finished run again, and print where the two records differ."""
+    """Repeat a finished run with the same configuration, and print where the results differ."""
     from ssm_study.study import line as study
     from ssm_study.study.reproduce import reproduce
 
@@ -223,7 +223,7 @@ DESIGN_CHANNELS = "channels.json"
 
 
 def export_warnings(run: Path, header_path: Path) -> list[str]:
-    """Warnings about an exported controller: what it cannot do, and what its run did not test."""
+    """Warnings about an exported controller: what it cannot do, and what was not tested."""
     warnings = []
     reason = re.search(r"No set points: (.*)\.", header_path.read_text(encoding="utf-8"))
     if reason is not None:

@@ -51,8 +51,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _escape_unprintable_letters() -> None:
-    """Make standard output replace letters that the terminal cannot print by their numbers, because
-    column names may be in any script."""
+    """Replace letters that the terminal cannot print by escape codes, since column names may use
+    any script."""
     if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="backslashreplace")
 

@@ -1,4 +1,4 @@
-"""The command `overlay`, which compares the free runs of several runs on one record."""
+"""The command `overlay`, which compares the models of several runs by simulating one record."""
 
 import argparse
 from pathlib import Path

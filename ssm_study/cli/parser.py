@@ -31,7 +31,7 @@ SUBJECTS = {
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """Parser of all commands except `run`, whose words Hydra parses."""
+    """Parser of all commands except `run`, whose arguments Hydra parses."""
     parser = argparse.ArgumentParser(prog="ssm-study", description=DESCRIPTION, epilog=EPILOG)
     parser.add_argument("--version", action="version", version=f"ssm-study {__version__}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")

@@ -96,8 +96,7 @@ def run(overrides: list[str]) -> int:
 
 
 def results_folder(overrides: list[str]) -> str:
-    """Folder of the results that a command line names, or else the default one of the
-    configuration."""
+    """Results folder that the command line names, otherwise the default of the configuration."""
     words = (word.partition("=") for word in overrides)
     named = [value for name, _, value in words if name == "results_dir"]
     return named[-1] if named else "results"

@@ -1,4 +1,4 @@
-"""Summary at the end of a run or a sweep, gathered, drawn and printed as one table."""
+"""Summary at the end of a run or a sweep: results are gathered in a table, drawn and printed."""
 
 import io
 import json
@@ -40,9 +40,9 @@ WIDTH = 80  # of the outcome, where a terminal is not narrower
 
 
 def print_run_summary(config: DictConfig) -> bool:
-    """Bring the study's table up to date, draw the figures of one run and print its outcome; return
-    whether it failed. A run of another process counts as failed, and with `strict` one that cannot
-    be judged."""
+    """Update the study's table, draw the figures of one run and print its outcome; return whether
+    the run failed. A run of another process counts as failed, and with `strict` one that cannot be
+    judged."""
     study = study_folder(config)
     console = Console()
     record = read_record(study / str(config.run)) or {}

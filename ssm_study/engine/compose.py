@@ -47,8 +47,8 @@ NAME = re.compile(r"\$\{run_name:([^${}]*)\}")
 
 
 class Loader(ConfigLoaderImpl):
-    """Hydra's configuration loader with a faster list of the choices that a configuration group
-    offers. It does not copy the files that it has read (`--help` lists a hundred groups)."""
+    """Hydra's configuration loader with a faster listing of the choices in a configuration group.
+    It does not copy the files that it has read (`--help` lists a hundred groups)."""
 
     defaults: Mapping[str, Any] = MappingProxyType({})  # by group, to be marked
 
@@ -117,8 +117,7 @@ class Command(Hydra):
         run(self.name, task, self.asked.overrides)
 
     def compose_config(self, *asked: Any, **further: Any) -> DictConfig:
-        """Return the configuration that is already composed where Hydra would compose the same one
-        again."""
+        """Return the stored configuration instead of letting Hydra compose the same one again."""
         if self.asked.help:
             return super().compose_config(*asked, **further)
         if further.get("with_log_configuration"):
@@ -151,8 +150,8 @@ def grid_combinations(config: DictConfig) -> list[list[str]]:
 
 @dataclass
 class ComposedChoices:
-    """Composed configuration that several jobs of a sweep share, and into which the own values of
-    each job are put."""
+    """Composed configuration that jobs of a sweep share, and in which each job then sets its own
+    values."""
 
     config: DictConfig
     held: dict[str, bool] = field(default_factory=dict)

@@ -43,8 +43,8 @@ FORM = f"1 {sys.version}"  # syntax trees differ from one Python to the next
 
 
 class Definition(NamedTuple):
-    """Statements of a source file that define one name, summed up by their digest and the names
-    that they use."""
+    """Definition of one name in a source file: digest of its statements, and the names that they
+    use."""
 
     digest: str
     names: list[str]
@@ -90,7 +90,7 @@ class CodeReader:
         return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()
 
     def _is_defined(self, module: str, name: str) -> bool:
-        """Whether a module defines a name; a module of a library may define any name."""
+        """Whether a module defines a name; for a module of a library, every name is accepted."""
         if not self._is_followed(module.split(".")[0]):
             return True
         read = self._read_module(module)
@@ -101,7 +101,7 @@ class CodeReader:
         )
 
     def dependency_closure(self, roots: Iterable[Symbol]) -> set[Symbol]:
-        """All functions, classes and constants on which given ones depend, libraries excepted."""
+        """All functions, classes and constants outside libraries on which given ones depend."""
         visited = set[Symbol]()
         waiting = {self._symbol_to_read(symbol) for symbol in roots}
         while waiting:
@@ -122,8 +122,8 @@ class CodeReader:
                 self._read_module(module)
 
     def _symbol_to_read(self, symbol: Symbol) -> Symbol:
-        """Module and name whose source is read for a given symbol: for a library the whole library,
-        for an old name the current one."""
+        """Symbol whose source is read for a given symbol: a whole library, or the current name for
+        an old one."""
         top = symbol[0].split(".")[0]
         if not self._is_followed(top):
             return (top, LIBRARY)
@@ -150,7 +150,7 @@ class CodeReader:
         return self.followed[top]
 
     def _symbols_used(self, module: str, name: str) -> Iterator[Symbol]:
-        """Functions, classes and constants that a given one uses directly."""
+        """Functions, classes and constants that a given function or class uses directly."""
         read = None if name == LIBRARY else self._read_module(module)
         if read is None:
             return
@@ -245,8 +245,8 @@ def code_version(*roots: Callable[..., Any] | type | str) -> str:
 
 
 def find_symbol(root: Callable[..., Any] | type | str) -> Symbol:
-    """Module and name in which a function or class is defined. A lambda stands for its whole
-    module."""
+    """Module in which a function or class is defined, and its name there. A lambda stands for its
+    whole module."""
     if isinstance(root, str):
         module, _, name = root.rpartition(".")
         return module, name
@@ -258,7 +258,7 @@ def find_symbol(root: Callable[..., Any] | type | str) -> Symbol:
 
 @cache
 def library_version(library: str) -> str:
-    """Installed version of the library with a given import name; empty for Python's own."""
+    """Installed version of a library with a given import name; empty for the standard library."""
     if library in sys.stdlib_module_names:
         return ""
     with suppress(metadata.PackageNotFoundError):

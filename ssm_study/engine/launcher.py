@@ -58,7 +58,7 @@ class Launcher(ABC):
 def launch_sweep(
     launcher: Launcher, sweep: Sweep, overrides: Sequence[list[str]], first_number: int
 ) -> list[JobReturn]:
-    """Compose the configurations of all jobs of a sweep, check the unfinished ones, then run or
+    """Compose the configurations of a sweep, check the unfinished jobs, then run these jobs or only
     plan them. Returns one `JobReturn` for each."""
     setup_globals()
     task = find_task(sweep.task_function)

@@ -15,8 +15,8 @@ from ssm_study.engine.store import MANIFEST, Store
 
 @dataclass(frozen=True)
 class PlannedStages(Stages):
-    """Replacement for the store of results in a dry run: notes which steps of a run are needed and
-    stored, and computes none."""
+    """Stand-in for the store of results in a dry run: notes the needed computing steps, and
+    computes none."""
 
     store: Store
     noted: dict[str, StageResult] = field(default_factory=dict)
@@ -35,12 +35,12 @@ class PlannedStages(Stages):
 
 
 class KeyedStages(PlannedStages):
-    """Replacement for the store of results in a dry run that also determines the keys of table
+    """Stand-in for the store of results in a dry run that also determines the keys of table
     columns. For this, all code on which the columns depend is read."""
 
     def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
-        """Determine the key under which the table columns of a computing step are stored, without
-        computing them."""
+        """Determine the key under which the table columns of a step are stored, without computing
+        the columns."""
         columns_key(output, before)
         return {}
 

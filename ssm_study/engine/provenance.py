@@ -1,4 +1,4 @@
-"""Provenance of a number: git commit and uncommitted changes, versions, machine, threads."""
+"""Provenance of a result: git commit and uncommitted changes, versions, machine, threads."""
 
 import os
 import platform

@@ -1,5 +1,5 @@
-"""Record of a run in `record.json`, one flat object sealed by its own SHA-256 digest. All tables
-and figures are made from records."""
+"""Record of a run in `record.json`: settings and results as one JSON object with a SHA-256 digest.
+All tables and figures are made from records."""
 
 import math
 from collections.abc import Mapping
@@ -46,8 +46,8 @@ def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) 
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
-    """Read the record of a run, with the run's present status; None if there is none. The status
-    may be `lost` or `corrupt`."""
+    """Read the record of a run, with the run's present status; None if there is no record. The
+    status may be `lost` or `corrupt`."""
     try:
         content = read_limited_bytes(folder / RECORD, LARGEST)
     except (FileNotFoundError, NotADirectoryError):

@@ -1,5 +1,5 @@
-"""Execution of one run: claim its folder, do the work, and leave one record, even after a failure.
-A finished run is never touched again."""
+"""Execution of one run: reserve its folder, do the work, and write one record, even after a
+failure. A finished run is never touched again."""
 
 import errno
 import os

@@ -53,7 +53,7 @@ def as_settings(value: Any) -> Any:
 def plain_settings(
     config: DictConfig | Settings, without: Set[str] = frozenset({"hydra"})
 ) -> Settings:
-    """Convert a configuration to plain settings, with interpolations resolved and named sections
+    """Convert a configuration to plain settings, with interpolations resolved and given sections
     left out."""
     if isinstance(config, Settings):
         if without.isdisjoint(config):

@@ -1,4 +1,4 @@
-"""Stages of a run, each a pure function of its inputs that is computed once and stored.
+"""Computing steps (stages) of a run, each a pure function of its inputs, computed once and stored.
 
 The key of a result is written by nobody: it follows from the settings of its parts, the stages
 before it and the code of its functions.
@@ -139,8 +139,7 @@ class Stages(ABC):
         return {}
 
     def unrecorded_store(self) -> "Stages":
-        """The same store of results, without the part that notes each computing step in the run's
-        record."""
+        """The same store of results, but without notes of computing steps in the run's record."""
         return self
 
 

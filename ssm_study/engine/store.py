@@ -1,4 +1,4 @@
-"""Store of stages, each computed once, stored under its key, and checked to the last bit when it is
+"""Store of stage results, each computed once, stored under a key, and checked bit by bit when
 read."""
 
 import errno

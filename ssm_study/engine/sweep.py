@@ -1,4 +1,4 @@
-"""Sweep of a study as Hydra notes it in the study's folder."""
+"""Settings that the last sweep of a study varied, read from Hydra's files in the study's folder."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -12,8 +12,8 @@ LARGEST = 2**18  # bytes of that file: a real one has 10,000
 
 
 def swept_numbers(study: Path) -> dict[str, list[float]]:
-    """Numbers that the last sweep of a study varied, by the dotted path of their setting; empty
-    without a sweep, and for one that cannot be read."""
+    """Numbers that the last sweep of a study varied, keyed by setting; empty without a readable
+    sweep."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import OverrideParseException
 

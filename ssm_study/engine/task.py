@@ -181,8 +181,8 @@ class RunStages(Store):
     def stage_result(
         self, name: str, key: str, note: dict[str, Any], compute: Compute
     ) -> StageResult:
-        """Result of a computing step of a run, read from the store, or computed after the step's
-        name is printed."""
+        """Result of a computing step of a run, read from the store, or else announced and
+        computed."""
 
         def compute_announced_stage(folder: Path) -> None:
             """Print the name of a computing step, then compute the step."""
@@ -203,8 +203,7 @@ class RunStages(Store):
         return facts
 
     def unrecorded_store(self) -> Store:
-        """The same store of results, without the part that notes each computing step in the run's
-        record."""
+        """The same store of results, but without notes of computing steps in the run's record."""
         return Store(self.root)
 
 

@@ -1,5 +1,4 @@
-"""Findings on an output that oscillates by itself, as in a limit cycle, so that the input does not
-determine it.
+"""Findings on an output that oscillates independently of the input, as in a limit cycle.
 
 Where the input decides, a piece of a log is predicted as well from the input since the log's
 beginning as from the piece's own estimated state: docs/trust.md, "Logs that cannot bear a
@@ -25,7 +24,8 @@ FORGOTTEN = 0.1  # share that a piece's own state may add to it: noise leaves bo
 
 
 def judge_autonomous_motion(case: Case) -> list[Finding]:
-    """Findings on a log whose output moves more by itself than because of the input."""
+    """Findings on a log in which the output moves mostly independently of the input, as in a limit
+    cycle."""
     shares = predicted_power_shares(case)
     if shares is None or shares[1] >= BY_INPUT or shares[0] - shares[1] <= FORGOTTEN:
         return []
@@ -46,7 +46,7 @@ def judge_autonomous_motion(case: Case) -> list[Finding]:
 
 def predicted_power_shares(case: Case) -> tuple[float, float] | None:
     """Fractions of the output's power that the model predicts from an estimated initial state, and
-    from a simulation of the earlier log. One is estimated in each piece, the other continues from
+    from a simulation since the log began. One is estimated in each piece, the other continues from
     the log before the piece: `1 - |y - y_hat|^2 / |y|^2`, about the means of each piece, over those
     that validate or test behind others.
 

@@ -1,5 +1,4 @@
-"""Findings on a log that was recorded in a closed loop, where noise of the output appears again in
-the input.
+"""Findings on a log from a closed loop, in which noise of the output is fed back to the input.
 
 `v` and `w` are what the last `PAST` inputs do not predict of an output and of an input; with
 feedback `v` predicts a share of `w`, fitted to one half of each record and scored on the other. A
@@ -109,8 +108,8 @@ def feedback_sentence(earlier_share: float, present_share: float) -> str:
 
 
 def responds_within_sample(data: DataSet) -> bool:
-    """Whether the output of a plant responds to the input within the same sample, and not because
-    of a controller.
+    """Whether a plant's output responds within the same sample by direct feedthrough, not by
+    feedback.
 
     A controller with negative feedback makes the first coefficient of the finite impulse response
     point against the plant's further response; a plant that answers within the sample does not.
@@ -190,8 +189,8 @@ def judge_instability(
 
 
 def integrator_share(data: DataSet) -> float | None:
-    """Fraction of the output's changes that the mean input explains; None unless the log shows that
-    the plant integrates its input. For one input only."""
+    """Fraction of the output's changes that the mean input explains; None unless the plant is found
+    to integrate its input. For one input only."""
     stretches = join_log_stretches(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
         return None
@@ -201,8 +200,8 @@ def integrator_share(data: DataSet) -> float | None:
 
 
 def growth_statistics(data: DataSet) -> tuple[float, float]:
-    """Fraction of the output's rise that the input explains, and the t-statistic of the output's
-    growth with its own level.
+    """Fraction of the output's increments that the input explains, and the t-statistic of their
+    growth with the output.
 
     Least squares `y[k + h] - y[k] = h (f(u) + g(u before)) + c y[k - h]` with f and g piecewise
     linear: an integrator behind a dead zone or a curve has c = 0. Returns the share of the power of
@@ -235,8 +234,8 @@ def growth_statistics(data: DataSet) -> tuple[float, float]:
 def _growth_regression_rows(
     inputs: Rows, outputs: Rows, nodes: list[Vector]
 ) -> tuple[Rows, Rows, Rows]:
-    """Rows of a regression that explains the growth of the output by the input and by the output's
-    own level. They hold the input's effect over one stride and over the stride before, the output's
+    """Rows of a regression that explains increments of the output by the input and by the output's
+    level. They hold the input's effect over one stride and over the stride before, the output's
     rise, and the output before."""
     hats: list[np.ndarray] = []
     for column, at in zip(inputs.T, nodes, strict=True):
@@ -305,8 +304,8 @@ def _concatenate_regression_rows(halves: list[list[Rows]]) -> list[Rows]:
 
 
 def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
-    """Powers of input, prediction residual and unexplained residual in one half of a log, by a
-    regression fitted to the other half. Powers in the scored half: of the input, of `w`, of `w`
+    """Powers of the input, of its prediction error and of the error that the output leaves
+    unexplained, in one half of a log. Powers in the scored half: of the input, of `w`, of `w`
     clipped, and of what `v` leaves of that."""
     past, y, u = fitted
     own_past, own_y, own_u = scored

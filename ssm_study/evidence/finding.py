@@ -49,8 +49,8 @@ ScaledRecord = tuple[Inputs, Outputs]
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Data set, model and simulated records whose evidence is to be judged. The free runs are of
-    the validation and test records."""
+    """Data set, model and simulated records about which findings are to be made. The free runs are
+    of the validation and test records."""
 
     data: DataSet
     model: Model
@@ -97,20 +97,20 @@ class Case:
 
 
 def make_note(sentence: str) -> Finding:
-    """Construct a finding of the level `note`, which leaves the evidence sound."""
+    """Make a finding of the level `note`, which does not put a prediction in doubt."""
     return Finding(level="note", sentence=sentence)
 
 
 def make_doubt(sentence: str) -> Finding:
-    """Construct a finding of the level `doubt`, which qualifies a prediction."""
+    """Make a finding of the level `doubt`, which puts a prediction in doubt."""
     return Finding(level="doubt", sentence=sentence)
 
 
 def finding_by_size(
     value: float, doubt_limit: float, rejection_limit: float, sentence: str
 ) -> list[Finding]:
-    """Finding whose level of severity depends on the size of a number; none for a small number. It
-    is a doubt from `doubt_limit` on and `cannot judge` from `rejection_limit` on."""
+    """Finding whose level of severity depends on the size of a number; no finding for a small
+    number. It is a doubt from `doubt_limit` on and `cannot judge` from `rejection_limit` on."""
     if value >= rejection_limit:
         return [Finding(level="cannot judge", sentence=sentence)]
     return [make_doubt(sentence)] if value >= doubt_limit else []

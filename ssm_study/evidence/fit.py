@@ -90,7 +90,7 @@ def poor_fit_remedy(case: Case) -> str:
 
 
 def judge_initial_state(case: Case) -> list[Finding]:
-    """Doubt about a test record whose fit depends strongly on its estimated initial state."""
+    """Finding on a test record whose fit depends strongly on the estimated initial state."""
     other = simulate_from_unchosen_states(case.model, case.data, case.test)
     if other is None or abs(other.fit_percent - case.test.fit_percent) <= STARTS_APART:
         return []

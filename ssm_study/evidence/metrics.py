@@ -1,5 +1,5 @@
-"""Judgement of the evidence that the records give for a model, and its table columns. The level is
-the gravest of all findings; it decides whether a prediction is stated."""
+"""Judgement of how far the records support predictions by a model, and its table columns. The level
+is the gravest of all findings; it decides whether a prediction is stated."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -38,7 +38,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Judgement:
-    """All findings about the evidence that the records give for a model. Its level is that of the
+    """All findings on how far the records support predictions by a model. Its level is that of the
     gravest finding: `sound` (notes at most), `doubt` or `cannot judge`."""
 
     findings: tuple[Finding, ...]
@@ -69,8 +69,8 @@ class Judgement:
 
     @classmethod
     def from_json(cls, content: list[Mapping[str, Any]]) -> "Judgement":
-        """Read from JSON what the checks of a run's records found. Raises `BadRequest` for anything
-        but a list of findings."""
+        """Read the findings on a run's records from JSON. Raises `BadRequest` for anything but a
+        list of findings."""
         for k, entry in enumerate(content if isinstance(content, list) else [content]):
             sound = isinstance(entry, dict) and entry.keys() == {"level", "sentence"}
             require(sound, f"evidence.json [{k}]", entry, "is no finding", "run the study again")
@@ -107,8 +107,8 @@ def collect_findings(
 
 
 def judge_reading(reading_remarks: str) -> list[Finding]:
-    """Doubts about how a log was read: a clock of unknown unit, or values that may stand for
-    missing ones."""
+    """Findings on how a log was read: a clock of unknown unit, or values that may mark missing
+    data."""
     doubts = []
     if ASSUMED_SECOND in reading_remarks:
         doubts.append(
@@ -137,8 +137,8 @@ def evidence_columns(judgement: Judgement, *_: Any) -> dict[str, Any]:
 
 
 def withhold_predictions(columns: dict[str, Any], evidence_level: str | None) -> dict[str, Any]:
-    """Remove predictions about the plant from a design's table columns if the evidence allows no
-    judgement.
+    """Remove predictions about the plant from a design's table columns if the records do not
+    support them.
 
     The proof of coverage stays in the certificate; that the records show an error it covers does
     not hold of records that cannot be judged.

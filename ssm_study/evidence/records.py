@@ -276,7 +276,8 @@ def _judge_repetition(case: Case) -> Iterator[str]:
 
 
 def repeated_test_share(data: DataSet) -> float:
-    """Fraction of the test records' windows that also occur, bit by bit, in the training records.
+    """Fraction of the test records' windows (short stretches) that occur identically in training
+    records.
 
     A coarse sensor repeats itself by chance: input and output must agree, over windows so long
     that the training records hardly ever repeat themselves.
@@ -291,15 +292,14 @@ def repeated_test_share(data: DataSet) -> float:
 
 
 def _window_bytes(record: Trajectory, length: int) -> set[bytes]:
-    """Contents, as bytes, of all windows of a given length in a record at which the output
-    moves."""
+    """Bytes of all windows of a given length in a record during which the output moves."""
     both = np.ascontiguousarray(np.concatenate([record.u, record.y], axis=1))
     pieces = (slice(k, k + length) for k in range(len(both) - length + 1))
     return {both[piece].tobytes() for piece in pieces if np.ptp(record.y[piece]) > 0}
 
 
 def _repeated_share(records: tuple[Trajectory, ...], length: int) -> float:
-    """Fraction of the windows with a moving output that occur more than once in several records."""
+    """Fraction of the windows with a moving output that occur more than once in the records."""
     moving = 0
     distinct: set[bytes] = set()
     for record in records:

@@ -49,14 +49,14 @@ def judge_response(case: Case) -> list[Finding]:
 
 
 def slowest_mode_remainder(case: Case) -> float:
-    """Fraction of the model's slowest mode that remains after the length of the longest training
-    record; 1 for an integrator."""
+    """Fraction of the slowest mode that is left after the duration of the longest training record;
+    1 for an integrator."""
     return case.model.linear.spectral_radius ** max(len(record) for record in case.data.training)
 
 
 def _judge_coherence(case: Case) -> Iterator[Finding]:
-    """Doubt about records in which input and output have a low coherence in the controller's
-    frequency band."""
+    """Finding on records with low coherence of input and output in the controller's frequency
+    band."""
     parts = [case.scale_record_with_disturbances(record) for record in case.data.training]
     segment = int(np.clip(sum(len(u) for u, _ in parts) // AVERAGES, *SEGMENTS))
     parts = [(u, y) for u, y in parts if len(u) >= segment]

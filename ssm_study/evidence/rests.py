@@ -1,5 +1,5 @@
-"""Findings on whether the records show that the plant comes to rest, and at which amplitudes and
-frequencies they show the model error."""
+"""Findings on whether the plant comes to rest, and on amplitudes and frequencies without measured
+model error."""
 
 from collections.abc import Iterator
 
@@ -65,7 +65,7 @@ def _test_offsets(case: Case) -> list[float]:
 
 
 def _judge_short_returns(case: Case) -> Finding:
-    """Finding on records whose input is constant for too short to show whether the plant comes to
+    """Finding on records whose input is constant too briefly to show whether the plant comes to
     rest."""
     records = case.data.mismatch_records
     returns = [record for record in records if is_return_to_rest(record)]

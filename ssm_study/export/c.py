@@ -168,7 +168,7 @@ def _function_prototypes(c_code: str) -> str:
 
 
 def _render_ramp_stop(device: Device) -> str:
-    """Line of C code that stops a ramp's internal model at an input limit; empty if not needed.
+    """Line of C code that holds a ramp's internal model at an input limit; empty if not needed.
 
     Integrators do so by themselves, and oscillators go on.
     """
@@ -362,8 +362,8 @@ def _render_equilibrium_map(
     prefix: str,
     c_type: str,
 ) -> str:
-    """C function that adds the value of a linear or piecewise-linear map to its result. `out +=
-    part w`."""
+    """C function that adds the value of a linear or piecewise-linear map to the vector `out`. `out
+    += part w`."""
     if not isinstance(equilibrium_map, PiecewiseLinear):
         product = _render_product(prefix, "linear", equilibrium_map, "w", "out")
         return _render_function(function_name, "w", {"linear": equilibrium_map}, product, c_type)

@@ -1,5 +1,5 @@
-"""Monitor in the exported C code, which checks whether the plant stays within the model errors that
-the certificate allows.
+"""Monitor in the exported C code, which checks that the model error stays within the certified
+bound.
 
 With the model's own output m for the input that is applied, from rest, and `e = y - m`, noise and
 initial state included, the device keeps
@@ -116,7 +116,7 @@ class Monitor:
 
 
 def free_decay_energy(system: StateSpace) -> float:
-    """Energy of the free decay of a linear system from equilibria at which one output is one,
+    """Output energy of a linear system's free response from equilibria at which one output is one,
     summed over the outputs. `sum |y|^2`."""
     rest, _, gain = system.equilibrium_basis()
     starts = rest @ np.linalg.pinv(gain)

@@ -107,8 +107,8 @@ class PortableController:
 
     @property
     def frozen_state_range(self) -> slice:
-        """Range of internal-model states that are held constant while an input limit is active.
-        They are the integrators of a ramp's internal model.
+        """Index range of internal-model states that are held constant while an input limit is
+        active. They are the integrators of a ramp's internal model.
 
         They come first in its model.
         """

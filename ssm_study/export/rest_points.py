@@ -65,8 +65,8 @@ def evaluate_equilibrium_map(
 
 @dataclass(frozen=True, kw_only=True)
 class EquilibriumCurve:
-    """Equilibria of a model with neurons for increasing values of its mapped input. For each of
-    `lifted (h,)`: states `x (h, n)`, and the arguments of S_y, `read (h,)`.
+    """Equilibria of a model with neurons for increasing values of the input after its static map.
+    For each of `lifted (h,)`: states `x (h, n)`, and the arguments of S_y, `read (h,)`.
 
     `read` rises or falls throughout.
     """
@@ -79,8 +79,8 @@ class EquilibriumCurve:
 def compute_equilibrium_curve(
     controller: PortableController, lowest_input: float, highest_input: float
 ) -> EquilibriumCurve | None:
-    """Equilibria of a model with neurons over an interval of its mapped input; None where they are
-    not unique or not found.
+    """Equilibria of a model with neurons over a range of inputs after the static map; None where
+    they are not unique or not found.
 
     None where two of them share an output, or one is not found.
     """
@@ -117,7 +117,8 @@ def compute_equilibrium_curve(
 def _find_equilibrium(
     model: StructuredSystem, neurons: PortableNeurons, mapped_input: float, start: Vector
 ) -> Vector | None:
-    """Equilibrium state of a model with neurons for one mapped input; None if none is found."""
+    """Equilibrium state of a model with neurons for one input after the static map; None if none is
+    found."""
 
     def equilibrium_residual(x: Vector) -> tuple[Vector, Float[np.ndarray, "n n"]]:
         """Difference between the next state of the model and its present state, with the

@@ -1,4 +1,4 @@
-"""Reason why the exported code of a run follows no set points."""
+"""Reason why the exported controller of a run cannot follow set points."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ from ssm_study.export.targets import find_input_limits, load_controller
 
 
 def missing_set_points_reason(run: Path) -> str:
-    """Reason why the exported code of a run follows no set points, as a clause; empty if it does,
+    """Clause that says why a run's exported controller cannot follow set points; empty if it can,
     or if the run has no controller."""
     try:
         controller = load_controller(run)

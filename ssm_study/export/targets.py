@@ -277,8 +277,8 @@ def _first_failed_claim(run: Path, model: Model, design: Design) -> str:
 
 
 def failed_certificate_claims(run: Path, model: Model, design: Design) -> list[str]:
-    """Sentences on those claims in a run's stored certificate that exact arithmetic does not
-    confirm for its model file."""
+    """Sentences on certificate claims of a run that exact arithmetic does not confirm for the
+    stored model."""
     content = json.loads((run / "certificate.json").read_text())
     try:
         # Refused for an internal model behind a nonlinear output map, which no theorem covers.
@@ -289,7 +289,8 @@ def failed_certificate_claims(run: Path, model: Model, design: Design) -> list[s
 
 
 def _describe_rounding_error(run: Path, device: Device) -> tuple[str, ...]:
-    """Text on how much rounded numbers change the simulated closed loop; empty in double precision.
+    """Text on how much rounding of the controller's numbers changes the simulated loop; empty in
+    double precision.
 
     From rest one output scale off.
     """

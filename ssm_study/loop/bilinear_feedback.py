@@ -27,8 +27,8 @@ SETTLED = 0.05  # of an output scale from the equilibrium
 
 @dataclass(frozen=True, kw_only=True)
 class BilinearFeedback(Controller):
-    """Feedback of the state that an observer estimates for a bilinear model, with a limited input.
-    `v = K xh`, `xh+ = sum_i theta_i(v) (A_i xh + b_i + L_i (C xh - w))`, v and w scaled.
+    """State feedback with observer for a bilinear model, with limits on the input. `v = K xh`, `xh+
+    = sum_i theta_i(v) (A_i xh + b_i + L_i (C xh - w))`, v and w scaled.
 
     Shapes: `k (1, n)`, `l_nodes (q, n, p)`. The observer takes the input that was applied.
     """
@@ -90,8 +90,8 @@ class BilinearFeedback(Controller):
 def advance_bilinear_states(
     model: Bilinear, states: Estimate, inputs: Inputs, corrections: Correction = 0.0
 ) -> Estimate:
-    """Next states of a bilinear model for several cases at once, with an added correction at each
-    input level (node)."""
+    """Next states of a bilinear model for several simulations at once, with a correction added at
+    each node (input level)."""
     at_nodes = np.einsum("qij,Nj->Nqi", model.a, states)
     at_nodes = at_nodes + model.b
     at_nodes = at_nodes + corrections

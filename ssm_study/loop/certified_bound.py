@@ -157,7 +157,8 @@ def count_bound_violations(
 def estimation_decay_rate(
     states: States, estimates: Estimates, feedback: StateFeedback, observer: Observer
 ) -> float | None:
-    """Measured contraction rate `1 - r^2` of the observer's estimation error, in the slowest case.
+    """Measured contraction rate `1 - r^2` of the observer's estimation error, in the slowest
+    simulation.
 
     r is the mean shrink per sample of `e = ||xh - x||_Q` until it is below `FORGOTTEN` of its
     start; on the model `e[k+1] <= r_o e[k]`, so the rate is at least the certified

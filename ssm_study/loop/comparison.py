@@ -1,5 +1,5 @@
-"""Table that compares controllers under several test conditions, on the same plant with the same
-initial conditions and noise."""
+"""Comparison table of controllers under several test conditions, on one plant with equal initial
+conditions and noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -100,7 +100,7 @@ class Comparison(ComparisonTable):
 
     def situation_cases(self, plant: Plant, loop: Loop, situation: str, seed: int) -> list[Case]:
         """Plants and closed-loop experiments of one test condition, such as a load step; empty if
-        the plant cannot show the condition."""
+        the plant does not support the condition."""
         samples = loop.horizon_samples(plant.step_s)
         horizon_s = samples * plant.step_s
         match situation:

@@ -1,4 +1,4 @@
-"""Controllers that compute inputs from measured outputs, for many simulated cases at once.
+"""Controllers that compute inputs from measured outputs, for many parallel simulations at once.
 
 A controller is a discrete-time system of its own. Its memory is one array `(N, s)`, so a thousand
 cases step together and nothing is hidden in an object.
@@ -49,7 +49,7 @@ class Controller(ABC):
     dimensions: tuple[int, int]  # (m, p): inputs it commands, outputs it reads
 
     def initial_memory(self, cases: int) -> Memory:
-        """Memory of a controller before the first sample, one row for each simulated case."""
+        """Memory of a controller before the first sample, one row for each parallel simulation."""
         return np.zeros((cases, 0))
 
     def reference_targets(self, reference: Reference) -> Plan:
@@ -79,14 +79,14 @@ class Controller(ABC):
         return memory[:, :0]
 
     def select_cases(self, is_selected: Bool[np.ndarray, "N"]) -> "Controller":
-        """Copy of a controller that acts on a selection of the simulated cases only."""
+        """Copy of a controller for a selection of the parallel simulations."""
         return self
 
 
 @dataclass(frozen=True, kw_only=True)
 class Uncontrolled(Controller):
-    """Control law that always applies the equilibrium input, to which other control laws are
-    compared."""
+    """Control law that always applies the equilibrium input, as a baseline for other control
+    laws."""
 
     u: Float[np.ndarray, "m"]
     step_s: float
@@ -102,7 +102,7 @@ class Uncontrolled(Controller):
         return cls(u=rest.u, step_s=plant.step_s, dimensions=dimensions)
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
-        """Equilibrium input for every simulated case."""
+        """Equilibrium input for every parallel simulation."""
         case_count = len(y)
         return np.tile(self.u, (case_count, 1))
 
@@ -241,7 +241,7 @@ class ObserverFeedback(EstimateFeedback):
         return np.concatenate(plan_with_outputs, axis=1)
 
     def select_cases(self, is_selected: Bool[np.ndarray, "N"]) -> "ObserverFeedback":
-        """Copy of the controller that acts on a selection of the simulated cases only."""
+        """Copy of the controller for a selection of the parallel simulations."""
         if self.gains.k.ndim == 2:
             return self
         indices = np.flatnonzero(is_selected)

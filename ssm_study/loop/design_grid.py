@@ -99,7 +99,7 @@ class DesignGrid(ComparisonTable):
 
 
 def _prepend_gains(first_gains: Gains, other_gains: Gains) -> Gains:
-    """Put the gains of one controller and observer in front of a batch of gains."""
+    """Prepend the gains of one controller and observer to a stack of gains."""
     stacked = {}
     for name, gain in vars(first_gains).items():
         if gain is not None:
@@ -173,7 +173,7 @@ def _settling_columns(
     open_loop_s: float | None,
     left_bound_count: int,
 ) -> Row:
-    """Table columns on how many simulated cases of one design settle, how fast, and how the others
+    """Table columns on how many simulations of one design settle, how fast, and how the others
     move."""
     cases = len(times_s)
     unsettled = set(motion_classes) - {"settled"}

@@ -163,7 +163,8 @@ def measured_noise_gain(run: Rollouts) -> float | None:
 
 
 def pool_columns(loops: list[LoopRuns]) -> Columns:
-    """Table columns that describe several closed-loop experiments of the same length together."""
+    """Table columns that are computed from several closed-loop experiments of the same length
+    together."""
     efforts = [loop.controlled.u - loop.input_equilibrium for loop in loops]
     errors = [loop.controlled.y - loop.controlled.reference for loop in loops]
     case_counts = (len(error) for error in errors)
@@ -193,7 +194,7 @@ def pool_columns(loops: list[LoopRuns]) -> Columns:
 
 
 def settling_columns(loops: list[LoopRuns], case_count: int) -> Columns:
-    """Table columns on how many simulated cases settle and how fast, compared with the uncontrolled
+    """Table columns on how many simulations settle and how fast, compared with the uncontrolled
     plant."""
     times_s: list[float | None] = []
     alone_s: list[float | None] = []
@@ -232,7 +233,7 @@ def settling_columns(loops: list[LoopRuns], case_count: int) -> Columns:
 def settles_faster_than_open_loop(
     controlled_times_s: list[float | None], uncontrolled_times_s: list[float | None]
 ) -> bool:
-    """Whether every controlled case settles, and on average sooner than without control.
+    """Whether every simulation (case) settles with control, and on average sooner than without.
 
     A case that never settles without control counts as slower there. A word of success stands only
     where this holds: a controller may be certified, and settle, and help nobody.
@@ -249,8 +250,8 @@ def settles_faster_than_open_loop(
 
 
 def largest_residual_oscillation(loops: list[LoopRuns]) -> float | None:
-    """Largest oscillation of the output that remains in any settled case, relative to the settling
-    band; None if no case settles."""
+    """Largest oscillation of the output that remains after settling, relative to the settling band;
+    None if no simulation settles."""
     swings = []
     for loop in loops:
         run = loop.quiet or loop.rollouts_for_settling
@@ -260,7 +261,7 @@ def largest_residual_oscillation(loops: list[LoopRuns]) -> float | None:
 
 
 def largest_overshoot(loop: LoopRuns) -> float:
-    """Largest overshoot among the simulated cases of a controlled plant, relative to the initial
+    """Largest overshoot among several simulations of a controlled plant, relative to the initial
     error."""
     per_case = overshoots(loop.controlled, loop.settling_band)
     return float(per_case.max())
@@ -273,7 +274,8 @@ def sum_of_squares(signals: list[Float[np.ndarray, "N T c"]]) -> float:
 
 
 def largest_final_error(errors: Float[np.ndarray, "N T p"]) -> float:
-    """Largest control error among all cases, averaged over the last tenth of the horizon."""
+    """Largest control error among several simulations, averaged over the last tenth of the
+    horizon."""
     samples = errors.shape[1]
     last = max(samples // 10, 1)
     last_errors = errors[:, -last:]
@@ -283,8 +285,8 @@ def largest_final_error(errors: Float[np.ndarray, "N T p"]) -> float:
 
 
 def divergence_columns(loops: list[LoopRuns], step_s: float) -> Columns:
-    """Table columns with the number of simulated cases that were stopped because they diverged, and
-    the earliest such time."""
+    """Table columns with the number of simulations stopped because of divergence, and the earliest
+    stop."""
     left: list[int] = []
     for loop in loops:
         at_sample = loop.controlled.left_at_sample

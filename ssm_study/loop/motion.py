@@ -33,7 +33,7 @@ def last_step_sample(reference: OutputSignal) -> int:
 
 
 def settling_times_s(rollouts: Rollouts, settling_band: float) -> tuple[float | None, ...]:
-    """Settling time of each simulated case, in seconds after the last step of the reference.
+    """Settling time of each simulation (case), in seconds after the last step of the reference.
 
     From that time on `|y - reference| <= band` holds to the end. None if there is no such time, or
     if less than `DWELL` of the horizon follows it. `settling_band` in the output's unit. A case
@@ -62,7 +62,7 @@ def settling_times_s(rollouts: Rollouts, settling_band: float) -> tuple[float | 
 
 
 def classify_motions(rollouts: Rollouts, settling_band: float) -> tuple[str, ...]:
-    """Class of the motion of each simulated case: `settled`, `lost`, `slow`, `oscillating` or
+    """Class of the motion in each simulation: `settled`, `lost`, `slow`, `oscillating` or
     `drifting`.
 
     Lost: it left the bound. Slow: the error still shrinks from the third quarter of the horizon to
@@ -115,7 +115,7 @@ def trend_and_oscillation(signals: Float[np.ndarray, "N K"]) -> tuple[PerCase, P
 
 def residual_oscillations(rollouts: Rollouts, settling_band: float) -> Float[np.ndarray, "S"]:
     """Amplitude of the output's oscillation in the last tenth of the horizon, for each settled
-    case.
+    simulation.
 
     The amplitude is about a straight line. A loop that swings for ever inside the band of settling
     is settled by definition, and not at rest. In the output's unit.
@@ -140,7 +140,7 @@ def residual_oscillations(rollouts: Rollouts, settling_band: float) -> Float[np.
 
 def overshoots(rollouts: Rollouts, settling_band: float) -> PerCase:
     """Overshoot of the output beyond the reference, relative to the initial error, for each
-    simulated case.
+    simulation.
 
     An excursion counts on the far side from the start, which is the last step of the reference; the
     worst channel counts. Only excursions beyond the band count: within it, the measurement noise
@@ -163,7 +163,7 @@ def overshoots(rollouts: Rollouts, settling_band: float) -> PerCase:
 
 
 def measured_contraction_rate(rollouts: Rollouts, settling_band: float) -> float | None:
-    """Contraction rate of a closed loop measured in simulation, the median over pairs of cases.
+    """Contraction rate of a simulated closed loop, as the median over pairs of trajectories.
 
     It is `1 - r^2`, where r is the mean shrink per sample of `|y_i - y_j|` from the start until it
     is within the band. Pairs count that start more than twice the band apart; the rate is in the
@@ -190,8 +190,7 @@ def measured_contraction_rate(rollouts: Rollouts, settling_band: float) -> float
 def mean_squared_contraction(
     distances: Float[np.ndarray, "N T"], end_distances: float | Float[np.ndarray, "N 1"]
 ) -> PerCase:
-    """Squared mean factor per sample by which distances shrink, for each row of a table of
-    distances over time.
+    """Squared mean contraction factor per sample, for each row of an array of distances over time.
 
     A row counts until it is at most `end_distances`, else to its end.
     """

@@ -126,7 +126,7 @@ class IdentifiedPlant(Plant):
     def advance(
         self, x: States, u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
     ) -> States:
-        """Next states of the identified model, with disturbances added to its mapped input."""
+        """Next states of the identified model, with disturbances added after its input map."""
         mapped_input = self.model.map_input(u)
         return self.model.advance(x, mapped_input + d)
 
@@ -172,7 +172,8 @@ REMAINDER = 0.01  # share of `sum |C A^k B|` that is left behind the length of t
 
 @dataclass(frozen=True, kw_only=True)
 class LoopRuns:
-    """Simulated runs of one experiment, on the plant with and without control and on the model.
+    """Simulations of one closed-loop experiment: the plant, the plant without control, and the
+    model.
 
     `on_model` is `Loop.run_on_model`, None for a controller that has no model; `settling_band` in
     the output's unit. `noise_free`: without measurement noise, where that alone crosses the band;
@@ -190,7 +191,7 @@ class LoopRuns:
 
     @property
     def rollouts_for_settling(self) -> Rollouts:
-        """Simulated runs by which settling is judged. They are without noise if noise alone would
+        """Simulations from which settling is judged. They are without noise if noise alone would
         leave the settling band."""
         return self.noise_free or self.controlled
 

@@ -1,4 +1,4 @@
-"""Simulation of closed loops for many cases at once, and the recomputation of recorded inputs."""
+"""Simulation of many closed loops in parallel, and the recomputation of recorded inputs."""
 
 from dataclasses import dataclass, field
 
@@ -36,7 +36,7 @@ CaseSelection = Bool[np.ndarray, "N"]
 
 @dataclass(frozen=True, kw_only=True)
 class Rollouts:
-    """Simulated closed-loop signals of several cases, in physical units.
+    """Signals of several closed-loop simulations (cases), in physical units.
 
     `u[:, k]` is held over sample k, `y[:, k]` is read before it acts. `y` is the true output,
     `measured` what the controller saw, `estimate` its state estimate (the
@@ -58,8 +58,8 @@ class Rollouts:
 
     @property
     def stayed_within_bound(self) -> CaseSelection:
-        """For each simulated case, whether its signals stayed within the bound at which the
-        simulation stops."""
+        """For each simulation, whether its signals stayed within the bound at which a simulation is
+        stopped."""
         return self.left_at_sample == STAYED
 
     @property
@@ -81,8 +81,8 @@ def simulate_closed_loop(
     limits: Limits = UNLIMITED,
     measured_disturbance: Float[np.ndarray, "T k"] | None = None,
 ) -> Rollouts:
-    """Simulate a controller in closed loop with a plant, for several cases at once. `u[k] =
-    controller(y[k] + noise[k])`, `x[k+1] = plant.advance(x[k], u[k], d[k])`.
+    """Simulate a controller in closed loop with a plant, from several initial conditions at once.
+    `u[k] = controller(y[k] + noise[k])`, `x[k+1] = plant.advance(x[k], u[k], d[k])`.
 
     All cases at once. `bound (p,)` is the largest `|y - y_eq|` a case may reach before it is
     stopped, in the output's unit; input limits (input's unit) are known to the controller. A
@@ -134,8 +134,8 @@ def simulate_closed_loop(
 def _is_inside_bound(
     plant: Plant, y: Outputs, u: Inputs, estimate: Estimates, bound: Bound
 ) -> CaseSelection:
-    """For each simulated case, whether output, input and estimate are within the bound at which the
-    simulation stops."""
+    """For each simulation, whether output, input and estimate are within the bound at which it is
+    stopped."""
     rest = plant.equilibrium()
     input_deviation = u - rest.u
     input_amplitudes = np.array(plant.input_amplitude)

@@ -14,7 +14,7 @@ SampleOfCase = Int[np.ndarray, "N"]
 def write_stopped_cases(
     log: Log, plant: Plant, stopped: SomeCases, sample: int, last: Values
 ) -> None:
-    """Write the last values of stopped simulation cases to all remaining samples of the log."""
+    """Write the last values of stopped simulations to all remaining samples of the log."""
     equilibrium = plant.equilibrium()
     stopped_count = len(stopped)
     at_rest = np.tile(equilibrium.u, (stopped_count, 1))
@@ -25,7 +25,7 @@ def write_stopped_cases(
 
 
 def write_samples(log: Log, cases: SomeCases, samples: int | slice, values: Values) -> None:
-    """Write the signals of some simulated cases at some samples to the log."""
+    """Write the signals of some of the parallel simulations at some samples to the log."""
     for name, value in values.items():
         log[name][cases, samples] = value
 
@@ -43,8 +43,7 @@ def allocate_log(
 
 
 def repeat_last_values(log: Log, left_at_sample: SampleOfCase) -> None:
-    """Overwrite a simulation log, after a case was stopped, by the last values of that case within
-    the bound."""
+    """Repeat the last values within the bound of a stopped simulation over the rest of its log."""
     for case in np.flatnonzero(left_at_sample > 0):
         left = left_at_sample[case]
         for values in log.values():

@@ -149,7 +149,7 @@ def reference_tracking_trajectory(model: SSM, reference: Reference) -> Plan:
 
 
 def _system_of_input_changes(system: StateSpace, idle_directions: Matrix) -> StateSpace:
-    """Linear system extended by its last input, so that it is driven by changes of the input. Its
+    """Linear system with the previous input as an added state, driven by changes of the input. Its
     outputs are the model's and the input's part in the `idle_directions` directions."""
     n, m = system.b.shape
     input_identity = np.eye(m)
@@ -216,8 +216,8 @@ def set_point_equilibria(model: Model, reference: Reference) -> Plan:
 
 
 def invert_map(static_map: Scaffold, values: Matrix) -> Matrix:
-    """Arguments at which a static map has given values, one for each row. Solves `S(v) = w` for
-    `v`.
+    """Inverse of a static map: arguments at which the map has given values, one for each row.
+    Solves `S(v) = w` for `v`.
 
     Scalar maps, which are monotone, are inverted in a bracket; others by damped Newton steps.
     Raises `BadRequest` when the map does not reach `values`.

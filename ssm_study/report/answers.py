@@ -1,4 +1,4 @@
-"""Answers of a study to its three questions, as sentences computed from its table.
+"""Answers to the three questions of a study, as sentences computed from the results table.
 
 Where feasibility ends, whether a better fit means a better loop, and whether the prediction holds.
 The best run and the failures have parts of the page of their own.

@@ -1,4 +1,4 @@
-"""Words for what the record of an earlier version need not state."""
+"""Text for results that the record of an earlier version need not state."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any

@@ -127,16 +127,15 @@ def format_column(
 
 
 def predicting_model_row(record: Mapping[str, Any], fit: str) -> tuple[str, str]:
-    """Row of the outcome on the model that predicts, where another than the controlled model
-    does."""
+    """Row of a run's printed results on the model that predicts, if that is not the controlled
+    model."""
     if record["members"] == 1:
         return "Model that predicts", f"{fit}, with products of input and state"
     return "Mean that predicts", f"{fit}, of {record['members']} models"
 
 
 def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows of the outcome on the identified model: fit, scores, slopes, and decay without
-    control."""
+    """Rows of a run's printed results on the model: fit, scores, slopes, decay without control."""
     reading = log_reading_text(record)
     if reading:
         yield "evidence_reasons", "Log", reading
@@ -164,7 +163,7 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def baseline_text(record: Mapping[str, Any]) -> str:
-    """Text that compares the test fit of the best simple baseline model with that of the model."""
+    """Text that compares the model's test fit with that of the best simple baseline model."""
     fit = record.get("fit_baseline_percent")
     own = record.get("fit_test_percent")
     text = f"{format_column(record, 'fit_baseline_percent', '.1f', ' %')}, {record.get('baseline')}"
@@ -174,7 +173,8 @@ def baseline_text(record: Mapping[str, Any]) -> str:
 
 
 def baseline_spread_text(record: Mapping[str, Any]) -> str:
-    """Text with the range of test fits of the baselines whose validation fit is nearly the best."""
+    """Text with the range of test fits of the baseline models whose validation fit is nearly the
+    best."""
     highest = record.get("fit_baseline_highest_percent")
     lowest = record.get("fit_baseline_lowest_percent")
     if highest is None or (lowest is not None and highest - lowest < WIDE_SPREAD):
@@ -193,7 +193,7 @@ def log_reading_text(record: Mapping[str, Any]) -> str:
 
 
 def proved_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
-    """Rows of the outcome on the contraction rates that are proved for the deployed gains."""
+    """Rows of a run's printed results on the proved contraction rates of the deployed gains."""
     for side, paper_theorem in PAPER_THEOREMS.items():
         theorem = facts.own_theorems.get(side, paper_theorem)
         name = f"{side}_certified_rate"
@@ -222,7 +222,7 @@ def proved_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
 
 
 def limit_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
-    """Rows of the outcome on the contraction rate that is proved under input limits."""
+    """Rows of a run's printed results on the contraction rate that is proved under input limits."""
     label = LIMITS_OF[_is_on_plant(record)]
     if record.get("neurons") and record.get("controller_certified"):
         yield "neurons", label, "nothing is proved: the theorems on limits know no neurons"
@@ -242,7 +242,7 @@ def limit_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
 
 
 def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows of the outcome on whether the proof covers the model error that the records show.
+    """Rows of a run's printed results on whether the proof covers the recorded model error.
 
     Below one it covers nothing, and no share is printed; of an older run the tolerance is.
     """
@@ -267,7 +267,7 @@ def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def refit_text(record: Mapping[str, Any]) -> str:
-    """Remark that the model was trained on the records from which its error is measured, or empty.
+    """Remark that the model was trained on the records that measure its error; empty otherwise.
 
     Such records show less of the error than records that the training has not seen.
     """
@@ -304,7 +304,7 @@ def fresh_data_exceed_coverage(record: Mapping[str, Any]) -> bool:
 
 
 def prediction_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows of the outcome on the behaviour that model and records predict for the plant."""
+    """Rows of a run's printed results on the plant's behaviour as model and records predict it."""
     level = str(record.get("evidence"))
     yield "evidence", "Evidence", evidence_text(level, record.get("evidence_reasons"), NOTES)
     label = "Prediction for the plant" if _is_on_plant(record) else "Prediction"
@@ -329,7 +329,7 @@ def prediction_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def closed_loop_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows of the outcome on the simulated closed loop: how many starts settled, and how fast."""
+    """Rows of a run's printed results on how many simulated starts settled, and how fast."""
     count = format_column(record, "stable_count", ".0f")
     starts = format_column(record, "initial_conditions", ".0f")
     yield "stable_count", "Initial states settled", f"{count} of {starts}"
@@ -388,7 +388,7 @@ def certificate_status_word(record: Mapping[str, Any], side: str) -> str:
 
 
 def outcome_reasons(record: Mapping[str, Any]) -> Iterator[str]:
-    """Reasons, from its record, why a run is in doubt, infeasible, not certified or failed."""
+    """Reasons in a run's record why the run is doubtful, infeasible, not certified or failed."""
     findings = str(record.get("evidence_reasons") or "")
     for finding in re.split(r" (?=(?:note|doubt|cannot judge): )", findings):
         if finding.startswith(("doubt: ", "cannot judge: ")):

@@ -1,4 +1,4 @@
-"""Free runs of several runs' models on a test record that the runs share."""
+"""Free-run simulations by the models of several runs, on the test record that the runs share."""
 
 from collections.abc import Sequence
 from itertools import compress
@@ -97,7 +97,7 @@ def _read_test_free_run(folder: Path) -> RecordedCases:
 
 
 def _signal_values(recording: RecordedCases, name: str) -> list[Float[np.ndarray, "T c"]]:
-    """Values of one signal in each case of a recording."""
+    """Values of one signal in each recorded simulation or measurement."""
     return [case.values for case in recording.signals(name)]
 
 

@@ -1,4 +1,4 @@
-"""Facts on a run that its files contain but its record does not."""
+"""Facts on a run that are read from its other files because `record.json` lacks them."""
 
 import json
 from collections.abc import Mapping, Sequence

@@ -1,5 +1,4 @@
-"""Printing of one whole run on the terminal: its outcome, then every value of its record, sorted by
-the part of the study that it describes."""
+"""Printing of a single run: its outcome, then all recorded values, grouped by part of the study."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -44,8 +43,8 @@ def record_table(record: Mapping[str, Any]) -> Table:
 
 
 def format_value(value: Any) -> str:
-    """Text of a recorded value; a number below one is never rounded up to one, nor one above it
-    down."""
+    """Text of a recorded value, rounded so that a number above or below one is never printed as
+    one."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     return format_beside_bound(value) if isinstance(value, float) else str(value)

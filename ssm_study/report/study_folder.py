@@ -118,7 +118,7 @@ class RunFolder:
     @cached_property
     def mismatch(self) -> Mismatch | None:
         """Model error of a run by frequency and amplitude, measured again from the recordings; None
-        if something for it is missing."""
+        if a needed file is missing."""
         if self.any_model is None or not self.validation_records:
             return None
         return measure_mismatch(

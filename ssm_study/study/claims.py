@@ -1,5 +1,5 @@
-"""Checks of a run's claims, section by section. Columns and findings are recomputed from its files
-and its configuration.
+"""Checks of the settings and results that the files of a finished run state. Columns and findings
+are recomputed from its files and its configuration.
 
 Each section is a function of the run that yields `Checked` (a claim that holds or does not),
 `DerivedColumns` (columns of the record, to be compared) and `NotChecked` (what cannot be derived of
@@ -168,8 +168,8 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
 
 
 def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, Any]]:
-    """Stored inputs and disturbances of the training records, each paired with the one simulated or
-    read again."""
+    """Stored inputs and disturbances of the training records, each paired with its recomputed
+    value."""
     inputs = [record.u for record in records.training]
     pairs = label_pairs(run.inputs, inputs, "u ")
     recomputed = [record.d for record in records.training if record.d is not None]
@@ -182,7 +182,7 @@ def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, An
 def label_pairs(
     stored: Sequence[Any], recomputed: Sequence[Any], prefix: str = ""
 ) -> dict[str, tuple[Any, Any]]:
-    """Give each pair of a stored and a recomputed value a name that ends with a running number."""
+    """Name pairs of stored and recomputed values by a common name with a running number."""
     pairs = zip(stored, recomputed, strict=True)
     return {f"{prefix}{number}": pair for number, pair in enumerate(pairs)}
 
@@ -310,8 +310,8 @@ def check_loop_signals(
 
 
 def check_loop_on_plant(stored: LoopRuns, recomputed: LoopRuns) -> Checked:
-    """Check that the configured plant with the certified gains gives the recorded closed loops
-    again."""
+    """Check that the configured plant with the certified gains reproduces the recorded closed
+    loops."""
     pairs = loop_signal_pairs(stored.controlled, recomputed.controlled)
     for name in ("settling_band", "input_equilibrium"):
         pairs[name] = getattr(stored, name), getattr(recomputed, name)

@@ -1,5 +1,5 @@
-"""Checks of the claims in `certificate.json`, decided again in exact arithmetic, and of the columns
-computed from them."""
+"""Checks of the certificates of a run in exact arithmetic, and of the columns computed from
+them."""
 
 import re
 from collections.abc import Iterator
@@ -96,7 +96,7 @@ def check_certificate(run: RunFiles) -> Claims:
 
 
 def columns_of_later_versions(run: RunFiles) -> dict[str, str]:
-    """Values that a run's record lacks because an earlier version wrote it, each with the reason.
+    """Values that the record of a run by an earlier version lacks, each with the reason.
 
     So a column that somebody took out of an older record is named among what is not checked.
     """
@@ -118,8 +118,8 @@ def columns_of_later_versions(run: RunFiles) -> dict[str, str]:
 
 
 def unrepeated_coverage_search(run: RunFiles) -> dict[str, str]:
-    """Claim that no proof covers the recorded model error, where the search for a proof is too slow
-    to be repeated, with the reason; otherwise empty."""
+    """Recorded failure of a search for a coverage proof that is too slow to repeat, with the
+    reason; otherwise empty."""
     is_unproved = run.record.get("coverage_reason") == UNPROVED
     if not is_unproved or is_search_repeated(run):
         return {}
@@ -128,8 +128,8 @@ def unrepeated_coverage_search(run: RunFiles) -> dict[str, str]:
 
 
 def lacks_coverage(run: RunFiles) -> bool:
-    """Whether a run's record is of an earlier version and does not state how much model error the
-    proof covers, nor does the certificate."""
+    """Whether record and certificate of an earlier version do not state how much model error the
+    proof covers."""
     is_claimed = any(run.record.get(name) is not None for name in COVERAGE_COLUMNS[:2])
     is_old = run.record_version < VERSION
     return is_old and not is_claimed and MeasuredDiscs.part not in run.design.extra_certificates
@@ -138,7 +138,8 @@ def lacks_coverage(run: RunFiles) -> bool:
 def check_stored_certificate(
     run: RunFiles, label: str, part: Theorem | Infeasible, sentences: list[str]
 ) -> Checked:
-    """Check one stored certificate in exact arithmetic, and that the requested method made it."""
+    """Check one stored certificate in exact arithmetic, and that it was made by the requested
+    method."""
     wrong = [sentence for sentence in sentences if re.match(rf"{label}\b", sentence)]
     wrong += stored_number_errors(part)
     if label in SIDES and part.method != run.record.get("synthesis_method"):
@@ -248,7 +249,7 @@ def is_search_repeated(run: RunFiles) -> bool:
 def recompute_fresh_data_column(
     run: RunFiles, premise: Premise, mismatch: Mismatch
 ) -> dict[str, Any]:
-    """Recompute, by simulating fresh data sets again, the recorded disc radius that they need."""
+    """Recompute the disc radius that fresh data sets need, by simulating the data sets again."""
     specification = run.specification
     if not specification.simulates_fresh_data:
         return {}

@@ -45,7 +45,7 @@ def check_files(run: RunFiles) -> Claims:
 
 
 def find_foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Checked]:
-    """Failed findings on files of a run that are missing, have no checksum, or should not be
+    """Failed checks for files of a run that are missing, have no checksum, or should not be
     there."""
     needed = {CONFIGURATION, "model.json", "validation.mcap", "test.mcap", "excitation.mcap"}
     stages: tuple[Stage[Any], ...] = STAGES_OF_A_BASELINE

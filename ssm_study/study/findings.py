@@ -11,7 +11,7 @@ from ssm_study.study.run_files import RunFiles, find_unknown_entries
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """Claim of a run that was checked, with its verdict and the observation."""
+    """Checked claim of a run: whether the claim holds, and what was observed."""
 
     claim: str
     holds: bool

@@ -63,7 +63,7 @@ def has_declared_type(column: Column, value: Any) -> bool:
 
 
 def _report_links(folder: Path) -> Iterator[Checked]:
-    """Failed findings on symbolic links in a run folder, one for each link."""
+    """Failed checks for symbolic links in a run folder, one for each link."""
     links = [path for path in sorted(folder.rglob("*")) if path.is_symlink()]
     for path in links:
         name = path.relative_to(folder).as_posix()
@@ -71,7 +71,7 @@ def _report_links(folder: Path) -> Iterator[Checked]:
 
 
 def _report_byte_order_marks(folder: Path) -> Iterator[Checked]:
-    """Failed findings on text files of a run that begin with a byte order mark, one for each
+    """Failed checks for text files of a run that begin with a byte order mark, one for each
     file."""
     for path in sorted(folder.rglob("*")):
         if path.suffix not in TEXTS or path.is_symlink() or not path.is_file():
@@ -84,7 +84,7 @@ def _report_byte_order_marks(folder: Path) -> Iterator[Checked]:
 
 
 def _report_foreign_contents(folder: Path) -> Iterator[Checked]:
-    """Failed findings on recordings with signals or attachments that no run writes, one for each
+    """Failed checks for recordings with signals or attachments that no run writes, one for each
     file."""
     for path in sorted(folder.glob("*.mcap")):
         if path.name not in TOPICS_BY_FILE or path.is_symlink():

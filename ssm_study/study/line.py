@@ -242,7 +242,8 @@ class Study(Task["Specification"]):
         }
 
     def command_line_columns(self, request: "Specification", overrides: Sequence[str]) -> Facts:
-        """Columns of a run's record for the numbers that only the command line declares."""
+        """Columns of a run's record for numbers set on the command line that have no declared
+        column."""
         return undeclared_number_columns(
             request.configuration, {word.partition("=")[0] for word in overrides}
         )

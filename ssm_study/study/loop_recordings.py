@@ -144,7 +144,7 @@ def _read_existing_rollouts(path: Path) -> Rollouts | None:
 def loop_signal_pairs(
     stored: Rollouts | None, recomputed: Rollouts | None
 ) -> dict[str, tuple[Any, Any]]:
-    """Signals of stored closed-loop simulations, each paired with the one simulated again.
+    """Signals of stored closed-loop simulations, each paired with its new simulation.
 
     Those that left their bound count up to there.
     """

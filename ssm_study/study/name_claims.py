@@ -1,5 +1,5 @@
-"""Checks that a run is called what its settings give: its folder, the settings that its name shows,
-and the hash of all of them."""
+"""Checks that the folder and name of a run agree with its settings and with the hash of all
+settings."""
 
 import re
 from collections.abc import Mapping

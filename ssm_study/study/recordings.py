@@ -29,8 +29,8 @@ Pairs = dict[str, tuple[Any, Any]]
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedCases:
-    """Signals of a recording by name, each for all simulated or measured cases. `loop["output"]` is
-    `(N, T, c)` for N cases.
+    """Signals of a recording by name, each for all simulations or measurements (cases) in the
+    recording. `loop["output"]` is `(N, T, c)` for N cases.
 
     `about` is its metadata. Cases are named by what stands before the last `/` of their topics, in
     the order of its number: `/case_3/output` is the signal `output` of the case `/case_3`; `/input`
@@ -57,7 +57,7 @@ class RecordedCases:
         return cls(path=path, cases={name: cases[name] for name in prefixes}, about=about)
 
     def signals(self, name: str) -> list[SignalGroup]:
-        """Signal of a given name in all cases of a recording."""
+        """Signal of a given name in all simulations or measurements of a recording."""
         is_there = all(name in case for case in self.cases.values())
         require(is_there, "topic", name, f"{self.path.name} lacks it", "run the study again")
         return [case[name] for case in self.cases.values()]
@@ -100,7 +100,7 @@ class RecordedCases:
 
     @property
     def settled_time_s(self) -> float:
-        """Time in seconds shortly after the last recorded case of a closed loop has settled.
+        """Time in seconds shortly after the last recorded closed-loop simulation has settled.
 
         The whole horizon where one does not.
         """
@@ -114,7 +114,8 @@ class RecordedCases:
 
     @property
     def records(self) -> Trajectories:
-        """Input, measured output and measured disturbances of every recorded case."""
+        """Input, measured output and measured disturbances of every recorded simulation or
+        measurement."""
         step_s = float(self.about["step_s"])
         names = [prefix or self.path.stem for prefix in self.cases]
         records = []
@@ -129,7 +130,7 @@ class RecordedCases:
 
 
 def _case_number(prefix: str) -> int:
-    """Number at the end of the name of a recorded case; 0 if there is none."""
+    """Number at the end of the name of a recorded simulation or measurement; 0 if there is none."""
     number = NUMBER_AT_END.search(prefix)
     return int(number[0]) if number else 0
 
@@ -229,8 +230,7 @@ def states_from_text(text: str, records: int) -> tuple[Any, ...]:
 
 
 def record_signal_pairs(stored: Trajectories, recomputed: Trajectories) -> Pairs:
-    """Signals and sampling times of stored records, each paired with the value simulated or read
-    again."""
+    """Signals and sampling times of stored records, each paired with its recomputed value."""
     pairs: Pairs = {"records": (len(stored), len(recomputed))}
     for i, (before, now) in enumerate(zip(stored, recomputed, strict=False)):
         for name in ("u", "y", "d", "step_s", "closed_loop"):

@@ -163,8 +163,7 @@ def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
 
 
 def _next_configuration(files: RunFiles, log: Path | None) -> DictConfig:
-    """Configuration of the run that continues a refinement of the controller in the same study: its
-    number of simulated trials is larger by one, or it has one more recorded trial."""
+    """Configuration of the next run of a refinement, with one more simulated or recorded trial."""
     config = files.config.copy()
     before = files.specification.refine
     logs = before if isinstance(before, list) else []

@@ -1,4 +1,4 @@
-"""Files of a run folder that `verify` reads, each only once, and the parts that the run's
+"""Files of a run folder that `verify` reads, each only once, and the objects that the run's
 configuration describes."""
 
 import json
@@ -133,7 +133,7 @@ class RunFiles:
 
     @cached_property
     def judgement(self) -> Judgement:
-        """Judgement of the evidence for a run's predictions, made again from data and model."""
+        """Judgement of the evidence for a run's predictions, computed again from data and model."""
         data = self.data
         runs = self.simulated
         mismatch = measure_mismatch(

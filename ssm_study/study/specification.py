@@ -208,8 +208,8 @@ class Specification:
 
     @property
     def simulates_fresh_data(self) -> bool:
-        """Whether further data sets of the plant are to be simulated, to test the model on data
-        that it was not made from."""
+        """Whether further data sets of the plant are simulated, to test the model on independent
+        data."""
         simulated = isinstance(self.data, SimulatedData) and self.data.fresh_sets > 0
         return simulated and self.plant is not None and not self.plant.real
 

@@ -62,16 +62,16 @@ def compute_dataset_with_logged_trials(
 
 
 def _write_data_and_trials(folder: Path, data: DataSet, trials: Trajectories) -> None:
-    """Write a data set with closed-loop trials as further records of the model error, and write the
-    trials as a recording."""
+    """Write a data set whose model error is also measured in closed-loop trials, and a recording of
+    the trials."""
     mismatch_records = (*data.mismatch_records, *trials)
     write_dataset(folder, replace(data, mismatch_records=mismatch_records))
     write_records(folder / LOOPS, data, trials)
 
 
 def records_from_loops(run: Rollouts) -> Trajectories:
-    """Input and output records of closed-loop simulations, each up to the sample at which it left
-    its bound.
+    """Input and output records of closed-loop simulations, each up to the sample at which a signal
+    exceeded its bound.
 
     Cases with fewer than `FEWEST` samples are left out.
     """

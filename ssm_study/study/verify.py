@@ -1,5 +1,5 @@
-"""Check of every claim of a run, recomputed from its files, with a judgement of every column of its
-record.
+"""Check of every claim of a finished run, recomputed from its files, with a verdict on each column
+of its record.
 
 A column of the record is derived and compared, or listed as not checked with its reason; one that
 nothing gives is a claim that does not hold. What is derived from what: `study.claims`.

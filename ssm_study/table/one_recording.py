@@ -49,5 +49,5 @@ def export_mcap(study: Path) -> Path:
 
 
 def _belongs_to_run(recording: Path) -> bool:
-    """Whether a recording lies in the folder of a run with a record."""
+    """Whether a recording lies in the folder of a run that has left a record."""
     return (recording.parent / RECORD).is_file()

@@ -25,8 +25,8 @@ def bode_picture(
     slopes: JacobianBall | None = None,
     units: tuple[str, str] = ("", ""),
 ) -> Picture:
-    """Bode plot of a model at its equilibrium, with dots that are estimated from a record without a
-    model.
+    """Bode plot of a model at its equilibrium, with dots for a non-parametric estimate from a
+    record.
 
     `slopes` of the input map shade the gains that they allow, for one input. `units` are those of
     output and input.
@@ -76,8 +76,8 @@ def bode_picture(
 def _estimated_dots(
     hertz: Angles, estimate: Complex[np.ndarray, "F"], model_phase: Angles
 ) -> tuple[Series, Series]:
-    """Gain and phase of an estimated frequency response as dots, the phase within half a turn of
-    the model's. The model's phase is `model_phase`."""
+    """Dots for gain and phase of an estimated frequency response, unwrapped to the model's phase.
+    The model's phase is `model_phase`."""
     magnitude = np.abs(estimate)
     gain = Series(x=hertz, y=magnitude, mark="dots", colour=style.GREY, name="record")
     model_turn = np.exp(-1j * model_phase)
@@ -88,8 +88,8 @@ def _estimated_dots(
 
 
 def record_gain_ratio(model: Model, record: Trajectory) -> float | None:
-    """Ratio of the input map's gain over a record to its slope at the equilibrium; None where the
-    two nearly agree or there are several inputs.
+    """Gain of the input map in a record, divided by its slope at rest; None near one or for several
+    inputs.
 
     The gain of a static map that a cross spectrum shows is `E[S(u) u] / E[u^2]`, exactly so for
     Gaussian inputs. Source: Bussgang 1952.

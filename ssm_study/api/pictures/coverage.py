@@ -1,5 +1,5 @@
-"""Picture of the coverage: how many times the measured model error a proof tolerates in each
-frequency band."""
+"""Picture of the coverage (tolerated model error divided by the measured one) in each frequency
+band."""
 
 import re
 from typing import Any
@@ -31,8 +31,8 @@ HIGHEST = 100.0  # a band that is covered so often says no more than "far"
 def coverage_picture(
     design: Design, premise: Premise, step_s: float, input_scale: InputScale | None = None
 ) -> Picture:
-    """Picture that shows how many times the measured model error the stability proof tolerates in
-    each frequency band.
+    """Picture of the coverage (tolerated model error divided by the measured one) in each frequency
+    band.
 
     Bands in which the record shows no error are left out; crosses are bands without excitation,
     where noise counts as error. With `input_scale`, amplitudes are printed in physical units.
@@ -88,8 +88,7 @@ def record_names(premise: Premise, input_scale: InputScale | None) -> dict[str, 
 
 
 def coverage_requirement_text(requirement: str, labels: dict[str, str], step_s: float) -> str:
-    """Text that names the record and frequency band in which the proof tolerates the least model
-    error, in physical units."""
+    """Text on the record and frequency band with the smallest coverage, in physical units."""
     record, _, place = requirement.partition(", ")
     turn_s = 2 * np.pi * step_s
     hertz_per_angle = 1 / turn_s
@@ -102,8 +101,8 @@ def coverage_requirement_text(requirement: str, labels: dict[str, str], step_s: 
 def _coverage_curves(
     rows: list[CoverageBand], kappa: float, step_s: float, labels: dict[str, str]
 ) -> list[Series]:
-    """Curves that show, for each record, how many times the measured model error is tolerated over
-    the frequency bands."""
+    """Curves of the coverage (tolerated over measured model error) by frequency band, one for each
+    record."""
     records = list(dict.fromkeys(row.record for row in rows))
     series = []
     for i, record in enumerate(records):
@@ -120,8 +119,8 @@ def _coverage_curves(
 def _coverage_curve(
     rows: list[CoverageBand], kappa: float, step_s: float, name: str, look: dict[str, Any]
 ) -> list[Series]:
-    """Curve that shows how many times the measured model error of one record is tolerated over the
-    frequency bands."""
+    """Curve of the coverage (tolerated over measured model error) of one record by frequency
+    band."""
     frequencies = [row.frequency for row in rows]
     angles = np.array(frequencies)
     turn_s = 2 * np.pi * step_s
@@ -146,7 +145,7 @@ def _coverage_curve(
 
 
 def _smallest_coverage_dot(band: CoverageBand, kappa: float, step_s: float) -> Series:
-    """Dot of a picture at the frequency band in which the proof tolerates the least model error."""
+    """Dot of a picture at the frequency band with the smallest coverage."""
     turn_s = 2 * np.pi * step_s
     hertz = band.frequency / turn_s
     coverage = [kappa / band.need]

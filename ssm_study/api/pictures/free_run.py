@@ -80,14 +80,13 @@ def _error_panel(errors: list[Series], label: str) -> PicturePanel:
 
 
 def _error_colour(i: int) -> str:
-    """Colour of the error curve of one of several models, the same as that of the model's free
-    run."""
+    """Colour of a model's error curve, the same as that of the model's free run."""
     colour_number = i % len(style.CYCLE)
     return style.CYCLE[colour_number]
 
 
 def _recolour_single_error(errors: list[Series]) -> tuple[Series, ...]:
-    """Copy of error curves in the colour that is used where only a single model is drawn."""
+    """Copy of error curves in the colour that is used for a single model."""
     recoloured = (
         Series(x=series.x, y=series.y, colour=style.VERMILLION, thin=True) for series in errors
     )

@@ -188,7 +188,7 @@ def _drawn_time_range(run: Rollouts, settling_time_s: float | None) -> tuple[flo
 
 
 def _first_motion_s(run: Rollouts) -> float:
-    """Time in seconds at which the input of a step response first moves. It is before the step
+    """Time in seconds at which the input first moves in a step response. It is before the step
     where a trajectory is planned, since the step is then known in advance
     (`loop.trajectory.reference_tracking_trajectory`)."""
     motion = run.u[0] - run.u[0, :1]
@@ -208,7 +208,7 @@ def _first_output_motion_s(run: Rollouts) -> float:
 
 
 def _case_curves(runs: Rollouts, signal: str, j: int, name: str, colour: str) -> tuple[Series, ...]:
-    """Curves of one signal for all simulated initial states; only the first has a legend entry."""
+    """Curves of one signal from all initial states; only the first curve has a legend entry."""
     values = getattr(runs, signal)
     mark: Any = "steps" if signal == "u" else "line"
     curves = (

@@ -83,8 +83,8 @@ def loop_responses(
 
 
 def _nearest_discs(model: Model, gains: Gains, views: Sequence[View]) -> tuple[Series, float]:
-    """Discs of model error at the recorded amplitude that comes nearest to the critical point -1 of
-    the Nyquist plot, and their distance from it.
+    """Discs of model error at the amplitude whose discs come nearest to the point -1, with their
+    distance.
 
     Of an amplitude's two descriptions, by size alone and with the phase of its linear part, the one
     that lies farther away counts: either is sufficient.

@@ -20,8 +20,8 @@ class UncontrolledPeer(Peer, names=("uncontrolled",)):
 
 
 class PaperLmiPeer(Peer, names=("paper_lmi",)):
-    """Comparison method that takes any solution of the linear matrix inequalities of the paper's
-    theorems."""
+    """Comparison method that takes any feasible point of the linear matrix inequalities in the
+    paper."""
 
     def build(self, plant: Plant, identified: Identified, rate: float) -> Design:
         """Design from the linear matrix inequalities of the paper's theorems."""

@@ -90,7 +90,8 @@ class Peer(Family):
 
     @abstractmethod
     def build(self, plant: Plant, identified: Identified, rate: float) -> Controller | Design:
-        """Build the controller of a comparison method for a plant; a design where it is certified.
+        """Build the controller of a comparison method for a plant; a certified method returns a
+        design.
 
         Raises `BadRequest` for a model or plant that the method has no controller for.
         """

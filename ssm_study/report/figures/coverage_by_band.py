@@ -11,6 +11,5 @@ from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw, for the best run, how many times the measured model error the proof tolerates in each
-    frequency band."""
+    """Draw, for the best run, tolerated over measured model error in each frequency band."""
     return draw_unstyled(picture_of_best("coverage_by_band", study))

@@ -17,8 +17,8 @@ LIMIT = "controller_rate_limit"
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw every run of a study with its verdict over slope ratio and rate, with a bar for the
-    exact limit of each model."""
+    """Draw the verdicts of a study's runs over slope ratio and contraction rate, with a bar at each
+    model's limit."""
     table = study.table
     ratio = numeric_column(table, "input_slope_lower") / numeric_column(table, "input_slope_upper")
     rate = numeric_column(table, RATE)

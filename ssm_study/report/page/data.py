@@ -269,8 +269,7 @@ def sort_for_page(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def mask_meaningless_values(table: pd.DataFrame) -> pd.DataFrame:
-    """Results table without values that say nothing: the evidence for runs without a prediction,
-    and the plant's distance from a bound where no plant was tried."""
+    """Results table with meaningless values removed, such as the evidence of an infeasible run."""
     changed = {}
     if "evidence" in table:
         ended_early = table["verdict"].isin([INFEASIBLE.word, FAILED.word])

@@ -1,4 +1,4 @@
-"""Runs without a certified loop that settles, grouped by reason."""
+"""Unsuccessful runs of a study (not certified, or loop not settled), grouped by reason."""
 
 import re
 from collections.abc import Sequence

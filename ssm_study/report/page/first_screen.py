@@ -43,8 +43,8 @@ REASONS = ("infeasible_reason", "uncertified_reason", "error_message")
 
 @dataclass(frozen=True, kw_only=True)
 class Remark:
-    """Remark below the result cards of the report page, which may be folded away or a warning.
-    `notes` are folded away, a warning stands out."""
+    """Remark below the result cards of the report page, possibly folded away or marked as a
+    warning. `notes` are folded away, a warning stands out."""
 
     title: str
     text: str
@@ -182,7 +182,7 @@ def record_verdict(record: Record) -> Verdict:
 
 
 def failure_reasons(record: Record) -> list[str]:
-    """Reasons, from its record, why a run is infeasible, not certified or failed.
+    """Reasons in a run's record why the run is infeasible, not certified or failed.
 
     The verdict stands before them, so an infeasible rate is not called infeasible once more.
     """
@@ -191,7 +191,7 @@ def failure_reasons(record: Record) -> list[str]:
 
 
 def outcome_remarks(record: Record) -> Iterator[Remark]:
-    """Remarks on a run that is no success, and on the evidence behind the run's prediction."""
+    """Remarks on why a run is unsuccessful, and on the evidence for its prediction."""
     verdict = record_verdict(record)
     if verdict != SETTLED:
         sentences = [f"{verdict.word}: {verdict.sentence}", *failure_reasons(record)]

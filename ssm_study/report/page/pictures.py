@@ -41,8 +41,8 @@ MOST_POINTS = 150  # of a line: more than a chart has pixels for
 
 
 def pictures_of_run(run: RunFolder) -> list[Spec]:
-    """Pictures that can be made from the files of a run, and reasons why others cannot. They are in
-    the order of `PICTURES`."""
+    """Pictures that can be made from the files of a run, and reasons for the missing ones. They are
+    in the order of `PICTURES`."""
     drawn = []
     reasons = []
     for name in PICTURES:
@@ -237,7 +237,7 @@ def starts_of_gaps(is_seen: Bool[np.ndarray, "T"]) -> Bool[np.ndarray, "T"]:
 
 
 def _line_stride(points: int) -> int:
-    """Number of points of a long curve that are replaced by one lowest and one highest point."""
+    """Number of successive points of a long curve that are reduced to their minimum and maximum."""
     stride = math.ceil(points / MOST_POINTS)
     return max(1, stride)
 

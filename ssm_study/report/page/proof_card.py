@@ -133,8 +133,8 @@ def coverage_text(coverage: float) -> str:
 
 
 def limited_start_range(record: Record) -> tuple[float, float] | None:
-    """Range of initial outputs from which the full contraction rate is proved with a limited
-    input."""
+    """Range of initial outputs from which the full contraction rate is proved under input
+    limits."""
     names = ("limit_lower", "limit_upper", "unlimited_from", "unlimited_to")
     if any(record.get(name) is None for name in names):
         return None
@@ -142,8 +142,8 @@ def limited_start_range(record: Record) -> tuple[float, float] | None:
 
 
 def input_limit_text(record: Record, loop: RecordedLoopFacts | None) -> str:
-    """Text on the input limits under which the certified rate holds, and on the initial outputs
-    from which. It names the share of the shown starts among them."""
+    """Text on the input limits and the range of initial outputs for which the certified rate holds.
+    It names the share of the shown starts among them."""
     start_range = limited_start_range(record)
     if start_range is None:
         return ""
@@ -217,7 +217,7 @@ def is_limited_to_records(record: Record) -> bool:
 
 
 def exceeded_bound_statements(record: Record) -> list[str]:
-    """Statement on how far the estimate on the plant exceeded the bound that is certified for the
+    """Statement on how far the state estimate on the plant exceeded the bound certified for the
     model."""
     excess = record.get("certified_bound_excess_plant")
     if not excess or is_limited_to_records(record):
@@ -232,8 +232,7 @@ def exceeded_bound_statements(record: Record) -> list[str]:
 def describe_starts_outside_proof(
     start_range: tuple[float, float], loop: RecordedLoopFacts | None
 ) -> str:
-    """Text on the initial states outside the range from which a rate is proved under input
-    limits."""
+    """Text on initial outputs outside the range for which a rate is proved under input limits."""
     first, last = start_range
     words = f"starts outside {first:.3g} to {last:.3g}"
     if loop is None:

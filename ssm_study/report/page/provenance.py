@@ -34,7 +34,7 @@ def log_text(study: StudyFolder) -> str:
 
 
 def log_data_settings(study: StudyFolder) -> dict[str, Any]:
-    """Settings of the data of a study's best run if a log was read, else none."""
+    """Data settings of a study's best run if its data come from a log, else none."""
     data = {} if study.best_run is None else study.best_run.config.get("data") or {}
     return data if data.get("path") else {}
 

@@ -1,5 +1,5 @@
-"""Stage that simulates fresh data sets of the plant, and measures how much of the proved disc each
-one needs."""
+"""Stage that simulates fresh data sets, and measures how large a disc of model error each one
+needs."""
 
 from pathlib import Path
 from typing import Any
