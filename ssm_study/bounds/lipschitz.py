@@ -58,5 +58,5 @@ def _selection_matrices(network: Network) -> list[Exact]:
 
 
 def _exact_diagonal_matrix(entries: Float[np.ndarray, "_"]) -> Exact:
-    """Diagonal matrix with given entries in exact rational arithmetic."""
+    """Diagonal matrix with given diagonal elements in exact rational arithmetic."""
     return Exact.from_floats(entries).diagonal_matrix()

@@ -1,5 +1,5 @@
-"""The Jacobian ball of a network by semidefinite programming: LipSDP with the centre of the ball
-among the unknowns.
+"""Smallest ball that contains all Jacobians of a network, centre included, by semidefinite
+programming (LipSDP).
 
 Neurons of slopes `lo <= hi`, a diagonal `T >= 0`: every Jacobian lies in the ball of centre C and
 radius L if

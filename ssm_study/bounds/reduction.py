@@ -1,5 +1,5 @@
-"""Reduction of a model to fewer states between identification and synthesis, by balanced
-truncation. Source: Moore 1981."""
+"""Reduction of an identified model to fewer states before synthesis, by balanced truncation.
+Source: Moore 1981."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -85,8 +85,8 @@ def ball_around_scaled_identity(centre: Float[np.ndarray, "m m"], radius: float)
 
 
 def network_bound(network: Network) -> SlopeBound:
-    """Tightest of the slope bounds that several methods prove for a network. Exact for one channel,
-    otherwise the narrower of LipSDP and interval arithmetic."""
+    """Tightest bound on a network's slopes among those that several methods prove. Exact for one
+    channel, otherwise the narrower of LipSDP and interval arithmetic."""
     if network.inputs == 1:
         return bound_from_interval(*slope_interval(network), "break_points")
     interval = interval_bound(network)

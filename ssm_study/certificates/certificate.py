@@ -55,7 +55,7 @@ class Side(Theorem, abstract=True):
 
     @property
     def contraction(self) -> float:
-        """Factor r by which the certificate proves that distances shrink in each sample."""
+        """Contraction factor r: the certificate proves that distances shrink by r per sample."""
         return float(np.sqrt(1 - self.rate))
 
     @property
@@ -77,8 +77,8 @@ class Side(Theorem, abstract=True):
 
     @classmethod
     def required_ball(cls, context: VerificationContext) -> JacobianBall:
-        """Ball of Jacobians for which a certificate has to hold. For a controller it is that of
-        `S_u`, for an observer that of `S_y`."""
+        """Ball of Jacobians of the static map for which a certificate must hold. For a controller
+        it is that of `S_u`, for an observer that of `S_y`."""
         return context.balls.output if cls.observes else context.balls.input
 
     def certificate_at_largest_rate(self) -> "Side | None":
@@ -94,9 +94,9 @@ class Side(Theorem, abstract=True):
 
 
 class ProblemCertificate(Side, abstract=True):
-    """Mixin for a certificate that proves exactly the matrix inequality which its synthesis solved.
-    It stands beside `StateFeedback` or `Observer` and serves theorems whose fields have the symbols
-    of `LETTERS`."""
+    """Mixin for certificates that prove the same matrix inequality that the synthesis solved. It
+    stands beside `StateFeedback` or `Observer` and serves theorems whose fields have the symbols of
+    `LETTERS`."""
 
     @staticmethod
     @abstractmethod

@@ -94,7 +94,7 @@ def shared_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("choice", runs_of_all_choices(), ids=lambda choice: choice[-1])
 def test_every_choice_runs_to_a_record(choice: tuple[str, ...], shared_results: Path) -> None:
-    """Every choice of a configuration group runs from data to a finished record."""
+    """Every choice of a configuration group runs from data to a finished table of results."""
     study = "".join(letter if letter.isalnum() else "_" for letter in choice[-1])
     tiny = TINY[choice[-1].startswith("experiment=") :]
     place = [f"results_dir={shared_results}", f"study={study}"]

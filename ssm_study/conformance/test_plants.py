@@ -39,7 +39,7 @@ def test_the_equilibrium_is_a_fixed_point(plant: Plant) -> None:
 
 
 def test_shapes_and_names_agree(plant: Plant) -> None:
-    """A plant's inputs, outputs and states have as many entries as names."""
+    """A plant's inputs, outputs and states have as many channels as names."""
     x, y = plant.simulate(random_inputs(plant, 3))
     assert x.shape == (3, SAMPLES, len(plant.states))
     assert y.shape == (3, SAMPLES, len(plant.outputs))
@@ -99,7 +99,7 @@ def test_outputs_do_not_depend_on_later_inputs(plant: Plant) -> None:
 
 
 def test_disturbances_act(plant: Plant) -> None:
-    """Every disturbance that a plant declares changes its output."""
+    """Every disturbance that a plant declares has an effect on its output."""
     u = random_inputs(plant, 1)
     undisturbed, _ = plant.simulate(u)
     for push in 1e-3 * np.eye(len(plant.disturbances)):

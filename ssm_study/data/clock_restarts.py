@@ -16,8 +16,8 @@ APART = 2  # samples between two experiments: none follows the other
 
 
 def find_time_restarts(time_s: Float[np.ndarray, "T"]) -> list[int]:
-    """Rows of a log file at which its time starts again, each of them the beginning of another
-    experiment. There are none where the clock also runs backwards elsewhere."""
+    """Rows of a log file at which its time starts again and another experiment begins. There are
+    none where the clock also runs backwards elsewhere."""
     finite = time_s[np.isfinite(time_s)]
     finite_count = len(finite)
     row_count = len(time_s)
@@ -70,8 +70,8 @@ def resample_experiments(
 
 
 def join_experiments(experiments: Sequence[EvenRows], source: str) -> EvenRows:
-    """Join the experiments of one log file, which have one sampling period, into one log of
-    separate pieces."""
+    """Join the experiments of one log file, all with the same sampling period, into one log with
+    gaps between them."""
     steps_s = [experiment.step_s for experiment in experiments]
     step_s = float(np.median(steps_s))
     differences_s = (abs(each - step_s) for each in steps_s)

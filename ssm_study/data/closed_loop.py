@@ -1,4 +1,4 @@
-"""Replacement of the input in a closed-loop log by the part of it that the known set point
+"""Replacement of the input in a closed-loop log by the part of the input that the known set point
 explains.
 
 A fit from the one to the other takes the controller for part of the plant where noise is slow. What

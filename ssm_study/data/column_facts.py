@@ -1,4 +1,4 @@
-"""Facts on one column of a log: range, levels and missing values."""
+"""Summary of one column of a log: range, number of distinct values and missing values."""
 
 from dataclasses import dataclass
 

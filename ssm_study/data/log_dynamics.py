@@ -47,9 +47,9 @@ Signal = Float[np.ndarray, "T"]
 
 @dataclass(frozen=True, kw_only=True)
 class ExplainedVariance:
-    """Fractions of the output's variance that the input explains, separately for the output itself
-    and for its change over a time window. Also the share of its level that the output loses over
-    that window, and at that pace over the log."""
+    """Fractions of the variances of the output, and of its change over a time window, that the
+    input explains. Also the share of its level that the output loses over that window, and at that
+    pace over the log."""
 
     level: float
     change: float
@@ -59,8 +59,8 @@ class ExplainedVariance:
 
     @property
     def is_integrator(self) -> bool:
-        """Whether the input explains changes of the output better than the output itself, as for a
-        plant with an integrator."""
+        """Whether the input explains the output's change better than the output itself, as for an
+        integrating plant."""
         changes = self.change > self.level + INTEGRATES
         return changes and self.lost > -DRIFTS and self.lost_in_log < FORGETS
 

@@ -224,7 +224,7 @@ class LogReading:
 
 
 def column_as_text(column: str | int | None) -> str | None:
-    """Convert the name or number of a column to text; None stays None."""
+    """Convert the name or number of a column to text; None is returned as None."""
     return None if column is None else str(column)
 
 

@@ -1,4 +1,4 @@
-"""Texts in which some lines have decimal commas and others decimal points."""
+"""Detection of text files in which some lines have decimal commas and others decimal points."""
 
 import re
 from collections.abc import Sequence

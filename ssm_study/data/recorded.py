@@ -268,8 +268,8 @@ class RecordedData(Columns, RecordedAboutEquilibrium):
         return replace(data, mismatch_records=self._cut_mismatch_records(logs))
 
     def _cut_mismatch_records(self, logs: "list[_Log]") -> tuple[Trajectory, ...]:
-        """Cut out of the logs the records that only measure the model error: segments of constant
-        input and repeated periods."""
+        """Cut from the logs the records that only measure the model error: segments of constant
+        input, and repeated periods."""
         pieces = [piece for log in logs for piece in log.pieces]
         rests = [splits.rest_segments(piece) for piece in pieces]
         periodic = [splits.periodic_segments(piece, self.start_up_samples) for piece in pieces]

@@ -92,9 +92,9 @@ def level_score(column: ColumnFacts) -> float:
 
 
 def title_word_score(name: str, words: tuple[str, ...]) -> float:
-    """Score of how well a column title matches a list of words: 1 for a whole word, a half for the
-    beginning of one. One if a word of the title is in the list, a half if one begins with a word in
-    the list."""
+    """Score of how well a column title matches a list of words: 1 for a whole word, 0.5 for the
+    beginning of a word. One if a word of the title is in the list, a half if one begins with a word
+    in the list."""
     parts = title_parts(name)
     if any(part in words for part in parts):
         return 1.0
@@ -104,7 +104,7 @@ def title_word_score(name: str, words: tuple[str, ...]) -> float:
 
 
 def is_numbered(title: str) -> bool:
-    """Whether a column has no title but its number, such as `3` and `data:3`."""
+    """Whether a column title is only a column number, such as `3` and `data:3`."""
     return title.rpartition(":")[2].isdigit()
 
 
@@ -114,8 +114,8 @@ def doubtful_guess_sentences(
     signals: tuple[str | None, str | None],
     are_named: tuple[bool, bool],
 ) -> list[str]:
-    """Sentences on columns that would have been guessed as input or output but cannot be read or
-    are constant. The guess would go around them.
+    """Sentences on columns that look like the input or output but cannot be read or are constant.
+    The guess would go around them.
 
     `are_named` says of input and output whether the user named them, so that nothing is guessed.
     """

@@ -223,8 +223,7 @@ def simulate_mismatch_records(
 def _split_into_records(
     plant: Plant, names: Sequence[str], u: np.ndarray, y: np.ndarray
 ) -> list[Trajectory]:
-    """Split stacked input and output arrays of simulated cases into one named record for each
-    case."""
+    """Split stacked inputs and outputs of several simulations into one named record for each."""
     records = []
     for name, inputs, outputs in zip(names, u, y, strict=True):
         records.append(Trajectory(u=inputs, y=outputs, step_s=plant.step_s, name=name))

@@ -1,4 +1,4 @@
-"""Split of a log into training, validation and test: by time, at named intervals, into interleaved
+"""Split of a log into training, validation and test: by time, at given intervals, in alternating
 blocks, or by folds."""
 
 from collections.abc import Callable, Mapping, Sequence

@@ -96,8 +96,8 @@ def fit_baselines(data: DataSet) -> list[Baseline]:
 
 
 def baseline_columns(data: DataSet) -> dict[str, object] | None:
-    """Table columns on the best simple model: its fit to the test records, and the range among
-    models that validate about as well.
+    """Table columns on the best simple model: its test fit, and the range of test fits of models
+    that validate about as well.
 
     None for several outputs, and where the records are too short for any of them. A fit is None if
     the simulation diverges.
@@ -119,7 +119,7 @@ def baseline_columns(data: DataSet) -> dict[str, object] | None:
 
 
 def _none_if_infinite(fit: float) -> float | None:
-    """Fit in percent as it is, or None if it is infinite."""
+    """Fit in percent, or None if the fit is infinite."""
     return fit if np.isfinite(fit) else None
 
 

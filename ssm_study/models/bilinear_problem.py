@@ -331,8 +331,8 @@ def _contraction_coordinates(a: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "
 
 
 def _parameters_without_neurons(x: Float[np.ndarray, "n n"]) -> FreeParameters:
-    """Free parameters of a contracting linear recurrence (one without neurons) from the free state
-    matrix."""
+    """Free parameters of a contracting linear recurrence without neurons, from its unconstrained
+    state matrix."""
     no_neurons = (len(x), 0)
     no_scales = np.zeros(0)
     return FreeParameters(x_e=np.zeros(no_neurons), x_g=x, log_d=no_scales)

@@ -81,7 +81,7 @@ class ScaffoldedModel(Simulator):
 
     @property
     def system(self) -> System:
-        """State-space system, without the static maps, to which certificates of a model refer."""
+        """State-space system of a model without its static maps, to which certificates refer."""
         return self.linear
 
     def map_input(self, u: Float[np.ndarray, "*batch m"]) -> Lifted:

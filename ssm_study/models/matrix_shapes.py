@@ -1,4 +1,4 @@
-"""Shapes of the matrices of a recurrence with neurons, by their names."""
+"""Shapes of the matrices of a recurrence with neurons, keyed by matrix name."""
 
 
 def matrix_shapes(n: int, m: int, p: int, q: int) -> dict[str, tuple[int, ...]]:

@@ -102,9 +102,8 @@ class SSMSpec(ModelSpec):
             require(fits, f"model.{name}", ends, problem, "correct the range")
 
     def settings_of_training_run(self, run: int) -> "SSMSpec":
-        """Copy of the model settings for one of several training runs: the first with an estimated
-        initial system, others random. The first begins with an estimated system, the others with
-        random modes."""
+        """Copy of the model settings for one of several training runs: the first starts from an
+        estimated system, others with random modes."""
         if not run:
             return self
         pairs = (self.order - 1) // 2

@@ -312,8 +312,8 @@ class StructuredSpec(ModelSpec):
         return lift, read
 
     def without_neurons(self) -> SSMSpec:
-        """Settings of the linear recurrence that remains when the structured model has no
-        neurons."""
+        """Settings of the model with a linear recurrence that remains if the structured model has
+        no neurons."""
         inward = Monotone() if self.knots else Linear()
         outward = Monotone() if self.output_knots else Linear()
         knots = int(self.knots)

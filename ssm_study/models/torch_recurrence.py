@@ -151,7 +151,7 @@ def _as_real(table: Complex2) -> Real2:
 
 
 def _as_complex(table: Real2) -> Complex2:
-    """View pairs of real and imaginary parts as complex numbers, without a copy."""
+    """View pairs of real and imaginary parts as complex numbers without copying."""
     pairs = table.view(*table.shape[:-1], -1, 2)
     return torch.view_as_complex(pairs)
 

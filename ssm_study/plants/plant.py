@@ -105,7 +105,7 @@ class Plant(ABC):
 
     @abstractmethod
     def equilibrium_states(self, y0: Outputs) -> States:
-        """States of a plant at given outputs, with all other quantities in equilibrium."""
+        """States of a plant at given outputs, with all other states in equilibrium."""
 
     @abstractmethod
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:

@@ -61,7 +61,8 @@ class Wrapper(Plant):
         return np.hstack([self.plant.equilibrium_states(y0), memory])
 
     def split_states(self, x: States) -> tuple[Float[np.ndarray, "N k"], Memory]:
-        """Split a state into that of the wrapped plant and the states that the wrapper adds."""
+        """Split a wrapper's state into the state of the wrapped plant and the states that the
+        wrapper adds."""
         inner = len(self.plant.states)
         return x[:, :inner], x[:, inner:]
 

@@ -1,4 +1,4 @@
-"""Spectra of the model error in one record: from two periods if its input repeats, otherwise by
+"""Spectra of the model error in one record: from two periods of a repeated input, otherwise by
 Welch's method.
 
 `m` is the model's output for the record's input, `e = y - m` what it misses, all scaled. Source:

@@ -41,8 +41,8 @@ class CoverageBand:
 def coverage_table(
     premise: Premise, weights: Weights, centre: float, kappa: float
 ) -> list[CoverageBand]:
-    """Table rows with the needed and the proved disc radius in every frequency band of every
-    record, in the order of frequency.
+    """Table rows with the needed and the proved disc radius, one for each frequency band of each
+    record, sorted by frequency.
 
     Groups of bands, means and totals have no row, so the largest `need` of the rows may be smaller
     than the need that `coverage` is taken over.

@@ -1,4 +1,4 @@
-"""Model error `e = y - y_model` that the records show, by frequency and amplitude, with noise
+"""Model error `e = y - y_model` in the records, by frequency and input amplitude, with noise
 removed.
 
 A closed loop maps `e` back to `u`; what it tolerates is `synthesis.prediction`. What a record shows

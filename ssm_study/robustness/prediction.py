@@ -143,9 +143,9 @@ def loops_at_constant_slopes(
 def _group_by_amplitude(
     model: Model, balls: Balls, mismatch: Mismatch
 ) -> list[tuple[Balls, Mismatch]]:
-    """Group the recorded model errors by input amplitude, each with the slopes of the static maps
-    that occur at it. The two largest amplitudes and closed-loop records are combined with all
-    slopes.
+    """Group the recorded model errors by input amplitude, each with the static maps' slopes that
+    occur at that amplitude. The two largest amplitudes and closed-loop records are combined with
+    all slopes.
 
     The smaller amplitudes, up to the second largest, speak of loops that swing no wider than its
     sinusoid, whose peak is `sqrt(2)` times its root mean square: of one S_u they meet the slopes
@@ -254,7 +254,7 @@ class LoopResponse:
         return np.asarray(1 - loop_of_linear_part)
 
     def remainder_gain_product(self, linear_part: ComplexBandGains, remainder: BandGains) -> float:
-        """Small-gain product for the nonlinear remainder of the model error, its linear part being
+        """Small-gain product for the nonlinear part of the model error, with the linear part
         included in the closed loop. Infinite if `1 - M Q` winds around zero, so that its phase at
         pi is not the one at 0."""
         if self.through is None:

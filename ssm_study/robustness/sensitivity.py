@@ -1,5 +1,5 @@
-"""Response of a closed loop to an error of the output: transfer function, its peaks, and the poles
-of the controller alone.
+"""Response of a closed loop to an error of the output: transfer function, peaks, and stability of
+the controller itself.
 
 With `y = y_model + e` and `u = K xh`, `J_u` and `J_y` in the balls of Jacobians (D cancels),
 

@@ -1,5 +1,4 @@
-"""Single-sine experiments at frequencies where a loop is most sensitive, for model errors that a
-broadband record hides.
+"""Single-sine experiments at frequencies where a closed loop is most sensitive to model errors.
 
 A loop that swings does so at one frequency, near a peak of `|T_ue|`, at an amplitude of its own. A
 broadband record spreads its power over all lines and jitters a steep static curve, so the gain that

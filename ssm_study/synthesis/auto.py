@@ -255,8 +255,8 @@ class Auto:
         return replace(self, margin=float("inf"))
 
     def _slowest_design(self, model: Model, balls: Balls) -> Design:
-        """Design for the slowest rates and smallest weights of the grid, which reports why no
-        design of the grid has a certificate."""
+        """Design at the slowest rates and smallest weights of the grid, which shows why no design
+        has a certificate."""
         grid = self.grid
         rates = {"rate_controller": grid.rate_controller, "rate_observer": grid.rate_observer}
         least: Any = {
@@ -281,8 +281,8 @@ class Auto:
 
 @dataclass(kw_only=True)
 class CertifiedDesigns:
-    """Certified designs made from gains that are ranked by expected response, each computed when it
-    is first needed. Once one is faster than the open loop, slower ones are left out."""
+    """Certified designs from candidate gains sorted by expected response, each certified only when
+    needed. Once one is faster than the open loop, slower ones are left out."""
 
     response: ExpectedResponse
     has_faster: bool = False

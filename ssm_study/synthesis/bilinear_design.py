@@ -84,8 +84,8 @@ class BilinearSynthesis:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopVertices:
-    """Matrices of a bilinear closed loop at the nodes and segments of its piecewise-linear input
-    functions, with metrics in which they contract."""
+    """Matrices of a bilinear closed loop at its input levels (nodes) and segments between levels,
+    with contraction metrics."""
 
     model: Bilinear
     k: Float[np.ndarray, "1 n"]
@@ -93,27 +93,27 @@ class LoopVertices:
 
     @property
     def largest_input_amplitude(self) -> float:
-        """Largest input amplitude, in both directions, that stays within the outermost nodes of the
-        bilinear model."""
+        """Largest input amplitude, in both directions, that stays between the outermost input
+        levels (nodes) of a bilinear model."""
         down = self.model.nodes[0]
         up = self.model.nodes[-1]
         return float(min(-down, up))
 
     @cached_property
     def closed_loop_matrices(self) -> list[Matrix]:
-        """Closed-loop matrices `A_i + B_k K` of all nodes and segments."""
+        """Closed-loop matrices `A_i + B_k K` for all input levels i and segments k."""
         state_matrices = self.model.a
         return [a + b @ self.k for a in state_matrices for b in input_slope_columns(self.model)]
 
     @cached_property
     def error_matrices(self) -> list[Matrix]:
-        """Matrices `A_i + L_i C` of the estimation error at all nodes."""
+        """Matrices `A_i + L_i C` of the estimation error at all input levels (nodes)."""
         pairs = zip(self.model.a, self.gains, strict=True)
         return [a + gain @ self.model.c for a, gain in pairs]
 
     @property
     def smallest_allowed_metric(self) -> Matrix:
-        """Smallest allowed metric P of the state, `K^T K`: `|K x|^2 <= x^T P x`."""
+        """Smallest allowed metric P of the state, `K^T K`, so that `|K x|^2 <= x^T P x`."""
         squared_gain = self.k.T @ self.k
         identity = np.eye(self.model.order)
         return squared_gain + ROUNDING * identity

@@ -20,7 +20,7 @@ Matrix = Float[np.ndarray, "n n"]
 
 
 def input_slope_columns(model: Bilinear) -> Float[np.ndarray, "s n 1"]:
-    """Slopes `B_k` of the input vector b of a bilinear model over each segment between two nodes,
+    """Slopes `B_k` of a bilinear model's input vector b between neighbouring input levels (nodes),
     as columns."""
     node_distances = np.diff(model.nodes)
     widths = node_distances[:, None]
@@ -47,8 +47,8 @@ def state_second_moment(model: Bilinear) -> Matrix:
 
 
 def feedback_gain(model: Bilinear, input_weight: float) -> Float[np.ndarray, "1 n"]:
-    """State-feedback gain K with the smallest bound on a quadratic cost that holds at all vertices
-    of the model.
+    """State-feedback gain K with the smallest quadratic-cost bound that holds at all input levels
+    and segments of the model.
 
     With `W = P^{-1}` and `Z = K W`: `(A + B K)' P (A + B K) - P + C'C + R K'K < 0`, by a Schur
     complement; the trace of P is minimised.
@@ -85,8 +85,8 @@ def feedback_gain(model: Bilinear, input_weight: float) -> Float[np.ndarray, "1 
 
 
 def observer_gains(model: Bilinear, sensor_noise: float) -> Float[np.ndarray, "q n p"]:
-    """Observer gains L_i with the smallest bound on the variance of the estimation error that holds
-    at all nodes.
+    """Observer gains L_i with the smallest bound on the estimation error's variance at all input
+    levels (nodes).
 
     With `M` and `Y_i = M L_i`: `(A + L C) S (A + L C)' + G G' + L N L' < S`, `S = M^{-1}`, by a
     Schur complement; the trace of S is minimised.

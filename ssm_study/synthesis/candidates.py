@@ -1,5 +1,5 @@
-"""Candidate gains from which a design is chosen, each with the settings that give it. Source:
-docs/theory.md."""
+"""Candidate gains from which a design is chosen, each with the synthesis settings that produced
+them. Source: docs/theory.md."""
 
 from dataclasses import dataclass, replace
 from typing import Any

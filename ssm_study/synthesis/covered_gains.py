@@ -1,4 +1,4 @@
-"""Random search near given gains for gains whose certificate tolerates a larger model error.
+"""Random search near given gains for other gains whose certificate tolerates a larger model error.
 
 Each round scales every entry of K and L at random (`exp(step * normal)`), drops what is slower than
 allowed, and keeps the best of the rest: the largest coverage until the target is met, then the
@@ -169,8 +169,8 @@ class GainSearch:
         target_coverage: float,
         largest_area: float,
     ) -> list[ScoredGains]:
-        """Score the proposed gains whose response on the model is fast enough and whose controller
-        is stable by itself."""
+        """Score proposed gains whose simulated response is fast enough and whose controller is
+        itself stable."""
         if not proposals:
             return []
         is_covered = best.coverage >= target_coverage

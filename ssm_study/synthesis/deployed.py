@@ -122,8 +122,8 @@ def certificate_at_largest_rate(certificate: Side) -> Side | None:
 def certify_input_limits(
     model: Model, design: Design, lower: Inputs, upper: Inputs
 ) -> dict[str, Any]:
-    """Certificates of what a design's gains achieve when the input is limited, by name. Empty for
-    neurons, without a certificate, or for limits that do not enclose the equilibrium."""
+    """Certificates, keyed by name, of what a design's gains achieve when the input is limited.
+    Empty for neurons, without a certificate, or for limits that do not enclose the equilibrium."""
     extra = design.extra_certificates
     deployed_feedback = extra.get("state_feedback_deployed")
     limited_feedback = extra.get("state_feedback_limited")

@@ -60,7 +60,7 @@ def expected_response_area(area: float, loop_gain: float, log_gain_error: float)
 
 
 class RankedPair(NamedTuple):
-    """Gains of one controller and observer, with whether their response is faster than the open
+    """Gains of one controller and observer, and whether their closed loop is faster than the open
     loop."""
 
     pair: Pair

@@ -156,8 +156,8 @@ class FormsAtAngles:
 def loop_without_filters(
     theorem: type[MeasuredDiscs], context: VerificationContext
 ) -> tuple[Any, dict[str, int]]:
-    """Closed-loop fields of the measured-disc theorem with trivial weights and zero multipliers,
-    and the number of multipliers by name."""
+    """Closed-loop matrices of the measured-disc theorem without weights, and the number of
+    multipliers by name."""
     loop = theorem.loop_matrices(context)
     lambda_out = 3 if loop["beta_out"] > 0 else 0
     counts = {"lambda_p": 1, "lambda_out": lambda_out}
@@ -176,7 +176,7 @@ def loop_without_filters(
 def _multiplier_form(
     theorem: type[MeasuredDiscs], loop_fields: Any, counts: dict[str, int], name: str, index: int
 ) -> QuadraticForm:
-    """Quadratic form of the closed loop's signals that one multiplier multiplies."""
+    """Quadratic form of the closed loop's signals that belongs to one multiplier."""
     unit = np.zeros((1, counts[name]))
     unit[0, index] = 1.0
     alone = SimpleNamespace(**{**vars(loop_fields), name: unit})

@@ -48,8 +48,8 @@ EVENLY = np.linspace(0, np.pi, 2001)
 def initial_weights(
     forms: LoopForms, centre: float, multipliers: Float[np.ndarray, "A"]
 ) -> Float[np.ndarray, "G"]:
-    """Weight of each free signal of the closed loop: its diagonal entry in the loop's quadratic
-    form. It is one for |e|^2, its multiplier for |p|^2, and so on."""
+    """Initial weight of each free signal of the closed loop: its diagonal element in the loop's
+    quadratic form. It is one for |e|^2, its multiplier for |p|^2, and so on."""
     order = len(forms.a)
     map_forms = np.tensordot(multipliers, forms.multipliers, axes=1)
     whole = forms.centred[centre] + map_forms

@@ -208,8 +208,7 @@ def mismatch_columns(mismatch: Mismatch) -> dict[str, Any]:
 
 
 def input_limit_columns(design: Design, model: Model) -> dict[str, Any]:
-    """Table columns of what is proved for a design under input limits; empty if nothing is
-    proved."""
+    """Table columns of what is proved under input limits; no columns if nothing is proved."""
     within_limits = WithinLimits.from_certificate(model, design.extra_certificates)
     if within_limits is None:
         return {}
@@ -230,8 +229,8 @@ def shared_range(
     lower: Float[np.ndarray, "c"],
     upper: Float[np.ndarray, "c"],
 ) -> dict[str, float]:
-    """Two table columns with the range of values that all channels have in common; empty if there
-    is none."""
+    """Two table columns with the range of values that all channels share; no columns without such a
+    range."""
     shared_lower = float(lower.max())
     shared_upper = float(upper.min())
     if shared_lower < shared_upper:

@@ -42,7 +42,7 @@ class Modes:
 
     @property
     def fast_count(self) -> int:
-        """Number of fast modes of a system, those outside a circle of given radius."""
+        """Number of fast modes of a system, the modes outside a circle of given radius."""
         return len(self.a_fast)
 
 

@@ -1,4 +1,5 @@
-"""Test of a chosen design by single sines at the frequencies where its loop is most sensitive.
+"""Test of a chosen design by single sines at the frequencies where its closed loop is most
+sensitive.
 
 The prediction is made again with what the sines show beside the other records; it stands only where
 both predict stability. The proof covers the model error only if it covers that of the sines, too.

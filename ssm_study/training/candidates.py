@@ -151,8 +151,8 @@ class Candidate:
 
 
 def best_candidate(candidates: Iterable[Candidate]) -> Candidate:
-    """Candidate with the smallest mean cross-validation error, among those that were tried on most
-    folds."""
+    """Candidate with the smallest mean cross-validation error, among those evaluated on the largest
+    number of folds."""
     return min(
         candidates, key=lambda candidate: (-len(candidate.errors), candidate.mean_error_percent)
     )
@@ -225,7 +225,7 @@ class CandidateErrors:
 
     @property
     def best_start_kind(self) -> str:
-        """Way of finding initial states with which a candidate's mean error is smaller."""
+        """Way of finding initial states that gives the smaller mean error of a candidate."""
         errors_with_past = self.by_start[PAST]
         errors_with_samples = self.by_start[SAMPLES]
         return PAST if sum(errors_with_past) < sum(errors_with_samples) else SAMPLES

@@ -24,7 +24,7 @@ TRIED_SIZE: Settings = {"order": 3, "neurons": 5, "knots": 16}  # while paths ar
 
 
 def choose_delay(search: SettingsSearch, data: DataSet) -> None:
-    """Choose the dead time of a model, or a direct feedthrough, by cross-validation.
+    """Choose the dead time of a model, or a feedthrough without dead time, by cross-validation.
 
     The samples until the output answers are read off the records. A dead time is compared where
     they are `LATE` or more, a direct path where they are none or one, or noise hides the answer.

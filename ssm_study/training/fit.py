@@ -347,9 +347,9 @@ class Fit(pl.LightningModule):
         return self.settings.optimiser.build(self)
 
     def trained_model_with_remark(self) -> tuple[Simulator, str]:
-        """Convert the trained model to plain numbers, after a few L-BFGS iterations in float64, and
-        remark on the conversion. Rounding to float32 is removed by a few L-BFGS iterations in
-        float64, if they end finite and lower."""
+        """Trained model as plain numbers, after a few L-BFGS iterations in float64, with a remark
+        on the conversion. Rounding to float32 is removed by a few L-BFGS iterations in float64, if
+        they end finite and lower."""
         training_outputs = self.training_records.y
         single = training_outputs.dtype == torch.float32
         self.to("cpu", torch.float64)

@@ -15,8 +15,8 @@ MOST_SAMPLES = 12_000  # of training and validation together: of longer records,
 
 
 def join_training_and_validation(data: DataSet) -> DataSet:
-    """Data set in which training and validation records together are one part. Pieces that follow
-    each other in the same log are joined."""
+    """Copy of a data set in which training and validation records are joined and serve both
+    purposes. Pieces that follow each other in the same log are joined."""
     both = (*data.training, *data.validation)
     records = sorted(both, key=lambda record: (record.log, record.first))
     joined = tuple(join_consecutive_records(records))
@@ -78,8 +78,8 @@ def hold_out_records(records: Trajectories, fold: int) -> tuple[Trajectories, Tr
 
 
 def hold_out_pieces(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
-    """Cut a piece out of each record for one cross-validation fold, and return the rest and the
-    pieces held out."""
+    """Cut a part out of each record for one cross-validation fold, and return the rest and the
+    parts held out."""
     training: list[Trajectory] = []
     held_out: list[Trajectory] = []
     for record in records:

@@ -1,5 +1,5 @@
-"""Penalty by which a model of an integrating plant gets a gain of the same sign at every slope of
-its neurons.
+"""Training penalty that gives a model of an integrating plant a gain of the same sign at all slopes
+of its neurons.
 
 Behind an integrator the rate `y[k+1] - y[k]` has to answer the input with one sign at every slope,
 or no feedback stabilises all of them and nothing can be certified. A model of a motor that stands

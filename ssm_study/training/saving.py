@@ -1,5 +1,5 @@
-"""One training under Lightning, with its checkpoints and progress. A checkpoint of something else
-is refused."""
+"""Training run by PyTorch Lightning, with its checkpoints and its progress line. A checkpoint of
+something else is refused."""
 
 import copy
 import hashlib

@@ -101,7 +101,7 @@ class SettingsSearch:
         return self.add_candidate(question, STRUCTURED, settings, trial)
 
     def complete_settings(self, settings: Settings) -> StructuredSpec:
-        """Complete partial model settings by those decided so far and by defaults."""
+        """Complete model settings with those decided so far and with defaults."""
         wanted_settings = self.decided | settings
         if wanted_settings.get("neurons") == 0:
             wanted_settings["input_path"] = "none"  # there are no neurons for it to reach
@@ -195,7 +195,7 @@ class SettingsSearch:
         return alike[0] if alike else None
 
     def adopt_settings(self, candidate: Candidate, settings: Settings) -> None:
-        """Decide settings that are still undecided as a candidate has them."""
+        """Give every undecided setting the value that a candidate has."""
         self.chosen.append(candidate)
         self.decided |= {name: value for name, value in settings.items() if self.is_undecided(name)}
 

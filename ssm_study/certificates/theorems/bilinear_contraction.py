@@ -1,5 +1,5 @@
-"""State feedback of a bilinear model: inside a stated set of states any two trajectories approach
-each other.
+"""State feedback of a bilinear model under which any two trajectories inside a stated set of states
+approach each other.
 
 Problem. `x+ = sum_i theta_i(v) (A_i x + b_i)` as in `bilinear_loop`, with `v = K x`, the state
 known: where do two motions approach each other, and how fast?
@@ -60,8 +60,8 @@ class BilinearContraction(BilinearTheorem):
 
     @staticmethod
     def conditions(proof: Any) -> dict[str, Blocks]:
-        """Matrix inequalities at all vertices of a bilinear model, and conditions on the set of
-        states in which it contracts."""
+        """Matrix inequalities at all input levels and segments of a bilinear model, and conditions
+        on the set where it contracts."""
         conditions = feedback_conditions(proof)
         count = count_nodes(proof)
         for segment in range(count - 1):

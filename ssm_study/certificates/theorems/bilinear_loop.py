@@ -1,5 +1,5 @@
-"""Controller and observer of a bilinear model: the loop comes to rest from a stated set of initial
-states.
+"""Controller and observer of a bilinear model whose closed loop comes to rest from a stated set of
+initial states.
 
 Problem. `x+ = sum_i theta_i(v) (A_i x + b_i)`, `w = C x`, one input v, hat functions `theta_i` on
 nodes `v_1 < ... < v_q`, `b_i = 0` at the node zero. `v = K xh`, `xh+ = sum_i theta_i(v) (A_i xh +
@@ -105,8 +105,8 @@ class BilinearLoop(BilinearLoopTheorem):
 
     @staticmethod
     def conditions(proof: Any) -> dict[str, Blocks]:
-        """Matrix inequalities at all vertices of a bilinear model with controller and observer, and
-        conditions on the numbers that connect them."""
+        """Matrix inequalities at all input levels and segments of a bilinear loop with observer,
+        and conditions that connect them."""
         matrices = (
             feedback_conditions(proof) | observer_conditions(proof) | coupling_conditions(proof)
         )
@@ -122,7 +122,7 @@ def count_nodes(proof: Any) -> int:
 
 
 def state_matrix_at_node(proof: Any, node: int) -> Any:
-    """State matrix A of a bilinear model at one of its input levels (nodes)."""
+    """State matrix A of a bilinear model at a given input level (node)."""
     rows = rows_of_node(proof, node)
     return proof.a_nodes[rows, :]
 
@@ -135,21 +135,21 @@ def rows_of_node(proof: Any, node: int) -> slice:
 
 
 def input_level_of_node(proof: Any, node: int) -> Any:
-    """Scaled input level of one node of a bilinear model."""
+    """Scaled input at one input level (node) of a bilinear model."""
     place = slice(node, node + 1)
     return proof.nodes[:, place]
 
 
 def segment_width(proof: Any, segment: int) -> Any:
-    """Distance `D_k` between the input levels of two neighbouring nodes of a bilinear model."""
+    """Distance `D_k` between two neighbouring input levels (nodes) of a bilinear model."""
     lower = input_level_of_node(proof, segment)
     upper = input_level_of_node(proof, segment + 1)
     return upper - lower
 
 
 def input_vector_step(proof: Any, segment: int) -> Any:
-    """Change `b_{k+1} - b_k = D_k B_k` of the input vector between two neighbouring nodes of a
-    bilinear model, as a column."""
+    """Change `b_{k+1} - b_k = D_k B_k` of a bilinear model's input vector between neighbouring
+    input levels, as a column."""
     lower = slice(segment, segment + 1)
     upper = slice(segment + 1, segment + 2)
     step = proof.b_nodes[upper, :] - proof.b_nodes[lower, :]

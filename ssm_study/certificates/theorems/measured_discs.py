@@ -182,8 +182,8 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def free_signal_sizes(cls, proof: Any) -> dict[str, int]:
-        """Number of entries of each free signal of the closed loop, such as the model error, in the
-        order of the columns."""
+        """Number of channels of each free signal of the closed loop, such as the model error, in
+        column order."""
         inputs = proof.b.shape[1]
         outputs = proof.c.shape[0]
         sizes = {"p": inputs, "e": outputs}
@@ -275,7 +275,8 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def largest_provable_rate(cls, context: VerificationContext) -> None:
-        """No contraction rate (None): the theorem proves that a loop comes to rest, not when."""
+        """Return None, because the theorem proves that a loop comes to rest, but no contraction
+        rate."""
 
 
 def count_rows(matrix: Any) -> int:

@@ -55,9 +55,9 @@ from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredMeasuredDiscs(MeasuredDiscs):
-    """Certificate that the closed loop of a model with neurons comes to rest on every plant within
-    a measured disc. It has the fields of `measured_discs`, and `e (s, q), f (q, s), g (q, m)`, `h
-    (p, q)`, `l_z (q, p)`, `lambda_ (3 q,)`."""
+    """Certificate that the loop of a model with neurons comes to rest on every plant with a model
+    error within a measured disc. It has the fields of `measured_discs`, and `e (s, q), f (q, s), g
+    (q, m)`, `h (p, q)`, `l_z (q, p)`, `lambda_ (3 q,)`."""
 
     e: Float[np.ndarray, "s q"]
     f: Float[np.ndarray, "q s"]
@@ -68,21 +68,20 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
 
     @classmethod
     def conditions(cls, proof: Any) -> dict[str, Blocks]:
-        """Matrices that must be positive definite for the closed loop of a model with neurons to
-        come to rest on every plant within a measured disc."""
+        """Matrices that must be positive definite for the loop of a model with neurons to come to
+        rest on all plants within a disc."""
         matrices = super().conditions(proof)
         return matrices | {"lambda": [[multiplier_matrix(proof.lambda_)]]}
 
     @classmethod
     def free_signal_sizes(cls, proof: Any) -> dict[str, int]:
-        """Number of entries of each free signal of a closed loop with neurons, in the order of
-        the columns."""
+        """Number of channels of each free signal of a closed loop with neurons, in column order."""
         q = proof.g.shape[0]
         return super().free_signal_sizes(proof) | {"w": q, "d_w": q}
 
     @classmethod
     def neuron_contribution(cls, proof: Any, rows: Any, signal_name: str) -> Any:
-        """Matrix that gives the neurons' contribution to the model's output."""
+        """Matrix by which the neurons' outputs contribute to the model's output."""
         return proof.h @ (rows.w if signal_name == "w" else rows.d_w)
 
     @classmethod

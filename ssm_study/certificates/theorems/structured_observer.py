@@ -75,8 +75,8 @@ class StructuredObserver(ProblemCertificate, Observer):
 
     @classmethod
     def holds(cls, **numbers: Any) -> bool:
-        """Whether the matrix conditions of the theorem hold and the observer's injection into the
-        neurons is allowed."""
+        """Whether the theorem's matrix conditions hold and the observer may inject the output error
+        into the neurons."""
         if _closes_algebraic_loop(numbers["h"], numbers["l_z"]):
             return False
         return super().holds(**numbers)
@@ -91,7 +91,7 @@ class StructuredObserver(ProblemCertificate, Observer):
 
 
 def _closes_algebraic_loop(h: NeuronOutput, l_z: NeuronInjection) -> bool:
-    """Whether injecting the output error into the neurons closes an algebraic loop, because neurons
+    """Whether injection of the output error into the neurons closes an algebraic loop, as neurons
     enter the output."""
     return bool(np.any(h) and np.any(l_z))
 

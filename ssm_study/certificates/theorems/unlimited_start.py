@@ -1,4 +1,4 @@
-"""Set of initial states from which no input limit is ever reached, so that the rates proved without
+"""Set of initial states from which the input never reaches a limit, so that rates proved without
 limits hold.
 
 Problem. The input is limited: from which initial states does the loop never reach a limit?

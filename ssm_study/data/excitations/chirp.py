@@ -1,5 +1,5 @@
-"""Deterministic excitations that sweep frequency or level. Signals that walk through a range: a
-chirp through frequencies, a staircase through amplitudes."""
+"""Deterministic excitation signals: a sweep over frequencies (chirp) and a sweep over levels
+(staircase)."""
 
 from dataclasses import dataclass
 

@@ -73,8 +73,8 @@ class Excitation(ABC):
         return self.unit_signal(own_request, rng) * np.array(own_request.amplitude)
 
     def _apply_own_amplitude_and_clock(self, request: SignalRequest) -> SignalRequest:
-        """Replace the plant's default amplitude and holding time in a request by those that the
-        excitation sets itself."""
+        """Replace the plant's default amplitude and holding time by the excitation's own, where the
+        excitation sets them."""
         amplitude = request.amplitude if self.amplitude is None else self.amplitude
         if isinstance(amplitude, int | float):
             amplitudes = (float(amplitude),) * request.inputs

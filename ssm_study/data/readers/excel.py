@@ -1,5 +1,5 @@
-"""Reader of spreadsheets, by pandas if an engine for them is installed. The first sheet is read as
-text."""
+"""Reader of spreadsheets, by pandas if a spreadsheet engine for pandas is installed. The first
+sheet is read as text."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -136,7 +136,8 @@ def stated_step_s(
 
 
 def name_fields_remark(columns: dict[str, ColumnValues], texts: dict[str, str]) -> str:
-    """Names of the elements of an array of structs, as recorders store them in a field `Name`."""
+    """Text that names each element of an array of structs, by the names that recorders store in a
+    field `Name`."""
     owners = [title.rpartition(".")[0] for title in columns if title.endswith(".Data")]
     names = [f"{owner}.Data is {texts[f'{owner}.Name']}" for owner in owners
              if texts.get(f"{owner}.Name")]  # fmt: skip

@@ -55,8 +55,7 @@ class Table:
     nameless: bool = False
 
     def describe_row(self, row: int) -> str:
-        """Description of a table row for error messages, with the row number as the log file itself
-        counts."""
+        """Description of a table row for error messages, numbered as in the log file."""
         number = row + self.first_row
         if self.row_numbers is not None:
             number = self.row_numbers[row]

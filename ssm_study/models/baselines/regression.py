@@ -153,7 +153,7 @@ def fit_arx(data: DataSet, lags: int, delay: int) -> NarxModel:
 def fit_narx_models(
     data: DataSet, lags: int, degree: int, delay: int, counts: Sequence[int]
 ) -> Iterator[NarxModel]:
-    """Fit polynomial NARX models of increasing size by one forward regression.
+    """Fit polynomial NARX models with more and more terms by one forward regression.
 
     Source: Billings (2013), Nonlinear System Identification, chapter 3 (error reduction ratio).
     """

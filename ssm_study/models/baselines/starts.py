@@ -1,4 +1,4 @@
-"""Initial states of simple models on records that begin in motion.
+"""Initial states of simple models on records that do not begin at rest.
 
 A regression can take the first measured outputs of a record as its past. Their noise is then its
 initial state, and a slow mode carries it on for long. Models with states have two better starts
