@@ -105,8 +105,8 @@ def describe_log_dynamics(
 
 
 def same_sample_sentence() -> str:
-    """Sentence on an output that changes within the same sample as the input, so that cause and
-    effect cannot be distinguished."""
+    """Sentence on an output that responds within the sample of the input change, so that cause and
+    effect are unclear."""
     return "input and output move within the same sample: which of them answers is not to be seen"
 
 
@@ -233,7 +233,7 @@ def dead_time_sentence(lag: int, word: str) -> str:
 
 
 def slow_response_sentence(lag: int, stride: int, word: str) -> str:
-    """Sentence on a response so slow that its delay is only known to within several samples."""
+    """Sentence on a response so slow that the delay is known only to within several samples."""
     if lag <= 1:
         return f"{word} answers slowly, within {(lag + 1) * stride} samples"
     return (

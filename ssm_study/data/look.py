@@ -385,7 +385,7 @@ def study_command(
 def command_with_disturbance(
     command: str, others: Sequence[str], stated: LogSettings, facts: Sequence[ColumnFacts]
 ) -> str:
-    """Command that fits a model to a log, with the one remaining signal as measured disturbance."""
+    """Command that fits a model to a log, with the only unused signal as measured disturbance."""
     if len(others) != 1 or command == NO_COMMAND or stated.disturbance is not None:
         return ""
     units = unit_overrides(facts, {"disturbance": others[0]})

@@ -95,8 +95,8 @@ class RecordedAboutEquilibrium(RecordedSource):
     def _equilibrium(
         self, side: str, values: Float[np.ndarray, "T c"], stated: list[float] | None
     ) -> Float[np.ndarray, "c"]:
-        """Equilibrium of the inputs or of the outputs: as the user states, or zero, or the mean of
-        the training samples."""
+        """Equilibrium of the inputs or outputs: a stated value, zero, or the mean of the training
+        samples."""
         mean = values.mean(axis=0)
         fits = stated is None or len(stated) == len(mean)
         problem = f"there are {len(mean)} channels"

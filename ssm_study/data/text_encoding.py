@@ -100,8 +100,8 @@ def can_be_korean_words(words: list[bytes]) -> bool:
 
 
 def detect_wide_encoding(content: bytes) -> str:
-    """Detect the encoding of a text that has two bytes for each letter and no byte order mark;
-    empty for any other text."""
+    """Detect the encoding of a text with two bytes per letter and no byte order mark; empty for any
+    other text."""
     halves = {"utf-16-le": content[1::2], "utf-16-be": content[::2]}
     zero_shares = {}
     for name, half in halves.items():

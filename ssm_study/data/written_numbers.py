@@ -19,7 +19,7 @@ def normalise_numbers(
     cells: pa.ChunkedArray, missing: pa.ChunkedArray, decimal: str
 ) -> tuple[pa.ChunkedArray, str]:
     """Rewrite numbers in text cells with a decimal point and without thousands separators, and
-    describe ambiguous ones."""
+    describe ambiguous numbers."""
     cells = pc.replace_substring(cells, "\u2212", "-")
     cells = _remove_spaces_between_digits(cells)
     filled = pc.filter(cells, pc.invert(missing))

@@ -117,8 +117,8 @@ class ScaffoldedModel(Simulator):
 
     @property
     def system_with_disturbances(self) -> StateSpace:
-        """Linear system whose inputs are the model's mapped inputs and its measured
-        disturbances."""
+        """Linear system whose inputs are a model's inputs after the static input map and its
+        measured disturbances."""
         linear = self.linear
         if not self.scale.disturbances:
             return linear
@@ -149,9 +149,9 @@ class ScaffoldedModel(Simulator):
     def simulate_recurrence(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, np.ndarray]:
-        """Simulate a model's recurrence without its static maps, for a sequence of mapped inputs.
-        `ybar` from `x0` (default 0), with the last state or all of them. `ubar` is what `map_input`
-        or `driving_signals` returns."""
+        """Simulate a model's recurrence without its static maps, for inputs after the static input
+        map. `ybar` from `x0` (default 0), with the last state or all of them. `ubar` is what
+        `map_input` or `driving_signals` returns."""
 
     def simulate(
         self, u: Inputs, x0: State | None = None, d: Float[np.ndarray, "*batch T k"] | None = None

@@ -128,7 +128,8 @@ class SSMSpec(ModelSpec):
         return TorchSSM(scaffold_in, lru, scaffold_out)
 
     def _map_context(self, samples: Float[np.ndarray, "N c"]) -> MapContext:
-        """Hidden width, slope bounds and input samples for one of the model's static maps."""
+        """Width of the hidden layers, slope bounds and input samples for one of the model's static
+        maps."""
         slopes = (self.slope_lower, self.slope_upper)
         return MapContext(width=self.hidden_width, slopes=slopes, samples=samples)
 

@@ -181,8 +181,8 @@ class StructuredSSM(ScaffoldedModel):
 
     @property
     def system(self) -> System:
-        """State-space system of a model without its static maps, including neurons if there are
-        any."""
+        """State-space system of a model without its static maps, with neurons where the model has
+        them."""
         return self._structured_system if self.neurons else self.linear
 
     @property
@@ -219,8 +219,8 @@ class StructuredSSM(ScaffoldedModel):
     def linearise_at(
         self, x: Float[np.ndarray, "n"], ubar: Float[np.ndarray, "mbar"]
     ) -> StateSpace:
-        """Linearise the recurrence with neurons at one state and mapped input. Neurons are replaced
-        by their slopes there."""
+        """Linearise the recurrence with neurons at a given state and input after the static input
+        map. Neurons are replaced by their slopes there."""
         linear_input = self.f @ x + self.g @ ubar
         z = linear_input + self.bias
         slopes = evaluate_activations(self.neurons, z, "slope")

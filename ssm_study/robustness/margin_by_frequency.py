@@ -70,8 +70,8 @@ def margin_curves(
 def _less_conservative_gain(
     condition: AmplitudeCondition, by_frequency: Float[np.ndarray, "F"], loop: LoopResponse
 ) -> LoopGains:
-    """Loop gain of the model error of one amplitude at each frequency, by the less conservative of
-    two stability conditions."""
+    """Loop gain for one amplitude's model error at each frequency, by the less conservative of two
+    stability conditions."""
     plain = np.interp(loop.angles, ANGLES, by_frequency) * loop.size
     if condition.is_exempt:
         return np.zeros_like(plain)

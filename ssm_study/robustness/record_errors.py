@@ -48,7 +48,7 @@ Spectra = tuple[Complex[np.ndarray, "2 K p"], InputSpectrum, OutputSpectrum]
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """Model error in the records of one input amplitude, by frequency band. See the module for
+    """Model error in all records of one input amplitude, by frequency band. See the module for
     `linear` (Q) and `rest`, both at `ANGLES`.
 
     `amplitude` is the input's rms; `response` the output's power over the model's, one where they

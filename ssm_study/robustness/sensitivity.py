@@ -61,7 +61,7 @@ def slope_combinations(
 def _freeze_neurons(
     system: System, gains: Gains, neuron_slopes: NeuronSlopes | None
 ) -> Iterator[tuple[StateSpace, Gains]]:
-    """Linear system and gains for each combination of constant slopes of the neurons."""
+    """Linear system and gains for each combination of constant neuron slopes."""
     if isinstance(system, StateSpace):
         yield system, gains
         return

@@ -61,9 +61,9 @@ def sensitive_lines(model: Model, gains: Gains, balls: Balls, period: int) -> li
 def deciding_line(
     model: Model, pair: Gains, balls: Balls, mismatch: Mismatch, period: int
 ) -> int | None:
-    """Spectral line at which the broadband records give the smallest stability margin; None if they
-    give no margin. The lowest frequencies, below the first band, are left out: what counts there is
-    an offset.
+    """Spectral line at which the broadband records give the smallest stability margin; None if no
+    margin is known. The lowest frequencies, below the first band, are left out: what counts there
+    is an offset.
 
     A loop whose `|T_ue|` is flat may swing far from its peak, where the records show a large model
     error but jitter over a steep curve, so that a single sine meets a larger one.

@@ -30,7 +30,8 @@ def input_slope_columns(model: Bilinear) -> Float[np.ndarray, "s n 1"]:
 
 
 def state_second_moment(model: Bilinear) -> Matrix:
-    """Second moment of a bilinear model's states under random inputs within its input range."""
+    """Second moment of a bilinear model's states under random inputs within the model's input
+    range."""
     from ssm_study.models.bilinear_kernel import simulate_states  # loads numba
 
     rng = np.random.default_rng(0)

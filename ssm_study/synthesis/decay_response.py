@@ -1,5 +1,4 @@
-"""Response of a closed loop from the initial states of recorded decays, compared with the decays
-themselves.
+"""Response of a closed loop from the initial states of recorded decays, compared with these decays.
 
 A decay is a record at rest input that starts away from rest. Its output is what the plant does
 without control; to it is added what the model answers to the loop's input from rest:

@@ -1,5 +1,5 @@
-"""Design of controller and observer from a model and its balls of Jacobians, each with an exact
-verdict.
+"""Design of controller and observer from a model and its balls of Jacobians, each decided in exact
+arithmetic.
 
 The theorems are 1 and 2 of [Z26]; how one problem serves both: docs/theory.md.
 """

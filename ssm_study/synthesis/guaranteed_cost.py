@@ -73,8 +73,8 @@ FAR = 1e300  # the cost of an inadmissible tau: finite, so that the line search 
 
 @dataclass(frozen=True, kw_only=True)
 class GuaranteedCost:
-    """Gain and scaled Riccati solution for one value of the multiplier tau. The solution is divided
-    by tau."""
+    """Gain and scaled Riccati solution for one value of the multiplier tau of the Riccati equation.
+    The solution is divided by tau."""
 
     s_over_tau: Float[np.ndarray, "n n"]
     k: Float[np.ndarray, "m n"]

@@ -1,4 +1,4 @@
-"""Area under a design's response on the model, and its settling time, for hundreds of designs at
+"""Area under the simulated response of a design, and its settling time, for hundreds of designs at
 once.
 
 Used to choose among certified designs (docs/closed_loop.md); the separation it leans on is in

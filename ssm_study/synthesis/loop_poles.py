@@ -1,4 +1,4 @@
-"""Eigenvalues of a loop at the equilibrium, and whether its controller moves them.
+"""Poles of a loop at the equilibrium, and whether the controller moves them.
 
 Source: docs/theory.md, the linearised loop.
 """

@@ -207,7 +207,7 @@ def _largest_margin(
     multipliers: Multipliers,
     first_angles: Sequence[int],
 ) -> tuple[Multipliers, float]:
-    """Multipliers that satisfy the theorem with the largest margin at a given disc radius, and that
+    """Multipliers that satisfy the theorem with the largest margin at a given disc radius, and the
     margin. The margin is in units of each free signal's own weight."""
     grid = forms.at_angles(forms.frequency_grid)
     own_weights = initial_weights(forms, centre, multipliers)

@@ -153,7 +153,7 @@ class WeightProgram:
 
     @property
     def unknown_matrices(self) -> Any:
-        """Matrix that each unknown of the weight optimisation multiplies in the constraint at each
+        """Coefficient matrix of each unknown of the weight optimisation in the constraint at each
         frequency."""
         angles = self.grid.angles
         basis_values = self.basis.values_at(angles)
@@ -176,8 +176,9 @@ class WeightProgram:
         return np.array(rows)
 
     def weight_rows(self) -> tuple[Float[np.ndarray, "R n"], Bounds]:
-        """Linear constraints that keep the disc's weights positive, as coefficient rows with their
-        bounds. X exceeds `c^2`, so that the disc contains `e = 0`, and neither comes near zero."""
+        """Linear constraints by which the disc's weights stay positive, as coefficient rows with
+        their bounds. X exceeds `c^2`, so that the disc contains `e = 0`, and neither comes near
+        zero."""
         mean = self.basis.values_at(EVENLY).mean(axis=1)
         on_circle = self.basis.values_at(CIRCLE).T
         clear = on_circle - NEAR_ZERO * mean

@@ -39,7 +39,8 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """Model settings that were tried, with their free-run error on each cross-validation fold.
+    """Candidate model: settings that were tried, with the free-run error on each cross-validation
+    fold.
 
     Errors are those of `relative_rms_error`. Folds that were left out, because the candidate was
     far behind, are missing at the end of `errors`. `best_start_kind` says from where the held-out
@@ -61,9 +62,9 @@ class Candidate:
         return float(self.errors.mean())
 
     def is_clearly_worse(self, other: "Candidate", tolerance: float = NEARLY) -> bool:
-        """Whether a candidate's cross-validation error is clearly larger than another's. It exceeds
-        the other's by the fraction `tolerance`, and by one standard error or on all folds but one:
-        a single odd piece makes the standard error large."""
+        """Whether a candidate model's cross-validation error is clearly larger than another's. It
+        exceeds the other's by the fraction `tolerance`, and by one standard error or on all folds
+        but one: a single odd piece makes the standard error large."""
         if len(self.errors) < len(other.errors):
             return True
         other_folds = len(other.errors)
@@ -81,8 +82,8 @@ class Candidate:
         return is_large and (is_consistent or bool(excess.mean() > standard_error))
 
     def is_undecided_by_folds(self, other: "Candidate", tolerance: float = NEARLY) -> bool:
-        """Whether the errors on the folds differ so much that they do not decide which of two
-        candidates is better.
+        """Whether errors differ so much between folds that the better of two candidate models stays
+        undecided.
 
         One standard error of the difference is then larger than that share of the other's error.
         """
@@ -94,8 +95,8 @@ class Candidate:
         return bool(standard_error > tolerance * other.mean_error_percent)
 
     def is_worse_beyond_chance(self, other: "Candidate") -> bool:
-        """Whether a candidate's mean cross-validation error exceeds another's by several standard
-        errors of the difference."""
+        """Whether a candidate model's mean cross-validation error exceeds another's by several
+        standard errors of the difference."""
         if len(self.errors) < len(other.errors):
             return True
         excess = self.errors[: len(other.errors)] - other.errors
@@ -103,8 +104,8 @@ class Candidate:
         return bool(excess.mean() > CHANCE * standard_error)
 
     def fits_far_worse_than(self, other: "Candidate") -> bool:
-        """Whether a candidate fits the training records far worse than another, which explains them
-        almost wholly.
+        """Whether a candidate model fits the training records far worse than another model with a
+        nearly perfect fit.
 
         What it leaves unexplained may come from a load that is not in the log; then what it
         explains of that is chance.
@@ -114,8 +115,8 @@ class Candidate:
         return self.training_error > EXPLAINS_LESS * other.training_error
 
     def fails_where_other_succeeds(self, other: "Candidate") -> bool:
-        """Whether a candidate predicts some fold no better than the output's mean, while another
-        predicts every fold better.
+        """Whether a candidate model predicts some fold no better than the output's mean, while
+        another predicts all folds better.
 
         It does not count where the other one explains less of the records: then that fold holds
         motions that no other has, and the last training has them all.
@@ -125,8 +126,8 @@ class Candidate:
         return fails and not other.fits_far_worse_than(self)
 
     def table_row(self, *, is_chosen: bool, is_certified: bool | None) -> Row:
-        """Row of the table of candidates: settings, cross-validation error, and whether the
-        candidate was chosen. `is_certified` is None if that was not examined."""
+        """Row of the table of candidate models: settings, cross-validation error, and whether the
+        model was chosen. `is_certified` is None if that was not examined."""
         fits = 100.0 - self.errors
         row: Row = {"question": self.question, "model": self.model, **self.settings}
         mean_fit = fits.mean()
@@ -144,7 +145,7 @@ class Candidate:
 
     @property
     def describe(self) -> str:
-        """Line of text with a candidate's settings and cross-validation error."""
+        """Line of text with a candidate model's settings and cross-validation error."""
         setting_texts = (f"{name} {value}" for name, value in self.settings.items())
         settings = ", ".join(setting_texts)
         return f"{self.question}: {self.model}, {settings}: {100.0 - self.mean_error_percent:.1f} %"
@@ -161,12 +162,13 @@ def best_candidate(candidates: Iterable[Candidate]) -> Candidate:
 def simplest_good_candidate(
     candidates: Sequence[Candidate], tolerance: float = NEARLY
 ) -> Candidate:
-    """First candidate, in order of increasing size, that is not clearly worse than the best one."""
+    """First candidate model, in order of increasing size, that is not clearly worse than the best
+    one."""
     return good_candidates(candidates, tolerance)[0]
 
 
 def good_candidates(candidates: Sequence[Candidate], tolerance: float = NEARLY) -> list[Candidate]:
-    """Candidates that are not clearly worse than the best one, in their given order.
+    """Candidate models that are not clearly worse than the best one, in their given order.
 
     This holds for held-out pieces and for the records on which they were trained; and none fails on
     a fold while the best does not. Where the folds cannot tell another candidate from the best,
@@ -189,7 +191,7 @@ def good_candidates(candidates: Sequence[Candidate], tolerance: float = NEARLY) 
 
 @dataclass
 class CandidateErrors:
-    """Free-run errors of one candidate on the folds so far, separately for two ways of finding
+    """Free-run errors of one candidate model on the folds so far, for each of two ways of finding
     initial states. One is estimated from the first samples, one simulated from the log before
     (`models.warm_start`)."""
 
@@ -232,7 +234,7 @@ class CandidateErrors:
 
     @property
     def errors(self) -> Float[np.ndarray, "folds"]:
-        """Errors of a candidate on the folds, for the better of two ways of finding initial
+        """Errors of a candidate model on the folds, for the better of two ways of finding initial
         states."""
         errors_of_kind = self.by_start[self.best_start_kind]
         return np.array(errors_of_kind)
@@ -339,7 +341,7 @@ def cross_validate_structured_model(
 def train_further(
     fits: Sequence[StructuredFit], folds: Sequence[DataSet], steps: int
 ) -> CandidateErrors:
-    """Continue the training of a candidate's models on all folds, and compute their errors anew."""
+    """Continue the training of a candidate's model on every fold, and compute the errors again."""
     trial = CandidateErrors()
     for fit, fold in zip(fits, folds, strict=True):
         dead_time = int(fit.spec.dead_time)
@@ -350,7 +352,7 @@ def train_further(
 
 
 def is_hopeless(errors: Sequence[float] | Float[np.ndarray, "folds"], best: Candidate) -> bool:
-    """Whether a candidate's errors on the first folds are many times those of the best
+    """Whether a candidate model's errors on the first folds are many times those of the best
     candidate."""
     count = len(errors)
     so_far = float(np.sum(errors))

@@ -32,8 +32,8 @@ UNTRIED = {"dead_time": 0, "feedthrough": False, "integrating_output": False}
 
 
 def choose_bilinear_model(search: SettingsSearch, data: DataSet) -> BilinearSpec | None:
-    """Settings of a bilinear model if it predicts clearly better than every candidate, otherwise
-    None."""
+    """Settings of a bilinear model if it predicts clearly better than every other candidate model,
+    otherwise None."""
     others = [*search.tried]
     if not (others and can_try_bilinear_model(search, data)):
         return None

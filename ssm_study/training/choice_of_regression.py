@@ -21,8 +21,8 @@ LAGS = (3, 4, 6, 8, 10, 15, 20)
 
 
 def choose_regression(search: SettingsSearch, candidates: Sequence[Candidate]) -> Candidate | None:
-    """Linear ARX model to be preferred to all other candidates if unmeasured disturbances dominate
-    the log, otherwise None.
+    """Linear ARX model, preferred to all other candidate models if unmeasured disturbances dominate
+    the log; otherwise None.
 
     The candidates explain the records if the one that predicts best leaves less than `LOAD` of
     those that it was trained on. Others may leave less: what they explain more does not help them

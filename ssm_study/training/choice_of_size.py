@@ -186,8 +186,8 @@ def far_better_noncontracting(
 
 
 def train_finalists(search: SettingsSearch, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Continue the training of the best structured candidates, and return all candidates with the
-    new errors.
+    """Continue the training of the best structured models, and return all candidate models with
+    their new errors.
 
     After a few steps large models are less trained than small ones.
     """
@@ -243,8 +243,8 @@ def choose_linear_order(search: SettingsSearch) -> Candidate:
 def simplest_certifiable_candidate(
     search: SettingsSearch, candidates: Sequence[Candidate]
 ) -> Candidate:
-    """Smallest candidate that can be certified and is not clearly worse than the best of those. If
-    none can be certified, all count.
+    """Smallest candidate model that can be certified and is not clearly worse than the best
+    certifiable one. If none can be certified, all count.
 
     Certificates are asked for as they are needed, of the models trained on the folds.
     """
@@ -258,8 +258,8 @@ def simplest_certifiable_candidate(
 
 
 def other_structures(candidates: Sequence[Candidate], chosen: Candidate) -> list[Candidate]:
-    """Contracting candidates of other structure whose predictions are about as good as the best, to
-    be averaged with the chosen one. Their mean with the chosen one contracts."""
+    """Contracting models of other structure that predict about as well as the best, to be averaged
+    with the chosen one. Their mean with the chosen one contracts."""
     good = [candidate for candidate in good_candidates(candidates) if candidate is not chosen]
     structured = [candidate for candidate in good if candidate.fits]
     contracting = [candidate for candidate in structured if is_contracting(candidate)]
@@ -267,7 +267,7 @@ def other_structures(candidates: Sequence[Candidate], chosen: Candidate) -> list
 
 
 def is_contracting(candidate: Candidate) -> bool:
-    """Whether a candidate's settings make its models contract by construction."""
+    """Whether the settings of a candidate model make it contract by construction."""
     rate = candidate.settings.get("rate", 0.0)
     has_rate = rate is not None
     return has_rate and candidate.settings.get("integrating_output") is not True

@@ -105,9 +105,9 @@ class TrainingBatch(nn.Module):
         return weighted_squares.sum()
 
     def training_objective(self, y_hat: Signals) -> Float[Tensor, ""]:
-        """Training objective of simulated outputs: squared error, plus a weighted squared error of
-        the output's running sum. `(1 - share) sum weight |e|^2 + share |running sum of e|^2 /
-        |running sum of y|^2`.
+        """Training objective for simulated outputs: squared error, plus a weighted square of the
+        error's running sum. `(1 - share) sum weight |e|^2 + share |running sum of e|^2 / |running
+        sum of y|^2`.
 
         The running sum is what an integrator behind the output sees: position, where y is a
         velocity.

@@ -44,8 +44,8 @@ def gains_at_extreme_slopes(matrices: KernelMatrices) -> Float[np.ndarray, "corn
 
 
 def gain_shortfall(matrices: KernelMatrices, least_fraction: float) -> Float[np.ndarray, "corners"]:
-    """Amount by which the gain at each combination of extreme neuron slopes falls short of a
-    fraction of the largest gain."""
+    """Amount by which a model's gain, at each combination of extreme neuron slopes, falls short of
+    a share of the largest gain."""
     with np.errstate(all="ignore"):
         gains = gains_at_extreme_slopes(matrices)
     largest_index = np.argmax(np.abs(gains))

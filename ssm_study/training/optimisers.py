@@ -66,8 +66,8 @@ class Lbfgs(OptimiserSpec):
 
 @dataclass(frozen=True, kw_only=True)
 class Levenberg(OptimiserSpec):
-    """Settings of the Levenberg-Marquardt optimiser, which minimises the simulation error without
-    penalties."""
+    """Settings of the Levenberg-Marquardt optimiser, which minimises the simulation error and
+    ignores penalties."""
 
     damping: float
     longest_step: float

@@ -46,9 +46,9 @@ class RecordBatch(NamedTuple):
         return RecordBatch(*parts)
 
     def cut_moving_part(self, samples: int) -> "RecordBatch":
-        """Smaller batch, of given length, in which input and output vary enough for an initial fit.
-        It is `cut_whole_records(samples)` if they move there, else the part of one record that
-        moves most. Raises `BadRequest` if none moves."""
+        """Smaller batch, of given length, in which input and output vary enough for a first fit. It
+        is `cut_whole_records(samples)` if they move there, else the part of one record that moves
+        most. Raises `BadRequest` if none moves."""
         beginning = self.cut_whole_records(samples)
         if self._relative_movement(beginning) >= STILL:
             return beginning

@@ -1,5 +1,5 @@
-"""Search for model settings: candidates tried so far, settings decided so far, and the resulting
-choice."""
+"""Search for model settings by cross-validation: models tried so far, settings decided so far, and
+the resulting choice."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -32,8 +32,8 @@ LINEAR_KINDS = (LINEAR, REGRESSION)
 
 @dataclass(frozen=True, kw_only=True)
 class SettingsChoice:
-    """Completely decided model settings, with the table of candidates from which they were chosen.
-    The table is empty if nothing was tried.
+    """Model settings, all of them decided, with the table of candidate models from which they were
+    chosen. The table is empty if nothing was tried.
 
     `linear_kind`: the output-error or ARX model itself is to be taken, of this order and delay.
     `others` are settings of other structures that the folds cannot tell from the chosen one.
@@ -71,7 +71,7 @@ def setting_text(value: object) -> str:
 
 @dataclass(kw_only=True)
 class SettingsSearch:
-    """Search for model settings by cross-validation: candidates tried so far and settings decided
+    """Search for model settings by cross-validation, with the models tried and the settings decided
     so far."""
 
     spec: StructuredSpec
@@ -144,8 +144,8 @@ class SettingsSearch:
         return all(are_open) and self.spec.output_knots == 0
 
     def is_certifiable(self, candidate: Candidate) -> bool:
-        """Whether a state feedback and an observer can be certified for a model of a candidate. It
-        is true if the settings do not ask for that.
+        """Whether a state feedback and an observer can be certified for a candidate model. It is
+        true if the settings do not ask for that.
 
         One of the models that were trained on the folds is enough: the chosen candidate is trained
         from many starts, of which those with a certificate come first.
@@ -162,7 +162,7 @@ class SettingsSearch:
         return self.certified[id(candidate)]
 
     def train_further(self, candidate: Candidate, steps: int) -> Candidate:
-        """Continue the training of a candidate's models on the folds, and add the result as another
+        """Continue the training of a candidate model on all folds, and add the result as another
         candidate."""
         trial = train_further(candidate.fits, self.folds, steps)
         return self.add_candidate("longer training", STRUCTURED, candidate.settings, trial)
@@ -170,7 +170,7 @@ class SettingsSearch:
     def add_candidate(
         self, question: str, model: str, settings: Settings, errors: CandidateErrors
     ) -> Candidate:
-        """Add a candidate to those tried so far, and print its cross-validation error."""
+        """Add a candidate model to those tried so far, and print its cross-validation error."""
         median_error = np.median(errors.training_errors)
         training_error = float(median_error)
         fits = tuple(errors.fits)
@@ -189,8 +189,8 @@ class SettingsSearch:
         return candidate
 
     def find_candidate(self, model: str, settings: Settings) -> Candidate | None:
-        """Find the candidate with exactly the given settings among those tried so far; None if
-        there is none."""
+        """Find the candidate model with exactly the given settings among those tried; None if there
+        is none."""
         alike = [one for one in self.tried if (one.model, one.settings) == (model, settings)]
         return alike[0] if alike else None
 
@@ -202,8 +202,8 @@ class SettingsSearch:
     def build_choice(
         self, candidate: Candidate | None, others: Sequence[Candidate] = ()
     ) -> SettingsChoice:
-        """Build the final choice from all decided settings and the model size of a candidate. The
-        mean that predicts may have models of the others."""
+        """Build the final choice from all decided settings and a candidate model's size. The mean
+        that predicts may have models of the others."""
         chosen = [*self.chosen]
         error = None
         linear_kind = None
@@ -220,7 +220,7 @@ class SettingsSearch:
         )
 
     def _decided_spec(self, candidate: Candidate | None) -> StructuredSpec:
-        """Model settings with everything decided so far and the model size of a candidate."""
+        """Model settings with everything decided so far and a candidate model's size."""
         decided = dict(self.decided)
         if candidate is not None:
             decided |= candidate.settings
@@ -231,7 +231,7 @@ class SettingsSearch:
         return fill_in_defaults(replace(self.spec, **settings))
 
     def candidate_rows(self, chosen: Sequence[Candidate]) -> tuple[Row, ...]:
-        """Rows of the table of all candidates that were tried."""
+        """Rows of the table of all candidate models that were tried."""
         rows = []
         for candidate in self.tried:
             is_chosen = any(candidate is other for other in chosen)

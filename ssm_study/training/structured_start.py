@@ -114,8 +114,8 @@ def normalise_states(problem: SimulationProblem, theta: Theta) -> Theta:
 
 
 def states_at_scored_samples(problem: SimulationProblem, theta: Theta) -> Float[np.ndarray, "N n"]:
-    """Model states at all samples of the training records that count in the error, stacked in one
-    array."""
+    """Model states at all samples of the training records that count in the training error, stacked
+    in one array."""
     _, _, states = problem.simulate_signals(theta)
     earlier_states = states[:, :-1]
     is_recorded = problem.records.recorded_mask

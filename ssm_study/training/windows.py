@@ -76,9 +76,8 @@ class Windows:
 
 @dataclass(frozen=True)
 class RecordWindows:
-    """Windows cut from the training records, with the number of unscored samples at the beginning
-    of each. With the number of samples at the beginning of each that are not scored, and which of
-    them begin a record."""
+    """Windows cut from the training records, and how many samples at each window's beginning do not
+    count in the error. `first` says which windows begin a record."""
 
     pieces: Trajectories
     unscored: tuple[int, ...]

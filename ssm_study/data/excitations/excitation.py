@@ -17,9 +17,9 @@ Amplitude = float | tuple[float, ...] | list[float] | None
 
 @dataclass(frozen=True, kw_only=True)
 class SignalRequest:
-    """Number of samples, sampling period and amplitude of an excitation signal that is to be
-    generated. `samples` every `step_s`, offsets up to `amplitude (m,)` from equilibrium, levels
-    held at least `clock_s`."""
+    """Number of samples, sampling period and amplitude that are requested of an excitation signal.
+    `samples` every `step_s`, offsets up to `amplitude (m,)` from equilibrium, levels held at least
+    `clock_s`."""
 
     samples: int
     step_s: float

@@ -145,7 +145,7 @@ def name_fields_remark(columns: dict[str, ColumnValues], texts: dict[str, str]) 
 
 
 def belong_to_one_matrix(columns: dict[str, ColumnValues]) -> bool:
-    """Whether all columns come from one matrix of a MATLAB file."""
+    """Whether all columns read from a MATLAB file come from one matrix."""
     matrices = {name.split(":")[0] for name in columns}
     return len(matrices) == 1 and len(columns) > 1
 

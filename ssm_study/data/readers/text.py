@@ -42,7 +42,7 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
 
     @classmethod
     def from_text(cls, path: Path, text: str, settings: TextSettings) -> "TextReader":
-        """Make a reader of a given text that takes the place of a file, such as the sheet of a
+        """Make a reader that reads a given text in place of a file, such as the sheet of a
         spreadsheet."""
         reader = cls()
         reader.settings = settings

@@ -13,8 +13,8 @@ from ssm_study.models.scaffolds.scaffold import Free, Pieces, Scaffold
 
 @dataclass(frozen=True, kw_only=True)
 class MapContext:
-    """Hidden width, slope bounds and input samples that a model gives to each of its trainable
-    static maps."""
+    """Width of the hidden layers, slope bounds and input samples that a model gives to each
+    trainable static map."""
 
     width: int
     slopes: tuple[float, float]
