@@ -89,8 +89,8 @@ def constructor_fields(kind: type) -> tuple[dict[str, Any], tuple[str, ...]]:
 
 
 def _check_argument(path: str, kind: type, key: str, value: Any) -> Any:
-    """Check a setting against the type of the constructor parameter that receives it, and return
-    the value to pass."""
+    """Check a setting against the type of the constructor parameter that it is for, and return the
+    value to pass."""
     hints, names = constructor_fields(kind)
     field = f"{path}.{key}"
     remedy = f"its fields are {', '.join(names)}"

@@ -1,5 +1,5 @@
-"""Exact rational matrices, and the decision whether such a matrix is positive definite. They decide
-certificates: exact arithmetic on the stored floats, without any tolerance.
+"""Exact rational matrices, with an exact test for positive definiteness. They decide certificates:
+exact arithmetic on the stored floats, without any tolerance.
 
 By halves, in balls that hold the exact number; where one contains zero with twice as many digits,
 and where `BITS` do not decide by the fraction-free LDL^T (Sylvester). Why: docs/theory.md, "The
@@ -131,8 +131,8 @@ def is_positive_definite(matrix: Exact) -> bool:
 
 
 def _is_definite_in_intervals(matrix: arb_mat) -> bool | None:
-    """Whether all matrices whose entries lie in given intervals are positive definite; None if
-    interval arithmetic cannot decide it."""
+    """Whether all matrices with entries in given intervals are positive definite; None if interval
+    arithmetic cannot decide."""
     rows = matrix.tolist()
     half = matrix.nrows() // 2
     if not half:

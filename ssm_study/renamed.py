@@ -184,8 +184,7 @@ def current_overrides(words: Sequence[str]) -> list[str]:
 
 
 def add_renamed_columns(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy of a record in which every renamed column appears under both its old and its new
-    name."""
+    """Copy of a record that contains every renamed column under its old and its new name."""
     both = dict(record)
     for old, new in COLUMNS.items():
         if new in record:
@@ -246,7 +245,7 @@ class Alias(Loader):
         self.present = present
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        """Module of the new name, which takes the place of the old one."""
+        """Module with the new name, which is used in place of the module with the old name."""
         del spec
         return None
 

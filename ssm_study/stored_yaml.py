@@ -37,7 +37,7 @@ def read_stored_yaml(path: Path) -> str:
 
 
 def _count_values(node: yaml.Node, counted: dict[int, int]) -> int:
-    """Number of values of a YAML node with its aliases expanded."""
+    """Number of values in a YAML document after its aliases are expanded."""
     if id(node) in counted:
         return counted[id(node)]
     counted[id(node)] = MOST_VALUES + 1  # for a node that contains itself

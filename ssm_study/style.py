@@ -120,7 +120,7 @@ def place_legend_above(axes: "Axes", columns: int = 3, others: "tuple[Axes, ...]
 def save_figure(
     figure: "Figure", folder: Path, name: str, kinds: tuple[str, ...] = ("png", "pdf")
 ) -> list[Path]:
-    """Save a figure under a name in a folder, as PNG and PDF or as one of them.
+    """Save a figure under a name in a folder, as PNG, PDF or both.
 
     The same data give the same bytes: no creation date is written.
     """

@@ -359,8 +359,8 @@ def _prove_rate(
     limit: float,
     theorem: type[Side],
 ) -> Side | None:
-    """Certificate that a gain gives a required contraction rate; None where no quadratic metric is
-    found numerically."""
+    """Certificate that a gain achieves a required contraction rate; None if no quadratic metric is
+    found."""
     started = time.perf_counter()
     remaining_rate = 1 - problem.rate
     factor = float(((1 - supremum) * remaining_rate) ** 0.25)  # between the two, in log r

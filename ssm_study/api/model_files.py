@@ -1,4 +1,5 @@
-"""Files of a saved model: the model itself, its records, and how it was identified."""
+"""Files of a saved model: the model itself, its records, and a description of its
+identification."""
 
 import hashlib
 import json
@@ -205,7 +206,8 @@ def read_data(content: dict[str, Any], arrays: dict[str, Any]) -> DataSet:
 def rebuild_records(
     part: str, descriptions: list[dict[str, Any]], arrays: dict[str, Any]
 ) -> tuple[Trajectory, ...]:
-    """Rebuild the records of one part of a data set, such as the training records."""
+    """Rebuild the training, validation or test records of a data set from descriptions and
+    arrays."""
     records = []
     for number, description in enumerate(descriptions):
         values: dict[str, Any] = {

@@ -84,7 +84,7 @@ def load_choice(group: str, choice: str) -> Tree:
 
 
 def _load_default(group: str, entry: Any) -> Tree:
-    """Load the settings that one entry of a Hydra defaults list names."""
+    """Load the settings to which one entry of a Hydra defaults list refers."""
     if isinstance(entry, str):
         return load_choice(group, entry)
     ((name, choice),) = entry.items()
@@ -180,8 +180,7 @@ def split_settings(settings: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def part_of_setting(setting: str) -> str:
-    """Name of the part of a study, such as `model`, to which a setting such as `model.order=4`
-    belongs."""
+    """Part of a study, such as `model`, to which a setting such as `model.order=4` belongs."""
     signed_key = str(setting).partition("=")[0]
     setting_path = signed_key.lstrip("+")
     key = setting_path.rpartition("@")[2]

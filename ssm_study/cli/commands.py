@@ -118,7 +118,7 @@ def gather_study(options: argparse.Namespace) -> None:
 
 
 def show_study_or_run(options: argparse.Namespace) -> None:
-    """Print the results table of a study, or the whole record of a single run."""
+    """Print the results table of a study, or every recorded value of a single run."""
     from ssm_study.engine.records import RECORD
     from ssm_study.table.show import show_table
 
@@ -135,8 +135,8 @@ def show_study_or_run(options: argparse.Namespace) -> None:
 
 
 def show_run(options: argparse.Namespace) -> None:
-    """Print the outcome and the whole record of a single run. Raises `BadRequest` for options that
-    only apply to tables."""
+    """Print the outcome of a single run, and every value in its record. Raises `BadRequest` for
+    options that only apply to tables."""
     from rich.console import Console
 
     from ssm_study.report.run_record import print_run

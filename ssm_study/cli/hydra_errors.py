@@ -62,8 +62,8 @@ def suggest_choice(group: str, name: str, choices: list[str]) -> str:
 
 
 def suggest_package(key: str, packages: list[str], overrides: list[str]) -> str:
-    """Suggestion for a configuration group that must be overridden with its place in the
-    configuration, such as `reference@loop.reference`."""
+    """Suggestion for a configuration group that can only be overridden with its place, such as
+    `reference@loop.reference`."""
     values = [word.partition("=")[2] for word in overrides if word.split("=")[0] == key]
     value = values[0] if values else "VALUE"
     suggestions = " or ".join(f"{place}={value}" for place in packages)

@@ -279,7 +279,7 @@ class Composer:
         return plain_settings(config)
 
     def _split_overrides(self, overrides: list[str]) -> tuple[ComposedChoices, list[Override]]:
-        """Split the overrides of one job into a configuration that other jobs share and the job's
+        """Split the overrides of a job into a configuration shared with other jobs and the job's
         own plain values."""
         parsed = [self._parse_override(word) for word in overrides]
         chosen = self._shared_composition(parsed)

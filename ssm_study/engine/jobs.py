@@ -186,8 +186,8 @@ def _cause_of_death(job: Job) -> dict[str, Any]:
 
 
 def _death_columns(error_type: str, message: str, transient: bool) -> dict[str, Any]:
-    """Record columns on the error of a job that ended without a record: type, message, and whether
-    a retry may succeed."""
+    """Record columns for a job that ended without a record: error type, message, and whether a
+    retry may succeed."""
     return {"error_type": error_type, "error_message": message, "failure_transient": transient}
 
 

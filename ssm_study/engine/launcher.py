@@ -36,7 +36,7 @@ from ssm_study.refusal import require
 
 @runtime_checkable
 class Sweep(Protocol):
-    """Objects that Hydra hands to a launcher when a sweep begins, such as configuration and
+    """Objects that Hydra gives to a launcher when a sweep begins, such as configuration and
     task."""
 
     hydra_context: HydraContext

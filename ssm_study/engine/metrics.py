@@ -1,5 +1,4 @@
-"""Columns that the engine records of every run: who computed it, where, when and how long it
-took."""
+"""Columns that the engine records for every run: identity, time, machine, code and failure."""
 
 from ssm_study.columns import Column
 

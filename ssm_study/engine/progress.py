@@ -87,8 +87,8 @@ class Progress:
 
 
 class ProgressWatcher(Thread):
-    """Thread that prints the progress of a sweep whose launcher does not report it, by reading the
-    run folders."""
+    """Thread that prints the progress of a sweep from its run folders, for launchers that report
+    none."""
 
     def __init__(self, folders: Sequence[Path], every_s: float = 2.0) -> None:
         super().__init__(daemon=True)

@@ -50,7 +50,7 @@ class Run:
     stage_folders: list[Path] = field(default_factory=list)  # that the work has taken so far
 
     def add_columns(self, **facts: Any) -> None:
-        """Add values to the record of a run, which stay even if the run fails later."""
+        """Add values to the record of a run, where they stay even if the run fails later."""
         self.facts.update(facts)
 
     def record_stage(

@@ -78,9 +78,8 @@ class StageOutput(Generic[T]):
 
     @cached_property
     def value_key(self) -> str:
-        """Key by which later computing steps (stages) of a run identify the value of an earlier
-        one. It is the key of the stage, or a checksum of its files, and the version of its
-        reader."""
+        """Key by which later computing steps (stages) of a run identify the result of this step. It
+        is the key of the stage, or a checksum of its files, and the version of its reader."""
         origin: Any = self.result.key
         files = [self.result.path / name for name in self.stage.files]
         if self.stage.known_by_content and all(path.is_file() for path in files):

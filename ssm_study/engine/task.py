@@ -52,7 +52,7 @@ class Task(ABC, Generic[R]):
         results."""
 
     def run(self, request: R, run: Run) -> Facts:  # noqa: ARG002
-        """Compute those columns of a run's record that need the results of all computing steps.
+        """Columns of a run's record that can only be computed after all computing steps.
         `run.facts` holds the stages' columns, `status` may be `infeasible`."""
         return {}
 

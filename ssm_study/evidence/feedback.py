@@ -299,7 +299,7 @@ def feedback_error_reduction(data: DataSet, first_lag: int) -> float:
 
 
 def _concatenate_regression_rows(halves: list[list[Rows]]) -> list[Rows]:
-    """Concatenate the regression arrays from the halves of several records."""
+    """Concatenate regression data from the halves of several records."""
     return [np.concatenate(arrays) for arrays in zip(*halves, strict=True)]
 
 
@@ -328,8 +328,9 @@ def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray
 def _split_regression(
     inputs: Rows, outputs_of_record: Rows, first_lag: int
 ) -> Iterator[list[Rows]]:
-    """Regression arrays of past inputs, past outputs and input for each half of a record. They hold
-    past inputs and a one, outputs of `first_lag` to `OUTPUTS` samples ago, and the input."""
+    """Regression data for each half of a record: past inputs, past outputs and the present input.
+    They hold past inputs and a one, outputs of `first_lag` to `OUTPUTS` samples ago, and the
+    input."""
     rows = len(inputs) - PAST
     if len(inputs) < SHORTEST * PAST:
         return

@@ -212,7 +212,7 @@ def _judge_length(case: Case) -> Iterator[str]:
 
 
 def _judge_slow_mode(case: Case) -> str:
-    """Sentence on a model whose slowest mode hardly decays within the length of a record.
+    """Sentence on a model whose slowest mode hardly decays within a record's length.
 
     It speaks of the output where the log shows that it integrates, else of the model alone.
     """
@@ -266,7 +266,7 @@ def _judge_drift(case: Case) -> Iterator[str]:
 
 
 def _judge_repetition(case: Case) -> Iterator[str]:
-    """Sentence on test records that contain parts of the training records."""
+    """Sentence on test records that repeat stretches of the training records."""
     share = repeated_test_share(case.data)
     if share > PART:
         yield (

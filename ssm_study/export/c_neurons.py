@@ -8,8 +8,8 @@ from ssm_study.models.structured import NEURONS
 
 
 def render_neurons(device: Device, prefix: str) -> dict[str, str]:
-    """C code for the neurons of a controller's model, by its place in the header; empty texts for a
-    model without neurons.
+    """C code for the neurons of a controller's model, keyed by placeholder; empty texts for a model
+    without neurons.
 
     `include` is math.h, `neurons` their function, `read` its call where the observer's error is
     not known yet, `driven` the call where it is.

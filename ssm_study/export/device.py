@@ -34,7 +34,8 @@ IDLE = 1e-9  # relative: a direction of inputs below it moves no output at rest
 
 @dataclass(frozen=True, kw_only=True)
 class SetPoints:
-    """Maps from set points to equilibria of the controller's model, and back.
+    """Maps from set points to equilibria of the controller's model, and from equilibria to set
+    points.
 
     `to_lifted (k, q)` is `G^+`, `at_rest (n, k)` is `(I - A)^{-1} B` over zeros, `seen (q, k)`
     is G. With neurons each is a line through stored points, which misses what S_y reads by at most
@@ -119,7 +120,7 @@ class Device:
 
     @property
     def no_set_points_reason(self) -> str:
-        """Reason why a device cannot compute equilibria for set points, as a clause; empty if it
+        """Clause that says why a device cannot compute equilibria for set points; empty if it
         can."""
         if self.set_point_maps is not None:
             return ""
@@ -256,8 +257,8 @@ class Device:
         set_point: Vector,
         disturbance_or_none: Vector | None = None,
     ) -> tuple[Vector, Vector]:
-        """Input of the controller for one sample, cut at the input limits, and the controller's
-        next state.
+        """Input of the controller for one sample, saturated at the input limits, and the
+        controller's next state.
 
         Without set points the law steers towards the equilibrium. Measured disturbances that are
         not given are at theirs.

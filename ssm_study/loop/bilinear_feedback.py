@@ -64,7 +64,7 @@ class BilinearFeedback(Controller):
         return np.zeros((cases, order))
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
-        """Input computed from the state estimate and cut at the outermost input levels of the
+        """Input computed from the state estimate, saturated at the outermost input levels of the
         bilinear model."""
         nodes = self.model.nodes
         unlimited = memory @ self.k.T

@@ -72,7 +72,7 @@ class Comparison(ComparisonTable):
         require(not unknown, f"loop.comparison.{field_name}", unknown, problem, remedy)
 
     def rows(self, plant: Plant, identified: Identified, loop: Loop, seed: int) -> list[Row]:
-        """Rows of the comparison table, one for each controller under each test condition.
+        """Rows of the comparison table, one for each controller and test condition.
 
         A controller that does not exist for this model has rows with the reason and no numbers.
         """

@@ -58,8 +58,8 @@ class Controller(ABC):
         return reference
 
     def required_inputs(self, reference: Reference) -> Float[np.ndarray, "K m"]:
-        """Inputs that a control law needs to hold the extreme values of the reference; empty where
-        they are not known."""
+        """Inputs with which a control law holds the extreme values of the reference; empty if
+        unknown."""
         return np.zeros((0, self.dimensions[0]))
 
     @abstractmethod
@@ -212,7 +212,7 @@ class ObserverFeedback(EstimateFeedback):
     def unlimited_input(
         self, planned_input: ScaledInputs, feedback_input: ScaledInputs
     ) -> np.ndarray:
-        """Scaled input that the control law requests, before it is cut at the input limits.
+        """Scaled input that the control law requests, before saturation at the input limits.
 
         `planned_input* + K (...)`; or, where `S_u` is undone, `S_u^{-1}(S_u(u*) + K (...))`.
         """

@@ -84,7 +84,8 @@ class DesignGrid(ComparisonTable):
         return rows
 
     def draw_gain_pairs(self, candidates: Candidates, seed: int) -> Int[np.ndarray, "D 2"]:
-        """Draw random pairs of controller and observer gains, as indices of the candidate gains."""
+        """Draw random pairs of a controller gain and an observer gain, as indices into the lists of
+        gains."""
         controller_count = len(candidates.ks)
         observer_count = len(candidates.ls)
         counts = (controller_count, observer_count)

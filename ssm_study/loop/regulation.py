@@ -252,8 +252,8 @@ class Loop:
         return np.asarray(low, dtype=float), np.asarray(high, dtype=float)
 
     def with_default_limits(self, recorded_inputs: Sequence[Float[np.ndarray, "_ m"]]) -> "Loop":
-        """Copy of a closed-loop experiment in which missing input limits are set to the range of
-        the recorded inputs."""
+        """Copy of a closed-loop experiment in which missing input limits are the range of the
+        recorded inputs."""
         low, high = input_limits(self.input_lower, self.input_upper, recorded_inputs)
         input_lower = low.tolist()
         input_upper = high.tolist()

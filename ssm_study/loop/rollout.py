@@ -151,8 +151,8 @@ def _is_inside_bound(
 def _require_valid_experiment(
     plant: Plant, controller: Controller, reference: OutputSignal, limits: Limits
 ) -> None:
-    """Raise `BadRequest` for a controller that does not fit the plant, and for a reference that
-    limited inputs cannot hold."""
+    """Raise `BadRequest` for a controller that does not fit the plant, or a reference that limited
+    inputs cannot hold."""
     _require_matching_dimensions(plant, controller)
     if any(np.isfinite(end).any() for end in limits):
         required_inputs = controller.required_inputs(reference)

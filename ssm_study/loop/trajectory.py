@@ -69,8 +69,7 @@ def scaled_equilibrium(model: Model, output: Vector) -> tuple[Vector, Vector]:
 
 
 def _equilibrium_residual(model: Model, scaled_output: Vector, state_and_input: Vector) -> Vector:
-    """Amount by which a state and an input fail to be an equilibrium of a model with a given scaled
-    output."""
+    """Residual of a model's equilibrium equations for a state, an input and a scaled output."""
     x, v = np.split(state_and_input, [model.order])
     motion = model.advance(x, v) - x
     through_neurons: Vector | float = 0.0

@@ -1,5 +1,5 @@
-"""Outcome of a run on one screen, in the blocks MODEL, PROVED, PREDICTED and SEEN, and the places
-of its figures."""
+"""Printed outcome of a run in the blocks MODEL, PROVED, PREDICTED and SEEN, with the paths of its
+figures."""
 
 import math
 import re
@@ -276,7 +276,7 @@ def refit_text(record: Mapping[str, Any]) -> str:
 
 
 def fresh_data_text(record: Mapping[str, Any]) -> str:
-    """Text on how large the model error in fresh data is, relative to that in the records."""
+    """Text on the ratio of the model error in fresh data to the model error in the records."""
     needed = record.get("coverage_needed")
     if needed is None:
         return ""

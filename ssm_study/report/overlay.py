@@ -71,8 +71,8 @@ def baseline_line(folders: Sequence[Path]) -> str:
 
 
 def distinguishing_run_names(folders: Sequence[Path]) -> list[str]:
-    """Names of runs, shortened by the parts that all of them have in common. Names that are still
-    equal are whole."""
+    """Names of several runs, shortened by the parts that all the names have in common. Names that
+    are still equal are whole."""
     parts = [folder.name.split("-") for folder in folders]
     counts = set(map(len, parts))
     if len(counts) == 1:

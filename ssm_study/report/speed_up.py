@@ -15,8 +15,8 @@ def open_loop_rate(record: Mapping[str, Any]) -> float | None:
 
 
 def unproved_speed_up_text(record: Mapping[str, Any], step_s: float | None) -> str:
-    """Remark that the controller's proved contraction rate is no larger than the rate without
-    control; empty where it is larger."""
+    """Remark that the controller's proved rate is no larger than the rate without control; empty if
+    it is larger."""
     rate = record.get("controller_certified_rate")
     alone = open_loop_rate(record)
     if rate is None or alone is None or rate > alone:

@@ -170,7 +170,7 @@ VERDICTS = (SETTLED, NO_FASTER, LOST, UNTRIED, *BY_CLASS[3:])
 
 
 def verdict_per_run(table: pd.DataFrame) -> pd.Series:
-    """Verdict of every run in a results table: its outcome class, or that it is certified without a
+    """Verdict on every run in a results table: the outcome class, or certified without a simulated
     closed loop."""
     classes = outcome_class(table)
     verdict_column = classes.map(lambda place: BY_CLASS[place]).astype(object)

@@ -91,8 +91,8 @@ def check_settings(run: RunFiles) -> Claims:
 def split_confirmable_settings(
     columns: Mapping[str, Any],
 ) -> Iterator[DerivedColumns | RepeatedSettings]:
-    """Split the recorded settings of a run into those that its results can confirm and those that
-    no result depends on."""
+    """Split the recorded settings of a run into those that results can confirm and those that
+    affect no result."""
     remaining = dict(columns)
     for reason, prefixes in UNSUPPORTED.items():
         names = [name for name in remaining if (setting_path(name) or name).startswith(prefixes)]
@@ -188,8 +188,8 @@ def label_pairs(
 
 
 def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checked]:
-    """Check that the free runs of a model begin with the kind of initial state that the run's
-    `record.json` states.
+    """Check that free runs of a model start from the kind of initial state that `record.json`
+    states.
 
     Records of 0.1 know no choice: they begin with the first samples.
     """
@@ -240,8 +240,8 @@ def check_fits(run: RunFiles) -> Claims:
 
 
 def check_loops(run: RunFiles) -> Claims:
-    """Check that the recorded closed loops of a run and the values computed from them follow from
-    model, gains and plant."""
+    """Check that model, gains and plant reproduce a run's recorded closed loops and the values from
+    these."""
     yield from check_loop_files(run)
     if not run.closes_loop:
         return

@@ -90,7 +90,7 @@ def is_not_a_result(name: str) -> bool:
 
 
 def list_files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
-    """List the files of a run, and the entries in them, that no check recomputes, each with the
+    """List files of a run, and values in these files, that no check recomputes, each with the
     reason."""
     yield NotChecked({"runs.parquet, runs.csv, report.html, figures and exports": MADE_OF_RUNS})
     repeated = ("training_curve.json, choice.json", "certificate.json seconds, solver_status")

@@ -31,8 +31,9 @@ class DerivedColumns:
 
 @dataclass(frozen=True)
 class RepeatedSettings:
-    """Recorded settings that no result of a run depends on, compared with the configuration alone.
-    They fail where they differ from it, and are not checked where they agree, for the reason."""
+    """Recorded settings that affect no result of a run and can only be compared with its
+    configuration. They fail where they differ from it, and are not checked where they agree, for
+    the reason."""
 
     columns: Mapping[str, Any]
     reason: str
@@ -67,7 +68,7 @@ def check_agreement(
 
 
 def check_entries(run: RunFiles, file: str, read: Any) -> Checked:
-    """Check whether a file of a run contains only entries that the reader of the file uses."""
+    """Check that a file of a run contains no entries that the program would ignore."""
     extra = find_unknown_entries(run.read_stored_object(file), read.to_json())
     observation = f"unknown: {', '.join(extra)}" if extra else "known"
     return Checked(claim=f"{file} entries", holds=not extra, found=observation)

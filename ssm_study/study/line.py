@@ -217,8 +217,8 @@ class Study(Task["Specification"]):
         return facts | {"status": INFEASIBLE if is_infeasible else OK}
 
     def parameters(self, request: "Specification") -> Facts:
-        """Parameters of a run as columns of its record: numbers of the configuration, and the kinds
-        of its parts.
+        """Parameters of a run as columns of its record: numeric settings, and the kind of model,
+        plant and so on.
 
         A number stands where the configuration has it (`Column.setting`).
         """
@@ -279,7 +279,7 @@ def refuse_retry_without_runs(config: DictConfig, run: str = "*") -> None:
 
 
 def undeclared_number_columns(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
-    """Columns of a run's record for the numbers of the configuration that have no declared column.
+    """Columns of a run's record for numeric settings that have no declared column.
 
     A part, as `training/optimiser` or `peer@loop.peer`, is named by its kind.
     """

@@ -1,4 +1,4 @@
-"""Cache of data sets from logs, which are read only once in a process.
+"""Cache of data sets from logs, so that a process reads each log only once.
 
 A run asks for its log when it is checked, and again when its first stage is computed; to verify it
 in the same process asks once more. A long log takes seconds to read, so the last data sets are

@@ -267,8 +267,7 @@ def refuse_repeated_keys(file: str, pairs: list[tuple[str, Any]]) -> dict[str, A
 
 
 def find_unknown_entries(stored: Any, written: Any, parent_path: str = "") -> list[str]:
-    """Find dotted paths of entries in a stored JSON object that the reader of the file does not
-    use.
+    """Find entries of a stored JSON object that the program would ignore, by their dotted paths.
 
     Nobody checks them.
     """

@@ -166,8 +166,8 @@ class Specification:
     def stage_settings(
         self, *names: str, computed: Mapping[str, Any] = NONE, unkeyed: Mapping[str, Any] = NONE
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings by which a stored computing step is found again, and the arguments with which
-        the step is computed.
+        """Settings that identify the stored result of a computing step, and the arguments that the
+        step is called with.
 
         The settings, of which its key is made, are those of the named parts and the `computed`
         values; the arguments the parts themselves, the same values, and those that are `unkeyed`.

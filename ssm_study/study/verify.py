@@ -41,7 +41,8 @@ UNREACHED = "rests on what cannot be derived"
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """Result of checking every claim of a run, with one finding for each claim."""
+    """Result of checking every claim (setting, result or certificate) of a run, with one finding
+    for each."""
 
     findings: tuple[Checked, ...]
     unchecked: Mapping[str, str]
@@ -56,7 +57,7 @@ class Verification:
 
     @property
     def holds(self) -> bool:
-        """Whether every checked claim of a run holds."""
+        """Whether every checked claim (setting, result or certificate) of a run holds."""
         return all(finding.holds for finding in self.findings)
 
     def require_valid(self, field: str, value: Any) -> None:
@@ -102,7 +103,7 @@ class Verification:
 
 
 def finding_lines(findings: Sequence[Checked]) -> list[str]:
-    """Text lines of a verification: each claim that holds, and each cause of failed claims."""
+    """Text lines of a verification: each claim that holds, and each reason for failed claims."""
     failing: dict[str, list[str]] = {}
     for finding in findings:
         if not finding.holds:
@@ -126,7 +127,8 @@ def _finding_text(finding: Checked) -> str:
 
 
 def verify(run: Path) -> Verification:
-    """Check every claim of a run again from the files in its folder.
+    """Check every claim (setting, result or certificate) of a run again from the files in its
+    folder.
 
     Raises `BadRequest` if `run` is no finished run folder, or is made of parts that are not trusted
     here.
@@ -152,7 +154,7 @@ def verify(run: Path) -> Verification:
 
 
 def verify_files(run: RunFiles) -> Verification:
-    """Check every claim of a finished run whose files have been opened."""
+    """Check every claim of a finished run, given its opened files."""
     findings: list[Checked] = []
     derived: dict[str, Any] = {}
     repeated: dict[str, str] = {}

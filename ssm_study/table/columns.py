@@ -77,8 +77,7 @@ def setting_columns(table: pd.DataFrame) -> list[str]:
 
 
 def group_by_part(names: Iterable[str]) -> dict[str, list[str]]:
-    """Group the names of table columns by the part of the study that they describe, such as model
-    or controller.
+    """Group the names of table columns by the part of the study, such as model or controller.
 
     Settings come first, what no part declares last.
     """

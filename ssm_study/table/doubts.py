@@ -77,8 +77,8 @@ def column_of_setting(path: str) -> str:
 
 
 def comparable_setting_text(value: Any) -> str:
-    """Uniform text of a setting's value, so that values from the command line and from a table can
-    be compared."""
+    """Text of a setting's value in one form, so that values from command line and table can be
+    compared."""
     text = str(value)
     if text in ("True", "False", "<NA>"):
         return text

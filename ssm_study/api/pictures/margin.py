@@ -120,8 +120,8 @@ def physical_input_scale(model: Model, unit: str) -> InputScale | None:
 
 
 def amplitude_text(amplitude: float, input_scale: InputScale | None) -> str:
-    """Text of an input amplitude in physical units if the input's scale is known, otherwise as a
-    multiple of that scale."""
+    """Text of an input amplitude in physical units or, if the scale of the input is unknown, in
+    input scales."""
     if input_scale is None:
         return f"input of rms {amplitude:.2g} input scales"
     size, unit = input_scale

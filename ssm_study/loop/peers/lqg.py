@@ -61,8 +61,8 @@ class LqgPeer(Peer, names=("lqg",)):
 
 
 def lqg_weights(plant: Plant, identified: Identified, rate: float) -> Synthesis:
-    """Weights of the LQG controller: the cost weights of `synthesis=riccati`, and the variance of
-    the plant's sensor noise.
+    """Weights of the LQG controller: cost weights of `synthesis=riccati`, and the sensor noise's
+    variance.
 
     One input scale drives the states; a linear design has no rate.
     """

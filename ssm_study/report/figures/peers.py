@@ -23,8 +23,8 @@ BAR: dict[str, Any] = {"color": style.VERMILLION, "lw": 1.6, "zorder": 4}
 
 @dataclass(frozen=True, kw_only=True)
 class PeerPanel:
-    """Panel of a figure that shows one result for each compared controller, with the settings of
-    its axis."""
+    """Panel of a figure that shows one result of each compared controller, with the settings of its
+    axis."""
 
     values: pd.Series
     label: str

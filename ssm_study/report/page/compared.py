@@ -163,8 +163,8 @@ def margins_and_settled_fractions(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def settled_sentence(points: pd.DataFrame) -> str:
-    """Sentence on how many designs with a stability margin above and below one settle from every
-    initial state."""
+    """Sentence on how many designs with a stability margin above one, and below one, settle from
+    all initial states."""
     is_above = points["margin"] > 1
     settles = points["share"] >= 1
     above = f"{int((is_above & settles).sum())} of {int(is_above.sum())}"

@@ -26,8 +26,8 @@ GOOD = {SETTLED.word, NO_FASTER.word, IDENTIFIED.word}
 
 @dataclass(frozen=True, kw_only=True)
 class FailureGroup:
-    """Group of runs that failed for the same reason, and where they stand in the table. `places`
-    are the first of their rows in the table."""
+    """Group of runs that failed for the same reason, with their places in the results table.
+    `places` are the first of their rows in the table."""
 
     reason: str
     count: int

@@ -145,7 +145,7 @@ def prediction_card(record: Record) -> Card | None:
 
 def closed_loop_card(record: Record, loop: RecordedLoopFacts | None = None) -> Card | None:
     """Card of the report page on how many initial states settled, how fast, and how a PI controller
-    does."""
+    compares."""
     count = record.get("stable_count")
     if count is None:
         return None
@@ -177,7 +177,7 @@ def is_loop_closed_on_model(record: Record) -> bool:
 
 
 def record_verdict(record: Record) -> Verdict:
-    """Verdict on a run, such as certified or failed, from its record."""
+    """Verdict on a run, such as certified or failed, taken from its record."""
     return next(verdict for verdict in VERDICTS if verdict.word == record["verdict"])
 
 
