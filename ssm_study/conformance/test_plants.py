@@ -64,7 +64,7 @@ def test_a_batch_equals_its_rows(plant: Plant) -> None:
 
 
 def test_two_halves_equal_the_whole(plant: Plant) -> None:
-    """Simulating in two halves gives the same as simulating in one piece."""
+    """Simulating a plant in two halves of the time gives the same as simulating it at once."""
     u = random_inputs(plant, 2)
     x, _ = plant.simulate(u)
     second_input = u[:, HALF:]

@@ -1,4 +1,4 @@
-"""Conversion of dates and times in common forms to seconds since the first."""
+"""Conversion of dates and times in common forms to seconds since the first date."""
 
 import re
 

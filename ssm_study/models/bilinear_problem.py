@@ -39,7 +39,7 @@ Vector = Float[np.ndarray, "P"]
 
 
 class FitParameters(NamedTuple):
-    """Parameters of a bilinear model during its fit, one field for each block."""
+    """Parameters of a bilinear model during its fit, one field for each kind of parameter."""
 
     x: Float[np.ndarray, "q n n"]
     b: Float[np.ndarray, "q n"]

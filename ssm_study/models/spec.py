@@ -85,7 +85,7 @@ class SSMSpec(ModelSpec):
             self._check_pole_ring()
 
     def _check_pole_ring(self) -> None:
-        """Raise `BadRequest` for an impossible ring of random poles or number of real poles."""
+        """Raise `BadRequest` for an impossible range of random poles or number of real poles."""
         require_whole_number(0, "real_modes", self.real_modes, "use 2")
         pairs = self.order - self.real_modes
         remedy = "leave an even number of states for the pairs"

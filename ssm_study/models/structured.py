@@ -187,7 +187,7 @@ class StructuredSSM(ScaffoldedModel):
 
     @property
     def _structured_system(self) -> StructuredSystem:
-        """Recurrence with neurons in the form on which certificates are computed."""
+        """Recurrence with neurons in the form for which certificates are computed."""
         names = [block.name for block in fields(StructuredSystem)]
         blocks = {name: getattr(self, name) for name in names}
         return StructuredSystem(**blocks)

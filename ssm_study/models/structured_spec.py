@@ -1,5 +1,5 @@
-"""Settings of `conf/model/structured.yaml`, and the trainable maps S_u and S_y with their
-derivatives."""
+"""Settings of the structured model (`conf/model/structured.yaml`), and its trainable static maps
+with derivatives."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

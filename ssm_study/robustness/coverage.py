@@ -67,12 +67,11 @@ class Weights:
     input: Float[np.ndarray, "v2 v2"]
 
     def output_weight(self, angles: Powers) -> Powers:
-        """Squared weight of the model's output at each frequency, in the size of the allowed model
-        error."""
+        """Squared weight of the model's output in the allowed model error, at each frequency."""
         return self.floor**2 + squared_gain(self.output, angles)
 
     def input_weight(self, angles: Powers) -> Powers:
-        """Squared weight of the input at each frequency, in the size of the allowed model error."""
+        """Squared weight of the input in the allowed model error, at each frequency."""
         return squared_gain(self.input, angles)
 
     def largest_required_radius(self, requirements: Sequence[Item]) -> tuple[float, str]:

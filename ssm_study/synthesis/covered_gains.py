@@ -116,7 +116,8 @@ class GainSearch:
         return columns.get("coverage") or 0.0
 
     def response_area(self, gains: Gains) -> float:
-        """Area under the response of the model with given gains, relative to the open loop."""
+        """Area under the simulated closed-loop response with given gains, relative to the open
+        loop."""
         return self._response_areas([gains])[0]
 
     def search_best_gains(
@@ -222,7 +223,7 @@ class GainSearch:
         return [float(ratio) for ratio in ratios]
 
     def _response_areas(self, proposals: list[Gains]) -> list[float]:
-        """Areas under the responses of the model with each of several proposed gains, relative to
+        """Areas under the simulated closed-loop responses with several proposed gains, relative to
         the open loop."""
         stacked_gains = stack_gains(proposals)
         areas = relative_response_areas(self.model, stacked_gains, self.validation, self.limits)

@@ -80,8 +80,8 @@ class ExpectedResponse:
     decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS)
 
     def loop_gain(self, pair: Pair, cached_responses: Responses) -> float:
-        """Loop gain of a design under the measured model error, which is the inverse of its
-        stability margin. The computation stops early from `1 / margin` on."""
+        """Loop gain of a design under the measured model error, the inverse of the stability
+        margin. The computation stops early from `1 / margin` on."""
         gains = self.candidates.gains(pair)
         refused = 1 / self.margin
         return robustness_measure(

@@ -125,8 +125,8 @@ def _load_over_time(
 def relative_response_areas(
     model: Model, gains: Gains, validation: Trajectories, limits: Ends | None = None
 ) -> RelativeAreas:
-    """Area under the response of each design on the model relative to the open loop, averaged over
-    initial states.
+    """Area under the simulated closed-loop response of each design relative to the open loop,
+    averaged over initial states.
 
     `J = sum_k (||y[k]|| + [not settled at k])`, settled when `||y||` stays below `SETTLED`: the
     area hardly sees a faint tail, on which the time to settle turns; the time does not see what

@@ -328,6 +328,6 @@ def _local_minima(values: Angles, threshold: float) -> list[int]:
 
 
 def form_sizes(forms: Complex[np.ndarray, "A F G G"]) -> Float[np.ndarray, "A"]:
-    """Norm of each quadratic form, by which its multiplier is scaled."""
+    """Norm of each quadratic form, by which the form's multiplier is scaled."""
     largest_entries = np.abs(forms).max(axis=(1, 2, 3))
     return np.asarray(np.maximum(largest_entries, np.finfo(float).tiny))

@@ -1,4 +1,5 @@
-"""Certificate that the deployed gains tolerate the recorded model error, and its table columns.
+"""Certificate that the deployed gains tolerate the recorded model error, and the result-table
+columns that describe it.
 
 `coverage` is kappa over what the run's own records need at the certificate's weights. Both are
 derived from recordings by `verify`: weights that are stored larger need less and prove less, so no

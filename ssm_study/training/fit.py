@@ -181,9 +181,8 @@ def roughness_penalty(model: TorchModel, weight: float) -> Float[Tensor, ""]:
 
 
 class Fit(pl.LightningModule):
-    """Lightning module that trains a torch model, and the initial states of windows where they are
-    free. It minimises the training loss over the model and, where they are free, the initial states
-    of windows.
+    """Lightning module that trains a torch model and, where they are free, the initial states of
+    the training windows. It minimises the training loss over these parameters.
 
     `whole` are the records that the windows were cut from: the training fit that is shown is always
     that of whole records. Raises `BadRequest` for settings that this model cannot have.

@@ -295,7 +295,7 @@ def take_step(
         return state.theta | moved_blocks
 
     def solve_damped(damping: float) -> Float[np.ndarray, "P"] | None:
-        """Solve the damped normal equations for a step."""
+        """Solve the damped normal equations for a Levenberg-Marquardt step."""
         damping_matrix = np.diag(damping * scale)
         return solve_damped_equations(normal + damping_matrix, gradient)
 

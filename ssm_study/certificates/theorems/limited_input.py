@@ -1,4 +1,4 @@
-"""Contraction of a closed loop with input limits from all initial states, for a gain designed
+"""Proof that a closed loop with input limits contracts from all initial states, for a gain designed
 without limits.
 
 Problem. `u = sat(K x)`, each input cut at its limits: what is certified from any start?
@@ -54,13 +54,12 @@ class LimitedFeedback(StateFeedbackOfBall):
 
     @classmethod
     def required_ball(cls, context: VerificationContext) -> JacobianBall:
-        """Ball of Jacobians of the model's static input map behind the saturation of the limited
-        input."""
+        """Ball of Jacobians of the input's saturation followed by the model's static input map."""
         return ball_behind_saturation(context.balls.input, context.controlled.b.shape[1])
 
 
 def ball_behind_saturation(ball: JacobianBall, input_count: int) -> JacobianBall:
-    """Ball of Jacobians of a static input map that follows a saturation. It contains zero and the
+    """Ball of Jacobians of a saturation followed by a static input map. It contains zero and the
     ball of `S_u`; its radius is rounded up."""
     size = abs(ball.alpha)
     if input_count == 1:
