@@ -186,8 +186,8 @@ def indices_to_compare(
 def predicts_faster_response(
     model: Model, gains: Gains, mismatch: Mismatch, validation: Trajectories, trials: Trajectories
 ) -> bool:
-    """Whether a design responds clearly faster than the open loop, both on the model and in the
-    recorded decays. Input limits are not considered."""
+    """Whether a design responds clearly faster than the open loop, both in simulation and compared
+    with the recorded decays. Input limits are not considered."""
     k = gains.k[None]
     l_ = gains.l[None]
     l_z = None if gains.l_z is None else gains.l_z[None]

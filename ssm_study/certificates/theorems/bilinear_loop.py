@@ -173,8 +173,8 @@ def gain_bound_blocks(matrix: Any, output_metric: Any, bound: Any, metric: Any) 
 
 
 def feedback_conditions(proof: Any) -> dict[str, Blocks]:
-    """Conditions on the state feedback of a bilinear model, one for each input level (node) and
-    each segment between levels."""
+    """Conditions on the state feedback of a bilinear model, one for each pair of an input level
+    (node) and a segment between levels. Both sides are multiplied by the segment's width."""
     conditions: dict[str, Blocks] = {}
     for segment in range(count_nodes(proof) - 1):
         width = segment_width(proof, segment)
