@@ -1,4 +1,4 @@
-"""Files that are replaced atomically, sealed with a digest, and locked. Old version whole or new
+"""Files that are replaced atomically, protected by a digest, and locked. Old version whole or new
 version whole: writes that survive kills and full disks, locks that die with us."""
 
 import errno
@@ -162,7 +162,7 @@ def _sha256_of_body(body: dict[str, Any]) -> str:
 
 @contextmanager
 def file_lock(path: Path, patience_s: float = math.inf) -> Iterator[bool]:
-    """Context manager that tries to hold an exclusive lock on a file, and yields whether it was
+    """Context manager that tries to lock a file exclusively, and yields whether the lock was
     obtained in time.
 
     The system releases it when the process dies. It is a flock; on a file system that knows none
@@ -214,8 +214,8 @@ def _acquire_lock(descriptor: int, patience_s: float, exit_stack: ExitStack) -> 
 
 
 def _retry_until_deadline(attempt: Callable[[], bool], patience_s: float) -> bool:
-    """Call a function repeatedly until it returns true or a time limit has passed; return whether
-    it succeeded."""
+    """Call a function repeatedly until success or a time limit; return whether the call
+    succeeded."""
     deadline = time.monotonic() + patience_s
     while not attempt():
         if time.monotonic() >= deadline:

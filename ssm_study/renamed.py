@@ -30,7 +30,7 @@ CHANGELOG = "CHANGELOG.md, version 0.2.0"
 
 
 class OldName(FutureWarning):
-    """Warning about a name of an earlier version, which still works for one version."""
+    """Warning that an old name was used, which still works for one version."""
 
 
 # Names

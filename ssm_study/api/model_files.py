@@ -107,7 +107,7 @@ def check_seal(folder: Path, content: dict[str, Any]) -> None:
 
 
 def read_model_fields(folder: Path) -> dict[str, Any]:
-    """Read the fields of an identified model from the folder in which it was saved.
+    """Read the arguments from which a saved model is built again, from the folder of the model.
     `write_model_files` wrote it.
 
     Raises `BadRequest` for a damaged file.

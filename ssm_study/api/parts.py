@@ -227,7 +227,7 @@ class Parts:
         assign_value(self.trees, place, tree)
 
     def _set_field(self, key: str, text: str) -> None:
-        """Set one setting of a part of a study, given by its dotted path."""
+        """Set one setting, given by its dotted path, of a part of a study."""
         value = parse_value(text)
         if key in NUMBERS:
             kind = type(value)
@@ -259,7 +259,7 @@ class Parts:
         return True
 
     def set_fields(self, part: str, **settings: Any) -> None:
-        """Set several settings of one part of a study; a setting whose new value is None stays
+        """Set several settings of one part of a study; a setting with the new value None stays
         unchanged."""
         for name, value in settings.items():
             if value is not None:

@@ -137,8 +137,8 @@ class RestDesign:
         return int(limited_samples)
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
-        """Write the controller as C99 source code with a header and a program that replays it. The
-        header is `path`.
+        """Write the controller as C99 source code with a header and a program that replays
+        measurements. The header is `path`.
 
         `real` is "double" or "float". Raises `BadRequest` where no gains were found.
         """

@@ -106,8 +106,8 @@ def choice_text(chosen: str) -> str:
 
 
 def chosen_sizes(chosen: str) -> dict[str, int]:
-    """Numbers of states and neurons that were chosen from the records, before training removed
-    unused ones."""
+    """Numbers of states and neurons as chosen from the records, before training removed unused
+    states or neurons."""
     sizes = re.findall(r"\b(order|neurons) (\d+)", chosen)
     return {name: int(size) for name, size in sizes}
 

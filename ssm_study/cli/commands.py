@@ -26,8 +26,8 @@ EXPORTED = (".h", ".c", ".json", ".py", ".onnx")
 def run_command_on_folder(
     action: Command, folder_kind: str, options: argparse.Namespace
 ) -> int | None:
-    """Find the study folder or run folder that command-line options name, and call the command with
-    it."""
+    """Find the study or run folder that command-line options name, and call the command with this
+    folder."""
     from ssm_study.table import folders
 
     find_folder = {

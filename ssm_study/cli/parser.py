@@ -85,8 +85,8 @@ def add_excite(subparsers: Subparsers) -> None:
 
 
 def add_look(subparsers: Subparsers) -> None:
-    """Add the command `look FILE`, which describes and draws a log and prints a command that fits a
-    model to it."""
+    """Add the command `look FILE`, which describes and draws a log and prints a command for fitting
+    a model."""
     summary = "show what is in a log: columns, clock, holes, dynamics; and the command that fits it"
     command = add_command(subparsers, "look", summary)
     command.add_argument("file", type=Path, metavar="FILE", help="the log")

@@ -60,8 +60,8 @@ def quote_sines(arguments: Iterable[str]) -> list[str]:
 
 
 def compose_request(arguments: list[str], folder: Path, name: str) -> Command:
-    """Compose the configuration that a command line requests, and raise `BadRequest` if it names a
-    class outside the allow list.
+    """Compose the configuration that a command line requests; raise `BadRequest` for a class
+    outside the allow list.
 
     Hydra makes callbacks, launcher and sweeper before any code of ours is asked; so this comes
     first. Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
@@ -83,8 +83,8 @@ def parse_overrides(request: Command) -> list[Override]:
 
 
 def refuse_missing_choices(request: Command) -> None:
-    """Raise `BadRequest` for a configuration group without a chosen value, such as `plant=`, for
-    which Hydra's own error is unclear."""
+    """Raise `BadRequest` for a configuration group without a choice, such as `plant=`, which Hydra
+    reports unclearly."""
     assert isinstance(request.config_loader, Loader)
     for override in parse_overrides(request):
         key = str(override.key_or_group)

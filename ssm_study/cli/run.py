@@ -60,7 +60,8 @@ def _warning_text(
 
 
 def configuration_folder() -> Path:
-    """Folder of the configuration files, inside the installed package or beside it in a clone."""
+    """Folder of the configuration files, in the installed package or next to the package in a
+    clone."""
     package = Path(str(files("ssm_study")))
     return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
 
@@ -145,7 +146,7 @@ def print_progress(activity: str) -> None:
 
 
 def write_and_open_page(request: Command) -> None:
-    """Write the report page of a study and open it in the browser."""
+    """Write the report page of a study and open the page in the browser."""
     from ssm_study.report.page.writing import write_page
     from ssm_study.study.line import study_folder
 
@@ -155,8 +156,8 @@ def write_and_open_page(request: Command) -> None:
 
 
 def print_study_summary(request: Command) -> bool:
-    """Gather the results table of a study and print it; return whether a run failed. A single run
-    is drawn."""
+    """Gather and print the results table of a study; return whether a run failed. A single run is
+    drawn."""
     return (
         print_sweep_summary(request.config)
         if request.is_sweep

@@ -77,8 +77,8 @@ def print_run_summary(config: DictConfig) -> bool:
 
 
 def _read_cached_list(cache_file: Path, study: Path, files: Sequence[Path]) -> list[Any]:
-    """Read a cached JSON list; empty if the cache file is older than the study's records or than
-    one of the given files.
+    """Read a cached JSON list; empty if a record of the study or a given file is newer than the
+    cache.
 
     Figures that are younger show another run of the study.
     """
@@ -124,8 +124,7 @@ def _outcome_text(
 
 
 def print_sweep_summary(config: DictConfig) -> bool:
-    """Bring the study's table up to date and print it after a sweep; return whether a run
-    failed."""
+    """Update and print the results table of a study after a sweep; return whether a run failed."""
     from ssm_study.evidence.finding import CANNOT_JUDGE
     from ssm_study.table.doubts import RUNS_IN_SENTENCE
     from ssm_study.table.folders import abbreviate_names

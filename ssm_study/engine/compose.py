@@ -204,7 +204,7 @@ class ComposedChoices:
         return Settings(settings | {"run": run_name(settings, *self.settings_in_run_name)})
 
     def job_section(self, name: str, values: dict[str, Any]) -> Any:
-        """One section of the settings of a job, with the job's own values put in."""
+        """One section of the settings of a job, with the values that only this job has."""
         typed = [(path, type(value), value) for path, value in values.items()]
         key = (name, *typed)
         if key not in self.sections:
@@ -306,7 +306,7 @@ class Composer:
         return self.composed[key]
 
     def _parse_override(self, word: str) -> tuple[Override, bool]:
-        """Parse one command-line override, and say whether it only sets a plain value."""
+        """Parse one command-line override, and say whether the override only sets a plain value."""
         if word not in self.parsed:
             override = self.parser.parse_override(word)
             refuse_nonfinite_settings({str(override.key_or_group): override.value()})

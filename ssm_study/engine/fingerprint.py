@@ -374,7 +374,7 @@ def _bound_names(statement: ast.stmt) -> set[str]:
 
 
 def _names_read(node: ast.AST) -> Iterator[str]:
-    """Names that are read when a statement runs or when what it defines is called."""
+    """Names that a statement reads when it runs, or when a function that it defines is called."""
     if isinstance(node, ast.Name):
         yield node.id
     for label, value in ast.iter_fields(node):

@@ -132,8 +132,8 @@ def _redirect_output(folder: Path) -> None:
 
 
 def ended_job_outcome(job: Job) -> Outcome:
-    """Outcome of a job whose process has ended, read from its record or, without one, from the way
-    the process died."""
+    """Outcome of a job whose process has ended, read from the job's record, else from the process's
+    exit status."""
     assert job.process is not None
     job.process.join()
     kill_job(job)  # what the job started and left behind

@@ -30,9 +30,9 @@ FINISHED = frozenset({OK, INFEASIBLE})
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Outcome of a run: its status, and whether it was executed now or found finished. `did` is one
-    of `ran`, `found` (finished before), `left` (failed before and not to be retried), `elsewhere`
-    (another process works on it)."""
+    """Outcome of a run: its status, and whether the run was executed now or had finished before.
+    `did` is one of `ran`, `found` (finished before), `left` (failed before and not to be retried),
+    `elsewhere` (another process works on it)."""
 
     folder: Path
     status: str
@@ -272,8 +272,8 @@ def write_failure(
 
 
 def _archive_attempt(folder: Path, earlier_record: Mapping[str, Any] | None) -> None:
-    """Move the files of an earlier attempt at a run into a subfolder, so that files of two attempts
-    never mix."""
+    """Move the files of an earlier attempt at a run into a subfolder, to keep the attempts
+    apart."""
     if earlier_record is None and not (folder / RECORD).exists():
         for path in folder.glob(".*.tmp"):  # of writes that were killed
             path.unlink()

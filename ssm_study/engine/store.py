@@ -111,8 +111,8 @@ class Store(Stages):
     def _compute_stage(
         self, name: str, key: str, note: dict[str, Any], compute: Compute
     ) -> StageResult:
-        """Compute a step (stage) of a run in a temporary folder, seal the folder with checksums,
-        and move it to its place."""
+        """Compute a step (stage) of a run in a temporary folder, add checksums, and move the folder
+        into the store."""
         final = self.stage_folder(name, key)
         temporary = final.with_name(f".tmp-{final.name}-{machine_name()}-{secrets.token_hex(4)}")
         # Beside its final name: a rename cannot leave the file system.

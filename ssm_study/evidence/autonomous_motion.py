@@ -79,6 +79,6 @@ def predicted_power_shares(case: Case) -> tuple[float, float] | None:
 
 
 def records_with_free_runs(case: Case) -> Iterator[tuple[Trajectory, Float[np.ndarray, "T p"]]]:
-    """Validation and test records, each with the output that the model simulates for it."""
+    """Validation and test records, each with the output that the model simulates."""
     yield from zip(case.data.validation, case.validation.simulated, strict=True)
     yield from zip(case.data.test, case.test.simulated, strict=True)

@@ -140,7 +140,7 @@ def _least_squares(regressors: Rows, targets: Rows) -> Rows:
 
 
 def shows_closed_loop(data: DataSet, earlier_share: float, present_share: float) -> bool:
-    """Whether the statistics of a log show that it was recorded in a closed loop."""
+    """Whether the statistics of a log show a recording in closed loop."""
     samples = sum(len(record) for record in data.training)
     if samples < FEWEST:
         return False

@@ -185,7 +185,7 @@ def _count_constants(c_code: str) -> int:
 
 
 def escape_comment(text: str) -> str:
-    """Replace characters of a text so that it cannot end a C comment or continue on the next line.
+    """Replace characters of a text that would end a C comment or continue it on the next line.
 
     The text may come from whatever name somebody gave a study.
     """

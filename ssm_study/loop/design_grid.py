@@ -50,8 +50,8 @@ class DesignGrid(ComparisonTable):
         require_at_least(1, "loop.comparison.designs", self.designs, "use 150")
 
     def rows(self, plant: Plant, identified: Identified, loop: Loop, seed: int) -> list[Row]:
-        """Rows of the table, one for each design drawn at random: its rates, its predicted margins,
-        and the behaviour of its closed loop."""
+        """Rows of the table, one for each random design: rates, predicted margins and closed-loop
+        behaviour."""
         candidates = self.auto.candidates(identified.model, identified.balls)
         if candidates is None:
             return []

@@ -100,8 +100,8 @@ def classify_motions(rollouts: Rollouts, settling_band: float) -> tuple[str, ...
 
 
 def trend_and_oscillation(signals: Float[np.ndarray, "N K"]) -> tuple[PerCase, PerCase]:
-    """Trend of each of several signals, as the rise of its least-squares line, and its peak-to-peak
-    oscillation about that line."""
+    """Rise of each signal's least-squares line (trend), and peak-to-peak oscillation about this
+    line."""
     samples = signals.shape[1]
     time = np.linspace(-0.5, 0.5, samples)
     time_power = time @ time

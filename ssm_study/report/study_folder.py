@@ -178,7 +178,7 @@ class StudyFolder:
 
     @property
     def name(self) -> str:
-        """Name of the study, which is that of its folder."""
+        """Name of the study, which is the name of its folder."""
         return " and ".join(folder.resolve().name for folder in (self.folder, *self.others))
 
     @cached_property
@@ -239,8 +239,8 @@ class StudyFolder:
 
 
 def gather_table(folder: Path) -> pd.DataFrame:
-    """Gather the results table of a study; gather it anew where it contradicts the records of its
-    runs. Raises `BadRequest` for a folder without a table or with a damaged one."""
+    """Gather the results table of a study, again from the start if it contradicts the records of
+    the runs. Raises `BadRequest` for a folder without a table or with a damaged one."""
     path = folder / "runs.parquet"
     require(
         path.is_file(),

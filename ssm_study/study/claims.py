@@ -64,8 +64,8 @@ UNSUPPORTED = {
 
 
 def check_settings(run: RunFiles) -> Claims:
-    """Check that the recorded settings of a run are those of its configuration, and that the run's
-    name contains their hash."""
+    """Check that the recorded settings of a run equal its configuration, and that the run's name
+    has their hash."""
     yield DerivedColumns({"study": str(run.config.study), "run": expected_run_name(run)})
     yield check_folder_name(run.path.absolute(), str(run.config.run))
     # As it was stored: a record names the parts by what they were called then.
@@ -273,8 +273,8 @@ def check_loops(run: RunFiles) -> Claims:
 
 
 def check_textbook_pi(run: RunFiles) -> Claims:
-    """Check the recorded results of a textbook PI controller by simulating it again on the
-    configured plant."""
+    """Check the recorded results of a textbook PI controller by a new simulation on the configured
+    plant."""
     specification = run.specification
     fitted = specification.loop.with_default_horizon(run.model)
     yield DerivedColumns(

@@ -188,7 +188,8 @@ def check_unlimited_starts(run: RunFiles) -> Iterator[Checked]:
 
 
 def check_stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None) -> Checked:
-    """Check that the initial states stored in a certificate are those computed from the model."""
+    """Check that the initial states in a certificate equal the initial states computed from the
+    model."""
     claim = "certificate starts"
     if starts is None or starts.shape != part.starts.shape:
         observation = "the outputs at rest do not tell the states of this model"
@@ -288,7 +289,7 @@ def recompute_sine_columns(
 
 
 def requested_system(run: RunFiles) -> System:
-    """System for which a state feedback is to be certified: the model, joined with its internal
+    """System for which a state feedback is to be certified: the model, joined with an internal
     model if there is one.
 
     A design without a state feedback states none, so the one that was requested counts.
@@ -304,8 +305,8 @@ def requested_system(run: RunFiles) -> System:
 
 
 def stored_number_errors(part: Theorem | Infeasible) -> list[str]:
-    """Sentences on wrong numbers, such as margin and condition number, that a certificate stores
-    beside its proof."""
+    """Sentences on wrong numbers in a certificate other than the proof, such as margin and
+    condition number."""
     if isinstance(part, Infeasible):
         return []
     again = smallest_eigenvalue(next(iter(part.as_floats(**part.variables).values())))

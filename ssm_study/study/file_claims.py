@@ -1,4 +1,5 @@
-"""Checks of the files in a run's folder: all there, all sealed, unchanged, and no others."""
+"""Checks that the files in a run's folder are complete and unchanged, have checksums, and are the
+only ones."""
 
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath

@@ -36,7 +36,7 @@ def write_rollouts(
     plant: Plant,
     metadata: dict[str, str],
 ) -> None:
-    """Write simulations of a closed loop, and those without control, into a recording file.
+    """Write closed-loop simulations, and the simulations without control, into a recording file.
 
     Topics `/case_<i>/` reference, input, output (true), measured, estimate (scaled), states and
     uncontrolled.

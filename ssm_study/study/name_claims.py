@@ -54,8 +54,8 @@ def expected_name_part(part: str, settings: Mapping[str, Any]) -> str:
 
 
 def check_folder_name(folder: Path, name: str) -> Checked:
-    """Check that a run's folder has the name in the run's record, so that each run counts once in
-    its study."""
+    """Check that a run's folder is named as the run's record states, so that each run counts once
+    in its study."""
     study = folder.parent
     is_in_a_study = (study / PARQUET).exists() or (study / name).exists()
     if folder.name == name or not is_in_a_study:

@@ -63,7 +63,7 @@ class RecordedCases:
         return [case[name] for case in self.cases.values()]
 
     def __getitem__(self, name: str) -> Float[np.ndarray, "N T c"]:
-        """Signal of all cases of a recording as one array; the cases must have the same length."""
+        """Signal of all simulations in a recording as one array; all must have the same length."""
         return np.stack([signal.values for signal in self.signals(name)])
 
     def time_s(self, name: str) -> Float[np.ndarray, "T"]:

@@ -33,7 +33,7 @@ TIMES = 4
 @dataclass(frozen=True, kw_only=True)
 class RefinementStep:
     """One iteration of a run's refinement, or its end: a sentence, and the configuration of the
-    next run if there is one."""
+    next run, if any."""
 
     said: str
     config: DictConfig | None = None

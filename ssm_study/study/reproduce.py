@@ -1,5 +1,5 @@
-"""Reproduction of a run with the same configuration and an empty store, and comparison of all
-numbers of the two records."""
+"""Reproduction of a run with the same configuration and an empty store, to compare all recorded
+numbers."""
 
 import math
 import tempfile

@@ -102,8 +102,8 @@ class RunFiles:
         return Path(whole) if whole and not after else Path()
 
     def _data(self) -> DataSet:
-        """Simulate or read again the data set of a run, with the closed-loop trials of its
-        refinement. Raises `BadRequest` for a real device."""
+        """Simulate the data set of a run again, or read its logs again, with the closed-loop trials
+        of its refinement. Raises `BadRequest` for a real device."""
         spec = self.specification
         real = getattr(self.specification.plant, "real", False)
         problem = "is a device, and a device cannot be simulated again"

@@ -158,8 +158,8 @@ def refinement_columns(settings: Any) -> Facts:
 
 
 def refined_run_name(settings: Any, refine: int | list[str] | None) -> str:
-    """Name of the run with the same settings except another number of refinements. The part before
-    the hash stays the same."""
+    """Name of the run that has the same settings except for another number of refinements. The part
+    before the hash stays the same."""
     prefix = str(settings["run"]).removesuffix(run_name(settings))
     changed = type(settings)({**settings, "refine": refine})
     return prefix + run_name(changed)

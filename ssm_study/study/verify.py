@@ -216,8 +216,8 @@ def _applicable_sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]
 def judge_column(
     name: str, record: Mapping[str, Any], derived: Mapping[str, Any], unchecked: Mapping[str, str]
 ) -> Checked | str:
-    """Verdict of the check of one value in a run's record, or the reason why the value is not
-    checked. It is empty if the record claims nothing."""
+    """Verdict on one value in a run's record, or the reason why the value is not checked. It is
+    empty if the record claims nothing."""
     column = find_declaration(name)
     stored = record.get(name)
     if name in ADDED_COLUMNS and name not in record and record.get("record_version") == 1:

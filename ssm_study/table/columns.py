@@ -105,8 +105,8 @@ def suggest_column(name: str, names: Iterable[str]) -> str:
 
 
 def describe_columns(table: pd.DataFrame | None = None) -> Iterator[tuple[str, str, str, str]]:
-    """Description of each table column: name, printed name, direction in which it improves, and how
-    it is verified.
+    """Description of each table column: name, printed name, better direction, and way of
+    verification.
 
     All columns, or those that have values in the table.
     """

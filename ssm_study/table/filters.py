@@ -66,8 +66,8 @@ def _as_comparable(table: pd.DataFrame) -> pd.DataFrame:
 
 
 class _FilterChecker(ast.NodeTransformer):
-    """Checker of filter expressions such as `order == 8`, which also rewrites what pandas would
-    read differently."""
+    """Checker of filter expressions such as `order == 8`, which also rewrites syntax that pandas
+    reads differently."""
 
     def __init__(self, table: pd.DataFrame) -> None:
         self.table = table

@@ -31,7 +31,7 @@ def check_study_folder(path: Path) -> Path:
 
 
 def _suggest_existing_study(path: Path) -> str:
-    """Suggest an existing study for a wrong path: one below `results`, or one with a similar
+    """Suggest an existing study for a wrong path: a study below `results`, or one with a similar
     name."""
     in_results = Path("results") / path
     if in_results.is_dir():
@@ -94,7 +94,7 @@ def _run_names(study: Path) -> list[str]:
 
 
 def abbreviate_names(names: Iterable[Any], limit: int = MANY) -> str:
-    """Text with the first few of several names, and the number of the others."""
+    """Text with the first few of several names, and the number of the remaining names."""
     texts = [str(name) for name in names]
     words = ", ".join(texts[:limit])
     more = len(texts) - limit

@@ -115,8 +115,8 @@ def record_marks(study: Path) -> Marks:
 
 
 def _read_last_table(study: Path) -> tuple[pd.DataFrame, Marks]:
-    """Read the results table as it was last gathered, with the file times of its records; empty if
-    its files were changed."""
+    """Read the last gathered results table, with the file times of its records; empty if its files
+    were changed."""
     with suppress(OSError):
         index = read_sealed_json(read_limited_bytes(study / MARKS))
         if index is not None:
@@ -204,7 +204,7 @@ def _typed_column(values: list[Any], column: Column | None) -> pd.Series:
 
 
 def _value_of_kind(value: Any, kind: Kind) -> Any:
-    """Convert a value to the type of its table column; None if the value is of another type.
+    """Convert a value to the type of its table column; None for a value of another type.
 
     A text in a column of numbers is missing, not 0.
     """

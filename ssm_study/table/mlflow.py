@@ -20,8 +20,7 @@ MOST = 50_000  # runs MLflow gives in one call
 
 
 def export_mlflow(study: Path, store: str | None = None) -> int:
-    """Write the finished runs of a study into an MLflow store, except those that are already
-    stored.
+    """Write the finished runs of a study into an MLflow store, except runs that are already stored.
 
     Returns how many were written. `store` is a tracking address, by default
     `sqlite:///STUDY/mlflow.db`. Numbers with a better direction become metrics, everything else

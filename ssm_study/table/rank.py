@@ -93,7 +93,7 @@ def sort_best_first(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def rank_runs(table: pd.DataFrame, by: str | None = None) -> pd.DataFrame:
-    """Results table sorted from best to worst run, or by one column in its better direction.
+    """Results table sorted from best to worst run, or by one column, best value first.
 
     Raises `BadRequest` if the column is unknown.
     """

@@ -98,7 +98,7 @@ def print_rows(rows: pd.DataFrame, by: str | None) -> None:
 def gather_rows(
     study: Path, by: str | None, where: str | None, anew: bool = False
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Results table of a study, and the rows of the table that are to be printed.
+    """Results table of a study, and the selected rows to be printed.
 
     A table whose first rows contradict the runs' records is made anew: its seal vouches for its
     bytes, not for who wrote them.
@@ -112,7 +112,7 @@ def gather_rows(
 
 
 def column_lines(table: pd.DataFrame) -> list[str]:
-    """Text lines that describe those columns of a results table which have values."""
+    """Text lines that describe the columns of a results table that have values."""
     head = ("column", "what it is (unit)", "better", "checked by verify unless said")
     rows = [head, *describe_columns(table)]
     widths = [max(len(row[i]) for row in rows) for i in range(3)]
@@ -223,8 +223,8 @@ def render_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH)
 
 
 def certificate_words(table: pd.DataFrame) -> pd.Series:
-    """Verdict on the certificates of each run of a table, in one word; missing if the run has
-    none."""
+    """Verdict on the certificates of each run of a table, in one word; missing for a run without
+    certificates."""
     controller = table["controller_certified"]
     observer = table["observer_certified"]
     controller_holds = controller.fillna(False)

@@ -77,7 +77,7 @@ def coverage_picture(
 
 
 def record_names(premise: Premise, input_scale: InputScale | None) -> dict[str, str]:
-    """Printed name of each record, with the amplitude of its input in physical units."""
+    """Printed name of each record, with the amplitude of the record's input in physical units."""
     spectra: list[MismatchSpectrum | AveragedSpectrum] = [*premise.repeating, *premise.averaged]
     spectra += premise.sines
     return {

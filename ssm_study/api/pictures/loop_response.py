@@ -97,7 +97,7 @@ def set_point_picture(
 def _simulate_step_response(
     plant: Any, controller: ObserverFeedback, loop: Loop, size: float
 ) -> Rollouts:
-    """Simulate the closed loop from the equilibrium through a step of the set point."""
+    """Simulate the closed loop for a step of the set point, starting at the equilibrium."""
     samples = loop.horizon_samples(plant.step_s)
     at_s = BEFORE * samples * plant.step_s
     reference = StepReference(before=0.0, after=size, at_s=at_s)

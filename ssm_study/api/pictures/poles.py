@@ -50,7 +50,7 @@ def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Pic
 
 
 def format_below_one(factor: float) -> str:
-    """Text of a factor, rounded up, with so many digits that a factor below one is not printed as
+    """Text of a factor, rounded up, with enough digits that a factor below one is not printed as
     one."""
     for digits in range(3, 16):
         text = f"{math.ceil(factor * 10**digits) / 10**digits:.{digits}f}"

@@ -117,8 +117,8 @@ def _dead_zone_sentence(model: SSM, voltage: Range, threshold: float) -> str:
 
 
 def _scale_to_dead_zone(model: SSM, threshold: float) -> float:
-    """Factor that scales a learned input map so that it comes closest to the dead zone, by least
-    squares. S_u is determined only up to a factor, which B compensates."""
+    """Least-squares factor that fits a learned input map to the dead zone. S_u is determined only
+    up to a factor, which B compensates."""
     scale = float(model.scale.input_scale[0])
     voltage = _voltage_range(model, REACH_IN_SCALES * scale)
     learned = _mapped_voltage(model, voltage)

@@ -295,7 +295,8 @@ def encode_repeats(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
 
 
 def _plain_json(value: Any) -> Any:
-    """Value of a table as a plain JSON value: a number, a text, a truth value, or None."""
+    """Convert a value of a table to a plain JSON value: a number, a text, a truth value, or
+    None."""
     value = value.item() if isinstance(value, np.generic) else value
     if pd.isna(value) or value in (np.inf, -np.inf):
         return None

@@ -60,7 +60,7 @@ def pictures_of_run(run: RunFolder) -> list[Spec]:
 
 
 def picture_json(name: str, picture: Picture) -> Spec:
-    """JSON form of a picture with its name, without empty panels, for the report page."""
+    """JSON form of a named picture without its empty panels, for the report page."""
     charts = []
     for panel in picture.panels:
         if panel.series:

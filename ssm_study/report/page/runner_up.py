@@ -15,8 +15,8 @@ MUCH = 2.0  # factor in margin or gain from which a run is much more robust
 
 @dataclass(frozen=True, kw_only=True)
 class RunnerUp:
-    """More robust alternative to the best run: its place in the table, and a sentence that compares
-    both."""
+    """More robust alternative to the best run: its row in the table, and a sentence that compares
+    the two runs."""
 
     place: int
     text: str

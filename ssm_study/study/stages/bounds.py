@@ -1,4 +1,4 @@
-"""Stage that converts the model to the coordinates in which it is certified, and records its proved
+"""Stage that converts the model to coordinates for certification, and records the model's proved
 properties."""
 
 from ssm_study.bounds.metrics import model_bound_columns

@@ -1,4 +1,4 @@
-"""Stage that simulates the model on the validation and test records, and scores it."""
+"""Stage that simulates the model on the validation and test records, and scores the simulations."""
 
 from functools import cached_property
 from pathlib import Path

@@ -17,7 +17,7 @@ FILE = "mismatch.json"
 
 
 def compute_mismatch(folder: Path, data: DataSet, model_run: ModelRun) -> Mismatch:
-    """Measure the error between plant and model from the records, and store it."""
+    """Measure the error between plant and model from the records, and store the measured error."""
     records = data.mismatch_records
     mismatch = measure_mismatch(model_run.model, data.validation, data.start_up_samples, records)
     write_mismatch(folder, mismatch)

@@ -1,4 +1,4 @@
-"""Stage that identifies the model from the records, and stores it as explicit numbers."""
+"""Stage that identifies the model from the records, and stores the model as explicit numbers."""
 
 import math
 from dataclasses import dataclass

@@ -91,7 +91,7 @@ def synthesis_result_columns(
     recorded_mismatch: Mismatch,
     judgement: Judgement,
 ) -> Facts:
-    """Table columns of a design of controller and observer, and of its predictions."""
+    """Table columns that describe the design of controller and observer, and its predictions."""
     from ssm_study.synthesis.expected_response import faster_response_column
     from ssm_study.synthesis.measured_discs_run import coverage_columns
     from ssm_study.synthesis.withheld_coverage import withhold_coverage
