@@ -181,13 +181,13 @@ def gain_certificate_lines(name: str, gain: GainCertificate) -> dict[str, str]:
         thousandths = gain.overshoot * 1000
         growth = math.ceil(thousandths) / 1000
         lines[f"{name}, overshoot"] = f"Euclidean distances grow at most {growth:g} times"
-    lines[f"{name}, without it"] = _describe_rate_limit(gain.rate_without)
-    lines[f"{name}, this gain"] = _describe_rate_limit(gain.rate_of_gain)
-    lines[f"{name}, any gain"] = _describe_rate_limit(gain.rate_limit)
+    lines[f"{name}, without it"] = _describe_largest_rate(gain.rate_without)
+    lines[f"{name}, this gain"] = _describe_largest_rate(gain.rate_of_gain)
+    lines[f"{name}, any gain"] = _describe_largest_rate(gain.rate_limit)
     return lines
 
 
-def _describe_rate_limit(rate: float) -> str:
+def _describe_largest_rate(rate: float) -> str:
     """Text on the largest contraction rate that a constant quadratic metric can prove."""
     return f"provable below {round_rate_down(rate, 6)}" if rate > 0 else "no rate is provable"
 

@@ -85,7 +85,7 @@ class Model:
 
     @cached_property
     def evidence(self) -> Judgement:
-        """Findings on which statements about the plant the recorded data support."""
+        """Findings that say whether the recorded data support statements about the plant."""
         return judge_evidence(self.ssm, self.data, self.mismatch)
 
     @property

@@ -86,7 +86,7 @@ def content_digest(content: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def check_seal(folder: Path, content: dict[str, Any]) -> None:
+def require_unmodified_files(folder: Path, content: dict[str, Any]) -> None:
     """Raise `BadRequest` if a file of a saved model was changed since it was written.
 
     A model without seal, saved by an earlier version, is read with a warning. Raises `BadRequest`
@@ -117,7 +117,7 @@ def read_model_fields(folder: Path) -> dict[str, Any]:
         simulator = model_from_json(json.loads(model_text))
         history_text = (folder / HISTORY_FILE).read_text(encoding="utf-8")
         content = json.loads(history_text)
-        check_seal(folder, content)
+        require_unmodified_files(folder, content)
         with np.load(folder / RECORDS_FILE, allow_pickle=False) as arrays:
             signals = dict(arrays)
             data = read_data(content["data"], signals)

@@ -169,8 +169,8 @@ class ComposedChoices:
 
     @cached_property
     def settings_in_run_name(self) -> tuple[str, ...] | None:
-        """Settings that appear in the name of a run; None if the name depends on more than plain
-        settings. OmegaConf has to resolve such a name, which is slow."""
+        """Settings that appear in the name of a run; None if the name has interpolations that only
+        OmegaConf can resolve, which is slow."""
         interpolation = NAME.fullmatch(str(self.settings_tree.get("run", "")))
         others = [value for key, value in self.settings_tree.items() if key != "run"]
         if interpolation is None or any("${" in str(value) for value in others):

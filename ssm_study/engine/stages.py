@@ -138,7 +138,7 @@ class Stages(ABC):
         return {}
 
     def unrecorded_store(self) -> "Stages":
-        """The same store of results, but without notes of computing steps in the run's record."""
+        """Copy of a store of results that does not log computing steps in the run's record."""
         return self
 
 

@@ -203,7 +203,7 @@ class RunStages(Store):
         return facts
 
     def unrecorded_store(self) -> Store:
-        """The same store of results, but without notes of computing steps in the run's record."""
+        """Copy of a store of results that does not log computing steps in the run's record."""
         return Store(self.root)
 
 

@@ -116,8 +116,8 @@ class Monitor:
 
 
 def free_decay_energy(system: StateSpace) -> float:
-    """Output energy of a linear system's free response from equilibria at which one output is one,
-    summed over the outputs. `sum |y|^2`."""
+    """Output energy `sum |y|^2` of a linear system after its input is set to zero. It is summed over
+    starts in equilibria with one output at one and the others at zero."""
     rest, _, gain = system.equilibrium_basis()
     starts = rest @ np.linalg.pinv(gain)
     observability = scipy.linalg.solve_discrete_lyapunov(system.a.T, system.c.T @ system.c)

@@ -274,8 +274,7 @@ def sum_of_squares(signals: list[Float[np.ndarray, "N T c"]]) -> float:
 
 
 def largest_final_error(errors: Float[np.ndarray, "N T p"]) -> float:
-    """Largest control error among several simulations, averaged over the last tenth of the
-    horizon."""
+    """Mean control error over the last tenth of each simulation; the largest of these means."""
     samples = errors.shape[1]
     last = max(samples // 10, 1)
     last_errors = errors[:, -last:]

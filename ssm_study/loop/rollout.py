@@ -153,13 +153,13 @@ def _require_valid_experiment(
 ) -> None:
     """Raise `BadRequest` for a controller that does not fit the plant, or a reference that limited
     inputs cannot hold."""
-    _require_matching_dimensions(plant, controller)
+    _require_compatible_controller(plant, controller)
     if any(np.isfinite(end).any() for end in limits):
         required_inputs = controller.required_inputs(reference)
         _require_reachable_reference(required_inputs, limits)
 
 
-def _require_matching_dimensions(plant: Plant, controller: Controller) -> None:
+def _require_compatible_controller(plant: Plant, controller: Controller) -> None:
     """Raise `BadRequest` for a controller whose inputs, outputs or sampling time differ from the
     plant's."""
     input_count = len(plant.inputs)

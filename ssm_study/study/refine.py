@@ -32,8 +32,8 @@ TIMES = 4
 
 @dataclass(frozen=True, kw_only=True)
 class RefinementStep:
-    """One iteration of a run's refinement, or its end: a sentence, and the configuration of the
-    next run, if any."""
+    """Result of one step of a controller's refinement: a sentence on it, and the configuration of
+    the next run, or None at the end."""
 
     said: str
     config: DictConfig | None = None

@@ -95,8 +95,8 @@ def metric_candidates(
 
 
 def lmi_margin(theorem: type[MeasuredDiscs], numbers: dict[str, Any]) -> float:
-    """Smallest eigenvalue, in floats, of the matrices of a theorem after scaling to unit
-    diagonals."""
+    """Smallest floating-point eigenvalue of the matrices that a theorem requires to be positive
+    definite, each scaled to unit diagonal."""
     matrices = theorem.as_floats(**numbers)
     smallest_eigenvalues = []
     for name in ("inequality", "p"):

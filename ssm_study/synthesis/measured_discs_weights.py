@@ -202,8 +202,8 @@ class WeightProgram:
         start_angles: Float[np.ndarray, "D"] = NO_ANGLES,
         least_squared_radius: float = -np.inf,
     ) -> tuple[float, Unknowns, Float[np.ndarray, "D2"]]:
-        """Largest squared disc radius from a search that starts at given frequencies, with weights,
-        multipliers and the frequencies that decide it. Raises `NoSolution`.
+        """Largest squared radius of the disc of model errors that a loop tolerates. Returned with
+        the disc's weights, the multipliers and the deciding frequencies. Raises `NoSolution`.
 
         The search begins at the given angles, such as those that decided similar gains. Where the
         radius is below `least_squared_radius`, an upper bound that is below it, too, is returned.

@@ -218,19 +218,19 @@ def input_limit_columns(design: Design, model: Model) -> dict[str, Any]:
     everywhere = within_limits.everywhere
     limited_rate = everywhere and everywhere.rate
     facts: dict[str, Any] = {"limited_rate": limited_rate}
-    facts |= shared_range("limit_lower", "limit_upper", lower, upper)
+    facts |= common_range_columns("limit_lower", "limit_upper", lower, upper)
     outputs = within_limits.lower, within_limits.upper
-    return facts | shared_range("unlimited_from", "unlimited_to", *outputs)
+    return facts | common_range_columns("unlimited_from", "unlimited_to", *outputs)
 
 
-def shared_range(
+def common_range_columns(
     lower_column: str,
     upper_column: str,
     lower: Float[np.ndarray, "c"],
     upper: Float[np.ndarray, "c"],
 ) -> dict[str, float]:
-    """Two table columns with the range of values that all channels share; no columns without such a
-    range."""
+    """Two table columns with the intersection of the channels' ranges; no columns if it is
+    empty."""
     shared_lower = float(lower.max())
     shared_upper = float(upper.min())
     if shared_lower < shared_upper:

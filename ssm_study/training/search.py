@@ -211,15 +211,15 @@ class SettingsSearch:
             chosen.append(candidate)
             error = candidate.mean_error_percent
             linear_kind = candidate.model if candidate.model in LINEAR_KINDS else None
-        decided_specs = (self._decided_spec(other) for other in others)
+        decided_specs = (self._candidate_spec(other) for other in others)
         other_specs = tuple(decided_specs)
-        spec = self._decided_spec(candidate)
+        spec = self._candidate_spec(candidate)
         rows = self.candidate_rows(chosen)
         return SettingsChoice(
             spec=spec, rows=rows, error=error, linear_kind=linear_kind, others=other_specs
         )
 
-    def _decided_spec(self, candidate: Candidate | None) -> StructuredSpec:
+    def _candidate_spec(self, candidate: Candidate | None) -> StructuredSpec:
         """Model settings with everything decided so far and a candidate model's size."""
         decided = dict(self.decided)
         if candidate is not None:

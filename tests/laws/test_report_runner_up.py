@@ -4,7 +4,7 @@ from typing import Any
 
 import pandas as pd
 
-from ssm_study.report.page.runner_up import RunnerUp, choose_runner_up
+from ssm_study.report.page.runner_up import RunnerUp, choose_robust_alternative
 from ssm_study.report.words import SETTLED
 
 
@@ -17,7 +17,7 @@ def run(time_s: float, margin: float, gain: float, **values: Any) -> dict[str, A
 
 
 def found(*runs: dict[str, Any]) -> RunnerUp | None:
-    return choose_runner_up(pd.DataFrame(list(runs)))
+    return choose_robust_alternative(pd.DataFrame(list(runs)))
 
 
 BEST = run(0.08, 1.36, 33.0)
@@ -58,5 +58,5 @@ def test_a_run_that_is_no_real_alternative_is_not_named() -> None:
     choice_without_verdict = found(best_without_verdict, run(0.1, 4.0, 5.0))
     assert choice_without_verdict is None
     no_runs = pd.DataFrame()
-    choice_of_none = choose_runner_up(no_runs)
+    choice_of_none = choose_robust_alternative(no_runs)
     assert choice_of_none is None

@@ -99,7 +99,7 @@ class Mlp(Trainable):
     def initial_values(self, frame: MapContext, rng: np.random.Generator) -> StartingValues:
         h = frame.width
         if self.certified:
-            free = certified_initial_layers(frame, self.depth, rng)
+            free = random_bounded_slope_layers(frame, self.depth, rng)
         else:
             free = unconstrained_initial_layers(frame, self.depth, rng)
         if self.train_slopes:  # they begin near the two ends of the sector
@@ -210,7 +210,7 @@ class Mlp(Trainable):
         return MlpScaffold(network=network)
 
 
-def certified_initial_layers(
+def random_bounded_slope_layers(
     frame: MapContext, depth: int, rng: np.random.Generator
 ) -> StartingValues:
     """Random initial weights and break points for each layer of a perceptron with bounded

@@ -27,7 +27,7 @@ from ssm_study.report.page.first_screen import (
 from ssm_study.report.page.pictures import pictures_of_run
 from ssm_study.report.page.proof_card import RecordedLoopFacts
 from ssm_study.report.page.provenance import configuration_text, log_text, provenance_lines
-from ssm_study.report.page.runner_up import choose_runner_up
+from ssm_study.report.page.runner_up import choose_robust_alternative
 from ssm_study.report.study_folder import RecordedCases, RunFolder, StudyFolder
 from ssm_study.report.words import (
     FAILED,
@@ -203,7 +203,7 @@ def page_texts(
         first = row_as_record(table.iloc[0])
         parts["introduction"] = best_run_rule(table)
         parts["settings"] = settings_line(table)
-        parts["runner_up"] = choose_runner_up(table)
+        parts["runner_up"] = choose_robust_alternative(table)
         parts["cards"] = outcome_cards(
             first, read_loop_facts(study, first), noise_free_test=is_test_noise_free(study)
         )

@@ -22,7 +22,7 @@ class RunnerUp:
     text: str
 
 
-def choose_runner_up(table: pd.DataFrame) -> RunnerUp | None:
+def choose_robust_alternative(table: pd.DataFrame) -> RunnerUp | None:
     """Choose the fastest run with at least twice the best run's stability margin, otherwise with at
     most half its gain.
 
