@@ -116,7 +116,7 @@ class Monitor:
 
 
 def free_decay_energy(system: StateSpace) -> float:
-    """Output energy `sum |y|^2` of a linear system after its input is set to zero. It is summed over
+    """Output energy `sum |y|^2` of a linear system after its input is set to zero, summed over
     starts in equilibria with one output at one and the others at zero."""
     rest, _, gain = system.equilibrium_basis()
     starts = rest @ np.linalg.pinv(gain)

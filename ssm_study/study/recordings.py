@@ -57,7 +57,7 @@ class RecordedCases:
         return cls(path=path, cases={name: cases[name] for name in prefixes}, about=about)
 
     def signals(self, name: str) -> list[SignalGroup]:
-        """Values of one named signal, an array for each simulation or measurement of a recording."""
+        """Values of a named signal, one array for each simulation or measurement in a recording."""
         is_there = all(name in case for case in self.cases.values())
         require(is_there, "topic", name, f"{self.path.name} lacks it", "run the study again")
         return [case[name] for case in self.cases.values()]
