@@ -31,6 +31,14 @@ def test_each_setting_has_its_mean_and_deviation() -> None:
     assert second[5:8] == expected, "a seed without a result is left out"
 
 
+def test_two_seeds_have_a_deviation() -> None:
+    table = study()
+    two_seeds = table[table["seed"] < 2]
+    lines = seed_statistics_lines(two_seeds)
+    assert lines[1] == "mean ± deviation over seeds"
+    assert len(lines) > 3
+
+
 def test_one_seed_or_one_run_a_setting_has_no_deviation() -> None:
     table = study(seed=0)
     assert seed_statistics_lines(table) == []

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plants_cases import choices, from_yaml
 
-from ssm_study.plants.disturbance import PeriodicDisturbance, RandomDisturbance
+from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance, RandomDisturbance
 from ssm_study.plants.plant import Plant
 from ssm_study.plants.wrapper import DelayedInput, SaturatedInput
 from ssm_study.refusal import BadRequest
@@ -138,3 +138,10 @@ REFUSED_WRAPPERS = [
 def test_refused(build, says: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(BadRequest, match=says):
         build(from_yaml("plant", "dc_motor"))
+
+
+def test_a_ramp_is_zero_before_it_begins_and_constant_after_its_end() -> None:
+    ramp = RampDisturbance(slope_per_s=2.0, from_s=1.0, until_s=3.0)
+    time_s = np.array([0.0, 1.0, 1.5, 3.0, 10.0])
+    expected = [0.0, 0.0, 1.0, 4.0, 4.0]
+    np.testing.assert_allclose(ramp.signal(time_s), expected, atol=1e-15)
