@@ -10,6 +10,7 @@ import struct
 import warnings
 import zlib
 from collections.abc import Iterable, Iterator
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -138,10 +139,13 @@ def stated_step_s(
 def name_fields_remark(columns: dict[str, ColumnValues], texts: dict[str, str]) -> str:
     """Text that names each element of an array of structs, by the names that recorders store in a
     field `Name`."""
-    owners = [title.rpartition(".")[0] for title in columns if title.endswith(".Data")]
-    names = [f"{owner}.Data is {texts[f'{owner}.Name']}" for owner in owners
-             if texts.get(f"{owner}.Name")]  # fmt: skip
-    return ", ".join(names)
+    remarks = []
+    for title in columns:
+        owner, _, field = title.rpartition(".")
+        stated_name = texts.get(f"{owner}.Name")
+        if field == "Data" and stated_name:
+            remarks.append(f"{title} is {stated_name}")
+    return ", ".join(remarks)
 
 
 def belong_to_one_matrix(columns: dict[str, ColumnValues]) -> bool:
@@ -302,7 +306,8 @@ def _parse_struct(
     matrices = [matrix for inner, matrix in parts[at + 2 :] if inner == MATRIX]
     labels = [field.decode("ascii") for field in fields]
     owners = [owner] if count == 1 else [f"{owner}({k})" for k in range(1, count + 1)]
-    names = [f"{one}.{label}" if one else label for one in owners for label in labels]
+    prefixes = [f"{element}." if element else "" for element in owners]
+    names = [prefix + label for prefix, label in product(prefixes, labels)]
     _require_intact(len(names) == len(matrices), "a struct has other fields than names")
     for name, matrix in zip(names, matrices, strict=True):
         yield from _parse_variable(matrix, order, name)
