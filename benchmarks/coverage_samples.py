@@ -146,7 +146,7 @@ def of_run(run: Path) -> EdgeLoops:
     if not isinstance(proof, MeasuredDiscs) or not isinstance(design.state_feedback, StateFeedback):
         raise SystemExit(f"{run} has no certificate of coverage")
     known = VerificationContext(
-        system=model.system,
+        system=model.system,  # type: ignore[attr-defined]  # an SSM or StructuredSSM
         controlled=controlled_system(model, design.state_feedback),
         balls=certified_balls(model),
         gains=design.gains,

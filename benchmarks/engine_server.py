@@ -77,7 +77,7 @@ class StandardServer:
     def close(self) -> None:
         for process, _ in self.children.values():
             process.kill()
-        multiprocessing.forkserver._forkserver._stop()  # waited for, so that its time counts
+        multiprocessing.forkserver._forkserver._stop()  # type: ignore[attr-defined]  # waited for, so that its time counts
 
 
 def do(number: int) -> None:
@@ -115,7 +115,8 @@ def serve(server: str, study: str, words: list[str]) -> None:
         module = importlib.import_module(
             Path(__file__).stem
         )  # its functions have a name in the server
-        importlib.import_module("ssm_study.engine.launcher").Server = module.StandardServer
+        launcher: Any = importlib.import_module("ssm_study.engine.launcher")
+        launcher.Server = module.StandardServer
     if study == "toy":
         sys.path.insert(0, str(REPOSITORY / "tests"))
         sys.argv = ["toy", "-m", *words]

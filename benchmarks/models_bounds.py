@@ -49,7 +49,7 @@ def numba_loop(u: np.ndarray, modes: int) -> Callable[[], None]:
         for part in (turn.real, turn.imag, rng.normal(size=modes), rng.normal(size=modes))
     ]
     states = np.empty((2, u.shape[1], modes), np.float32)
-    return lambda: _loop(u[..., 0], *parts, states)
+    return lambda: _loop(u[..., 0], *parts, states)  # type: ignore[call-arg]
 
 
 @njit(fastmath=True, cache=True)

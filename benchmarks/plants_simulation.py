@@ -103,8 +103,8 @@ def event(motor: DCMotor, body: int, mode: int) -> Callable[..., float]:
             return float(mode * x[1 + body]) if t > 0 or x[1 + body] != 0.0 else 1e-300
         return motor.coulomb_torque_nm - abs(torques_of(motor, x)[body])
 
-    ends.terminal = True
-    ends.direction = -1.0  # type: ignore[attr-defined]  # as scipy wants it
+    ends.terminal = True  # type: ignore[attr-defined]  # as scipy wants it
+    ends.direction = -1.0  # type: ignore[attr-defined]
     return ends
 
 

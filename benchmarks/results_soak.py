@@ -167,7 +167,9 @@ def damage(folder: Path, rng: random.Random) -> str:
 def stable_table(folder: Path) -> pd.DataFrame:
     table = gather(folder / "results" / STUDY)
     volatile = [
-        name for name in table if name in VOLATILE or name.endswith(("_seconds", "_reused"))
+        str(name)
+        for name in table
+        if name in VOLATILE or str(name).endswith(("_seconds", "_reused"))
     ]
     return (
         table.drop(columns=volatile).dropna(axis=1, how="all").sort_values("run", ignore_index=True)

@@ -45,11 +45,9 @@ def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]
         )
     shown = measure_mismatch(made, data.validation, data.start_up_samples, data.mismatch_records)
     balls = certified_balls(made)
-    free = [
-        Simulation.simulate_records(made, records, data.start_up_samples)
-        for records in (data.validation, data.test)
-    ]
-    silent = collect_findings(data, made, *free, shown).level == CANNOT_JUDGE
+    validation = Simulation.simulate_records(made, data.validation, data.start_up_samples)
+    test = Simulation.simulate_records(made, data.test, data.start_up_samples)
+    silent = collect_findings(data, made, validation, test, shown).level == CANNOT_JUDGE
     started = time.process_time()
     design = (parts.synthesis.with_largest_margin() if silent else parts.synthesis).design(
         made, balls, data.validation, shown

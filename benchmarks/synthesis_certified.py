@@ -39,7 +39,7 @@ def instances(kind: str, gap: float, count: int, orders: tuple[int, int]) -> lis
     if kind == "trained":
         return trained(gap, count)
     rng = np.random.default_rng(20261121)
-    found = []
+    found: list[Instance] = []
     while len(found) < count:
         case = random_instance(rng, orders, gap, mixed=kind == "mixed")
         if case is not None:

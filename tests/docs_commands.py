@@ -120,13 +120,7 @@ SMALL_SOURCE = {  # pattern: what stands in its place
     "training_optimisers.py": {r"^EPOCHS = .*": 'EPOCHS = {"lbfgs": 1, "adam": 1}'},
 }
 # Take seconds as they are; of a benchmark named nowhere here `--help` is asked.
-AS_IT_IS = {
-    "loop_margin.py",
-    "plants_choice.py",
-    "plants_scores.py",
-    "synthesis_figures.py",
-    "training_targets.py",
-}
+AS_IT_IS = {"loop_margin.py", "plants_choice.py", "plants_scores.py", "synthesis_figures.py"}
 ELSEWHERE = {  # what a test cannot have, or has already, by name
     "verify results/smoke/RUN": "every claim of this run: tests/oracles/test_results_verify.py",
     "results_gather.py --runs": "twenty thousand runs; its table is committed",

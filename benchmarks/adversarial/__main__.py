@@ -99,16 +99,17 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
         predict_margins(model, candidates.gains(pair), known.balls, record).predicts_stability()
         for pair in pairs
     ]
-    old = np.array([False, *old])
+    old_predicted = np.array([False, *old])
     controlled, alone = (
         pd.to_numeric(rows[f"settling_time_{name}_s"])[0] for name in ("mean", "open_loop")
     )
     return about | {
         "designs": int(drawn.sum()), "settle": int((settles & drawn).sum()),
-        "old_predicted": int(old.sum()), "old_wrong": int((old & ~settles).sum()),
+        "old_predicted": int(old_predicted.sum()),
+        "old_wrong": int((old_predicted & ~settles).sum()),
         "predicted": int((rows.predicted_stable & drawn).sum()),
         "wrong": int((rows.predicted_stable & drawn & ~settles).sum()),
-        "both_right": int((old & rows.predicted_stable & settles).sum()),
+        "both_right": int((old_predicted & rows.predicted_stable & settles).sum()),
         "choice_predicted": bool(rows.predicted_stable[0]), "choice_settles": bool(settles[0]),
         "choice_margin": rows.resolved_margin[0], "choice_time_ratio": controlled / alone,
         "rests": known.mismatch.plant_comes_to_rest,
