@@ -81,11 +81,12 @@ class RecordedCases:
         return self.labels(name)[0]
 
     def labels(self, name: str) -> list[str]:
-        """Printed names of all channels of a recorded signal, with units."""
+        """Printed names of all channels of a recorded signal, with their units where these are
+        known."""
         labels = []
         for channel in self.signals(name)[0].channels:
             words = channel.name.replace("_", " ").capitalize()
-            labels.append(f"{words} ({channel.unit or '–'})")
+            labels.append(f"{words} ({channel.unit})" if channel.unit else words)
         return labels
 
     def unit(self, name: str) -> str:

@@ -17,11 +17,14 @@ from report_runs import random_run, write_recordings
 
 from ssm_study import style
 from ssm_study.cli import summary as endings
+from ssm_study.data.mcap import SignalGroup
 from ssm_study.refusal import BadRequest
 from ssm_study.report import figures
-from ssm_study.report.figures import learned_dead_zone
+from ssm_study.report.figures import learned_dead_zone, validation_trajectory
 from ssm_study.report.run_pictures import PICTURES, picture_of_run
 from ssm_study.report.study_folder import NothingToDraw, RunFolder, StudyFolder
+from ssm_study.signals import Channel
+from ssm_study.study.recordings import RecordedCases
 from ssm_study.table.rank import sort_best_first
 
 STUDIES = {
@@ -316,6 +319,22 @@ def test_a_recording_has_no_true_dead_zone() -> None:
     assert learned_dead_zone.known_dead_zone(simulated) == expected
     expected = (None, 0.0)
     assert learned_dead_zone.known_dead_zone(recorded) == expected
+
+
+@pytest.mark.parametrize(("unit", "label"), [("m/s", "Wheel speed (m/s)"), ("", "Wheel speed")])
+def test_a_unit_that_nobody_stated_is_not_printed(unit: str, label: str) -> None:
+    channel = Channel(name="wheel_speed", unit=unit)
+    times = np.array([0.0, 0.1])
+    values = np.zeros((2, 1))
+    signal = SignalGroup(topic="/measured", time_s=times, channels=(channel,), values=values)
+    cases = {"": {"measured": signal}}
+    recording = RecordedCases(path=Path("test.mcap"), cases=cases, about={})
+    assert recording.labels("measured") == [label]
+    figure = Figure()
+    axes = figure.subplots()
+    recording.cases[""]["simulated"] = signal
+    validation_trajectory.draw_error(axes, recording)
+    assert axes.get_ylabel() == label.replace("Wheel speed", "Error")
 
 
 LONGEST_SENTENCE = 30  # words

@@ -47,7 +47,7 @@ def draw(study: StudyFolder) -> Figure:
     power = np.mean([density for _, density in powers], axis=0)
     spectrum.loglog(frequency[1:], power[1:], color=style.BLUE)  # the mean was taken out
     spectrum.yaxis.set_minor_formatter(NullFormatter())
-    unit = inputs[0].channels[0].unit or "–"
+    unit = inputs[0].channels[0].unit or "input unit"
     order = record.get("excitation_order")
     exciting = (
         f"Persistently exciting of order {order}{' or more' if order >= HIGHEST_ORDER else ''}"

@@ -76,5 +76,5 @@ def draw_error(axes: Axes, part: RecordedCases) -> None:
     error = first_channel_start(part, "measured") - first_channel_start(part, "simulated")
     axes.axhline(0, color=style.PALE)
     axes.plot(time_s, error, color=style.VERMILLION, lw=0.7)
-    unit = part.label("measured").rpartition("(")[2]
-    label_axes(axes, time_s, f"Error ({unit}")
+    unit = part.unit("measured")
+    label_axes(axes, time_s, f"Error ({unit})" if unit else "Error")
