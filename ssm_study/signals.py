@@ -19,6 +19,11 @@ class Channel:
     name: str
     unit: str
 
+    @property
+    def name_with_unit(self) -> str:
+        """Name of a channel, followed by its unit in parentheses if a unit is known."""
+        return f"{self.name} ({self.unit})" if self.unit else self.name
+
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:

@@ -49,12 +49,12 @@ def summarise_model(model: "Model") -> pd.Series:
     data = model.data
     model_class = type(model.simulator).__name__
     lines: dict[str, Any] = {"class": model_class}
-    input_names = map(name_with_unit, data.inputs)
+    input_names = [channel.name_with_unit for channel in data.inputs]
     lines["inputs"] = ", ".join(input_names)
-    output_names = map(name_with_unit, data.outputs)
+    output_names = [channel.name_with_unit for channel in data.outputs]
     lines["outputs"] = ", ".join(output_names)
     if data.disturbances:
-        disturbance_names = map(name_with_unit, data.disturbances)
+        disturbance_names = [channel.name_with_unit for channel in data.disturbances]
         lines["measured disturbances"] = ", ".join(disturbance_names)
     lines["sampling time"] = f"{data.step_s:g} s"
     lines["samples"] = sample_counts_text(data)
@@ -279,11 +279,6 @@ def summarise_prediction(
         "predicted for the plant": prediction + suffix,
         "evidence": evidence,
     }
-
-
-def name_with_unit(channel: Any) -> str:
-    """Name of a channel, followed by its unit in parentheses if it has one."""
-    return f"{channel.name} ({channel.unit})" if channel.unit else channel.name
 
 
 def sample_counts_text(data: DataSet) -> str:

@@ -36,6 +36,7 @@ RETRY = (
     "a failed run is not tried again by the same command; once its cause is mended, add "
     "--retry-failed"
 )
+TRANSIENT = "the machine was at fault, not the run; the same command runs it again"
 WIDTH = 80  # of the outcome, where a terminal is not narrower
 
 
@@ -70,7 +71,7 @@ def print_run_summary(config: DictConfig) -> bool:
             write_atomically(stored_text_path, json.dumps(stored_text).encode(), durable=False)
     console.print(Text.from_ansi(stored_text[-1]), soft_wrap=True)
     if record.get("status") == FAILED:
-        print(RETRY)
+        print(TRANSIENT if record.get("failure_transient") else RETRY)
     return record.get("status") not in (OK, INFEASIBLE) or (
         config.strict and record.get("evidence") == "cannot judge"
     )
@@ -132,7 +133,9 @@ def print_sweep_summary(config: DictConfig) -> bool:
 
     table = show_table(study_folder(config))
     withheld = config.strict and "evidence" in table and (table["evidence"] == CANNOT_JUDGE).any()
-    if (table["status"] == FAILED).any():
+    failed = table[table["status"] == FAILED]
+    machine_at_fault = failed.get("failure_transient", failed["status"])
+    if any(flag is not True for flag in machine_at_fault):
         print(RETRY)
     is_unfinished = table["status"].isin([FAILED, LOST, CORRUPT])
     if is_unfinished.any():

@@ -164,8 +164,7 @@ def _describe_ranges(
     lines = []
     for j, (channel, low, high) in enumerate(zip(channels, lower, upper, strict=True)):
         values = f"{relation} {low:.6g} to {high:.6g}"
-        name = f"{channel.name} ({channel.unit})" if channel.unit else channel.name
-        lines.append(f"{side} {j}: {name}, {values}")
+        lines.append(f"{side} {j}: {channel.name_with_unit}, {values}")
     return lines
 
 

@@ -42,10 +42,8 @@ COLOURS = {
     "infeasible": "yellow",
     "running": "cyan",
 }
-AGAIN = {
-    "lost": "stopped before it ended; the same command runs it again",
-    "corrupt": "record.json is damaged; the same command runs it again",
-}
+REASONS_BY_STATUS = {"lost": "stopped before it ended", "corrupt": "record.json is damaged"}
+RUN_AGAIN = "; the same command runs it again"
 STATUSES = ("ok", "infeasible", "failed", "lost", "corrupt", "running")
 SUMMARY_LINES = textwrap.TextWrapper(
     WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False
@@ -339,13 +337,15 @@ def fold_statistics_lines(table: pd.DataFrame) -> list[str]:
 
 def _reason_lines(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
     """Text lines with the reasons of failed or infeasible runs, merged where only numbers
-    differ."""
-    named_columns = ("run", *REASONS)
+    differ, and whether the same command runs them again."""
+    named_columns = ("run", *REASONS, "failure_transient")
     columns = [name for name in named_columns if name in rows]
     runs: dict[str, list[tuple[str, str]]] = {}
     for row in rows[columns].to_dict("records"):
         recorded = (str(row[name]) for name in REASONS if not pd.isna(row.get(name)))
-        reason = AGAIN.get(status) or next(recorded, "no reason was recorded")
+        reason = REASONS_BY_STATUS.get(status) or next(recorded, "no reason was recorded")
+        if status in REASONS_BY_STATUS or row.get("failure_transient") is True:
+            reason = f"{reason}{RUN_AGAIN}"
         reason = escape_control_characters(reason)
         without_numbers = NUMBER.sub("#", reason)
         run = str(row["run"])

@@ -193,6 +193,18 @@ def test_reasons_that_differ_in_a_number_are_one_line_with_its_range() -> None:
     assert reasons == [expected]
 
 
+def test_a_failure_of_the_machine_is_run_again_by_the_same_command() -> None:
+    """Which of two failures needs `--retry-failed` could not be read."""
+    full_disk: dict[str, object] = {"run": "r-1", "status": "failed"}
+    full_disk |= {"error_message": "No space left", "failure_transient": True}
+    mistake: dict[str, object] = {"run": "r-2", "status": "failed"}
+    mistake |= {"error_message": "singular", "failure_transient": False}
+    table = table_from_records([full_disk, mistake])
+    reasons = summary_lines(table, 2)[2:]
+    again = "  failed 1: No space left; the same command runs it again"
+    assert sorted(reasons) == [again, "  failed 2: singular"]
+
+
 def test_costs_count_each_stage_once() -> None:
     rows = []
     for i in range(20):
