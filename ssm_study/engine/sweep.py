@@ -11,13 +11,13 @@ SWEEP = "multirun.yaml"
 LARGEST = 2**18  # bytes of that file: a real one has 10,000
 
 
-def swept_numbers(study: Path) -> dict[str, list[float]]:
+def swept_numbers(study: Path) -> dict[str, list[int | float]]:
     """Numbers that the last sweep of a study varied, keyed by setting; empty without a readable
     sweep."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import OverrideParseException
 
-    swept: dict[str, list[float]] = {}
+    swept: dict[str, list[int | float]] = {}
     damage = (OSError, ValueError, KeyError, TypeError, yaml.YAMLError, OverrideParseException)
     with suppress(*damage):
         text = read_limited_bytes(study / SWEEP, LARGEST).decode()

@@ -271,12 +271,12 @@ def test_what_the_killed_had_saved_goes_to_their_successor(tmp_path: Path) -> No
     store = Store(tmp_path)
     folder = store.stage_folder("model", KEY)
     leftover = folder.with_name(f".tmp-{folder.name}-deadbeef")
-    (leftover / "start_1").mkdir(parents=True)
-    for name in ("last.ckpt", "start_1/last.ckpt", "half.json"):
+    (leftover / "fold_2" / "start_1").mkdir(parents=True)
+    for name in ("last.ckpt", "fold_2/start_1/last.ckpt", "half.json"):
         (leftover / name).write_text(name)
 
     def going_on(folder: Path) -> None:
-        expected = ["last.ckpt", "start_1/last.ckpt"]
+        expected = ["fold_2/start_1/last.ckpt", "last.ckpt"]
         assert sorted(content_of(folder)) == expected
         text = (folder / "last.ckpt").read_text()
         (folder / "model.json").write_text(text)

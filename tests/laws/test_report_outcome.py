@@ -197,6 +197,19 @@ def test_the_prediction_says_what_it_rests_on() -> None:
     assert reached in printed_words(noisy)
 
 
+SINE_MARGINS = [(0.84, 1.24, True), (1.0, 1.24, True), (1.1, 1.24, False), (0.84, 1.0, False)]
+
+
+def test_a_single_sine_takes_the_records_place_where_it_alone_refutes() -> None:
+    run = a_run("ok") | {"predicted_stable": False}
+    for of_sines, of_records, is_named in SINE_MARGINS:
+        margins = {"sine_margin": of_sines, "resolved_margin": of_records}
+        text = printed_words(run | margins)
+        words = f"single sines show more than the other records (margin {of_sines:g}"
+        assert (words in text) is is_named
+        assert ("stability margin" in text) is not is_named
+
+
 def test_a_path_is_never_broken() -> None:
     long_name = "long_" * 20
     figures_path = Path("results") / long_name / "figures"

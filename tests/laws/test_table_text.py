@@ -1,9 +1,13 @@
 """Tables as text: what was swept comes first, reasons are counted, everything fits the width."""
 
+from itertools import product
+from pathlib import Path
+
 import pandas as pd
 
 from ssm_study.report.page.data import page_title
 from ssm_study.table.columns import swept_settings
+from ssm_study.table.doubts import row_count_doubts
 from ssm_study.table.filters import filter_rows
 from ssm_study.table.gather import table_from_records
 from ssm_study.table.show import cost_lines, render_table, stage_costs, summary_lines
@@ -225,3 +229,22 @@ def test_costs_count_each_stage_once() -> None:
     assert together.split() == expected
     empty = table_from_records([])
     assert cost_lines(empty)
+
+
+SWEEP_TEXT = 'hydra:\n  overrides:\n    task: ["model.order=4,6", "seed=0,1"]\n'
+GRID = list(product([4, 6], [0, 1]))
+MISSING_RUNS = [
+    (0, []),
+    (1, ["1 of 4 runs of the sweep is missing"]),
+    (2, ["2 of 4 runs of the sweep are missing"]),
+]
+
+
+def test_runs_of_the_sweep_that_have_no_row_are_counted(tmp_path: Path) -> None:
+    (tmp_path / "multirun.yaml").write_text(SWEEP_TEXT)
+    rows = [{"run": f"{order}{seed}", "order": order, "seed": seed} for order, seed in GRID]
+    for missing, expected in MISSING_RUNS:
+        table = table_from_records(rows[missing:])
+        sentences = row_count_doubts(tmp_path, table)
+        counts = [sentence.partition(" (")[0] for sentence in sentences]
+        assert counts == expected

@@ -178,3 +178,19 @@ def test_refusals(tmp_path: Path) -> None:
     recorded_data = RecordedData(**settings, reference="set_point")
     with pytest.raises(BadRequest):
         recorded_data.build(0)
+
+
+def test_two_logs_of_one_loop_share_one_share_by_their_set_points(tmp_path: Path) -> None:
+    paths = []
+    for name, seed in (("first", 1), ("second", 2)):
+        folder = tmp_path / name
+        folder.mkdir()
+        signals = loop(seed, drift=0.0)
+        path = written(folder, *signals)
+        paths.append(path)
+    settings = settings_of(paths[0]) | {"path": paths}
+    both = RecordedData(**settings, reference="r").build(0)
+    by_set_point = float(both.metadata["by_set_point"])
+    assert 0.3 < by_set_point < 0.99
+    numbers = [record.log for record in both.training]
+    assert numbers == [1, 2]

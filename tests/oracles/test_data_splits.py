@@ -239,3 +239,20 @@ def test_the_rest_is_the_mean_of_the_training_records_alone(tmp_path):
         actual = data.scale.output_equilibrium
         expected = trained.mean(axis=0)
         np.testing.assert_allclose(actual, expected, rtol=1e-12)
+
+
+REST_LENGTHS = [11, 12, 21]
+
+
+def test_a_rest_counts_from_two_samples_beyond_the_start_up_window_on(tmp_path):
+    rests = [np.zeros(length - 1) for length in REST_LENGTHS]
+    moved = np.sin(np.arange(1, 400))
+    u = np.concatenate([moved, rests[0], [1.0], rests[1], [1.0], rests[2]])
+    path = tmp_path / "log.csv"
+    table = np.column_stack([u, 2 * u])
+    np.savetxt(path, table, delimiter=",", header="u,y", comments="")
+    recorded = RecordedData(path=str(path), input="u", output="y", step_s=0.1)
+    for start_up_samples, expected in ((9, [11, 12, 21]), (10, [12, 21]), (11, [21])):
+        data = replace(recorded, start_up_samples=start_up_samples).build(0)
+        lengths = [len(rest) for rest in data.mismatch_records]
+        assert lengths == expected

@@ -1,6 +1,7 @@
 """Guaranteed costs and their Riccati equations: every slope, every tau, doubling against SciPy."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -176,3 +177,15 @@ def test_a_compiled_sweep_gives_what_fresh_problems_give() -> None:
         actual = shared.solve(case).k
         expected = fresh.solve(case).k
         np.testing.assert_allclose(actual, expected, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("slopes", [(0.4, 1.0), (1.0, 1.0)])
+def test_an_input_in_smaller_units_has_the_same_gain(slopes: tuple[float, float]) -> None:
+    """`B/c` and `c S_u` are the plant of `B` and `S_u`; powers of two round nothing."""
+    problem = cost_problem(ball=JacobianBall.from_slopes(*slopes))
+    expected = guaranteed_cost(problem).k
+    for scale in (2.0**-6, 2.0**6):
+        ball = JacobianBall.from_slopes(scale * slopes[0], scale * slopes[1])
+        scaled = replace(problem, b=problem.b / scale, ball=ball)
+        actual = guaranteed_cost(scaled).k
+        np.testing.assert_allclose(actual, expected, rtol=1e-9)
