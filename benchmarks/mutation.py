@@ -160,7 +160,8 @@ GROUPS = {
     ),
     "table": Group(
         modules=("table",),
-        tests="tests/laws/test_results_table.py tests/laws/test_table_text.py",
+        tests="tests/laws/test_results_table.py tests/laws/test_table_text.py "
+        "tests/oracles/test_export_recording.py tests/laws/test_over_seeds.py",
         planted=15,
     ),
     "cli": Group(
@@ -172,7 +173,8 @@ GROUPS = {
     ),
     "evidence": Group(
         modules=("evidence",),
-        tests="tests/oracles/test_evidence_response.py tests/oracles/test_evidence_rest.py "
+        tests="tests/oracles/test_evidence_limits.py tests/oracles/test_evidence_response.py "
+        "tests/oracles/test_evidence_rest.py tests/oracles/test_evidence_false_reasons.py "
         "tests/oracles/test_evidence_own_motion.py tests/oracles/test_evidence_feedback.py "
         "tests/laws/test_evidence_controls.py -k 'not control or white or saturated or 60 or good'",
         planted=15,

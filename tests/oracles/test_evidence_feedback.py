@@ -1,8 +1,12 @@
 """Feedback in the records: logs of closed loops are doubted, those of open loops are not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.signal
+from test_evidence_false_reasons import SWEEP, motor_position, sentences
+from test_evidence_limits import alternate, case_of_one, data_of
 from test_evidence_response import LEVELS, WHITE, answer, answered, case
 
 from ssm_study.evidence import feedback
@@ -117,3 +121,78 @@ def test_a_controller_that_acts_a_sample_late_is_found_by_the_outputs_before():
     assert before < feedback.PRESENT
     assert present < feedback.PRESENT
     assert "as in a closed-loop log" in doubt.sentence
+
+
+def test_a_loop_shows_above_what_chance_adds():
+    few = data_of(alternate(299), alternate(300), alternate(300))
+    assert not feedback.shows_closed_loop(few, 1.0, 1.0)
+    enough = data_of(alternate(300), alternate(300), alternate(300))
+    assert feedback.shows_closed_loop(enough, 0.0, 1.0)
+    more = data_of(alternate(400), alternate(300), alternate(300))
+    assert feedback.shows_closed_loop(more, 0.1, 0.0)
+    assert not feedback.shows_closed_loop(more, 0.099, 0.0)
+
+
+SET_POINTS = [("0.20", "note"), ("0.19", "doubt")]
+
+
+@pytest.mark.parametrize(("share", "level"), SET_POINTS)
+def test_a_set_point_explains_a_fifth_of_the_input(share, level, monkeypatch):
+    monkeypatch.setattr(feedback, "judge_instability", lambda *_, **__: [])
+    judged = case_of_one(alternate(300))
+    data = replace(judged.data, metadata={"by_set_point": share})
+    staged = replace(judged, data=data)
+    (finding,) = feedback.judge_feedback(staged)
+    assert finding.level == level
+    assert f"{share[2:]} % of its power" in finding.sentence
+
+
+def test_a_model_that_integrates_is_not_advised_to():
+    position = motor_position(SWEEP, 60)
+    for slow, is_said in ((1.0, False), (0.99, True)):
+        log = case(SWEEP, position, slow=slow)
+        text = sentences(feedback.judge_feedback(log))
+        assert ("use model.integrating_output=true" in text) is is_said
+
+
+# Over 900 samples by these logarithms, beside 2.03 and -0.5.
+WALK = 2.0
+GROWTH = 2.1
+KEPT = -0.49
+LOST = -0.51
+INTEGRATES = "integrates its input"
+RUNS_AWAY = "runs away by itself"
+IN_OPEN_LOOP = [
+    (WALK, 0.5, 9.0, ""),
+    (WALK, 0.6, 9.0, INTEGRATES),
+    (GROWTH, 0.5, 4.0, ""),
+    (GROWTH, 0.5, 4.1, RUNS_AWAY),
+    (KEPT, 0.6, 0.0, INTEGRATES),
+    (LOST, 0.6, 0.0, ""),
+]
+IN_LOOP = [(900 * np.log(1.01), 0.6, 9.0, ""), (9.9, 0.6, 0.0, RUNS_AWAY)]
+
+
+def words_on_instability(monkeypatch, growth, by_input, by_itself, in_loop) -> str:
+    """Sentences on a mode that grows by this logarithm over all samples."""
+    mode = float(np.exp(growth / 900))
+    monkeypatch.setattr(feedback, "dominant_mode_modulus", lambda *_: mode)
+    monkeypatch.setattr(feedback, "growth_statistics", lambda _: (by_input, by_itself))
+    monkeypatch.setattr(feedback, "integrator_share", lambda _: None)
+    signal = alternate(300)
+    data = data_of(signal, signal, signal)
+    return sentences(feedback.judge_instability(data, is_closed_loop=in_loop))
+
+
+@pytest.mark.parametrize(("growth", "by_input", "by_itself", "words"), IN_OPEN_LOOP)
+def test_what_grows_and_what_lasts_in_open_loop(growth, by_input, by_itself, words, monkeypatch):
+    text = words_on_instability(monkeypatch, growth, by_input, by_itself, False)
+    assert bool(text) == bool(words)
+    assert words in text
+
+
+@pytest.mark.parametrize(("growth", "by_input", "by_itself", "words"), IN_LOOP)
+def test_what_grows_in_a_loop(growth, by_input, by_itself, words, monkeypatch):
+    text = words_on_instability(monkeypatch, growth, by_input, by_itself, True)
+    assert bool(text) == bool(words)
+    assert words in text
