@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from omegaconf.errors import ConfigKeyError
 from report_runs import random_run, write_recordings
 from rich.console import Console
 
@@ -16,9 +17,10 @@ from ssm_study import style
 from ssm_study.cli import commands
 from ssm_study.cli.browser import open_page, page_link
 from ssm_study.cli.commands import export_warnings, figures_line, may_overwrite
+from ssm_study.cli.hydra_errors import explain_hydra_error
 from ssm_study.cli.main import DONE, WRONG_REQUEST, main
 from ssm_study.cli.request import translate_arguments
-from ssm_study.cli.run import print_progress
+from ssm_study.cli.run import configuration_folder, print_progress
 from ssm_study.cli.summary import print_run_summary
 from ssm_study.durable import file_lock
 from ssm_study.engine.records import LOCK, write_record
@@ -234,3 +236,59 @@ def test_an_export_warns_of_what_its_run_has_not_tried(tmp_path: Path) -> None:
     header_path.write_text(" * Within limits, to set points r:\n")
     record_path.write_text('{"stable_count": 10}')
     assert export_warnings(tmp_path, header_path) == []
+
+
+def test_a_key_that_is_not_there_is_named_with_its_place() -> None:
+    """OmegaConf says the last name alone, and in a line of its own the whole key."""
+    answer = "Key 'ordr' is not in struct"
+    words = ["model.ordr=1,2"]
+    alone = explain_hydra_error(ConfigKeyError(answer), words, configuration_folder())
+    assert "Could not override 'ordr'" in str(alone)
+    error = ConfigKeyError(f"{answer}\n    full_key: model.ordr\n    object_type=dict")
+    placed = explain_hydra_error(error, words, configuration_folder())
+    assert "Could not override 'model.ordr'" in str(placed)
+    assert "did you mean model.order?" in str(placed)
+
+
+def test_a_run_is_refined_once_or_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = {"status": "ok", "run": "a"}
+    (tmp_path / "a").mkdir()
+    write_record(tmp_path / "a", record)
+    steps = [SimpleNamespace(said="refined", config=None)]
+    monkeypatch.setattr("ssm_study.study.refine.refine", lambda *_: iter(steps))
+    words = ["refine", str(tmp_path / "a"), "--times"]
+    assert main([*words, "1"]) == DONE
+    assert capsys.readouterr().out == "refined\n"
+    assert main([*words, "0"]) == WRONG_REQUEST
+    assert "must be at least 1" in capsys.readouterr().err
+
+
+REPORTS = [
+    ([], False),
+    (["-v"], True),
+    (["--only", "closed_loop"], True),
+    (["--width", "column"], True),
+]
+
+
+@pytest.mark.parametrize(("options", "is_listed"), REPORTS)
+def test_figures_are_listed_where_they_were_asked_for(
+    options: list[str],
+    is_listed: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    record = {"status": "ok", "run": "a"}
+    (tmp_path / "a").mkdir()
+    write_record(tmp_path / "a", record)
+    drawn = [tmp_path / "figures" / "one.png"]
+    page = tmp_path / "report.html"
+    monkeypatch.setattr("ssm_study.report.figures.draw_figures", lambda *_, **__: drawn)
+    monkeypatch.setattr("ssm_study.report.page.writing.write_page", lambda *_: page)
+    assert main(["report", str(tmp_path), *options]) == DONE
+    lines = capsys.readouterr().out.splitlines()
+    assert (lines[-1] == str(drawn[0])) is is_listed
+    assert (lines[-1] == figures_line(drawn, 0)) is not is_listed

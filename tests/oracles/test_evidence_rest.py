@@ -267,6 +267,17 @@ def test_a_short_return_shows_a_rest_where_it_comes_from_far(start, said):
     assert offsets == []
 
 
+@pytest.mark.parametrize(("response_length", "motions"), [(20, [0.0]), (21, [])])
+def test_a_return_is_long_from_two_responses_on(response_length, motions):
+    """Forty samples follow the step, and begin too near to count otherwise."""
+    u = np.eye(41, 1)
+    y = 0.1 * np.eye(41, 1, -1)
+    record = Trajectory(u=u, y=y, step_s=0.1)
+    scale = Scale.identity(1, 1)
+    still, _ = offsets_after_returns(scale, [record], response_length)
+    assert still == pytest.approx(motions)
+
+
 ENDS = [(0.0, [0.0, 0.0]), (1.0, [])]
 
 

@@ -315,3 +315,14 @@ def test_refusals(tmp_path: Path) -> None:
         "controller_track(controller_state"
         not in render_c_files(coupled, origin_text="")["controller.h"]
     )
+
+
+def test_why_a_linear_model_has_no_set_points(tmp_path: Path) -> None:
+    made = device(tmp_path, kind="linear")
+    assert made.no_set_points_reason == ""
+    unseen = {name: 0 * getattr(made.controller, name) for name in "cd"}
+    blind = replace(made, controller=replace(made.controller, **unseen))
+    assert blind.no_set_points_reason == "no constant input reaches every output"
+    held = np.eye(len(made.controller.a))
+    integrating = replace(made, controller=replace(made.controller, a=held))
+    assert integrating.no_set_points_reason == "the model integrates"

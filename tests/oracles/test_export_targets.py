@@ -270,11 +270,13 @@ def test_an_output_that_two_rest_points_share_has_no_set_points(tmp_path: Path) 
     folded = replace(made, neurons=neurons)
     ends = [made.scale.physical_input(np.array([end])) for end in (-0.5, 0.5)]
     device = Device.from_controller(folded, "double", *ends)
-    set_point_maps = device.set_point_maps
-    assert set_point_maps is None
+    assert device.set_point_maps is None
+    assert device.no_set_points_reason.startswith("two equilibria of the model have one output")
     device = Device.from_controller(made, "double", *ends)
-    set_point_maps = device.set_point_maps
-    assert set_point_maps is not None
+    assert device.set_point_maps is not None
+    assert device.no_set_points_reason == ""
+    two_inputs = replace(device, lower=np.zeros(2), upper=np.ones(2))
+    assert two_inputs.no_set_points_reason.startswith("neurons stand between several inputs")
 
 
 def test_the_limits_of_a_one_sided_log_leave_room_to_rest(tmp_path: Path) -> None:

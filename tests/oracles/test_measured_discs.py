@@ -327,6 +327,21 @@ def test_a_bend_of_the_output_map_needs_its_multipliers() -> None:
     assert with_bend is not None
     assert len(with_bend.lambda_out) == 3
     assert with_bend.kappa < proof.kappa
+    assert with_bend.failed_checks(verification_context) == []
+
+
+def test_a_forged_bend_without_multipliers_is_refused() -> None:
+    """Half the radius leaves all the room that the inequality without multipliers needs."""
+    known = context(one_layer(0))
+    proof = certify_largest_radius(known, WEIGHTS, -0.1)
+    assert proof is not None
+    half = replace(proof, kappa=0.5 * proof.kappa)
+    assert half.failed_checks(known) == []
+    bend = replace(OUTPUT_BALL, beta=0.1)
+    bent = replace(known, balls=replace(BALLS, output=bend))
+    forged = replace(half, beta_out=0.1)
+    sentences = forged.failed_checks(bent)
+    assert any("beta_out" in sentence for sentence in sentences)
 
 
 def test_without_a_controller_no_number_is_the_largest() -> None:
