@@ -33,9 +33,10 @@ from ssm_study.robustness.coverage import (
     running_constraint_sum,
 )
 from ssm_study.robustness.coverage_items import requirements_from_periods
-from ssm_study.robustness.coverage_spectra import MismatchSpectrum
+from ssm_study.robustness.coverage_spectra import MismatchSpectrum, averaged_spectrum_in_loop
 from ssm_study.robustness.coverage_table import coverage_table
 from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.record_errors import RecordErrors
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.measured_discs_run import (
     add_coverage_certificate,
@@ -385,3 +386,15 @@ def test_a_short_period_has_bands_without_lines() -> None:
         assert not item.dark
     of_bands = [item for item in items if " around " in item.label]
     assert len(of_bands) < len(ANGLES)
+
+
+def test_white_noise_in_a_loop_is_taken_from_the_quietest_quarter_of_the_bands() -> None:
+    rng = np.random.default_rng(0)
+    still = np.zeros((20_000, 1))
+    error = 0.3 * rng.standard_normal((20_000, 1))
+    run = RecordErrors(name="a", moving=still, u=still, model=still, e=error)
+    known = averaged_spectrum_in_loop(run, np.full(len(ANGLES), 0.09))
+    read = averaged_spectrum_in_loop(run, None)
+    ratio = read.drawn / known.drawn
+    assert 0.7 < ratio.min() <= ratio.max() < 1.0
+    assert np.mean(known.error_power < read.drawn) == pytest.approx(0.25, abs=0.02)

@@ -362,3 +362,14 @@ def test_the_norm_of_constants_and_of_nothing():
 def test_a_system_on_the_circle_has_no_finite_norm():
     system = one_mode(1.0)
     assert hinf_norm(system) == np.inf
+
+
+def test_what_sticks_is_compared_with_five_percent_of_the_farthest_start():
+    """One offset may be a twentieth of the worst, the largest of two a root of that."""
+    views = shown_by(lambda u: 0.1 * u).views
+    assert Mismatch(views=views).offset == 0.0
+    alone = Mismatch(views=views, stuck=(0.01,))
+    assert alone.scaled_settling_band == pytest.approx(0.05)
+    assert alone.offset == pytest.approx(0.01 * 20 / 0.05)
+    farther = Mismatch(views=views, stuck=(0.01, 0.02), farthest=4.0)
+    assert farther.offset == pytest.approx(0.02 * np.sqrt(20) / 0.2)

@@ -344,6 +344,22 @@ def test_a_forged_bend_without_multipliers_is_refused() -> None:
     assert any("beta_out" in sentence for sentence in sentences)
 
 
+def test_neurons_that_see_the_error_and_the_output_at_once_are_refused() -> None:
+    """An observer whose neurons answer the error within the sample has an algebraic loop there."""
+    system = drawn(0)
+    known = context(system)
+    proof = certify_largest_radius(known, WEIGHTS, -0.1)
+    assert proof is not None
+    assert proof.l_z.any()
+    half = replace(proof, kappa=0.5 * proof.kappa)
+    assert half.failed_checks(known) == []
+    seen = np.full(system.h.shape, 1e-9)
+    seeing = replace(system, h=seen)
+    at_once = replace(known, system=seeing, controlled=seeing)
+    sentences = replace(half, h=seen).failed_checks(at_once)
+    assert any("alpha_out" in sentence for sentence in sentences)
+
+
 def test_without_a_controller_no_number_is_the_largest() -> None:
     known = context(one_layer(0))
     k = np.zeros((1, 3))
