@@ -20,6 +20,7 @@ from structured_cases import (
 
 from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import NoSolution, dual_system
+from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.integral_action import augmented_system
 from ssm_study.certificates.theorems.structured_observer import StructuredObserver
 from ssm_study.certificates.theorems.structured_state_feedback import StructuredStateFeedback
@@ -38,7 +39,7 @@ from ssm_study.synthesis.structured_riccati import (
     log_multipliers,
     minimise_guaranteed_cost,
 )
-from ssm_study.systems import JacobianBall, StructuredSystem
+from ssm_study.systems import Balls, JacobianBall, StructuredSystem
 
 WIDE = JacobianBall.from_slopes(0.6, 1.0)
 SIDES = {"state_feedback": StructuredStateFeedback, "observer": StructuredObserver}
@@ -220,6 +221,13 @@ def test_injection_where_the_output_sees_the_neurons_is_refused() -> None:
     assert StructuredObserver.holds(**numbers)
     l_z = 1e-9 * np.ones_like(numbers["l_z"])
     assert not StructuredObserver.holds(**{**numbers, "l_z": l_z})
+    information = {"rate_limit": 1.0, "method": "", "status": ""}
+    certificate = StructuredObserver.from_numbers(numbers, **information)
+    balls = Balls(input=KNOWN, output=KNOWN)
+    context = VerificationContext(system=system, controlled=system, balls=balls, gains={})
+    assert certificate.failed_checks(context) == []
+    (sentence,) = replace(certificate, l_z=l_z).failed_checks(context)
+    assert sentence.startswith(".l_z: must be zero")
 
 
 def test_integrators_are_states_like_others() -> None:

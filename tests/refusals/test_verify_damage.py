@@ -2,13 +2,18 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from verify_lies import edited
 
-from ssm_study.study.verify import verify
+from ssm_study.durable import file_lock
+from ssm_study.engine.records import LOCK, write_record
+from ssm_study.refusal import BadRequest
+from ssm_study.study.findings import Checked
+from ssm_study.study.verify import finding_lines, verify
 
 pytestmark = pytest.mark.usefixtures("made_once")
 
@@ -113,3 +118,33 @@ def test_a_wrong_shape_or_word_is_told_in_a_sentence_of_ours(what: str, copied_r
     assert any(text.endswith(sentence) for text in failures), failures
     text = " ".join(failures)
     assert not any(word in text for word in FOREIGN_WORDS)
+
+
+def test_failures_of_one_cause_stand_in_one_line() -> None:
+    first = Checked(claim="a", holds=False, found="gone")
+    held = Checked(claim="b", holds=True, found="gone")
+    again = Checked(claim="c", holds=False, found="gone")
+    other = Checked(claim="d", holds=False, found="wrong")
+    lines = finding_lines([first, held, again, other])
+    together = replace(first, claim="a, c")
+    assert lines == [str(together), str(held), str(other)]
+
+
+UNFINISHED = {
+    "failed": "see error_message in",
+    "running": "the command that began it runs it again",
+}
+
+
+@pytest.mark.parametrize("status", UNFINISHED)
+def test_a_run_that_claims_nothing_is_told_what_to_do(tmp_path: Path, status: str) -> None:
+    """Without its lock a running run is lost; with it, it is at work."""
+    write_record(tmp_path, {"status": status, "run": "a"})
+    with pytest.raises(BadRequest, match=UNFINISHED[status]):
+        verify(tmp_path)
+    (tmp_path / "traceback.txt").touch()
+    with file_lock(tmp_path / LOCK) as is_held:
+        assert is_held
+        words = "see .*traceback.txt" if status == "failed" else "give a run that is ok"
+        with pytest.raises(BadRequest, match=words):
+            verify(tmp_path)
