@@ -249,6 +249,22 @@ def test_with_neurons_it_says_that_nothing_is_proved_of_the_limits() -> None:
     assert "know no neurons" not in printed(without_neurons)
 
 
+def test_only_a_run_from_the_log_before_is_said_to_be_one() -> None:
+    words = ", run from the log before it"
+    record = a_run("ok")
+    assert words not in printed_words(record)
+    assert words not in printed_words(record | {"piece_start": "samples"})
+    assert words in printed_words(record | {"piece_start": "past"})
+
+
+def test_a_coverage_that_is_withheld_is_not_called_none() -> None:
+    record = a_run("ok") | {"coverage": None}
+    withheld = record | {"coverage_reason": "withheld: few records"}
+    assert "covered withheld: few records" in printed_words(withheld)
+    none = record | {"coverage_reason": "few records"}
+    assert "covered not covered: few records" in printed_words(none)
+
+
 def test_outputs_that_share_no_range_are_not_given_one() -> None:
     """Two levels that rest apart: `from outputs 6.54 to 6.26` would be of neither."""
     limits = {"limit_lower": 2.16, "limit_upper": 4.14, "limited_rate": 0.1}

@@ -5,11 +5,13 @@ from pathlib import Path
 
 import pandas as pd
 
+from ssm_study.engine.records import write_record
 from ssm_study.report.page.data import page_title
 from ssm_study.table.columns import swept_settings
 from ssm_study.table.doubts import row_count_doubts
 from ssm_study.table.filters import filter_rows
-from ssm_study.table.gather import table_from_records
+from ssm_study.table.gather import gather, rows_differ_from_records, table_from_records
+from ssm_study.table.rank import outcome_class
 from ssm_study.table.show import cost_lines, render_table, stage_costs, summary_lines
 
 
@@ -248,3 +250,37 @@ def test_runs_of_the_sweep_that_have_no_row_are_counted(tmp_path: Path) -> None:
         sentences = row_count_doubts(tmp_path, table)
         counts = [sentence.partition(" (")[0] for sentence in sentences]
         assert counts == expected
+
+
+def test_outcomes_have_seven_classes_from_settled_to_failed() -> None:
+    certified = {"status": "ok", "controller_certified": True, "observer_certified": True}
+    settled = certified | {"stable_fraction": 1.0}
+    faster = settled | {"settling_time_mean_s": 1.9, "settling_time_open_loop_s": 2.0}
+    no_faster = faster | {"settling_time_mean_s": 2.0}
+    unsettled = faster | {"stable_fraction": 0.9}
+    uncertified = settled | {"observer_certified": False}
+    baseline = {"status": "ok", "fit_test_percent": 99.0}
+    infeasible = baseline | {"status": "infeasible"}
+    lost = settled | {"status": "lost"}
+    rows = [faster, no_faster, unsettled, uncertified, baseline, infeasible, lost, settled]
+    named = [row | {"run": str(number)} for number, row in enumerate(rows)]
+    table = table_from_records(named)
+    classes = outcome_class(table)
+    assert classes.tolist() == [0, 1, 2, 3, 4, 5, 6, 0]
+
+
+def test_a_table_without_reasons_names_no_run_as_not_certified() -> None:
+    table = sweep(4).drop(columns="uncertified_reason")
+    text = " ".join(summary_lines(table, 4))
+    assert "not certified" not in text
+
+
+def test_a_row_that_contradicts_its_record_is_seen(tmp_path: Path) -> None:
+    for run, order in (("a", 4), ("b", 8)):
+        record = {"status": "ok", "run": run, "order": order}
+        (tmp_path / run).mkdir()
+        write_record(tmp_path / run, record)
+    table = gather(tmp_path)
+    assert not rows_differ_from_records(tmp_path, table)
+    table.loc[1, "order"] = 6
+    assert rows_differ_from_records(tmp_path, table)

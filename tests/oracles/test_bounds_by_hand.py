@@ -11,7 +11,7 @@ from ssm_study.bounds.gramians import (
     bound_local_controllability,
     hankel_singular_values,
 )
-from ssm_study.bounds.network import Network, PortableMap, invert_map, slope_interval
+from ssm_study.bounds.network import Network, PortableMap, break_points, invert_map, slope_interval
 from ssm_study.bounds.slopes import spectral_norm_bound
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
@@ -39,6 +39,19 @@ def test_a_bias_of_minus_one_is_negative() -> None:
     above = (np.ones(1), np.ones(1))
     net = make_network(weights, biases, (below, above))
     expected = (Fraction(1, 8), Fraction(1))
+    assert slope_interval(net) == expected
+
+
+def test_a_falling_neuron_turns_once_and_one_without_input_nowhere() -> None:
+    """`s(1 - v)` falls by one up to one and by a quarter beyond; the second neuron stands still."""
+    falling = np.array([[-1.0], [0.0]])
+    together = np.ones((1, 2))
+    biases = (np.ones(2),)
+    below = (np.full(2, 0.25),)
+    above = (np.ones(2),)
+    net = make_network((falling, together), biases, (below, above))
+    assert break_points(net) == [Fraction(1)]
+    expected = (Fraction(-1), Fraction(-1, 4))
     assert slope_interval(net) == expected
 
 
