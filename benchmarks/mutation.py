@@ -107,7 +107,8 @@ GROUPS = {
         + modules_of(".", "exact")
         + modules_of("certificates", "theorem", "certificate", "problem")
         + theorems("state_feedback", "observer"),
-        tests=f"{REFUSES} tests/refusals/test_synthesis_verdict.py {EXACT} {BATCH}",
+        tests=f"{REFUSES} tests/refusals/test_synthesis_verdict.py {EXACT} {BATCH} "
+        "tests/oracles/test_theorem_conditions.py",
         planted=30,
     ),
     "methods": Group(
@@ -186,6 +187,8 @@ GROUPS = {
         + theorems("deployed_rate", "measured_discs", "limited_input")
         + theorems("inverted_input", "structured_inverted_input"),
         tests="tests/oracles/test_loop_commanded.py tests/oracles/test_evidence_rest.py "
+        "tests/oracles/test_theorem_conditions.py tests/oracles/test_loop_mismatch.py "
+        "tests/oracles/test_measured_discs.py "
         "tests/laws/test_synthesis_theorems.py tests/oracles/test_loop_prediction.py "
         "tests/oracles/test_loop_stiction.py "
         "tests/oracles/test_synthesis_deployed.py "
@@ -198,7 +201,8 @@ GROUPS = {
         + modules_of("synthesis", "measured_discs_program", "measured_discs_search")
         + modules_of("synthesis", "measured_discs_weights", "measured_discs_run")
         + theorems("measured_discs", "measured_discs_structured"),
-        tests="tests/oracles/test_measured_discs.py tests/oracles/test_coverage.py",
+        tests="tests/oracles/test_measured_discs.py tests/oracles/test_coverage.py "
+        "tests/oracles/test_theorem_conditions.py",
         planted=20,
     ),
     "data": Group(
@@ -207,7 +211,8 @@ GROUPS = {
         tests="tests/oracles/test_data_splits.py tests/oracles/test_data_choice.py "
         "tests/refusals/test_data_files.py tests/refusals/test_data_two_files.py "
         "tests/refusals/test_data_values.py "
-        "tests/oracles/test_data_closed_loop.py tests/oracles/test_data_benchmarks.py",
+        "tests/oracles/test_data_closed_loop.py tests/laws/test_data_sets.py "
+        "tests/oracles/test_data_benchmarks.py",
         planted=20,
     ),
     "scaffolds": Group(
@@ -223,7 +228,8 @@ GROUPS = {
     ),
     "report": Group(
         modules=modules_of("report", "outcome", "answers"),
-        tests="tests/laws/test_report_answers.py tests/laws/test_report_outcome.py",
+        tests="tests/laws/test_report_answers.py tests/laws/test_report_outcome.py "
+        "tests/laws/test_report_first_screen.py",
         planted=10,
     ),
 }

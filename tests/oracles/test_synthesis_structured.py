@@ -243,3 +243,14 @@ def test_integrators_are_states_like_others() -> None:
     linears = map(system.linearise_at_slopes, system.slope_corners())
     alone = [linear.a for linear in linears]
     assert all(np.abs(np.linalg.eigvals(a)).max() > 1 - 1e-12 for a in alone)
+
+
+def test_known_multipliers_are_scaled_up_to_cover_larger_weights(monkeypatch):
+    problem = asked(drawn(4), "state_feedback", WIDE, 0.1)
+    found = least_guaranteed_cost(problem)
+    state_weight = 1e4 * problem.state_weight
+    heavier = replace(problem, state_weight=state_weight)
+    module = "ssm_study.synthesis.structured_riccati"
+    monkeypatch.setattr(f"{module}.continue_to_rate", None)  # the search from far is not needed
+    again = least_guaranteed_cost(heavier, found)
+    assert is_confirmed_exactly(heavier, again)
