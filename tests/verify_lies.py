@@ -115,6 +115,23 @@ def lie_about_observer(run: Path, columns: dict[str, Any], **fields: Any) -> Non
     sealed_anew(run, **columns)
 
 
+def lie_about_limits(run: Path) -> None:
+    """Twice the room for the input: the certificate holds all the more."""
+    stored = RunFiles(path=run, record={})
+    part = stored.design.extra_certificates["state_feedback_unlimited"]
+    wider = 2 * part.limits
+    assert type(part).holds(**(part.variables | {"limits": wider}))
+    lower, upper = stored.model.scale.physical_input(wider.T)
+
+    def change(content: dict[str, Any]) -> None:
+        entry = content["state_feedback_unlimited"]
+        entry["limits"] = wider.tolist()
+        entry["digest"] = certificate_digest(entry)
+
+    edited(run / "certificate.json", change)
+    sealed_anew(run, limit_lower=float(lower[0]), limit_upper=float(upper[0]))
+
+
 def lie_about_starts(run: Path) -> None:
     """Starts within the level set that are no states at rest, with the outputs that they have."""
     stored = RunFiles(path=run, record={})

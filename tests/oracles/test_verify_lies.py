@@ -23,6 +23,7 @@ from verify_lies import (
     lie_about_evidence,
     lie_about_excitation,
     lie_about_labels,
+    lie_about_limits,
     lie_about_loop,
     lie_about_model,
     lie_about_observer,
@@ -107,6 +108,7 @@ MARGIN = about(lie_about_observer, {"observer_margin": 0.5}, margin=0.5)
 LIES["margin"] = (MARGIN, OBSERVER)
 LIES["condition"] = (about(lie_about_observer, {}, condition=1.0), OBSERVER)
 LIES["method"] = (about(lie_about_observer, {}, method="lmi"), OBSERVER)
+LIES["limits of another loop"] = (lie_about_limits, "certificate limits")
 LIES["starts that do not rest"] = (lie_about_starts, "certificate starts")
 LIES["no certificate, claims kept"] = (about(without, "certificate.json"), "certificate.json")
 LIES["no closed loop, claims kept"] = (about(without, LOOP), LOOP)

@@ -3,13 +3,16 @@ was called by another name; all seals are in order."""
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from mcap.writer import Writer
 from verify_lies import failing, sealed_anew
 
+from ssm_study.bounds.slopes import certified_balls
 from ssm_study.cli.main import main
 from ssm_study.data.mcap import METADATA_NAME, read_mcap
 from ssm_study.data.mcap_contents import list_unread_contents
@@ -19,10 +22,12 @@ from ssm_study.engine.runs import seal_run
 from ssm_study.engine.settings import plain_settings, run_name
 from ssm_study.report.outcome import coverage_rows, prediction_rows
 from ssm_study.study.claims import split_confirmable_settings
+from ssm_study.study.design_claims import check_internal_model
 from ssm_study.study.findings import RepeatedSettings
 from ssm_study.study.name_claims import expected_name_part
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import verify
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_run import UNPROVED
 
 pytestmark = pytest.mark.usefixtures("made_once")
@@ -219,3 +224,23 @@ def test_record_versions(smoke_run: Path) -> None:
     assert old.may_lack("predicted_faster")
     assert not old.may_lack("sine_margin")
     assert not RunFiles(path=smoke_run, record={"record_version": 3}).may_lack("sine_margin")
+
+
+def test_the_internal_model_is_the_one_that_was_requested(smoke_run: Path) -> None:
+    run = RunFiles(path=smoke_run, record=read_record(smoke_run) or {})
+    balls = certified_balls(run.model)
+    requested = ("step",)
+    rates = {"rate_controller": 0.01, "rate_observer": 0.1}
+    without = RiccatiSynthesis(**rates, integral_weight=0.01)
+    synthesis = replace(without, internal_model=list(requested))
+    design = synthesis.design(run.model, balls)
+    vars(run)["specification"] = SimpleNamespace(synthesis=SimpleNamespace(modes=requested))
+    vars(run)["design"] = design
+    (finding,) = check_internal_model(run)
+    assert finding.holds
+    slower = design.state_feedback.a.copy()
+    slower[-1, -1] = 0.99
+    feedback = replace(design.state_feedback, a=slower)
+    vars(run)["design"] = replace(design, state_feedback=feedback)
+    (finding,) = check_internal_model(run)
+    assert not finding.holds
