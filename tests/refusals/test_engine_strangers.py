@@ -33,6 +33,7 @@ EVIL_TARGETS = [
     "ssm_study.engine.store.Store",
     "ssm_study.cli.main.main",
     "ssm_study.data.mcap.write_mcap",
+    "ssm_study.data.recorded.Path",
     "torch.optim.Adam",
     "lightning.pytorch.loggers.TensorBoardLogger",
     "torch.optim.os.system",
@@ -92,6 +93,16 @@ OTHER_WAYS_IN = [
 def test_other_ways_in_are_refused(text: str) -> None:
     with pytest.raises(BadRequest):
         refuse_foreign_targets(OmegaConf.create(text))
+
+
+def test_a_plug_in_of_hydras_section_is_no_part_of_a_study() -> None:
+    """Named there it is allowed; brought in by an interpolation it is a foreign class."""
+    launcher = {"_target_": "hydra._internal.core_plugins.basic_launcher.BasicLauncher"}
+    hydra = {"launcher": launcher}
+    refuse_foreign_targets(OmegaConf.create({"hydra": hydra}))
+    config = OmegaConf.create({"plant": "${hydra.launcher}", "hydra": hydra})
+    with pytest.raises(BadRequest, match="_target_"):
+        refuse_foreign_targets(config)
 
 
 def test_everything_we_ship_is_allowed() -> None:
