@@ -8,6 +8,7 @@ import pytest
 from loop_cases import BALLS, INPUT_BALL, motor, motor_model, random_model
 
 from ssm_study.bounds.frequency import frequency_response, largest_gains
+from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.integral_action import (
     append_internal_model,
@@ -23,6 +24,7 @@ from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import Loop
 from ssm_study.loop.rollout import Rollouts
 from ssm_study.models.identified import SSM
+from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.sensitivity import error_to_input_response, gain_peaks_on_grid
@@ -267,6 +269,21 @@ def test_a_word_that_is_no_internal_model_is_refused(word):
 def test_a_sine_beyond_half_the_sampling_rate_is_refused():
     with pytest.raises(BadRequest, match="half the sampling rate is 50 Hz"):
         made("sine(50Hz)")
+
+
+def test_an_internal_model_needs_a_linear_output_map():
+    """The modes are driven by what S_y maps: behind a bend they would be no part of the model."""
+    lag = StateSpace(a=0.5 * np.eye(1), b=np.eye(1), c=np.eye(1), d=np.zeros((1, 1)))
+    model = SSM.from_linear(lag, 0.1)
+    breakpoints = np.array([[-1.0, 1.0]])
+    slopes = np.array([[0.8, 1.0, 0.9]])
+    output_map = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
+    bent = replace(model, scaffold_out=output_map)
+    rates = {"rate_controller": 0.1, "rate_observer": 0.1}
+    synthesis = RiccatiSynthesis(**rates, internal_model=["step"])
+    assert synthesis.design(model, certified_balls(model)).certified
+    with pytest.raises(BadRequest, match="needs a linear output map"):
+        synthesis.design(bent, certified_balls(bent))
 
 
 def test_a_mode_at_a_zero_of_the_model_is_refused():
