@@ -14,7 +14,11 @@ from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet
 from ssm_study.training.choice_of_paths import choose_delay, choose_input_path, choose_integrator
 from ssm_study.training.choice_of_products import choose_bilinear_model
-from ssm_study.training.choice_of_regression import choose_regression
+from ssm_study.training.choice_of_regression import (
+    add_leading_regression,
+    choose_regression,
+    score_regressions,
+)
 from ssm_study.training.choice_of_size import (
     decide_on_integrator,
     other_structures,
@@ -50,10 +54,14 @@ def iterate_model_choices(
     if not candidates:
         yield search.build_choice(None)
         return
+    regressions = score_regressions(search)
     predictor = choose_bilinear_model(search, data)
-    regression = choose_regression(search, candidates) if predictor is None else None
-    if regression is not None:
-        yield search.build_choice(regression)
+    if predictor is None:
+        regression = choose_regression(search, candidates, regressions)
+        if regression is None:
+            candidates = add_leading_regression(candidates, regressions)
+        else:
+            yield search.build_choice(regression)
     while candidates:
         chosen = simplest_certifiable_candidate(search, candidates)
         others = other_structures(candidates, chosen)

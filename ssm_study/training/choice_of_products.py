@@ -2,9 +2,10 @@
 clearly prefers it.
 
 A model of that class is fitted in a second (`models.bilinear_spec`), so it is tried on every log
-that it can be fitted to. It predicts in place of the chosen model where its error on held-out
-pieces is far below that of every other candidate. Control stays with the chosen model, since what
-is proved of products of input and state is less (docs/models.md).
+that it can be fitted to, also where a direct path was chosen, which it lacks: neurons without a
+product can need one only to make up for that. It predicts in place of the chosen model where its
+error on held-out pieces is far below that of every other candidate. Control stays with the chosen
+model, since what is proved of products of input and state is less (docs/models.md).
 """
 
 from collections.abc import Sequence
@@ -28,7 +29,7 @@ PRODUCTS_GAIN = 0.25  # of the error of every other candidate that products must
 SIZES = ((2, 3), (3, 5))  # states and nodes
 STARTS = 4  # of the fit that predicts
 FOLD_STEPS = 30  # of the fits that are compared on the folds
-UNTRIED = {"dead_time": 0, "feedthrough": False, "integrating_output": False}
+UNTRIED = {"dead_time": 0, "integrating_output": False}  # a direct path is compared on the folds
 
 
 def choose_bilinear_model(search: SettingsSearch, data: DataSet) -> BilinearSpec | None:

@@ -1,42 +1,78 @@
-"""Choice of a linear regression (ARX) for logs that unmeasured disturbances dominate.
+"""Choice of a linear regression (ARX): a candidate on every log, preferred where unmeasured
+disturbances dominate one.
 
-The error of a free run is then mostly the load, which is slow: a few thousand samples hold few
-independent values of it, and models that minimise this error follow it by chance. The errors of one
-step hold as many values as there are samples. So a regression is the steadier estimate, although
-its free run fits the records less. Folds see too few values of the load to tell the two apart.
+Output error is fitted by the error of a free run. Where the records hold few independent motions,
+or a slow load acts, its minimum follows what happened by chance, and misses held-out pieces. The
+errors of one step hold as many values as there are samples, so a regression is the steadier
+estimate. It is a candidate beside the others where it predicts held-out pieces clearly better than
+output error.
+
+Where a load dominates, folds see too few values of it to tell a regression from others. There a
+regression is taken unless the folds contradict it.
 """
 
 from collections.abc import Sequence
 
 from ssm_study.training.candidates import (
+    LINEAR,
     REGRESSION,
     Candidate,
     best_candidate,
     simplest_good_candidate,
 )
+from ssm_study.training.choice_of_size import simplest_certifiable_candidate
 from ssm_study.training.search import SettingsSearch
 
 LOAD = 20.0  # percent of the output's deviation that a load leaves unexplained at least
 LAGS = (3, 4, 6, 8, 10, 15, 20)
 
 
-def choose_regression(search: SettingsSearch, candidates: Sequence[Candidate]) -> Candidate | None:
+def score_regressions(search: SettingsSearch) -> list[Candidate]:
+    """Cross-validate linear ARX models of several lags; empty if the settings allow none."""
+    if not can_try_regression(search):
+        return []
+    is_direct = search.setting_value("feedthrough") is True
+    delay = 0 if is_direct else 1 + int(search.setting_value("dead_time"))
+    return [search.score_linear_model("regression", lags, delay, REGRESSION) for lags in LAGS]
+
+
+def add_leading_regression(
+    candidates: Sequence[Candidate], regressions: Sequence[Candidate]
+) -> list[Candidate]:
+    """Add the simplest good regression to the candidate models, if output error is clearly worse
+    than it.
+
+    It stands behind the output-error models and before all others, which have more to be trained.
+    """
+    output_error = [candidate for candidate in candidates if candidate.model == LINEAR]
+    if not regressions:
+        return [*candidates]
+    simplest = simplest_good_candidate(regressions)
+    if not all(candidate.is_clearly_worse(simplest) for candidate in output_error):
+        return [*candidates]
+    others = [candidate for candidate in candidates if candidate.model != LINEAR]
+    return [*output_error, simplest, *others]
+
+
+def choose_regression(
+    search: SettingsSearch, candidates: Sequence[Candidate], regressions: Sequence[Candidate]
+) -> Candidate | None:
     """Linear ARX model, preferred to all other candidate models if unmeasured disturbances dominate
     the log; otherwise None.
 
     The candidates explain the records if the one that predicts best leaves less than `LOAD` of
     those that it was trained on. Others may leave less: what they explain more does not help them
-    predict.
+    predict. The folds contradict a regression that they show behind the model that would be chosen
+    without it.
     """
     best = best_candidate(candidates)
-    if best.training_error < LOAD or not can_try_regression(search):
+    if best.training_error < LOAD or not regressions:
         return None
-    is_direct = search.setting_value("feedthrough") is True
-    delay = 0 if is_direct else 1 + int(search.setting_value("dead_time"))
-    tried = [search.score_linear_model("regression", lags, delay, REGRESSION) for lags in LAGS]
-    simplest = simplest_good_candidate(tried)
-    is_taken = search.is_certifiable(simplest) and not simplest.is_worse_beyond_chance(best)
-    return simplest if is_taken else None
+    simplest = simplest_good_candidate(regressions)
+    if not search.is_certifiable(simplest):
+        return None
+    chosen = simplest_certifiable_candidate(search, candidates)
+    return None if simplest.is_worse_beyond_chance(chosen) else simplest
 
 
 def can_try_regression(search: SettingsSearch) -> bool:

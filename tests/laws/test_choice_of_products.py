@@ -75,6 +75,13 @@ def test_the_folds_prefer_products_on_a_plant_that_has_them(data: DataSet) -> No
     assert words.endswith("products of input and state predict")
 
 
+def test_products_are_tried_where_a_direct_path_was_chosen(data: DataSet) -> None:
+    """Neurons take a direct path on such a plant to make up for the product that they lack."""
+    search = search_on(data)
+    search.decided["feedthrough"] = True
+    assert choose_bilinear_model(search, data) is not None
+
+
 def test_a_linear_plant_keeps_its_model() -> None:
     model = known_model()
     at_rest = model.a[1]
@@ -92,11 +99,7 @@ def test_a_linear_plant_keeps_its_model() -> None:
 
 
 SET_BY_THE_USER = [({"order": 3}, {}), ({"neurons": 2}, {}), ({"members": 2}, {})]
-LACKING_IN_THE_CLASS = [
-    ({}, {"dead_time": 3}),
-    ({}, {"feedthrough": True}),
-    ({}, {"integrating_output": True}),
-]
+LACKING_IN_THE_CLASS = [({}, {"dead_time": 3}), ({}, {"integrating_output": True})]
 NOT_OVERRULED = SET_BY_THE_USER + LACKING_IN_THE_CLASS
 
 

@@ -1,4 +1,5 @@
-"""Where a load acts that is not in the log, a regression is taken if folds do not contradict it."""
+"""A regression is a candidate where it leads output error, and is preferred where a load
+dominates."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +12,14 @@ from ssm_study.models.baselines.regression import fit_arx
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet, Trajectory
 from ssm_study.training import choice
-from ssm_study.training.candidates import REGRESSION, Candidate
-from ssm_study.training.choice_of_regression import LAGS, choose_regression
+from ssm_study.training.candidates import LINEAR, REGRESSION, Candidate, best_candidate
+from ssm_study.training.choice_of_regression import (
+    LAGS,
+    add_leading_regression,
+    choose_regression,
+    score_regressions,
+)
+from ssm_study.training.choice_of_size import simplest_certifiable_candidate
 from ssm_study.training.folds import make_folds
 from ssm_study.training.optimisers import Lbfgs
 from ssm_study.training.search import SettingsSearch
@@ -56,8 +63,8 @@ def search_in(data: DataSet, spec: StructuredSpec = SPEC) -> SettingsSearch:
     return SettingsSearch(spec=spec, folds=folds, seed=0, announce=lambda _: None)
 
 
-def candidate(training_error: float, *errors: float) -> Candidate:
-    kind = {"question": "size", "model": "structured", "settings": {}}
+def candidate(training_error: float, *errors: float, model: str = "structured") -> Candidate:
+    kind = {"question": "size", "model": model, "settings": {}}
     error_array = np.array(errors)
     return Candidate(errors=error_array, training_error=training_error, **kind)
 
@@ -65,20 +72,24 @@ def candidate(training_error: float, *errors: float) -> Candidate:
 UNEXPLAINED = (30.0, 60.0, 60.0, 60.0, 60.0)
 
 
-def test_records_that_are_explained_need_no_regression(loaded: DataSet) -> None:
+def choose_in(search: SettingsSearch, *candidates: Candidate) -> Candidate | None:
+    """Regression that is preferred to some candidates, of those that the search scores."""
+    regressions = score_regressions(search)
+    return choose_regression(search, candidates, regressions)
+
+
+def test_records_that_are_explained_prefer_no_regression(loaded: DataSet) -> None:
     search = search_in(loaded)
     explains = candidate(19.0, 60.0, 60.0, 60.0, 60.0)
     follows_by_chance = candidate(25.0, 70.0, 70.0, 70.0, 70.0)
-    tried = choose_regression(search, [explains, follows_by_chance])
-    assert tried is None
-    assert search.tried == []
+    assert choose_in(search, explains, follows_by_chance) is None
 
 
 def test_what_others_explain_by_chance_hides_no_load(loaded: DataSet) -> None:
     search = search_in(loaded)
     predicts_best = candidate(27.0, 60.0, 60.0, 60.0, 60.0)
     explains_more = candidate(9.0, 62.0, 58.0, 64.0, 60.0)
-    tried = choose_regression(search, [explains_more, predicts_best])
+    tried = choose_in(search, explains_more, predicts_best)
     assert tried is not None
     assert tried.model == REGRESSION
 
@@ -86,7 +97,7 @@ def test_what_others_explain_by_chance_hides_no_load(loaded: DataSet) -> None:
 def test_a_regression_is_taken_where_folds_cannot_tell(loaded: DataSet, tmp_path: Path) -> None:
     search = search_in(loaded)
     unexplained = candidate(*UNEXPLAINED)
-    tried = choose_regression(search, [unexplained])
+    tried = choose_in(search, unexplained)
     assert tried is not None
     assert tried.model == REGRESSION
     assert len(search.tried) == len(LAGS)
@@ -128,7 +139,7 @@ def test_the_regression_is_the_first_choice_and_the_candidates_follow(
 def test_folds_that_agree_refuse_a_regression(loaded: DataSet) -> None:
     search = search_in(loaded)
     explained = candidate(20.0, 1.0, 1.0, 1.0, 1.0)
-    assert choose_regression(search, [explained]) is None
+    assert choose_in(search, explained) is None
     assert search.tried
 
 
@@ -136,7 +147,8 @@ def test_a_size_that_is_fixed_stays_fixed(loaded: DataSet) -> None:
     fixed = replace(SPEC, neurons=2)
     search = search_in(loaded, fixed)
     unexplained = candidate(*UNEXPLAINED)
-    assert choose_regression(search, [unexplained]) is None
+    assert score_regressions(search) == []
+    assert choose_in(search, unexplained) is None
 
 
 def test_two_standard_errors_are_chance() -> None:
@@ -147,3 +159,70 @@ def test_two_standard_errors_are_chance() -> None:
     assert behind.is_worse_beyond_chance(best)
     of_two_folds = candidate(30.0, 1.0, 1.0)
     assert of_two_folds.is_worse_beyond_chance(best)
+
+
+def test_the_chosen_model_is_what_a_regression_is_compared_with(loaded: DataSet) -> None:
+    """The model that leads by its mean is not the chosen one, since the folds cannot tell it from a
+    simpler one. A regression that is behind the first, but not behind the second, is taken."""
+    search = search_in(loaded)
+    lags_of_15 = candidate(52.0, 41.0, 52.0, 64.0, 52.0, model=REGRESSION)
+    leads = candidate(29.0, 30.0, 47.0, 63.0, 39.0)
+    simpler = candidate(49.0, 44.0, 49.0, 50.0, 52.0)
+    chosen = simplest_certifiable_candidate(search, [simpler, leads])
+    assert chosen is simpler
+    assert lags_of_15.is_worse_beyond_chance(leads)
+    assert choose_regression(search, [simpler, leads], [lags_of_15]) is lags_of_15
+    assert choose_regression(search, [leads], [lags_of_15]) is None
+
+
+def output_error(*errors: float) -> Candidate:
+    return candidate(10.0, *errors, model=LINEAR)
+
+
+def regression(*errors: float) -> Candidate:
+    return candidate(10.0, *errors, model=REGRESSION)
+
+
+NEURONS = candidate(9.0, 28.0, 30.0, 32.0, 30.0)
+
+
+def test_a_regression_ahead_of_output_error_is_a_candidate_and_taken(loaded: DataSet) -> None:
+    """Output error follows the training records, and misses three held-out pieces by far; neurons
+    predict no better than the regression, which is simpler."""
+    search = search_in(loaded)
+    misses = output_error(60.0, 75.0, 80.0, 40.0)
+    leads = regression(30.0, 31.0, 30.0, 30.0)
+    candidates = add_leading_regression([misses, NEURONS], [leads])
+    assert candidates == [misses, leads, NEURONS]
+    chosen = simplest_certifiable_candidate(search, candidates)
+    assert chosen is leads
+
+
+def test_a_regression_no_better_than_output_error_is_no_candidate() -> None:
+    predicts = output_error(31.0, 31.0, 31.0, 31.0)
+    as_well = regression(30.0, 30.0, 31.0, 30.0)
+    candidates = add_leading_regression([predicts, NEURONS], [as_well])
+    assert candidates == [predicts, NEURONS]
+    assert add_leading_regression([predicts, NEURONS], []) == candidates
+
+
+def test_a_regression_behind_neurons_is_not_taken(loaded: DataSet) -> None:
+    search = search_in(loaded)
+    misses = output_error(60.0, 75.0, 80.0, 40.0)
+    behind = regression(40.0, 42.0, 40.0, 38.0)
+    candidates = add_leading_regression([misses, NEURONS], [behind])
+    assert behind in candidates
+    chosen = simplest_certifiable_candidate(search, candidates)
+    assert chosen is NEURONS
+
+
+def test_the_choice_is_not_behind_a_regression_on_the_folds(loaded: DataSet) -> None:
+    """The model that is taken is at most a twentieth of its error behind the best regression."""
+    search = search_in(loaded)
+    regressions = score_regressions(search)
+    best = best_candidate(regressions)
+    misses = output_error(*(best.errors + 10.0))
+    neurons_miss = candidate(10.0, *(best.errors + 5.0))
+    candidates = add_leading_regression([misses, neurons_miss], regressions)
+    chosen = simplest_certifiable_candidate(search, candidates)
+    assert chosen.mean_error_percent <= 1.05 * best.mean_error_percent
