@@ -51,8 +51,8 @@ def hinf_norm(system: StateSpace) -> float:
 
 
 def _peak_gain(system: StateSpace) -> float:
-    """H-infinity norm of a stable system, by raising a level until no frequency response exceeds
-    it."""
+    """H-infinity norm of a stable system, by raising a gain level until the frequency response
+    nowhere exceeds it."""
     poles = np.linalg.eigvals(system.a)
     pole_angles = np.abs(np.angle(poles))
     grid = np.geomspace(1e-4, np.pi, 32)

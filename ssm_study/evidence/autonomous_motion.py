@@ -57,7 +57,7 @@ def predicted_power_shares(case: Case) -> tuple[float, float] | None:
     skip = case.data.start_up_samples
     scale = case.data.scale.output_scale
 
-    def signal_power(y: Float[np.ndarray, "T p"]) -> float:
+    def output_power(y: Float[np.ndarray, "T p"]) -> float:
         """Power of an output about its mean, in scaled units and without the start-up samples."""
         deviation = (y - y[skip:].mean(axis=0)) / scale
         return float((deviation[skip:] ** 2).sum())
@@ -71,7 +71,7 @@ def predicted_power_shares(case: Case) -> tuple[float, float] | None:
         from_equilibrium = simulate_record(case.model, log, start_up_samples=0)
         by_input = from_equilibrium[-len(piece) :]
         sides = (piece.y, piece.y - own, piece.y - by_input)
-        powers.append([signal_power(side) for side in sides])
+        powers.append([output_power(side) for side in sides])
     if not powers:
         return None
     moved, missed, missed_by_input = np.sum(powers, axis=0)

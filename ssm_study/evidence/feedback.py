@@ -18,7 +18,7 @@ from ssm_study.data.log_dynamics import explained_output_variance
 from ssm_study.evidence.finding import Case, Finding, make_doubt, make_note
 from ssm_study.models.initial_system import fit_arx_matrices
 from ssm_study.models.spec import scale_records
-from ssm_study.models.warm_start import join_log_stretches
+from ssm_study.models.warm_start import join_records_without_gaps
 from ssm_study.signals import DataSet
 
 PAST = 20
@@ -189,9 +189,9 @@ def judge_instability(
 
 
 def integrator_share(data: DataSet) -> float | None:
-    """Fraction of the output's changes that the mean input explains; None unless the plant is found
-    to integrate its input. For one input only."""
-    stretches = join_log_stretches(data)
+    """Fraction of the output's changes that the mean input explains, if the plant integrates its
+    input; otherwise None. For one input only."""
+    stretches = join_records_without_gaps(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
         return None
     longest = max(stretches, key=len)
@@ -200,8 +200,8 @@ def integrator_share(data: DataSet) -> float | None:
 
 
 def growth_statistics(data: DataSet) -> tuple[float, float]:
-    """Fraction of the output's increments that the input explains, and the t-statistic of their
-    growth with the output.
+    """Fraction of the output's increments that the input explains, and the t-statistic of the
+    increments' dependence on the output's level.
 
     Least squares `y[k + h] - y[k] = h (f(u) + g(u before)) + c y[k - h]` with f and g piecewise
     linear: an integrator behind a dead zone or a curve has c = 0. Returns the share of the power of
@@ -280,12 +280,12 @@ def dominant_mode_modulus(data: DataSet, lags: int) -> float:
 
 
 def feedback_error_reduction(data: DataSet, first_lag: int) -> float:
-    """Fraction of the input's innovations that the output's innovations explain, which is large for
-    a log from a closed loop. It is the largest share of any input's `w` that `v`, from `first_lag`
+    """Fraction by which past outputs reduce the power of the input's prediction error; large for a
+    log from a closed loop. It is the largest share of any input's `w` that `v`, from `first_lag`
     samples ago on, explains in the other half."""
     halves = list[list[Rows]]()
     for u, y in scale_records(data):
-        halves += _split_regression(u, y, first_lag)
+        halves += _regression_rows_by_halves(u, y, first_lag)
     if not halves:
         return 0.0
     first_half = _concatenate_regression_rows(halves[0::2])
@@ -299,13 +299,13 @@ def feedback_error_reduction(data: DataSet, first_lag: int) -> float:
 
 
 def _concatenate_regression_rows(halves: list[list[Rows]]) -> list[Rows]:
-    """Concatenate regression data from the halves of several records."""
+    """Concatenate the regression data of several half records, array by array."""
     return [np.concatenate(arrays) for arrays in zip(*halves, strict=True)]
 
 
 def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
-    """Powers of the input, of its prediction error and of the error that the output leaves
-    unexplained, in one half of a log. Powers in the scored half: of the input, of `w`, of `w`
+    """Powers of the input, of its prediction error (as it is and clipped), and of the part of this
+    error that past outputs do not explain. Powers in the scored half: of the input, of `w`, of `w`
     clipped, and of what `v` leaves of that."""
     past, y, u = fitted
     own_past, own_y, own_u = scored
@@ -325,12 +325,12 @@ def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray
     return np.array(powers)
 
 
-def _split_regression(
+def _regression_rows_by_halves(
     inputs: Rows, outputs_of_record: Rows, first_lag: int
 ) -> Iterator[list[Rows]]:
-    """Regression data for each half of a record: past inputs, past outputs and the present input.
-    They hold past inputs and a one, outputs of `first_lag` to `OUTPUTS` samples ago, and the
-    input."""
+    """Regression data of the first and of the second half of a record: past inputs, past outputs
+    and the present input. They hold past inputs and a one, outputs of `first_lag` to `OUTPUTS`
+    samples ago, and the input."""
     rows = len(inputs) - PAST
     if len(inputs) < SHORTEST * PAST:
         return

@@ -68,7 +68,7 @@ class Case:
         scale = self.data.scale.with_disturbances_as_inputs()
         return scale.scaled_input(record.inputs_and_disturbances), scale.scaled_output(record.y)
 
-    def regression_arrays(
+    def fir_regression_arrays(
         self, records: Trajectories, lags: int
     ) -> tuple[Float[np.ndarray, "K d"], Float[np.ndarray, "K p"]]:
         """Regressors (past inputs) and targets (outputs) of a finite-impulse-response model of

@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from ssm_study.evidence.finding import Case, Finding, finding_by_size, make_doubt, make_note
 from ssm_study.models.metrics import Simulation
-from ssm_study.models.warm_start import simulate_from_unchosen_states
+from ssm_study.models.warm_start import simulate_from_alternative_states
 from ssm_study.signals import fit_from_relative_error, fit_percent, lagged_inputs
 
 POOR_FIT = 50.0  # percent: below, a quarter of the output's power is not predicted
@@ -24,8 +24,8 @@ FEW = 300  # samples below which the fits of two parts are not compared
 
 
 def judge_fit(case: Case) -> list[Finding]:
-    """Findings about the model's fit: its size, its differences between data sets, and the part of
-    the output that the model misses."""
+    """Findings on a model's fit that is poor, differs between data sets, or leaves a part of the
+    output unexplained."""
     validation = case.validation.fit_percent
     test = case.test.fit_percent
     findings = judge_poor_fit(case)
@@ -43,7 +43,7 @@ def judge_fit(case: Case) -> list[Finding]:
         )
         findings = [make_doubt(f"{sentence}: raise model.order or training.starts.")]
     findings += judge_initial_state(case)
-    owed = unmodelled_input_share(case)
+    owed = unmodelled_output_share(case)
     sentence = f"The model misses {100 * owed:.0f} % of the output's power, which follow the input"
     return findings + finding_by_size(
         owed, OWED, MOST_OWED, f"{sentence}: raise model.order, or use more neurons."
@@ -61,7 +61,7 @@ def judge_poor_fit(case: Case) -> list[Finding]:
         f"In free run the model fits the test record by {case.test.fit_percent:z.1f} %, validation "
         f"by {case.validation.fit_percent:z.1f} %, the mean alone by 0 %"
     )
-    share = relative_rms_error(case)
+    share = rms_error_relative_to_range(case)
     if share < SMALL_ERROR and pooled < POOR_FIT:
         return [
             make_doubt(
@@ -74,10 +74,10 @@ def judge_poor_fit(case: Case) -> list[Finding]:
 
 
 def poor_fit_remedy(case: Case) -> str:
-    """End of a sentence on a poor fit, which says whether the model or the log is the cause and
+    """Advice that ends a sentence on a poor fit: whether the model or the log is the cause, and
     what to do. It is the model if something simple fits the test record better."""
     fits = {f"a linear filter of {LAGS} taps": fir_fit_percent(case)}
-    other = simulate_from_unchosen_states(case.model, case.data, case.test)
+    other = simulate_from_alternative_states(case.model, case.data, case.test)
     if other is not None:
         fits["this model from its other start"] = other.fit_percent
     name = max(fits, key=lambda key: fits[key])
@@ -91,7 +91,7 @@ def poor_fit_remedy(case: Case) -> str:
 
 def judge_initial_state(case: Case) -> list[Finding]:
     """Finding on a test record whose fit depends strongly on the estimated initial state."""
-    other = simulate_from_unchosen_states(case.model, case.data, case.test)
+    other = simulate_from_alternative_states(case.model, case.data, case.test)
     if other is None or abs(other.fit_percent - case.test.fit_percent) <= STARTS_APART:
         return []
     from_past = any(state is not None for state in case.test.starts)
@@ -111,8 +111,8 @@ def fir_fit_percent(case: Case) -> float:
 
     Minus infinity where no record is long enough for one.
     """
-    x, y = case.regression_arrays(case.data.training, LAGS)
-    tested, true = case.regression_arrays(case.data.test, LAGS)
+    x, y = case.fir_regression_arrays(case.data.training, LAGS)
+    tested, true = case.fir_regression_arrays(case.data.test, LAGS)
     if not len(x) or not len(true):
         return -np.inf
     weights = np.linalg.lstsq(x, y, rcond=None)[0]
@@ -146,7 +146,7 @@ def scaled_output_and_error(
     return np.concatenate(y), np.concatenate(error)
 
 
-def relative_rms_error(case: Case) -> float:
+def rms_error_relative_to_range(case: Case) -> float:
     """Root mean square simulation error relative to the range of the training output, for the worst
     output."""
     parts = [scaled_output_and_error(case, part)[1] for part in (case.validation, case.test)]
@@ -157,7 +157,7 @@ def relative_rms_error(case: Case) -> float:
     return float(shares.max())
 
 
-def unmodelled_input_share(case: Case) -> float:
+def unmodelled_output_share(case: Case) -> float:
     """Fraction of the output's power that a filter of past inputs explains but the model does not.
     A filter from u, fitted to one half of the residual, predicts the other half.
 

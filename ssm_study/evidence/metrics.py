@@ -100,13 +100,13 @@ def collect_findings(
         )
     if "split" in data.metadata:
         findings.append(make_note(f"The log was cut {data.metadata['split']}."))
-    findings += judge_reading(data.metadata.get("reading", ""))
+    findings += judge_log_reading(data.metadata.get("reading", ""))
     if data.metadata.get("reading"):
         findings.append(make_note(f"The log was read so: {data.metadata['reading']}."))
     return Judgement(findings=tuple(findings))
 
 
-def judge_reading(reading_remarks: str) -> list[Finding]:
+def judge_log_reading(reading_remarks: str) -> list[Finding]:
     """Findings on how a log was read: a clock of unknown unit, or values that may mark missing
     data."""
     doubts = []

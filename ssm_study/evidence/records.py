@@ -17,7 +17,7 @@ from ssm_study.evidence.finding import Case, Finding, ScaledRecord, make_doubt, 
 from ssm_study.evidence.response import INTEGRATES, slowest_mode_remainder
 from ssm_study.evidence.rests import judge_return_to_rest
 from ssm_study.models.structured import StructuredSSM
-from ssm_study.models.warm_start import join_log_stretches
+from ssm_study.models.warm_start import join_records_without_gaps
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.return_to_rest import RESPONSES
 from ssm_study.signals import DataSet, Trajectory
@@ -239,7 +239,7 @@ def model_integrates(case: Case) -> bool:
 def follows_input_level(data: DataSet) -> bool:
     """Whether the output in a log follows the level of its input, which rules out an integrating
     plant."""
-    stretches = join_log_stretches(data)
+    stretches = join_records_without_gaps(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
         return False
     longest = max(stretches, key=len)
@@ -292,7 +292,7 @@ def repeated_test_share(data: DataSet) -> float:
 
 
 def _window_bytes(record: Trajectory, length: int) -> set[bytes]:
-    """Bytes of all windows of a given length in a record during which the output moves."""
+    """Byte strings of those windows of a record, of given length, in which the output moves."""
     both = np.ascontiguousarray(np.concatenate([record.u, record.y], axis=1))
     pieces = (slice(k, k + length) for k in range(len(both) - length + 1))
     return {both[piece].tobytes() for piece in pieces if np.ptp(record.y[piece]) > 0}
@@ -312,14 +312,14 @@ def _repeated_share(records: tuple[Trajectory, ...], length: int) -> float:
 def _judge_spectrum(case: Case) -> Iterator[str]:
     """Sentence on test inputs with frequencies that the training inputs do not excite."""
 
-    def power_spectrum(records: tuple[Trajectory, ...]) -> Float[np.ndarray, "F"]:
+    def input_power_spectrum(records: tuple[Trajectory, ...]) -> Float[np.ndarray, "F"]:
         """Power spectrum of the input over several records, summed over the channels."""
         u, _ = _join_scaled_records(case, records)
         _, spectrum = scipy.signal.welch(u, nperseg=min(64, len(u)), axis=0)
         return np.asarray(spectrum.sum(axis=1))
 
-    trained = power_spectrum(case.data.training)
-    tested = power_spectrum(case.data.test)
+    trained = input_power_spectrum(case.data.training)
+    tested = input_power_spectrum(case.data.test)
     if len(trained) != len(tested):
         return
     untrained = trained < 0.01 * trained.mean()

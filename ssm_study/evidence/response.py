@@ -111,7 +111,8 @@ def multiple_coherence(records: Sequence[Record], segment_length: int) -> Float[
 
 
 def _judge_sampling(case: Case) -> Iterator[Finding]:
-    """Note on a log that is sampled much too slowly or too fast for the model's response."""
+    """Note on a log whose sampling period is far too long or far too short for the model's
+    response."""
     response = case.model.linear.impulse_response_length()
     statement = (
         f"The bulk of the model's response lasts {response} samples of {case.data.step_s:g} s"
@@ -146,7 +147,7 @@ def dead_time_samples(case: Case) -> int:
     """Dead time of the plant in samples, estimated from a finite-impulse-response model of the
     training records. Number of samples beyond the first after which no output has clearly responded
     to any input; 0 if that is not clear."""
-    x, y = case.regression_arrays(case.data.training, LAGS)
+    x, y = case.fir_regression_arrays(case.data.training, LAGS)
     if len(x) < 2 * x.shape[1]:
         return 0
     weights, _, rank, _ = np.linalg.lstsq(x, y, rcond=SMOOTH)

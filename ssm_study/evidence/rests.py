@@ -1,5 +1,5 @@
-"""Findings on whether the plant comes to rest, and on amplitudes and frequencies without measured
-model error."""
+"""Findings on whether the plant comes to rest, and on input amplitudes and frequencies at which the
+model error was not measured."""
 
 from collections.abc import Iterator
 
@@ -21,7 +21,7 @@ from ssm_study.robustness.return_to_rest import (
 def judge_return_to_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
     """Findings on a plant that does not come to rest, or whose records do not show whether it does.
     A plant that does not come to rest is not judged; records that leave it open give a note."""
-    offset = max((*mismatch.stuck, *_test_offsets(case)), default=0.0)
+    offset = max((*mismatch.stuck, *_remaining_offsets_of_test_records(case)), default=0.0)
     left = mismatch.left_at_rest
     if not mismatch.plant_comes_to_rest:
         statement = f"{left:.2g} output scales are left at rest input, more than {AT_REST:g}"
@@ -39,7 +39,7 @@ def judge_return_to_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
             "Record more returns to rest."
         )
     elif left is None:
-        yield _judge_short_returns(case)
+        yield _judge_short_rest_segments(case)
     elif left > FAINT:
         statement = (
             f"{left:.2g} output scales are left at rest input: a small limit cycle, or a slow decay"
@@ -51,9 +51,9 @@ def judge_return_to_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
     yield from _judge_measured_range(case, mismatch)
 
 
-def _test_offsets(case: Case) -> list[float]:
-    """Remaining offset of the output in each test record whose input stays constant for long after
-    a motion."""
+def _remaining_offsets_of_test_records(case: Case) -> list[float]:
+    """Offset or oscillation that the output still has at the end of each test record whose input is
+    long constant after a motion."""
     response = case.model.linear.impulse_response_length()
     offsets = []
     for record in case.data.test:
@@ -64,7 +64,7 @@ def _test_offsets(case: Case) -> list[float]:
     return offsets
 
 
-def _judge_short_returns(case: Case) -> Finding:
+def _judge_short_rest_segments(case: Case) -> Finding:
     """Finding on records whose input is constant too briefly to show whether the plant comes to
     rest."""
     records = case.data.mismatch_records

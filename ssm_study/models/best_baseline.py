@@ -97,7 +97,7 @@ def fit_baselines(data: DataSet) -> list[Baseline]:
 
 def baseline_columns(data: DataSet) -> dict[str, object] | None:
     """Table columns on the best simple model: its test fit, and the range of test fits of models
-    that validate about as well.
+    with about equal validation fit.
 
     None for several outputs, and where the records are too short for any of them. A fit is None if
     the simulation diverges.

@@ -106,7 +106,7 @@ class Bilinear(Simulator, names=("bilinear",)):
         return self.scale.physical_output(scaled_output)
 
     def simulate_from_outputs(self, u: Inputs, y_start: Measured) -> Outputs:
-        """Simulate a bilinear model in free run that continues some measured outputs."""
+        """Simulate a bilinear model in free run, continuing a given stretch of measured outputs."""
         if u.ndim > 2:
             pairs = zip(u, y_start, strict=True)
             runs = [self.simulate_from_outputs(*pair) for pair in pairs]

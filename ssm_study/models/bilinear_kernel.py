@@ -38,13 +38,13 @@ def simulate_states(hats, a, b, x0):
 
 @compile_with_numba
 @no_type_check
-def simulate_state_derivatives(hats, a, b, x0, of_start):
-    """States of the bilinear recurrence, and their derivatives with respect to its parameters or
-    its initial state."""
+def simulate_state_derivatives(hats, a, b, x0, by_initial_state):
+    """States of a bilinear recurrence, and their derivatives with respect to all parameters and the
+    initial state, or to the initial state alone."""
     samples, q = hats.shape
     n = len(x0)
-    first_b = 0 if of_start else q * n * n
-    first_x0 = 0 if of_start else first_b + q * n
+    first_b = 0 if by_initial_state else q * n * n
+    first_x0 = 0 if by_initial_state else first_b + q * n
     states = simulate_states(hats, a, b, x0)
     derivatives = np.zeros((samples, n, first_x0 + n))
     s = np.zeros((n, first_x0 + n))
@@ -58,7 +58,7 @@ def simulate_state_derivatives(hats, a, b, x0, of_start):
             if hats[k, i] != 0.0:
                 mean += hats[k, i] * a[i]
         s = mean @ s
-        if of_start:
+        if by_initial_state:
             continue
         for i in range(q):
             share = hats[k, i]

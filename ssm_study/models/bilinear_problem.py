@@ -86,7 +86,7 @@ class BilinearProblem:
         outputs = np.concatenate(recorded_outputs)
         lowest = inputs.min()
         highest = inputs.max()
-        places = spread_nodes(float(lowest), float(highest), nodes)
+        places = equally_spaced_nodes(float(lowest), float(highest), nodes)
         hats_of_records = (hat_functions(places, u[:, 0]) for u, _ in records)
         deviation = outputs - outputs.mean(axis=0)
         return cls(
@@ -159,8 +159,8 @@ class BilinearProblem:
 
     @property
     def equilibrium_projection(self) -> Float[np.ndarray, "q q"]:
-        """Matrix that subtracts the input vector `b` at input level zero from all others, so that
-        the equilibrium is at zero."""
+        """Matrix that subtracts a bilinear model's input vector at level zero from those at all
+        levels, so that its equilibrium is at zero."""
         is_zero_node = self.nodes == 0.0
         at_zero = np.where(is_zero_node, 1.0, 0.0)
         node_count = len(self.nodes)
@@ -197,8 +197,8 @@ class BilinearProblem:
         return np.concatenate(errors) / self.deviation
 
     def loss(self, parts: FitParameters) -> float:
-        """Sum of the squared relative free-run errors of a bilinear model; infinite if the run
-        diverges."""
+        """Sum of a bilinear model's squared free-run errors relative to the norm of the outputs;
+        infinite if the run diverges."""
         with np.errstate(all="ignore"):
             residual = self.residual(parts)
             value = float(residual @ residual)
@@ -307,7 +307,7 @@ class BilinearProblem:
         return parts
 
 
-def spread_nodes(lowest: float, highest: float, count: int) -> Nodes:
+def equally_spaced_nodes(lowest: float, highest: float, count: int) -> Nodes:
     """Input levels (nodes) of a bilinear model, equally spaced on each side of zero up to the
     extreme inputs."""
     lowest = min(lowest, 0.0)

@@ -1,4 +1,4 @@
-"""Parameters of recurrences with neurons for which every value gives a contracting recurrence.
+"""Unconstrained parameters of recurrences with neurons: every value gives a contracting recurrence.
 
 All `(A, E, F)` whose open-loop inequality (docs/theory.md, "With neurons") holds at r with `M = I,
 Lambda = I` are

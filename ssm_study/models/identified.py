@@ -1,5 +1,5 @@
-"""Identified models as explicit numbers, which are stored, simulated, certified and deployed. No
-torch here."""
+"""Identified models given by explicit numbers, so that they can be stored, simulated, certified and
+deployed. No torch here."""
 
 from abc import abstractmethod
 from dataclasses import dataclass, field, replace
@@ -21,7 +21,7 @@ Inputs = Float[np.ndarray, "*batch T m"]
 Outputs = Float[np.ndarray, "*batch T p"]
 Measured = Float[np.ndarray, "*batch S p"]
 State = Float[np.ndarray, "*batch n"]
-Lifted = Float[np.ndarray, "*batch mbar"]
+MappedInput = Float[np.ndarray, "*batch mbar"]
 
 
 class Simulator(Family, JsonDataclass):
@@ -34,8 +34,8 @@ class Simulator(Family, JsonDataclass):
         physical units."""
 
     def simulate_from_outputs(self, u: Inputs, y_start: Measured) -> Outputs:  # noqa: ARG002
-        """Simulate an identified model in free run that continues some measured outputs. A model
-        that cannot use them starts at the equilibrium."""
+        """Simulate an identified model in free run, continuing a given stretch of measured outputs.
+        A model that cannot use them starts at the equilibrium."""
         return self.simulate(u)
 
 
@@ -84,7 +84,7 @@ class ScaffoldedModel(Simulator):
         """State-space system of a model without its static maps, to which certificates refer."""
         return self.linear
 
-    def map_input(self, u: Float[np.ndarray, "*batch m"]) -> Lifted:
+    def map_input(self, u: Float[np.ndarray, "*batch m"]) -> MappedInput:
         """Apply the static input map of a model to an input in physical units. `ubar = S_u((u -
         u_eq) / input_scale)` drives the recurrence."""
         scaled_input = self.scale.scaled_input(u)
@@ -131,17 +131,17 @@ class ScaffoldedModel(Simulator):
         return StateSpace(a=linear.a, b=b, c=linear.c, d=d)
 
     @abstractmethod
-    def advance(self, x: State, ubar: Lifted) -> State:
+    def advance(self, x: State, ubar: MappedInput) -> State:
         """Advance a model's state by one sample, for an input after the static input map."""
 
-    def output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
+    def output_at(self, x: State, ubar: MappedInput) -> Float[np.ndarray, "*batch p"]:
         """Output of a model in physical units for a state and an input after the static input map.
         `y = y_eq + output_scale S_y(ybar)`."""
         scaled_output = self.scaled_output_at(x, ubar)
         return self.scale.physical_output(scaled_output)
 
     @abstractmethod
-    def scaled_output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
+    def scaled_output_at(self, x: State, ubar: MappedInput) -> Float[np.ndarray, "*batch p"]:
         """Output of a model in scaled units for a state and an input after the static input map.
         `S_y(ybar)`, which the observer's innovation needs."""
 
@@ -255,13 +255,13 @@ class SSM(ScaffoldedModel):
             linear=linear, scaffold_in=inward, scaffold_out=outward, scale=scale, step_s=step_s
         )
 
-    def advance(self, x: State, ubar: Lifted) -> State:
+    def advance(self, x: State, ubar: MappedInput) -> State:
         """Advance the state of the linear recurrence by one sample, `x+ = A x + B ubar`."""
         free_motion = x @ self.linear.a.T
         driven_motion = ubar @ self.linear.b.T
         return free_motion + driven_motion
 
-    def scaled_output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
+    def scaled_output_at(self, x: State, ubar: MappedInput) -> Float[np.ndarray, "*batch p"]:
         """Scaled output `S_y(C x + D ubar)`: the output map `S_y`, applied to the linear
         recurrence's output."""
         from_state = x @ self.linear.c.T

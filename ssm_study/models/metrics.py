@@ -183,7 +183,7 @@ def fit_columns(
 
 # Variance of the output noise while estimating, scaled units: a few percent of the signal.
 START_UP_NOISE = 1e-3
-Lifted = Float[np.ndarray, "T m"]
+MappedInput = Float[np.ndarray, "T m"]
 Gramian = Float[np.ndarray, "n n"]
 GAUSS_NEWTON_STEPS = 5  # for a nonlinear S_y; a linear one is solved by the first
 
@@ -257,7 +257,7 @@ def estimate_initial_state(
     return x0 if is_finite.all() else np.zeros(model.order)
 
 
-def _excited_state_gramian(model: Any, mapped_input: Lifted) -> Gramian:
+def _excited_state_gramian(model: Any, mapped_input: MappedInput) -> Gramian:
     """Gramian of the model states that the inputs of a record excite. With neurons it is the second
     moment of the states that the inputs reach from rest."""
     if isinstance(model, SSM):
@@ -271,7 +271,7 @@ def _excited_state_gramian(model: Any, mapped_input: Lifted) -> Gramian:
 
 
 def _linearise_output(
-    model: Any, mapped_input: Lifted, x0: Float[np.ndarray, "n"]
+    model: Any, mapped_input: MappedInput, x0: Float[np.ndarray, "n"]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Simulated output of a model from an initial state, and its derivative with respect to that
     state."""

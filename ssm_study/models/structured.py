@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ssm_study.models.identified import SSM, DelayLine, Lifted, Outputs, ScaffoldedModel, State
+from ssm_study.models.identified import SSM, DelayLine, MappedInput, Outputs, ScaffoldedModel, State
 from ssm_study.models.matrix_shapes import matrix_shapes
 from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.refusal import require
@@ -219,15 +219,15 @@ class StructuredSSM(ScaffoldedModel):
     def linearise_at(
         self, x: Float[np.ndarray, "n"], ubar: Float[np.ndarray, "mbar"]
     ) -> StateSpace:
-        """Linearise the recurrence with neurons at a given state and input after the static input
-        map. Neurons are replaced by their slopes there."""
+        """Linearise the recurrence with neurons at a given state and a given output of the static
+        input map. Neurons are replaced by their slopes there."""
         linear_input = self.f @ x + self.g @ ubar
         z = linear_input + self.bias
         slopes = evaluate_activations(self.neurons, z, "slope")
         return self._structured_system.linearise_at_slopes(slopes)
 
     def neuron_outputs(
-        self, x: State, ubar: Lifted, injected: Injected = 0.0
+        self, x: State, ubar: MappedInput, injected: Injected = 0.0
     ) -> Float[np.ndarray, "*batch q"]:
         """Outputs of all neurons for a state and an input after the static input map. `w = phi(F x
         + G v + b + injected) - phi(b)`; an observer injects `L_z (yh - y)`."""
@@ -236,7 +236,7 @@ class StructuredSSM(ScaffoldedModel):
         at_rest = evaluate_activations(self.neurons, self.bias)
         return evaluate_activations(self.neurons, z) - at_rest
 
-    def advance(self, x: State, ubar: Lifted, injected: Injected = 0.0) -> State:
+    def advance(self, x: State, ubar: MappedInput, injected: Injected = 0.0) -> State:
         """Advance the state of the recurrence with neurons by one sample, `x+ = A x + B v + E w`.
         `injected` is as in `neuron_outputs`."""
         w = self.neuron_outputs(x, ubar, injected)
@@ -244,7 +244,7 @@ class StructuredSSM(ScaffoldedModel):
         neuron_motion = w @ self.e.T
         return linear_motion + neuron_motion
 
-    def scaled_output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
+    def scaled_output_at(self, x: State, ubar: MappedInput) -> Float[np.ndarray, "*batch p"]:
         """Scaled output `S_y(C x + D v + H w)`: the output map `S_y`, applied to the recurrence's
         output."""
         w = self.neuron_outputs(x, ubar)

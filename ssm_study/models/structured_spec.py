@@ -102,7 +102,7 @@ class TrainablePiecewiseMap:
         by_free = width * share * (1.0 - share)
         return slopes, by_free, points
 
-    def values_and_derivatives(
+    def evaluate_with_derivatives(
         self, theta: Free, v: Signals
     ) -> tuple[Signals, Signals, Float[np.ndarray, "*batch P"]]:
         """Values and slopes of a piecewise-linear map at given inputs, and derivatives of the
@@ -146,7 +146,7 @@ class TrainablePiecewiseMap:
         derivatives = [*frees, *moves]
         return values, at, np.concatenate(derivatives, axis=-1)
 
-    def values(self, theta: Free, v: Signals) -> Signals:
+    def evaluate(self, theta: Free, v: Signals) -> Signals:
         """Values of a piecewise-linear map at given inputs, with untrained channels returned
         unchanged."""
         trained_map = self.freeze(theta)

@@ -58,7 +58,7 @@ class BlockwiseRecurrence(torch.autograd.Function):
         flat_read = read_by_sample.flatten(0, 1)
         read = _as_real(flat_read.conj_physical())
         b_rows = b.mT.contiguous()
-        within_block = _toeplitz_table(d, read, _as_real(b_rows))
+        within_block = _block_toeplitz_matrix(d, read, _as_real(b_rows))
         blocks = _split_into_blocks(u)
         later_blocks = len(blocks) - 1
         members = math.isqrt(later_blocks) + 1  # of a group of the scan, and powers of lambda^64
@@ -156,7 +156,7 @@ def _as_complex(table: Real2) -> Complex2:
     return torch.view_as_complex(pairs)
 
 
-def _toeplitz_table(
+def _block_toeplitz_matrix(
     d: Float[Tensor, "p m"], output_maps: Float[Tensor, "kp n2"], b: Float[Tensor, "m n2"]
 ) -> Tensor:
     """Block Toeplitz matrix of an impulse response. `T[(j, input), (k, output)] = g[output, input,

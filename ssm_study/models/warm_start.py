@@ -35,7 +35,7 @@ States = tuple[State | None, ...]
 @dataclass(frozen=True, kw_only=True)
 class InitialStateChoice:
     """Initial states of validation and test records, simulated over the preceding log, and whether
-    they beat estimated ones.
+    they give smaller errors than estimated ones.
 
     `choice` is None where no record has a past: then its first samples are all there is.
     `is_undecided` says that the two are so near that rounding on another machine may choose the
@@ -87,7 +87,7 @@ def initial_state_errors(model: Any, data: DataSet) -> dict[str, float] | None:
     Of every piece the error's power counts as a share of the
     piece's own, at most one: one divergent piece must not decide.
     """
-    pieces = records_to_compare_starts(data)
+    pieces = initial_state_comparison_records(data)
     from_past = states_from_preceding_log(model, data, pieces)
     pairs = zip(pieces, from_past, strict=True)
     with_past = [(piece, state) for piece, state in pairs if state is not None]
@@ -101,9 +101,9 @@ def initial_state_errors(model: Any, data: DataSet) -> dict[str, float] | None:
     }
 
 
-def records_to_compare_starts(data: DataSet) -> Trajectories:
-    """Training and validation records on which two ways of finding initial states are compared.
-    Long ones are cut into pieces as long as a test record."""
+def initial_state_comparison_records(data: DataSet) -> Trajectories:
+    """Training and validation records on which estimated initial states are compared with states
+    simulated over the preceding log. Long ones are cut into pieces as long as a test record."""
     records = [record for record in (*data.training, *data.validation) if record.log]
     tested = max((len(record) for record in data.test), default=0)
     total = sum(len(record) for record in records)
@@ -169,8 +169,9 @@ def preceding_log(data: DataSet, piece: Trajectory) -> Trajectory | None:
     return Trajectory.concatenate(joined) if joined else None
 
 
-def join_log_stretches(data: DataSet) -> list[Trajectory]:
-    """Join the records of a data set that follow each other in a log to stretches without gaps."""
+def join_records_without_gaps(data: DataSet) -> list[Trajectory]:
+    """Join records that follow each other directly in a log, and return the resulting stretches
+    without gaps."""
     records = [*data.training, *data.validation, *data.test]
     all_records = sorted((one for one in records if one.log), key=lambda one: (one.log, one.first))
     stretches: list[list[Trajectory]] = []
@@ -199,9 +200,11 @@ def simulate_validation_and_test(model: Any, data: DataSet) -> tuple[Simulation,
     return validation, test
 
 
-def simulate_from_unchosen_states(model: Any, data: DataSet, test: Simulation) -> Simulation | None:
-    """Simulate a model on the test records from the alternative initial states; None if there are
-    no alternatives."""
+def simulate_from_alternative_states(
+    model: Any, data: DataSet, test: Simulation
+) -> Simulation | None:
+    """Simulate a model on the test records from the kind of initial states that was not chosen;
+    None if there is only one kind."""
     if len(test.starts) != len(data.test) or not isinstance(model, ScaffoldedModel):
         return None
     states: States = (None,) * len(data.test)
@@ -216,8 +219,8 @@ def simulate_from_unchosen_states(model: Any, data: DataSet, test: Simulation) -
 
 def initial_state_columns(model: Any, data: DataSet, test: Simulation) -> dict[str, Any]:
     """Table columns on how initial states of validation and test records were found, and the test
-    fit of the alternative. They are null where no test record has a log before it."""
-    other = simulate_from_unchosen_states(model, data, test)
+    fit with the other method. They are null where no test record has a log before it."""
+    other = simulate_from_alternative_states(model, data, test)
     if other is None:
         return {"piece_start": None, "fit_test_other_start_percent": None}
     from_past = any(state is not None for state in test.starts)

@@ -22,7 +22,7 @@ BISECTIONS = 60  # below the spacing of doubles for any substep
 
 @compile_with_numba
 @no_type_check
-def _torques_without_coulomb(p, i, wm, wl, th, load):
+def _torques_without_coulomb_friction(p, i, wm, wl, th, load):
     """Torques on the motor shaft and on the load, in N m, without Coulomb friction."""
     shaft = p.stiffness * th + p.damping * (wm - wl)
     return p.k * i - shaft - p.motor_viscous * wm, shaft - p.load_viscous * wl - load
@@ -42,7 +42,7 @@ def _fill_taylor_series(p, c, v, load, motor_mode, load_mode):
         wl = c[q, 2]
         th = c[q, 3]
         held_v, held_load = (v, load) if q == 0 else (0.0, 0.0)
-        tm, tl = _torques_without_coulomb(p, i, wm, wl, th, held_load)
+        tm, tl = _torques_without_coulomb_friction(p, i, wm, wl, th, held_load)
         if q == 0:
             tm -= motor_mode * p.coulomb
             tl -= load_mode * p.coulomb
@@ -70,7 +70,7 @@ def _mode_margin(p, c, t, load, body, mode):
     after the end."""
     if mode != 0:
         return mode * _evaluate_series(c, 1 + body, t)
-    tm, tl = _torques_without_coulomb(
+    tm, tl = _torques_without_coulomb_friction(
         p,
         _evaluate_series(c, 0, t),
         _evaluate_series(c, 1, t),
@@ -116,7 +116,7 @@ def _friction_mode(speed, torque, coulomb):
 def _advance_substep(p, c, h, v, load):
     """Advance the motor's state by one integration substep, with changes between sticking and
     sliding at exact times."""
-    tm, tl = _torques_without_coulomb(p, c[0, 0], c[0, 1], c[0, 2], c[0, 3], load)
+    tm, tl = _torques_without_coulomb_friction(p, c[0, 0], c[0, 1], c[0, 2], c[0, 3], load)
     motor_mode = _friction_mode(c[0, 1], tm, p.coulomb)
     load_mode = _friction_mode(c[0, 2], tl, p.coulomb)
     for _ in range(SWITCHES_PER_SUBSTEP):
@@ -131,11 +131,11 @@ def _advance_substep(p, c, h, v, load):
         h -= t  # go on from the switch
         if motor_leaves <= load_leaves:
             c[0, 1] = 0.0  # exactly: what is stuck has speed zero
-            tm, _tl = _torques_without_coulomb(p, c[0, 0], 0.0, c[0, 2], c[0, 3], load)
+            tm, _tl = _torques_without_coulomb_friction(p, c[0, 0], 0.0, c[0, 2], c[0, 3], load)
             motor_mode = _friction_mode(0.0, tm, p.coulomb if motor_mode != 0 else 0.0)
         else:
             c[0, 2] = 0.0
-            _tm, tl = _torques_without_coulomb(p, c[0, 0], c[0, 1], 0.0, c[0, 3], load)
+            _tm, tl = _torques_without_coulomb_friction(p, c[0, 0], c[0, 1], 0.0, c[0, 3], load)
             load_mode = _friction_mode(0.0, tl, p.coulomb if load_mode != 0 else 0.0)
 
 

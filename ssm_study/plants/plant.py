@@ -112,8 +112,8 @@ class Plant(ABC):
         """Advance a plant's states by one sampling period under constant input and disturbance."""
 
     def disturbance_effect(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
-        """Contribution of measured disturbances to the next state; only identified models have such
-        inputs. Only identified models have one."""
+        """Raise `BadRequest`: a simulated plant has no input for measured disturbances, only an
+        identified model has one."""
         problem = f"{type(self).__name__} has no input for a measured disturbance"
         remedy = "close the loop on the identified model, or use the plant's own disturbance"
         raise refusal.BadRequest("disturbance", len(measured), problem, remedy)

@@ -191,8 +191,8 @@ def good_candidates(candidates: Sequence[Candidate], tolerance: float = NEARLY) 
 
 @dataclass
 class CandidateErrors:
-    """Free-run errors of one candidate model on the folds so far, for each of two ways of finding
-    initial states. One is estimated from the first samples, one simulated from the log before
+    """Free-run errors of one candidate model on the folds so far, for initial states found in
+    either of two ways. One is estimated from the first samples, one simulated from the log before
     (`models.warm_start`)."""
 
     by_start: dict[str, list[float]] = field(default_factory=lambda: {SAMPLES: [], PAST: []})

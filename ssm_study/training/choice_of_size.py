@@ -93,8 +93,8 @@ def try_model_sizes(search: SettingsSearch, *, also_integrating: bool = False) -
 
 
 def one_layer_without_integrator(search: SettingsSearch) -> list[Candidate]:
-    """Linear candidate models without an integrator, tried before an integrator was chosen for the
-    model.
+    """Candidate models without neurons and without integrator, once an integrator has been chosen;
+    otherwise none.
 
     Of models with an integrator often only the smallest can be certified. One that then predicts
     worse than one layer without an integrator is no gain.
@@ -167,7 +167,7 @@ def try_noncontracting_models(search: SettingsSearch) -> list[Candidate]:
 def score_sizes(
     search: SettingsSearch, question: str, sizes: Sequence[Settings]
 ) -> list[Candidate]:
-    """Cross-validate models of several sizes, with equal sizes only once."""
+    """Cross-validate models of several sizes; a size that is given twice is evaluated only once."""
     scored = [search.score_structured_model(question, size) for size in sizes]
     distinct = {id(candidate): candidate for candidate in scored}
     return list(distinct.values())

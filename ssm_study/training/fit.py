@@ -89,8 +89,8 @@ class TrainingBatch(nn.Module):
         return model.advance(self.u, x0, **mapped)
 
     def _mapped_inputs(self, model: TorchModel) -> dict[str, Signals]:
-        """Training inputs after the model's input map, where they are computed once for all
-        windows."""
+        """Training inputs after a model's static input map, computed once for all windows; empty
+        for other model types."""
         if not isinstance(model, TorchSSM):
             return {}
         mapped_inputs = self.lift(model.scaffold_in)
@@ -234,7 +234,7 @@ class Fit(pl.LightningModule):
         require(able, "training.windows.samples", windows.samples, problem, remedy)
         moving_rows = cut.first if moving else ()
         rows = [*moving_rows, *cut.continuing_windows]
-        values = simulate_window_starts(model, self.training_records, cut) if rows else None
+        values = window_initial_states(model, self.training_records, cut) if rows else None
         return None if values is None else InitialStates(cut, sorted(rows), values, weight)
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are the batch
@@ -370,7 +370,7 @@ class Fit(pl.LightningModule):
 
 
 @torch.no_grad()
-def simulate_window_starts(
+def window_initial_states(
     model: TorchModel, records: TrainingBatch, windows: RecordWindows
 ) -> States:
     """Initial state of each training window, from a simulation of the whole records. Shooting then

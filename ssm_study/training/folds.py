@@ -93,8 +93,8 @@ def hold_out_pieces(records: Trajectories, fold: int) -> tuple[Trajectories, Tra
 
 
 def limit_total_length(records: Trajectories) -> Trajectories:
-    """Cut records at their ends so that they have no more than a given number of samples
-    together."""
+    """Cut records at their ends so that their total length stays below the limit for
+    cross-validation."""
     lengths = (len(record) for record in records)
     total = sum(lengths)
     share = MOST_SAMPLES / total

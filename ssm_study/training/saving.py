@@ -203,7 +203,7 @@ class RestoreSignalHandlers(Callback):
         self.handlers = {number: signal.getsignal(number) for number in self.numbers}
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
-        """Restore the signal handlers from before the training when the training begins."""
+        """Restore, as training begins, the signal handlers that Lightning has replaced."""
         if threading.current_thread() is not threading.main_thread():
             return  # neither Lightning nor we may set a handler there
         for number, handler in self.handlers.items():
@@ -355,7 +355,7 @@ class BestModelCheckpoint(Callback):
     def on_save_checkpoint(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, checkpoint: dict[str, Any]  # noqa: ARG002
     ) -> None:  # fmt: skip
-        """Add the training's fingerprint to a checkpoint that is being saved."""
+        """Add the hash of settings and records to a training checkpoint that is being saved."""
         checkpoint["fingerprint"] = self.belongs_to
 
     def on_train_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002

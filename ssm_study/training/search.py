@@ -48,8 +48,8 @@ class SettingsChoice:
     predictor: BilinearSpec | None = None
 
     def describe(self, automatic_settings: Sequence[str]) -> str:
-        """Text on the model settings that were chosen from the records, and from how many
-        candidates."""
+        """Text that names the model settings chosen from the records, and the number of candidates
+        compared."""
         settings = ", ".join(
             f"{setting_text(name)} {setting_text(getattr(self.spec, name))}"
             for name in automatic_settings
@@ -202,8 +202,8 @@ class SettingsSearch:
     def build_choice(
         self, candidate: Candidate | None, others: Sequence[Candidate] = ()
     ) -> SettingsChoice:
-        """Build the final choice from all decided settings and a candidate model's size. The mean
-        that predicts may have models of the others."""
+        """Build the final choice of model settings from all decided settings and a candidate
+        model's size. The mean that predicts may have models of the others."""
         chosen = [*self.chosen]
         error = None
         linear_kind = None
@@ -220,7 +220,7 @@ class SettingsSearch:
         )
 
     def _candidate_spec(self, candidate: Candidate | None) -> StructuredSpec:
-        """Model settings with everything decided so far and a candidate model's size."""
+        """Model settings with all values decided so far and with the size of a candidate model."""
         decided = dict(self.decided)
         if candidate is not None:
             decided |= candidate.settings

@@ -73,8 +73,8 @@ def best_seeds(
 def first_certifiable_seeds(
     spec: StructuredSpec, fits: dict[int, StructuredFit], max_count: int
 ) -> list[int]:
-    """Random seeds of the first training runs whose models can be certified with controller and
-    observer. All count if the settings do not ask for certificates."""
+    """Random seeds of the first training runs for whose models a state feedback and an observer can
+    be certified. All count if the settings do not ask for certificates."""
     has_certificates = getattr(spec.among_starts, "has_certificates", None)
     certified: list[int] = []
     for seed, fit in fits.items():

@@ -119,7 +119,7 @@ class StructuredFit(pl.LightningModule):
         }
 
     def take_steps(self, steps: int) -> None:
-        """Compute initial parameters, and take a limited number of training steps from there."""
+        """Compute initial parameters, and improve them by a limited number of training steps."""
         start = self._initial_parameters()
         if self.problem.gain_share:
             start = self._train_without_gain_penalty(start)
@@ -242,7 +242,7 @@ class StructuredFit(pl.LightningModule):
         return minimise_simulation_error(short, theta, constrained, RACE)
 
     def _phase_block_names(self, core: tuple[str, ...], input_path: bool) -> tuple[str, ...]:
-        """Names of the parameter blocks that are changed in one phase of the initial training."""
+        """Names of the parameter blocks that are changed in one step of the initial fit."""
         spec = self.spec
         is_open = {
             "g": input_path,

@@ -75,10 +75,10 @@ class SimulationProblem:
         sums = theta["x0"][:, n:]
         return np.ascontiguousarray(model_states), sums
 
-    def simulate_signals(self, theta: Theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def simulate_internal_signals(self, theta: Theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Simulate all records, and return the inputs after the input map, the outputs before the
         output map, and the states. `(N, T + 1, n)`."""
-        mapped = self.lift.values(theta["scaffold_in"], self.records.u)
+        mapped = self.lift.evaluate(theta["scaffold_in"], self.records.u)
         v = np.ascontiguousarray(mapped)
         x0, _ = self.initial_conditions(theta)
         matrices = self.matrices(theta)
@@ -87,7 +87,7 @@ class SimulationProblem:
 
     def simulate_output(self, theta: Theta) -> Float[np.ndarray, "N T p"]:
         """Simulate the scaled outputs of all records."""
-        _, ybar, _ = self.simulate_signals(theta)
+        _, ybar, _ = self.simulate_internal_signals(theta)
         if self.integrating_output:
             _, begun = self.initial_conditions(theta)
             sums = running_sum(ybar)
@@ -127,6 +127,7 @@ class SimulationProblem:
         moving = moving if missing.any() else moving[:0]
 
         def residuals_at(moved: Float[np.ndarray, "P"]) -> Float[np.ndarray, "V"]:
+            """Residuals of the gain's sign penalty for given values of the free parameters."""
             moved_blocks = unpack_parameters(moved, theta, free)
             return self.gain_sign_residuals(theta | moved_blocks)
 
@@ -167,7 +168,7 @@ class SimulationProblem:
         """Simulated outputs of all records, and their derivatives with respect to each block of
         parameters."""
         u, target, _ = self.records
-        v, _, by_input_map = self.lift.values_and_derivatives(theta["scaffold_in"], u)
+        v, _, by_input_map = self.lift.evaluate_with_derivatives(theta["scaffold_in"], u)
         x0, begun = self.initial_conditions(theta)
         matrices = self.matrices(theta)
         channels = self.lift.parameter_channels
@@ -181,7 +182,7 @@ class SimulationProblem:
             return y, summed_columns
         if not self.read.knots:
             return y, columns
-        y, slope, by_output_map = self.read.values_and_derivatives(theta["scaffold_out"], y)
+        y, slope, by_output_map = self.read.evaluate_with_derivatives(theta["scaffold_out"], y)
         columns = {name: slope[..., None] * part for name, part in columns.items()}
         output_count = target.shape[-1]
         output_numbers = np.arange(output_count)
@@ -280,7 +281,7 @@ def take_step(
     problem: SimulationProblem, state: DescentState, block_names: tuple[str, ...]
 ) -> DescentState:
     """Take one accepted Levenberg-Marquardt step in some blocks of parameters."""
-    gradient, normal = linearise_loss(problem, state.theta, block_names)
+    gradient, normal = loss_gradient_and_gauss_newton_matrix(problem, state.theta, block_names)
     flat = pack_parameters(state.theta, block_names)
     if not np.isfinite(normal).all():
         return replace(state, damping=np.inf)
@@ -311,7 +312,7 @@ def take_step(
     return DescentState(theta=theta, loss=value, damping=damping)
 
 
-def linearise_loss(
+def loss_gradient_and_gauss_newton_matrix(
     problem: SimulationProblem, theta: Theta, block_names: tuple[str, ...]
 ) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P P"]]:
     """Gradient of the regularised simulation loss (halved), and its Gauss-Newton matrix. `J'J + R`,

@@ -116,7 +116,7 @@ def normalise_states(problem: SimulationProblem, theta: Theta) -> Theta:
 def states_at_scored_samples(problem: SimulationProblem, theta: Theta) -> Float[np.ndarray, "N n"]:
     """Model states at all samples of the training records that count in the training error, stacked
     in one array."""
-    _, _, states = problem.simulate_signals(theta)
+    _, _, states = problem.simulate_internal_signals(theta)
     earlier_states = states[:, :-1]
     is_recorded = problem.records.recorded_mask
     return earlier_states[is_recorded]
@@ -182,7 +182,7 @@ def fit_model_with_poles(
     b = rng.normal(size=initial["b"].shape)
     drawn = {"a": a, "b": b}
     driven = at_rest | drawn
-    _, _, states = problem.simulate_signals(driven)
+    _, _, states = problem.simulate_internal_signals(driven)
     x = states[:, :-1]
     mean_squares = np.mean(x**2, axis=(0, 1))
     size = np.sqrt(mean_squares) + 1e-12
@@ -304,7 +304,7 @@ def add_random_neurons(
 def contracting_initial_parameters(problem: SimulationProblem, theta: Theta, rate: float) -> Theta:
     """Initial parameters of a contracting structured model that is close to a given model. It is
     the nearest on the path of `contracting.project_to_contracting`."""
-    v, _, states = problem.simulate_signals(theta)
+    v, _, states = problem.simulate_internal_signals(theta)
     recorded = problem.records.recorded_mask
     earlier_states = states[:, :-1]
     x = earlier_states[recorded]

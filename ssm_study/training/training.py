@@ -85,7 +85,7 @@ class Training:
         from ssm_study.models.structured_spec import StructuredSpec
         from ssm_study.training.metrics import Identification
 
-        refuse_disturbances_without_path(spec, data)
+        refuse_unsupported_disturbances(spec, data)
         began = time.perf_counter()
         if isinstance(spec, SolvedSpec):
             model = spec.solve(data)
@@ -109,7 +109,7 @@ class Training:
     def _choose_settings_and_identify(
         self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Identify a model some of whose settings are to be chosen from the records."""
+        """Choose undecided model settings from the records, and identify a model with them."""
         from itertools import islice
 
         from ssm_study.training.choice import (
@@ -127,7 +127,7 @@ class Training:
         for k, choice in enumerate(first_choices):
             folder = session.folder / f"choice_{k}" if k else session.folder
             own_session = replace(session, folder=folder)
-            identified = self._identify_choice(choice, data, own_session)
+            identified = self._identify_with_chosen_settings(choice, data, own_session)
             chosen = choice.describe(spec.automatic_settings)
             best = best or replace(identified, choice=choice.rows, chosen=chosen)
             if can_be_certified(choice.spec, identified.model):
@@ -141,24 +141,24 @@ class Training:
         now_s = time.perf_counter()
         return replace(best, seconds=now_s - began)
 
-    def _identify_choice(
+    def _identify_with_chosen_settings(
         self, choice: "SettingsChoice", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Identify a model by training it with chosen settings. If folds chose it, the validation
-        records are used for training, too."""
+        """Identify a model with chosen settings, and train it on the validation records, too, if
+        cross-validation chose them."""
         from ssm_study.training.choice import REFIT_WORDS
         from ssm_study.training.folds import join_training_and_validation
         from ssm_study.training.metrics import records_fit_percent
 
         if not (choice.rows and choice.spec.refit):
-            return self._train_choice(choice, data, session)
+            return self._train_chosen_model(choice, data, session)
         all_records = join_training_and_validation(data)
-        best = self._train_choice(choice, all_records, session)
+        best = self._train_chosen_model(choice, all_records, session)
         ended = best.ended + REFIT_WORDS
         fit = records_fit_percent(best.model, data.validation, data)
         return replace(best, ended=ended, refitted=True, fit_validation_percent=fit)
 
-    def _train_choice(
+    def _train_chosen_model(
         self, choice: "SettingsChoice", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
         """Train the linear or structured model that chosen settings describe."""
@@ -326,7 +326,7 @@ def can_be_certified(spec: "ModelSpec", model: Any) -> bool:
     return has_certificates is None or bool(has_certificates(model))
 
 
-def refuse_disturbances_without_path(spec: "ModelSpec", data: DataSet) -> None:
+def refuse_unsupported_disturbances(spec: "ModelSpec", data: DataSet) -> None:
     """Raise `BadRequest` for data with measured disturbances if the model structure has no input
     for them."""
     from ssm_study.models.spec import SSMSpec

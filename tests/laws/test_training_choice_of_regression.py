@@ -108,7 +108,7 @@ def test_a_regression_is_taken_where_folds_cannot_tell(loaded: DataSet, tmp_path
     chosen = search.build_choice(tried)
     assert chosen.linear_kind == REGRESSION
     session = TrainingSession(seed=0, folder=tmp_path)
-    identified = TRAINING._train_choice(chosen, loaded, session)
+    identified = TRAINING._train_chosen_model(chosen, loaded, session)
     lags = int(chosen.spec.order)
     expected = fit_arx(loaded, lags, 1)
     u = loaded.test[0].u

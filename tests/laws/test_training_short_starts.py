@@ -108,7 +108,7 @@ def test_members_are_of_the_structures_that_folds_cannot_tell_apart(tmp_path: Pa
 
 def train_choice(choice: SettingsChoice, data: DataSet, session: TrainingSession) -> Identification:
     """Train a choice for one epoch."""
-    return training(max_epochs=1)._train_choice(choice, data, session)
+    return training(max_epochs=1)._train_chosen_model(choice, data, session)
 
 
 def test_other_structures_contract_and_are_about_as_good() -> None:

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from ssm_study.data.recorded import RecordedData
-from ssm_study.evidence.metrics import judge_reading
+from ssm_study.evidence.metrics import judge_log_reading
 from ssm_study.refusal import BadRequest
 
 ROWS = 200
@@ -116,4 +116,4 @@ def test_whole_numbers_without_a_unit_leave_a_doubt(
     recorded_data = source(path, **settings)
     _, remark = recorded_data.read_pieces(path)
     assert ("may count milliseconds" in remark) is doubted
-    assert bool(judge_reading(remark)) is doubted
+    assert bool(judge_log_reading(remark)) is doubted

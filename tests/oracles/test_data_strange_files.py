@@ -12,7 +12,7 @@ import scipy.signal
 
 from ssm_study.data.look import look
 from ssm_study.data.recorded import RecordedData
-from ssm_study.evidence.metrics import judge_reading
+from ssm_study.evidence.metrics import judge_log_reading
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
 
@@ -292,7 +292,7 @@ DOUBTED = [
 def test_what_was_guessed_is_doubted(tmp_path: Path, content: str, says: str) -> None:
     path = write_log(tmp_path, content)
     _, remark = read_log(path)
-    sentences = [finding.sentence for finding in judge_reading(remark)]
+    sentences = [finding.sentence for finding in judge_log_reading(remark)]
     assert len(sentences) == bool(says)
     assert says in " ".join(sentences)
 

@@ -79,7 +79,7 @@ def test_blocks_that_stand_still_are_judged_by_the_fit_that_the_outcome_prints()
     largest = max(headline, fit_percent)
     assert smallest <= fit.pooled_fit_percent(judged) <= largest
     assert fit.judge_poor_fit(judged) == []
-    unmodelled = fit.unmodelled_input_share(judged)
+    unmodelled = fit.unmodelled_output_share(judged)
     assert unmodelled < fit.OWED
 
 

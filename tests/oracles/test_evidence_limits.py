@@ -136,7 +136,7 @@ STARTS = [(0.595, []), (0.605, ["doubt"])]
 @pytest.mark.parametrize(("share", "expected"), STARTS)
 def test_two_starts_may_differ_by_ten_points(share, expected, monkeypatch):
     other = missing_shares(share, share).test
-    monkeypatch.setattr(fit, "simulate_from_unchosen_states", lambda *_: other)
+    monkeypatch.setattr(fit, "simulate_from_alternative_states", lambda *_: other)
     judged = missing_shares(0.5, 0.5)
     findings = fit.judge_initial_state(judged)
     assert levels_of(findings) == expected

@@ -12,7 +12,7 @@ from test_loop_prediction import linear_model
 from ssm_study.data.assembly import assemble_dataset
 from ssm_study.evidence import records
 from ssm_study.evidence.finding import CANNOT_JUDGE, Case, Finding
-from ssm_study.evidence.fit import LAGS, judge_whiteness, unmodelled_input_share
+from ssm_study.evidence.fit import LAGS, judge_whiteness, unmodelled_output_share
 from ssm_study.evidence.metrics import collect_findings
 from ssm_study.evidence.records import _judge_range
 from ssm_study.evidence.response import dead_time_samples, judge_response, multiple_coherence
@@ -264,7 +264,7 @@ def test_what_the_error_owes_to_the_input_is_its_share_of_the_output_s_power():
     varied = len(scored) * variance
 
     log = case(WHITE, y, slow=0.3)
-    owed = unmodelled_input_share(log)
+    owed = unmodelled_output_share(log)
 
     error_power = power / 4
     expected = error_power / varied

@@ -9,7 +9,7 @@ import pytest
 
 from ssm_study.data.assembly import assemble_dataset
 from ssm_study.models.bilinear import Bilinear, hat_functions
-from ssm_study.models.bilinear_problem import BilinearProblem, spread_nodes
+from ssm_study.models.bilinear_problem import BilinearProblem, equally_spaced_nodes
 from ssm_study.models.bilinear_spec import BilinearSpec
 from ssm_study.models.spec import scale_records
 from ssm_study.models.stored import model_from_json
@@ -99,7 +99,7 @@ NODES_BETWEEN_ENDS = [
 
 @pytest.mark.parametrize(("ends", "nodes"), NODES_BETWEEN_ENDS)
 def test_the_nodes_hold_zero_and_both_ends(ends: tuple[float, float], nodes: list[float]) -> None:
-    spread = spread_nodes(*ends, 5)
+    spread = equally_spaced_nodes(*ends, 5)
     np.testing.assert_allclose(spread, nodes, atol=1e-15)
     assert 0.0 in spread
 

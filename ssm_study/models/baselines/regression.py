@@ -52,7 +52,8 @@ class NarxModel(Simulator, names=("narx",)):
         return self.simulate_from_outputs(u, no_outputs)
 
     def simulate_from_outputs(self, u: Inputs, y_start: Measured) -> Outputs:
-        """Simulate a polynomial NARX model in free run that continues some measured outputs."""
+        """Simulate a polynomial NARX model in free run, continuing a given stretch of measured
+        outputs."""
         v = self.scale.scaled_input(u)
         scaled_start = self.scale.scaled_output(y_start)
         measured = scaled_start[..., 0]

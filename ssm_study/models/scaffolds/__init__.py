@@ -1,1 +1,1 @@
-"""Static maps around the recurrence, whose slopes can be certified."""
+"""Static maps at a model's input and output, with slopes that can be certified."""

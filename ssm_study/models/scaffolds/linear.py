@@ -27,7 +27,7 @@ class LinearScaffold(Scaffold, names=("linear",)):
 
     @classmethod
     def identity(cls, channels: int) -> "LinearScaffold":
-        """Identity map of a number of channels."""
+        """Identity map with a given number of channels."""
         return cls(gain=np.eye(channels))
 
     def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch k"]:

@@ -338,8 +338,8 @@ class OneChannelMlp(Trainable):
 def layer_slope_bounds(
     lower: float, upper: float, depth: int, channels: int
 ) -> tuple[float, float]:
-    """Slope bounds for each layer of a perceptron such that their product is the given bounds of
-    the whole.
+    """Slope bounds for each layer of a perceptron, whose product over all layers gives the bounds
+    of the whole perceptron.
 
     One channel: slopes multiply, so the depth-th roots. More: with `J_l = a (I + E_l), |E_l| <= d`,
     the product lies in the ball of centre `a^L` and radius `a^L ((1 + d)^L - 1)`, so `d =

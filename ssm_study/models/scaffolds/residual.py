@@ -64,7 +64,8 @@ class ResidualScaffold(Scaffold, names=("residual",)):
         return bound_from_ball(ball, "construction")
 
     def jacobian_centre(self) -> None:
-        """Return None: the Jacobians of the map already lie around a multiple of the identity."""
+        """Return None: no matrix need be moved out of the map, whose Jacobians lie around a
+        multiple of the identity."""
         return
 
     def as_portable(self) -> PortableMap:
