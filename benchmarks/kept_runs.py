@@ -74,7 +74,6 @@ KINDS = (
     Kind("lmi", (*SMALL, "synthesis=lmi", "synthesis.rate_controller=0.02")),
     Kind("riccati", (*SMALL, "synthesis=riccati", "synthesis.rate_controller=0.02")),
     Kind("limited", (*SMALL, "loop.input_lower=-3", "loop.input_upper=3")),
-    Kind("inverted", (*SMALL, "synthesis.invert_input=true"), exports=False),
     Kind("structured", (*SMALL, "model=structured", "~model.hidden_width", *TINY_STRUCTURED,
                         "training.max_epochs=20")),
     Kind("internal_model", (*SMALL, "synthesis=auto_integral")),

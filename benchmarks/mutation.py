@@ -117,11 +117,7 @@ GROUPS = {
         tests=f"{ATTEMPTS} {REFUSES} {EXACT} {LIMITS}",
         planted=70,
     ),
-    "bounds": Group(
-        modules=("bounds",),
-        tests=f"{BOUNDS} {INVERSES} {CONTRACTS} tests/oracles/test_loop_commanded.py",
-        planted=30,
-    ),
+    "bounds": Group(modules=("bounds",), tests=f"{BOUNDS} {INVERSES} {CONTRACTS}", planted=30),
     "choice": Group(
         modules=modules_of("synthesis", "auto", "candidate_grid", "integrated_error")
         + modules_of("robustness", "mismatch", "sensitivity")
@@ -183,10 +179,9 @@ GROUPS = {
     ),
     "deployed": Group(
         modules=modules_of("robustness", "return_to_rest", "prediction", "mismatch")
-        + modules_of("synthesis", "deployed", "input_inversion")
-        + theorems("deployed_rate", "measured_discs", "limited_input")
-        + theorems("inverted_input", "structured_inverted_input"),
-        tests="tests/oracles/test_loop_commanded.py tests/oracles/test_evidence_rest.py "
+        + modules_of("synthesis", "deployed")
+        + theorems("deployed_rate", "measured_discs", "limited_input"),
+        tests="tests/oracles/test_evidence_rest.py "
         "tests/oracles/test_theorem_conditions.py tests/oracles/test_loop_mismatch.py "
         "tests/oracles/test_measured_discs.py "
         "tests/laws/test_synthesis_theorems.py tests/oracles/test_loop_prediction.py "

@@ -24,7 +24,6 @@ MODULES: Mapping[str, str] = {
     "synthesis.among_starts": "synthesis.model_selection",
     "synthesis.area": "synthesis.integrated_error",
     "synthesis.certificate": "certificates.certificate",
-    "synthesis.commanded": "synthesis.input_inversion",
     "synthesis.exact": "exact",
     "synthesis.frontier": "certificates.frontier",
     "synthesis.mismatch": "robustness.mismatch",

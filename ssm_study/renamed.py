@@ -160,7 +160,8 @@ def current_override(word: str) -> str:
     marks = key.removesuffix(path)
     withdrawn = withdrawn_setting(path)
     if withdrawn is not None and equals:
-        refuse_withdrawn(path, value, withdrawn)
+        is_neutral = value.lower() == str(withdrawn.neutral).lower()
+        refuse_withdrawn(path, withdrawn.neutral if is_neutral else value, withdrawn)
         return ""
     for choice in value.strip("[]").split(",") if equals else ():
         gone = WITHDRAWN_CHOICES.get(f"{path}={choice.strip()}")

@@ -113,7 +113,7 @@ class Design:
         """Static maps, such as an input nonlinearity, that are known only by their range of
         slopes."""
         is_identified = self.origin is not None or bool(self.stored_record)
-        if is_identified or self.certificate.inverts_input_map:
+        if is_identified:
             return {}
         return name_unknown_maps(self.model, self.certificate)
 

@@ -18,7 +18,6 @@ from ssm_study.robustness.coverage import Premise, measure_premise
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.mismatch import measure_mismatch as measure_mismatch_of_records
 from ssm_study.signals import DataSet, input_limits
-from ssm_study.synthesis.input_inversion import mismatch_for_control_law
 
 if TYPE_CHECKING:
     from ssm_study.models.spec import ModelSpec
@@ -94,7 +93,6 @@ def design_controller(
 
     balls = certified_balls(model)
     premise = measure_coverage_premise(model, data, plant_mismatch)
-    relevant_mismatch = mismatch_for_control_law(synthesis, model, data, plant_mismatch)
     lower, upper = input_limits(*limits, data.training_inputs)
     if isinstance(synthesis, Auto):
         if judgement.level == CANNOT_JUDGE:
@@ -105,7 +103,7 @@ def design_controller(
         lowest_input = scale_deviation(model, lower)
         highest_input = scale_deviation(model, upper)
         synthesis = synthesis.with_input_limits(lowest_input, highest_input)
-    design = synthesis.design(model, balls, data.validation, relevant_mismatch)
+    design = synthesis.design(model, balls, data.validation, plant_mismatch)
     design = add_gain_certificates(design, model, balls, (lower, upper))
     cover = getattr(synthesis, "cover", None)
     if seeks_coverage(model, cover, premise):

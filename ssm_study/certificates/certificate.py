@@ -22,6 +22,7 @@ from ssm_study.certificates.theorem import AGAIN, Blocks, Theorem, VerificationC
 from ssm_study.certificates.withdrawn_parts import TOLERANCE, is_withdrawn_part
 from ssm_study.refusal import BadRequest, require
 from ssm_study.systems import Gains, JacobianBall
+from ssm_study.withdrawn import WITHDRAWN_THEOREMS
 
 # The letter of each matrix in a state feedback's problem, and an observer's for the same matrix,
 # transposed.
@@ -300,12 +301,6 @@ class Design:
         return Gains(k=feedback.k, l=observer.l, l_z=l_z, internal=internal)
 
     @property
-    def inverts_input_map(self) -> bool:
-        """Whether a control law inverts the static input map: `u = S_u^{-1}(K xh)`."""
-        feedback = self.state_feedback
-        return "inverted_input" in str(getattr(feedback, "theorem", type(feedback)))
-
-    @property
     def certificates_by_name(self) -> dict[str, Theorem | Infeasible]:
         """All certificates of a design, keyed by their names in `certificate.json`."""
         return {
@@ -390,7 +385,12 @@ def read_certificate(label: str, content: dict[str, Any]) -> Any:
     derived = ("digest", "certified_rate")
     stored = {name: value for name, value in content.items() if name not in derived}
     part = BESIDE.get(label, label)
-    theorem = find_theorem(str(stored.setdefault("theorem", part)))
+    named = str(stored.setdefault("theorem", part))
+    if named in WITHDRAWN_THEOREMS:
+        withdrawn = WITHDRAWN_THEOREMS[named]
+        problem = f"was {withdrawn.sentence}"
+        raise BadRequest(f"{where}.theorem", named, problem, withdrawn.remedy)
+    theorem = find_theorem(named)
     name = theorem.name()
     fits = theorem.part == part and OF_LIMITS.get(label, name) == name
     require(fits, f"{where}.theorem", name, "is of another part", AGAIN)

@@ -140,15 +140,11 @@ class PortableController:
 
 
 def _refuse_unexportable_design(design: Design) -> None:
-    """Raise `BadRequest` for a design that lacks a gain or whose control law inverts the input
-    map."""
+    """Raise `BadRequest` for a design that lacks a gain."""
     for name, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
         if isinstance(part, Infeasible):
             reason = part.reason.rstrip(".")
             raise BadRequest(f"certificate.{name}", "infeasible", reason, "export another run")
-    problem = "this control law undoes the input map, which the exported code cannot do"
-    remedy = "export a run without it"
-    require(not design.inverts_input_map, "synthesis.invert_input", True, problem, remedy)
 
 
 def _refuse_gains_of_another_model(gains: Gains, order: int, output_count: int) -> None:

@@ -12,7 +12,6 @@ from typing import cast
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ssm_study.bounds.network import InverseMap, invert_map
 from ssm_study.certificates.certificate import Design
 from ssm_study.loop.trajectory import (
     Plan,
@@ -31,7 +30,6 @@ Inputs = Float[np.ndarray, "N m"]
 Outputs = Float[np.ndarray, "N p"]
 Target = Float[np.ndarray, "t"]
 Estimate = Float[np.ndarray, "N n"]
-ScaledInputs = Float[np.ndarray, "*batch m"]
 Measured = Float[np.ndarray, "k"] | None
 
 
@@ -120,7 +118,6 @@ class EstimateFeedback(Controller):
 
     model: Model
     gains: Gains
-    inverse: InverseMap | None = None  # of S_u, where the law undoes it
 
     @property
     def step_s(self) -> float:  # type: ignore[override]  # here the model knows it
@@ -177,8 +174,7 @@ class ObserverFeedback(EstimateFeedback):
     target row is `(x*, u*, y*)`, a trajectory of the model near the reference. `K (m, n)`, or one
     pair of gains for each case, stacked: such a law brings to rest only. With a wider K there is an
     internal model, `z+ = A_z z + E (y - y*) / s_y`; no error enters it while a limit keeps the
-    input from what was asked (`systems.frozen_modes`). With `inverse` the scaled input is
-    `S_u^{-1}(S_u(u*) + K ...)` in either law.
+    input from what was asked (`systems.frozen_modes`).
     """
 
     def __post_init__(self) -> None:
@@ -204,22 +200,7 @@ class ObserverFeedback(EstimateFeedback):
     def from_design(cls, model: Model, design: Design) -> "ObserverFeedback":
         """Controller that applies the gains of a certified design. Raises `BadRequest` if one of
         its parts is infeasible."""
-        inverse = None
-        if design.inverts_input_map:
-            inverse = invert_map(model.scaffold_in.as_portable())
-        return cls(model=model, gains=design.pair, inverse=inverse)
-
-    def unlimited_input(
-        self, planned_input: ScaledInputs, feedback_input: ScaledInputs
-    ) -> np.ndarray:
-        """Scaled input that the control law requests, before saturation at the input limits.
-
-        `planned_input* + K (...)`; or, where `S_u` is undone, `S_u^{-1}(S_u(u*) + K (...))`.
-        """
-        if self.inverse is None:
-            return planned_input + feedback_input
-        mapped_input = self.model.scaffold_in(planned_input) + feedback_input
-        return self.inverse(mapped_input)
+        return cls(model=model, gains=design.pair)
 
     def reference_targets(self, reference: Reference) -> Plan:
         """Trajectory of states, inputs and outputs of the model that follows the reference."""
@@ -230,7 +211,7 @@ class ObserverFeedback(EstimateFeedback):
             ndim = self.gains.k.ndim
             k = self.gains.k if ndim == 2 else self.gains.k[0]
             state_gains = k[:, :n]
-            plan = feedback_trajectory(model, state_gains, reference, self.unlimited_input)
+            plan = feedback_trajectory(model, state_gains, reference)
         else:
             plan = reference_tracking_trajectory(model, reference)
         planned_inputs = plan[:, n:]
@@ -272,7 +253,7 @@ class ObserverFeedback(EstimateFeedback):
         input_shape = (len(error), m)
         u = np.broadcast_to(target_input, input_shape)
         feedback = multiply_rows(self.gains.k, error)
-        unlimited_u = self.unlimited_input(u, feedback)
+        unlimited_u = u + feedback
         return self.model.scale.physical_input(unlimited_u)
 
     def advance(

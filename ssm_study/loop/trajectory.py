@@ -168,18 +168,14 @@ def _system_of_input_changes(system: StateSpace, idle_directions: Matrix) -> Sta
 
 
 def feedback_trajectory(
-    model: StructuredSSM,
-    gain: Float[np.ndarray, "m n"],
-    reference: Reference,
-    combine_inputs: Callable[..., Vector] = np.add,
+    model: StructuredSSM, gain: Float[np.ndarray, "m n"], reference: Reference
 ) -> Plan:
     """Trajectory on which a state feedback brings a model with neurons to each set point of the
     reference.
 
     One row `(x*[k], u*[k])` per sample: `u* = us + K (x* - xs)` from the model's equilibrium, `(xs,
-    us)` the equilibrium of the reference's value: it gets there at the certified rate;
-    `combine_inputs(us, K (x* - xs))` is the input where it is not the sum. A reference at rest
-    gives zeros.
+    us)` the equilibrium of the reference's value: it gets there at the certified rate. A reference
+    at rest gives zeros.
     """
     points = set_point_equilibria(model, reference)
     n = model.order
@@ -189,7 +185,7 @@ def feedback_trajectory(
         rest_state = point[:n]
         rest_input = point[n:]
         correction = gain @ (x - rest_state)
-        u = combine_inputs(rest_input, correction)
+        u = rest_input + correction
         state_and_input = [x, u]
         plan[i] = np.concatenate(state_and_input)
         mapped_row = model.scaffold_in(u[None])

@@ -45,7 +45,6 @@ from ssm_study.study.run_files import RunFiles
 from ssm_study.synthesis.deployed import nearest_equilibrium_starts
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.expected_response import faster_response_column
-from ssm_study.synthesis.input_inversion import mismatch_of_mapped_input
 from ssm_study.synthesis.measured_discs_run import (
     UNPROVED,
     add_coverage_certificate,
@@ -103,10 +102,8 @@ def columns_of_later_versions(run: RunFiles) -> dict[str, str]:
     design = run.design
     if not design.feasible:
         return {}
-    columns = list[str]()
-    if not design.inverts_input_map:
-        columns.append("predicted_faster")
-    if run.specification.has_sine_trials and not design.inverts_input_map:
+    columns = ["predicted_faster"]
+    if run.specification.has_sine_trials:
         columns.append("sine_margin")
         if run.record.get("coverage") is not None:
             columns.append("sine_coverage")
@@ -206,8 +203,9 @@ def check_stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] |
 def remeasure_mismatch(run: RunFiles) -> Any:
     """Measure the model error again from the recordings of a run."""
     validation = run.simulated.validation
-    measure = mismatch_of_mapped_input if run.design.inverts_input_map else measure_mismatch
-    return measure(run.model, validation.records, validation.start_up_samples, run.mismatch_records)
+    return measure_mismatch(
+        run.model, validation.records, validation.start_up_samples, run.mismatch_records
+    )
 
 
 def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:

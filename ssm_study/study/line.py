@@ -168,11 +168,10 @@ class Study(Task["Specification"]):
         mismatch = stages.run_stage(MISMATCH, {}, {}, data, model_run)
         judgement = stages.run_stage(EVIDENCE, {}, {}, data, model_run, mismatch)
         has_limits = loop.input_lower is not None or loop.input_upper is not None
-        stays_within_records = request.plant is None or request.synthesis.invert_input
         limits = {
             "input_lower": loop.input_lower,
             "input_upper": loop.input_upper,
-            "applied": stays_within_records or has_limits,
+            "applied": request.plant is None or has_limits,
         }
         inputs = request.stage_settings("synthesis", computed={"limits": limits})
         design = stages.run_stage(SYNTHESIS, *inputs, data, model_run, mismatch, judgement)

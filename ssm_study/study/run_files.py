@@ -215,12 +215,12 @@ class RunFiles:
     @property
     def sine_angles(self) -> tuple[float, ...]:
         """Frequencies (rad/sample) of single sines at which a run's closed loop is most sensitive
-        to model errors. Empty without a design, or behind an inverted input map."""
+        to model errors. Empty without a design."""
         from ssm_study.robustness.sine_trials import PEAKS, peak_frequencies
 
         if not self.has_certifiable_model:
             return ()
-        if not self.design.feasible or self.design.inverts_input_map:
+        if not self.design.feasible:
             return ()
         angles = peak_frequencies(self.model, self.design.pair, certified_balls(self.model))
         return tuple(angles[:PEAKS])
@@ -230,7 +230,7 @@ class RunFiles:
         """Settings of the closed-loop experiment of a run. Without a plant, its input limits are
         the input range of the log."""
         loop = self.specification.loop
-        if self.specification.plant and not self.design.inverts_input_map:
+        if self.specification.plant:
             return loop
         return loop.with_default_limits(self.training_inputs)
 

@@ -25,6 +25,7 @@ from ssm_study.engine.records import (
     storable_value,
 )
 from ssm_study.refusal import escape_control_characters, require
+from ssm_study.renamed import withdrawn_setting
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS
 from ssm_study.study.findings import Checked, Claims, DerivedColumns, NotChecked, RepeatedSettings
 from ssm_study.study.form import check_form
@@ -208,8 +209,9 @@ def _applicable_sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]
     try:
         return SECTIONS if run.has_certifiable_model else OF_A_BASELINE
     except Exception as error:
-        if str(getattr(error, "field", "")).endswith("_target_"):
-            raise  # without `--with` nothing can be derived, which is no lie of the run
+        field = str(getattr(error, "field", ""))
+        if field.endswith("_target_") or withdrawn_setting(field):
+            raise  # without `--with`, or the setting, nothing can be derived: no lie of the run
         return SECTIONS
 
 

@@ -29,7 +29,6 @@ from ssm_study.synthesis.covered_gains import GainSearch
 from ssm_study.synthesis.decay_response import NO_DECAYS
 from ssm_study.synthesis.design import Synthesis, require_contraction_rate
 from ssm_study.synthesis.expected_response import ATTEMPTS, FASTER, ExpectedResponse, RankedPair
-from ssm_study.synthesis.input_inversion import design_with_inverted_input
 from ssm_study.synthesis.measured_discs_choice import Search, first_covering_design
 from ssm_study.synthesis.measured_discs_run import seeks_coverage
 from ssm_study.systems import Balls
@@ -55,8 +54,6 @@ class Auto:
     Grids, steps and the choice where no candidate passes: docs/closed_loop.md, "Rates chosen for
     you". With an `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the weights of its states are one
     more axis; weights alone are of integrators. `limits` of the input, scaled, are set by the run.
-    With `invert_input` the law undoes the input map (`synthesis.input_inversion`), and the mismatch
-    is relative to its commands.
     """
 
     rate: float | str = "auto"
@@ -70,7 +67,6 @@ class Auto:
     integral_weights: Sequence[float] = ()
     internal_model: Sequence[str] = ()
     limits: Ends | None = None
-    invert_input: bool = False
     cover: float | None = None
     premise: Premise | None = None
     decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS, repr=False)
@@ -147,9 +143,6 @@ class Auto:
 
         The mismatch is that of the validation records unless given.
         """
-        if self.invert_input:
-            without_inversion = replace(self, invert_input=False)
-            return design_with_inverted_input(without_inversion, model, validation, mismatch)
         candidates = self.candidates(model, balls)
         if candidates is None:
             slowest = self._slowest_design(model, balls)

@@ -37,7 +37,6 @@ from ssm_study.certificates.withdrawn_parts import TOLERANCE
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require
-from ssm_study.synthesis.input_inversion import certified_model_and_balls
 from ssm_study.systems import Balls
 
 Inputs = Float[np.ndarray, "m"]
@@ -50,11 +49,7 @@ def add_gain_certificates(
 ) -> Design:
     """Add to a design all further certificates that can be proved for its gains, each decided in
     exact arithmetic. They are largest rates, tolerance, and the effect of physical input `limits`.
-
-    For a law that undoes the input map nothing is proved with limits: they are not those of what
-    it commands.
     """
-    model, balls = certified_model_and_balls(design, model, balls)
     bare_design = replace(design, extra_certificates={})
     design = add_largest_rates(bare_design)
     tolerance = tolerance_certificate(design, model, balls)
@@ -62,7 +57,7 @@ def add_gain_certificates(
     if tolerance is not None:
         extra[TOLERANCE] = tolerance
     design = replace(design, extra_certificates=extra)
-    if limits is None or design.inverts_input_map:
+    if limits is None:
         return design
     limited = certify_input_limits(model, design, *limits)
     return replace(design, extra_certificates=extra | limited)

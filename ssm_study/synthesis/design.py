@@ -45,7 +45,6 @@ from ssm_study.certificates.theorems.structured_state_feedback import Structured
 from ssm_study.refusal import BadRequest, require, require_at_least, require_positive
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import Trajectories
-from ssm_study.synthesis.input_inversion import design_with_inverted_input
 from ssm_study.systems import Balls, JacobianBall, StructuredSystem, System
 
 ILL = 1e6  # a metric of a smaller condition number gains nothing from fewer states
@@ -195,11 +194,6 @@ def failed_checks(
         design = Design.from_json(content)
     except BadRequest as malformed:
         return [str(malformed)]
-    if (
-        design.inverts_input_map and balls.input.relative_radius < 1
-    ):  # S_u has an inverse, and the law applies it
-        jacobian_ball = JacobianBall(alpha=1.0, beta=0.0)
-        balls = replace(balls, input=jacobian_ball)
     context = VerificationContext(
         system=system, controlled=controlled or system, balls=balls, gains=design.gains
     )
@@ -275,10 +269,10 @@ class Synthesis(ABC):
     """Base class of methods that design controller and observer at requested contraction rates.
 
     The weights of the controller's guaranteed cost and the variances the observer is tuned for, in
-    scaled units: conf/synthesis/riccati.yaml. With `invert_input` the law is `u = S_u^{-1}(K xh)`
-    (`synthesis.input_inversion`). With an `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the
-    controller is that of the model with these modes z (`theorems.integral_action`) and
-    `integral_weight |z|^2` in its cost: larger removes errors sooner.
+    scaled units: conf/synthesis/riccati.yaml. With an `internal_model` (`step`, `ramp`,
+    `sine(0.5Hz)`) the controller is that of the model with these modes z
+    (`theorems.integral_action`) and `integral_weight |z|^2` in its cost: larger removes errors
+    sooner.
     """
 
     rate_controller: float
@@ -289,7 +283,6 @@ class Synthesis(ABC):
     input_noise: float = 1.0
     state_noise: float = 1e-4
     output_noise: float = 1.0
-    invert_input: bool = False
     internal_model: Sequence[str] = ()
     integral_weight: float = 1e-3
 
@@ -327,13 +320,10 @@ class Synthesis(ABC):
         self,
         model: Any,
         balls: Balls,
-        validation: Trajectories = (),
-        mismatch: Mismatch | None = None,
+        validation: Trajectories = (),  # noqa: ARG002  # `auto` chooses by the records
+        mismatch: Mismatch | None = None,  # noqa: ARG002
     ) -> Design:
         """Design controller and observer of a model, each independently of the other."""
-        if self.invert_input:
-            plain = replace(self, invert_input=False)
-            return design_with_inverted_input(plain, model, validation, mismatch)
         system = getattr(model, "system", model.linear)
         controlled = (
             append_internal_model(model, self.modes, self.integral_weight) if self.modes else system

@@ -203,8 +203,8 @@ def faster_response_column(
     design: Any, model: Model, mismatch: Mismatch, *records: Trajectories
 ) -> Any:
     """Column that says whether the design is predicted to be faster than the open loop. It is null
-    without a design, and for a law that inverts the input map."""
-    if not design.feasible or design.inverts_input_map:
+    without a design."""
+    if not design.feasible:
         return {}
     predicted_faster = predicts_faster_response(model, design.pair, mismatch, *records)
     return {"predicted_faster": predicted_faster}

@@ -27,7 +27,6 @@ from ssm_study.signals import Trajectories
 from ssm_study.systems import Balls
 
 PART = MeasuredDiscs.part
-INVERTS = "the law undoes the input map, and the theorem does not speak of such laws"
 INJECTED = "the observer injects into neurons that enter the output, and the theorem excludes that"
 UNPROVED = "no proof was found for these gains"
 UNSOUGHT = (
@@ -78,8 +77,6 @@ def add_coverage_certificate(
 def exclusion_reason(design: Design, model: Model) -> str | None:
     """Reason why no certificate against model errors is possible for the loop of a design; None if
     one is possible."""
-    if design.inverts_input_map:
-        return INVERTS
     observer = design.observer
     injects = isinstance(observer, Observer) and np.any(getattr(observer, "l_z", 0.0))
     reaches_output = getattr(model.system, "h", np.zeros(1)).any()

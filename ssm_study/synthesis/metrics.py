@@ -21,7 +21,6 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sensitivity import noise_gain
 from ssm_study.synthesis.deployed import SETS, WithinLimits
-from ssm_study.synthesis.input_inversion import certified_model_and_balls
 from ssm_study.systems import Balls, StructuredSystem
 
 OPINION = "another solver's opinion, which decides nothing"
@@ -143,10 +142,7 @@ def design_columns(
 ) -> dict[str, Any]:
     """Table columns of a design: feasible, certified, distance from the largest provable rate, gain
     sizes, predicted stability.
-
-    `mismatch` is relative to what the law commands (`synthesis.input_inversion`).
     """
-    model, balls = certified_model_and_balls(design, model, balls)
     facts = proof_columns(design)
     if not design.feasible:
         return facts
@@ -245,7 +241,6 @@ def paper_feasibility_columns(design: Design, model: Model, balls: Balls) -> dic
         certificate_from_paper_lmi,
     )  # CVXPY takes half a second to import
 
-    model, balls = certified_model_and_balls(design, model, balls)
     feedback = design.state_feedback
     observer = design.observer
     # Of neurons [Z26] says nothing.

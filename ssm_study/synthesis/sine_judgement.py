@@ -36,9 +36,9 @@ def spectral_lines_to_test(
     only_peaks: bool = False,
 ) -> list[int]:
     """Spectral lines (multiples of the record's base frequency) at which a design is to be tested
-    with single sines. Empty for a law that inverts the input map, and if the noise is unknown.
+    with single sines. Empty if the noise is unknown.
     `only_peaks`: those of earlier runs."""
-    if not design.feasible or design.inverts_input_map or not mismatch.noise:
+    if not design.feasible or not mismatch.noise:
         return []
     lines = sensitive_lines(model, design.pair, balls, period)
     if only_peaks:

@@ -75,23 +75,23 @@ def test_settings_of_the_command_tell_runs_apart() -> None:
     the page."""
     settings = [(0.005, False), (0.005, True), (0.02, False), (0.02, True)]
     rows = []
-    for i, (step_s, undone) in enumerate(settings):
+    for i, (step_s, full) in enumerate(settings):
         row: dict[str, object] = {"run": f"r-{i}", "status": "ok"}
         row["plant__step_s"] = step_s
-        row["synthesis__invert_input"] = undone
+        row["synthesis__full"] = full
         row["loop__peer"] = "pi"
         rows.append(row)
     table = table_from_records(rows)
-    expected = ["plant__step_s", "synthesis__invert_input"]
+    expected = ["plant__step_s", "synthesis__full"]
     assert swept_settings(table) == expected
-    assert page_title(table) == "What changes with plant.step_s and synthesis.invert_input?"
-    fine = "plant__step_s > 0.01 and synthesis__invert_input"
+    assert page_title(table) == "What changes with plant.step_s and synthesis.full?"
+    fine = "plant__step_s > 0.01 and synthesis__full"
     filtered = filter_rows(table, fine)
     assert filtered["run"].tolist() == ["r-3"]
     lines = render_table(table).splitlines()
     heads = lines[0]
     last = lines[-1]
-    expected = ["run", "status", "step_s", "invert_input"]
+    expected = ["run", "status", "step_s", "full"]
     assert heads.split() == expected
     expected = ["3", "ok", "0.02", "yes"]
     assert last.split() == expected

@@ -12,6 +12,7 @@ from loop_cases import INPUT_BALL, OUTPUT_BALL, motor_model
 
 from ssm_study.certificates.certificate import Design, certificate_digest
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
+from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.deployed import add_gain_certificates
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -143,6 +144,18 @@ def test_a_withdrawn_part_of_an_older_file_is_kept_and_not_checked(
     content["tolerance"]["kappa"] *= 1.01  # what is still claimed is still checked beside it
     broken = failed_checks(content, linear, MOTOR_BALLS)
     assert broken != []
+
+
+@pytest.mark.parametrize("theorem", ["inverted_input", "structured_inverted_input"])
+def test_a_design_by_a_withdrawn_theorem_is_refused_in_a_sentence(
+    stored: tuple[dict, StateSpace], theorem: str
+) -> None:
+    content = copy.deepcopy(stored[0])
+    content["state_feedback"]["theorem"] = theorem
+    with pytest.raises(BadRequest, match=r"was withdrawn in 0\.2; run again without synthesis"):
+        Design.from_json(content)
+    broken = failed_checks(content, stored[1], MOTOR_BALLS)
+    assert len(broken) == 1
 
 
 THEOREMS = ["tolerance", "structured_tolerance", None]

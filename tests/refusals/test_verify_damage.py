@@ -59,6 +59,24 @@ def test_a_damaged_file_is_a_claim_that_does_not_hold(what: str, copied_run: Pat
     assert not verify(copied_run).holds
 
 
+@pytest.mark.parametrize("value", ["true", "false"])
+def test_a_run_with_a_withdrawn_setting_is_refused_in_a_sentence(
+    value: str, copied_run: Path
+) -> None:
+    """Nothing of it can be derived; the value that changed nothing is read past."""
+    path = copied_run / CONFIGURATION
+    text = path.read_text()
+    begin = "\nsynthesis:\n"
+    assert begin in text
+    path.write_text(text.replace(begin, f"{begin}  invert_input: {value}\n"))
+    if value == "true":
+        with pytest.raises(BadRequest, match=r"invert_input = True: was withdrawn in 0\.2"):
+            verify(copied_run)
+    else:
+        unfounded = [str(finding) for finding in verify(copied_run) if not finding.holds]
+        assert not [line for line in unfounded if "cannot be derived" in line]
+
+
 def without_last(rows: list[list[float]]) -> list[list[float]]:
     """A matrix without its last row; a square one without its last column, too."""
     fewer = rows[:-1]

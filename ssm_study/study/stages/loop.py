@@ -49,8 +49,7 @@ def compute_loop(
     twin = IdentifiedPlant.from_model(model, data.inputs, data.outputs)
     on = plant or twin
     loop_on = loop_place_label(plant)
-    stays_within_records = plant is None or design.inverts_input_map
-    limited = loop.with_default_limits(data.training_inputs) if stays_within_records else loop
+    limited = loop.with_default_limits(data.training_inputs) if plant is None else loop
     experiment = limited.with_default_horizon(model)
     closed = experiment.run_design(on, model, design, loop_seed)
     about = {"loop_on": loop_on, "loop_seed": str(loop_seed)}

@@ -11,7 +11,6 @@ from ssm_study.evidence.metrics import Judgement, withhold_predictions
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.study.stages.free_run import ModelRun
-from ssm_study.synthesis.input_inversion import mismatch_for_control_law
 from ssm_study.synthesis.metrics import design_columns, paper_feasibility_columns
 
 if TYPE_CHECKING:
@@ -42,7 +41,6 @@ def compute_synthesis(
     model = model_run.model
     balls = certified_balls(model)
     premise = recorded_error_spectra(model, data, recorded_mismatch)
-    mismatch = mismatch_for_control_law(synthesis, model, data, recorded_mismatch)
     ends = input_limits(limits["input_lower"], limits["input_upper"], data.training_inputs)
     method: Any = synthesis
     if isinstance(synthesis, Auto):
@@ -54,7 +52,7 @@ def compute_synthesis(
         if limits["applied"]:
             lower, upper = (model.scale.scaled_input(end) for end in ends)
             method = method.with_input_limits(lower, upper)
-    design = method.design(model, balls, data.validation, mismatch)
+    design = method.design(model, balls, data.validation, recorded_mismatch)
     design = add_gain_certificates(design, model, balls, ends)
     if seeks_coverage(model, getattr(synthesis, "cover", None), premise):
         design = add_coverage_certificate(design, model, balls, premise)
@@ -98,12 +96,13 @@ def synthesis_result_columns(
 
     model = model_run.model
     balls = certified_balls(model)
-    mismatch = mismatch_for_control_law(design, model, data, recorded_mismatch)
     premise = recorded_error_spectra(model, data, recorded_mismatch)
     fresh = fresh_error_spectra(model, data, recorded_mismatch)
-    facts = design_columns(design, model, balls, mismatch)
+    facts = design_columns(design, model, balls, recorded_mismatch)
     facts |= coverage_columns(design, model, premise, fresh)
-    facts |= faster_response_column(design, model, mismatch, data.validation, data.mismatch_records)
+    facts |= faster_response_column(
+        design, model, recorded_mismatch, data.validation, data.mismatch_records
+    )
     if design.feasible:
         facts = withhold_coverage(facts, model, design.pair)
     return withhold_predictions(facts, judgement.level) | paper_feasibility_columns(
