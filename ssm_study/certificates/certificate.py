@@ -379,7 +379,8 @@ def certificate_digest(content: dict[str, Any]) -> str:
 
 def read_certificate(label: str, content: dict[str, Any]) -> Any:
     """Construct a certificate from its stored fields, which name its theorem. A part that names
-    none belongs to the theorem of the part's own name."""
+    none belongs to the theorem of the part's own name. Raises `BadRequest` for an unknown or a
+    withdrawn theorem."""
     where = f"certificate.{label}"
     require(isinstance(content, dict), where, content, "is no object", AGAIN)
     derived = ("digest", "certified_rate")
