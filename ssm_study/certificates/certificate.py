@@ -19,10 +19,13 @@ from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import DUAL, Neurons, Problem, Solution, dual_system
 from ssm_study.certificates.stored_fields import read_fields
 from ssm_study.certificates.theorem import AGAIN, Blocks, Theorem, VerificationContext, find_theorem
-from ssm_study.certificates.withdrawn_parts import TOLERANCE, is_withdrawn_part
+from ssm_study.certificates.withdrawn_parts import (
+    TOLERANCE,
+    is_withdrawn_part,
+    refuse_withdrawn_theorem,
+)
 from ssm_study.refusal import BadRequest, require
 from ssm_study.systems import Gains, JacobianBall
-from ssm_study.withdrawn import WITHDRAWN_THEOREMS
 
 # The letter of each matrix in a state feedback's problem, and an observer's for the same matrix,
 # transposed.
@@ -387,10 +390,7 @@ def read_certificate(label: str, content: dict[str, Any]) -> Any:
     stored = {name: value for name, value in content.items() if name not in derived}
     part = BESIDE.get(label, label)
     named = str(stored.setdefault("theorem", part))
-    if named in WITHDRAWN_THEOREMS:
-        withdrawn = WITHDRAWN_THEOREMS[named]
-        problem = f"was {withdrawn.sentence}"
-        raise BadRequest(f"{where}.theorem", named, problem, withdrawn.remedy)
+    refuse_withdrawn_theorem(f"{where}.theorem", named)
     theorem = find_theorem(named)
     name = theorem.name()
     fits = theorem.part == part and OF_LIMITS.get(label, name) == name
