@@ -284,11 +284,11 @@ def test_a_certificate_of_another_model_or_gain_is_refused(certificates: RestCer
     (first, *_) = failed_rest_checks(content, other)
     assert "a_nodes: differs from what the model" in first
     larger_gain = 1.1 * certificates.k
-    list_of_gains = larger_gain.tolist()
-    deployed = content | {"k": list_of_gains}
-    assert any(
-        "not the one that is deployed" in words for words in failed_rest_checks(deployed, model)
-    )
+    deployed = content | {"k": larger_gain.tolist()}
+    text = " ".join(failed_rest_checks(deployed, model))
+    assert "not the one that is deployed" in text
+    (unknown,) = failed_rest_checks(content | {"bilinear_wish": {}}, model)
+    assert "bilinear_wish: is not one of bilinear_loop" in unknown
     gain_alone = {"k": content["k"]}
     (missing,) = failed_rest_checks(gain_alone, model)
     assert "certificate.l_nodes" in missing
