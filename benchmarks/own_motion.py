@@ -27,7 +27,7 @@ import ssm_study as st
 from benchmarks.feedback_shares import drawn, levels, opened
 from ssm_study.evidence.autonomous_motion import predicted_power_shares
 from ssm_study.evidence.feedback import judge_instability
-from ssm_study.evidence.finding import CANNOT_JUDGE, Case
+from ssm_study.evidence.finding import CANNOT_JUDGE, EvidenceCase
 from ssm_study.evidence.metrics import collect_findings
 from ssm_study.models.metrics import Simulation
 from ssm_study.robustness.mismatch import measure_mismatch
@@ -181,7 +181,7 @@ def judged(name: str, kind: str, u: Samples, y: Samples) -> dict[str, object]:
         measure_mismatch(fitted, data.validation, skip, data.mismatch_records),
     )
     shares = predicted_power_shares(
-        Case(data=data, model=fitted, validation=validation, test=test)
+        EvidenceCase(data=data, model=fitted, validation=validation, test=test)
     ) or (None, None)
     against = next((one.sentence for one in found.findings if one.level == CANNOT_JUDGE), None)
     told: dict[str, object] = {

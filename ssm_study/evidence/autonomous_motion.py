@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.evidence.finding import Case, Finding
+from ssm_study.evidence.finding import EvidenceCase, Finding
 from ssm_study.models.metrics import simulate_record
 from ssm_study.models.warm_start import preceding_log
 from ssm_study.signals import Trajectory
@@ -23,7 +23,7 @@ UNPREDICTED = (
 FORGOTTEN = 0.1  # share that a piece's own state may add to it: noise leaves both equally little
 
 
-def judge_autonomous_motion(case: Case) -> list[Finding]:
+def judge_autonomous_motion(case: EvidenceCase) -> list[Finding]:
     """Findings on a log in which the output moves mostly independently of the input, as in a limit
     cycle."""
     shares = predicted_power_shares(case)
@@ -44,7 +44,7 @@ def judge_autonomous_motion(case: Case) -> list[Finding]:
     ]
 
 
-def predicted_power_shares(case: Case) -> tuple[float, float] | None:
+def predicted_power_shares(case: EvidenceCase) -> tuple[float, float] | None:
     """Fractions of the output's power that the model predicts from an estimated initial state, and
     from a simulation since the log began. One is estimated in each piece, the other continues from
     the log before the piece: `1 - |y - y_hat|^2 / |y|^2`, about the means of each piece, over those
@@ -78,7 +78,9 @@ def predicted_power_shares(case: Case) -> tuple[float, float] | None:
     return (1 - missed / moved, 1 - missed_by_input / moved) if moved else None
 
 
-def records_with_free_runs(case: Case) -> Iterator[tuple[Trajectory, Float[np.ndarray, "T p"]]]:
+def records_with_free_runs(
+    case: EvidenceCase,
+) -> Iterator[tuple[Trajectory, Float[np.ndarray, "T p"]]]:
     """Validation and test records, each with the output that the model simulates."""
     yield from zip(case.data.validation, case.validation.simulated, strict=True)
     yield from zip(case.data.test, case.test.simulated, strict=True)

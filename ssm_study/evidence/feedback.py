@@ -15,7 +15,7 @@ from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ssm_study.data.log_dynamics import explained_output_variance
-from ssm_study.evidence.finding import Case, Finding, make_doubt, make_note
+from ssm_study.evidence.finding import EvidenceCase, Finding, make_doubt, make_note
 from ssm_study.models.initial_system import fit_arx_matrices
 from ssm_study.models.spec import scale_records
 from ssm_study.models.warm_start import join_records_without_gaps
@@ -58,7 +58,7 @@ Rows = Float[np.ndarray, "_ _"]
 Vector = Float[np.ndarray, "_"]
 
 
-def judge_feedback(case: Case) -> Iterator[Finding]:
+def judge_feedback(case: EvidenceCase) -> Iterator[Finding]:
     """Findings on a log that was recorded in a closed loop, or whose plant is unstable or
     integrates its input."""
     share = case.data.metadata.get("by_set_point")

@@ -4,7 +4,7 @@ validation and test against predictors that know nothing, or are linear."""
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.evidence.finding import Case, Finding, finding_by_size, make_doubt, make_note
+from ssm_study.evidence.finding import EvidenceCase, Finding, finding_by_size, make_doubt, make_note
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.warm_start import simulate_from_alternative_states
 from ssm_study.signals import fit_from_relative_error, fit_percent, lagged_inputs
@@ -23,7 +23,7 @@ LAGS = 40
 FEW = 300  # samples below which the fits of two parts are not compared
 
 
-def judge_fit(case: Case) -> list[Finding]:
+def judge_fit(case: EvidenceCase) -> list[Finding]:
     """Findings on a model's fit that is poor, differs between data sets, or leaves a part of the
     output unexplained."""
     validation = case.validation.fit_percent
@@ -50,7 +50,7 @@ def judge_fit(case: Case) -> list[Finding]:
     )
 
 
-def judge_poor_fit(case: Case) -> list[Finding]:
+def judge_poor_fit(case: EvidenceCase) -> list[Finding]:
     """Finding on a model that fits the validation and test records poorly.
 
     Where the error is small against the range of the training output, the percentage is poor
@@ -73,7 +73,7 @@ def judge_poor_fit(case: Case) -> list[Finding]:
     return finding_by_size(-pooled, -POOR_FIT, -NO_FIT, f"{sentence}{remedy}")
 
 
-def poor_fit_remedy(case: Case) -> str:
+def poor_fit_remedy(case: EvidenceCase) -> str:
     """Advice that ends a sentence on a poor fit: whether the model or the log is the cause, and
     what to do. It is the model if something simple fits the test record better."""
     fits = {f"a linear filter of {LAGS} taps": fir_fit_percent(case)}
@@ -89,7 +89,7 @@ def poor_fit_remedy(case: Case) -> str:
     )
 
 
-def judge_initial_state(case: Case) -> list[Finding]:
+def judge_initial_state(case: EvidenceCase) -> list[Finding]:
     """Finding on a test record whose fit depends strongly on the estimated initial state."""
     other = simulate_from_alternative_states(case.model, case.data, case.test)
     if other is None or abs(other.fit_percent - case.test.fit_percent) <= STARTS_APART:
@@ -105,7 +105,7 @@ def judge_initial_state(case: Case) -> list[Finding]:
     return [make_doubt(sentence)]
 
 
-def fir_fit_percent(case: Case) -> float:
+def fir_fit_percent(case: EvidenceCase) -> float:
     """Fit to the test records, in percent, of a linear finite-impulse-response model that is
     estimated on the training records. It has `LAGS` taps.
 
@@ -119,7 +119,7 @@ def fir_fit_percent(case: Case) -> float:
     return fit_percent(true, tested @ weights)
 
 
-def pooled_fit_percent(case: Case) -> float:
+def pooled_fit_percent(case: EvidenceCase) -> float:
     """Fit of the model, in percent, over the validation and test records together.
 
     It lies between the two fits that the outcome prints, which are about the same means.
@@ -134,7 +134,7 @@ def pooled_fit_percent(case: Case) -> float:
 
 
 def scaled_output_and_error(
-    case: Case, simulation: Simulation
+    case: EvidenceCase, simulation: Simulation
 ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
     """Scaled outputs and simulation errors of several simulated records, concatenated, without
     start-up samples."""
@@ -146,7 +146,7 @@ def scaled_output_and_error(
     return np.concatenate(y), np.concatenate(error)
 
 
-def rms_error_relative_to_range(case: Case) -> float:
+def rms_error_relative_to_range(case: EvidenceCase) -> float:
     """Root mean square simulation error relative to the range of the training output, for the worst
     output."""
     parts = [scaled_output_and_error(case, part)[1] for part in (case.validation, case.test)]
@@ -157,7 +157,7 @@ def rms_error_relative_to_range(case: Case) -> float:
     return float(shares.max())
 
 
-def unmodelled_output_share(case: Case) -> float:
+def unmodelled_output_share(case: EvidenceCase) -> float:
     """Fraction of the output's power that a filter of past inputs explains but the model does not.
     A filter from u, fitted to one half of the residual, predicts the other half.
 
@@ -182,7 +182,7 @@ def unmodelled_output_share(case: Case) -> float:
     return max(gained, 0.0) / whole if whole else 0.0
 
 
-def judge_whiteness(case: Case) -> list[Finding]:
+def judge_whiteness(case: EvidenceCase) -> list[Finding]:
     """Finding of the standard whiteness test (autocorrelation) on the simulation error. It is at
     most a note, since every free run of a nonlinear plant fails the test.
 

@@ -16,7 +16,7 @@ from ssm_study.evidence.finding import (
     CANNOT_JUDGE,
     DOUBT,
     SOUND,
-    Case,
+    EvidenceCase,
     Finding,
     Level,
     make_doubt,
@@ -82,7 +82,7 @@ def collect_findings(
     data: DataSet, model: Model, validation: Simulation, test: Simulation, mismatch: Mismatch
 ) -> Judgement:
     """Collect all findings on the records, the model and the measured model error."""
-    case = Case(data=data, model=model, validation=validation, test=test)
+    case = EvidenceCase(data=data, model=model, validation=validation, test=test)
     findings = [
         *fit.judge_fit(case),
         *records.judge_records(case, mismatch),
@@ -131,8 +131,8 @@ def judge_log_reading(reading_remarks: str) -> list[Finding]:
 
 
 def evidence_columns(judgement: Judgement, *_: Any) -> dict[str, Any]:
-    """Table columns with the judgement of the evidence and its reasons. `evidence` is sound, doubt
-    or cannot judge; notes leave it sound."""
+    """Table columns with the level of the evidence (sound, doubt or cannot judge) and its reasons.
+    `evidence` is sound, doubt or cannot judge; notes leave it sound."""
     return {"evidence": judgement.level, "evidence_reasons": judgement.reasons}
 
 

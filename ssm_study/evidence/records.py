@@ -13,7 +13,7 @@ from ssm_study.data.log_dynamics import (
     largest_explained_variance,
 )
 from ssm_study.evidence.feedback import ROUNDING, integrator_share
-from ssm_study.evidence.finding import Case, Finding, ScaledRecord, make_doubt, make_note
+from ssm_study.evidence.finding import EvidenceCase, Finding, ScaledRecord, make_doubt, make_note
 from ssm_study.evidence.response import INTEGRATES, slowest_mode_remainder
 from ssm_study.evidence.rests import judge_return_to_rest
 from ssm_study.models.structured import StructuredSSM
@@ -42,7 +42,7 @@ BY_CHANCE = 0.01  # share of windows that may stand in the training records twic
 UNTRAINED = 0.2  # share of the test input's power in bands that training did not excite
 
 
-def judge_records(case: Case, mismatch: Mismatch) -> list[Finding]:
+def judge_records(case: EvidenceCase, mismatch: Mismatch) -> list[Finding]:
     """Findings on the contents of the records: ranges, levels, length, drift, spectra and return to
     rest. Findings on rest and on what is unknown of the model error come last."""
     looks = (
@@ -57,14 +57,14 @@ def judge_records(case: Case, mismatch: Mismatch) -> list[Finding]:
     return [*doubts, *_judge_saturation(case), *judge_return_to_rest(case, mismatch)]
 
 
-def _join_scaled_records(case: Case, records: tuple[Trajectory, ...]) -> ScaledRecord:
+def _join_scaled_records(case: EvidenceCase, records: tuple[Trajectory, ...]) -> ScaledRecord:
     """Scaled inputs and outputs of several records, concatenated."""
     parts = [case.scale_record(record) for record in records]
     inputs = np.concatenate([u for u, _ in parts])
     return inputs, np.concatenate([y for _, y in parts])
 
 
-def _judge_range(case: Case) -> Iterator[str]:
+def _judge_range(case: EvidenceCase) -> Iterator[str]:
     """Sentences on test records whose input or output leaves the range of the training records.
 
     Where a model integrates its input, the level of its output is no condition that it was trained
@@ -95,7 +95,7 @@ def _judge_range(case: Case) -> Iterator[str]:
         )
 
 
-def _judge_levels(case: Case) -> Iterator[str]:
+def _judge_levels(case: EvidenceCase) -> Iterator[str]:
     """Sentences on a training input that changes too rarely, takes only two levels or stays on one
     side."""
     u = _join_scaled_records(case, case.data.training)[0]
@@ -138,7 +138,7 @@ def count_input_changes(data: DataSet) -> int:
     return changes
 
 
-def _judge_saturation(case: Case) -> Iterator[Finding]:
+def _judge_saturation(case: EvidenceCase) -> Iterator[Finding]:
     """Findings on an output that stays at its largest or smallest value while the input moves.
 
     A machine that comes to a stop reads zero, too: from the log alone a dead zone cannot be told
@@ -164,7 +164,7 @@ def _judge_saturation(case: Case) -> Iterator[Finding]:
                 )
 
 
-def saturated_share(case: Case, output_index: int, limit: float) -> float:
+def saturated_share(case: EvidenceCase, output_index: int, limit: float) -> float:
     """Fraction of the training samples at which a moving output is at a limit of its sensor.
 
     Counted are stretches in which the input still moves and which the output enters at speed: a
@@ -191,7 +191,7 @@ def saturated_share(case: Case, output_index: int, limit: float) -> float:
     return counted / samples if stretches >= FEWEST_STRETCHES else 0.0
 
 
-def _judge_length(case: Case) -> Iterator[str]:
+def _judge_length(case: EvidenceCase) -> Iterator[str]:
     """Sentences on training records that are too short for the model, or shorter than its
     response."""
     samples = [len(record) for record in case.data.training]
@@ -211,7 +211,7 @@ def _judge_length(case: Case) -> Iterator[str]:
         )
 
 
-def _judge_slow_mode(case: Case) -> str:
+def _judge_slow_mode(case: EvidenceCase) -> str:
     """Sentence on a model whose slowest mode hardly decays within a record's length.
 
     It speaks of the output where the log shows that it integrates, else of the model alone.
@@ -230,7 +230,7 @@ def _judge_slow_mode(case: Case) -> str:
     )
 
 
-def model_integrates(case: Case) -> bool:
+def model_integrates(case: EvidenceCase) -> bool:
     """Whether an identified model integrates its input, so that the effect of an input never
     decays."""
     return case.model.linear.spectral_radius >= 1 - ROUNDING
@@ -249,7 +249,7 @@ def follows_input_level(data: DataSet) -> bool:
     return level > FOLLOWS and level >= explained_output_variance(u, y).change
 
 
-def _judge_drift(case: Case) -> Iterator[str]:
+def _judge_drift(case: EvidenceCase) -> Iterator[str]:
     """Sentence on a simulation error that drifts within a record."""
     errors = [e for _, _, e in case.scored_records()]
     shifts = []
@@ -265,7 +265,7 @@ def _judge_drift(case: Case) -> Iterator[str]:
         )
 
 
-def _judge_repetition(case: Case) -> Iterator[str]:
+def _judge_repetition(case: EvidenceCase) -> Iterator[str]:
     """Sentence on test records that repeat stretches of the training records."""
     share = repeated_test_share(case.data)
     if share > PART:
@@ -309,7 +309,7 @@ def _repeated_share(records: tuple[Trajectory, ...], length: int) -> float:
     return 1 - len(distinct) / moving if moving else 0.0
 
 
-def _judge_spectrum(case: Case) -> Iterator[str]:
+def _judge_spectrum(case: EvidenceCase) -> Iterator[str]:
     """Sentence on test inputs with frequencies that the training inputs do not excite."""
 
     def input_power_spectrum(records: tuple[Trajectory, ...]) -> Float[np.ndarray, "F"]:

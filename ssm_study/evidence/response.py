@@ -13,7 +13,7 @@ import scipy
 from jaxtyping import Complex, Float
 
 from ssm_study.bounds.frequency import largest_gains
-from ssm_study.evidence.finding import Case, Finding, make_doubt, make_note
+from ssm_study.evidence.finding import EvidenceCase, Finding, make_doubt, make_note
 from ssm_study.evidence.fit import LAGS
 from ssm_study.robustness.return_to_rest import RESPONSES
 
@@ -43,18 +43,18 @@ FINE = 1000
 ENOUGH = 200  # samples of a response: too few, more than a design gains from, what to keep
 
 
-def judge_response(case: Case) -> list[Finding]:
+def judge_response(case: EvidenceCase) -> list[Finding]:
     """Findings on coherence, dead time and sampling time of the records."""
     return [*_judge_coherence(case), *_judge_dead_time(case), *_judge_sampling(case)]
 
 
-def slowest_mode_remainder(case: Case) -> float:
+def slowest_mode_remainder(case: EvidenceCase) -> float:
     """Fraction of the slowest mode that is left after the duration of the longest training record;
     1 for an integrator."""
     return case.model.linear.spectral_radius ** max(len(record) for record in case.data.training)
 
 
-def _judge_coherence(case: Case) -> Iterator[Finding]:
+def _judge_coherence(case: EvidenceCase) -> Iterator[Finding]:
     """Finding on records with low coherence of input and output in the controller's frequency
     band."""
     parts = [case.scale_record_with_disturbances(record) for record in case.data.training]
@@ -110,7 +110,7 @@ def multiple_coherence(records: Sequence[Record], segment_length: int) -> Float[
     return np.asarray(shares.min(axis=1))
 
 
-def _judge_sampling(case: Case) -> Iterator[Finding]:
+def _judge_sampling(case: EvidenceCase) -> Iterator[Finding]:
     """Note on a log whose sampling period is far too long or far too short for the model's
     response."""
     response = case.model.linear.impulse_response_length()
@@ -129,7 +129,7 @@ def _judge_sampling(case: Case) -> Iterator[Finding]:
         )
 
 
-def _judge_dead_time(case: Case) -> Iterator[Finding]:
+def _judge_dead_time(case: EvidenceCase) -> Iterator[Finding]:
     """Finding on a plant whose output responds to the input only after a dead time."""
     late = dead_time_samples(case)
     order = case.model.order
@@ -143,7 +143,7 @@ def _judge_dead_time(case: Case) -> Iterator[Finding]:
         yield make_note(f"{statement}, which takes as many of the {order} states.")
 
 
-def dead_time_samples(case: Case) -> int:
+def dead_time_samples(case: EvidenceCase) -> int:
     """Dead time of the plant in samples, estimated from a finite-impulse-response model of the
     training records. Number of samples beyond the first after which no output has clearly responded
     to any input; 0 if that is not clear."""

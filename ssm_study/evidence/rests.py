@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ssm_study.evidence.finding import Case, Finding, make_doubt, make_note
+from ssm_study.evidence.finding import EvidenceCase, Finding, make_doubt, make_note
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.return_to_rest import (
@@ -18,7 +18,7 @@ from ssm_study.robustness.return_to_rest import (
 )
 
 
-def judge_return_to_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
+def judge_return_to_rest(case: EvidenceCase, mismatch: Mismatch) -> Iterator[Finding]:
     """Findings on a plant that does not come to rest, or whose records do not show whether it does.
     A plant that does not come to rest is not judged; records that leave it open give a note."""
     offset = max((*mismatch.stuck, *_remaining_offsets_of_test_records(case)), default=0.0)
@@ -51,7 +51,7 @@ def judge_return_to_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
     yield from _judge_measured_range(case, mismatch)
 
 
-def _remaining_offsets_of_test_records(case: Case) -> list[float]:
+def _remaining_offsets_of_test_records(case: EvidenceCase) -> list[float]:
     """Offset or oscillation that the output still has at the end of each test record whose input is
     long constant after a motion."""
     response = case.model.linear.impulse_response_length()
@@ -64,7 +64,7 @@ def _remaining_offsets_of_test_records(case: Case) -> list[float]:
     return offsets
 
 
-def _judge_short_rest_segments(case: Case) -> Finding:
+def _judge_short_rest_segments(case: EvidenceCase) -> Finding:
     """Finding on records whose input is constant too briefly to show whether the plant comes to
     rest."""
     records = case.data.mismatch_records
@@ -78,7 +78,7 @@ def _judge_short_rest_segments(case: Case) -> Finding:
     return make_note(f"{problem}: whether the output rests by itself is unknown; add such returns.")
 
 
-def _judge_measured_range(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
+def _judge_measured_range(case: EvidenceCase, mismatch: Mismatch) -> Iterator[Finding]:
     """Findings on amplitudes and frequencies of the input at which no record shows the model
     error."""
     if len(mismatch.views) == 1:

@@ -125,7 +125,7 @@ class BilinearProblem:
             norm = np.linalg.norm(drawn, 2)
             size = norm / limit
             excess = max(1.0, size)
-            free_matrix = self._free_matrix(drawn / excess)
+            free_matrix = self._unconstrained_state_matrix(drawn / excess)
             free.append(free_matrix)
         node_column = self.nodes[:, None]
         input_column = (turn @ system.b)[:, 0]
@@ -137,7 +137,7 @@ class BilinearProblem:
         zero_offset = np.zeros(len(c))
         return FitParameters(x=free_matrices, b=b, c=c, offset=zero_offset, x0=x0)
 
-    def _free_matrix(self, a: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    def _unconstrained_state_matrix(self, a: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
         """Unconstrained matrix from which the contracting state matrix of a bilinear model is
         computed."""
         if self.rate is None:

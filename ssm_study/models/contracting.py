@@ -31,8 +31,8 @@ Moved = Float[np.ndarray, "d _ _"]
 
 
 class FreeParameters(NamedTuple):
-    """Unconstrained parameters of a recurrence with neurons, every value of which gives a
-    contracting recurrence. `x_e (n, q)`, `x_g (n + q, n)`, `log_d (q,)` may be any numbers."""
+    """Unconstrained parameters of a recurrence with neurons; the recurrence contracts for every
+    value of them. `x_e (n, q)`, `x_g (n + q, n)`, `log_d (q,)` may be any numbers."""
 
     x_e: Float[np.ndarray, "*k n q"]
     x_g: Float[np.ndarray, "*k nq n"]

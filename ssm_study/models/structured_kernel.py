@@ -228,8 +228,8 @@ def _differentiate_record(k, at_rest, v, x0, moved, places, ybar, out):
     q = len(still)
     w = np.empty(q)
     slope = np.empty(q)
-    es, turn, push = _empty_linearisations(n, n, m, q)
-    hs, read, through = _empty_linearisations(p, n, m, q)
+    es, turn, push = _allocate_linearisations(n, n, m, q)
+    hs, read, through = _allocate_linearisations(p, n, m, q)
     x = x0.copy()
     ahead = np.empty(n)
     at = places[AT_F:AT_X0]
@@ -261,7 +261,7 @@ def _differentiate_record(k, at_rest, v, x0, moved, places, ybar, out):
 
 @compile_with_numba
 @no_type_check
-def _empty_linearisations(rows, n, m, q):
+def _allocate_linearisations(rows, n, m, q):
     """Allocate arrays for the linearisations of a recurrence at several samples."""
     return np.empty((rows, q)), np.empty((rows, n)), np.empty((rows, m))
 

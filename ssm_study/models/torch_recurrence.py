@@ -67,7 +67,7 @@ class BlockwiseRecurrence(torch.autograd.Function):
         exponents_of_groups = steps * (rate * CHUNK)
         turns = torch.exp(exponents_of_groups).to(decay.dtype)
         rise = _as_complex(blocks @ lift)
-        x = _scan_blocks(turns, rise, x0)  # the state at the start of each block
+        x = _initial_states_of_blocks(turns, rise, x0)  # the state at the start of each block
         y = (blocks @ within_block).view(-1, within_block.shape[1])
         state_rows = _as_real(x)
         y = y.addmm_(state_rows.flatten(0, 1), read.mT)
@@ -86,7 +86,7 @@ class BlockwiseRecurrence(torch.autograd.Function):
         p = len(c)
         error_blocks = _split_into_blocks(upstream[0])
         reached = _as_complex(error_blocks @ read)
-        later = _scan_blocks(turns.conj_physical(), reached.flip(0), None)
+        later = _initial_states_of_blocks(turns.conj_physical(), reached.flip(0), None)
         later = later.flip(0)  # the loss by the inputs to the states
         pushed = _as_real(later).flatten(0, 1)
         errors = error_blocks.flatten(0, 1)  # adjoint of the states, rows by block
@@ -203,7 +203,7 @@ def _join_blocks(
     return joined[:, :samples]
 
 
-def _scan_blocks(
+def _initial_states_of_blocks(
     powers: Complex[Tensor, "s 1 n"], increments: Complex[Tensor, "q e n"], x0: Tensor | None
 ) -> Tensor:
     """Compute the state of a diagonal recurrence at the beginning of each block of samples. `x[0] =

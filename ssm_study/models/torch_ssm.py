@@ -169,8 +169,8 @@ class LRU(nn.Module):
             b = torch.ones_like(b)
         else:
             b = b / gain
-        self.b_real, self.b_imag = _split_parameters(b, self.reals, trained=not single)
-        self.c_real, self.c_imag = _split_parameters(c.mT, self.reals, trained=True)
+        self.b_real, self.b_imag = _split_complex_parameters(b, self.reals, trained=not single)
+        self.c_real, self.c_imag = _split_complex_parameters(c.mT, self.reals, trained=True)
         self.disturbances = disturbances
         all_inputs = start.d.shape[1]
         d = torch.from_numpy(start.d[:, : all_inputs - disturbances])
@@ -208,10 +208,10 @@ class LRU(nn.Module):
             b_real = gain * self.b_real
             gain_of_pairs = gain[self.reals :]
             b_imag = gain_of_pairs * self.b_imag
-            b = _join_parameters(b_real, b_imag)
+            b = _join_complex_parameters(b_real, b_imag)
         c_real = self.pairs[:, None] * self.c_real
         c_imag = 2.0 * self.c_imag
-        c = _join_parameters(c_real, c_imag)
+        c = _join_complex_parameters(c_real, c_imag)
         d = torch.nn.functional.pad(self.d, (0, self.disturbances)) if self.disturbances else self.d
         decay = torch.complex(-damping, angle)
         return ModalForm(decay=decay, b=b, c=c.mT, d=d)  # y = Re(c_r x_r) + 2 Re(c_c x_c)
@@ -272,7 +272,7 @@ def _real_rows(rows: Complex[np.ndarray, "modes k"], reals: int) -> Float[np.nda
     return np.vstack([real_rows, pair_rows])
 
 
-def _split_parameters(
+def _split_complex_parameters(
     values: Complex[Tensor, "n k"], reals: int, trained: bool
 ) -> tuple[nn.Parameter, nn.Parameter]:
     """Split complex modal values into real and imaginary parts that can be trained."""
@@ -283,7 +283,7 @@ def _split_parameters(
     return real, imaginary
 
 
-def _join_parameters(
+def _join_complex_parameters(
     real: Float[Tensor, "n k"], imag: Float[Tensor, "pairs k"]
 ) -> Complex[Tensor, "n k"]:
     """Join separately trained real and imaginary parts to complex modal values."""

@@ -215,11 +215,11 @@ class Fit(pl.LightningModule):
             if cut.continuing_windows
             else self.training_records
         )
-        self.starts = self._trainable_starts(cut)
+        self.starts = self._trainable_initial_states(cut)
 
-    def _trainable_starts(self, cut: RecordWindows) -> InitialStates | None:
-        """Initial states of the training windows as trainable parameters; None if all windows start
-        at rest."""
+    def _trainable_initial_states(self, cut: RecordWindows) -> InitialStates | None:
+        """Initial states of the training windows as trainable parameters; None if every window
+        begins at the equilibrium."""
         model = self.model
         weight = self.settings.windows.continuity_weight
         how = self.settings.initial_state

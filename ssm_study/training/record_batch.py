@@ -45,22 +45,22 @@ class RecordBatch(NamedTuple):
         parts = (part[:count, :samples] for part in self)
         return RecordBatch(*parts)
 
-    def cut_moving_part(self, samples: int) -> "RecordBatch":
+    def cut_varying_part(self, samples: int) -> "RecordBatch":
         """Smaller batch, of given length, in which input and output vary enough for a first fit. It
         is `cut_whole_records(samples)` if they move there, else the part of one record that moves
         most. Raises `BadRequest` if none moves."""
         beginning = self.cut_whole_records(samples)
-        if self._relative_movement(beginning) >= STILL:
+        if self._relative_variation(beginning) >= STILL:
             return beginning
         stride = max(1, samples // 2)
         firsts = range(0, self.u.shape[1], stride)
         record_count = len(self.u)
         places = product(range(record_count), firsts)
         stretches = [self._cut_stretch(*place, samples) for place in places]
-        moving = max(stretches, key=self._relative_movement)
+        moving = max(stretches, key=self._relative_variation)
         problem = "no stretch of the training records moves in input and output"
         remedy = "log an experiment in which the input moves the output"
-        movement = self._relative_movement(moving)
+        movement = self._relative_variation(moving)
         require(movement > 0, "data.training", "at rest", problem, remedy)
         return moving
 
@@ -69,7 +69,7 @@ class RecordBatch(NamedTuple):
         parts = (part[record : record + 1, first : first + samples] for part in self)
         return RecordBatch(*parts)
 
-    def _relative_movement(self, stretch: "RecordBatch") -> float:
+    def _relative_variation(self, stretch: "RecordBatch") -> float:
         """Standard deviation in a part of a batch relative to the whole batch, the smaller of those
         of input and output."""
         if not stretch.recorded_mask.any():

@@ -180,7 +180,7 @@ class StructuredFit(pl.LightningModule):
         taken."""
         spec = self.spec
         rng = np.random.default_rng(self.seed)
-        stretch = self.problem.records.cut_moving_part(START_SAMPLES)
+        stretch = self.problem.records.cut_varying_part(START_SAMPLES)
         short = replace(self.problem, records=stretch, gain_share=0.0)
         linear = replace(short, neurons=(), rate=None)
         moving = self._linear_block_names()

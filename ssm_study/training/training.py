@@ -163,7 +163,7 @@ class Training:
     ) -> "Identification":
         """Train the linear or structured model that chosen settings describe."""
         if choice.linear_kind is None:
-            best = self._train_from_best_starts(choice.spec, data, session)
+            best = self._train_from_best_short_runs(choice.spec, data, session)
             return self._replace_by_other_structures(best, choice, data, session)
         from ssm_study.training.candidates import ENDED_LINEAR, fit_linear_model
         from ssm_study.training.metrics import Identification
@@ -207,13 +207,13 @@ class Training:
             own_folder = session.folder / f"structure_{k}"
             apart = replace(session, folder=own_folder)
             single_spec = replace(spec, members=1)
-            other = self._train_from_best_starts(single_spec, data, apart)
+            other = self._train_from_best_short_runs(single_spec, data, apart)
             members.append(other.model)
             seconds += other.seconds
         all_members = tuple(members)
         return replace(best, members=all_members, seconds=seconds)
 
-    def _train_from_best_starts(
+    def _train_from_best_short_runs(
         self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
         """Train a model to the end from the best of many short training runs."""

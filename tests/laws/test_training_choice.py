@@ -351,12 +351,12 @@ def moving_late(samples: int = 6000) -> RecordBatch:
 
 def test_a_start_is_made_where_the_record_moves() -> None:
     records = moving_late()
-    stretch = records.cut_moving_part(2000)
+    stretch = records.cut_varying_part(2000)
     assert stretch.u.std() > 0.8
     standard_deviation = records.cut_whole_records(2000).u.std()
     assert standard_deviation == 0.0
     late = RecordBatch(*(part[:, 3000:] for part in records))
-    assert np.shares_memory(late.cut_moving_part(2000).u, late.cut_whole_records(2000).u)
+    assert np.shares_memory(late.cut_varying_part(2000).u, late.cut_whole_records(2000).u)
 
 
 def test_records_at_rest_have_no_start() -> None:
@@ -366,7 +366,7 @@ def test_records_at_rest_have_no_start() -> None:
     records = RecordBatch.from_pairs(pairs)
     still = RecordBatch(records.u * 0.0, records.y, records.weight)
     with pytest.raises(BadRequest, match="no stretch of the training records moves"):
-        still.cut_moving_part(100)
+        still.cut_varying_part(100)
 
 
 def test_a_log_that_stands_still_at_first_trains() -> None:

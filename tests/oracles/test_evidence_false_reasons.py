@@ -15,7 +15,7 @@ from ssm_study.data.assembly import assemble_dataset
 from ssm_study.data.look import look
 from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence import feedback, fit, records
-from ssm_study.evidence.finding import Case
+from ssm_study.evidence.finding import EvidenceCase
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Channel, DataSet, Trajectory
 
@@ -50,7 +50,7 @@ def blocks(u: np.ndarray, y: np.ndarray, cuts: list[int]) -> DataSet:
     return assemble_dataset(parts, equilibrium, channels, 0)
 
 
-def with_runs(data: DataSet, model, error: float) -> Case:
+def with_runs(data: DataSet, model, error: float) -> EvidenceCase:
     """Free runs that miss every record by white noise of this size."""
     parts = {}
     for name in ("validation", "test"):
@@ -60,7 +60,7 @@ def with_runs(data: DataSet, model, error: float) -> Case:
             white_noise = RNG.standard_normal(record.y.shape)
             runs.append(record.y + error * white_noise)
         parts[name] = Simulation(records=part, simulated=runs, start_up_samples=0)
-    return Case(data=data, model=model, **parts)
+    return EvidenceCase(data=data, model=model, **parts)
 
 
 def test_blocks_that_stand_still_are_judged_by_the_fit_that_the_outcome_prints():
@@ -327,7 +327,7 @@ def test_a_slow_sweep_of_a_static_characteristic_has_no_false_reason():
     assert "integrator" not in overview
 
 
-def short_log(pole: float) -> Case:
+def short_log(pole: float) -> EvidenceCase:
     """A short log of a lag, or of a sum, with a model that integrates."""
     rng = np.random.default_rng(1)
     u = np.repeat(rng.uniform(-1, 1, 60), 10)

@@ -10,7 +10,7 @@ from test_evidence_response import LEVELS, WHITE, answer, case
 
 from ssm_study.data.assembly import assemble_dataset
 from ssm_study.evidence import autonomous_motion, fit, records, response
-from ssm_study.evidence.finding import Case, finding_by_size
+from ssm_study.evidence.finding import EvidenceCase, finding_by_size
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Channel, DataSet, Trajectory
 from ssm_study.systems import StateSpace
@@ -45,20 +45,20 @@ def miss(records: tuple[Trajectory, ...], error: np.ndarray) -> Simulation:
     return Simulation(records=records, simulated=(run,), start_up_samples=0)
 
 
-def case_of(data: DataSet, error: np.ndarray, test_error: np.ndarray) -> Case:
+def case_of(data: DataSet, error: np.ndarray, test_error: np.ndarray) -> EvidenceCase:
     validation = miss(data.validation, error)
     test = miss(data.test, test_error)
-    return Case(data=data, model=MODEL, validation=validation, test=test)
+    return EvidenceCase(data=data, model=MODEL, validation=validation, test=test)
 
 
-def case_of_one(signal: np.ndarray, error: np.ndarray | float = 0.0) -> Case:
+def case_of_one(signal: np.ndarray, error: np.ndarray | float = 0.0) -> EvidenceCase:
     """The same signal trains, validates and tests, with the same error."""
     data = data_of(signal, signal, signal)
     errors = error * np.ones(len(signal))
     return case_of(data, errors, errors)
 
 
-def missing_shares(validation: float, test: float, samples: int = 300) -> Case:
+def missing_shares(validation: float, test: float, samples: int = 300) -> EvidenceCase:
     """Free runs that miss these shares of validation and test: the fits are 100 (1 - share)."""
     signal = alternate(samples)
     data = data_of(signal, signal, signal)

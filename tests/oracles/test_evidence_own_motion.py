@@ -11,7 +11,7 @@ from ssm_study.data.assembly import assemble_dataset
 from ssm_study.data.splits import split_by_time, split_into_blocks
 from ssm_study.evidence import autonomous_motion as own_motion
 from ssm_study.evidence import feedback
-from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, Case
+from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, EvidenceCase
 from ssm_study.evidence.metrics import NO_JUDGEMENT, withhold_predictions
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Channel, Trajectory
@@ -46,7 +46,7 @@ def integrating(pole: float) -> StateSpace:
     return StateSpace(a=pole * unit, b=0.1 * unit, c=unit, d=0 * unit)
 
 
-def case(y: np.ndarray, system: StateSpace, cut=split_by_time, log: int = 1) -> Case:
+def case(y: np.ndarray, system: StateSpace, cut=split_by_time, log: int = 1) -> EvidenceCase:
     u = U[:, None]
     outputs = y[:, None]
     record = Trajectory(u=u, y=outputs, step_s=0.1, log=log)
@@ -62,7 +62,7 @@ def case(y: np.ndarray, system: StateSpace, cut=split_by_time, log: int = 1) -> 
     free = {}
     for name in names:
         free[name] = Simulation.simulate_records(model, getattr(data, name), SKIP)
-    return Case(data=data, model=model, **free)
+    return EvidenceCase(data=data, model=model, **free)
 
 
 def measured(system: StateSpace, noise: float, start: np.ndarray) -> np.ndarray:

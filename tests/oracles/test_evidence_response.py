@@ -11,7 +11,7 @@ from test_loop_prediction import linear_model
 
 from ssm_study.data.assembly import assemble_dataset
 from ssm_study.evidence import records
-from ssm_study.evidence.finding import CANNOT_JUDGE, Case, Finding
+from ssm_study.evidence.finding import CANNOT_JUDGE, EvidenceCase, Finding
 from ssm_study.evidence.fit import LAGS, judge_whiteness, unmodelled_output_share
 from ssm_study.evidence.metrics import collect_findings
 from ssm_study.evidence.records import _judge_range
@@ -28,7 +28,7 @@ DURATIONS = RNG.integers(1, 12, 1200)
 LEVELS = np.repeat(HEIGHTS, DURATIONS)[:6000]
 
 
-def case(u: np.ndarray, y: np.ndarray, slow: float = 0.9, source: str = "recorded") -> Case:
+def case(u: np.ndarray, y: np.ndarray, slow: float = 0.9, source: str = "recorded") -> EvidenceCase:
     """The log of one input and one output with the model `y[k] = slow y[k-1] + 0.1 u[k-1]`."""
     inputs = u[:, None]
     outputs = y[:, None]
@@ -51,7 +51,7 @@ def case(u: np.ndarray, y: np.ndarray, slow: float = 0.9, source: str = "recorde
     model = replace(linear_model(0), linear=lag)
     validation = Simulation.simulate_records(model, data.validation, 0)
     test = Simulation.simulate_records(model, data.test, 0)
-    return Case(data=data, model=model, validation=validation, test=test)
+    return EvidenceCase(data=data, model=model, validation=validation, test=test)
 
 
 def answer(u: np.ndarray, late: int = 0, noise: float = 0.01) -> np.ndarray:
@@ -64,7 +64,7 @@ def answer(u: np.ndarray, late: int = 0, noise: float = 0.01) -> np.ndarray:
     return y + noise * white_noise
 
 
-def answered(u: np.ndarray, late: int = 0, noise: float = 0.01) -> Case:
+def answered(u: np.ndarray, late: int = 0, noise: float = 0.01) -> EvidenceCase:
     """The log of this input and the lag's answer to it."""
     y = answer(u, late, noise)
     return case(u, y)

@@ -11,7 +11,7 @@ from test_evidence_response import LEVELS, answer, case
 
 from ssm_study.data.excitations.user_excitation import OwnPlantRecord
 from ssm_study.data.recorded import RecordedData
-from ssm_study.evidence.finding import Case
+from ssm_study.evidence.finding import EvidenceCase
 from ssm_study.evidence.records import judge_records
 from ssm_study.models.metrics import Simulation
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
@@ -94,7 +94,7 @@ UNKNOWN = "whether the output rests by itself is unknown"
 
 def fitted_log(
     folder: Path, u: np.ndarray, y: np.ndarray, slow: float = 0.9
-) -> tuple[Case, Mismatch, str]:
+) -> tuple[EvidenceCase, Mismatch, str]:
     """The log as a user fits it: cut, about its mean, with the lag for its model; and what is said
     of its rests."""
     signals = [u, y]
@@ -109,7 +109,7 @@ def fitted_log(
     validation = Simulation.simulate_records(model, data.validation, 20)
     test = Simulation.simulate_records(model, data.test, 20)
     parts = {"validation": validation, "test": test}
-    log = Case(data=data, model=model, **parts)
+    log = EvidenceCase(data=data, model=model, **parts)
     mismatch = measure_mismatch(model, data.validation, 20, data.mismatch_records)
     findings = judge_records(log, mismatch)
     sentences = [finding.sentence for finding in findings]

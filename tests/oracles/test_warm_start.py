@@ -9,7 +9,7 @@ import scipy.signal
 from ssm_study.data.assembly import assemble_dataset
 from ssm_study.data.splits import split_by_time, split_into_blocks
 from ssm_study.evidence import fit
-from ssm_study.evidence.finding import Case
+from ssm_study.evidence.finding import EvidenceCase
 from ssm_study.models.identified import SSM
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.warm_start import (
@@ -105,7 +105,7 @@ def test_a_doubt_has_both_fits_where_they_differ_by_more_than_ten_points() -> No
         model(), data.test, START_UP, (np.array([3.0, 0.0]),)
     )
     validation, test = simulate_validation_and_test(model(), data)
-    case = Case(data=data, model=model(), validation=validation, test=test)
+    case = EvidenceCase(data=data, model=model(), validation=validation, test=test)
     fit_test_other_start_percent = initial_state_columns(model(), data, test)[
         "fit_test_other_start_percent"
     ]

@@ -183,7 +183,8 @@ def fit_narx_models(
 def select_regressors(
     candidates: Float[np.ndarray, "N M"], target: Float[np.ndarray, "N"], count: int
 ) -> list[int]:
-    """Select regressors one by one, each the one that explains most of the residual."""
+    """Select regressors one by one, each time the one that explains most of the remaining
+    residual."""
     left = candidates.copy()
     residual = target.copy()
     powers = (left**2).sum(axis=0)

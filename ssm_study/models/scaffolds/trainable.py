@@ -13,8 +13,8 @@ from ssm_study.models.scaffolds.scaffold import Free, Pieces, Scaffold
 
 @dataclass(frozen=True, kw_only=True)
 class MapContext:
-    """Width of the hidden layers, slope bounds and input samples that a model gives to each
-    trainable static map."""
+    """Data that a model passes to its trainable static maps: hidden-layer width, slope bounds and
+    input samples."""
 
     width: int
     slopes: tuple[float, float]
