@@ -15,9 +15,11 @@ import hashlib
 import pickle
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import is_dataclass
 from functools import cache, wraps
 from inspect import isclass, isfunction
 from pkgutil import resolve_name
+from types import CodeType
 from typing import Any
 
 import jaxtyping
@@ -110,12 +112,17 @@ def checked_at_first(typechecker: Callable[..., Any]) -> Callable[[Any], Any]:
 
     def decorated(part: Any) -> Any:
         if isfunction(part):
-            return first(part, cache(lambda: jaxtyped(part, typechecker=typechecker)))
-        plain = part.__init__ if isclass(part) else part
-        checked = jaxtyped(part, typechecker=typechecker)
-        if isclass(part) and part.__init__ is not plain:  # a dataclass
-            part.__init__ = first(plain, lambda init=part.__init__: init)
-        return checked
+            checked = cache(lambda: jaxtyped(part, typechecker=typechecker))
+            local = "<locals>" in part.__qualname__
+            return first_made(part, checked) if local else first(part, checked)
+        if isclass(part):
+            if is_dataclass(part) and not getattr(part, "__no_type_check__", False):
+                plain = part.__init__
+                part.__init__ = first(
+                    plain, cache(lambda: jaxtyped(plain, typechecker=typechecker))
+                )
+            return part
+        return jaxtyped(part, typechecker=typechecker)
 
     return decorated
 
@@ -137,6 +144,33 @@ def first(
             return plain(*given, **named)
         calls += 1
         return checked()(*given, **named)
+
+    return either
+
+
+# Code of a function that is defined inside another one: the test in which it was last called, and
+# the function of this code that is checked in that test.
+LOCAL_FUNCTIONS: dict[CodeType, tuple[int, object]] = {}
+
+
+def first_made(
+    plain: Callable[..., Any], checked: Callable[[], Callable[..., Any]]
+) -> Callable[..., Any]:
+    """A local function, checked if it is the first of its code that the test calls.
+
+    Each call of the outer function makes another, and what checks it takes longer to make than
+    most tests take.
+    """
+    code = plain.__code__
+    either_checked = first(plain, checked)
+
+    @wraps(plain)
+    def either(*given: Any, **named: Any) -> Any:
+        test, owner = LOCAL_FUNCTIONS.get(code, (-1, None))
+        if test != Now.test:
+            owner = plain
+            LOCAL_FUNCTIONS[code] = (Now.test, owner)
+        return (either_checked if owner is plain else plain)(*given, **named)
 
     return either
 
