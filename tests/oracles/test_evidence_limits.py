@@ -130,6 +130,14 @@ def test_the_model_is_blamed_where_a_filter_is_better(share, linear, is_blamed, 
     assert ("this model" in remedy) is is_blamed
 
 
+def test_noise_that_no_input_explains_is_owed_to_none():
+    rng = np.random.default_rng(0)
+    signal = WHITE[:2000]
+    noise = 0.5 * rng.standard_normal(2000)
+    judged = case_of_one(signal, noise)
+    assert fit.unmodelled_output_share(judged) < 0.05
+
+
 STARTS = [(0.595, []), (0.605, ["doubt"])]
 
 
