@@ -11,7 +11,7 @@ from ssm_study.table.columns import swept_settings
 from ssm_study.table.doubts import row_count_doubts
 from ssm_study.table.filters import filter_rows
 from ssm_study.table.gather import gather, rows_differ_from_records, table_from_records
-from ssm_study.table.rank import outcome_class
+from ssm_study.table.rank import outcome_class, rank_runs
 from ssm_study.table.show import cost_lines, render_table, stage_costs, summary_lines
 
 
@@ -284,3 +284,18 @@ def test_a_row_that_contradicts_its_record_is_seen(tmp_path: Path) -> None:
     assert not rows_differ_from_records(tmp_path, table)
     table.loc[1, "order"] = 6
     assert rows_differ_from_records(tmp_path, table)
+
+
+def test_of_runs_that_are_alike_the_better_fit_comes_first() -> None:
+    rows = [{"run": str(fit), "status": "ok", "fit_test_percent": float(fit)} for fit in (80, 90)]
+    table = table_from_records(rows)
+    ranked = rank_runs(table)
+    assert ranked["run"].tolist() == ["90", "80"]
+
+
+def test_beside_a_plant_that_never_moves_no_loop_is_slower() -> None:
+    row: dict[str, object] = {"run": "a", "status": "ok", "stable_fraction": 1.0}
+    row |= {"controller_certified": True, "observer_certified": True}
+    row |= {"settling_time_mean_s": 1.0, "settling_time_open_loop_s": 0.0}
+    table = table_from_records([row])
+    assert outcome_class(table).tolist() == [0]
