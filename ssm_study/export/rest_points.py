@@ -65,7 +65,8 @@ def evaluate_equilibrium_map(
 
 @dataclass(frozen=True, kw_only=True)
 class EquilibriumCurve:
-    """Equilibria of a model with neurons for increasing values of the input after its static map.
+    """Equilibria of a model with neurons, listed by increasing output of its static input map.
+
     For each of `lifted (h,)`: states `x (h, n)`, and the arguments of S_y, `read (h,)`.
 
     `read` rises or falls throughout.

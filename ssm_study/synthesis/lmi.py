@@ -171,7 +171,7 @@ class LmiSynthesis(Synthesis):
 def certificate_from_paper_lmi(
     system: StateSpace, ball: JacobianBall, rate: float, theorem: type[Side] = StateFeedbackOfBall
 ) -> Any:
-    """Contraction certificate from the linear matrix inequality exactly as Zakwan et al. print it.
+    """Contraction certificate from the linear matrix inequality exactly as [Z26] prints it.
     Any solution with the block matrix `>= I` is taken.
 
     One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for

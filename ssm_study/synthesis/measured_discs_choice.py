@@ -98,8 +98,8 @@ def first_covering_design(
 
 
 def usual_proof_loss(model: Model) -> float:
-    """Usual ratio of the coverage computed frequency by frequency to the coverage that is then
-    proved."""
+    """Usual upper bound on the ratio of the coverage computed frequency by frequency to the
+    coverage that is then proved."""
     return LOST_WITH_NEURONS if isinstance(model.system, StructuredSystem) else LOST
 
 

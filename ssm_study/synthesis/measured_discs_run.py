@@ -136,8 +136,8 @@ def radii_needed_by_fresh_data(
     fresh_sets: Iterable[MismatchRecords],
     start_up_samples: int,
 ) -> list[float]:
-    """Disc radius that each fresh data set requires, relative to that of the run's own records;
-    empty without a certificate."""
+    """Disc radius that contains the model error in each further data set, relative to the radius
+    for the run's own records; empty without a certificate."""
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs) or premise.missing_reason(part.centre) is not None:
         return []

@@ -87,7 +87,7 @@ def certify_largest_radius(
     started = time.perf_counter()
     theorem = select_theorem(context)
     try:
-        optimum = _deciding_optimum(theorem, context, weights, centre, ROUGH)
+        optimum = _largest_squared_radius(theorem, context, weights, centre, ROUGH)
         nu, multipliers, deciding = optimum
         if not 0 < nu < LARGEST:
             return None
@@ -112,11 +112,11 @@ def optimum_for_weights(
 ) -> tuple[float, Multipliers]:
     """Largest squared radius of the disc of model errors for given weights, computed frequency by
     frequency, and its multipliers. `kappa^2`. Raises `NoSolution`."""
-    nu, multipliers, _ = _deciding_optimum(theorem, context, weights, centre, VIOLATED)
+    nu, multipliers, _ = _largest_squared_radius(theorem, context, weights, centre, VIOLATED)
     return nu, multipliers
 
 
-def _deciding_optimum(
+def _largest_squared_radius(
     theorem: type[MeasuredDiscs],
     context: VerificationContext,
     weights: Weights,

@@ -176,9 +176,9 @@ class WeightProgram:
         return np.array(rows)
 
     def weight_rows(self) -> tuple[Float[np.ndarray, "R n"], Bounds]:
-        """Linear constraints by which the disc's weights stay positive, as coefficient rows with
-        their bounds. X exceeds `c^2`, so that the disc contains `e = 0`, and neither comes near
-        zero."""
+        """Linear constraints, as coefficient rows with lower bounds, that keep both weights of a
+        disc of model errors positive. X exceeds `c^2`, so that the disc contains `e = 0`, and
+        neither comes near zero."""
         mean = self.basis.values_at(EVENLY).mean(axis=1)
         on_circle = self.basis.values_at(CIRCLE).T
         clear = on_circle - NEAR_ZERO * mean

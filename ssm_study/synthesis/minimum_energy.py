@@ -145,8 +145,8 @@ def minimum_energy_solution(problem: Problem, rate_fraction: float = SHARES[0]) 
 def solution_with_full_metric(
     problem: Problem, rate_fraction: float, metric_factor: float
 ) -> Solution:
-    """Minimum-energy gain with a contraction metric of fast and slow modes together, a multiple of
-    the smallest one.
+    """Minimum-energy gain with a multiple of the smallest contraction metric that is computed for
+    the fast and slow modes of the model together.
 
     `rate_fraction` places the rate between the requested and the largest provable one;
     `metric_factor` is the multiple.

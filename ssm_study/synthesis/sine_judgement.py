@@ -72,8 +72,8 @@ def measure_simulated_sines(
 def sine_columns(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, sines: Sequence[SineMismatch]
 ) -> dict[str, Any]:
-    """Table columns of the stability margin with single-sine tests included; empty without
-    tests."""
+    """Table columns of stability margin and prediction with single-sine experiments included;
+    empty if no such experiment was made."""
     if not sines:
         return {}
     without = predict_margins(model, design.pair, balls, mismatch)

@@ -61,8 +61,8 @@ class LqgPeer(Peer, names=("lqg",)):
 
 
 def lqg_weights(plant: Plant, identified: Identified, rate: float) -> Synthesis:
-    """Weights of the LQG controller: cost weights of `synthesis=riccati`, and the sensor noise's
-    variance.
+    """Settings of the LQG design: the default cost weights of `synthesis=riccati`, and the
+    variance of the sensor noise in scaled units.
 
     One input scale drives the states; a linear design has no rate.
     """
