@@ -48,8 +48,8 @@ from ssm_study.synthesis.decay_response import simulate_decays
 from ssm_study.synthesis.measured_discs_choice import first_covering_design
 from ssm_study.synthesis.measured_discs_run import (
     add_coverage_certificate,
-    certificate_weights,
     coverage_columns,
+    disc_weights,
     fresh_data_column,
     radii_needed_by_fresh_data,
 )
@@ -208,7 +208,7 @@ def growth_of_sum(part: MeasuredDiscs, record: RecordErrors) -> float:
     e = record.e - record.e[second].mean(axis=0)
     variance = float(((record.e[second] - record.e[first]) ** 2).sum()) / 2 / period
     sums = running_constraint_sum(
-        certificate_weights(part), part.centre, part.kappa, record.u, record.model, e
+        disc_weights(part), part.centre, part.kappa, record.u, record.model, e
     )
     deviation = float(((e - part.centre * record.model)[second] ** 2).sum())
     growth = float(sums[second][-1] - sums[second.start - 1]) - period * variance

@@ -34,7 +34,7 @@ from ssm_study.loop.rollout import Rollouts
 from ssm_study.plants.plant import Plant
 from ssm_study.plants.wrapper import DelayedInput, Wrapper
 from ssm_study.robustness.coverage import running_constraint_sum
-from ssm_study.synthesis.measured_discs_run import certificate_weights, coverage_columns
+from ssm_study.synthesis.measured_discs_run import coverage_columns, disc_weights
 
 KEY = ("plant", "gain", "delay")
 GAINS = (1.0, 2.0, 4.0, 8.0, -1.0)
@@ -71,7 +71,7 @@ def flagged_at(
         simulated = case.model.simulate(u)
         signals = (scale.scaled_input(u), scale.scaled_output(simulated))
         e = (y - simulated) / scale.output_scale
-        weights = certificate_weights(part)
+        weights = disc_weights(part)
         sums = running_constraint_sum(weights, part.centre, part.kappa, *signals, e)
         added = np.diff(sums, prepend=0.0) - monitor.allowance
         whole = np.cumsum(added)

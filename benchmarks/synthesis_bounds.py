@@ -16,7 +16,12 @@ import numpy as np
 from common import REFERENCE, ROOT, write
 
 from ssm_study.bounds.network import Network
-from ssm_study.bounds.slopes import interval_bound, lipsdp_bound, network_bound, spectral_norm_bound
+from ssm_study.bounds.slopes import (
+    interval_bound,
+    lipsdp_bound,
+    network_slope_bound,
+    spectral_norm_bound,
+)
 from ssm_study.models.scaffolds.mlp import MlpScaffold
 
 sys.path.insert(0, str(ROOT / "tests"))  # where oracles are
@@ -26,7 +31,7 @@ SHAPES = ((1, (8,)), (1, (32,)), (1, (8, 8)), (2, (8,)), (2, (32,)), (2, (8, 8))
 COUNT = 20
 STARTS = 6
 LEAK = 0.1
-BOUNDS = {"exact": network_bound, "lipsdp": lipsdp_bound, "interval": interval_bound}
+BOUNDS = {"exact": network_slope_bound, "lipsdp": lipsdp_bound, "interval": interval_bound}
 
 
 def scaffold(rng: np.random.Generator, channels: int, widths: tuple[int, ...]) -> MlpScaffold:

@@ -84,7 +84,7 @@ def ball_around_scaled_identity(centre: Float[np.ndarray, "m m"], radius: float)
     return JacobianBall(alpha=alpha, beta=beta)
 
 
-def network_bound(network: Network) -> SlopeBound:
+def network_slope_bound(network: Network) -> SlopeBound:
     """Tightest bound on a network's slopes among those that several methods prove. Exact for one
     channel, otherwise the narrower of LipSDP and interval arithmetic."""
     if network.inputs == 1:

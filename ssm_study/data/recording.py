@@ -108,7 +108,7 @@ class Columns:
 
     @property
     def searches_clock(self) -> bool:
-        """Whether the time column of a log is detected, because the configuration names none."""
+        """Whether the time column of a log must be detected: the configuration names none."""
         return True
 
     @property

@@ -48,7 +48,7 @@ def guess_input_and_output(
 
 def output_score(column: ColumnFacts, input_name: str) -> tuple[float, bool, bool]:
     """Score of how much a column looks like the output: by its title, a word shared with the
-    input's title, and its levels."""
+    input's title, and its number of distinct values."""
     by_words = title_word_score(column.name, OUTPUT_WORDS)
     if by_words < title_word_score(column.name, INPUT_WORDS):
         by_words = -1.0

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from omegaconf import OmegaConf
 
 from ssm_study.bounds.network import PortableMap
-from ssm_study.bounds.slopes import certified_balls, network_bound
+from ssm_study.bounds.slopes import certified_balls, network_slope_bound
 from ssm_study.certificates.certificate import SIDES, Design
 from ssm_study.certificates.theorem import Theorem, VerificationContext
 from ssm_study.certificates.theorems.integral_action import augmented_system, controlled_system
@@ -395,6 +395,6 @@ def _ball_of_rounded_slopes(static_map: PortableMap) -> JacobianBall | None:
         if static_map.network is None:
             linear_scaffold = LinearScaffold(gain=static_map.linear)
             return linear_scaffold.bound().ball
-        return network_bound(static_map.as_network()).ball
+        return network_slope_bound(static_map.as_network()).ball
     except BadRequest:
         return None

@@ -274,7 +274,7 @@ def sum_of_squares(signals: list[Float[np.ndarray, "N T c"]]) -> float:
 
 
 def largest_final_error(errors: Float[np.ndarray, "N T p"]) -> float:
-    """Mean control error over the last tenth of each simulation; the largest of these means."""
+    """Largest, over all simulations, of the mean control error in the last tenth."""
     samples = errors.shape[1]
     last = max(samples // 10, 1)
     last_errors = errors[:, -last:]

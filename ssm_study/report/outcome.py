@@ -263,7 +263,7 @@ def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     else:
         times = math.floor(100 * coverage) / 100  # never rounded up to what is not proved
         covered = f"{times:.2f} times as large as the records show, at every frequency above zero"
-        yield "coverage", label, covered + refit_text(record) + fresh_data_text(record)
+        yield "coverage", label, covered + refit_text(record) + fresh_error_ratio_text(record)
 
 
 def refit_text(record: Mapping[str, Any]) -> str:
@@ -275,7 +275,7 @@ def refit_text(record: Mapping[str, Any]) -> str:
     return "; the model was trained on these records" if is_refitted else ""
 
 
-def fresh_data_text(record: Mapping[str, Any]) -> str:
+def fresh_error_ratio_text(record: Mapping[str, Any]) -> str:
     """Text on the ratio of the model error in fresh data to the model error in the records."""
     needed = record.get("coverage_needed")
     if needed is None:

@@ -3,7 +3,7 @@ is proved.
 
 `coverage_table(premise, weights, centre, kappa)` has one row for every band of every record. Of a
 run, `recorded_error_spectra` (`study/stages/synthesis.py`) gives the premise and the certificate
-the rest: `certificate_weights(part)`, `part.centre`, `part.kappa` with `part =
+the rest: `disc_weights(part)`, `part.centre`, `part.kappa` with `part =
 design.extra_certificates["coverage"]` (`synthesis/measured_discs_run.py`). Source: docs/theory.md,
 "Measured discs".
 """

@@ -194,8 +194,8 @@ class LoopResponse:
         slopes: SlopePair,
         cached_responses: Responses | None = None,
     ) -> "LoopResponse | None":
-        """Frequency response of the closed loop with given gains and constant slopes; None if the
-        loop is unstable."""
+        """Frequency response of the closed loop with each static map replaced by a constant slope;
+        None if that loop is unstable."""
         loop = error_to_input_response(system, gains, *slopes)
         modes = np.linalg.eigvals(loop.a)
         if np.abs(modes).max() >= 1:
@@ -352,9 +352,9 @@ def _largest_interpolated_gain(
 
 
 def output_peak_from_noise(model: Model, gains: Gains, balls: Balls, mismatch: Mismatch) -> float:
-    """Largest output amplitude, in settling bands, that the measured sensor noise causes around the
-    equilibrium. It is in units of the settling band; zero if the noise was not measured, or the
-    plant does not move under that input."""
+    """Largest output amplitude that the measured sensor noise causes around the equilibrium, as a
+    multiple of the settling band. It is zero if the noise was not measured, or the plant does not
+    move under that input."""
     if not mismatch.noise:
         return 0.0
     linear, own_gains = _linearise_at_equilibrium(model, gains, balls)

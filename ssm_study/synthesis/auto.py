@@ -103,7 +103,7 @@ class Auto:
 
     @property
     def modes(self) -> tuple[str, ...]:
-        """Names of the internal model's modes, such as `step`."""
+        """Names of the signals that the internal model generates, such as `step` and `sine`."""
         return tuple(self.internal_model) or ("step",) * bool(self.integral_weights)
 
     @property

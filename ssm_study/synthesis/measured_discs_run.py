@@ -99,7 +99,7 @@ def coverage_columns(
     missing = premise.missing_reason(part.centre)
     if missing is not None:
         return {"coverage": None, "coverage_reason": missing}
-    weights = certificate_weights(part)
+    weights = disc_weights(part)
     items = premise.requirements(part.centre)
     need, where = weights.largest_required_radius(items)
     coverage = part.kappa / need
@@ -141,7 +141,7 @@ def radii_needed_by_fresh_data(
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs) or premise.missing_reason(part.centre) is not None:
         return []
-    weights = certificate_weights(part)
+    weights = disc_weights(part)
     own_need, _ = weights.largest_required_radius(premise.requirements(part.centre))
     needs = []
     for records in fresh_sets:
@@ -171,7 +171,7 @@ def null_coverage_of_unknown_band(
     return {"coverage": None, "coverage_reason": coverage_reason}
 
 
-def certificate_weights(certificate: MeasuredDiscs) -> Weights:
+def disc_weights(certificate: MeasuredDiscs) -> Weights:
     """Weights of the measured disc, as a certificate stores them."""
     return Weights(
         floor=certificate.floor, output=certificate.weight_output, input=certificate.weight_input

@@ -80,8 +80,8 @@ class WeightBasis:
         return self.numerators(angles) / self.denominator(angles)
 
     def numerators(self, angles: Angles) -> BasisValues:
-        """Numerators of the basis functions of the squared weights at each frequency: one, and `2
-        cos(j w)`."""
+        """Values of the cosine basis, one and `2 cos(k w)`, at each frequency `w`. The squared
+        weights are sums of these, over a common denominator."""
         rows = [np.ones(len(angles))]
         for j in range(1, self.order + 1):
             cosine = np.cos(j * angles)

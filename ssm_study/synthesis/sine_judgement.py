@@ -22,7 +22,7 @@ from ssm_study.robustness.sine_trials import (
     measure_sine_mismatch,
     sensitive_lines,
 )
-from ssm_study.synthesis.measured_discs_run import certificate_weights
+from ssm_study.synthesis.measured_discs_run import disc_weights
 from ssm_study.systems import Balls
 
 
@@ -100,7 +100,7 @@ def sine_coverage_columns(
         return {"sine_coverage": None}
     measured = [requirement_from_measured_sine(sine, part.centre) for sine in sines]
     items = [item for item in measured if item is not None]
-    need, where = certificate_weights(part).largest_required_radius(items)
+    need, where = disc_weights(part).largest_required_radius(items)
     if need <= 0:
         return {"sine_coverage": None}
     sine_coverage = part.kappa / need

@@ -267,7 +267,8 @@ def _interpolate_games(game: Game, slow_game: Game, fraction: float) -> Game:
 
 
 def theorem_matrices(game: Game, logs: Vector) -> Solution:
-    """Gain, metric and multipliers of the theorem, from the saddle point of a game. Raises
+    """Gain, metric and multipliers of a design with neurons, from the Riccati equation of its
+    linear-quadratic game. Raises
     `NoSolution` if the conditions do not hold there."""
     saddle = evaluate_saddle_point(game, logs, 0.0)
     problem = game.problem

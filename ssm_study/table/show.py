@@ -236,7 +236,7 @@ def certificate_words(table: pd.DataFrame) -> pd.Series:
 
 
 def short_column_heading(name: str) -> str:
-    """Short heading of a table column: the last word of a name such as `plant__step_s`."""
+    """Short heading of a table column, such as `step_s` for the column `plant__step_s`."""
     short = "cert" if name == "certified" else ""
     if name in BY_NAME:
         short = BY_NAME[name].head
@@ -336,8 +336,8 @@ def fold_statistics_lines(table: pd.DataFrame) -> list[str]:
 
 
 def _reason_lines(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
-    """Text lines with the reasons of failed or infeasible runs, merged where only numbers
-    differ, and whether the same command runs them again."""
+    """Text lines with the reasons of failed or infeasible runs. Reasons that differ only in numbers
+    are merged; a run that the same command runs again is marked."""
     named_columns = ("run", *REASONS, "failure_transient")
     columns = [name for name in named_columns if name in rows]
     runs: dict[str, list[tuple[str, str]]] = {}

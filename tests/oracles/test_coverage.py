@@ -40,8 +40,8 @@ from ssm_study.robustness.record_errors import RecordErrors
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.measured_discs_run import (
     add_coverage_certificate,
-    certificate_weights,
     coverage_columns,
+    disc_weights,
 )
 from ssm_study.systems import StateSpace
 
@@ -255,7 +255,7 @@ def test_the_table_of_bands_is_the_premise_beside_the_proof() -> None:
     model = SSM.from_linear(MODEL, 0.01)
     certified = add_coverage_certificate(design(), model, BALLS, known)
     part = certified.extra_certificates["coverage"]
-    weights = certificate_weights(part)
+    weights = disc_weights(part)
     rows = coverage_table(known, weights, part.centre, part.kappa)
     expected = 2 * len(ANGLES)
     assert len(rows) == expected

@@ -19,7 +19,7 @@ from ssm_study.export.device import Device
 from ssm_study.export.portable import convert_controller
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.coverage import running_constraint_sum
-from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, certificate_weights
+from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, disc_weights
 
 SAMPLES = 600
 BELOW_ALL = np.array([-np.inf])
@@ -139,7 +139,7 @@ def loop(certified: Design, plant: Plant, start: float) -> tuple[np.ndarray, ...
 
 def sum_constraint(part: MeasuredDiscs, *signals: np.ndarray) -> np.ndarray:
     """The running sum of a certificate's premise over input, model output and error."""
-    weights = certificate_weights(part)
+    weights = disc_weights(part)
     return running_constraint_sum(weights, part.centre, part.kappa, *signals)
 
 

@@ -21,7 +21,7 @@ from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.robustness.coverage import Premise
 from ssm_study.robustness.coverage_spectra import AveragedSpectrum, MismatchSpectrum
 from ssm_study.robustness.coverage_table import CoverageBand, coverage_table
-from ssm_study.synthesis.measured_discs_run import certificate_weights
+from ssm_study.synthesis.measured_discs_run import disc_weights
 
 AMPLITUDE = re.compile(r"input of rms \S+")
 ANGLE = re.compile(r"\d+\.\d+(?=( to \S+)? rad/sample)")
@@ -44,7 +44,7 @@ def coverage_picture(
     missing = premise.missing_reason(part.centre)
     if missing is not None:
         raise NothingToShow(f"Nothing is covered: {missing}.")
-    weights = certificate_weights(part)
+    weights = disc_weights(part)
     table = coverage_table(premise, weights, part.centre, part.kappa)
     rows = [row for row in table if row.need]
     if not rows:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.bounds.network import Network, PortableMap
-from ssm_study.bounds.slopes import SlopeBound, network_bound
+from ssm_study.bounds.slopes import SlopeBound, network_slope_bound
 from ssm_study.models.lazy_torch import Tensor, torch
 from ssm_study.models.scaffolds import scaffold
 from ssm_study.models.scaffolds.scaffold import Free, Pieces, Scaffold, Square, tensor_to_numpy
@@ -41,7 +41,7 @@ class MlpScaffold(Scaffold, names=("mlp",)):
         return self.network.jacobian(v)
 
     def bound(self) -> SlopeBound:
-        return network_bound(self.network)
+        return network_slope_bound(self.network)
 
     def jacobian_centre(self) -> Square:
         from ssm_study.bounds.lipsdp import lipsdp_ball

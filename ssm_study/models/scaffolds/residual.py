@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ssm_study.bounds.lipschitz import is_proved_nonexpansive
 from ssm_study.bounds.network import Network, PortableMap
-from ssm_study.bounds.slopes import SlopeBound, bound_from_ball, network_bound
+from ssm_study.bounds.slopes import SlopeBound, bound_from_ball, network_slope_bound
 from ssm_study.models.lazy_torch import Tensor, torch
 from ssm_study.models.scaffolds.scaffold import Free, Scaffold, Square, tensor_to_numpy
 from ssm_study.models.scaffolds.trainable import MapContext, Trainable
@@ -59,7 +59,7 @@ class ResidualScaffold(Scaffold, names=("residual",)):
     def bound(self) -> SlopeBound:
         if not is_proved_nonexpansive(self.network, self.multipliers):
             network = self.as_portable().as_network()
-            return network_bound(network)
+            return network_slope_bound(network)
         ball = JacobianBall(alpha=self.alpha, beta=self.beta)
         return bound_from_ball(ball, "construction")
 

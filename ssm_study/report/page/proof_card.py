@@ -9,7 +9,7 @@ from jaxtyping import Float
 from ssm_study.api.summaries import round_rate_down
 from ssm_study.certificates.decay_time import decay_time_text
 from ssm_study.evidence.finding import CANNOT_JUDGE
-from ssm_study.report.outcome import fresh_data_exceed_coverage, fresh_data_text, refit_text
+from ssm_study.report.outcome import fresh_data_exceed_coverage, fresh_error_ratio_text, refit_text
 from ssm_study.report.page.card import Card, Record
 from ssm_study.report.speed_up import open_loop_rate, unproved_speed_up_text
 from ssm_study.study.recordings import RecordedCases
@@ -124,7 +124,7 @@ def coverage_sentence(record: Record) -> str:
     covered += f"while the rates are those of the model{refit_text(record)}"
     if fresh_data_exceed_coverage(record):  # a remark of its own says so
         return covered
-    return covered + fresh_data_text(record)
+    return covered + fresh_error_ratio_text(record)
 
 
 def coverage_text(coverage: float) -> str:

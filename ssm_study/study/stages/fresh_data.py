@@ -39,8 +39,8 @@ def compute_fresh_data(
 
 
 def read_fresh_data_needs(folder: Path) -> list[float]:
-    """Read how large a disc of model error each fresh data set needs, relative to the run's own
-    records."""
+    """Read, for each data set simulated anew, its largest model error divided by that of the run's
+    own records."""
     return [float(need) for need in read_json(folder / FILE)["needs"]]
 
 
