@@ -209,7 +209,7 @@ class StateFeedback(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Observer(Side, abstract=True):
-    """Certificate that an observer makes the estimation error contract in a metric, `M = Q`."""
+    """Certificate that an observer makes the estimation error contract in a metric Q."""
 
     c: Float[np.ndarray, "p n"]
     q: Float[np.ndarray, "n n"]

@@ -1,4 +1,5 @@
-"""Time constant of a contraction rate: how long distances take to fall to 37 %."""
+"""Time constant of a contraction rate: the time in which distances between trajectories fall to 37
+%."""
 
 import math
 

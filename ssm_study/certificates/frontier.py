@@ -186,9 +186,9 @@ def largest_control_energy(a: Square, b: InputMatrix, contraction: float) -> flo
 
 
 def _contraction_at_moduli_product(moduli: Float[np.ndarray, "n"], ratio: float) -> float:
-    """Contraction factor r for which the ratios `r / |lambda_i|` of all larger moduli have a given
-    product. The `r` with `prod over |lambda_i| > r of r/|lambda_i| = ratio`; moduli in descending
-    order.
+    """Contraction factor r at which the ratios `r / |lambda_i|`, over all eigenvalues of modulus
+    above r, have a given product. The `r` with `prod over |lambda_i| > r of r/|lambda_i| = ratio`;
+    moduli in descending order.
 
     With the k largest modes faster than r, `r = (ratio prod |lambda_i|)^(1/k)`; the right k is the
     one whose r lies between its neighbours, and the largest candidate is that one.

@@ -1,4 +1,5 @@
-"""Base classes of theorems: a certificate is stored, decided exactly, read back and verified.
+"""Base classes of theorems, which store a certificate, decide it in exact arithmetic, read it back
+and verify it.
 
 A theorem is one file in `theorems/` with one final class: its fields are what `certificate.json`
 stores, its `conditions` block matrices, stated once with `+, -, *, @, .T`; in which numbers
@@ -178,8 +179,8 @@ class Theorem(ABC):
     @staticmethod
     @abstractmethod
     def conditions(proof: Any) -> dict[str, Blocks]:
-        """Matrices that must be positive definite for a theorem to hold, by label. They are upper
-        triangles of blocks; `proof` has every field and product."""
+        """Matrices that must be positive definite for a theorem to hold, each keyed by a label.
+        They are upper triangles of blocks; `proof` has every field and product."""
 
     @abstractmethod
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
@@ -271,8 +272,8 @@ class Theorem(ABC):
 
     @classmethod
     def _rounded_products(cls, numbers: Mapping[str, Any]) -> dict[str, Float[np.ndarray, "r c"]]:
-        """Fields of a certificate that are products of other fields, computed exactly and rounded
-        to floats."""
+        """Matrix products that a certificate stores beside their factors, computed exactly and
+        rounded to floats."""
         products = {}
         for name, (left, right) in cls.products.items():
             product = Exact.from_floats(numbers[left]) @ numbers[right]

@@ -179,7 +179,7 @@ def _render_ramp_stop(device: Device) -> str:
 
 
 def _count_constants(c_code: str) -> int:
-    """Number of constants in all constant arrays of a text of C code."""
+    """Total number of elements in the constant arrays of a C source text."""
     counts = re.findall(r"static const \w+ \w+\[(\d+)\]", c_code)
     return sum(int(count) for count in counts)
 

@@ -109,15 +109,16 @@ class Monitor:
         )
 
     def sum_limit(self, first_output: Float[np.ndarray, "p"]) -> float:
-        """Alarm limit of the monitor's running sum for a loop with a given first measured output.
-        It is the energy of the decay from half a scale, or from `ROOM` times that output."""
+        """Alarm limit of the running sum by which the model error exceeds its certified bound, for
+        a given first measured output. It is the energy of the decay from half a scale, or from
+        `ROOM` times that output."""
         farther = (ROOM / START) ** 2 * float((first_output**2).sum())
         return self.limit * max(1.0, farther)
 
 
 def free_decay_energy(system: StateSpace) -> float:
-    """Output energy `sum |y|^2` of a linear system after its input is set to zero, summed over
-    starts in equilibria with one output at one and the others at zero."""
+    """Output energy `sum |y|^2` of a linear system released from equilibria, summed over those with
+    one output at one and the others at zero."""
     rest, _, gain = system.equilibrium_basis()
     starts = rest @ np.linalg.pinv(gain)
     observability = scipy.linalg.solve_discrete_lyapunov(system.a.T, system.c.T @ system.c)

@@ -121,7 +121,8 @@ class PortableController:
         return slice(first, first + count)
 
     def recurrence(self) -> System:
-        """Linear or neural system of the controller's model, without the internal model."""
+        """Linear or neural recurrence of the controller's model, without the internal model of
+        references and disturbances."""
         is_internal = self.e.any(axis=1)  # E drives the internal model alone
         n = len(self.a) - int(is_internal.sum())
         a = self.a[:n, :n].astype(float)

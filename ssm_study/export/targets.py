@@ -205,7 +205,7 @@ def _describe_limits(run: Path, design: Design, device: Device) -> tuple[str, ..
 
 
 def _describe_set_point_error(device: Device) -> tuple[str, ...]:
-    """Line of text with the largest error at set points between tabulated equilibria."""
+    """Text on the largest error of equilibria that are interpolated between tabulated ones."""
     if device.set_point_maps is None or not device.set_point_maps.missed:
         return ()
     missed = f"missed by at most {device.set_point_maps.missed:.1e}."

@@ -163,8 +163,8 @@ def measured_noise_gain(run: Rollouts) -> float | None:
 
 
 def pool_columns(loops: list[LoopRuns]) -> Columns:
-    """Table columns that are computed from several closed-loop experiments of the same length
-    together."""
+    """Table columns computed from the pooled simulations of several closed-loop experiments of the
+    same length."""
     efforts = [loop.controlled.u - loop.input_equilibrium for loop in loops]
     errors = [loop.controlled.y - loop.controlled.reference for loop in loops]
     case_counts = (len(error) for error in errors)

@@ -62,7 +62,7 @@ def settling_times_s(rollouts: Rollouts, settling_band: float) -> tuple[float | 
 
 
 def classify_motions(rollouts: Rollouts, settling_band: float) -> tuple[str, ...]:
-    """Class of the motion in each simulation: `settled`, `lost`, `slow`, `oscillating` or
+    """Class of each simulated motion: `settled`, `lost` (left the bound), `slow`, `oscillating` or
     `drifting`.
 
     Lost: it left the bound. Slow: the error still shrinks from the third quarter of the horizon to

@@ -191,8 +191,8 @@ class LoopRuns:
 
     @property
     def rollouts_for_settling(self) -> Rollouts:
-        """Simulations from which settling is judged. They are without noise if noise alone would
-        leave the settling band."""
+        """Simulations of the controlled plant from which the settling time is measured. They are
+        without noise if noise alone would leave the settling band."""
         return self.noise_free or self.controlled
 
 

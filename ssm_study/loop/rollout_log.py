@@ -43,7 +43,8 @@ def allocate_log(
 
 
 def repeat_last_values(log: Log, left_at_sample: SampleOfCase) -> None:
-    """Repeat the last values within the bound of a stopped simulation over the rest of its log."""
+    """Fill the rest of a stopped simulation's log with the last values before its signals exceeded
+    the bound."""
     for case in np.flatnonzero(left_at_sample > 0):
         left = left_at_sample[case]
         for values in log.values():

@@ -16,7 +16,7 @@ BandValues = Inexact[np.ndarray, "F"]
 
 
 def total_power(spectrum: Complex[np.ndarray, "K c"]) -> LinePowers:
-    """Power of each spectral line, summed over the channels."""
+    """Power of a signal at each of its spectral lines, summed over the channels."""
     power = np.abs(spectrum) ** 2
     return power.sum(axis=1)
 

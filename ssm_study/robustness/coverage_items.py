@@ -48,7 +48,8 @@ class Item:
 
     @property
     def label(self) -> str:
-        """Label of an inequality: name of the record and frequency range."""
+        """Name of the record and frequency range to which an inequality on the model error
+        belongs."""
         return f"{self.record}, {self.place}"
 
 

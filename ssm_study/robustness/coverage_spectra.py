@@ -78,7 +78,7 @@ class AveragedSpectrum:
 
 
 def line_powers(spectrum: Complex[np.ndarray, "L c"]) -> Powers:
-    """Power of each spectral line, summed over the channels."""
+    """Power of a signal at each of its spectral lines, summed over the channels."""
     powers = np.abs(spectrum) ** 2
     return np.asarray(powers.sum(axis=1))
 

@@ -42,8 +42,8 @@ class MarginCurve:
 def margin_curves(
     model: Model, gains: Gains, balls: Balls, mismatch: Mismatch
 ) -> list[MarginCurve]:
-    """Stability margin as a function of frequency, one curve for each recorded input amplitude, the
-    smallest first.
+    """Stability margin as a function of frequency, one curve for each recorded input amplitude in
+    ascending order.
 
     None where a loop of constant slopes is unstable: no frequency is to blame for a margin of zero.
     """
@@ -93,8 +93,8 @@ class _WorstCurve:
         self.angle = float(FINE_ANGLES[0])
 
     def include_gain(self, angles: LoopGains, loop_gain: LoopGains) -> None:
-        """Update the largest loop gain at each frequency by the loop gain of one combination of
-        slopes."""
+        """Update the largest loop gain at each frequency with the loop gain for one combination of
+        static-map slopes."""
         places = np.searchsorted(angles, FINE_ANGLES)
         on_grid = loop_gain[places]
         self.gain = np.maximum(self.gain, on_grid)
@@ -104,8 +104,8 @@ class _WorstCurve:
             self.angle = float(angles[peak])
 
     def as_margin_curve(self, amplitude: float | None) -> MarginCurve:
-        """Stability margin as a function of frequency, the inverse of the largest loop gain. It is
-        infinite where nothing was measured."""
+        """Stability margin at each frequency, computed as the inverse of the largest loop gain
+        there. It is infinite where nothing was measured."""
         with np.errstate(divide="ignore"):
             margin = 1 / self.gain
         smallest = 1 / self.largest if self.largest else float("inf")

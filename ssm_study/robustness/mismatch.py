@@ -117,13 +117,14 @@ class Mismatch:
 
     @property
     def errors_by_amplitude(self) -> tuple[View, ...]:
-        """Model error at each recorded amplitude, followed by the error measured in closed loop."""
+        """Model error at each recorded input amplitude, and as last item the error measured in
+        closed loop, if there is one."""
         return self.views if self.loop is None else (*self.views, self.loop)
 
     @property
     def by_frequency(self) -> Float[np.ndarray, "F"]:
-        """Gain from input to model error per frequency band, the larger of the largest amplitude's
-        and the closed loop's."""
+        """Gain from input to model error in each frequency band: the larger of its values at the
+        largest amplitude and in closed loop."""
         largest = self.views[-1].by_frequency
         if self.loop is None:
             return largest
@@ -224,7 +225,7 @@ def _offsets_and_oscillations_at_rest(
 
 
 def _offsets_with_larger_maximum(first: list[float], second: list[float]) -> list[float]:
-    """Choose, of two lists of measured output offsets, the one with the larger maximum."""
+    """List with the larger maximum, of two lists of measured output offsets."""
     return max(first, second, key=lambda offsets: max(offsets, default=0.0))
 
 

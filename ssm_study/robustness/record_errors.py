@@ -211,8 +211,8 @@ def error_from_averages(records: list[RecordErrors]) -> View:
 def _error_from_total_gain(
     records: list[RecordErrors], gain_by_frequency: BandGains, total_gain: float
 ) -> View:
-    """Model error at one input amplitude without a linear part, from its gain by frequency and in
-    total."""
+    """Model error at one input amplitude, with its linear part set to zero, from its gain per
+    frequency band and its total gain."""
     all_inputs = np.concatenate([record.u for record in records])
     mean_square = np.mean(all_inputs**2)
     amplitude = float(np.sqrt(mean_square))
@@ -331,8 +331,8 @@ def error_from_periods(record: RecordErrors, has_no_doubt: bool, noise: BandGain
 
 
 def _repeating_power(first: OutputSpectrum, second: OutputSpectrum) -> BandGains:
-    """Power in each frequency band that two periods of a record have in common, from which noise
-    averages out."""
+    """Power in each frequency band of the part that repeats in two periods of a record, in which
+    noise averages out."""
     lines = (first * second.conj()).real
     return band_means(lines.sum(axis=1))
 

@@ -110,8 +110,8 @@ def _starts_far_from_rest(outputs: list[OutputSignal]) -> bool:
 
 
 def _distances_from_rest(outputs: list[OutputSignal], *, is_centred: bool) -> list[float]:
-    """Distance of the final value of each output from the equilibrium, or from the mean of the
-    other outputs, with noise removed."""
+    """Distance of each record's final output from the equilibrium or from the mean of the other
+    records, less its uncertainty."""
     tails = [_last_quarter(y) for y in outputs]
     means = np.stack([tail.mean(axis=0) for tail, _ in tails])
     spread = np.stack([noise / len(tail) for tail, noise in tails])

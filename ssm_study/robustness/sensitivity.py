@@ -143,8 +143,8 @@ def sensitivity_peak(system: System, gains: Gains, balls: Balls) -> float:
 def controller_spectral_radius(
     system: System, gains: Gains, balls: Balls
 ) -> Float[np.ndarray, "*pairs"]:
-    """Spectral radius of a controller with its observer when the plant does not move, the largest
-    over constant slopes. The internal model is left out.
+    """Largest spectral radius, over constant slopes of the static maps, of controller and observer
+    while the plant stands still. The internal model is left out.
 
     While the plant holds still (friction holds it, its actuator saturates), `y = y*` and the
     controller runs alone: `xh+ = (A + B J_u K_x + L J_y (C + D J_u K_x)) xh`. At or above one, rest

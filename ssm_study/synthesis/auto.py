@@ -224,8 +224,8 @@ class Auto:
     def with_input_limits(
         self, lower: Float[np.ndarray, "m"], upper: Float[np.ndarray, "m"]
     ) -> "Auto":
-        """Copy of this synthesis that compares responses under given input limits, as scaled
-        deviations from the equilibrium.
+        """Copy of the automatic synthesis that compares simulated responses under given input
+        limits (scaled, relative to equilibrium).
 
         Limits without room around rest are not applied.
         """
@@ -239,12 +239,13 @@ class Auto:
         return replace(self, premise=premise)
 
     def prefer_faster_than_decays(self, decays: Float[np.ndarray, "N T p"]) -> "Auto":
-        """Copy of this synthesis that prefers designs that settle faster than the recorded decays
-        without control."""
+        """Copy of the automatic synthesis that prefers designs that settle faster than the recorded
+        decays without control."""
         return replace(self, decays=decays)
 
     def with_largest_margin(self) -> "Auto":
-        """Copy of this synthesis that takes the design with the largest stability margin."""
+        """Copy of the automatic synthesis that chooses the design with the largest stability
+        margin."""
         return replace(self, margin=float("inf"))
 
     def _slowest_design(self, model: Model, balls: Balls) -> Design:
@@ -259,7 +260,8 @@ class Auto:
         return replace(specifications[0], **least).design(model, balls)
 
     def _with_search_outcome(self, design: Design, status: str) -> Design:
-        """Copy of a design with this synthesis as its method and with the outcome of the search."""
+        """Copy of a design that records the automatic synthesis as its method, and the outcome of
+        the search."""
         feedback = design.state_feedback
         observer = design.observer
         return Design(

@@ -113,7 +113,7 @@ class LoopVertices:
 
     @property
     def smallest_allowed_metric(self) -> Matrix:
-        """Smallest allowed metric P of the state, `K^T K`, so that `|K x|^2 <= x^T P x`."""
+        """Lower bound `K^T K` on the state's metric P, which ensures `|K x|^2 <= x^T P x`."""
         squared_gain = self.k.T @ self.k
         identity = np.eye(self.model.order)
         return squared_gain + ROUNDING * identity
@@ -315,8 +315,8 @@ def certify_bilinear_contraction(loop: LoopVertices) -> BilinearContraction:
 
 
 def refuse_one_sided_input(loop: LoopVertices) -> None:
-    """Raise `NoSolution` if the equilibrium input is the smallest or the largest input of the log,
-    so that the controller could act in one direction only."""
+    """Raise `NoSolution` if the equilibrium input is at an end of the recorded range, so that a
+    controller could act in one direction only."""
     if loop.largest_input_amplitude <= 0.0:
         raise NoSolution("the equilibrium of the input is an end of the inputs that the log has")
 

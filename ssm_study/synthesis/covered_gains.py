@@ -56,8 +56,8 @@ class ScoredGains:
     coverage: float
 
     def is_better_than(self, other: "ScoredGains", target_coverage: float) -> bool:
-        """Whether these gains have a larger coverage (ratio of proved to recorded model error) than
-        others or, if both have enough, a faster response."""
+        """Whether gains tolerate a larger model error than other gains or, if both tolerate enough,
+        respond faster."""
         smaller_coverage = min(self.coverage, other.coverage)
         if smaller_coverage >= target_coverage:
             return self.area < other.area
@@ -194,8 +194,8 @@ class GainSearch:
     def _best_stable_proposal(
         self, proposals: list[ScoredGains], best: ScoredGains, target_coverage: float
     ) -> ScoredGains | None:
-        """Best of several proposed gains that are predicted stable and better than the best so far;
-        None if there are none."""
+        """Best of the proposed gains that are predicted to be stable and surpass the best gains so
+        far; None if there are none."""
         leader: ScoredGains | None = None
         for trial in proposals:
             if not trial.is_better_than(leader or best, target_coverage):
@@ -206,8 +206,8 @@ class GainSearch:
         return leader
 
     def _faster_proposals(self, proposals: list[Gains], largest_ratio: float) -> list[Gains]:
-        """Proposed gains whose closed loop settles faster than the recorded decays without control,
-        by a required factor."""
+        """Proposed gains with which the closed loop settles faster, by a required factor, than the
+        plant did in records without control."""
         ratios = self._settling_time_ratios(proposals)
         proposals_and_ratios = zip(proposals, ratios, strict=True)
         return [gains for gains, ratio in proposals_and_ratios if ratio < largest_ratio]
@@ -223,8 +223,8 @@ class GainSearch:
         return [float(ratio) for ratio in ratios]
 
     def _response_areas(self, proposals: list[Gains]) -> list[float]:
-        """Areas under the simulated closed-loop responses with several proposed gains, relative to
-        the open loop."""
+        """Area under the simulated closed-loop response with each of several proposed gains,
+        divided by the area in open loop."""
         stacked_gains = stack_gains(proposals)
         areas = relative_response_areas(self.model, stacked_gains, self.validation, self.limits)
         return [float(area) for area in areas]
@@ -259,8 +259,8 @@ def is_worth_another_round(coverages: Sequence[float], target_coverage: float, r
 
 
 def certify_replaced_gains(certificate: Any, **gains: Any) -> Any:
-    """Certificate of changed gains by the theorem of a given certificate, at the largest rate; None
-    if no rate is proved."""
+    """Certificate of changed gains for the largest contraction rate that the theorem of a given
+    certificate proves; None if it proves none."""
     try:
         with linear_algebra_failures_as_no_solution():
             slow_part = replace(certificate, rate=LEAST_RATE, **gains)
@@ -285,7 +285,7 @@ def scale_gains_at_random(gains: Gains, step: float, random: np.random.Generator
 
 
 def stack_gains(proposals: list[Gains]) -> Gains:
-    """Stack the gains of several pairs of controller and observer to one batch."""
+    """Stack the gains of several pairs of controller and observer into one batch."""
     injections = [gains.l_z for gains in proposals if gains.l_z is not None]
     controller_gains = [gains.k for gains in proposals]
     k = np.stack(controller_gains)

@@ -72,9 +72,9 @@ def largest_settling_time_ratios(
     settling_band: float,
     input_limits: Ends | None = None,
 ) -> Ratios:
-    """Ratio of each closed loop's settling time to that of decays without control, the larger of
-    the ratios for two settling bands. Zero without decays, and with an internal model, which
-    settles at its own pace."""
+    """Largest ratio, over two settling bands, of each closed loop's settling time to that of decays
+    without control. Zero without decays, and with an internal model, which settles at its own
+    pace."""
     if gains.modes.size:
         return np.zeros(len(gains.k))
     ratios = [

@@ -100,8 +100,8 @@ def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem
 
 
 def certificate_at_largest_rate(certificate: Side) -> Side | None:
-    """Certificate of the largest contraction rate that can be proved for a certified gain; None if
-    its rate is not improved.
+    """Certificate of the largest contraction rate provable for an already certified gain; None if
+    no larger rate than before is proved.
 
     A plug-in's theorem says itself how (`Side.certificate_at_largest_rate`).
     """
@@ -180,8 +180,8 @@ def equilibrium_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
 def nearest_equilibrium_starts(
     model: SSM, stored_starts: Float[np.ndarray, "s j"]
 ) -> Float[np.ndarray, "s j"] | None:
-    """Equilibrium states of a model nearest to a certificate's initial states; None without a box
-    of equilibrium outputs."""
+    """Equilibrium states of a model, scaled to the size of a certificate's initial states; None if
+    they cannot be computed."""
     corners = equilibrium_corners(model)
     if corners is None or not corners.any() or len(stored_starts) < len(corners):
         return None

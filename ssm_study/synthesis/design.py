@@ -308,7 +308,7 @@ class Synthesis(ABC):
 
     @property
     def modes(self) -> tuple[str, ...]:
-        """Names of the internal model's modes, such as `step`."""
+        """Names of the reference and disturbance modes in the internal model, such as `step`."""
         return tuple(self.internal_model)
 
     @abstractmethod

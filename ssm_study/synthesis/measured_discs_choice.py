@@ -50,8 +50,8 @@ def first_covering_design(
     requested_coverage: float | None,
     search: Search | None = None,
 ) -> tuple[Design | None, str]:
-    """First design whose certificate covers the recorded model error, or else the best other
-    design, and which kind it is. Substitutes are the result of a search around the design that
+    """First design that tolerates the recorded model error, or else the best substitute, and a text
+    that says which of them it is. Substitutes are the result of a search around the design that
     covers most, then the first that is covered at all, then the first.
 
     `search(first, most, cover)` is given the first design, the one that covers most, and the
@@ -105,8 +105,8 @@ def usual_proof_loss(model: Model) -> float:
 
 @dataclass(kw_only=True)
 class GridWalk:
-    """Search through gain pairs, the fastest expected response first, that computes the coverage of
-    ever fewer of them.
+    """Search through pairs of controller and observer gains, fastest response first, for one that
+    tolerates the recorded model error.
 
     Kept are the first design, the first that is covered `barely`, and the one with the `largest`
     coverage, `most`. `lost` is the loss of a proof.
@@ -138,8 +138,8 @@ class GridWalk:
     def first_covered_design(
         self, coverage_of: Callable[[Design, float], float], last_place: int
     ) -> Design | None:
-        """First design in a search through gain pairs whose coverage reaches the target; None if
-        none does up to a given index."""
+        """First design in a search that tolerates the target multiple of the recorded model error;
+        None if no design up to a given index does."""
         for design in self._examined_designs(last_place):
             coverage = coverage_of(design, self.largest)
             self._add_design(design, coverage)
@@ -148,7 +148,8 @@ class GridWalk:
         return None
 
     def _examined_designs(self, last_place: int) -> Iterator[Design]:
-        """Designs of the gain pairs, up to a given index, whose coverage is to be computed."""
+        """Designs, up to a given index in the search, for which the tolerated model error is to be
+        computed."""
         if self.unseen is not None:
             design = self.unseen
             self.unseen = None
@@ -162,8 +163,8 @@ class GridWalk:
                 return
 
     def _add_design(self, design: Design, coverage: float) -> None:
-        """Compare a design and its coverage with the best designs of the search so far, and store
-        it if it is better."""
+        """Store a design if its coverage (ratio of tolerated to recorded model error) is the
+        largest so far or the first sufficient one."""
         if self.barely is None and coverage >= self.lost:
             self.barely = design
         if self.most is None or coverage > self.largest:
@@ -171,8 +172,8 @@ class GridWalk:
             self.largest = coverage
 
     def best_substitute(self) -> tuple[Design | None, str]:
-        """Best design of a search in which no design reaches the target coverage, and which kind it
-        is."""
+        """Best design of a search in which none tolerates the required model error, and a text that
+        says what is proved for it."""
         if self.barely is not None:
             return self.barely, LESS_COVERED
         return self.first, NOT_COVERED
@@ -180,8 +181,8 @@ class GridWalk:
     def search_near_best_design(
         self, search_near_design: Search | None, target_coverage: float
     ) -> Design | None:
-        """Design from a random search near the design with the largest coverage; None if the search
-        finds none."""
+        """Design from a random search near the design that tolerates the largest model error; None
+        if the search finds none."""
         if search_near_design is None or self.first is None or self.most is None:
             return None
         return search_near_design(self.first, self.most, target_coverage)
@@ -206,7 +207,8 @@ class LoopCoverage:
         premise: Premise,
         deciding_angles: dict[float, Float[np.ndarray, "D"]] | None = None,
     ) -> "LoopCoverage":
-        """Prepare the data from which the coverage of any gains in one closed loop is computed."""
+        """Prepare the data from which the model error that any gains tolerate in one closed loop is
+        computed."""
         from ssm_study.synthesis.measured_discs_search import CENTRES
 
         context = VerificationContext(
@@ -262,8 +264,8 @@ class LoopCoverage:
     def largest_disc_radius(
         self, gains: dict[str, Any], sufficient_radius: float = np.inf, least_radius: float = 0.0
     ) -> tuple[float, float]:
-        """Largest radius of a disc of model errors that given gains tolerate, with the best centre
-        of the disc. The search ends at the first radius that is `sufficient_radius`; below
+        """Largest radius of a disc of model errors that given gains tolerate, and the centre of
+        this disc. The search ends at the first radius that is `sufficient_radius`; below
         `least_radius` the radius may be an upper bound."""
         best = (0.0, next(iter(self.items)))
         for centre in self.items:

@@ -311,7 +311,7 @@ class AngleProgram:
 
 
 def _spread_indices(item_count: int, chosen_count: int) -> list[int]:
-    """Evenly spread indices of a given number of items of a list."""
+    """Indices of a given number of list items that are spread evenly over the list."""
     places = np.linspace(0, item_count - 1, chosen_count).round()
     return [int(place) for place in np.unique(places)]
 

@@ -1,5 +1,5 @@
-"""Certificate that the deployed gains tolerate the recorded model error, and the result-table
-columns that describe it.
+"""Certificate that the deployed gains tolerate the recorded model error, and result-table columns
+on this certificate.
 
 `coverage` is kappa over what the run's own records need at the certificate's weights. Both are
 derived from recordings by `verify`: weights that are stored larger need less and prove less, so no
@@ -119,7 +119,7 @@ class MismatchRecords(Protocol):
 
     @property
     def validation(self) -> Trajectories:
-        """Validation records of the data set."""
+        """Records that are reserved for validation of the model."""
         ...
 
     @property
@@ -153,8 +153,8 @@ def radii_needed_by_fresh_data(
 
 
 def fresh_data_column(required_radii: Sequence[float]) -> dict[str, Any]:
-    """Table column with the largest disc radius that the model error in a fresh data set
-    requires."""
+    """Table column with the largest ratio of model error in new data sets, which no training used,
+    to the recorded one."""
     return {"coverage_needed": max(required_radii)} if required_radii else {}
 
 
@@ -172,7 +172,7 @@ def null_coverage_of_unknown_band(
 
 
 def disc_weights(certificate: MeasuredDiscs) -> Weights:
-    """Weights of the measured disc, as a certificate stores them."""
+    """Frequency weights of the disc of model errors for which a stored certificate holds."""
     return Weights(
         floor=certificate.floor, output=certificate.weight_output, input=certificate.weight_input
     )

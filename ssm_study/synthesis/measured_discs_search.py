@@ -1,5 +1,5 @@
-"""Search for the largest disc radius that the theorem `measured_discs` proves for given gains, with
-its weights.
+"""Search for the largest disc of model errors, with frequency weights, that given gains are proved
+to tolerate.
 
 One convex program gives weights, multipliers and kappa (`measured_discs_program`); kappa is then
 taken a little back and the weights widened where the loop does not mind, since weights that are
@@ -152,7 +152,7 @@ def _largest_squared_radius(
 def refined_angles(
     deciding: Float[np.ndarray, "D"], angles: Float[np.ndarray, "F"]
 ) -> Float[np.ndarray, "N"]:
-    """Additional frequencies near each of those that decide an optimisation."""
+    """Additional grid frequencies around each frequency whose constraint determines the optimum."""
     ascending = np.sort(angles)
     last = len(ascending) - 1
     fine = []
@@ -175,8 +175,8 @@ def _reference_form_at(grid: FormsAtAngles, weights: Weights) -> Any:
 def _program_in_box(
     constant: Any, linear: Any, scale: Unknowns, upper_bounds: Unknowns
 ) -> AngleProgram:
-    """Optimisation problem over frequency whose scaled unknowns lie between zero and given
-    bounds."""
+    """Optimisation problem with one matrix constraint per grid frequency and scaled unknowns
+    between zero and given bounds."""
     unknowns = len(scale)
     identity = np.eye(unknowns)
     rows = np.concatenate([identity, -identity])
@@ -207,8 +207,8 @@ def _largest_margin(
     multipliers: Multipliers,
     first_angles: Sequence[int],
 ) -> tuple[Multipliers, float]:
-    """Multipliers that satisfy the theorem with the largest margin at a given disc radius, and the
-    margin. The margin is in units of each free signal's own weight."""
+    """Multipliers that prove a given radius of the disc of model errors with the largest margin,
+    and this margin. The margin is in units of each free signal's own weight."""
     grid = forms.at_angles(forms.frequency_grid)
     own_weights = initial_weights(forms, centre, multipliers)
     root = 1 / np.sqrt(own_weights)

@@ -269,9 +269,9 @@ class WeightProgram:
     def widen_weights(
         self, squared_radius: float, unknowns: Unknowns, margin_fraction: float
     ) -> Unknowns:
-        """Enlarge the disc's weights in each frequency band as far as the proof allows, at a fixed
-        disc radius. A margin of `margin_fraction` times each free signal's own weight is left in
-        the loop."""
+        """Enlarge the weights of a disc of model errors, at a fixed radius, as far as the proof
+        allows in each frequency band. A margin of `margin_fraction` times each free signal's own
+        weight is left in the loop."""
         unscaled_multipliers = unknowns[self.coefficient_count :]
         multipliers = np.maximum(unscaled_multipliers, 0.0)
         own = initial_weights(self.forms, self.centre, multipliers)
@@ -296,8 +296,8 @@ class WeightProgram:
     def _constraints_with_widening(
         self, scale: Unknowns, squared_radius: float
     ) -> tuple[ConstraintRows, Bounds, int]:
-        """Linear constraints on the disc's weights, the multipliers and the factor by which each
-        frequency band is widened.
+        """Linear constraints on the weights of the disc, the multipliers, and the factors by which
+        the weights are enlarged.
 
         Each item needs its band's widening times nu at most; a widening lies between one and
         `WIDEST`.

@@ -27,7 +27,8 @@ OPINION = "another solver's opinion, which decides nothing"
 
 
 def _side_columns(side: str, short_name: str, gain_symbol: str) -> tuple[Column, ...]:
-    """Declarations of the table columns that describe controller or observer."""
+    """Declarations of the result-table columns that describe either the controller or the
+    observer."""
     title = side.capitalize()
     rate = _rate_column(f"rate_{side}", f"{title} rate, ρ", setting=f"synthesis.rate_{side}")
     requested_rate = replace(rate, better="", head=f"r {short_name}")

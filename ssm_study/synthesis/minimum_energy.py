@@ -77,8 +77,8 @@ SCALES = (1.0, 1.1, 1.25, 1.4, 1.6, 1.8)
 def minimum_energy_gain(
     modes: Modes, ball: JacobianBall, contraction: float, widens_ball: bool = True
 ) -> FastGain:
-    """Gain of minimum input energy that moves modes outside a circle into it; the circle's radius
-    is the contraction factor. The gain is zero if there are none.
+    """Gain of minimum input energy that moves all modes into the circle whose radius is the
+    contraction factor. The gain is zero if there are none.
 
     `widens_ball` designs for a ball between the asked one and the widest possible at this r.
     """
@@ -117,7 +117,7 @@ def minimum_energy_gain(
 
 def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:
     """Functions that solve a synthesis problem by minimum-energy gains at several contraction
-    rates, the cheapest first."""
+    rates, in the order to try them."""
     attempts: list[Callable[[], Solution]] = []
     for share in SHARES:
         attempt = partial(minimum_energy_solution, problem, share)

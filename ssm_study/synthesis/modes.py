@@ -127,7 +127,8 @@ def weighted_block_metric(problem: Problem, modes: Modes, fast_gain: FastGain) -
 def full_metric(
     problem: Problem, modes: Modes, fast_gain: FastGain, faster_contraction: float
 ) -> Square:
-    """Smallest contraction metric P of a minimum-energy gain, over fast and slow modes together.
+    """Smallest contraction metric P of a minimum-energy gain, for fast and slow modes in one
+    matrix.
 
     The equation is that of `least_metric`; docs/theory.md, "When digits run out", says why. Raises
     `NoSolution` without fast modes, or without a solution in floats.

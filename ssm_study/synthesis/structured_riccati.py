@@ -258,7 +258,8 @@ def log_multipliers(problem: Problem, solution: Solution) -> Vector:
 
 
 def _interpolate_games(game: Game, slow_game: Game, fraction: float) -> Game:
-    """Game with a contraction factor between those of a fast and a slow game."""
+    """Dynamic game whose contraction factor is interpolated between the contraction factors of two
+    games."""
     if fraction == 1.0:
         return game
     ratio = game.r / slow_game.r

@@ -58,8 +58,8 @@ class BilinearEverywhere(BilinearLoopTheorem):
 
     @staticmethod
     def conditions(proof: Any) -> dict[str, Blocks]:
-        """Matrix inequalities at every pair of input level (node) and segment of a bilinear model,
-        with and without control."""
+        """Matrix inequalities at every input level (node) and segment between levels of a bilinear
+        model, with and without control."""
         matrices = (
             feedback_conditions(proof) | observer_conditions(proof) | coupling_conditions(proof)
         )

@@ -1,5 +1,5 @@
-"""Controller and observer of a bilinear model whose closed loop comes to rest from a stated set of
-initial states.
+"""Proof that a bilinear model in closed loop with controller and observer comes to rest from a set
+of initial states.
 
 Problem. `x+ = sum_i theta_i(v) (A_i x + b_i)`, `w = C x`, one input v, hat functions `theta_i` on
 nodes `v_1 < ... < v_q`, `b_i = 0` at the node zero. `v = K xh`, `xh+ = sum_i theta_i(v) (A_i xh +

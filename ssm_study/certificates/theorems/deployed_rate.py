@@ -104,8 +104,8 @@ def largest_rate(
 
 
 def certificate_at_largest_rate(certificate: Any) -> Side | None:
-    """Certificate of the largest contraction rate that is proved for a certified gain; None if its
-    rate is not improved."""
+    """Certificate of the largest contraction rate provable for an already certified gain; None if
+    no larger rate than before is proved."""
     started = time.perf_counter()
     problem, solution = certificate.as_problem()
     limit = min(largest_rate(problem.a, problem.b, solution.k, problem.ball), LARGEST_RATE)

@@ -68,8 +68,8 @@ class StructuredObserver(ProblemCertificate, Observer):
 
     @staticmethod
     def inequality(proof: Any) -> Blocks:
-        """Blocks of the matrix inequality of an observer for a model with neurons, with the
-        multipliers of a certificate."""
+        """Blocks of the matrix inequality that a certificate of an observer for a model with
+        neurons must satisfy."""
         weights = multiplier_matrix(proof.lambda_)
         return structured_observer_inequality(proof, weights, weights @ proof.l_z)
 

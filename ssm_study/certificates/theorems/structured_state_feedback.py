@@ -68,8 +68,8 @@ class StructuredStateFeedback(ProblemCertificate, StateFeedback):
 
     @staticmethod
     def inequality(proof: Any) -> Blocks:
-        """Blocks of the matrix inequality of a state feedback for a model with neurons, with the
-        multipliers of a certificate."""
+        """Blocks of the matrix inequality that a certificate of a state feedback for a model with
+        neurons must satisfy."""
         weights = multiplier_matrix(proof.lambda_)
         identity = np.eye(weights.shape[0])
         return structured_feedback_inequality(proof, (weights, identity, weights))

@@ -52,7 +52,8 @@ class ChosenIntegralPeer(Peer, names=("auto_integral",)):
     """Comparison method that uses this project's automatic design with integral action."""
 
     def build(self, plant: Plant, identified: Identified, rate: float) -> Design:
-        """Design with integral action that `synthesis=auto` chooses for the identified model."""
+        """Certified design with integral action that the automatic synthesis (`synthesis=auto`)
+        chooses for the identified model."""
         integral_weights = (1e-4, 1e-3, 1e-2)
         synthesis = Auto(integral_weights=integral_weights)
         return identified.auto_design(synthesis)

@@ -64,7 +64,8 @@ class Identified:
         )
 
     def auto_design(self, synthesis: "Auto") -> Design:
-        """Design that `synthesis=auto` chooses for the identified model."""
+        """Certified design that the automatic synthesis (`synthesis=auto`) chooses for the
+        identified model."""
         return synthesis.design(self.model, self.balls, self.validation, self.mismatch)
 
 
