@@ -280,8 +280,8 @@ class Design:
         return not any(isinstance(part, Infeasible) for part in sides)
 
     def parts(self) -> tuple[StateFeedback, Observer]:
-        """Certificates of the controller and of the observer of a design. Raises `BadRequest` with
-        the reason where one is infeasible."""
+        """Pair of a design's certificates, first the controller's and then the observer's. Raises
+        `BadRequest` with the reason where one is infeasible."""
         for name in SIDES:
             part = self.certificates_by_name[name]
             if isinstance(part, Infeasible):

@@ -1,4 +1,4 @@
-"""Exact largest contraction rate that any certificate of [Z26] Theorems 1 and 2 can prove, computed
+"""Exact largest contraction rate that Theorems 1 and 2 of Zakwan et al. [Z26] can prove, computed
 without a solver.
 
 Theorem 1 is feasible iff `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`, S of minimum energy;

@@ -60,7 +60,7 @@ class PortableNeurons:
 
 @dataclass(frozen=True, kw_only=True)
 class PortableController:
-    """Controller with its observer as plain arrays, which need no library.
+    """Controller with observer as plain arrays, from which it can be computed without any library.
 
     `u = u_eq + s_u K x,  x+ = A x + B S_u(v) + L (S_y(C x + D S_u(v)) - w) + E w`, with
     `v = (u - u_eq)/s_u`, `w = (y - y_eq)/s_y`; physical `u (m,)`, `y (p,)`. The state `x (n,)`

@@ -83,7 +83,8 @@ class BilinearFeedback(Controller):
         return advance_bilinear_states(model, memory, u, correction)
 
     def estimate(self, memory: Memory) -> Estimate:
-        """State estimate, which is the whole memory of this controller."""
+        """State estimate of the observer, which is all that a bilinear controller stores between
+        samples."""
         return memory
 
 

@@ -25,7 +25,7 @@ def write_stopped_cases(
 
 
 def write_samples(log: Log, cases: SomeCases, samples: int | slice, values: Values) -> None:
-    """Write the signals of some of the parallel simulations at some samples to the log."""
+    """Write the signals of selected simulations at selected samples to the log."""
     for name, value in values.items():
         log[name][cases, samples] = value
 

@@ -129,7 +129,8 @@ class RepeatingPower:
         is_unexcited: bool = False,
         is_band: bool = False,
     ) -> Item:
-        """Combine the powers at several spectral lines to one inequality on a disc of errors."""
+        """Combine the powers at several spectral lines into one inequality that a disc of model
+        errors must satisfy."""
         record = self.record
         measured_power = self.mismatch_power(
             lines, is_doubtful=is_doubtful, is_unexcited=is_unexcited

@@ -143,9 +143,9 @@ def loops_at_constant_slopes(
 def _group_by_amplitude(
     model: Model, balls: Balls, mismatch: Mismatch
 ) -> list[tuple[Balls, Mismatch]]:
-    """Group the recorded model errors by input amplitude, each with the static maps' slopes that
-    occur at that amplitude. The two largest amplitudes and closed-loop records are combined with
-    all slopes.
+    """Group the recorded model errors by input amplitude, each with the slopes of the static maps
+    at this amplitude. The two largest amplitudes and closed-loop records are combined with all
+    slopes.
 
     The smaller amplitudes, up to the second largest, speak of loops that swing no wider than its
     sinusoid, whose peak is `sqrt(2)` times its root mean square: of one S_u they meet the slopes

@@ -144,8 +144,8 @@ class RecordErrors:
         return np.asarray(transforms)
 
     def error_spectra(self) -> Spectra:
-        """Fourier transforms of the model error in both periods, and of input and model output in
-        the second period."""
+        """Fourier transforms of the model error in both periods of a record, and of input and model
+        output in the second period."""
         of_error = self.period_spectra(self.e)
         _, of_input = self.period_spectra(self.u)
         _, of_model = self.period_spectra(self.model)

@@ -109,7 +109,7 @@ def error_to_input_response(
 def noise_response(
     system: StateSpace, gains: Gains, slope_in: float, slope_out: float
 ) -> StateSpace:
-    """Closed-loop transfer function from the sensor noise to the model's true output, at constant
+    """Closed-loop transfer function from sensor noise to the model's noise-free output, at constant
     slopes of the static maps."""
     loop = error_to_input_response(system, gains, slope_in, slope_out)
     outputs = len(system.c)

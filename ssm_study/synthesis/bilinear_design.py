@@ -141,8 +141,8 @@ class LoopVertices:
 
 
 def contraction_metric(matrices: list[Matrix], least_metric: Matrix, failure_reason: str) -> Matrix:
-    """Smallest metric in which several given matrices all contract, by nearly the smallest common
-    factor. Raises `NoSolution` with the reason where none is found."""
+    """Smallest metric in which several given matrices all contract, at nearly the smallest possible
+    common factor. Raises `NoSolution` with the reason where none is found."""
     highest = 1.0 - 10.0 * ROUNDING
     metric = metric_for_factor(matrices, highest, least_metric, failure_reason)
     spectral_radii = (float(np.abs(np.linalg.eigvals(matrix)).max()) for matrix in matrices)

@@ -172,8 +172,8 @@ class ExpectedResponse:
 def indices_to_compare(
     response_areas: Float[np.ndarray, "N"], is_slow: Bool[np.ndarray, "N"]
 ) -> list[int]:
-    """Indices of the designs to compare: those with the smallest response areas, and a spread-out
-    sample of the others."""
+    """Indices of the designs to examine further: those with the smallest response areas, and an
+    even sample of the others."""
     order = np.lexsort((response_areas, is_slow))
     design_count = len(order)
     step = max(design_count // COMPARED, 1)

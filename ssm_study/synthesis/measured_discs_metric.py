@@ -1,4 +1,5 @@
-"""Search for a metric P that proves a measured disc, among candidates from Riccati equations.
+"""Search for a metric P that proves stability for a disc of model errors, among candidates from
+Riccati equations.
 
 Source: docs/theory.md, "Measured discs".
 """
@@ -27,8 +28,8 @@ def first_exact_certificate(
     margin: float,
     start_time: float,
 ) -> MeasuredDiscs | None:
-    """Certificate of a measured disc with the first candidate metric P that exact arithmetic
-    accepts; None if it accepts none."""
+    """Certificate for a disc of model errors with the first candidate metric P that exact
+    arithmetic accepts; None if it accepts none."""
     if margin <= 0:
         return None
     ball = context.balls.input
@@ -50,8 +51,8 @@ def first_exact_certificate(
 def metric_candidates(
     theorem: type[MeasuredDiscs], numbers: dict[str, Any], margin: float
 ) -> Iterator[Float[np.ndarray, "x x"]]:
-    """Candidates for the metric P of a measured-disc certificate, from Riccati equations with
-    several slacks."""
+    """Candidates for the metric P in a certificate for a disc of model errors, from Riccati
+    equations with several slacks."""
     matrices = {name: np.atleast_2d(value) for name, value in numbers.items()}
     of = SimpleNamespace(**matrices)
     rows = theorem.signal_matrices(of)

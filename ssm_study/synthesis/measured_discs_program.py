@@ -1,5 +1,5 @@
-"""Convex program that optimises weights, multipliers and radius of the measured disc at selected
-frequencies.
+"""Convex program for weights, multipliers and radius of a disc of model errors, with constraints at
+selected frequencies.
 
 With every signal of the loop as a row over its free signals at `z = e^{jw}` the theorem's
 inequality is, by the Kalman-Yakubovich-Popov lemma, a Hermitian matrix that must be positive at
@@ -126,8 +126,8 @@ class LoopForms:
 
 @dataclass(frozen=True, kw_only=True)
 class FormsAtAngles:
-    """Quadratic forms of a closed loop at several frequencies, as Hermitian matrices of the free
-    signals."""
+    """Quadratic forms of a closed loop in its free signals, as Hermitian matrices at several
+    frequencies."""
 
     angles: Angles
     model: FormsOverAngles
@@ -156,8 +156,8 @@ class FormsAtAngles:
 def loop_without_filters(
     theorem: type[MeasuredDiscs], context: VerificationContext
 ) -> tuple[Any, dict[str, int]]:
-    """Closed-loop matrices of the measured-disc theorem without weights, and the number of
-    multipliers by name."""
+    """Closed-loop matrices of the theorem on discs of model errors, without weights, and the number
+    of multipliers by name."""
     loop = theorem.loop_matrices(context)
     lambda_out = 3 if loop["beta_out"] > 0 else 0
     counts = {"lambda_p": 1, "lambda_out": lambda_out}

@@ -71,7 +71,8 @@ class Coverage:
 
 
 def select_theorem(context: VerificationContext) -> type[MeasuredDiscs]:
-    """Class of the measured-disc theorem for a model with or without neurons."""
+    """Theorem on discs of model errors that fits a model: one for models with neurons, another for
+    those without."""
     neurons = isinstance(context.system, StructuredSystem)
     return StructuredMeasuredDiscs if neurons else MeasuredDiscs
 
@@ -234,7 +235,8 @@ def _largest_margin(
 def _theorem_variables(
     forms: LoopForms, weights: Weights, centre: float, kappa: float, multipliers: Multipliers
 ) -> dict[str, Any]:
-    """Variables of the measured-disc theorem as a certificate stores them, except the metric P."""
+    """Variables of the theorem on discs of model errors as a certificate stores them, except the
+    metric P."""
     numbers: dict[str, Any] = {"centre": centre, "kappa": kappa, "floor": weights.floor}
     numbers |= {"weight_output": weights.output, "weight_input": weights.input}
     numbers["lambda_out"] = np.zeros(0)

@@ -233,7 +233,8 @@ class WeightProgram:
 
     @property
     def coefficient_count(self) -> int:
-        """Number of coefficients of both weights of the disc together."""
+        """Total number of coefficients in the output weight and the input weight of a disc of model
+        errors."""
         return 2 * (self.basis.order + 1)
 
     def _constraints_with_radius(self, scale: Unknowns) -> tuple[ConstraintRows, Bounds]:
@@ -345,7 +346,8 @@ class WeightProgram:
 
 
 def scale_unknowns(forms: Any, scale: Unknowns) -> Any:
-    """Divide the matrix of each unknown of an optimisation by the size of the unknown."""
+    """Divide the coefficient matrix of each unknown in an optimisation by the scale of the
+    unknown."""
     return forms / scale[:, None, None, None]
 
 

@@ -236,8 +236,8 @@ def common_range_columns(
 
 
 def paper_feasibility_columns(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
-    """Table columns on whether the matrix inequalities of [Z26] are feasible at the rates of a
-    design, by an independent solver."""
+    """Table columns on whether an independent solver finds the matrix inequalities of Zakwan et al.
+    feasible at a design's rates."""
     from ssm_study.synthesis.lmi import (
         certificate_from_paper_lmi,
     )  # CVXPY takes half a second to import

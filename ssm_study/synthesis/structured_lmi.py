@@ -80,8 +80,8 @@ class StructuredLmi:
         return of
 
     def _inequality_blocks(self, symbols: Any, neurons: Neurons) -> tuple[Blocks, list[int]]:
-        """Blocks of the theorem's matrix inequality, and the indices of the rows that belong to the
-        multiplier of the ball of Jacobians."""
+        """Blocks of the matrix inequality for a model with neurons, and the indices of the rows for
+        the static map's slopes."""
         q, m = neurons.g.shape
         t = cp.diag(symbols.t)
         a = self.problem.a
@@ -148,8 +148,8 @@ class StructuredLmi:
         return cls(problem=problem, objective="largest_margin", fixed=fixed)
 
     def prove_rate(self, k: Rows) -> Solution:
-        """Metric and multipliers that prove the rate of a synthesis problem for a given gain.
-        Raises `NoSolution` if there are none."""
+        """Metric and multipliers that prove the requested contraction rate for a given gain. Raises
+        `NoSolution` if there are none."""
         self.of.k.value = k
         solution = self.solve(self.problem.rate)
         if not is_confirmed_exactly(self.problem, solution):

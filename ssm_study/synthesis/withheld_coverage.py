@@ -37,8 +37,8 @@ def reported_coverage(design: Design, model: Model, premise: Premise) -> float |
 
 
 def withhold_coverage(columns: dict[str, Any], model: Model, gains: Gains) -> dict[str, Any]:
-    """Remove the coverage of a controller that hardly acts or is unstable by itself from a run's
-    columns, and state why."""
+    """Replace a run's coverage column by a reason if the controller hardly acts or is unstable by
+    itself."""
     coverage = columns.get("coverage")
     if coverage is None or coverage < 1:
         return columns

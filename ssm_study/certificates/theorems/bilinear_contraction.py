@@ -85,8 +85,8 @@ class BilinearContraction(BilinearTheorem):
 
 
 def example_numbers(factor: float) -> dict[str, Any]:
-    """Numbers of this theorem's worked example: a bilinear model with one state and three input
-    levels (nodes)."""
+    """Numbers of a worked example for the contraction theorem: a bilinear model with one state and
+    three input levels (nodes)."""
     numbers = bilinear_loop.example_numbers(0.45)
     for name in ("c", "l_nodes", "m", "factor_observer", "coupling", "weight", "gain_error"):
         del numbers[name]

@@ -78,8 +78,8 @@ class BilinearEverywhere(BilinearLoopTheorem):
 
 
 def example_numbers(factor_uncontrolled: float) -> dict[str, Any]:
-    """Numbers of this theorem's worked example: a bilinear loop with one state and three input
-    levels (nodes)."""
+    """Numbers of a worked example with an unlimited set of initial states: a bilinear loop with one
+    state and three input levels."""
     numbers = bilinear_loop.example_numbers(0.45)
     del numbers["radius"], numbers["gain_error"], numbers["gain_state"]
     return numbers | {"factor": 0.7, "factor_uncontrolled": factor_uncontrolled}

@@ -184,8 +184,8 @@ def augmented_system(
 
 
 def linear_output_gain(model: Model) -> OutputGain:
-    """Gain of a model's static output map, which has to be linear for an internal model. `G` of
-    `S_y(v) = G v`. Raises `BadRequest` for any other output map."""
+    """Gain of a model's static output map, which must be linear if the controller has an internal
+    model. `G` of `S_y(v) = G v`. Raises `BadRequest` for any other output map."""
     portable_map = model.scaffold_out.as_portable()
     problem = "it needs a linear output map, so that it is part of the recurrence"
     remedy = "use scaffold@model.scaffold_out=linear"

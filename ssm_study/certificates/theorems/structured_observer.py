@@ -91,8 +91,8 @@ class StructuredObserver(ProblemCertificate, Observer):
 
 
 def _closes_algebraic_loop(h: NeuronOutput, l_z: NeuronInjection) -> bool:
-    """Whether injection of the output error into the neurons closes an algebraic loop, as neurons
-    enter the output."""
+    """Whether an observer that injects the output error into neurons has an algebraic loop, because
+    neurons affect the output."""
     return bool(np.any(h) and np.any(l_z))
 
 

@@ -91,8 +91,8 @@ class Peer(Family):
 
     @abstractmethod
     def build(self, plant: Plant, identified: Identified, rate: float) -> Controller | Design:
-        """Build the controller of a comparison method for a plant; a certified method returns a
-        design.
+        """Build the controller that a compared control method gives for a plant, or a design if the
+        method certifies its gains.
 
         Raises `BadRequest` for a model or plant that the method has no controller for.
         """
