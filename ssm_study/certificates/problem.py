@@ -47,9 +47,9 @@ class Neurons:
 
     @property
     def neuron_scales(self) -> Float[np.ndarray, "q"]:
-        """Scale factor of each neuron that balances its input and output weights. Powers of two `d`
-        that make `|e_i| / d_i` and `d_i |f_i|` alike, since trained neurons differ by many decades.
-        """
+        """Scale factor of each neuron that makes the neuron's input and output weights equal in
+        size. Powers of two `d` that make `|e_i| / d_i` and `d_i |f_i|` alike, since trained neurons
+        differ by many decades."""
         into = np.linalg.norm(self.e, axis=0)
         input_norms = np.linalg.norm(self.f, axis=1)
         ratio = np.divide(

@@ -1,4 +1,5 @@
-"""Export of a bilinear controller as C99: one header, and a program that replays it."""
+"""Export of a bilinear controller as C99: one header with the controller, and a program that
+replays measurements."""
 
 from collections.abc import Sequence
 

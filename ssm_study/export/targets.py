@@ -389,8 +389,8 @@ def _provable_rate(
 
 
 def _ball_of_rounded_slopes(static_map: PortableMap) -> JacobianBall | None:
-    """Ball that contains the slopes of a static map after rounding of its numbers; None if no
-    proved ball is known."""
+    """Ball that contains the slopes of a static map with rounded coefficients; None if no proved
+    ball is known."""
     try:
         if static_map.network is None:
             linear_scaffold = LinearScaffold(gain=static_map.linear)

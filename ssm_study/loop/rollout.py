@@ -58,8 +58,8 @@ class Rollouts:
 
     @property
     def stayed_within_bound(self) -> CaseSelection:
-        """For each simulation, whether its signals stayed within the bound at which a simulation is
-        stopped."""
+        """For each simulation, whether all signals stayed within the bound beyond which simulations
+        are stopped."""
         return self.left_at_sample == STAYED
 
     @property
@@ -134,8 +134,8 @@ def simulate_closed_loop(
 def _is_inside_bound(
     plant: Plant, y: Outputs, u: Inputs, estimate: Estimates, bound: Bound
 ) -> CaseSelection:
-    """For each simulation, whether output, input and estimate are within the bound at which it is
-    stopped."""
+    """For each simulation, whether output, input and estimate are within the bound beyond which
+    simulations are stopped."""
     rest = plant.equilibrium()
     input_deviation = u - rest.u
     input_amplitudes = np.array(plant.input_amplitude)

@@ -84,7 +84,8 @@ def line_powers(spectrum: Complex[np.ndarray, "L c"]) -> Powers:
 
 
 def line_spectrum(record_errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> MismatchSpectrum:
-    """Line spectra of both periods of a record whose input repeats twice."""
+    """Line spectra of input, model output and model error in a record with two equal periods of
+    input."""
     assert record_errors.period is not None
     lines = np.arange(record_errors.period // 2 + 1)
     angles = 2 * np.pi * lines / record_errors.period
@@ -121,9 +122,9 @@ def averaged_spectrum(record_errors: RecordErrors) -> AveragedSpectrum:
 def averaged_spectrum_in_loop(
     record_errors: RecordErrors, noise: Float[np.ndarray, "F"] | None
 ) -> AveragedSpectrum:
-    """Power spectra by Welch's averages of a record in closed loop, with an estimate of its noise.
-    The noise is `noise` from records in open loop, else white and as strong as e in its quietest
-    bands."""
+    """Power spectra of a closed-loop record by Welch's averages, with an estimate of the record's
+    noise. The noise is `noise` from records in open loop, else white and as strong as e in its
+    quietest bands."""
     powers = _welch_powers(record_errors)
     angles = powers["angles"]
     samples = len(record_errors.u)

@@ -1,5 +1,5 @@
-"""Table by frequency of the disc radius that the recorded model error needs, and of the radius that
-is proved.
+"""Table by frequency of two disc radii: the one that contains the recorded model error, and the one
+that is proved.
 
 `coverage_table(premise, weights, centre, kappa)` has one row for every band of every record. Of a
 run, `recorded_error_spectra` (`study/stages/synthesis.py`) gives the premise and the certificate
@@ -41,8 +41,8 @@ class CoverageBand:
 def coverage_table(
     premise: Premise, weights: Weights, centre: float, kappa: float
 ) -> list[CoverageBand]:
-    """Table rows with the needed and the proved disc radius, one for each frequency band of each
-    record, sorted by frequency.
+    """Table rows, one for each frequency band of a record, with the disc radius that contains the
+    model error and the proved radius.
 
     Groups of bands, means and totals have no row, so the largest `need` of the rows may be smaller
     than the need that `coverage` is taken over.

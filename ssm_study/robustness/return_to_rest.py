@@ -144,8 +144,8 @@ def output_after_motion(
 
 
 def remaining_offset(output: OutputSignal) -> float:
-    """Offset of an output that remains at the end of a record at constant input, or the amplitude
-    of its oscillation where that is larger. The last quarter counts, with noise removed."""
+    """Offset of an output that remains at the end of a record with constant input, or the
+    oscillation amplitude where it is larger. The last quarter counts, with noise removed."""
     tail, noise = _last_quarter(output)
     standard_error = np.sqrt(noise / len(tail))
     offset = np.abs(tail.mean(axis=0)) - SURE * standard_error

@@ -244,8 +244,8 @@ def equilibrium_slopes(model: Model) -> Slopes | None:
 
 
 def stack_neuron_injections(observers: list[GainCandidate]) -> Float[np.ndarray, "O q p"] | None:
-    """Gains with which several observers correct the neurons by the output error, as one array;
-    None if the first has no such gain."""
+    """Gains with which several observers feed the output error into the neurons, as one array; None
+    if the first observer has none."""
     gains = [solution.k_w for _, solution in observers]
     if gains[0] is None:
         return None

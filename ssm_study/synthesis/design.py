@@ -308,7 +308,7 @@ class Synthesis(ABC):
 
     @property
     def modes(self) -> tuple[str, ...]:
-        """Names of the reference and disturbance modes in the internal model, such as `step`."""
+        """Names of the signals that the internal model generates, such as `step` and `sine`."""
         return tuple(self.internal_model)
 
     @abstractmethod

@@ -263,8 +263,8 @@ def paper_feasibility_columns(design: Design, model: Model, balls: Balls) -> dic
 def certificate_columns(
     side: str, certificate: StateFeedback | Observer | Infeasible
 ) -> dict[str, Any]:
-    """Table columns that describe the certificate of controller or observer; without values if it
-    is missing."""
+    """Table columns that describe the certificate of the controller or of the observer; without
+    values if there is no certificate."""
     facts: dict[str, Any] = {
         f"rate_{side}": certificate.rate,
         f"{side}_feasible": not isinstance(certificate, Infeasible),

@@ -1,5 +1,5 @@
-"""Test of a chosen design by single sines at the frequencies where its closed loop is most
-sensitive.
+"""Test of a chosen design by experiments with single-sine inputs, at the frequencies where its
+closed loop is most sensitive.
 
 The prediction is made again with what the sines show beside the other records; it stands only where
 both predict stability. The proof covers the model error only if it covers that of the sines, too.
@@ -87,8 +87,8 @@ def sine_columns(
 def sine_coverage_columns(
     design: Design, sines: Sequence[SineMismatch], coverage: float | None
 ) -> dict[str, Any]:
-    """Table column with the ratio of the proved model error to that of single-sine tests; no value
-    if nothing is proved, no column without tests.
+    """Table column with the ratio of the proved model error to the one measured in single-sine
+    tests; no column without such tests.
 
     `coverage` is that over the run's records, None where nothing is covered. The premise must hold
     for the sines, too, so where they need more, theirs takes its place.

@@ -183,7 +183,7 @@ def largest_rate_with_neurons(problem: Problem, fixed: Solution | None = None) -
 def fastest_confirmed_solution(
     problem: Problem, fixed_gains: Solution | None = None
 ) -> tuple[float, Solution | None]:
-    """Largest contraction rate of a model with neurons that exact arithmetic confirms, by
+    """Largest contraction rate that exact arithmetic confirms for a model with neurons, by
     bisection, and the matrices that prove it."""
     program = StructuredLmi(problem=problem, objective="largest_margin", fixed=fixed_gains)
     low = 0.0

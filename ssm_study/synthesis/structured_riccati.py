@@ -170,8 +170,8 @@ def minimise_guaranteed_cost(
 
 
 def least_guaranteed_cost(problem: Problem, start_solution: Solution | None = None) -> Solution:
-    """Gain of a model with neurons that has the smallest guaranteed cost, and the matrices that
-    prove it. Raises `NoSolution` if the search stops before the requested rate.
+    """Gain with the smallest guaranteed cost for a model with neurons, and the matrices that
+    certify this gain. Raises `NoSolution` if the search stops before the requested rate.
 
     It starts from the multipliers of `start_solution` where they hold: as they must, scaled up, if
     that is a solution at a faster rate, since smaller weights and a slower rate only relax the
