@@ -119,7 +119,7 @@ def resample_to_even_clock(
     tolerance: float,
     resample: bool,
 ) -> EvenRows:
-    """Bring the rows of a log to evenly spaced times, and cut the log at gaps and missing values.
+    """Resample a log to evenly spaced times, and cut the log at gaps and missing values.
 
     `step_s`, where it is given, must agree with the times within 0.1 %. The first `inputs` columns
     are inputs. Raises `BadRequest` for times that run backwards, repeat, or are no samples of a

@@ -17,8 +17,8 @@ Signal = Float[np.ndarray, "T"]
 
 
 def unmeasured_reason(u: Signal, y: Signal, fewest: int) -> str:
-    """Reason why the longest gap-free part of a log shows no dynamics: too short, or constant;
-    empty if it shows them."""
+    """Reason why no dynamics can be measured in a log whose longest gap-free part is too short or
+    constant; otherwise empty."""
     if len(u) < fewest:
         return f"the longest piece has {len(u)} samples, fewer than {fewest}"
     if np.ptp(u) == 0:

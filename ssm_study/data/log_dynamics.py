@@ -348,7 +348,8 @@ def largest_explained_variance(u: Signal, y: Signal) -> float:
 
 
 def explained_variance_over_window(u: Signal, y: Signal, window: int) -> ExplainedVariance:
-    """Fractions of the variance of output and output change that input averages explain."""
+    """Fractions of the variances of output and output increments that input averages over a window
+    explain."""
     weights = np.full(window, 1 / window)
     mean = np.convolve(u, weights, mode="valid")[:-1:window]
     ends = y[window::window][: len(mean)]

@@ -1,4 +1,4 @@
-"""Errors about a log: the command that shows what the log contains, and which values it lacks."""
+"""Error messages on a log, with its missing values or with the command that shows its contents."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,5 +1,5 @@
-"""Overview of a log on one screen: its columns, its clock, how the output responds, and a command
-that fits a model to it.
+"""Overview of a log on one screen: columns, sampling, response of the output, and a command that
+fits a model.
 
 Each sentence is a measurement on the log alone; none of them decides anything about a model.
 """

@@ -85,7 +85,8 @@ def input_score(column: ColumnFacts) -> float:
 
 
 def level_score(column: ColumnFacts) -> float:
-    """Score of how long a column holds each of its values, and how few distinct values it has."""
+    """Score of a log column, high if the column has few distinct values and holds each of them for
+    long."""
     few_levels = max(0.0, 1.0 - 2.0 * column.levels / column.rows)
     return HOLDS_COUNT * round(column.held, 1) + FEW_LEVELS_COUNT * round(few_levels, 1)
 

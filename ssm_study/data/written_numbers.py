@@ -49,8 +49,8 @@ def _remove_spaces_between_digits(cells: pa.ChunkedArray) -> pa.ChunkedArray:
 def _remove_group_separators(
     cells: pa.ChunkedArray, filled: pa.ChunkedArray, group: str, decimal: str
 ) -> tuple[pa.ChunkedArray, str]:
-    """Remove a comma or point that separates groups of three digits, if the column shows that this
-    is its meaning."""
+    """Remove commas or points between groups of three digits, if a column's numbers show that these
+    are no decimal marks."""
     mark = "," if group == "," else r"\."
     point = r"\." if decimal == "." else ","
     grouped = rf"^[-+]?[1-9]\d{{0,2}}({mark}\d{{3}})+({point}\d+)?$"

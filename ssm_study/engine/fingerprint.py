@@ -142,7 +142,7 @@ class CodeReader:
         return current_symbol(module, name)
 
     def _is_followed(self, top: str) -> bool:
-        """Whether fingerprints depend on the source of a package, not only on its version."""
+        """Whether the code fingerprints depend on a package's source, not only on its version."""
         if top not in self.followed:
             path = None if top in sys.stdlib_module_names else self._source_path(top)
             is_ours = top in (*self.folders, OURS, "__main__")

@@ -72,7 +72,7 @@ class StageOutput(Generic[T]):
 
     @cached_property
     def value(self) -> T:
-        """Value that a computing step of a run wrote, read from its folder when it is first
+        """Value that a computing step of a run wrote, read from the step's folder when first
         needed."""
         return self.computed[0] if self.computed else self.stage.read(self.result.path)
 
@@ -138,7 +138,8 @@ class Stages(ABC):
         return {}
 
     def unrecorded_store(self) -> "Stages":
-        """Copy of a store of results that does not log computing steps in the run's record."""
+        """Copy of this store of results, except that computing steps are not logged in the run's
+        record."""
         return self
 
 

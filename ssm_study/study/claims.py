@@ -182,7 +182,8 @@ def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, An
 def label_pairs(
     stored: Sequence[Any], recomputed: Sequence[Any], prefix: str = ""
 ) -> dict[str, tuple[Any, Any]]:
-    """Name pairs of stored and recomputed values by a common name with a running number."""
+    """Give each pair of a stored and a recomputed value a name: a common word and a running
+    number."""
     pairs = zip(stored, recomputed, strict=True)
     return {f"{prefix}{number}": pair for number, pair in enumerate(pairs)}
 
@@ -240,8 +241,8 @@ def check_fits(run: RunFiles) -> Claims:
 
 
 def check_loops(run: RunFiles) -> Claims:
-    """Check that model, gains and plant reproduce a run's recorded closed loops and the values from
-    these."""
+    """Check that a new simulation reproduces a run's recorded closed loops and the values computed
+    from them."""
     yield from check_loop_files(run)
     if not run.closes_loop:
         return

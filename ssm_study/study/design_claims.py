@@ -115,8 +115,8 @@ def columns_of_later_versions(run: RunFiles) -> dict[str, str]:
 
 
 def unrepeated_coverage_search(run: RunFiles) -> dict[str, str]:
-    """Recorded failure of a search for a coverage proof that is too slow to repeat, with the
-    reason; otherwise empty."""
+    """Reason why a failed search for a proof that covers the model error is not repeated; otherwise
+    empty."""
     is_unproved = run.record.get("coverage_reason") == UNPROVED
     if not is_unproved or is_search_repeated(run):
         return {}
@@ -125,8 +125,8 @@ def unrepeated_coverage_search(run: RunFiles) -> dict[str, str]:
 
 
 def lacks_coverage(run: RunFiles) -> bool:
-    """Whether record and certificate of an earlier version do not state how much model error the
-    proof covers."""
+    """Whether the files of a run by an earlier version do not state how much model error its
+    stability proof covers."""
     is_claimed = any(run.record.get(name) is not None for name in COVERAGE_COLUMNS[:2])
     is_old = run.record_version < VERSION
     return is_old and not is_claimed and MeasuredDiscs.part not in run.design.extra_certificates
@@ -303,8 +303,8 @@ def requested_system(run: RunFiles) -> System:
 
 
 def stored_number_errors(part: Theorem | Infeasible) -> list[str]:
-    """Sentences on wrong numbers in a certificate other than the proof, such as margin and
-    condition number."""
+    """Sentences on wrong numbers that a certificate states beside its proof: margin and condition
+    number."""
     if isinstance(part, Infeasible):
         return []
     again = smallest_eigenvalue(next(iter(part.as_floats(**part.variables).values())))

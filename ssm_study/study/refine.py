@@ -124,8 +124,8 @@ class TrialMismatch:
 
     @property
     def ends_refinement(self) -> bool:
-        """Whether refinement ends because the loop comes to rest or the proof covers the model
-        error of the trial."""
+        """Whether the refinement of a controller ends: the loop comes to rest, or the stability
+        proof covers the trial's model error."""
         return self.gain == 0 or (self.coverage is not None and self.coverage >= 1)
 
     @property

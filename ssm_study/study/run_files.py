@@ -236,7 +236,8 @@ class RunFiles:
 
     @property
     def plant(self) -> Plant:
-        """Plant, or identified model, on which the loop of a run was closed."""
+        """Plant that the controller of a run was applied to, or the identified model if the run has
+        no plant."""
         return self.specification.plant or IdentifiedPlant.from_model(self.model)
 
     @property

@@ -201,8 +201,8 @@ class Specification:
 
     @property
     def has_sine_trials(self) -> bool:
-        """Whether the designed controller is tested with single sines, which needs a simulated
-        plant."""
+        """Whether the controller is tested with single-sine inputs; only a simulated plant allows
+        this test."""
         simulated = isinstance(self.data, SimulatedData) and self.data.trials
         return simulated and self.plant is not None and not self.plant.real
 

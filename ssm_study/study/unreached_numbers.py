@@ -1,4 +1,4 @@
-"""Numbers of a model that the records of its run cannot verify."""
+"""Numbers of an identified model that the recorded data of its run cannot verify."""
 
 from collections.abc import Iterator
 from itertools import pairwise

@@ -72,7 +72,8 @@ class MatText(str):
 
 
 def _require_intact(condition: bool, message: str) -> None:
-    """Raise `ValueError` if a condition that every intact MATLAB file fulfils does not hold."""
+    """Raise `ValueError` for a damaged MATLAB file, which fails a condition that every intact file
+    fulfils."""
     if not condition:
         raise ValueError(message)
 

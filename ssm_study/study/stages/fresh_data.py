@@ -1,5 +1,5 @@
-"""Stage that simulates fresh data sets, and measures how large a disc of model error each one
-needs."""
+"""Stage that simulates data sets anew, and compares their model error with that of the run's
+records."""
 
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,8 @@ def compute_fresh_data(
     seed: int,
     plant: Any,
 ) -> None:
-    """Simulate fresh data sets, and measure how large a disc of model error each needs, relative to
-    the run's own records. Nothing is simulated without a coverage certificate."""
+    """Simulate data sets anew, and measure how much larger their model error is than in the run's
+    records. Nothing is simulated without a coverage certificate."""
     model = model_run.model
     premise = recorded_error_spectra(model, records, mismatch)
     fresh = data.simulate_fresh_sets(plant, seed)
@@ -45,7 +45,8 @@ def read_fresh_data_needs(folder: Path) -> list[float]:
 
 
 def fresh_data_result_columns(needs: list[float], *_: Any) -> Facts:
-    """Table column with the largest disc of model error that a fresh data set needs."""
+    """Table column with the largest ratio of the model error in data sets simulated anew to the
+    recorded one."""
     return fresh_data_column(needs)
 
 

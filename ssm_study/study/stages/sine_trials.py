@@ -60,8 +60,8 @@ def sine_trial_result_columns(
     judgement: Judgement,
     design: Design,
 ) -> Facts:
-    """Table columns of stability margin, prediction and covered model error, measured again with
-    single sines."""
+    """Table columns on stability margin, predictions and covered model error, computed with the
+    model error measured by single sines."""
     model = model_run.model
     start_up = records.start_up_samples
     trials = records.mismatch_records

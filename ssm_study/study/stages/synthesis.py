@@ -60,8 +60,8 @@ def compute_synthesis(
 
 
 def recorded_error_spectra(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise":
-    """Model error by frequency in the recorded data, which the stability proof for the plant has to
-    cover."""
+    """Model error by frequency, measured from recorded data; the plant's stability proof has to
+    cover it."""
     from ssm_study.robustness.coverage import measure_premise
 
     records = data.mismatch_records
