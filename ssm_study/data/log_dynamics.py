@@ -340,8 +340,8 @@ def with_fastest_decay(u: Signal, y: Signal, explained: ExplainedVariance) -> Ex
 
 
 def largest_explained_variance(u: Signal, y: Signal) -> float:
-    """Largest fraction of the output's variance that moving averages of the input explain, among
-    several window lengths."""
+    """Largest fraction of the output's variance that averages of the input over a time window
+    explain, among several window lengths."""
     windows = [window for window in WINDOWS if len(u) >= 8 * window]
     levels = [explained_variance_over_window(u, y, window).level for window in windows]
     return max(levels, default=0.0)

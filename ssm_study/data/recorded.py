@@ -279,7 +279,7 @@ class RecordedData(Columns, RecordedAboutEquilibrium):
         return tuple(one for found in segments for one in found if len(one) > least)
 
     def _log_files(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
-        """Files of every log: one file, or one for the inputs and one for the outputs."""
+        """Files of each log: a single file, or one file for the inputs and one for the outputs."""
         files = self.pair_input_and_output_files(field, outputs)
         if len(files) != 2 or self.has_output_files:
             return files

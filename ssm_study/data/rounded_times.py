@@ -66,7 +66,7 @@ def period_bounds_s(time_s: ClockTimes, tolerance_s: ClockTimes) -> tuple[float,
 
 
 def resolution_of_times(time_s: ClockTimes) -> ClockTimes:
-    """Resolution of recorded times: the place value of the last digit that each was written with.
+    """Resolution of recorded times: the place value of the last digit of each time as written.
 
     A time of less than 1e-12 of the largest is arithmetic, and counts as zero.
     """

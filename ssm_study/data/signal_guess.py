@@ -57,7 +57,8 @@ def output_score(column: ColumnFacts, input_name: str) -> tuple[float, bool, boo
 
 
 def place_words(name: str) -> set[str]:
-    """Numbers and words of a column title that tell similar signals apart, as 2 in `Heater 2`."""
+    """Numbers and words in a column title that distinguish similar signals, such as 2 in
+    `Heater 2`."""
     numbers = re.findall(r"[A-Za-z]\W?(\d+)\b", name)
     own_words = [word for word in title_parts(name) if word not in (*INPUT_WORDS, *OUTPUT_WORDS)]
     return {*numbers, *(word for word in own_words if len(word) > 1)}

@@ -176,7 +176,7 @@ def check_input_limits(run: RunFiles) -> Iterator[Checked]:
 
 
 def check_unlimited_starts(run: RunFiles) -> Iterator[Checked]:
-    """Check the stored initial states from which a closed loop is proved to reach no input
+    """Check the stored initial states for which a closed loop is proved never to reach an input
     limit."""
     model = run.model
     for part in run.design.extra_certificates.values():

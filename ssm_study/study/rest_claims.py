@@ -1,4 +1,4 @@
-"""Checks of the claims of a saved design for a bilinear model."""
+"""Checks of the certificates of a saved controller design for a bilinear model."""
 
 from collections.abc import Iterator
 from pathlib import Path

@@ -88,8 +88,8 @@ def leaky_rectifier(
 def unreached_ranges(
     name: str, breakpoint_rows: Float[np.ndarray, "m h"], signal: Float[np.ndarray, "T m"]
 ) -> Iterator[str]:
-    """Texts on the breakpoints and slopes of a piecewise-linear map that a recorded signal does not
-    reach.
+    """Texts on breakpoints and slopes of a piecewise-linear map that lie outside the range of a
+    recorded signal.
 
     Of each row of numbers one place: `model.json scaffold_in.slopes.0: 0, 1, 16`.
     """

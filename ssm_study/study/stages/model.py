@@ -72,8 +72,8 @@ def read_trained_model(folder: Path) -> Trained:
 
 
 def training_result_columns(trained: Trained, data: DataSet) -> Facts:
-    """Table columns on a model's training: its duration, its end, the model's size, chosen
-    settings, and a baseline's fit."""
+    """Table columns on a model's training: duration, reason for the end, model size, chosen
+    settings, and the fit of a baseline."""
     facts = training_columns(trained.seconds, trained.ended) | model_size_columns(trained.model)
     if trained.chosen:
         facts["model_choice"] = trained.chosen

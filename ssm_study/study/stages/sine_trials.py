@@ -1,5 +1,5 @@
-"""Stage that tests a chosen design with single sines on the simulated plant, at frequencies where
-its loop is most sensitive."""
+"""Stage that tests a controller with single-sine inputs on the simulated plant, at the frequencies
+where the closed loop is most sensitive to model errors."""
 
 from dataclasses import asdict
 from pathlib import Path
