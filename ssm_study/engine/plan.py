@@ -36,7 +36,8 @@ class PlannedStages(Stages):
 
 class KeyedStages(PlannedStages):
     """Stand-in for the store of results in a dry run, which notes the needed computing steps
-    and determines the keys of table columns. For this, all code on which the columns depend is read."""
+    and determines the keys of table columns. For this, all code on which the columns depend is
+    read."""
 
     def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
         """Determine the key under which the table columns of a step are stored, without computing
