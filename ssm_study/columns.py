@@ -91,6 +91,6 @@ def iterative_result_column(
     unit: str = "",
     heading: str = "",
 ) -> Column:
-    """Definition of a column from an iterative computation, such as a norm, compared with a wider
-    tolerance."""
+    """Definition of a table column whose values, such as norms, are computed iteratively. `verify`
+    compares them with a wider tolerance than the values of a closed formula."""
     return Column(name, "Float64", better, heading, printed_name, unit, ITERATED)

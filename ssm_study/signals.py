@@ -103,9 +103,8 @@ SHORTEST_PERIOD = (
 
 
 def find_repetition(u: Float[np.ndarray, "T m"]) -> tuple[int, int] | None:
-    """Find the last segment in which an input signal repeats itself, and return its start and
-    period; None if the signal never repeats. `(start, period)`: two equal pieces of that length
-    follow each other from `start` on.
+    """Find where an input signal last contains two equal periods in a row, and return their start
+    and the period in samples; None if the signal never repeats.
 
     The inputs must be equal, as commanded ones are; a piece that does not move does not count.
     """

@@ -95,6 +95,7 @@ def _figure_class() -> "type[Figure]":
 
     class NotebookFigure(Figure):
         def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
+            """PNG image of a figure for a notebook, and the width and height shown, in pixels."""
             content = io.BytesIO()
             with paper_style():
                 self.savefig(content, format="png", dpi=2 * NOTEBOOK_DPI)

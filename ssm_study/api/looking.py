@@ -1,4 +1,4 @@
-"""Examine a log from Python. `look`: what is in a log, before anything is fitted to it."""
+"""Examine a log of measured inputs and outputs before a model is fitted to it."""
 
 from ssm_study.data.look import LogLook, look
 

@@ -1,5 +1,4 @@
-"""Lines of a design's summary on the scope of its proof: deciding frequency, simulated loop, and
-what is not proved."""
+"""Lines of a design's summary that say what its proof covers and what it leaves unproved."""
 
 import re
 from typing import TYPE_CHECKING, Any
@@ -91,9 +90,9 @@ def describe_frequency(reference: str, step_s: float) -> str:
 
 
 def describe_input_power(design: "Design", reference: str) -> str:
-    """Text that says whether the record with the smallest coverage lacks input power in the
-    deciding frequency band. Of a loaded design its evidence is quoted, if the band lies above the
-    first that is not excited."""
+    """Text that warns if the input has almost no power in the frequency band where the tolerated
+    model error is smallest relative to the measured one. Of a loaded design its evidence is quoted,
+    if the band lies above the first that is not excited."""
     from ssm_study.api.steps import measure_coverage_premise
     from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 

@@ -52,8 +52,8 @@ def identify_model(
 
 
 def measure_mismatch(model: Any, data: DataSet) -> Mismatch:
-    """Measure the model error from the validation record and from the records made for that
-    purpose."""
+    """Measure the model error from the validation record and, where there are any, from records
+    made only to measure the error."""
     return measure_mismatch_of_records(
         model, data.validation, data.start_up_samples, data.mismatch_records
     )

@@ -86,7 +86,7 @@ def _switch_off_checks_and_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def shared_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results folder that all tests share, so that equal stages are computed only once."""
+    """Results folder that all tests share, so that equal computations run only once."""
     base = tmp_path_factory.getbasetemp()
     is_worker = "PYTEST_XDIST_WORKER" in os.environ
     return (base.parent if is_worker else base) / "every"

@@ -120,8 +120,8 @@ def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
 
 
 def rate_limit_sentence(side: str, limit: pd.Series) -> str:
-    """Sentence on the range of the largest certifiable contraction rate over the models of a study,
-    and on what determines the limit."""
+    """Sentence that states the largest contraction rate that can be certified for the models of a
+    study, and what determines it."""
     reach = f"{limit.max():.3g}"
     if limit.nunique() > 1:
         reach = f"from {limit.min():.3g} to {reach}"
@@ -208,8 +208,8 @@ def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
 
 
 def failure_bound_sentences(models: pd.Series, settled_fraction: pd.Series) -> list[str]:
-    """Sentence with an upper bound on the probability that a prediction of stability fails, where
-    each model counts once.
+    """Sentence with an upper confidence bound on how often a loop that is predicted stable does not
+    settle. The runs of one model count as one sample.
 
     Loops of one model are not independent. With k of N models wrong the probability is below the p
     of `P(X <= k) = 0.05`, X binomial (Clopper & Pearson 1934); `1 - 0.05^(1/N)` for none.

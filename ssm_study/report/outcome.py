@@ -127,15 +127,15 @@ def format_column(
 
 
 def predicting_model_row(record: Mapping[str, Any], fit: str) -> tuple[str, str]:
-    """Row of a run's printed results on the model that predicts, if that is not the controlled
-    model."""
+    """Row of a run's printed results on the fit of an output prediction that is not made by the
+    controlled model alone."""
     if record["members"] == 1:
         return "Model that predicts", f"{fit}, with products of input and state"
     return "Mean that predicts", f"{fit}, of {record['members']} models"
 
 
 def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows of a run's printed results on the model: fit, scores, slopes, decay without control."""
+    """Rows of a run's printed results on the identified model, such as its fit."""
     reading = log_reading_text(record)
     if reading:
         yield "evidence_reasons", "Log", reading
@@ -193,7 +193,7 @@ def log_reading_text(record: Mapping[str, Any]) -> str:
 
 
 def proved_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
-    """Rows of a run's printed results on the proved contraction rates of the deployed gains."""
+    """Rows of a run's printed results on the proved rates of contraction, one for each gain."""
     for side, paper_theorem in PAPER_THEOREMS.items():
         theorem = facts.own_theorems.get(side, paper_theorem)
         name = f"{side}_certified_rate"

@@ -82,7 +82,8 @@ def picture_of_coverage(run: RunFolder) -> Picture:
 
 
 def picture_of_frequency_response(run: RunFolder) -> Picture:
-    """Picture of the frequency response of a run's model, beside an estimate from the record."""
+    """Picture that compares the frequency response of a run's model with an estimate from the
+    validation record."""
     model, record = read_run_files(run, "any_model", "validation")
     units = (record.unit("measured"), record.unit("input"))
     return bode_picture(model, record.records[0], certified_balls(model).input, units)

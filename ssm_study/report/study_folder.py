@@ -75,8 +75,8 @@ class RunFolder:
 
     @cached_property
     def model(self) -> SSM | None:
-        """Identified model of a run that can be certified; None for a baseline or a model with
-        neurons."""
+        """Identified model of a run, if the model can be certified; None for a baseline or a model
+        with neurons."""
         data = self._parse_file("model.json")
         stored_model = None if data is None else model_from_json(data)
         return stored_model if isinstance(stored_model, SSM) else None
@@ -203,7 +203,7 @@ class StudyFolder:
         return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
     def run(self, name: str) -> RunFolder:
-        """Files of the run with a given name in a study."""
+        """Result folder of a single run, found in the study by the name of the run."""
         return RunFolder(path=self.folder / name)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Columns of `runs.parquet`, collected from the modules that declare them.
+"""Columns of the results table `runs.parquet`, collected from the modules that declare them.
 
 First which run it is, then what was requested, then the results, room by room, and last the
 circumstances.

@@ -1,4 +1,4 @@
-"""Ranking of runs, the best first, for `show`, the page and the figures.
+"""Ranking of a study's runs, the best first, for the printed table, report page and figures.
 
 It asks for a certificate first, then for the plant (did every start settle, and was that predicted
 without the plant?), then for time, and among equals for the fit.

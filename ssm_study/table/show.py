@@ -254,8 +254,8 @@ def prediction_words(table: pd.DataFrame) -> pd.Series:
 
 
 def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
-    """Settings in which the runs of a table differ, and a selection of these that tells the runs
-    apart."""
+    """Names of all settings in which the runs of a table differ, and of a few that suffice to tell
+    the runs apart."""
     settings = setting_columns(table)
     values = {name: requested_values(table, name) for name in settings}
     varied = [name for name in values if values[name].nunique(dropna=False) > 1]

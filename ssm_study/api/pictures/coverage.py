@@ -88,7 +88,8 @@ def record_names(premise: Premise, input_scale: InputScale | None) -> dict[str, 
 
 
 def coverage_requirement_text(requirement: str, labels: dict[str, str], step_s: float) -> str:
-    """Text on the record and frequency band with the smallest coverage, in physical units."""
+    """Text that names, in physical units, the record and frequency band where the ratio of
+    tolerated to measured model error is smallest."""
     record, _, place = requirement.partition(", ")
     turn_s = 2 * np.pi * step_s
     hertz_per_angle = 1 / turn_s
@@ -145,7 +146,7 @@ def _coverage_curve(
 
 
 def _smallest_coverage_dot(band: CoverageBand, kappa: float, step_s: float) -> Series:
-    """Dot of a picture at the frequency band with the smallest coverage."""
+    """Dot at the frequency band with the smallest ratio of tolerated to measured model error."""
     turn_s = 2 * np.pi * step_s
     hertz = band.frequency / turn_s
     coverage = [kappa / band.need]

@@ -11,5 +11,6 @@ from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw, for the best run, tolerated over measured model error in each frequency band."""
+    """Draw the ratio of tolerated to measured model error in each frequency band for the best
+    run."""
     return draw_unstyled(picture_of_best("coverage_by_band", study))

@@ -17,8 +17,8 @@ LIMIT = "controller_rate_limit"
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the verdicts of a study's runs over slope ratio and contraction rate, with a bar at each
-    model's limit."""
+    """Draw each run's verdict over slope ratio and contraction rate, with a bar at the largest rate
+    that can be certified for the model."""
     table = study.table
     ratio = numeric_column(table, "input_slope_lower") / numeric_column(table, "input_slope_upper")
     rate = numeric_column(table, RATE)

@@ -72,8 +72,8 @@ def _label_axes(value: Axes, slope: Axes, is_motor: bool) -> None:
 
 
 def known_dead_zone(config: Mapping[str, Any]) -> tuple[float | None, float]:
-    """Dead zone of the simulated motor in volts, and the voltage by which friction widens the dead
-    zone at rest.
+    """Dead zone of a simulated motor in volts, and the voltage that Coulomb friction adds to it
+    when the motor stands still.
 
     None for a recording, beside which the group's default plant stands.
     """

@@ -16,8 +16,8 @@ MOST_READ = 200  # best runs whose models are read for their scale
 
 
 def with_physical_amplitudes(study: StudyFolder, table: pd.DataFrame) -> pd.DataFrame:
-    """Results table in which the input amplitudes that name records are in physical units. Those of
-    runs without a readable model are named in input scales, with that word."""
+    """Results table in which records are named by their input amplitudes in physical units. Without
+    a readable model of the run they are named in input scales, with that word."""
     if COLUMN not in table:
         return table
     texts: list[str | None] = []
@@ -33,8 +33,8 @@ def with_physical_amplitudes(study: StudyFolder, table: pd.DataFrame) -> pd.Data
 
 
 def physical_coverage_reference(text: str, run: RunFolder | None, unit: str) -> str:
-    """Name of the record and frequency band with the smallest coverage, with the input amplitude in
-    physical units."""
+    """Text that names the record and frequency band where the tolerated model error is smallest
+    relative to the measured one. The input amplitude is in physical units."""
     record, _, _ = text.partition(", ")
     number = NUMBER.search(record)
     if number is None or not AMPLITUDE.fullmatch(record):

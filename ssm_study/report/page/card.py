@@ -1,4 +1,4 @@
-"""A card of the report page: one block of a run's outcome."""
+"""Block of the report page that shows one result of a run."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -137,7 +137,7 @@ def unplotted_answers(table: pd.DataFrame, answered: Collection[Answer]) -> list
 
 
 def question_stem(question: str) -> str:
-    """First three words of a question, by which questions of the report page are recognised."""
+    """First three words of a question, by which the report page pairs a chart with an answer."""
     return " ".join(question.split()[:3])
 
 
@@ -220,8 +220,8 @@ def _styled_specification(chart: Any, **properties: Any) -> dict[str, Any]:
 
 
 def group_chart_specification() -> dict[str, Any]:
-    """Vega-Lite specification of a chart with one row for each group of runs. It has a point per
-    run, a bar at the mean of the visible ones, and a ring around the best.
+    """Vega-Lite specification of a chart with one row for all runs that share a setting. It has a
+    point per run, a bar at the mean of the visible ones, and a ring around the best.
 
     The script fills in the rows, the height, the name of the axis and whether it is logarithmic.
     """

@@ -134,8 +134,8 @@ def cell_html(text: str, shade: str) -> str:
 
 
 def designs_chart(rows: pd.DataFrame) -> Spec:
-    """Chart of certified controllers that shows the stability margin against the behaviour on the
-    plant."""
+    """Chart of certified controllers: stability margin against the fraction of initial states from
+    which the loop on the plant settles."""
     points = margins_and_settled_fractions(rows)
     values = []
     for _, row in points.iterrows():

@@ -269,7 +269,8 @@ def sort_for_page(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def mask_meaningless_values(table: pd.DataFrame) -> pd.DataFrame:
-    """Results table with meaningless values removed, such as the evidence of an infeasible run."""
+    """Results table without values that mean nothing for a run, such as the evidence for a design
+    that was not found."""
     changed = {}
     if "evidence" in table:
         ended_early = table["verdict"].isin([INFEASIBLE.word, FAILED.word])
@@ -356,8 +357,8 @@ def _run_recordings(run: RunFolder) -> dict[str, Any]:
 
 
 def _encode_signals(recording: RecordedCases, until: int, **names: str) -> dict[str, Any]:
-    """Compact form of the first channels of several recorded signals, with labels, for the report
-    page."""
+    """Encode the first channel of each of several recorded signals for the report page, together
+    with axis labels and the sampling time."""
     output = names["y"]
     about: dict[str, Any] = {"step_s": recording.step_s(output)}
     about["output"] = recording.label(output)

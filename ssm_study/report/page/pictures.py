@@ -41,8 +41,8 @@ MOST_POINTS = 150  # of a line: more than a chart has pixels for
 
 
 def pictures_of_run(run: RunFolder) -> list[Spec]:
-    """Pictures that can be made from the files of a run, and reasons for the missing ones. They are
-    in the order of `PICTURES`."""
+    """Pictures that can be made from the files of a run, and the reasons why other pictures cannot
+    be made. They are in the order of `PICTURES`."""
     drawn = []
     reasons = []
     for name in PICTURES:

@@ -43,8 +43,8 @@ def choose_robust_alternative(table: pd.DataFrame) -> RunnerUp | None:
 
 
 def eligible_run_mask(table: pd.DataFrame) -> "pd.Series[bool]":
-    """For each run, whether the run may be the runner-up: same plant, predicted stable, at least
-    half as fast as the best."""
+    """For each run, whether the run may be shown as an alternative to the best run: on the same
+    plant, predicted stable, settled, and in at most twice the time."""
     time_s = numeric_column(table, "settling_time_mean_s")
     plants = text_column(table, "plant")
     is_settled = text_column(table, "verdict") == SETTLED.word
