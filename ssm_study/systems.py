@@ -134,8 +134,8 @@ class StructuredSystem(_SystemMatrices):
         return self.e.shape[1]
 
     def slope_corners(self, max_neurons: int = 10) -> Float[np.ndarray, "k q"]:
-        """Extreme combinations of neuron slopes: all combinations of zero and one, or a few if
-        there are many neurons. With up to `max_neurons` neurons all, one per row."""
+        """Combinations of neuron slopes zero and one, one combination per row. All of them for up
+        to `max_neurons` neurons; for more, those with at most one slope unlike the others."""
         q = self.neurons
         if q <= max_neurons:
             return np.array(list(product((0.0, 1.0), repeat=q))).reshape(-1, q)
@@ -187,7 +187,7 @@ class JacobianBall:
 
     @property
     def lower(self) -> float:
-        """Smallest slope that a ball of Jacobians allows for a scalar static map."""
+        """Smallest slope of a scalar static map: the centre minus the radius of its slope range."""
         return self.alpha - self.beta
 
     @property

@@ -97,8 +97,8 @@ class Design:
 
     @property
     def verdicts(self) -> dict[str, bool]:
-        """Verdicts of exact arithmetic on the controller, the observer and the closed loop, by
-        name.
+        """Whether the controller, the observer and the closed loop are certified in exact
+        arithmetic.
 
         The loop is certified where both sides are and the observer computes the plant's own maps;
         it cannot where `unknown_maps` has an entry, and such a design is not exported.
@@ -194,7 +194,7 @@ class Design:
         return eigenvalue_groups(self.model, gains)
 
     def within_limits(self, lower: Values, upper: Values) -> WithinLimits:
-        """Guarantee of a design under given input limits, in physical units.
+        """What is proved of the closed loop while the input stays within given limits.
 
         Raises `BadRequest` for a model with neurons, about which nothing is proved within limits.
         """
@@ -207,8 +207,8 @@ class Design:
         return prove_within_input_limits(self.model, self.certificate, *ends)
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
-        """Write the controller as C99 source code with a header and a replay program. The header is
-        `path`. The header is `path`.
+        """Write the controller as C99 source code with a header and a program that replays
+        recorded signals. The header is `path`.
 
         `real` is "double" or "float". Raises `BadRequest` where there is no controller, and where
         the observer cannot compute the plant's maps (`unknown_maps`).
@@ -315,7 +315,7 @@ class Design:
         )
 
     def margin_plot(self) -> Any:
-        """Draw the stability margin over frequency for every recorded amplitude.
+        """Draw the stability margin over frequency for every recorded amplitude of the input.
 
         A dot marks what decides. Returns the Matplotlib figure. Raises `BadRequest` for a design
         without records.
@@ -381,7 +381,7 @@ class Design:
 
     @property
     def _recorded_inputs(self) -> list[Float[np.ndarray, "T m"]]:
-        """Inputs of the training records of a design's model, empty where there are none."""
+        """Inputs of the training records of a design's model; empty for a model without records."""
         return [] if self.origin is None else [record.u for record in self.origin.data.training]
 
     def _describe_loop_plant(self, plant: "Plant | None") -> str:

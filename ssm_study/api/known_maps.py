@@ -26,8 +26,8 @@ class UnknownMap(UserWarning):
 
 
 def name_unknown_maps(model: Any, certificate: Certificates) -> dict[str, str]:
-    """Text for each static map of a design that is known only by its range of slopes. Keyed by the
-    argument of `control` that gives the range."""
+    """Slope range, as text, of each static map that a design knows only by that range. Keyed by
+    the argument of `control` that gives the range."""
     balls = certified_balls(model)
     computed = {"state_feedback": balls.input, "observer": balls.output}
     unknown = {}

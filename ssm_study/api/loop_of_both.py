@@ -72,8 +72,10 @@ def unstable_loop_text(
     slopes: Pair,
     output_slopes: Pair,
 ) -> str | None:
-    """Warning that a loop is unstable if the observer has mean slopes and the plant extreme ones;
-    None if all such loops are stable. It names the worst.
+    """Warning that a closed loop is unstable for some extreme slopes of the plant's static maps.
+
+    The observer computes with the mean slopes. The text names the worst loop; None if the loop
+    is stable for all extreme slopes.
 
     `input_feedback` is B K, `output_correction` is L C.
     """

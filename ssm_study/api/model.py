@@ -80,7 +80,7 @@ class Model:
 
     @cached_property
     def mismatch(self) -> Mismatch:
-        """Model error that the records show, at each frequency and amplitude."""
+        """Model error that the records show, at each frequency and each amplitude of the input."""
         return measure_mismatch(self.ssm, self.data)
 
     @cached_property

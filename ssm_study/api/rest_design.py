@@ -1,4 +1,4 @@
-"""Controllers of bilinear models in Python: what is proved, closed loops, export.
+"""A controller of a bilinear model in Python: proved facts, closed-loop simulation and export.
 
 What is proved of them is that the loop comes to rest; two motions are compared only inside a stated
 set (`certificates.theorems.bilinear_loop`, `bilinear_contraction`).
@@ -126,8 +126,8 @@ class RestDesign:
 
     @property
     def _default_samples(self) -> int:
-        """Default length of a simulation in samples: until the proved bound is 1 % of the initial
-        distance."""
+        """Default length of a simulation in samples: until the proved bound on the distance from
+        rest is 1 % of its initial value."""
         factors = [value for name, value in self.facts.items() if name.endswith("_factor")]
         slowest = max(factors, default=DECAYED)
         decay_a_sample = np.log(slowest)

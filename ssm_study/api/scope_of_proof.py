@@ -78,7 +78,8 @@ def describe_deciding_band(design: "Design") -> str:
 
 
 def describe_frequency(reference: str, step_s: float) -> str:
-    """Text in Hz of the frequency range with the smallest coverage; empty if no range is given."""
+    """Text in Hz of the frequency range where the tolerated model error is smallest relative to
+    the measured one; empty if no range is given."""
     angles = ANGLE.search(reference)
     if angles is None:
         return ""

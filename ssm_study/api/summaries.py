@@ -77,8 +77,8 @@ def summarise_model(model: "Model") -> pd.Series:
 
 
 def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dict[str, Any]:
-    """Summary lines that only a state-space model has: states, neurons, slowest pole, slopes and
-    evidence."""
+    """Summary lines that only a state-space model has: its size, its slowest pole, its slopes and
+    how well data support the model."""
     facts = model.facts
     moduli = np.abs(model.eigenvalues())
     slowest = moduli.max()

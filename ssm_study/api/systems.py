@@ -152,7 +152,7 @@ def read_channel_values(name: str, values: Any, channels: int) -> Float[np.ndarr
 
 
 def read_folder(name: str, folder: Any) -> Path:
-    """Read the path of a folder. Raises `BadRequest` for a value that is no path."""
+    """Check that an argument is a path. Raises `BadRequest` for any other value."""
     is_path_or_text = isinstance(folder, str | Path)
     is_path = is_path_or_text and "\0" not in str(folder)
     is_text = isinstance(folder, str)

@@ -1,6 +1,7 @@
-"""Answers to the three questions of a study, as sentences computed from the results table.
+"""Sentences on feasibility, model fit and predicted stability, from the results of a study.
 
-Where feasibility ends, whether a better fit means a better loop, and whether the prediction holds.
+They answer the three questions of a study: where feasibility ends, whether a better fit means a
+better loop, and whether the prediction holds.
 The best run and the failures have parts of the page of their own.
 """
 
@@ -180,9 +181,9 @@ def fit_correlation_sentence(table: pd.DataFrame) -> str:
 
 
 def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
-    """Sentences on how many closed loops settle with and without a prediction of stability, and on
-    how often the prediction may fail. There are none where every loop was closed on the model that
-    predicts."""
+    """Sentences that count the settled closed loops among those predicted to be stable, and among
+    the others. They also bound how often the prediction may be wrong. There are none where every
+    loop was closed on the model that predicts."""
     if (text_column(table, "loop_on") == "identified model").all():
         return ()
     share = numeric_column(table, "stable_fraction")

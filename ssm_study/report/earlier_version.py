@@ -1,4 +1,4 @@
-"""Text for results that the record of an earlier version need not state."""
+"""Text for results that may be missing in a record written by an earlier version."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any

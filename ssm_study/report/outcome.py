@@ -295,7 +295,7 @@ def fresh_error_ratio_text(record: Mapping[str, Any]) -> str:
 
 
 def fresh_data_exceed_coverage(record: Mapping[str, Any]) -> bool:
-    """Whether fresh data show a larger model error than the proof covers."""
+    """Whether data not used for the fit show a larger model error than the proof tolerates."""
     coverage = record.get("coverage")
     needed = record.get("coverage_needed")
     if coverage is None or needed is None:

@@ -53,7 +53,7 @@ class RunFacts:
 
 
 def read_extension_theorems(run: Path) -> dict[str, str]:
-    """Names of the theorems behind a run's certificates that come from an extension package."""
+    """Names of those theorems behind a run's certificates that an extension package supplies."""
     own_theorems = {}
     with suppress(OSError, ValueError, AttributeError):  # a damaged file names none
         parts = json.loads((run / "certificate.json").read_text(encoding="utf-8"))

@@ -24,16 +24,16 @@ from ssm_study.synthesis.loop_poles import eigenvalue_groups
 
 
 def picture_of_best(name: str, study: StudyFolder) -> Picture:
-    """Picture with a given name of the study's best run. Raises `NothingToDraw` with the reason
-    where it would be empty."""
+    """Picture of the best run of a study, chosen by the picture's name. Raises `NothingToDraw` with
+    the reason where the picture would be empty."""
     if study.best_run is None:
         raise NothingToDraw("No run left a model.")
     return picture_of_run(name, study.best_run)
 
 
 def picture_of_run(name: str, run: RunFolder) -> Picture:
-    """Picture with a given name of a single run. Raises `NothingToDraw` with the reason where it
-    would be empty."""
+    """Picture of a single run, chosen by the picture's name. Raises `NothingToDraw` with the
+    reason where the picture would be empty."""
     try:
         return PICTURES[name](run)
     except NothingToShow as reason:

@@ -38,8 +38,8 @@ class NothingToDraw(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class RunFolder:
-    """Files of one run for figures and page, each read when it is first needed. A missing file
-    reads as None (a failed run has few)."""
+    """Files of one run for the study's figures and web page, each read when first needed. A
+    missing file reads as None (a failed run has few)."""
 
     path: Path
 

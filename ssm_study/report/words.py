@@ -170,8 +170,9 @@ VERDICTS = (SETTLED, NO_FASTER, LOST, UNTRIED, *BY_CLASS[3:])
 
 
 def verdict_per_run(table: pd.DataFrame) -> pd.Series:
-    """Verdict on every run in a results table: the outcome class, or certified without a simulated
-    closed loop."""
+    """Verdict on every run in a results table: the word for its outcome class.
+
+    A run that is certified but has no simulated closed loop has a word of its own."""
     classes = outcome_class(table)
     verdict_column = classes.map(lambda place: BY_CLASS[place]).astype(object)
     is_untried = numeric_column(table, "stable_fraction").isna()

@@ -1,1 +1,1 @@
-"""Table of a study, gathered from its runs, filtered, sorted and printed."""
+"""Modules that gather the runs of a study into one table, then filter, sort and print the table."""

@@ -124,8 +124,8 @@ def describe_columns(table: pd.DataFrame | None = None) -> Iterator[tuple[str, s
 
 
 def requested_values(table: pd.DataFrame, name: str) -> pd.Series:
-    """Values of a setting as they were requested for each run, which is `auto` for a rate that was
-    chosen automatically."""
+    """Values of a setting as each run requested them. A contraction rate that the program chose
+    itself reads as the word `auto`."""
     if not name.startswith("rate_"):
         return table[name]
     side = name.removeprefix("rate_")

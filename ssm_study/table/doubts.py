@@ -1,4 +1,4 @@
-"""Sentences on the runs of a study that count twice, and on runs of its sweep that are missing."""
+"""Warnings about runs of a study that are repeated, and about planned runs that are missing."""
 
 from collections.abc import Iterator
 from contextlib import suppress

@@ -286,8 +286,8 @@ def format_cell(value: object) -> str:
 
 
 def summary_lines(table: pd.DataFrame, printed_count: int) -> list[str]:
-    """Text lines with the number of a study's runs by status, and the reasons of failed and
-    infeasible runs."""
+    """Text lines with the number of a study's runs of each status, and with the reasons why
+    runs failed or were not certified."""
     run = short_run_names(table["run"])
     table = table.assign(run=run)
     counts = table["status"].value_counts()

@@ -173,7 +173,7 @@ def _settling_band(time_s: Times, goal: Times, half_width: float, unit: str) -> 
 
 
 def _drawn_time_range(run: Rollouts, settling_time_s: float | None) -> tuple[float, float]:
-    """Time range of a step response that a picture shows, from shortly before the first motion."""
+    """Time range of a step response that a picture shows, from shortly before the output moves."""
     end_s = float(run.time_s[-1])
     samples_before = BEFORE * len(run.time_s)
     at_s = samples_before * run.step_s

@@ -1,5 +1,5 @@
-"""Figures of a study, one file for each, named as the command prints it. Each has `draw(study) ->
-Figure` and a docstring that is its caption.
+"""Figures of a study, each drawn by the module that bears the figure's name. Each module has
+`draw(study) -> Figure` and a docstring that is the caption of the figure.
 
 A new figure is a new file here: `figure_names()` finds it, and every command and test with it.
 """

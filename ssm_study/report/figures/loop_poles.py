@@ -1,4 +1,4 @@
-"""Poles of the model, of the controlled model and of the observer's error, at the slopes at rest.
+"""Poles of the model, the controlled model and the observer error, linearised at the equilibrium.
 The solid circle is the unit circle. The dashed circle is the contraction per sample that is proved
 under control, for every certified slope."""
 

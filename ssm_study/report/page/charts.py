@@ -149,7 +149,7 @@ def _has_numbers(table: pd.DataFrame, panel: ScatterPlot) -> bool:
 
 
 def _replace_constant_share(table: pd.DataFrame, panel: ScatterPlot) -> ScatterPlot:
-    """Replace the fraction of settled runs in a plot by the settling time where all runs settle."""
+    """Plot the settling time instead of the settled fraction if every initial state settles."""
     if panel.y != "stable_fraction":
         return panel
     shares = numeric_column(table, panel.y).dropna()

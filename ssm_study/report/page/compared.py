@@ -104,7 +104,7 @@ def format_percent(fraction: Any) -> str:
 
 
 def format_number(value: Any) -> str:
-    """Text of a number with four digits."""
+    """Text of a number with four significant digits; a placeholder for a missing number."""
     return MISSING if pd.isna(value) else f"{value:.4g}"
 
 

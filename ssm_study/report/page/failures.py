@@ -87,7 +87,7 @@ def merge_number_ranges(sentences: Sequence[str]) -> str:
     columns = iter(zip(*texts, strict=True))
 
     def range_of_numbers(_: re.Match[str]) -> str:
-        """Text of the range of values that replaces one number in a merged sentence."""
+        """Text of the range of a number over failure messages that differ only in their numbers."""
         column = next(columns)
         low = min(column, key=float)
         high = max(column, key=float)

@@ -85,8 +85,8 @@ def plain_setting_name(name: str) -> str:
 
 
 def requested_setting_text(record: Record, name: str) -> str:
-    """Text of a setting's value as requested, which is `auto` for a rate that was chosen
-    automatically."""
+    """Text of a setting's value as a run requested it. A contraction rate that the program chose
+    itself reads as the word `auto`."""
     chosen = str(record.get("rates_chosen") or "")
     if name.startswith("rate_") and name.removeprefix("rate_") in chosen:
         return "auto"

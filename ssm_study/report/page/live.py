@@ -65,8 +65,9 @@ class LivePage:
         return str(hash(tuple(marks)))
 
     def page_state(self) -> dict[str, str]:
-        """State of a study for the script of its live page: its progress, and a text that changes
-        with the records."""
+        """State of a study for the script of its live page: the number of runs of each status.
+
+        The entry `mark` changes when the records change."""
         records = (read_record(path.parent) for path in self.study.glob(f"*/{RECORD}"))
         counts = Counter(str(record["status"]) for record in records if record is not None)
         progress_text = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))

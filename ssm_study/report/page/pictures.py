@@ -215,8 +215,9 @@ def thin_line(x: Values, y: Values) -> tuple[Stretch, Stretch]:
 
 
 def keep_extremes(places: Places, y: Values) -> Places:
-    """Indices of the lowest and highest values in each stretch of a long curve, with its ends and
-    gaps."""
+    """Indices of the lowest and the highest value in each section of a long curve.
+
+    Both ends of the curve and its missing values are kept too."""
     if len(places) <= MOST_POINTS:
         return places
     kept = {int(places[0]), int(places[-1])}

@@ -133,8 +133,8 @@ def coverage_text(coverage: float) -> str:
 
 
 def limited_start_range(record: Record) -> tuple[float, float] | None:
-    """Range of initial outputs from which the full contraction rate is proved under input
-    limits."""
+    """Range of initial outputs from which the contraction rate proved without input limits also
+    holds with them."""
     names = ("limit_lower", "limit_upper", "unlimited_from", "unlimited_to")
     if any(record.get(name) is None for name in names):
         return None
@@ -217,8 +217,8 @@ def is_limited_to_records(record: Record) -> bool:
 
 
 def exceeded_bound_statements(record: Record) -> list[str]:
-    """Statement on how far the state estimate on the plant exceeded the bound certified for the
-    model."""
+    """Statement on how far the estimation error on the plant exceeded the bound that is certified
+    for the model."""
     excess = record.get("certified_bound_excess_plant")
     if not excess or is_limited_to_records(record):
         return []

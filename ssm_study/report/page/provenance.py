@@ -71,7 +71,7 @@ def provenance_lines(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str,
 
 
 def run_location(study: StudyFolder, name: str) -> tuple[str, str]:
-    """Study folder and folder name of a run, since a run may belong to another study."""
+    """Names of the study folder and the run folder of a run, which may belong to another study."""
     other = re.match(r"\.\./([^/]+)/", name)
     folder = other[1] if other else study.folder.resolve().name
     return folder, name.rpartition("/")[2]

@@ -23,11 +23,11 @@ class RunnerUp:
 
 
 def choose_robust_alternative(table: pd.DataFrame) -> RunnerUp | None:
-    """Choose the fastest run with at least twice the best run's stability margin, otherwise with at
-    most half its gain.
+    """Choose the fastest run whose stability margin is at least twice that of the best run.
 
-    The table has the best run first. None if no run that settles in at most twice the time is
-    that much more robust.
+    If there is none, choose the fastest run whose controller gain is at most half that of the
+    best run. The table has the best run first. None if no run that settles in at most twice the
+    time is that much more robust.
     """
     if not len(table) or table["verdict"].iloc[0] != SETTLED.word:
         return None

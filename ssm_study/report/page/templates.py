@@ -100,7 +100,7 @@ def slider_parameter(name: str, label: str) -> Spec:
 
 
 def animated_response_layers() -> list[Spec]:
-    """Layers of the animated response: the whole line, the line so far, and the present point."""
+    """Layers of an animated response: the full curve, its past part and the present point."""
     of_start = {"filter": "datum.case === start - 1"}  # the reader counts from one
     until_moment = {"filter": "datum.t <= moment"}
     latest_time = {"op": "max", "field": "t", "as": "last"}
