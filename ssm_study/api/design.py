@@ -194,7 +194,7 @@ class Design:
         return eigenvalue_groups(self.model, gains)
 
     def within_limits(self, lower: Values, upper: Values) -> WithinLimits:
-        """What is proved of the closed loop while the input stays within given limits.
+        """Proved properties of the closed loop while the input stays within given limits.
 
         Raises `BadRequest` for a model with neurons, about which nothing is proved within limits.
         """
