@@ -38,7 +38,7 @@ WITHDRAWN_SETTINGS: Mapping[str, Withdrawn] = {
     ),
     "synthesis.invert_input": Withdrawn(
         since="0.2",
-        remedy="leave it out; the loop without it is about as fast, and is covered and exported",
+        remedy="leave it out; only designs without it have a coverage and can be exported",
         neutral=False,
     ),
 }
