@@ -38,8 +38,12 @@ from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
-from ssm_study.robustness.coverage import Premise, measure_premise, running_constraint_sum
-from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
+from ssm_study.robustness.coverage import (
+    ModelErrorSpectra,
+    measure_error_spectra,
+    running_constraint_sum,
+)
+from ssm_study.robustness.mismatch import Mismatch, measure_model_error
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.record_errors import RecordErrors, open_loop_errors
 from ssm_study.signals import DataSet
@@ -107,7 +111,7 @@ class IdentifiedCase:
     data: DataSet
     model: Any
     mismatch: Mismatch
-    premise: Premise
+    premise: ModelErrorSpectra
     evidence: str
     fit_percent: float
 
@@ -121,9 +125,11 @@ class IdentifiedCase:
             trained = parts.training.identify(parts.model, data, seed, Path(folder), False).model
         model = parts.reduction.reduce(trained)
         records = data.validation, data.start_up_samples, data.mismatch_records
-        mismatch = measure_mismatch(model, *records)
+        mismatch = measure_model_error(model, *records)
         start_up = data.start_up_samples
-        premise = measure_premise(model, data.validation, mismatch, start_up, data.mismatch_records)
+        premise = measure_error_spectra(
+            model, data.validation, mismatch, start_up, data.mismatch_records
+        )
         validation = Simulation.simulate_records(model, data.validation, start_up)
         test = Simulation.simulate_records(model, data.test, start_up)
         return cls(

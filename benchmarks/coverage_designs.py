@@ -72,7 +72,7 @@ class DrawnDesigns:
     def by_frequency(self, pairs: Any) -> list[float]:
         """Coverage by frequency of each pair; zero where the premise has a reason against any."""
         case = self.case
-        if case.premise.missing_reason(0.0) is not None:
+        if case.premise.insufficient_records_reason(0.0) is not None:
             return [0.0] * len(pairs)
         system = case.model.system
         balls = certified_balls(case.model)

@@ -30,7 +30,7 @@ from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.models.identified import SSM
 from ssm_study.models.stored import model_from_json
-from ssm_study.robustness.coverage import Weights
+from ssm_study.robustness.coverage import DiscWeights
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_search import certify_largest_radius
 from ssm_study.systems import Balls, JacobianBall, StateSpace
@@ -39,7 +39,7 @@ SETTLED = 1e-2
 BEYOND = 1.5
 HORIZON = 3000  # samples
 LONG_HORIZON = 30_000  # samples, for loops at the disc's edge that are still on their way
-FIRST_ORDER = Weights(
+FIRST_ORDER = DiscWeights(
     floor=0.5, output=np.array([[0.7, 1.0], [0.1, 0.4]]), input=np.array([[0.5, 1.0], [0.02, 0.1]])
 )
 

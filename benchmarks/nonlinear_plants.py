@@ -23,7 +23,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.robustness.prediction import predict_margins
 
 # radians, up to 2; the spring pulls seven times as hard at the end of its range as its stiffness at
@@ -51,7 +51,7 @@ def row(name: str, plant: Plant, model: str, seed: int) -> str:
     clean = replace(plant, noise=0.0)
     quiet = replace(data, test=parts.data.build(clean, parts.excitation, seed).test)
     fit = Simulation.simulate_records(made, quiet.test, quiet.start_up_samples).fit_percent
-    shown = measure_mismatch(made, data.validation, data.start_up_samples, data.mismatch_records)
+    shown = measure_model_error(made, data.validation, data.start_up_samples, data.mismatch_records)
     balls = certified_balls(made)
     design = parts.synthesis.design(made, balls, data.validation, shown)
     if not design.feasible:

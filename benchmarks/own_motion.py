@@ -30,7 +30,7 @@ from ssm_study.evidence.feedback import judge_instability
 from ssm_study.evidence.finding import CANNOT_JUDGE, EvidenceCase
 from ssm_study.evidence.metrics import collect_findings
 from ssm_study.models.metrics import Simulation
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.mismatch import measure_model_error
 
 sys.path += [
     str(Path(__file__).resolve().parents[1] / folder) for folder in ("tests", "tests/laws")
@@ -178,7 +178,7 @@ def judged(name: str, kind: str, u: Samples, y: Samples) -> dict[str, object]:
         fitted,
         validation,
         test,
-        measure_mismatch(fitted, data.validation, skip, data.mismatch_records),
+        measure_model_error(fitted, data.validation, skip, data.mismatch_records),
     )
     shares = predicted_power_shares(
         EvidenceCase(data=data, model=fitted, validation=validation, test=test)

@@ -24,7 +24,7 @@ from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.metrics import collect_findings
 from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.models.metrics import Simulation
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.training.metrics import records_fit_percent
 
@@ -43,7 +43,7 @@ def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]
         made = parts.reduction.reduce(
             parts.training.identify(parts.model, data, seed, Path(folder), False).model
         )
-    shown = measure_mismatch(made, data.validation, data.start_up_samples, data.mismatch_records)
+    shown = measure_model_error(made, data.validation, data.start_up_samples, data.mismatch_records)
     balls = certified_balls(made)
     validation = Simulation.simulate_records(made, data.validation, data.start_up_samples)
     test = Simulation.simulate_records(made, data.test, data.start_up_samples)

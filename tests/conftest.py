@@ -248,12 +248,12 @@ MADE_AGAIN = (
     "ssm_study.study.claims.textbook_pi_columns",
     "ssm_study.study.design_claims.failed_checks",
     "ssm_study.study.design_claims.faster_response_column",
-    "ssm_study.study.design_claims.measure_mismatch",
-    "ssm_study.study.design_claims.measure_premise",
+    "ssm_study.study.design_claims.measure_model_error",
+    "ssm_study.study.design_claims.measure_error_spectra",
     "ssm_study.study.design_claims.measure_simulated_sines",
     "ssm_study.study.run_files.collect_findings",
-    "ssm_study.study.run_files.measure_mismatch",
-    "ssm_study.synthesis.measured_discs_run.measure_premise",
+    "ssm_study.study.run_files.measure_model_error",
+    "ssm_study.synthesis.measured_discs_run.measure_error_spectra",
 )
 
 

@@ -4,8 +4,8 @@ import numpy as np
 
 from ssm_study.certificates.certificate import Design
 from ssm_study.models.identified import SSM
-from ssm_study.robustness.coverage import Premise, Weights, measure_premise
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.coverage import DiscWeights, ModelErrorSpectra, measure_error_spectra
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
@@ -18,7 +18,7 @@ A = np.array([[0.9, 0.1], [0.0, 0.6]])
 B = np.array([[0.0], [0.4]])
 C = np.array([[1.0, 0.0]])
 MODEL = StateSpace(a=A, b=B, c=C, d=ZERO)
-OUTPUT_ALONE = Weights(floor=1.0, output=ZERO, input=ZERO)
+OUTPUT_ALONE = DiscWeights(floor=1.0, output=ZERO, input=ZERO)
 
 
 def period(rng: np.random.Generator) -> np.ndarray:
@@ -62,14 +62,14 @@ def scaled_model(share: float):
     return lambda u: (1 + share) * respond(MODEL, u)
 
 
-def premise(answer, **options) -> Premise:
+def premise(answer, **options) -> ModelErrorSpectra:
     """The premise of coverage that records of a plant give."""
     model = SSM.from_linear(MODEL, 0.01)
     recorded = records(answer, **options)
     validation = recorded[:1]
-    mismatch = measure_mismatch(model, recorded)
+    mismatch = measure_model_error(model, recorded)
     trials = recorded[1:]
-    return measure_premise(model, validation, mismatch, 0, trials)
+    return measure_error_spectra(model, validation, mismatch, 0, trials)
 
 
 def design(linear_model: StateSpace = MODEL, input_weight: float = 0.3) -> Design:

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ssm_study.certificates.theorem import VerificationContext
-from ssm_study.robustness.coverage import Weights
+from ssm_study.robustness.coverage import DiscWeights
 from ssm_study.systems import StateSpace
 
 ONE = np.ones((1, 1))
@@ -17,7 +17,7 @@ def first_order(gain: float, pole: float, direct: float) -> np.ndarray:
 
 OUTPUT_WEIGHT = first_order(0.2, 0.7, 0.4)
 INPUT_WEIGHT = first_order(0.05, 0.5, 0.1)
-WEIGHTS = Weights(floor=0.3, output=OUTPUT_WEIGHT, input=INPUT_WEIGHT)
+WEIGHTS = DiscWeights(floor=0.3, output=OUTPUT_WEIGHT, input=INPUT_WEIGHT)
 
 
 def on_the_plant(

@@ -14,7 +14,7 @@ from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.plants.dc_motor import DCMotor
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.record_errors import View
+from ssm_study.robustness.record_errors import ModelErrorAtAmplitude
 from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
@@ -27,7 +27,9 @@ BALLS = Balls(input=INPUT_BALL, output=OUTPUT_BALL)
 def flat(by_frequency: np.ndarray, gain: float) -> Mismatch:
     """One view of which only sizes are known."""
     none = np.zeros(len(ANGLES), dtype=complex)
-    view = View(amplitude=1.0, gain=gain, by_frequency=by_frequency, linear=none, rest=by_frequency)
+    view = ModelErrorAtAmplitude(
+        amplitude=1.0, gain=gain, by_frequency=by_frequency, linear=none, rest=by_frequency
+    )
     views = (view,)
     return Mismatch(views=views)
 

@@ -31,7 +31,7 @@ from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict_margins
-from ssm_study.robustness.record_errors import View
+from ssm_study.robustness.record_errors import ModelErrorAtAmplitude
 from ssm_study.signals import DataSet
 
 HERE = Path(__file__).resolve().parent
@@ -51,7 +51,7 @@ def before(known: Identified) -> Mismatch:
     """What the rule that went before knew: the validation record alone, its average where the input
     has no power."""
     shown = replace(known, mismatch_records=()).mismatch
-    view: View = shown.views[0]
+    view: ModelErrorAtAmplitude = shown.views[0]
     unknown = np.isin(
         np.round(np.linspace(0, np.pi, len(view.rest)), 9), np.round(shown.unexcited, 9)
     )

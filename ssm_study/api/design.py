@@ -149,13 +149,13 @@ class Design:
         """Columns of the results table that say how far the proof covers the model error in the
         records."""
         from ssm_study.api.steps import measure_coverage_premise
-        from ssm_study.robustness.coverage import measure_premise
+        from ssm_study.robustness.coverage import measure_error_spectra
 
         assert self.origin is not None
         data = self.origin.data
         mismatch = self.origin.mismatch
         premise = measure_coverage_premise(self.model, data, mismatch)
-        fresh = measure_premise(self.model, data.test, mismatch, data.start_up_samples, ())
+        fresh = measure_error_spectra(self.model, data.test, mismatch, data.start_up_samples, ())
         return coverage_columns(self.certificate, self.model, premise, fresh)
 
     @cached_property

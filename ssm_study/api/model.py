@@ -18,7 +18,7 @@ from ssm_study.api.linearisation import (
 )
 from ssm_study.api.model_files import holds_saved_model, read_model_fields, write_model_files
 from ssm_study.api.scoring import require_varying_outputs, simulate_given_record
-from ssm_study.api.steps import judge_evidence, measure_mismatch
+from ssm_study.api.steps import judge_evidence, measure_model_error
 from ssm_study.api.summaries import html_table, render_text_table, summarise_model
 from ssm_study.api.systems import read_folder
 from ssm_study.bounds.metrics import model_bound_columns
@@ -81,7 +81,7 @@ class Model:
     @cached_property
     def mismatch(self) -> Mismatch:
         """Model error that the records show, at each frequency and each amplitude of the input."""
-        return measure_mismatch(self.ssm, self.data)
+        return measure_model_error(self.ssm, self.data)
 
     @cached_property
     def evidence(self) -> Judgement:

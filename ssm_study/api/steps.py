@@ -14,9 +14,9 @@ from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.metrics import Judgement, collect_findings
 from ssm_study.models.structured import Model as StateSpaceModel
 from ssm_study.models.warm_start import simulate_validation_and_test
-from ssm_study.robustness.coverage import Premise, measure_premise
+from ssm_study.robustness.coverage import ModelErrorSpectra, measure_error_spectra
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.mismatch import measure_mismatch as measure_mismatch_of_records
+from ssm_study.robustness.mismatch import measure_model_error as measure_error_of_records
 from ssm_study.signals import DataSet, input_limits
 
 if TYPE_CHECKING:
@@ -51,10 +51,10 @@ def identify_model(
     return identification.model, identification
 
 
-def measure_mismatch(model: Any, data: DataSet) -> Mismatch:
+def measure_model_error(model: Any, data: DataSet) -> Mismatch:
     """Measure the model error from the validation record and, where there are any, from records
     made only to measure the error."""
-    return measure_mismatch_of_records(
+    return measure_error_of_records(
         model, data.validation, data.start_up_samples, data.mismatch_records
     )
 
@@ -65,11 +65,13 @@ def judge_evidence(model: Any, data: DataSet, plant_mismatch: Mismatch) -> Judge
     return collect_findings(data, model, validation, test, plant_mismatch)
 
 
-def measure_coverage_premise(model: StateSpaceModel, data: DataSet, mismatch: Mismatch) -> Premise:
+def measure_coverage_premise(
+    model: StateSpaceModel, data: DataSet, mismatch: Mismatch
+) -> ModelErrorSpectra:
     """Measure the model error, in each frequency band, that a stability proof for the plant has to
     cover."""
     records = data.mismatch_records
-    return measure_premise(model, data.validation, mismatch, data.start_up_samples, records)
+    return measure_error_spectra(model, data.validation, mismatch, data.start_up_samples, records)
 
 
 def design_controller(

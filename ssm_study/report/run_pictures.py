@@ -17,7 +17,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.export.set_points import missing_set_points_reason
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthrough
 from ssm_study.report.study_folder import NothingToDraw, RunFolder, StudyFolder
-from ssm_study.robustness.coverage import measure_premise
+from ssm_study.robustness.coverage import measure_error_spectra
 from ssm_study.robustness.margin_by_frequency import margin_curves
 from ssm_study.study.recordings import RecordedCases
 from ssm_study.synthesis.loop_poles import eigenvalue_groups
@@ -75,7 +75,7 @@ def picture_of_nyquist_curve(run: RunFolder) -> Picture:
 def picture_of_coverage(run: RunFolder) -> Picture:
     """Picture of how much model error a run's proof covers in each frequency band."""
     model, design, mismatch = read_run_files(run, "any_model", "design", "mismatch")
-    premise = measure_premise(
+    premise = measure_error_spectra(
         model, run.validation_records, mismatch, run.start_up_samples, run.mismatch_records
     )
     return coverage_picture(design, premise, model.step_s, run_input_scale(run, model))

@@ -21,7 +21,7 @@ from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.refusal import BadRequest, require
 from ssm_study.report.words import Units
-from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
+from ssm_study.robustness.mismatch import Mismatch, measure_model_error
 from ssm_study.signals import Trajectories
 from ssm_study.stored_yaml import read_stored_yaml
 from ssm_study.study.recordings import RecordedCases, read_mismatch_records
@@ -121,7 +121,7 @@ class RunFolder:
         if a needed file is missing."""
         if self.any_model is None or not self.validation_records:
             return None
-        return measure_mismatch(
+        return measure_model_error(
             self.any_model, self.validation_records, self.start_up_samples, self.mismatch_records
         )
 

@@ -1,1 +1,2 @@
-"""Model error measured from records, and stability of the closed loop in spite of that error."""
+"""Model error measured from records, and stability of the closed loop in spite of the model
+error."""

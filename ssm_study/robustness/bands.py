@@ -15,21 +15,21 @@ BandPowers = Float[np.ndarray, "F"]
 BandValues = Inexact[np.ndarray, "F"]
 
 
-def total_power(spectrum: Complex[np.ndarray, "K c"]) -> LinePowers:
+def line_powers(spectrum: Complex[np.ndarray, "K c"]) -> LinePowers:
     """Power of a signal at each of its spectral lines, summed over the channels."""
     power = np.abs(spectrum) ** 2
     return power.sum(axis=1)
 
 
 def safe_ratio(numerators: BandValues, powers: BandPowers) -> BandValues:
-    """Ratio of values to powers, defined also where a power is zero."""
+    """Ratio of values to powers, with powers of zero replaced by the smallest positive number."""
     smallest = np.finfo(float).tiny
     return numerators / np.maximum(powers, smallest)
 
 
-def sort_lines_into_bands(line_count: int) -> tuple[Int[np.ndarray, "K"], BandPowers]:
-    """Frequency band of each spectral line except the mean, and the number of lines in each
-    band."""
+def assign_lines_to_bands(line_count: int) -> tuple[Int[np.ndarray, "K"], BandPowers]:
+    """Index of the frequency band of each spectral line except the mean, and the number of lines in
+    each band."""
     last_band = BANDS - 1
     places = np.linspace(0, last_band, line_count)
     nearest = np.rint(places).astype(int)
@@ -41,7 +41,7 @@ def sort_lines_into_bands(line_count: int) -> tuple[Int[np.ndarray, "K"], BandPo
 
 def band_means(spectrum: LinePowers) -> BandPowers:
     """Mean of a power spectrum over each frequency band."""
-    bands, counts = sort_lines_into_bands(len(spectrum))
+    bands, counts = assign_lines_to_bands(len(spectrum))
     without_mean = spectrum[1:]
     sums = np.bincount(bands, weights=without_mean, minlength=BANDS)
     return sums / counts

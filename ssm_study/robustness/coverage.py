@@ -4,12 +4,12 @@ A disc with two references bounds the mismatch `e = y - m` of the model's output
 
     sum |e - c m|^2  <=  kappa^2 sum ( floor^2 |m|^2 + |W m|^2 + |V u|^2 )
 
-m bounds e where the model speaks, u where it is silent. An `Item` is one piece of one record's
-spectrum for which this must hold at `kappa = 1`: a band, a group of neighbouring bands, the total.
-Where an input repeats, what does not repeat is noise: of two periods `D_1, D_2` of `e - c m` the
-product `Re(D_1 conj D_2)` is the power that repeats, without bias. Below the largest amplitude only
-what exceeds `SURE` standard errors counts, in totals whatever repeats. Where nothing repeats, noise
-counts as mismatch. Source: docs/theory.md, "Measured discs".
+m bounds e where the model speaks, u where it is silent. A `DiscRequirement` is one piece of one
+record's spectrum for which this must hold at `kappa = 1`: a band, a group of neighbouring bands,
+the total. Where an input repeats, what does not repeat is noise: of two periods `D_1, D_2` of
+`e - c m` the product `Re(D_1 conj D_2)` is the power that repeats, without bias. Below the largest
+amplitude only what exceeds `SURE` standard errors counts, in totals whatever repeats. Where nothing
+repeats, noise counts as mismatch. Source: docs/theory.md, "Measured discs".
 """
 
 from collections.abc import Sequence
@@ -20,9 +20,9 @@ from jaxtyping import Float
 
 from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage_items import (
-    Item,
+    DiscRequirement,
     requirement_from_sine,
-    requirements_from_average,
+    requirements_from_averaged_spectrum,
     requirements_from_periods,
 )
 from ssm_study.robustness.coverage_spectra import (
@@ -34,7 +34,11 @@ from ssm_study.robustness.coverage_spectra import (
     line_spectrum,
 )
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.record_errors import estimate_noise, moving_loop_errors, open_loop_errors
+from ssm_study.robustness.record_errors import (
+    estimate_noise,
+    moving_closed_loop_errors,
+    open_loop_errors,
+)
 from ssm_study.robustness.single_sines import has_single_sine_input, steady_sine_errors
 from ssm_study.signals import Trajectories
 from ssm_study.systems import StateSpace
@@ -54,7 +58,7 @@ OutputSignal = Float[np.ndarray, "T p"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Weights:
+class DiscWeights:
     """Frequency weights of a disc of model errors, which say how large a model error is allowed at
     each frequency. `floor`, `W = [A_W, B_W; C_W, D_W]` on the model's output and V likewise on the
     input, one channel each.
@@ -74,14 +78,15 @@ class Weights:
         """Squared weight of the input in the allowed model error, at each frequency."""
         return squared_gain(self.input, angles)
 
-    def largest_required_radius(self, requirements: Sequence[Item]) -> tuple[float, str]:
-        """Smallest disc radius that contains the model errors of all records, and the record and
-        band that determine it. It is infinite where a reference signal vanishes."""
+    def largest_required_radius(self, requirements: Sequence[DiscRequirement]) -> tuple[float, str]:
+        """Smallest radius at which a disc contains the model errors in all records, and the record
+        and band that determine the radius. It is infinite where a reference signal vanishes."""
         needs = [(self.required_radius(item), item.label) for item in requirements]
         return max(needs, default=(0.0, ""))
 
-    def required_radius(self, requirement: Item) -> float:
-        """Smallest disc radius that contains the model error in one frequency range of a record."""
+    def required_radius(self, requirement: DiscRequirement) -> float:
+        """Smallest radius at which a disc contains the model error in one frequency range of a
+        record."""
         if requirement.seen <= 0:
             return 0.0
         reference = self.reference_power(requirement)
@@ -90,9 +95,9 @@ class Weights:
         squared_radius = requirement.seen / reference
         return float(np.sqrt(squared_radius))
 
-    def reference_power(self, requirement: Item) -> float:
-        """Weighted power of model output and input, with which the power of the model error is
-        compared. `sum over the item's lines of (X model + Y input)`."""
+    def reference_power(self, requirement: DiscRequirement) -> float:
+        """Weighted power of model output and input in one frequency range, to which the power of
+        the model error is compared. `sum over the item's lines of (X model + Y input)`."""
         of_output = self.output_weight(requirement.angles) @ requirement.model_power
         of_input = self.input_weight(requirement.angles) @ requirement.input_power
         return float(of_output + of_input)
@@ -115,29 +120,29 @@ def squared_gain(filter_matrix: FilterMatrix, angles: Powers) -> Powers:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Premise:
-    """Spectra of the recorded model error, which a certificate must cover to prove stability on the
-    plant. `sines` are those of single sines; `reason` says why nothing can be covered, and is None
-    where it can."""
+class ModelErrorSpectra:
+    """Spectra of the model error in the records; a certificate whose disc contains all of them
+    proves stability on the plant. `sines` are those of single sines; `reason` says why nothing can
+    be covered, and is None where it can."""
 
     repeating: tuple[MismatchSpectrum, ...]
     averaged: tuple[AveragedSpectrum, ...]
     sines: tuple[MismatchSpectrum, ...] = ()
     reason: str | None = None
 
-    def requirements(self, centre: float) -> list[Item]:
+    def requirements(self, centre: float) -> list[DiscRequirement]:
         """Inequalities that a disc of model errors with a given centre must satisfy to contain the
-        error of every record. The repeating record with the largest amplitude counts without doubt.
-        """
+        model error in every record. The repeating record with the largest amplitude counts without
+        doubt."""
         amplitudes = [record.amplitude for record in self.repeating]
         largest = max(amplitudes, default=0.0)
-        items = list[Item]()
+        items = list[DiscRequirement]()
         for record in self.repeating:
             is_largest = record.amplitude == largest
             items += requirements_from_periods(record, centre, has_no_doubt=is_largest)
         items += [requirement_from_sine(record, centre) for record in self.sines]
         for averaged in self.averaged:
-            items += requirements_from_average(averaged, centre)
+            items += requirements_from_averaged_spectrum(averaged, centre)
         return items
 
     @property
@@ -146,9 +151,9 @@ class Premise:
         error."""
         return bool(self.repeating)
 
-    def missing_reason(self, centre: float) -> str | None:
-        """Reason why the records do not suffice to measure a disc of model errors with a given
-        centre; None if they do."""
+    def insufficient_records_reason(self, centre: float) -> str | None:
+        """Reason why no disc of model errors with a given centre can be measured from the records;
+        None if one can."""
         if self.reason is not None:
             return self.reason
         items = self.requirements(centre)
@@ -159,15 +164,15 @@ class Premise:
         return None if shows_mismatch else NO_MISMATCH
 
 
-def measure_premise(
+def measure_error_spectra(
     model: Model,
     validation: Trajectories,
     mismatch: Mismatch,
     start_up_samples: int = 0,
     mismatch_records: Trajectories = (),
-) -> Premise:
-    """Measure the spectra of the recorded model error, which a certificate must cover to prove
-    stability on the plant. Where they are not enough, its `reason` says why."""
+) -> ModelErrorSpectra:
+    """Measure the spectra of the model error in the records, which the disc of a certificate must
+    contain to prove stability on the plant. Where they are not enough, its `reason` says why."""
     reason = None
     if not mismatch.plant_comes_to_rest:
         reason = NOT_AT_REST
@@ -186,15 +191,15 @@ def measure_premise(
     else:
         repeating += [line_spectrum(run, noise) for run in periodic]
         sines += [line_spectrum(run, noise) for run in steady_sine_errors(driven)]
-    for run in moving_loop_errors(model, mismatch_records, start_up_samples):
+    for run in moving_closed_loop_errors(model, mismatch_records, start_up_samples):
         averaged.append(averaged_spectrum_in_loop(run, noise))
-    return Premise(
+    return ModelErrorSpectra(
         repeating=tuple(repeating), averaged=tuple(averaged), sines=tuple(sines), reason=reason
     )
 
 
 def running_constraint_sum(
-    weights: Weights,
+    weights: DiscWeights,
     centre: float,
     kappa: float,
     inputs: Float[np.ndarray, "T m"],

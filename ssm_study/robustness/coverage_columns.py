@@ -1,5 +1,5 @@
-"""Result-table columns of the coverage: ratio of the model error that the proof tolerates to the
-measured one."""
+"""Result-table columns of the coverage, the ratio of the model error that the proof tolerates to
+the measured model error."""
 
 from ssm_study.columns import Column, iterative_result_column
 

@@ -10,13 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Int
 
-from ssm_study.robustness.bands import ANGLES, sort_lines_into_bands
-from ssm_study.robustness.coverage_spectra import (
-    AveragedSpectrum,
-    MismatchSpectrum,
-    Powers,
-    line_powers,
-)
+from ssm_study.robustness.bands import ANGLES, assign_lines_to_bands, line_powers
+from ssm_study.robustness.coverage_spectra import AveragedSpectrum, MismatchSpectrum, Powers
 from ssm_study.robustness.record_errors import EXCITED
 from ssm_study.robustness.return_to_rest import SURE
 from ssm_study.robustness.single_sines import SineMismatch
@@ -29,7 +24,7 @@ BandSelection = Bool[np.ndarray, "F"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Item:
+class DiscRequirement:
     """Inequality that a disc of model errors must satisfy to contain the error in one frequency
     range of a record. It is `seen <= sum over lines of (X model + Y input)` at its angles.
 
@@ -48,15 +43,15 @@ class Item:
 
     @property
     def label(self) -> str:
-        """Name of the record and frequency range to which an inequality on the model error
-        belongs."""
+        """Name of the record and of the frequency range in which the disc must contain the model
+        error."""
         return f"{self.record}, {self.place}"
 
 
 @dataclass(frozen=True, kw_only=True)
-class RepeatingPower:
-    """Power of the model error about the centre of a disc at each spectral line of a record with
-    two equal periods. Powers of `e - c m` in its lines.
+class PeriodicErrorPower:
+    """Power of the model error in a record with two equal periods, at each spectral line, measured
+    from the centre of a disc. Powers of `e - c m` in its lines.
 
     `repeats` is the product of both periods, `measured` their mean power, noise included,
     `variance` that of `repeats`. `bands` holds the band of each line; `dark` says of each band
@@ -73,7 +68,7 @@ class RepeatingPower:
     has_lines: BandSelection
 
     @classmethod
-    def from_record(cls, record: MismatchSpectrum, centre: float) -> "RepeatingPower":
+    def from_record(cls, record: MismatchSpectrum, centre: float) -> "PeriodicErrorPower":
         """Powers of model error and noise at each spectral line of a record with two equal periods.
         The mean belongs to no band: friction leaves an offset that no disc bounds, since it stays
         where model and input have come to rest. Source: docs/trust.md, "Covered"."""
@@ -86,7 +81,7 @@ class RepeatingPower:
         of_noise = noise * record.noise / 2
         of_product = record.noise * np.maximum(repeats, 0.0)
         variance = sides * (of_noise + of_product)
-        line_bands, _ = sort_lines_into_bands(len(record.angles))
+        line_bands, _ = assign_lines_to_bands(len(record.angles))
         bands = np.concatenate([[-1], line_bands])
         powers = [record.input_power[bands == band] for band in range(len(ANGLES))]
         has_lines = np.array([len(power) > 0 for power in powers])
@@ -108,8 +103,8 @@ class RepeatingPower:
     def mismatch_power(
         self, lines: LineSelection, *, is_doubtful: bool, is_unexcited: bool = False
     ) -> float:
-        """Power of the model error in given spectral lines, with noise subtracted where its power
-        is known."""
+        """Power of the model error over several spectral lines, with noise subtracted where the
+        noise power is known."""
         if is_unexcited:
             measured = self.measured[lines]
             return float(measured.sum())
@@ -120,7 +115,7 @@ class RepeatingPower:
         repeats = self.repeats[lines].sum()
         return max(float(repeats - error), 0.0)
 
-    def combine_lines(
+    def requirement_at_lines(
         self,
         lines: LineSelection,
         range_label: str,
@@ -128,16 +123,16 @@ class RepeatingPower:
         is_doubtful: bool,
         is_unexcited: bool = False,
         is_band: bool = False,
-    ) -> Item:
-        """Combine the powers at several spectral lines into one inequality that a disc of model
-        errors must satisfy."""
+    ) -> DiscRequirement:
+        """Inequality that a disc must satisfy to contain the model error at several spectral lines
+        together."""
         record = self.record
         measured_power = self.mismatch_power(
             lines, is_doubtful=is_doubtful, is_unexcited=is_unexcited
         )
         model_power = record.sides * record.model_power
         input_power = record.sides * record.input_power
-        return Item(
+        return DiscRequirement(
             record=record.name,
             place=range_label,
             is_band=is_band,
@@ -151,32 +146,32 @@ class RepeatingPower:
 
 def requirements_from_periods(
     record: MismatchSpectrum, centre: float, *, has_no_doubt: bool
-) -> list[Item]:
+) -> list[DiscRequirement]:
     """Inequalities that a disc must satisfy to contain the model error in a record with two equal
     periods. In a `has_no_doubt` record everything that repeats counts."""
-    powers = RepeatingPower.from_record(record, centre)
-    items = list[Item]()
+    powers = PeriodicErrorPower.from_record(record, centre)
+    items = list[DiscRequirement]()
     for band in np.flatnonzero(powers.has_lines):
         place = f"around {ANGLES[band]:.2f} rad/sample"
         lines = powers.bands == band
         is_dark = bool(powers.dark[band])
-        item = powers.combine_lines(
+        item = powers.requirement_at_lines(
             lines, place, is_doubtful=not has_no_doubt, is_unexcited=is_dark, is_band=True
         )
         items.append(item)
     for size in GROUPS:
         items += _requirements_from_band_groups(powers, size, is_doubtful=not has_no_doubt)
     every_line = powers.bands >= 0
-    total = powers.combine_lines(every_line, TOTAL, is_doubtful=False)
+    total = powers.requirement_at_lines(every_line, TOTAL, is_doubtful=False)
     return [*items, total]
 
 
 def _requirements_from_band_groups(
-    powers: RepeatingPower, bands_per_group: int, *, is_doubtful: bool
-) -> list[Item]:
+    powers: PeriodicErrorPower, bands_per_group: int, *, is_doubtful: bool
+) -> list[DiscRequirement]:
     """Inequalities that a disc must satisfy to contain the model error in groups of neighbouring
     frequency bands."""
-    items = list[Item]()
+    items = list[DiscRequirement]()
     for start in range(0, len(ANGLES), bands_per_group):
         end = start + bands_per_group
         lines = (powers.bands >= start) & (powers.bands < end)
@@ -186,27 +181,29 @@ def _requirements_from_band_groups(
         place = f"{ANGLES[start]:.2f} to {ANGLES[last]:.2f} rad/sample"
         dark_bands = powers.dark[start:end]
         is_dark = bool(dark_bands.all())
-        item = powers.combine_lines(lines, place, is_doubtful=is_doubtful, is_unexcited=is_dark)
+        item = powers.requirement_at_lines(
+            lines, place, is_doubtful=is_doubtful, is_unexcited=is_dark
+        )
         items.append(item)
     return items
 
 
-def requirement_from_sine(record: MismatchSpectrum, centre: float) -> Item:
+def requirement_from_sine(record: MismatchSpectrum, centre: float) -> DiscRequirement:
     """Inequality that a disc must satisfy to contain the model error in a single-sine record, at
     the sine's frequency."""
-    powers = RepeatingPower.from_record(record, centre)
+    powers = PeriodicErrorPower.from_record(record, centre)
     without_mean = record.input_power[1:]
     strongest = 1 + int(without_mean.argmax())
     lines = np.arange(len(record.angles))
     line = lines == strongest
     angle = float(record.angles[strongest])
     place = f"one sine at {angle:.2f} rad/sample"
-    return powers.combine_lines(line, place, is_doubtful=True, is_band=True)
+    return powers.requirement_at_lines(line, place, is_doubtful=True, is_band=True)
 
 
-def requirement_from_measured_sine(sine: SineMismatch, centre: float) -> Item | None:
-    """Inequality that a disc must satisfy for a single-sine test of a finished design; None if the
-    powers are not stored. With `D = e - c m` of both periods,
+def requirement_from_measured_sine(sine: SineMismatch, centre: float) -> DiscRequirement | None:
+    """Inequality that a disc must satisfy to contain the model error in a single-sine test of a
+    finished design; None if the powers are not stored. With `D = e - c m` of both periods,
 
         Re(D_1 conj D_2) = error - 2 c cross + c^2 model
 
@@ -228,7 +225,7 @@ def requirement_from_measured_sine(sine: SineMismatch, centre: float) -> Item | 
     place = f"one sine at {sine.angle:.2f} rad/sample"
     angles = np.array([sine.angle])
     model_powers = np.array([sine.model_power])
-    return Item(
+    return DiscRequirement(
         record=record,
         place=place,
         is_band=True,
@@ -240,16 +237,18 @@ def requirement_from_measured_sine(sine: SineMismatch, centre: float) -> Item | 
     )
 
 
-def requirements_from_average(record: AveragedSpectrum, centre: float) -> list[Item]:
-    """Inequalities that a disc must satisfy for a record whose input does not repeat: one per
-    frequency bin, and one in total."""
+def requirements_from_averaged_spectrum(
+    record: AveragedSpectrum, centre: float
+) -> list[DiscRequirement]:
+    """Inequalities that a disc must satisfy to contain the model error in a record whose input does
+    not repeat: one per frequency bin, and one in total."""
     measured_power = record.error_power_about_centre(centre)
     mean_input_power = record.input_power.mean()
     dark = record.input_power < EXCITED * mean_input_power
-    items = list[Item]()
+    items = list[DiscRequirement]()
     for k, angle in enumerate(record.angles):
         bin_of_record = slice(k, k + 1)
-        item = Item(
+        item = DiscRequirement(
             record=record.name,
             place=f"around {angle:.2f} rad/sample",
             is_band=True,
@@ -260,7 +259,7 @@ def requirements_from_average(record: AveragedSpectrum, centre: float) -> list[I
             dark=bool(dark[k]),
         )
         items.append(item)
-    total = Item(
+    total = DiscRequirement(
         record=record.name,
         place=TOTAL,
         is_band=False,

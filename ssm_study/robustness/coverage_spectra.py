@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from jaxtyping import Complex, Float
 
-from ssm_study.robustness.bands import ANGLES
+from ssm_study.robustness.bands import ANGLES, line_powers
 from ssm_study.robustness.record_errors import QUIET, RecordErrors
 from ssm_study.robustness.return_to_rest import SURE
 
@@ -77,15 +77,9 @@ class AveragedSpectrum:
         return self.sure * without_noise
 
 
-def line_powers(spectrum: Complex[np.ndarray, "L c"]) -> Powers:
-    """Power of a signal at each of its spectral lines, summed over the channels."""
-    powers = np.abs(spectrum) ** 2
-    return np.asarray(powers.sum(axis=1))
-
-
 def line_spectrum(record_errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> MismatchSpectrum:
-    """Line spectra of input, model output and model error in a record with two equal periods of
-    input."""
+    """Line spectra of input, model output and model error in a record whose input has two equal
+    periods."""
     assert record_errors.period is not None
     lines = np.arange(record_errors.period // 2 + 1)
     angles = 2 * np.pi * lines / record_errors.period
@@ -98,7 +92,7 @@ def line_spectrum(record_errors: RecordErrors, noise: Float[np.ndarray, "F"]) ->
     noise_at_lines = np.interp(angles, ANGLES, noise)
     return MismatchSpectrum(
         name=record_errors.name,
-        amplitude=record_errors.amplitude,
+        amplitude=record_errors.input_rms,
         angles=angles,
         sides=sides,
         model=model,
@@ -109,13 +103,12 @@ def line_spectrum(record_errors: RecordErrors, noise: Float[np.ndarray, "F"]) ->
 
 
 def averaged_spectrum(record_errors: RecordErrors) -> AveragedSpectrum:
-    """Power spectra by Welch's averages of a record in open loop, whose noise counts as model
-    error. Its noise counts as model error."""
+    """Power spectra, by Welch's averages, of an open-loop record; noise counts as model error."""
     powers = _welch_powers(record_errors)
     none = np.zeros_like(powers["angles"])
     ones = np.ones_like(powers["angles"])
     return AveragedSpectrum(
-        name=record_errors.name, amplitude=record_errors.amplitude, drawn=none, sure=ones, **powers
+        name=record_errors.name, amplitude=record_errors.input_rms, drawn=none, sure=ones, **powers
     )
 
 
@@ -140,13 +133,13 @@ def averaged_spectrum_in_loop(
     drawn = sides * one_sided
     sure = np.full(bands, 1 + SURE * relative_error)
     return AveragedSpectrum(
-        name=record_errors.name, amplitude=record_errors.amplitude, drawn=drawn, sure=sure, **powers
+        name=record_errors.name, amplitude=record_errors.input_rms, drawn=drawn, sure=sure, **powers
     )
 
 
 def _welch_powers(record_errors: RecordErrors) -> dict[str, Powers]:
-    """Power spectra by Welch's averages of a record's input, model output and model error, and the
-    cross power of the last two."""
+    """Power spectra, by Welch's averages, of a record's input, model output and model error, and
+    the cross power of model output and error."""
     longest = 2 * (len(ANGLES) - 1)
     segment = min(longest, len(record_errors.u))
     even = max(segment // 2 * 2, 2)

@@ -1,5 +1,5 @@
 """Table by frequency of two disc radii: the one that contains the recorded model error, and the one
-that is proved.
+that the certificate proves.
 
 `coverage_table(premise, weights, centre, kappa)` has one row for every band of every record. Of a
 run, `recorded_error_spectra` (`study/stages/synthesis.py`) gives the premise and the certificate
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssm_study.robustness.coverage import Premise, Weights
-from ssm_study.robustness.coverage_items import Item
+from ssm_study.robustness.coverage import DiscWeights, ModelErrorSpectra
+from ssm_study.robustness.coverage_items import DiscRequirement
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,10 +39,10 @@ class CoverageBand:
 
 
 def coverage_table(
-    premise: Premise, weights: Weights, centre: float, kappa: float
+    premise: ModelErrorSpectra, weights: DiscWeights, centre: float, kappa: float
 ) -> list[CoverageBand]:
     """Table rows, one for each frequency band of a record, with the disc radius that contains the
-    model error and the proved radius.
+    measured model error and the radius that the certificate proves.
 
     Groups of bands, means and totals have no row, so the largest `need` of the rows may be smaller
     than the need that `coverage` is taken over.
@@ -58,7 +58,12 @@ def coverage_table(
 
 
 def _band_row(
-    requirement: Item, weights: Weights, kappa: float, needed_radius: float, *, is_deciding: bool
+    requirement: DiscRequirement,
+    weights: DiscWeights,
+    kappa: float,
+    needed_radius: float,
+    *,
+    is_deciding: bool,
 ) -> CoverageBand:
     """Table row with the recorded and the proved size of the model error in one frequency band."""
     model_power = float(requirement.model_power.sum())

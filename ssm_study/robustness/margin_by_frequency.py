@@ -42,12 +42,12 @@ class MarginCurve:
 def margin_curves(
     model: Model, gains: Gains, balls: Balls, mismatch: Mismatch
 ) -> list[MarginCurve]:
-    """Stability margin as a function of frequency, one curve for each recorded input amplitude in
+    """Stability margins as functions of frequency, one curve for each recorded input amplitude in
     ascending order.
 
     None where a loop of constant slopes is unstable: no frequency is to blame for a margin of zero.
     """
-    curves: dict[float | None, _WorstCurve] = {}
+    curves: dict[float | None, _LargestLoopGain] = {}
     for linear, own_gains, slopes, records in loops_at_constant_slopes(
         model, gains, balls, mismatch
     ):
@@ -55,13 +55,13 @@ def margin_curves(
         if loop is None:
             return []
         for view in records.views:
-            condition = AmplitudeCondition.from_view(view, loop)
+            condition = AmplitudeCondition.from_model_error(view, loop)
             gain = _less_conservative_gain(condition, view.by_frequency, loop)
-            curve = curves.setdefault(view.amplitude, _WorstCurve())
+            curve = curves.setdefault(view.amplitude, _LargestLoopGain())
             curve.include_gain(loop.angles, gain)
         if records.loop is not None:
             mismatch_gain = np.interp(loop.angles, ANGLES, records.loop.by_frequency)
-            curve = curves.setdefault(None, _WorstCurve())
+            curve = curves.setdefault(None, _LargestLoopGain())
             curve.include_gain(loop.angles, mismatch_gain * loop.size)
     ordered = sorted(curves.items(), key=lambda item: (item[0] is None, item[0] or 0.0))
     return [curve.as_margin_curve(amplitude) for amplitude, curve in ordered]
@@ -84,8 +84,9 @@ def _less_conservative_gain(
     return np.asarray(gain)
 
 
-class _WorstCurve:
-    """Largest loop gain over all slopes of the static maps, at each frequency of a grid."""
+class _LargestLoopGain:
+    """Largest loop gain at each frequency of a grid, over all combinations of slopes of the static
+    maps."""
 
     def __init__(self) -> None:
         self.gain = np.zeros(len(FINE_ANGLES))
@@ -93,8 +94,8 @@ class _WorstCurve:
         self.angle = float(FINE_ANGLES[0])
 
     def include_gain(self, angles: LoopGains, loop_gain: LoopGains) -> None:
-        """Update the largest loop gain at each frequency with the loop gain for one combination of
-        static-map slopes."""
+        """Update the largest loop gain at each frequency with the loop gain for one more
+        combination of slopes."""
         places = np.searchsorted(angles, FINE_ANGLES)
         on_grid = loop_gain[places]
         self.gain = np.maximum(self.gain, on_grid)

@@ -2,7 +2,7 @@
 removed.
 
 A closed loop maps `e` back to `u`; what it tolerates is `synthesis.prediction`. What a record shows
-of `e` holds where it has been, so there is one `View` for each amplitude:
+of `e` holds where it has been, so there is one `ModelErrorAtAmplitude` for each amplitude:
 
     in total        g    = ||e||_2 / ||u||_2
     by frequency    g(w) = sqrt(S_e(w) / S_u(w)),            measured in every band: nothing stands
@@ -24,13 +24,13 @@ from ssm_study.refusal import require
 from ssm_study.robustness.bands import ANGLES, welch_power_density
 from ssm_study.robustness.record_errors import (
     EXCITED,
+    ModelErrorAtAmplitude,
     RecordErrors,
-    View,
-    error_from_averages,
-    error_from_periods,
-    error_in_closed_loop,
     estimate_noise,
-    moving_loop_errors,
+    model_error_from_averages,
+    model_error_from_periods,
+    model_error_in_closed_loop,
+    moving_closed_loop_errors,
     open_loop_errors,
 )
 from ssm_study.robustness.return_to_rest import (
@@ -45,7 +45,7 @@ from ssm_study.robustness.return_to_rest import (
 from ssm_study.robustness.single_sines import (
     add_sine_errors,
     has_single_sine_input,
-    measure_sine_error,
+    measure_error_at_sine,
     steady_sine_errors,
 )
 from ssm_study.signals import Trajectories
@@ -62,8 +62,8 @@ MISSED = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Mismatch:
-    """Measured model error, by frequency and by input amplitude. All views, the smallest amplitude
-    first. `spread`: standard error of the largest's `ln g`, from blocks.
+    """Measured model error (plant-model mismatch), by frequency and by input amplitude. All views,
+    the smallest amplitude first. `spread`: standard error of the largest's `ln g`, from blocks.
 
     `left_at_rest`: the most that is left of the output at rest input, as a share of its scale; None
     without such a record. `unexcited`: bands without input power in the largest record. `loop`:
@@ -73,8 +73,8 @@ class Mismatch:
     squares of that scale, where an input repeats.
     """
 
-    views: tuple[View, ...]
-    loop: View | None = None
+    views: tuple[ModelErrorAtAmplitude, ...]
+    loop: ModelErrorAtAmplitude | None = None
     spread: float = 0.0
     left_at_rest: float | None = None
     unexcited: tuple[float, ...] = ()
@@ -83,7 +83,7 @@ class Mismatch:
     noise: tuple[float, ...] = ()
 
     @property
-    def offset(self) -> float:
+    def largest_offset(self) -> float:
         """Largest output offset that may remain at constant input, relative to the settling band,
         with 95 % confidence."""
         worst = 0.0
@@ -104,7 +104,7 @@ class Mismatch:
 
     @property
     def plant_comes_to_rest(self) -> bool:
-        """Whether the plant comes to rest in the records whenever its input is constant."""
+        """Whether the plant comes to rest in every record with constant input."""
         return self.left_at_rest is None or self.left_at_rest < AT_REST
 
     @property
@@ -116,13 +116,13 @@ class Mismatch:
         return max(view.gain for view in self.errors_by_amplitude)
 
     @property
-    def errors_by_amplitude(self) -> tuple[View, ...]:
+    def errors_by_amplitude(self) -> tuple[ModelErrorAtAmplitude, ...]:
         """Model error at each recorded input amplitude, and as last item the error measured in
         closed loop, if there is one."""
         return self.views if self.loop is None else (*self.views, self.loop)
 
     @property
-    def by_frequency(self) -> Float[np.ndarray, "F"]:
+    def gain_by_frequency(self) -> Float[np.ndarray, "F"]:
         """Gain from input to model error in each frequency band: the larger of its values at the
         largest amplitude and in closed loop."""
         largest = self.views[-1].by_frequency
@@ -133,23 +133,23 @@ class Mismatch:
     def gain_at(self, angles: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
         """Gain from input to model error at given frequencies, interpolated between the frequency
         bands."""
-        return np.interp(angles, ANGLES, self.by_frequency)
+        return np.interp(angles, ANGLES, self.gain_by_frequency)
 
 
-def measure_mismatch(
+def measure_model_error(
     model: Model,
     validation: Trajectories,
     start_up_samples: int = 0,
     mismatch_records: Trajectories = (),
 ) -> Mismatch:
-    """Measure the model error, `e = y - y_model` in free run and scaled, on validation records and
-    on further records.
+    """Measure the model error `e = y - y_model` of a free-run simulation, in scaled units, on
+    validation records and further records.
 
     A single sine, of `excite --after`, raises the mismatch at its frequency alone (`single_sines`).
     With `start_up_samples` the initial state is estimated from them (`models.metrics`), and they do
     not count. Raises `BadRequest` without a record that moves the input.
     """
-    closed_loop_errors = moving_loop_errors(model, mismatch_records, start_up_samples)
+    closed_loop_errors = moving_closed_loop_errors(model, mismatch_records, start_up_samples)
     in_open_loop = open_loop_errors(model, validation, mismatch_records, start_up_samples)
     moving = [errors for errors in in_open_loop if errors.u.any()]
     resting = [errors for errors in in_open_loop if not errors.u.any()]
@@ -160,7 +160,7 @@ def measure_mismatch(
     periodic = [errors for errors in repeating if not has_single_sine_input(errors)]
     noise = estimate_noise(periodic) if periodic else None
     largest = max(periodic or moving, key=RecordErrors.mean_square_input)
-    views = [error_from_averages(moving)]
+    views = [model_error_from_averages(moving)]
     if noise is not None:
         views = _errors_from_periods(periodic, repeating, noise)
     response = model.linear.impulse_response_length()
@@ -171,37 +171,39 @@ def measure_mismatch(
     starts = [float(np.abs(errors.output[0]).max()) for errors in resting]
     loop = None
     if closed_loop_errors:
-        loop = error_in_closed_loop(closed_loop_errors, noise)
+        loop = model_error_in_closed_loop(closed_loop_errors, noise)
     sorted_views = sorted(views, key=lambda view: view.amplitude)
     noise_by_band = () if noise is None else tuple(noise.tolist())
     motions_at_rest = [*decays, *still, *swings]
     left_at_rest = max(motions_at_rest, default=None)
-    stuck = _offsets_with_larger_maximum(own_offsets, offsets)
+    stuck = _choose_larger_offsets(own_offsets, offsets)
     farthest = max(starts, default=1.0)
     return Mismatch(
         views=tuple(sorted_views),
         loop=loop,
-        spread=largest.gain_standard_error(),
+        spread=largest.log_gain_standard_error(),
         noise=noise_by_band,
         left_at_rest=left_at_rest,
         stuck=tuple(stuck),
         farthest=farthest,
-        unexcited=_unexcited_bands(largest),
+        unexcited=_unexcited_frequencies(largest),
     )
 
 
 def _errors_from_periods(
     periodic_errors: Records, repeating_errors: Records, noise: BandPowers
-) -> list[View]:
-    """Model error at the input amplitude of each record with two equal periods, single sines
-    included."""
+) -> list[ModelErrorAtAmplitude]:
+    """Model error at the input amplitude of each record with two equal periods, with the results of
+    single-sine records added."""
     strength = max(errors.mean_square_input() for errors in periodic_errors)
     views = []
     for errors in periodic_errors:
         is_largest = errors.mean_square_input() == strength
-        views.append(error_from_periods(errors, is_largest, noise))
+        views.append(model_error_from_periods(errors, is_largest, noise))
     views = sorted(views, key=lambda view: view.amplitude)
-    sines = [measure_sine_error(errors, noise) for errors in steady_sine_errors(repeating_errors)]
+    sines = [
+        measure_error_at_sine(errors, noise) for errors in steady_sine_errors(repeating_errors)
+    ]
     return [*add_sine_errors(views, sines)]
 
 
@@ -224,13 +226,13 @@ def _offsets_and_oscillations_at_rest(
     return offsets, swings
 
 
-def _offsets_with_larger_maximum(first: list[float], second: list[float]) -> list[float]:
-    """List with the larger maximum, of two lists of measured output offsets."""
+def _choose_larger_offsets(first: list[float], second: list[float]) -> list[float]:
+    """Choose, of two lists of measured output offsets, the one with the larger maximum."""
     return max(first, second, key=lambda offsets: max(offsets, default=0.0))
 
 
-def _unexcited_bands(record_errors: RecordErrors) -> tuple[float, ...]:
-    """Frequencies of the bands in which the input of a record has next to no power."""
+def _unexcited_frequencies(record_errors: RecordErrors) -> tuple[float, ...]:
+    """Frequencies (rad/sample) of the bands in which the input of a record has next to no power."""
     input_power = welch_power_density([record_errors.u])
     is_unexcited = input_power < EXCITED * input_power.mean()
     band_angles = ANGLES[: len(input_power)]

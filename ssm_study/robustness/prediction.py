@@ -8,7 +8,7 @@ conditions must hold, and all the others, with `M = s_u s_y G T_ue`, G the model
     small gain      max_w g(w) sigma_max(T_ue(w)) < 1
     with a phase    1 - M Q winds around zero nowhere, and
                     max_w g_r(w) |T_ue| / |1 - M Q| < 1,      where e = Q y_model + r
-    offset          offset sigma_max(I + M)(0) < 1,           see `Mismatch.offset`
+    offset          offset sigma_max(I + M)(0) < 1,           see `Mismatch.largest_offset`
     noise_peak      4.5 sqrt((1 / pi) int_0^pi sigma_max(M)^2 S_n dw) / band < 1,
                     at the slopes of rest
     controller      controller_radius < 1
@@ -34,15 +34,15 @@ from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.models.structured import Model, StructuredSSM, evaluate_activations
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.record_errors import View
+from ssm_study.robustness.record_errors import ModelErrorAtAmplitude
 from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
-    Responses,
+    ResponseCache,
+    control_sensitivity_peak,
     controller_spectral_radius,
     error_to_input_response,
     largest_singular_values,
-    sensitivity_peak,
-    slope_combinations,
+    systems_at_constant_slopes,
 )
 from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
 
@@ -72,8 +72,7 @@ class Prediction:
     noise_peak: float = 0.0
 
     def predicts_stability(self, required_margin: float = 1.0) -> bool:
-        """Whether a loop is predicted to be stable on the plant with more than a given stability
-        margin."""
+        """Whether the loop is predicted to be stable on the plant with more than a given margin."""
         is_robust = self.resolved_margin > required_margin
         return is_robust and self.controller_radius < 1 and self.noise_peak < 1
 
@@ -81,9 +80,9 @@ class Prediction:
 def predict_margins(model: Model, gains: Gains, balls: Balls, mismatch: Mismatch) -> Prediction:
     """Predict the stability margins on the plant of the loop with one controller and observer. They
     are zero if the loop is unstable at a slope, infinite without any model error."""
-    peak = sensitivity_peak(model.system, gains, balls)
+    peak = control_sensitivity_peak(model.system, gains, balls)
     total_gain = mismatch.gain * peak if np.isfinite(peak) else np.inf
-    measure = robustness_measure(model, gains, balls, mismatch)
+    measure = worst_case_loop_gain(model, gains, balls, mismatch)
     controller_radius = controller_spectral_radius(model.system, gains, balls)
     return Prediction(
         mismatch_margin=margin_from_loop_gain(total_gain),
@@ -98,17 +97,17 @@ def margin_from_loop_gain(loop_gain: float) -> float:
     return 1 / loop_gain if loop_gain else float("inf")
 
 
-def robustness_measure(
+def worst_case_loop_gain(
     model: Model,
     gains: Gains,
     balls: Balls,
     mismatch: Mismatch,
-    cached_responses: Responses | None = None,
+    cached_responses: ResponseCache | None = None,
     stop_value: float = float("inf"),
 ) -> float:
-    """Largest loop gain of a closed loop under the measured model error, the inverse of its
-    stability margin. The largest number that must stay below one, over amplitudes, mixtures and
-    slopes; infinite for an unstable loop.
+    """Largest loop gain of a closed loop under the measured model error, over all amplitudes and
+    slopes; its inverse is the stability margin. The largest number that must stay below one, over
+    amplitudes, mixtures and slopes; infinite for an unstable loop.
 
     It is taken on `FINE_ANGLES`, or those of `cached_responses`, where what pairs share is computed
     once (the same but for rounding), and at the angles of the loop's own modes, where it is
@@ -122,7 +121,7 @@ def robustness_measure(
         loop = LoopResponse.from_gains(linear, own_gains, slopes, cached_responses)
         if loop is None:
             return float("inf")
-        offset = records.offset * loop.gain_of_constants
+        offset = records.largest_offset * loop.gain_of_constants
         largest = max(largest, offset, largest_loop_gain(records, loop))
         if largest >= stop_value:
             return largest
@@ -132,10 +131,10 @@ def robustness_measure(
 def loops_at_constant_slopes(
     model: Model, gains: Gains, balls: Balls, mismatch: Mismatch
 ) -> Iterator[tuple[StateSpace, Gains, SlopePair, Mismatch]]:
-    """Linear closed loops for all combinations of constant slopes of static maps and neurons, each
-    with its model error."""
+    """Linear closed loops at all combinations of constant slopes of maps and neurons, each with the
+    model error that applies to it."""
     for met_balls, records in _group_by_amplitude(model, balls, mismatch):
-        combinations = slope_combinations(model.system, gains, met_balls)
+        combinations = systems_at_constant_slopes(model.system, gains, met_balls)
         for linear, own_gains, slope_in, slope_out in combinations:
             yield linear, own_gains, (slope_in, slope_out), records
 
@@ -192,7 +191,7 @@ class LoopResponse:
         system: StateSpace,
         gains: Gains,
         slopes: SlopePair,
-        cached_responses: Responses | None = None,
+        cached_responses: ResponseCache | None = None,
     ) -> "LoopResponse | None":
         """Frequency response of the closed loop with each static map replaced by a constant slope;
         None if that loop is unstable."""
@@ -238,7 +237,7 @@ class LoopResponse:
         )
 
     def small_gain_product(self, by_frequency: BandGains) -> float:
-        """Product of the gains of closed loop and model error, the largest over all frequencies
+        """Product of the gains of closed loop and model error at the frequency where it is largest
         (small-gain theorem)."""
         mismatch_gain = np.interp(self.angles, ANGLES, by_frequency)
         loop_gain = mismatch_gain * self.size
@@ -282,7 +281,9 @@ class AmplitudeCondition:
     is_exempt: bool
 
     @classmethod
-    def from_view(cls, view: View, loop: LoopResponse) -> "AmplitudeCondition":
+    def from_model_error(
+        cls, view: ModelErrorAtAmplitude, loop: LoopResponse
+    ) -> "AmplitudeCondition":
         """Evaluate the small-gain condition of a closed loop for the model error at one input
         amplitude. Where the plant did not move, no remainder counts."""
         held_still = view.response < HOLDS
@@ -309,7 +310,7 @@ def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
     two recorded amplitudes, so mixtures of neighbours are tested too. Source: docs/theory.md,
     "Small gain for the plant".
     """
-    conditions = [AmplitudeCondition.from_view(view, loop) for view in mismatch.views]
+    conditions = [AmplitudeCondition.from_model_error(view, loop) for view in mismatch.views]
     gain = 0.0
     for condition in conditions:
         if condition.small_gain > gain and not condition.is_exempt:
@@ -379,12 +380,12 @@ def output_peak_from_noise(model: Model, gains: Gains, balls: Balls, mismatch: M
 
 
 def _linearise_at_equilibrium(model: Model, gains: Gains, balls: Balls) -> tuple[StateSpace, Gains]:
-    """Linear recurrence and observer gains of a model whose neurons have their slopes at the
-    equilibrium."""
+    """Linear recurrence and observer gains of a model, with each neuron replaced by its slope at
+    the equilibrium."""
     slopes = None
     if isinstance(model, StructuredSSM):
         slopes = evaluate_activations(model.neurons, model.bias, "slope")[None]
-    combinations = slope_combinations(model.system, gains, balls, slopes)
+    combinations = systems_at_constant_slopes(model.system, gains, balls, slopes)
     linear, own_gains, *_ = next(iter(combinations))
     return linear, own_gains
 

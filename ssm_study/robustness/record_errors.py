@@ -16,10 +16,10 @@ from ssm_study.models.metrics import simulate_record
 from ssm_study.models.structured import Model
 from ssm_study.robustness.bands import (
     ANGLES,
+    assign_lines_to_bands,
     band_means,
+    line_powers,
     safe_ratio,
-    sort_lines_into_bands,
-    total_power,
     welch_power_density,
 )
 from ssm_study.robustness.return_to_rest import SURE, is_return_to_rest, oscillation_amplitude
@@ -47,7 +47,7 @@ Spectra = tuple[Complex[np.ndarray, "2 K p"], InputSpectrum, OutputSpectrum]
 
 
 @dataclass(frozen=True, kw_only=True)
-class View:
+class ModelErrorAtAmplitude:
     """Model error in all records of one input amplitude, by frequency band. See the module for
     `linear` (Q) and `rest`, both at `ANGLES`.
 
@@ -107,7 +107,7 @@ class RecordErrors:
         return self.e + self.model
 
     @property
-    def amplitude(self) -> float:
+    def input_rms(self) -> float:
         """Root mean square of the record's input."""
         mean_square = (self.u**2).mean()
         return float(np.sqrt(mean_square))
@@ -117,9 +117,9 @@ class RecordErrors:
         mean_square = (self.u**2).mean()
         return float(mean_square)
 
-    def gain_standard_error(self) -> float:
-        """Standard error of the logarithm of one record's gain from input to model error, from
-        blocks of the record."""
+    def log_gain_standard_error(self) -> float:
+        """Standard error of the logarithm of one record's gain from input to model error, estimated
+        from blocks of the record."""
         errors = np.array_split(self.e, BLOCKS)
         inputs = np.array_split(self.u, BLOCKS)
         ratios = []
@@ -145,7 +145,7 @@ class RecordErrors:
 
     def error_spectra(self) -> Spectra:
         """Fourier transforms of the model error in both periods of a record, and of input and model
-        output in the second period."""
+        output in the second."""
         of_error = self.period_spectra(self.e)
         _, of_input = self.period_spectra(self.u)
         _, of_model = self.period_spectra(self.model)
@@ -164,7 +164,7 @@ def open_loop_errors(
     return [RecordErrors.from_record(model, record, start_up_samples) for record in records]
 
 
-def moving_loop_errors(
+def moving_closed_loop_errors(
     model: Model, mismatch_records: Trajectories, start_up_samples: int
 ) -> list[RecordErrors]:
     """Free-run errors of the model on closed-loop records whose output keeps moving, without
@@ -173,24 +173,24 @@ def moving_loop_errors(
     for trial in mismatch_records:
         if not trial.closed_loop:
             continue
-        unscored = count_unscored_samples(trial, start_up_samples)
+        unscored = count_initial_state_samples(trial, start_up_samples)
         errors = RecordErrors.from_record(model, trial, unscored)
         if errors.u.any() and oscillation_amplitude(errors.output) > MOVING:
             loops.append(errors)
     return loops
 
 
-def count_unscored_samples(record: Trajectory, start_up_samples: int) -> int:
-    """Number of samples at the beginning of a closed-loop record from which its initial state is
-    estimated. It is a third, `IN_LOOP` at most."""
+def count_initial_state_samples(record: Trajectory, start_up_samples: int) -> int:
+    """Number of samples at the beginning of a closed-loop record that only serve to estimate the
+    initial state. It is a third, `IN_LOOP` at most."""
     share, most_samples = IN_LOOP
     unscored = min(int(share * len(record)), most_samples)
     return max(start_up_samples, unscored)
 
 
-def error_from_averages(records: list[RecordErrors]) -> View:
-    """Gain from input to model error by frequency, by Welch's averages over records whose input
-    does not repeat. Noise counts as model error, and no linear part is separated."""
+def model_error_from_averages(records: list[RecordErrors]) -> ModelErrorAtAmplitude:
+    """Model error by frequency, from Welch's averages over records whose input does not repeat.
+    Noise counts as model error, and no linear part is separated."""
     inputs = [record.u for record in records]
     errors = [record.e for record in records]
     input_energies = [(u**2).sum() for u in inputs]
@@ -210,14 +210,14 @@ def error_from_averages(records: list[RecordErrors]) -> View:
 
 def _error_from_total_gain(
     records: list[RecordErrors], gain_by_frequency: BandGains, total_gain: float
-) -> View:
+) -> ModelErrorAtAmplitude:
     """Model error at one input amplitude, with its linear part set to zero, from its gain per
     frequency band and its total gain."""
     all_inputs = np.concatenate([record.u for record in records])
     mean_square = np.mean(all_inputs**2)
     amplitude = float(np.sqrt(mean_square))
     linear = np.zeros(len(ANGLES), dtype=complex)
-    return View(
+    return ModelErrorAtAmplitude(
         amplitude=amplitude,
         gain=total_gain,
         by_frequency=gain_by_frequency,
@@ -226,9 +226,11 @@ def _error_from_total_gain(
     )
 
 
-def error_in_closed_loop(records: list[RecordErrors], noise: BandGains | None) -> View:
-    """Largest model error in any record that was taken in closed loop. A mean would hide a small
-    one behind a large one."""
+def model_error_in_closed_loop(
+    records: list[RecordErrors], noise: BandGains | None
+) -> ModelErrorAtAmplitude:
+    """Model error by frequency in closed loop, the largest of several records. A mean would hide a
+    small one behind a large one."""
     gains = [_closed_loop_gains(record, noise) for record in records]
     resolved_gains = [resolved for resolved, _ in gains]
     by_frequency = np.max(resolved_gains, axis=0)
@@ -275,15 +277,17 @@ def estimate_noise(records: list[RecordErrors]) -> BandGains:
     for record in records:
         both_periods, *_ = record.error_spectra()
         first, second = both_periods
-        noise_lines = total_power(first - second) / 2
+        noise_lines = line_powers(first - second) / 2
         powers.append(band_means(noise_lines) / record.period)
     return np.asarray(np.median(powers, axis=0))
 
 
-def error_from_periods(record: RecordErrors, has_no_doubt: bool, noise: BandGains) -> View:
-    """Gain from input to model error by frequency, from a record with two equal periods whose
-    difference is noise. With two periods `E_1, E_2`, `Re(E_1 conj E_2)` is the power that repeats,
-    without bias: noise is independent.
+def model_error_from_periods(
+    record: RecordErrors, has_no_doubt: bool, noise: BandGains
+) -> ModelErrorAtAmplitude:
+    """Model error by frequency, from a record with two equal periods of input, in which the
+    difference between the periods is noise. With two periods `E_1, E_2`, `Re(E_1 conj E_2)` is the
+    power that repeats, without bias: noise is independent.
 
     In a band that the input does not excite nothing is subtracted: the gain is the one measured,
     noise included. Averaged over the M lines of a band its variance is `(S_n^2 / 2 + S_n S_e) / M`.
@@ -292,9 +296,9 @@ def error_from_periods(record: RecordErrors, has_no_doubt: bool, noise: BandGain
     both_periods, drive, model = record.error_spectra()
     first, second = both_periods
     noise_power = noise * record.period
-    _, lines = sort_lines_into_bands(len(drive))
-    input_power = band_means(total_power(drive))
-    model_power = band_means(total_power(model))
+    _, lines = assign_lines_to_bands(len(drive))
+    input_power = band_means(line_powers(drive))
+    model_power = band_means(line_powers(model))
     repeats = _repeating_power(first, second)
     doubt: Any = 0.0
     if not has_no_doubt:
@@ -311,7 +315,7 @@ def error_from_periods(record: RecordErrors, has_no_doubt: bool, noise: BandGain
     rest = np.maximum(repeats - explained - doubt, 0.0)
     # Little or no input: by chance nothing repeats there, or anything.
     is_unexcited = input_power < EXCITED * input_power.mean()
-    measured = band_means((total_power(first) + total_power(second)) / 2)
+    measured = band_means((line_powers(first) + line_powers(second)) / 2)
     whole = np.where(is_unexcited, measured, whole)
     rest = np.where(is_unexcited, measured, rest)
     linear = np.where(is_unexcited, 0.0, linear)
@@ -320,8 +324,8 @@ def error_from_periods(record: RecordErrors, has_no_doubt: bool, noise: BandGain
     by_frequency = np.sqrt(safe_ratio(whole, input_power))
     remainder = np.sqrt(safe_ratio(rest, input_power))
     total_model_power = max(model_power.sum(), np.finfo(float).tiny)
-    return View(
-        amplitude=record.amplitude,
+    return ModelErrorAtAmplitude(
+        amplitude=record.input_rms,
         gain=float(np.sqrt(squared_gain)),
         by_frequency=by_frequency,
         linear=linear,
@@ -331,8 +335,8 @@ def error_from_periods(record: RecordErrors, has_no_doubt: bool, noise: BandGain
 
 
 def _repeating_power(first: OutputSpectrum, second: OutputSpectrum) -> BandGains:
-    """Power in each frequency band of the part that repeats in two periods of a record, in which
-    noise averages out."""
+    """Power in each frequency band of the part of a signal that repeats in two equal periods, in
+    which noise averages out."""
     lines = (first * second.conj()).real
     return band_means(lines.sum(axis=1))
 
@@ -340,10 +344,10 @@ def _repeating_power(first: OutputSpectrum, second: OutputSpectrum) -> BandGains
 def _significant_linear_part(
     error: OutputSpectrum, model: OutputSpectrum, least_power: BandGains
 ) -> ComplexBandGains:
-    """Linear part of the model error in the frequency bands where it explains more than a given
-    power, zero in the others."""
+    """Linear part of the model error in each frequency band, set to zero where it explains no more
+    than a given power."""
     linear = _linear_part(error, model)
-    model_power = band_means(total_power(model))
+    model_power = band_means(line_powers(model))
     explained = model_power * np.abs(linear) ** 2
     is_significant = explained > least_power
     return np.where(is_significant, linear, 0.0)
@@ -356,5 +360,5 @@ def _linear_part(error: OutputSpectrum, model: OutputSpectrum) -> ComplexBandGai
     cross_spectrum = cross_lines.sum(axis=1)
     real_part = band_means(cross_spectrum.real)
     imaginary_part = band_means(cross_spectrum.imag)
-    model_power = band_means(total_power(model))
+    model_power = band_means(line_powers(model))
     return safe_ratio(real_part + 1j * imaginary_part, model_power)

@@ -31,8 +31,8 @@ Variance = Float[np.ndarray, "p"]
 
 
 def is_return_to_rest(record: Trajectory) -> bool:
-    """Whether the input of a record moves once at the beginning and is constant from then on. The
-    same holds for measured disturbances (`data.splits.rest_segments`)."""
+    """Whether the input of a record changes only once, at the beginning, and is constant from then
+    on. The same holds for measured disturbances (`data.splits.rest_segments`)."""
     if len(record) <= FEWEST:
         return False
     moving = record.inputs_and_disturbances
@@ -46,8 +46,8 @@ def is_return_to_rest(record: Trajectory) -> bool:
 def offsets_after_returns(
     scale: Scale, records: list[Trajectory], response_length: int
 ) -> tuple[list[float], list[float]]:
-    """Oscillations and offsets of the output that remain after the input has returned to a constant
-    value, over several records.
+    """Oscillations and offsets that the outputs of several records still have after the input has
+    returned to a constant value.
 
     Returns count that outlast the model's response; without any, all that came to rest from `FAR`
     away, where each did: a model may have a slow mode that the plant has not. Nothing is said where
@@ -73,8 +73,8 @@ def offsets_after_returns(
 
 
 def largest_equilibrium_difference(scale: Scale, records: list[Trajectory]) -> float:
-    """Largest distance between final outputs of records that end at the same constant input; zero
-    if an output still moves."""
+    """Largest difference between the final outputs of records that end at the same constant input;
+    zero if an output still moves."""
     offsets = list[float]()
     for outputs in _group_outputs_by_final_input(scale, records).values():
         largest_swing = max(map(oscillation_amplitude, outputs))
@@ -99,7 +99,7 @@ def _group_outputs_by_final_input(
 
 
 def _starts_far_from_rest(outputs: list[OutputSignal]) -> bool:
-    """Whether one of several outputs begins far from its final value."""
+    """Whether at least one of several outputs begins far from its final value."""
     for output in outputs:
         tail, _ = _last_quarter(output)
         final_value = tail.mean(axis=0)
@@ -131,8 +131,8 @@ def _distances_from_rest(outputs: list[OutputSignal], *, is_centred: bool) -> li
 def output_after_motion(
     inputs: InputSignal, output: OutputSignal, response_length: int
 ) -> FinalOutput:
-    """Part of an output after the response to the last change of the input has died out; empty for
-    a shorter record."""
+    """Last part of an output, in which the response to the last change of the input has died out;
+    empty for a shorter record."""
     empty_output = output[:0]
     if not inputs.any():
         return empty_output
@@ -144,8 +144,8 @@ def output_after_motion(
 
 
 def remaining_offset(output: OutputSignal) -> float:
-    """Offset of an output that remains at the end of a record with constant input, or the
-    oscillation amplitude where it is larger. The last quarter counts, with noise removed."""
+    """Offset or oscillation amplitude, whichever is larger, of the output at the end of a record
+    with constant input. The last quarter counts, with noise removed."""
     tail, noise = _last_quarter(output)
     standard_error = np.sqrt(noise / len(tail))
     offset = np.abs(tail.mean(axis=0)) - SURE * standard_error

@@ -27,7 +27,7 @@ MOST_CORNERS = 4  # neurons up to which every corner of their slopes is tried, b
 FINE_ANGLES = np.geomspace(1e-4, np.pi, 1000)
 
 # System and gains at frozen slopes of the neurons, slopes of `S_u` and `S_y`.
-End = tuple[StateSpace, Gains, float, float]
+LoopAtSlopes = tuple[StateSpace, Gains, float, float]
 NeuronSlopes = Float[np.ndarray, "k q"]
 Angles = Float[np.ndarray, "F"]
 Square = Float[np.ndarray, "n n"]
@@ -45,23 +45,24 @@ def slopes_to_test(ball: JacobianBall) -> tuple[float, ...]:
     return (ball.alpha,)
 
 
-def slope_combinations(
+def systems_at_constant_slopes(
     system: System, gains: Gains, balls: Balls, neuron_slopes: NeuronSlopes | None = None
-) -> Iterator[End]:
-    """Linear systems and gains at all combinations of extreme slopes of the static maps and the
-    neurons. Slopes of neurons are at the corners unless given (`neuron_slopes`), where L is `L + E
-    S L_z`."""
+) -> Iterator[LoopAtSlopes]:
+    """Linear system and gains for each combination of constant slopes of static maps and neurons.
+    Slopes of neurons are at the corners unless given (`neuron_slopes`), where L is `L + E S
+    L_z`."""
     slopes_in = slopes_to_test(balls.input)
     slopes_out = slopes_to_test(balls.output)
-    for linear, own_gains in _freeze_neurons(system, gains, neuron_slopes):
+    for linear, own_gains in _systems_at_neuron_slopes(system, gains, neuron_slopes):
         for slope_in, slope_out in product(slopes_in, slopes_out):
             yield linear, own_gains, slope_in, slope_out
 
 
-def _freeze_neurons(
+def _systems_at_neuron_slopes(
     system: System, gains: Gains, neuron_slopes: NeuronSlopes | None
 ) -> Iterator[tuple[StateSpace, Gains]]:
-    """Linear system and gains for each combination of constant neuron slopes."""
+    """Linear system and gains for each combination of neuron slopes, with each neuron replaced by
+    its slope."""
     if isinstance(system, StateSpace):
         yield system, gains
         return
@@ -129,22 +130,23 @@ def noise_gain(system: System, gains: Gains, balls: Balls) -> float:
 
     A number of the model, not a claim: slopes that vary may do more, and white noise does less.
     """
-    combinations = slope_combinations(system, gains, balls)
+    combinations = systems_at_constant_slopes(system, gains, balls)
     return max(hinf_norm(noise_response(*end)) for end in combinations)
 
 
-def sensitivity_peak(system: System, gains: Gains, balls: Balls) -> float:
-    """Largest closed-loop gain from an error of the output to the input, over all frequencies and
-    constant slopes. `max ||T_ue||_inf`; infinite if one of these loops is unstable."""
-    combinations = slope_combinations(system, gains, balls)
+def control_sensitivity_peak(system: System, gains: Gains, balls: Balls) -> float:
+    """Peak of the control sensitivity: largest closed-loop gain from an error of the output to the
+    input, over all frequencies and constant slopes. `max ||T_ue||_inf`; infinite if one of these
+    loops is unstable."""
+    combinations = systems_at_constant_slopes(system, gains, balls)
     return max(hinf_norm(error_to_input_response(*end)) for end in combinations)
 
 
 def controller_spectral_radius(
     system: System, gains: Gains, balls: Balls
 ) -> Float[np.ndarray, "*pairs"]:
-    """Largest spectral radius, over constant slopes of the static maps, of controller and observer
-    while the plant stands still. The internal model is left out.
+    """Largest spectral radius of controller and observer while the plant's output is constant, over
+    constant slopes of the static maps. The internal model is left out.
 
     While the plant holds still (friction holds it, its actuator saturates), `y = y*` and the
     controller runs alone: `xh+ = (A + B J_u K_x + L J_y (C + D J_u K_x)) xh`. At or above one, rest
@@ -155,7 +157,7 @@ def controller_spectral_radius(
     state_gain = gains.k[..., : system.order]
     pairs = gains.k.shape[:-2]
     largest = np.zeros(pairs)
-    for linear, own_gains, slope_in, slope_out in slope_combinations(system, gains, balls):
+    for linear, own_gains, slope_in, slope_out in systems_at_constant_slopes(system, gains, balls):
         input_gain = slope_in * state_gain
         output = linear.c + linear.d @ input_gain
         injection = slope_out * own_gains.l @ output
@@ -167,9 +169,9 @@ def controller_spectral_radius(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Responses:
-    """Cache of frequency responses for the loops of many controllers and observers. What pairs
-    share is computed once.
+class ResponseCache:
+    """Cache of frequency responses that the closed loops of many controllers and observers share.
+    What pairs share is computed once.
 
     `T_ue = (I - J_u F G)^{-1} (K_z Z - K_x (z I - A - L J_y C)^{-1} L)`, `F = K_x + K_z Z J_y C`,
     `G = (z I - A)^{-1} B`, `Z = (z I - A_z)^{-1} E` (integrators: `1 / (z - 1)`), separates a pair
@@ -242,7 +244,7 @@ def gain_peaks_on_grid(
     if not isinstance(system, StateSpace):
         equal_slopes = np.ones(system.neurons)
         neuron_slopes = np.outer((0.0, 0.5, 1.0), equal_slopes)
-    responses = Responses(angles=angles)
+    responses = ResponseCache(angles=angles)
     controllers = len(controller_gains)
     observer_count = len(observer_gains)
     peaks = np.zeros((controllers, observer_count))
@@ -252,7 +254,9 @@ def gain_peaks_on_grid(
         k=no_controllers, l=observer_gains, l_z=neuron_injections, internal=internal_model
     )
     modes = observers.modes
-    for linear, frozen, *slope in slope_combinations(system, observers, balls, neuron_slopes):
+    for linear, frozen, *slope in systems_at_constant_slopes(
+        system, observers, balls, neuron_slopes
+    ):
         frozen_ls = list(frozen.l)
         for k, peak in zip(controller_gains, peaks, strict=True):
             response = responses.loop_response(linear, k, modes, frozen_ls, *slope)

@@ -20,9 +20,9 @@ from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
     error_to_input_response,
     largest_singular_values,
-    slope_combinations,
+    systems_at_constant_slopes,
 )
-from ssm_study.robustness.single_sines import SineMismatch, add_sine_errors, measure_sine_error
+from ssm_study.robustness.single_sines import SineMismatch, add_sine_errors, measure_error_at_sine
 from ssm_study.signals import Trajectories
 from ssm_study.systems import Balls, Gains
 
@@ -31,10 +31,10 @@ FEWEST_LINES = 4  # periods of the sine in one period of the record, at least
 
 
 def peak_frequencies(model: Model, gains: Gains, balls: Balls) -> list[float]:
-    """Frequencies (rad/sample) at which the closed loop's gain from an error of the output to the
-    input has a local peak, the largest peak first. The sensitivity is `|T_ue|`."""
+    """Frequencies (rad/sample) of the local peaks of the closed loop's gain from an error of the
+    output to the input, the largest peak first. The sensitivity is `|T_ue|`."""
     size = np.zeros(len(FINE_ANGLES))
-    for end in slope_combinations(model.system, gains, balls):
+    for end in systems_at_constant_slopes(model.system, gains, balls):
         closed_loop = error_to_input_response(*end)
         response = frequency_response(closed_loop, FINE_ANGLES)
         size = np.maximum(size, largest_singular_values(response))
@@ -47,18 +47,18 @@ def peak_frequencies(model: Model, gains: Gains, balls: Balls) -> list[float]:
     return [float(angle) for angle in FINE_ANGLES[largest_first]]
 
 
-def sensitive_lines(model: Model, gains: Gains, balls: Balls, period: int) -> list[int]:
-    """Spectral lines for single-sine experiments, near the highest peaks of the closed loop's
-    sensitivity. They are lines of a period, at peaks of `|T_ue|`."""
+def sensitive_spectral_lines(model: Model, gains: Gains, balls: Balls, period: int) -> list[int]:
+    """Spectral lines at which single sines test a closed loop, nearest to the highest peaks of its
+    control sensitivity. They are lines of a period, at peaks of `|T_ue|`."""
     lines: list[int] = []
     for angle in peak_frequencies(model, gains, balls):
-        line = nearest_line(angle, period)
+        line = nearest_spectral_line(angle, period)
         if line not in lines:
             lines.append(line)
     return sorted(lines[:PEAKS])
 
 
-def deciding_line(
+def line_of_smallest_margin(
     model: Model, pair: Gains, balls: Balls, mismatch: Mismatch, period: int
 ) -> int | None:
     """Spectral line at which the broadband records give the smallest stability margin; None if no
@@ -76,27 +76,27 @@ def deciding_line(
     deciding = int(gains.argmax())
     if gains[deciding] == 0:
         return None
-    return nearest_line(float(FINE_ANGLES[deciding]), period)
+    return nearest_spectral_line(float(FINE_ANGLES[deciding]), period)
 
 
-def nearest_line(angle: float, period: int) -> int:
-    """Spectral line, as a number of cycles in the period, that is nearest to a frequency in
-    rad/sample."""
+def nearest_spectral_line(angle: float, period: int) -> int:
+    """Spectral line nearest to a frequency in rad/sample, as a number of cycles in the period."""
     line = int(np.rint(angle * period / (2 * np.pi)))
     return min(max(line, FEWEST_LINES), period // 2 - 1)
 
 
-def measure_sine_mismatch(
+def measure_errors_at_sines(
     model: Model, records: Trajectories, mismatch: Mismatch, period: int
 ) -> list[SineMismatch]:
-    """Measure the model error in each record of a single sine, at the frequency of the sine."""
+    """Measure the model error in each of several records with a single sine as input, at the
+    frequency of the sine."""
     noise = np.array(mismatch.noise)
     sines = []
     for record in records:
         errors = RecordErrors.from_record(model, record, 0)
         start = len(errors.u) - 2 * period
         last_two_periods = replace(errors, start=start, period=period)
-        sines.append(measure_sine_error(last_two_periods, noise))
+        sines.append(measure_error_at_sine(last_two_periods, noise))
     return sines
 
 

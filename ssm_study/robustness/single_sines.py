@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.robustness.bands import ANGLES
-from ssm_study.robustness.record_errors import RecordErrors, View
+from ssm_study.robustness.record_errors import ModelErrorAtAmplitude, RecordErrors
 
 LIMIT = 2.0  # standard errors added to what repeats
 SINGLE = 0.99  # share of the power in one line, of a sine
@@ -60,8 +60,8 @@ def _input_power_at_lines(record_errors: RecordErrors) -> Float[np.ndarray, "L"]
 
 
 def steady_sine_errors(records: Sequence[RecordErrors]) -> list[RecordErrors]:
-    """Model errors in the steady state of records whose input is a single sine. Their period is
-    such that a third of the sine remains for settling."""
+    """Model errors in the steady state of those records whose input is a single sine. Their period
+    is such that a third of the sine remains for settling."""
     sines = []
     for errors in records:
         if not has_single_sine_input(errors):
@@ -89,7 +89,9 @@ def steady_sine_errors(records: Sequence[RecordErrors]) -> list[RecordErrors]:
     return sines
 
 
-def measure_sine_error(record_errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> SineMismatch:
+def measure_error_at_sine(
+    record_errors: RecordErrors, noise: Float[np.ndarray, "F"]
+) -> SineMismatch:
     """Measure the model error of a record with two equal periods at the frequency where its input
     is strongest. `noise` is a sample's power in each band."""
     assert record_errors.period is not None
@@ -99,7 +101,7 @@ def measure_sine_error(record_errors: RecordErrors, noise: Float[np.ndarray, "F"
     noise_of_sample = float(np.interp(angle, ANGLES, noise))
     noise_power = record_errors.period * noise_of_sample
     input_power = float(drive[line])
-    powers = _powers_at_line(record_errors, line)
+    powers = _powers_at_spectral_line(record_errors, line)
     relative_powers = {name: power / input_power for name, power in powers.items()}
     relative_noise = noise_power / input_power
     repeats = max(relative_powers["error_power"], 0.0)
@@ -118,9 +120,9 @@ def measure_sine_error(record_errors: RecordErrors, noise: Float[np.ndarray, "F"
     )
 
 
-def _powers_at_line(record_errors: RecordErrors, spectral_line: int) -> dict[str, float]:
-    """Powers of model error and model output at one spectral line, and the real part of their cross
-    power."""
+def _powers_at_spectral_line(record_errors: RecordErrors, spectral_line: int) -> dict[str, float]:
+    """Powers of model error and model output at one spectral line, and the real part of the cross
+    power of both."""
     error_spectra = record_errors.period_spectra(record_errors.e)
     model_spectra = record_errors.period_spectra(record_errors.model)
     first, second = error_spectra[:, spectral_line]
@@ -139,8 +141,8 @@ def _powers_at_line(record_errors: RecordErrors, spectral_line: int) -> dict[str
 
 
 def add_sine_errors(
-    errors_by_amplitude: Sequence[View], sines: Sequence[SineMismatch]
-) -> tuple[View, ...]:
+    errors_by_amplitude: Sequence[ModelErrorAtAmplitude], sines: Sequence[SineMismatch]
+) -> tuple[ModelErrorAtAmplitude, ...]:
     """Add model errors measured with single sines to the recorded model errors at the nearest input
     amplitude. Sines well below the smallest amplitude get an entry of their own, which otherwise
     equals the smallest amplitude's."""
@@ -154,13 +156,15 @@ def add_sine_errors(
         ratios = [sine.amplitude / view.amplitude for view in raised]
         distances = [abs(np.log(ratio)) for ratio in ratios]
         nearest = int(np.argmin(distances))
-        raised[nearest] = raise_gain_at_sine(raised[nearest], sine)
+        raised[nearest] = increase_gain_near_sine(raised[nearest], sine)
     return tuple(raised)
 
 
-def raise_gain_at_sine(amplitude_error: View, sine: SineMismatch) -> View:
-    """Raise the recorded gain of the model error near a single sine's frequency to the larger gain
-    that the sine shows."""
+def increase_gain_near_sine(
+    amplitude_error: ModelErrorAtAmplitude, sine: SineMismatch
+) -> ModelErrorAtAmplitude:
+    """Increase the recorded gain of the model error near a single sine's frequency to the gain
+    measured with the sine, if that is larger."""
     above = int(np.searchsorted(ANGLES, sine.angle))
     band_below = max(above - 1, 0)
     band_above = min(above, len(ANGLES) - 1)

@@ -30,8 +30,8 @@ from ssm_study.data.simulated import SimulatedData
 from ssm_study.engine.records import VERSION
 from ssm_study.evidence.metrics import withhold_predictions
 from ssm_study.models.identified import SSM
-from ssm_study.robustness.coverage import Premise, measure_premise
-from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
+from ssm_study.robustness.coverage import ModelErrorSpectra, measure_error_spectra
+from ssm_study.robustness.mismatch import Mismatch, measure_model_error
 from ssm_study.signals import input_limits
 from ssm_study.study.findings import (
     Checked,
@@ -203,7 +203,7 @@ def check_stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] |
 def remeasure_mismatch(run: RunFiles) -> Any:
     """Measure the model error again from the recordings of a run."""
     validation = run.simulated.validation
-    return measure_mismatch(
+    return measure_model_error(
         run.model, validation.records, validation.start_up_samples, run.mismatch_records
     )
 
@@ -215,14 +215,14 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
         return {}  # a run of before these columns claims nothing of them
     validation = run.simulated.validation
     start_up = validation.start_up_samples
-    mismatch = measure_mismatch(run.model, validation.records, start_up, run.mismatch_records)
-    premise = measure_premise(
+    mismatch = measure_model_error(run.model, validation.records, start_up, run.mismatch_records)
+    premise = measure_error_spectra(
         run.model, validation.records, mismatch, start_up, run.mismatch_records
     )
     fresh = None
     if run.specification.plant is None:
         test = run.simulated.test
-        fresh = measure_premise(run.model, test.records, mismatch, test.start_up_samples)
+        fresh = measure_error_spectra(run.model, test.records, mismatch, test.start_up_samples)
     design = run.design
     if is_search_repeated(run):
         # No word is believed: what the search finds is compared with what the record states.
@@ -246,7 +246,7 @@ def is_search_repeated(run: RunFiles) -> bool:
 
 
 def recompute_fresh_data_column(
-    run: RunFiles, premise: Premise, mismatch: Mismatch
+    run: RunFiles, premise: ModelErrorSpectra, mismatch: Mismatch
 ) -> dict[str, Any]:
     """Recompute the disc radius that fresh data sets need, by simulating the data sets again."""
     specification = run.specification

@@ -17,8 +17,8 @@ from omegaconf import DictConfig
 from ssm_study.engine.records import FAILED, INFEASIBLE, OK, read_record
 from ssm_study.engine.runs import Outcome
 from ssm_study.refusal import require
-from ssm_study.robustness.coverage import measure_premise
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.coverage import measure_error_spectra
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.study.line import STUDY
 from ssm_study.study.loop_recordings import read_experiment
 from ssm_study.study.run_files import CONFIGURATION, RunFiles
@@ -153,11 +153,11 @@ def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
     validation = files.simulated.validation
     open_loop = tuple(record for record in files.mismatch_records if not record.closed_loop)
     measured = (validation.records, validation.start_up_samples, open_loop + trial)
-    mismatch = measure_mismatch(files.model, *measured)
+    mismatch = measure_model_error(files.model, *measured)
     if mismatch.loop is None:
         return TrialMismatch(gain=0.0, coverage=None)
     records, start_up_samples, trials = measured
-    premise = measure_premise(files.model, records, mismatch, start_up_samples, trials)
+    premise = measure_error_spectra(files.model, records, mismatch, start_up_samples, trials)
     facts = coverage_columns(files.design, files.model, premise)
     return TrialMismatch(gain=mismatch.loop.gain, coverage=facts.get("coverage"))
 

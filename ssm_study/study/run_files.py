@@ -21,7 +21,7 @@ from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthro
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
 from ssm_study.renamed import rename_old_settings
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.signals import DataSet, Trajectories, input_limits
 from ssm_study.stored_yaml import read_stored_yaml
 from ssm_study.study.allow_list import refuse_foreign_targets
@@ -136,7 +136,7 @@ class RunFiles:
         """Judgement of the evidence for a run's predictions, computed again from data and model."""
         data = self.data
         runs = self.simulated
-        mismatch = measure_mismatch(
+        mismatch = measure_model_error(
             self.model, data.validation, data.start_up_samples, data.mismatch_records
         )
         return collect_findings(data, self.model, runs.validation, runs.test, mismatch)

@@ -18,8 +18,8 @@ from ssm_study.certificates.theorems.integral_action import count_modes_by_frequ
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require, require_positive
-from ssm_study.robustness.coverage import Premise
-from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
+from ssm_study.robustness.coverage import ModelErrorSpectra
+from ssm_study.robustness.mismatch import Mismatch, measure_model_error
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sensitivity import gain_peaks_on_grid
 from ssm_study.signals import Ends, Trajectories
@@ -68,7 +68,7 @@ class Auto:
     internal_model: Sequence[str] = ()
     limits: Ends | None = None
     cover: float | None = None
-    premise: Premise | None = None
+    premise: ModelErrorSpectra | None = None
     decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS, repr=False)
 
     method: ClassVar[str] = "auto"
@@ -147,7 +147,7 @@ class Auto:
         if candidates is None:
             slowest = self._slowest_design(model, balls)
             return self._with_search_outcome(slowest, "nothing on the grid is feasible")
-        mismatch = mismatch or measure_mismatch(model, validation)
+        mismatch = mismatch or measure_model_error(model, validation)
         peaks = loop_gains_on_coarse_grid(model, balls, candidates, mismatch)
         response = ExpectedResponse(
             model=model,
@@ -173,7 +173,7 @@ class Auto:
         return self._largest_margin_design(model, balls, candidates, peaks)
 
     def _make_covered_gains_search(
-        self, response: ExpectedResponse, premise: Premise, validation: Trajectories
+        self, response: ExpectedResponse, premise: ModelErrorSpectra, validation: Trajectories
     ) -> Search:
         """Make the function that searches near a design's gains for gains whose certificate covers
         the recorded model error. The search is longer, and accepts slower gains, if a coverage is
@@ -233,7 +233,7 @@ class Auto:
         has_room = can_fall and (upper > 0).all()
         return replace(self, limits=(lower, upper)) if has_room else self
 
-    def prefer_covered_designs(self, premise: Premise) -> "Auto":
+    def prefer_covered_designs(self, premise: ModelErrorSpectra) -> "Auto":
         """Copy of this synthesis that prefers designs whose certificate covers the model error seen
         in the records."""
         return replace(self, premise=premise)

@@ -20,7 +20,7 @@ from ssm_study.certificates.certificate import Design, Observer, StateFeedback
 from ssm_study.certificates.problem import NoSolution, linear_algebra_failures_as_no_solution
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.models.structured import Model
-from ssm_study.robustness.coverage import Premise
+from ssm_study.robustness.coverage import ModelErrorSpectra
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sensitivity import controller_spectral_radius
@@ -76,7 +76,7 @@ class GainSearch:
 
     model: Model
     balls: Balls
-    premise: Premise
+    premise: ModelErrorSpectra
     mismatch: Mismatch
     validation: Trajectories
     limits: Ends | None

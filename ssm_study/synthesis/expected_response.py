@@ -20,8 +20,8 @@ from jaxtyping import Bool, Float, Int
 
 from ssm_study.models.structured import Model
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.prediction import output_peak_from_noise, robustness_measure
-from ssm_study.robustness.sensitivity import FINE_ANGLES, Responses, controller_spectral_radius
+from ssm_study.robustness.prediction import output_peak_from_noise, worst_case_loop_gain
+from ssm_study.robustness.sensitivity import FINE_ANGLES, ResponseCache, controller_spectral_radius
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.candidates import Candidates
 from ssm_study.synthesis.decay_response import (
@@ -79,16 +79,16 @@ class ExpectedResponse:
     margin: float
     decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS)
 
-    def loop_gain(self, pair: Pair, cached_responses: Responses) -> float:
+    def loop_gain(self, pair: Pair, cached_responses: ResponseCache) -> float:
         """Loop gain of a design under the measured model error, the inverse of the stability
         margin. The computation stops early from `1 / margin` on."""
         gains = self.candidates.gains(pair)
         refused = 1 / self.margin
-        return robustness_measure(
+        return worst_case_loop_gain(
             self.model, gains, self.balls, self.mismatch, cached_responses, refused
         )
 
-    def expected_pair_area(self, pair: Pair, area: float, cached_responses: Responses) -> float:
+    def expected_pair_area(self, pair: Pair, area: float, cached_responses: ResponseCache) -> float:
         """Expected area under the response of one design on the plant, from the area on the model
         and the loop gain."""
         loop_gain = self.loop_gain(pair, cached_responses)
@@ -137,8 +137,8 @@ class ExpectedResponse:
         ratios = largest_settling_time_ratios(self.model, gains, self.decays, band, input_limits)
         slow = np.maximum(areas, ratios) >= FASTER
         angles = FINE_ANGLES[::2]
-        coarse = Responses(angles=angles)
-        fine = Responses(angles=FINE_ANGLES)
+        coarse = ResponseCache(angles=angles)
+        fine = ResponseCache(angles=FINE_ANGLES)
         passing: list[tuple[Rank, int]] = []
         remaining = indices_to_compare(areas, slow)
         while remaining or passing:

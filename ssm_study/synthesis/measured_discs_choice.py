@@ -19,8 +19,8 @@ from ssm_study.certificates.problem import NoSolution, linear_algebra_failures_a
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.models.structured import Model
-from ssm_study.robustness.coverage import Premise
-from ssm_study.robustness.coverage_items import Item
+from ssm_study.robustness.coverage import ModelErrorSpectra
+from ssm_study.robustness.coverage_items import DiscRequirement
 from ssm_study.synthesis.measured_discs_run import exclusion_reason, seeks_coverage
 from ssm_study.systems import Balls, StructuredSystem
 
@@ -46,7 +46,7 @@ def first_covering_design(
     make_design: Make,
     model: Model,
     balls: Balls,
-    premise: Premise | None,
+    premise: ModelErrorSpectra | None,
     requested_coverage: float | None,
     search: Search | None = None,
 ) -> tuple[Design | None, str]:
@@ -71,7 +71,7 @@ def first_covering_design(
     sought = premise is not None and seeks_coverage(model, requested_coverage, premise)
     if first is None or premise is None or not sought:
         return first, PREDICTED
-    if premise.missing_reason(0.0) is not None or exclusion_reason(first, model):
+    if premise.insufficient_records_reason(0.0) is not None or exclusion_reason(first, model):
         return first, PREDICTED
 
     deciding: dict[float, Any] = {}
@@ -195,7 +195,7 @@ class LoopCoverage:
     last gains, where solving is slow."""
 
     context: VerificationContext
-    items: dict[float, tuple[Item, ...]]
+    items: dict[float, tuple[DiscRequirement, ...]]
     deciding: dict[float, Float[np.ndarray, "D"]]
 
     @classmethod
@@ -204,7 +204,7 @@ class LoopCoverage:
         model: Model,
         controlled_system: Any,
         balls: Balls,
-        premise: Premise,
+        premise: ModelErrorSpectra,
         deciding_angles: dict[float, Float[np.ndarray, "D"]] | None = None,
     ) -> "LoopCoverage":
         """Prepare the data from which the model error that any gains tolerate in one closed loop is
@@ -280,7 +280,7 @@ def coverage_by_frequency(
     design: Design,
     model: Model,
     balls: Balls,
-    premise: Premise,
+    premise: ModelErrorSpectra,
     sufficient_radius: float = np.inf,
     least_radius: float = 0.0,
     deciding_angles: dict[float, Float[np.ndarray, "D"]] | None = None,

@@ -20,8 +20,8 @@ from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
-from ssm_study.robustness.coverage import Premise, Weights, measure_premise
-from ssm_study.robustness.coverage_items import Item
+from ssm_study.robustness.coverage import DiscWeights, ModelErrorSpectra, measure_error_spectra
+from ssm_study.robustness.coverage_items import DiscRequirement
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import Trajectories
 from ssm_study.systems import Balls
@@ -36,7 +36,9 @@ UNSOUGHT = (
 UNKNOWN = "{} the input has next to no power, so nothing separates mismatch from noise there"
 
 
-def seeks_coverage(model: Model, requested_coverage: float | None, premise: Premise) -> bool:
+def seeks_coverage(
+    model: Model, requested_coverage: float | None, premise: ModelErrorSpectra
+) -> bool:
     """Whether a run searches for a certificate that holds for the recorded model error. With
     neurons, where this takes a minute, it does so only if the records separate noise from model
     error, or a coverage is requested."""
@@ -44,14 +46,14 @@ def seeks_coverage(model: Model, requested_coverage: float | None, premise: Prem
 
 
 def add_coverage_certificate(
-    design: Design, model: Model, balls: Balls, premise: Premise
+    design: Design, model: Model, balls: Balls, premise: ModelErrorSpectra
 ) -> Design:
     """Add to a design a certificate that holds for as large a multiple of the recorded model error
     as possible. Without such a certificate the design stays unchanged."""
     if (
         not design.feasible
         or exclusion_reason(design, model)
-        or premise.missing_reason(0.0) is not None
+        or premise.insufficient_records_reason(0.0) is not None
     ):
         return design
     from ssm_study.synthesis import measured_discs_search  # slow to load
@@ -84,7 +86,10 @@ def exclusion_reason(design: Design, model: Model) -> str | None:
 
 
 def coverage_columns(
-    design: Design, model: Model, premise: Premise, fresh_premise: Premise | None = None
+    design: Design,
+    model: Model,
+    premise: ModelErrorSpectra,
+    fresh_premise: ModelErrorSpectra | None = None,
 ) -> dict[str, Any]:
     """Table columns that compare the model error that a proof tolerates with the recorded one.
     `coverage` is their ratio, or null with its reason if nothing is covered."""
@@ -94,9 +99,11 @@ def coverage_columns(
     if not isinstance(part, MeasuredDiscs):
         sought = seeks_coverage(model, None, premise)
         unproved = UNPROVED if sought else UNSOUGHT
-        reason = exclusion_reason(design, model) or premise.missing_reason(0.0) or unproved
+        reason = (
+            exclusion_reason(design, model) or premise.insufficient_records_reason(0.0) or unproved
+        )
         return {"coverage": None, "coverage_reason": reason}
-    missing = premise.missing_reason(part.centre)
+    missing = premise.insufficient_records_reason(part.centre)
     if missing is not None:
         return {"coverage": None, "coverage_reason": missing}
     weights = disc_weights(part)
@@ -106,7 +113,7 @@ def coverage_columns(
     facts: dict[str, Any] = {"coverage": coverage, "coverage_reference": where}
     if part.kappa < need:
         facts |= null_coverage_of_unknown_band(part.kappa, weights, items)
-    if fresh_premise is not None and fresh_premise.missing_reason(part.centre) is None:
+    if fresh_premise is not None and fresh_premise.insufficient_records_reason(part.centre) is None:
         facts["coverage_needed"] = (
             weights.largest_required_radius(fresh_premise.requirements(part.centre))[0] / need
         )
@@ -131,7 +138,7 @@ class MismatchRecords(Protocol):
 def radii_needed_by_fresh_data(
     design: Design,
     model: Model,
-    premise: Premise,
+    premise: ModelErrorSpectra,
     mismatch: Mismatch,
     fresh_sets: Iterable[MismatchRecords],
     start_up_samples: int,
@@ -139,14 +146,17 @@ def radii_needed_by_fresh_data(
     """Disc radius that contains the model error in each further data set, relative to the radius
     for the run's own records; empty without a certificate."""
     part = design.extra_certificates.get(PART)
-    if not isinstance(part, MeasuredDiscs) or premise.missing_reason(part.centre) is not None:
+    if (
+        not isinstance(part, MeasuredDiscs)
+        or premise.insufficient_records_reason(part.centre) is not None
+    ):
         return []
     weights = disc_weights(part)
     own_need, _ = weights.largest_required_radius(premise.requirements(part.centre))
     needs = []
     for records in fresh_sets:
         trials = records.mismatch_records
-        fresh = measure_premise(model, records.validation, mismatch, start_up_samples, trials)
+        fresh = measure_error_spectra(model, records.validation, mismatch, start_up_samples, trials)
         need, _ = weights.largest_required_radius(fresh.requirements(part.centre))
         needs.append(need / own_need)
     return needs
@@ -159,7 +169,7 @@ def fresh_data_column(required_radii: Sequence[float]) -> dict[str, Any]:
 
 
 def null_coverage_of_unknown_band(
-    kappa: float, weights: Weights, requirements: Sequence[Item]
+    kappa: float, weights: DiscWeights, requirements: Sequence[DiscRequirement]
 ) -> dict[str, Any]:
     """Table columns that leave the coverage empty and name the frequency band in which the input
     had no power."""
@@ -171,8 +181,8 @@ def null_coverage_of_unknown_band(
     return {"coverage": None, "coverage_reason": coverage_reason}
 
 
-def disc_weights(certificate: MeasuredDiscs) -> Weights:
+def disc_weights(certificate: MeasuredDiscs) -> DiscWeights:
     """Frequency weights of the disc of model errors for which a stored certificate holds."""
-    return Weights(
+    return DiscWeights(
         floor=certificate.floor, output=certificate.weight_output, input=certificate.weight_input
     )

@@ -19,8 +19,8 @@ from ssm_study.certificates.problem import NoSolution
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.certificates.theorems.measured_discs_structured import StructuredMeasuredDiscs
-from ssm_study.robustness.coverage import Premise, Weights
-from ssm_study.robustness.coverage_items import Item
+from ssm_study.robustness.coverage import DiscWeights, ModelErrorSpectra
+from ssm_study.robustness.coverage_items import DiscRequirement
 from ssm_study.synthesis.measured_discs_metric import first_exact_certificate
 from ssm_study.synthesis.measured_discs_program import (
     MOST,
@@ -48,7 +48,7 @@ ROUGH = 1e-6  # accuracy that is enough for a certificate inside the optimum
 CLOSE = (0.999, 0.997, 0.99, 0.97, 0.9)  # likewise, where no weights have to be found
 # `|e| <= kappa |u|` alone; a floor of this size lets no model output in.
 _ONE = np.ones((1, 1))
-INPUT_ALONE = Weights(floor=1e-9, output=0 * _ONE, input=_ONE)
+INPUT_ALONE = DiscWeights(floor=1e-9, output=0 * _ONE, input=_ONE)
 ROOMS = (1e-3, 1e-2)  # margins by frequency, in units of each free signal's own weight
 SMALLEST = 1e-4  # of nu: below, nothing is worth a proof
 FARTHEST = 30.0  # of a multiplier, over that of the optimum: one that costs nothing would run away
@@ -79,7 +79,7 @@ def select_theorem(context: VerificationContext) -> type[MeasuredDiscs]:
 
 def certify_largest_radius(
     context: VerificationContext,
-    weights: Weights = INPUT_ALONE,
+    weights: DiscWeights = INPUT_ALONE,
     centre: float = 0.0,
     radius_factors: Sequence[float] = CLOSE,
 ) -> MeasuredDiscs | None:
@@ -109,7 +109,7 @@ def certify_largest_radius(
 
 
 def optimum_for_weights(
-    theorem: type[MeasuredDiscs], context: VerificationContext, weights: Weights, centre: float
+    theorem: type[MeasuredDiscs], context: VerificationContext, weights: DiscWeights, centre: float
 ) -> tuple[float, Multipliers]:
     """Largest squared radius of the disc of model errors for given weights, computed frequency by
     frequency, and its multipliers. `kappa^2`. Raises `NoSolution`."""
@@ -120,7 +120,7 @@ def optimum_for_weights(
 def _largest_squared_radius(
     theorem: type[MeasuredDiscs],
     context: VerificationContext,
-    weights: Weights,
+    weights: DiscWeights,
     centre: float,
     accuracy: float,
 ) -> tuple[float, Multipliers, list[int]]:
@@ -165,7 +165,7 @@ def refined_angles(
     return np.concatenate(fine)
 
 
-def _reference_form_at(grid: FormsAtAngles, weights: Weights) -> Any:
+def _reference_form_at(grid: FormsAtAngles, weights: DiscWeights) -> Any:
     """Weighted quadratic form of model output and input, to which the model error is compared, at
     each frequency of a grid."""
     on_model = weights.output_weight(grid.angles)[:, None, None]
@@ -187,7 +187,7 @@ def _program_in_box(
 
 
 def _program_at_fixed_weights(
-    grid: FormsAtAngles, weights: Weights, centre: float
+    grid: FormsAtAngles, weights: DiscWeights, centre: float
 ) -> tuple[AngleProgram, Unknowns]:
     """Optimisation problem for disc radius and multipliers at fixed weights, with constraints at
     the frequencies of a grid."""
@@ -202,7 +202,7 @@ def _program_at_fixed_weights(
 
 def _largest_margin(
     forms: LoopForms,
-    weights: Weights,
+    weights: DiscWeights,
     centre: float,
     squared_radius: float,
     multipliers: Multipliers,
@@ -233,7 +233,7 @@ def _largest_margin(
 
 
 def _theorem_variables(
-    forms: LoopForms, weights: Weights, centre: float, kappa: float, multipliers: Multipliers
+    forms: LoopForms, weights: DiscWeights, centre: float, kappa: float, multipliers: Multipliers
 ) -> dict[str, Any]:
     """Variables of the theorem on discs of model errors as a certificate stores them, except the
     metric P."""
@@ -253,7 +253,7 @@ def _theorem_variables(
 
 def certify_largest_coverage(
     context: VerificationContext,
-    premise: Premise,
+    premise: ModelErrorSpectra,
     centres: Sequence[float] = CENTRES,
     basis: WeightBasis | None = None,
 ) -> Coverage:
@@ -264,7 +264,7 @@ def certify_largest_coverage(
     bands: its need of all of them says so.
     """
     for centre in centres:
-        missing = premise.missing_reason(centre)
+        missing = premise.insufficient_records_reason(centre)
         if missing:
             return Coverage(certificate=None, coverage=None, reason=missing)
     items = {}
@@ -283,7 +283,9 @@ def certify_largest_coverage(
 
 
 def _largest_coverage_around(
-    context: VerificationContext, requirements: dict[float, list[Item]], basis: WeightBasis
+    context: VerificationContext,
+    requirements: dict[float, list[DiscRequirement]],
+    basis: WeightBasis,
 ) -> Coverage:
     """Certificate with the largest ratio of proved to recorded model error, among discs around
     given centres."""

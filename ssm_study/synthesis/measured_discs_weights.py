@@ -13,8 +13,8 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.certificates.problem import NoSolution
-from ssm_study.robustness.coverage import Weights
-from ssm_study.robustness.coverage_items import Item
+from ssm_study.robustness.coverage import DiscWeights
+from ssm_study.robustness.coverage_items import DiscRequirement
 from ssm_study.synthesis.measured_discs_program import (
     MOST,
     AngleProgram,
@@ -147,7 +147,7 @@ class WeightProgram:
     forms: LoopForms
     grid: FormsAtAngles
     centre: float
-    items: tuple[Item, ...]
+    items: tuple[DiscRequirement, ...]
     basis: WeightBasis
     tolerance: float = JOINT
 
@@ -328,7 +328,7 @@ class WeightProgram:
         bounds = np.concatenate([no_bound, least_xy, least, -most])
         return rows, bounds, bands
 
-    def weights_from_unknowns(self, squared_radius: float, unknowns: Unknowns) -> Weights:
+    def weights_from_unknowns(self, squared_radius: float, unknowns: Unknowns) -> DiscWeights:
         """Weighting filters of the disc from the solution of the convex program. Raises
         `NoSolution`."""
         size = self.basis.order + 1
@@ -342,7 +342,7 @@ class WeightProgram:
         above_floor = x - floor**2 * denominator
         output = self.basis.filter_from_coefficients(above_floor)
         weights_input = self.basis.filter_from_coefficients(y)
-        return Weights(floor=float(floor), output=output, input=weights_input)
+        return DiscWeights(floor=float(floor), output=output, input=weights_input)
 
 
 def scale_unknowns(forms: Any, scale: Unknowns) -> Any:

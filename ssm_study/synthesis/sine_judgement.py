@@ -18,9 +18,9 @@ from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sine_trials import (
     SineMismatch,
     add_sines_to_mismatch,
-    deciding_line,
-    measure_sine_mismatch,
-    sensitive_lines,
+    line_of_smallest_margin,
+    measure_errors_at_sines,
+    sensitive_spectral_lines,
 )
 from ssm_study.synthesis.measured_discs_run import disc_weights
 from ssm_study.systems import Balls
@@ -40,10 +40,10 @@ def spectral_lines_to_test(
     `only_peaks`: those of earlier runs."""
     if not design.feasible or not mismatch.noise:
         return []
-    lines = sensitive_lines(model, design.pair, balls, period)
+    lines = sensitive_spectral_lines(model, design.pair, balls, period)
     if only_peaks:
         return lines
-    deciding = deciding_line(model, design.pair, balls, mismatch, period)
+    deciding = line_of_smallest_margin(model, design.pair, balls, mismatch, period)
     if deciding is not None and deciding not in lines:
         lines.append(deciding)
     return lines
@@ -66,7 +66,7 @@ def measure_simulated_sines(
 
     lines = spectral_lines_to_test(design, model, balls, mismatch, PERIOD, only_peaks=only_peaks)
     records = data.simulate_sensitive_sines(plant, seed, lines)
-    return measure_sine_mismatch(model, records, mismatch, PERIOD)
+    return measure_errors_at_sines(model, records, mismatch, PERIOD)
 
 
 def sine_columns(

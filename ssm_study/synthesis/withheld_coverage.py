@@ -12,7 +12,7 @@ from typing import Any
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.models.structured import Model
-from ssm_study.robustness.coverage import Premise
+from ssm_study.robustness.coverage import ModelErrorSpectra
 from ssm_study.robustness.coverage_columns import WITHHELD
 from ssm_study.robustness.sensitivity import controller_spectral_radius
 from ssm_study.synthesis.loop_poles import eigenvalue_groups, moves_poles
@@ -26,7 +26,7 @@ UNSTABLE = (
 )
 
 
-def reported_coverage(design: Design, model: Model, premise: Premise) -> float | None:
+def reported_coverage(design: Design, model: Model, premise: ModelErrorSpectra) -> float | None:
     """Coverage of a design (ratio of proved to recorded model error) for the report; None if it is
     missing or withheld."""
     facts = coverage_columns(design, model, premise)

@@ -21,7 +21,7 @@ from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.regulation import Loop
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.robustness.prediction import Prediction, predict_margins
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.auto import Auto
@@ -41,7 +41,7 @@ SMALL = Auto(
 
 def predicted(design: Design, record: Trajectory) -> Prediction:
     return predict_margins(
-        motor_model(), design.pair, BALLS, measure_mismatch(motor_model(), (record,))
+        motor_model(), design.pair, BALLS, measure_model_error(motor_model(), (record,))
     )
 
 
@@ -88,7 +88,7 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
     given, balls, record = case()
     auto = replace(SMALL, **FEW) if isinstance(given, StructuredSSM) else SMALL
     candidates = auto.candidates(given, balls)
-    shown = measure_mismatch(given, (record,))
+    shown = measure_model_error(given, (record,))
     pairs = np.array([(i, j) for i in range(len(candidates.ks)) for j in range(len(candidates.ls))])
     gains = candidates.gains(pairs)
     areas = relative_response_areas(given, gains, (record,))

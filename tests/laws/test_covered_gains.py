@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "oracles"))
 from test_coverage import BALLS, MODEL, design, premise, records, scaled_model
 
 from ssm_study.models.identified import SSM
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.synthesis.covered_gains import GainSearch, is_worth_another_round
 from ssm_study.synthesis.measured_discs_choice import (
     COVERED,
@@ -36,7 +36,7 @@ TARGET_SHARE = 1.05  # of the coverage of the first gains
 
 @pytest.fixture(scope="module")
 def search() -> GainSearch:
-    mismatch = measure_mismatch(SSM_MODEL, RECORDS)
+    mismatch = measure_model_error(SSM_MODEL, RECORDS)
     validation = RECORDS[:1]
     return GainSearch(
         model=SSM_MODEL,

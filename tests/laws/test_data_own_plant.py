@@ -22,8 +22,8 @@ from ssm_study.data.excitations.user_excitation import (
 from ssm_study.data.recorded import RecordedData
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.coverage import measure_premise
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.coverage import measure_error_spectra
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.robustness.return_to_rest import is_return_to_rest
 from ssm_study.signals import DataSet, Scale
 from ssm_study.study.run_files import RunFiles
@@ -127,7 +127,7 @@ def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(
     data = log_of(tmp_path)
     model = lag_model(0.15)
     records = (data.validation, data.start_up_samples, data.mismatch_records)
-    mismatch = measure_mismatch(model, *records)
+    mismatch = measure_model_error(model, *records)
     assert len(mismatch.views) == len(AMPLITUDES)
     amplitudes = [view.amplitude for view in mismatch.views]
     relative = np.divide(amplitudes, amplitudes[-1])
@@ -168,7 +168,7 @@ def test_its_sines_raise_the_mismatch_at_their_frequency_alone(
     data = log_with_sines(tmp_path, hidden)
     model = lag_model(0.2)
     records = (data.validation, data.start_up_samples, data.mismatch_records)
-    mismatch = measure_mismatch(model, *records)
+    mismatch = measure_model_error(model, *records)
     views = mismatch.views
     point = np.exp(1j * HIDDEN[0])
     lag = np.abs(0.2 / (point - 0.8))
@@ -179,7 +179,7 @@ def test_its_sines_raise_the_mismatch_at_their_frequency_alone(
     assert is_visible == bool(hidden)
     assert len(views) == len(AMPLITUDES) + 1  # the smallest sines are below all levels
     validation, *others = records
-    premise = measure_premise(model, validation, mismatch, *others)
+    premise = measure_error_spectra(model, validation, mismatch, *others)
     assert len(premise.repeating) == len(AMPLITUDES)
     number_of_sines = len(HIDDEN) * len(SINE_AMPLITUDES)
     assert len(premise.sines) == number_of_sines

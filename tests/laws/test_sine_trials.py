@@ -16,22 +16,22 @@ from ssm_study.bounds.frequency import frequency_response
 from ssm_study.certificates.certificate import Design
 from ssm_study.data.simulated import PERIOD, SINE_SHARES, simulate_sine_records
 from ssm_study.models.identified import SSM
-from ssm_study.robustness.coverage import measure_premise
+from ssm_study.robustness.coverage import measure_error_spectra
 from ssm_study.robustness.coverage_items import (
     requirement_from_measured_sine,
     requirement_from_sine,
 )
 from ssm_study.robustness.coverage_spectra import line_spectrum
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.record_errors import RecordErrors
 from ssm_study.robustness.sensitivity import error_to_input_response
 from ssm_study.robustness.sine_trials import (
     SineMismatch,
     add_sines_to_mismatch,
-    deciding_line,
-    measure_sine_mismatch,
-    sensitive_lines,
+    line_of_smallest_margin,
+    measure_errors_at_sines,
+    sensitive_spectral_lines,
 )
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate
@@ -46,7 +46,7 @@ SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 FAST = design(input_weight=1e-3)
 SHARE = 0.2
 NOISY_RECORDS = records(scaled_model(SHARE), noise=1e-3)
-MISMATCH = measure_mismatch(SSM_MODEL, NOISY_RECORDS)
+MISMATCH = measure_model_error(SSM_MODEL, NOISY_RECORDS)
 
 
 def sine(answer, line: int, amplitude: float, noise: float, seed: int = 0) -> Trajectory:
@@ -62,7 +62,7 @@ def sine(answer, line: int, amplitude: float, noise: float, seed: int = 0) -> Tr
 
 def measure_sines(*trials: Trajectory) -> list[SineMismatch]:
     """The mismatch of the model at each sine."""
-    return measure_sine_mismatch(SSM_MODEL, trials, MISMATCH, PERIOD)
+    return measure_errors_at_sines(SSM_MODEL, trials, MISMATCH, PERIOD)
 
 
 def error_gain(line: int) -> float:
@@ -117,7 +117,7 @@ def test_what_noise_hides_is_not_zero() -> None:
 def test_a_sine_that_shows_more_than_the_records_refutes_the_prediction() -> None:
     before = predict_margins(SSM_MODEL, FAST.pair, BALLS, MISMATCH)
     assert before.predicts_stability()
-    first_line, *_ = sensitive_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
+    first_line, *_ = sensitive_spectral_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
     angle = 2 * np.pi * first_line / PERIOD
     angles = np.array([angle])
     (peak,) = input_responses(angles)
@@ -153,7 +153,7 @@ def test_a_sine_below_every_record_has_a_view_of_its_own() -> None:
 
 
 def test_the_trials_lie_at_the_peaks_of_the_sensitivity() -> None:
-    lines = sensitive_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
+    lines = sensitive_spectral_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
     assert 1 <= len(lines) <= 2
     angles = 2 * np.pi * np.arange(4, PERIOD // 2) / PERIOD
     size = input_responses(angles)
@@ -165,11 +165,11 @@ def test_the_trials_lie_at_the_peaks_of_the_sensitivity() -> None:
 def test_the_line_where_the_records_decide_the_margin_is_tried_last() -> None:
     """The frequency of the largest `g |T_ue|`, which the peak of `|T_ue|` alone may miss."""
     lines = spectral_lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)
-    at_peaks = sensitive_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
+    at_peaks = sensitive_spectral_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
     assert lines[: len(at_peaks)] == at_peaks
     judged = (FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)
     assert spectral_lines_to_test(*judged, only_peaks=True) == at_peaks
-    deciding = deciding_line(SSM_MODEL, FAST.pair, BALLS, MISMATCH, PERIOD)
+    deciding = line_of_smallest_margin(SSM_MODEL, FAST.pair, BALLS, MISMATCH, PERIOD)
     assert deciding in lines
     view = MISMATCH.views[-1]
     gain_at_one_band = 1e-6 * np.ones(33)
@@ -178,7 +178,7 @@ def test_the_line_where_the_records_decide_the_margin_is_tried_last() -> None:
     everything_counts = {"linear": no_linear_part, "rest": gain_at_one_band}
     peaked = replace(view, by_frequency=gain_at_one_band, **everything_counts)
     mismatch = replace(MISMATCH, views=(peaked,))
-    line = deciding_line(SSM_MODEL, FAST.pair, BALLS, mismatch, PERIOD)
+    line = line_of_smallest_margin(SSM_MODEL, FAST.pair, BALLS, mismatch, PERIOD)
     assert line is not None
     angle = 2 * np.pi * line / PERIOD
     band_angle = 7 * np.pi / 32
@@ -191,7 +191,7 @@ def test_records_without_a_mismatch_decide_at_no_line() -> None:
     no_linear_part = 0 * view.linear
     silent = replace(view, by_frequency=zero, linear=no_linear_part, rest=zero)
     mismatch = replace(MISMATCH, views=(silent,))
-    line = deciding_line(SSM_MODEL, FAST.pair, BALLS, mismatch, PERIOD)
+    line = line_of_smallest_margin(SSM_MODEL, FAST.pair, BALLS, mismatch, PERIOD)
     assert line is None
 
 
@@ -231,7 +231,7 @@ def test_the_simulated_sines_repeat_and_reach_down_to_a_hundredth() -> None:
 def covered() -> tuple[Design, float]:
     """A design whose proof covers the records, and its coverage."""
     noisy_records = records(scaled_model(SHARE), noise=1e-3)
-    premise = measure_premise(SSM_MODEL, (), MISMATCH, 0, noisy_records)
+    premise = measure_error_spectra(SSM_MODEL, (), MISMATCH, 0, noisy_records)
     proved = add_coverage_certificate(FAST, SSM_MODEL, BALLS, premise)
     coverage = reported_coverage(proved, SSM_MODEL, premise)
     assert coverage is not None

@@ -202,7 +202,7 @@ def decorate(definition: str) -> tuple[str, str]:
 NEW_FIELD = (r"^class Mismatch:$", "class Mismatch:\n    edited: float = 0.0\n")
 ANY_CLASS = decorate(r"class \w+\(")
 SECOND_BASE = (r"^class DCMotor\(", "class DCMotor(object, ")
-MISMATCH_MEASURE = decorate(r"def measure_mismatch\(")
+MISMATCH_MEASURE = decorate(r"def measure_model_error\(")
 INITIAL_STATES = decorate(r"class InitialStates\(")
 SIMULATED_DATA = decorate("class SimulatedData")
 CLOSED_LOOP = decorate(r"def simulate_closed_loop\(")

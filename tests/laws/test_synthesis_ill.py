@@ -15,7 +15,7 @@ from loop_cases import motor_model, motor_record
 
 from ssm_study.bounds.frequency import hinf_norm
 from ssm_study.models.identified import SSM
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.deployed import add_gain_certificates
@@ -122,7 +122,7 @@ def test_a_design_comes_back(kind: str) -> None:
         records = (trajectory,)
         auto = Auto(**GRIDS, integral_weights=integral_weights)
         design = auto.design(model, balls, records)
-        mismatch = measure_mismatch(model, records)
+        mismatch = measure_model_error(model, records)
         certified = add_gain_certificates(design, model, balls)
         facts = design_columns(certified, model, balls, mismatch)
         assert isinstance(facts["controller_certified"], bool)

@@ -27,15 +27,15 @@ from ssm_study.robustness.coverage import (
     INTEGRATES,
     NO_MISMATCH,
     NOT_AT_REST,
-    Premise,
-    Weights,
-    measure_premise,
+    DiscWeights,
+    ModelErrorSpectra,
+    measure_error_spectra,
     running_constraint_sum,
 )
 from ssm_study.robustness.coverage_items import requirements_from_periods
 from ssm_study.robustness.coverage_spectra import MismatchSpectrum, averaged_spectrum_in_loop
 from ssm_study.robustness.coverage_table import coverage_table
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.robustness.record_errors import RecordErrors
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.measured_discs_run import (
@@ -111,8 +111,8 @@ def test_a_record_that_does_not_repeat_counts_its_noise() -> None:
         y = 1.3 * respond(MODEL, u) + noise * white_noise
         trajectory = Trajectory(u=u, y=y, step_s=0.01)
         made = (trajectory,)
-        mismatch = measure_mismatch(model, made)
-        known = measure_premise(model, made, mismatch)
+        mismatch = measure_model_error(model, made)
+        known = measure_error_spectra(model, made, mismatch)
         assert not known.repeating
         items = known.requirements(0.0)
         need, _ = OUTPUT_ALONE.largest_required_radius(items)
@@ -126,7 +126,7 @@ def test_running_sums_grow_over_a_period_by_what_the_lines_say() -> None:
     """Parseval, the filters in their steady state: two routes to one number."""
     output = np.array([[0.7, 1.0], [0.2, 0.1]])
     weights_input = np.array([[0.5, 1.0], [0.1, 0.05]])
-    weights = Weights(floor=0.2, output=output, input=weights_input)
+    weights = DiscWeights(floor=0.2, output=output, input=weights_input)
     centre = -0.25
     kappa = 1.3
     rng = np.random.default_rng(1)
@@ -302,17 +302,17 @@ def test_a_model_that_integrates_has_no_premise() -> None:
     integrating = StateSpace(a=a, b=b, c=c, d=ZERO)
     model = SSM.from_linear(integrating, 0.01)
     made = records(scaled_model(0.1))
-    mismatch = measure_mismatch(model, made)
+    mismatch = measure_model_error(model, made)
     shown = replace(mismatch, left_at_rest=None)
-    known = measure_premise(model, made, shown)
-    assert known.missing_reason(0.0) == INTEGRATES
+    known = measure_error_spectra(model, made, shown)
+    assert known.insufficient_records_reason(0.0) == INTEGRATES
 
 
 def test_an_empty_premise_is_refused() -> None:
-    nothing = Premise(repeating=(), averaged=())
-    assert nothing.missing_reason(0.0) == EMPTY
+    nothing = ModelErrorSpectra(repeating=(), averaged=())
+    assert nothing.insufficient_records_reason(0.0) == EMPTY
     of_the_model = premise(scaled_model(0.0))
-    assert of_the_model.missing_reason(0.0) == NO_MISMATCH
+    assert of_the_model.insufficient_records_reason(0.0) == NO_MISMATCH
     model = SSM.from_linear(MODEL, 0.01)
     designed = design()
     unchanged = add_coverage_certificate(designed, model, BALLS, nothing)
@@ -348,7 +348,7 @@ def test_stored_weights_are_not_trusted() -> None:
     honest = coverage_columns(made, model, known)
     coverage = coverage_columns(forged, model, known)["coverage"]
     assert coverage == pytest.approx(honest["coverage"])
-    no_records = Premise(repeating=(), averaged=())
+    no_records = ModelErrorSpectra(repeating=(), averaged=())
     emptied = coverage_columns(made, model, no_records)
     expected = {"coverage": None, "coverage_reason": EMPTY}
     assert emptied == expected

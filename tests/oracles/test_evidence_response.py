@@ -17,7 +17,7 @@ from ssm_study.evidence.metrics import collect_findings
 from ssm_study.evidence.records import _judge_range
 from ssm_study.evidence.response import dead_time_samples, judge_response, multiple_coherence
 from ssm_study.models.metrics import Simulation
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.signals import Channel, Trajectory
 from ssm_study.systems import StateSpace
 
@@ -199,7 +199,7 @@ def test_a_band_that_is_not_excited_is_a_doubt():
 def judge_answered(u: np.ndarray) -> list[Finding]:
     """Findings about the records of a log with this input."""
     log = answered(u)
-    mismatch = measure_mismatch(log.model, log.data.validation)
+    mismatch = measure_model_error(log.model, log.data.validation)
     return records.judge_records(log, mismatch)
 
 
@@ -277,7 +277,7 @@ def test_a_model_with_neurons_is_judged():
     other = model()
     validation = Simulation.simulate_records(other, data.validation, 0)
     test = Simulation.simulate_records(other, data.test, 0)
-    mismatch = measure_mismatch(other, data.validation)
+    mismatch = measure_model_error(other, data.validation)
     judgement = collect_findings(data, other, validation, test, mismatch)
 
     assert judgement.level == CANNOT_JUDGE

@@ -14,7 +14,7 @@ from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence.finding import EvidenceCase
 from ssm_study.evidence.records import judge_records
 from ssm_study.models.metrics import Simulation
-from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
+from ssm_study.robustness.mismatch import Mismatch, measure_model_error
 from ssm_study.robustness.return_to_rest import (
     AT_REST,
     SURE,
@@ -32,7 +32,7 @@ THEN_REST = np.concatenate([MOVING_LEVELS, RESTING])
 def said(u: np.ndarray, y: np.ndarray) -> list[str]:
     log = case(u, y)
     validation = log.data.validation
-    mismatch: Mismatch = measure_mismatch(log.model, validation)
+    mismatch: Mismatch = measure_model_error(log.model, validation)
     findings = judge_records(log, mismatch)
     sentences = [finding.sentence for finding in findings]
     return [sentence for sentence in sentences if "scales off at rest input" in sentence]
@@ -65,7 +65,7 @@ def test_an_output_that_stays_off_after_the_last_motion_is_a_doubt(stick):
     validation = log.data.validation
     test = log.data.test
     records = (*test, rest)
-    mismatch = measure_mismatch(log.model, validation, 0, records)
+    mismatch = measure_model_error(log.model, validation, 0, records)
     output_scales = log.model.scale.output_scale
     output_scale = output_scales[0]
     expected = (0.25 / output_scale,) if stick else ()
@@ -75,7 +75,7 @@ def test_an_output_that_stays_off_after_the_last_motion_is_a_doubt(stick):
     expected = 1.5**3 / output_scale[0]
     expected_distance = pytest.approx(expected)
     assert mismatch.farthest == expected_distance
-    is_off = mismatch.offset > 0
+    is_off = mismatch.largest_offset > 0
     assert is_off == (stick > 0)
 
 
@@ -110,7 +110,7 @@ def fitted_log(
     test = Simulation.simulate_records(model, data.test, 20)
     parts = {"validation": validation, "test": test}
     log = EvidenceCase(data=data, model=model, **parts)
-    mismatch = measure_mismatch(model, data.validation, 20, data.mismatch_records)
+    mismatch = measure_model_error(model, data.validation, 20, data.mismatch_records)
     findings = judge_records(log, mismatch)
     sentences = [finding.sentence for finding in findings]
     text = " ".join(sentence for sentence in sentences if "rest input" in sentence)
@@ -177,7 +177,7 @@ def test_a_plant_that_does_not_return_is_told_so_by_the_same_log(tmp_path, wrong
     _, mismatch, doubts = fitted_log(tmp_path, EXCITED, wrong(EXCITED))
     assert said in doubts
     assert UNKNOWN not in doubts
-    assert not mismatch.plant_comes_to_rest or mismatch.offset > 1
+    assert not mismatch.plant_comes_to_rest or mismatch.largest_offset > 1
 
 
 SWINGS = [0.0, 0.01]
@@ -198,7 +198,7 @@ def test_a_faint_swing_is_a_doubt_and_no_refusal(hunts):
     y = output_scale * change
     validation = log.data.validation
     trajectory = Trajectory(u=0.0 * k, y=y, step_s=0.1)
-    mismatch = measure_mismatch(log.model, validation, 0, (trajectory,))
+    mismatch = measure_model_error(log.model, validation, 0, (trajectory,))
     assert mismatch.plant_comes_to_rest
     expected = pytest.approx(hunts, rel=0.1, abs=1e-3)
     assert mismatch.left_at_rest == expected
@@ -234,7 +234,7 @@ def test_a_faint_swing_that_motion_sets_off_counts(hunts):
     validation = log.data.validation
     changed_last = replace(last, y=y)
     records = (*validation, changed_last)
-    mismatch = measure_mismatch(log.model, records, 0, (decay,))
+    mismatch = measure_model_error(log.model, records, 0, (decay,))
     expected = pytest.approx(hunts, rel=0.1, abs=1e-3)
     assert mismatch.left_at_rest == expected
 
@@ -325,7 +325,7 @@ def test_no_view_is_taken_of_returns_on_which_the_model_was_trained(tmp_path):
     mismatch_records = log.data.mismatch_records
     assert len(mismatch_records) == 3
     validation = log.data.validation
-    alone = measure_mismatch(log.model, validation, 20)
+    alone = measure_model_error(log.model, validation, 20)
     assert mismatch.gain == alone.gain
     assert mismatch.spread == alone.spread
     expected = len(alone.views)
@@ -349,7 +349,7 @@ def test_a_loop_that_starts_beyond_what_training_reached_is_told_how_far(times):
     data = replace(log.data, mismatch_records=(trial,))
     begun = replace(log, data=data)
     validation = log.data.validation
-    mismatch = measure_mismatch(log.model, validation)
+    mismatch = measure_model_error(log.model, validation)
     findings = judge_records(begun, mismatch)
     sentences = [finding.sentence for finding in findings]
     says_how_far = any(f"starts {times} times as far out" in sentence for sentence in sentences)

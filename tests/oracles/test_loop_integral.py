@@ -20,7 +20,7 @@ from ssm_study.loop.regulation import Loop
 from ssm_study.loop.trajectory import scaled_equilibrium
 from ssm_study.plants.disturbance import RampDisturbance, StepDisturbance
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sensitivity import error_to_input_response, gain_peaks_on_grid
 from ssm_study.synthesis.auto import Auto
@@ -229,7 +229,7 @@ def test_auto_chooses_with_integral_action():
     assert chosen.certified
     state_feedback_k = chosen.state_feedback.k
     assert state_feedback_k.shape == (1, 3)
-    shown = measure_mismatch(motor_model(), (motor_record(),))
+    shown = measure_model_error(motor_model(), (motor_record(),))
     prediction = predict_margins(motor_model(), chosen.pair, BALLS, shown)
     assert prediction.predicts_stability()
     loop = LOADED.run_design(motor(), motor_model(), chosen, seed=0)

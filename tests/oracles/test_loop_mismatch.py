@@ -11,12 +11,12 @@ from loop_cases import BALLS, INPUT_BALL, flat, motor_design, motor_model, motor
 from ssm_study.bounds.frequency import hinf_norm, largest_gains
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.bands import ANGLES as BANDS
-from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
+from ssm_study.robustness.mismatch import Mismatch, measure_model_error
 from ssm_study.robustness.prediction import Prediction, predict_margins
 from ssm_study.robustness.sensitivity import (
+    control_sensitivity_peak,
     error_to_input_response,
     gain_peaks_on_grid,
-    sensitivity_peak,
 )
 from ssm_study.signals import Trajectory
 from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
@@ -125,7 +125,7 @@ def test_the_peak_by_state_space_and_by_factors():
     k = design.state_feedback.k
     gain = design.observer.l
     pair = Gains(k=k, l=gain)
-    exact = sensitivity_peak(model.linear, pair, BALLS)
+    exact = control_sensitivity_peak(model.linear, pair, BALLS)
     even_angles = np.linspace(1e-4, np.pi, 5000)
     angles = np.concatenate([ANGLES[1:], even_angles])
     peaks = gain_peaks_on_grid(model.linear, k[None], gain[None], BALLS, angles)
@@ -200,20 +200,20 @@ def test_the_gain_is_the_ratio_of_what_the_record_shows():
     response = model.simulate(record.u)
     difference = record.y - response
     error = difference / 5.0
-    mismatch = measure_mismatch(model, (record,))
+    mismatch = measure_model_error(model, (record,))
     gain = mismatch.gain
     error_norm = np.linalg.norm(error)
     input_norm = np.linalg.norm(record.u / 1.7)
     expected = error_norm / input_norm
     assert gain == pytest.approx(expected)
-    mismatch = measure_mismatch(model, (record, record))
+    mismatch = measure_model_error(model, (record, record))
     gain = mismatch.gain
-    mismatch = measure_mismatch(model, (record,))
+    mismatch = measure_model_error(model, (record,))
     expected = mismatch.gain
     assert gain == pytest.approx(expected)
     y = model.simulate(record.u)
     own = Trajectory(u=record.u, y=y, step_s=0.01)
-    mismatch = measure_mismatch(model, (own,))
+    mismatch = measure_model_error(model, (own,))
     gain = mismatch.gain
     assert gain == 0.0
 
@@ -222,7 +222,7 @@ def test_a_loop_that_is_unstable_at_one_slope_has_no_margin():
     model = motor_model()
     design = motor_design()
     record = motor_record()
-    mismatch = measure_mismatch(model, (record,))
+    mismatch = measure_model_error(model, (record,))
     k = 50 * design.state_feedback.k
     observer_l = design.observer.l
     unstable = Gains(k=k, l=observer_l)
@@ -230,7 +230,7 @@ def test_a_loop_that_is_unstable_at_one_slope_has_no_margin():
     assert prediction.mismatch_margin == 0.0
     assert prediction.resolved_margin == 0.0
     own = predict_margins(model, design.pair, BALLS, mismatch)
-    peak = sensitivity_peak(model.linear, design.pair, BALLS)
+    peak = control_sensitivity_peak(model.linear, design.pair, BALLS)
     expected = 1 / (mismatch.gain * peak)
     assert own.mismatch_margin == pytest.approx(expected)
     by_frequency = np.zeros(len(BANDS))
@@ -251,13 +251,13 @@ def shown_by(filtered, samples: int = 4000, records: int = 1, start_up: int = 0)
         y = model.simulate(u) + error
         trajectory = Trajectory(u=u, y=y, step_s=0.01)
         trajectories.append(trajectory)
-    return measure_mismatch(model, tuple(trajectories), start_up)
+    return measure_model_error(model, tuple(trajectories), start_up)
 
 
 def test_a_mismatch_of_constant_gain_has_it_at_every_frequency():
     shown = shown_by(lambda u: 0.3 * u)
     assert shown.gain == pytest.approx(0.3)
-    np.testing.assert_allclose(shown.by_frequency, 0.3)
+    np.testing.assert_allclose(shown.gain_by_frequency, 0.3)
     assert BANDS[0] == 0.0
     assert BANDS[-1] == np.pi
     actual = np.diff(BANDS)
@@ -274,9 +274,9 @@ def test_a_mismatch_that_hangs_on_the_frequency_is_resolved(records):
     assert shown.gain == pytest.approx(expected, rel=0.05)
     sine = np.sin(BANDS / 2)
     expected = np.abs(sine)
-    np.testing.assert_allclose(shown.by_frequency, expected, atol=0.06)
+    np.testing.assert_allclose(shown.gain_by_frequency, expected, atol=0.06)
     between = (BANDS[3] + BANDS[4]) / 2
-    expected = shown.by_frequency[3:5].mean()
+    expected = shown.gain_by_frequency[3:5].mean()
     (gain_between,) = shown.gain_at(np.array([between]))
     assert gain_between == pytest.approx(expected)
 
@@ -296,10 +296,12 @@ def test_where_the_input_hardly_moves_nothing_stands_in_for_what_is_measured(per
     noise = rng.standard_normal(u.shape)
     y = model.simulate(u) + noise
     trajectory = Trajectory(u=u, y=y, step_s=0.01)
-    shown = measure_mismatch(model, (trajectory,))
+    shown = measure_model_error(model, (trajectory,))
     lower_limit = 10 * shown.gain
-    assert shown.by_frequency[8:].min() > lower_limit
-    assert shown.by_frequency[1] < shown.gain  # where it is excited, the noise is small beside it
+    assert shown.gain_by_frequency[8:].min() > lower_limit
+    assert (
+        shown.gain_by_frequency[1] < shown.gain
+    )  # where it is excited, the noise is small beside it
     lowest, *_, highest = shown.unexcited
     assert lowest < BANDS[8] < highest
     linear_parts = [view.linear[8:] for view in shown.views]
@@ -323,14 +325,14 @@ def test_samples_that_start_the_state_do_not_count():
     y = model.simulate(still)
     trajectory = Trajectory(u=still, y=y, step_s=0.01)
     with pytest.raises(BadRequest, match="validation"):
-        measure_mismatch(model, (trajectory,), 40)
+        measure_model_error(model, (trajectory,), 40)
     assert shown_by(late).gain > 1.0
 
 
 @pytest.mark.parametrize("samples", [9, 30, 31, 63])
 def test_a_record_shorter_than_a_segment_is_one_segment(samples):
     shown = shown_by(lambda u: 0.3 * u, samples=samples)
-    np.testing.assert_allclose(shown.by_frequency, 0.3)
+    np.testing.assert_allclose(shown.gain_by_frequency, 0.3)
 
 
 def test_a_design_keeps_the_plant_strictly_inside_both_bounds():
@@ -367,9 +369,9 @@ def test_a_system_on_the_circle_has_no_finite_norm():
 def test_what_sticks_is_compared_with_five_percent_of_the_farthest_start():
     """One offset may be a twentieth of the worst, the largest of two a root of that."""
     views = shown_by(lambda u: 0.1 * u).views
-    assert Mismatch(views=views).offset == 0.0
+    assert Mismatch(views=views).largest_offset == 0.0
     alone = Mismatch(views=views, stuck=(0.01,))
     assert alone.scaled_settling_band == pytest.approx(0.05)
-    assert alone.offset == pytest.approx(0.01 * 20 / 0.05)
+    assert alone.largest_offset == pytest.approx(0.01 * 20 / 0.05)
     farther = Mismatch(views=views, stuck=(0.01, 0.02), farthest=4.0)
-    assert farther.offset == pytest.approx(0.02 * np.sqrt(20) / 0.2)
+    assert farther.largest_offset == pytest.approx(0.02 * np.sqrt(20) / 0.2)

@@ -20,7 +20,7 @@ from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.plants.disturbance import StepDisturbance
 from ssm_study.plants.wrapper import Wrapper
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -164,7 +164,7 @@ def test_the_design_grid_reports_each_designs_own_margin(monkeypatch):
     initial_conditions = {row["initial_conditions"] for row in rows}
     assert initial_conditions == {3}
     candidates = SMALL.candidates(motor_model(), BALLS)
-    shown = measure_mismatch(motor_model(), (motor_record(),))
+    shown = measure_model_error(motor_model(), (motor_record(),))
     margins = [
         predict_margins(motor_model(), Gains(k=k, l=l_), BALLS, shown).mismatch_margin
         for k in candidates.ks

@@ -16,21 +16,21 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.robustness.bands import ANGLES
-from ssm_study.robustness.mismatch import BAND, Mismatch, measure_mismatch
+from ssm_study.robustness.mismatch import BAND, Mismatch, measure_model_error
 from ssm_study.robustness.prediction import (
     PEAK,
     output_peak_from_noise,
     predict_margins,
-    robustness_measure,
+    worst_case_loop_gain,
 )
-from ssm_study.robustness.record_errors import View
+from ssm_study.robustness.record_errors import ModelErrorAtAmplitude
 from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
-    Responses,
+    ResponseCache,
     controller_spectral_radius,
     error_to_input_response,
     largest_singular_values,
-    slope_combinations,
+    systems_at_constant_slopes,
 )
 from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -115,7 +115,7 @@ def test_a_linear_mismatch_with_resolved_margin_above_one_never_loses_the_loop(s
     white_noise = rng.standard_normal(length + 1)
     taps = size * white_noise
     gains = Gains(k=k, l=gain)
-    mismatch = measure_mismatch(model, (recorded(model, taps),))
+    mismatch = measure_model_error(model, (recorded(model, taps),))
     found = predict_margins(model, gains, ONES, mismatch)
     if found.resolved_margin > 1.2:  # Welch's estimate is within some percent
         assert closed(model, k, gain, taps) < 1
@@ -128,7 +128,7 @@ def test_a_flat_mismatch_has_the_same_margin_either_way(seed):
     design = riccati_synthesis.design(model, ONES)
     taps = np.array([0.0, 0.3])
     record = recorded(model, taps)
-    mismatch = measure_mismatch(model, (record,))
+    mismatch = measure_model_error(model, (record,))
     found = predict_margins(model, design.pair, ONES, mismatch)
     assert found.resolved_margin == pytest.approx(found.mismatch_margin, rel=0.1)
 
@@ -138,17 +138,17 @@ def test_what_pairs_share_changes_no_number(seed):
     """Two pairs one after the other, each with slopes and modes of its own, against each by
     itself."""
     model = linear_model(seed)
-    shared = Responses(angles=FINE_ANGLES)
+    shared = ResponseCache(angles=FINE_ANGLES)
     record = recorded(model, np.array([0.2, 0.3]))
-    shown = measure_mismatch(model, (record,))
+    shown = measure_model_error(model, (record,))
     for rate in (0.1, 0.3):
         riccati_synthesis = RiccatiSynthesis(rate_controller=rate, rate_observer=rate)
         pair = riccati_synthesis.design(model, BALLS).pair
-        alone = robustness_measure(model, pair, BALLS, shown)
-        shared_measure = robustness_measure(model, pair, BALLS, shown, shared)
+        alone = worst_case_loop_gain(model, pair, BALLS, shown)
+        shared_measure = worst_case_loop_gain(model, pair, BALLS, shown, shared)
         assert shared_measure == pytest.approx(alone, rel=1e-9)
         half = alone / 2
-        from_half = robustness_measure(model, pair, BALLS, shown, shared, stop_value=half)
+        from_half = worst_case_loop_gain(model, pair, BALLS, shown, shared, stop_value=half)
         assert half <= from_half <= alone * (1 + 1e-9)
         assert 0 < alone < np.inf
 
@@ -161,7 +161,7 @@ def test_a_resonance_that_the_total_gain_averages_away_is_seen():
     gain = design.observer.l
     angles = ANGLES
     pair = Gains(k=k, l=gain)
-    ends = slope_combinations(model.linear, pair, BALLS)
+    ends = systems_at_constant_slopes(model.linear, pair, BALLS)
     loops = [error_to_input_response(*end) for end in ends]
     responses = [largest_singular_values(frequency_response(loop, FINE_ANGLES)) for loop in loops]
     largest = np.max(responses, axis=0)
@@ -235,22 +235,22 @@ def test_an_integrator_holds_where_the_plant_does():
     observer_l = motor_design().observer.l
     pair = Gains(k=k, l=observer_l)
     ones = np.ones(len(ANGLES))
-    large = View(
+    large = ModelErrorAtAmplitude(
         amplitude=1.0, gain=0.01, by_frequency=0.01 * ones, linear=0j * ones, rest=0.01 * ones
     )
     linear = -1.02 * ones + 0j
-    held = View(
+    held = ModelErrorAtAmplitude(
         amplitude=0.1, gain=0.5, by_frequency=9 * ones, linear=linear, rest=0 * ones, response=0.01
     )
     mismatch = Mismatch(views=(large,))
-    alone = robustness_measure(model, pair, BALLS, mismatch)
+    alone = worst_case_loop_gain(model, pair, BALLS, mismatch)
     views = Mismatch(views=(held, held, large))
-    measure = robustness_measure(model, pair, BALLS, views)
+    measure = worst_case_loop_gain(model, pair, BALLS, views)
     assert 0 < alone <= measure < 1
     answers = replace(held, response=0.5)
     views = (answers, large)
     mismatch = Mismatch(views=views)
-    assert robustness_measure(model, pair, BALLS, mismatch) > 1
+    assert worst_case_loop_gain(model, pair, BALLS, mismatch) > 1
 
 
 @pytest.mark.parametrize(("knee", "passes"), [(1.0, True), (0.3, False)])
@@ -266,19 +266,21 @@ def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
     pair = motor_design().pair
     ones = np.ones(len(ANGLES))
 
-    def seen(amplitude: float, gain: float) -> View:
+    def seen(amplitude: float, gain: float) -> ModelErrorAtAmplitude:
         parts = {"by_frequency": gain * ones, "linear": 0j * ones, "rest": gain * ones}
-        return View(amplitude=amplitude, gain=gain, **parts)
+        return ModelErrorAtAmplitude(amplitude=amplitude, gain=gain, **parts)
 
     alone = [
-        robustness_measure(model, pair, replace(ONES, input=one), Mismatch(views=(seen(1.0, 1.0),)))
+        worst_case_loop_gain(
+            model, pair, replace(ONES, input=one), Mismatch(views=(seen(1.0, 1.0),))
+        )
         for one in STEEP_AND_FLAT
     ]
     assert 1.2 * alone[0] < alone[1] < np.inf
     gain = 2 / sum(alone)  # between what the two slopes tolerate
     small = (seen(0.1, gain), seen(0.5, 0.0), seen(1.0, 0.0))
     mismatch = Mismatch(views=small)
-    measure = robustness_measure(model, pair, balls, mismatch)
+    measure = worst_case_loop_gain(model, pair, balls, mismatch)
     assert (measure < 1) == passes
     large = (
         seen(0.1, 0.0),
@@ -291,7 +293,7 @@ def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
     views = (seen(0.1, gain), seen(1.0, 0.0))
     pair_alone = Mismatch(views=views)
     mismatches = (Mismatch(views=large), trial, pair_alone)
-    smallest = min(robustness_measure(model, pair, balls, one) for one in mismatches)
+    smallest = min(worst_case_loop_gain(model, pair, balls, one) for one in mismatches)
     assert smallest > 1
 
 
@@ -344,7 +346,7 @@ def noisy_loop(sigma: float, held_up_to: float) -> tuple[SSM, Gains, Mismatch]:
     none = 0 * ANGLES
     held, free = (held_up_to + more for more in (0.0, 0.5))
     views = [
-        View(
+        ModelErrorAtAmplitude(
             amplitude=at * strength * driving,
             gain=0.0,
             by_frequency=none,

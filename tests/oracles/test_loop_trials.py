@@ -10,9 +10,9 @@ from test_loop_prediction import ONES, linear_model
 from ssm_study.certificates.certificate import Design
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.models.identified import SSM
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.robustness.prediction import predict_margins
-from ssm_study.robustness.sensitivity import sensitivity_peak
+from ssm_study.robustness.sensitivity import control_sensitivity_peak
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import StateSpace
@@ -93,8 +93,8 @@ def test_a_loop_that_oscillates_refutes_its_own_design(noise):
     below one."""
     trial = looped(MODEL, FAST, 0.3, noise)
     record = recorded(noise)
-    mismatch_of_record = measure_mismatch(MODEL, (record,))
-    mismatch = measure_mismatch(MODEL, (record,), 0, (trial,))
+    mismatch_of_record = measure_model_error(MODEL, (record,))
+    mismatch = measure_model_error(MODEL, (record,), 0, (trial,))
     margins = predict_margins(MODEL, FAST.pair, ONES, mismatch_of_record)
     resolved_margin = margins.resolved_margin
     assert resolved_margin > 1
@@ -104,7 +104,7 @@ def test_a_loop_that_oscillates_refutes_its_own_design(noise):
     assert mismatch.loop is not None
     expected = mismatch.loop.gain
     assert mismatch.largest_recorded_gain == expected > 5 * mismatch_of_record.largest_recorded_gain
-    peak = sensitivity_peak(MODEL.linear, FAST.pair, ONES)
+    peak = control_sensitivity_peak(MODEL.linear, FAST.pair, ONES)
     assert mismatch.loop.gain > 0.9 / peak
     margins = predict_margins(MODEL, CALM.pair, ONES, mismatch)
     resolved_margin = margins.resolved_margin
@@ -118,7 +118,7 @@ def test_noise_that_the_loop_feeds_back_is_no_mismatch(repeats):
     record = recorded()
     trial = looped(MODEL, FAST, 0.0, noise=0.3)
     record = record if repeats else record[:1500]
-    mismatch = measure_mismatch(MODEL, (record,), 0, (trial,))
+    mismatch = measure_model_error(MODEL, (record,), 0, (trial,))
     loop = mismatch.loop
     assert loop is None
 
@@ -135,7 +135,7 @@ def test_a_motion_asked_of_a_good_loop_shows_little():
     y = trial.y + response
     changed_trial = replace(trial, u=u, y=y)
     records = (recorded(0.05),)
-    mismatch = measure_mismatch(MODEL, records, 0, (changed_trial,))
+    mismatch = measure_model_error(MODEL, records, 0, (changed_trial,))
     assert mismatch.loop is not None
     assert mismatch.loop.gain < 0.05
 
@@ -158,7 +158,7 @@ def test_of_a_moving_loop_the_noise_goes_in_every_band(size):
     y = trial.y + response + swing
     u = trial.u + moved
     changed_trial = replace(trial, u=u, y=y)
-    mismatch = measure_mismatch(MODEL, (recorded(0.05),), 0, (changed_trial,))
+    mismatch = measure_model_error(MODEL, (recorded(0.05),), 0, (changed_trial,))
     loop_mismatch = mismatch.loop
     assert loop_mismatch is not None
     actual = loop_mismatch.by_frequency > 0
@@ -175,9 +175,9 @@ def test_where_no_record_measured_the_noise_the_quietest_bands_do():
     trial = looped(MODEL, FAST, 0.3, noise=0.02)
     record = recorded()[:1500]
     records = (recorded(0.02),)
-    mismatch = measure_mismatch(MODEL, records, 0, (trial,))
+    mismatch = measure_model_error(MODEL, records, 0, (trial,))
     measured = mismatch.loop
-    mismatch = measure_mismatch(MODEL, (record,), 0, (trial,))
+    mismatch = measure_model_error(MODEL, (record,), 0, (trial,))
     guessed = mismatch.loop
     expected_gain = pytest.approx(measured.gain, rel=0.05)
     assert guessed.gain == expected_gain
@@ -188,19 +188,19 @@ def test_the_start_of_a_loop_is_no_mismatch():
     state."""
     quiet = looped(MODEL, CALM, 0.0)
     records = (recorded(),)
-    mismatch = measure_mismatch(MODEL, records, 0, (quiet,))
+    mismatch = measure_model_error(MODEL, records, 0, (quiet,))
     loop = mismatch.loop
     assert loop is None
     short = looped(MODEL, CALM, 0.0, samples=30)  # still on its way at the end
-    later_mismatch = measure_mismatch(MODEL, records, 0, (short,))
+    later_mismatch = measure_model_error(MODEL, records, 0, (short,))
     assert later_mismatch.loop is None or later_mismatch.loop.gain < 0.02
 
 
 def test_the_records_about_the_loop_stay_as_they_are():
     record = recorded()
     trial = looped(MODEL, FAST, 0.3)
-    alone = measure_mismatch(MODEL, (record,))
-    beside = measure_mismatch(MODEL, (record,), 0, (trial,))
+    alone = measure_model_error(MODEL, (record,))
+    beside = measure_model_error(MODEL, (record,), 0, (trial,))
     assert alone.gain == beside.gain
     assert alone.spread == beside.spread
     expected = len(beside.views)
@@ -223,8 +223,8 @@ def test_the_record_with_the_most_power_is_the_largest():
         outputs.append(MODEL.simulate(u) + noise)
     weak = Trajectory(u=rising, y=outputs[0], step_s=0.01)
     strong = Trajectory(u=falling, y=outputs[1], step_s=0.01)
-    both = measure_mismatch(MODEL, (weak, strong))
-    alone = measure_mismatch(MODEL, (strong,))
-    other = measure_mismatch(MODEL, (weak,))
+    both = measure_model_error(MODEL, (weak, strong))
+    alone = measure_model_error(MODEL, (strong,))
+    other = measure_model_error(MODEL, (weak,))
     assert both.spread == alone.spread != other.spread
     assert both.unexcited == alone.unexcited

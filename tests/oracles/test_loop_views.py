@@ -20,7 +20,7 @@ from ssm_study.data.simulated import (
     simulate_mismatch_records,
 )
 from ssm_study.models.identified import SSM
-from ssm_study.robustness.mismatch import BAND, Mismatch, measure_mismatch
+from ssm_study.robustness.mismatch import BAND, Mismatch, measure_model_error
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.return_to_rest import AT_REST
 from ssm_study.signals import Trajectory, find_repetition
@@ -68,9 +68,9 @@ def test_noise_of_the_sensor_is_not_mismatch_and_distortion_is():
     it stays."""
     model = linear_model(0)
     trajectory = twice(model, lambda u: 0.3 * np.abs(u), 0.0)
-    quiet = measure_mismatch(model, (trajectory,))
+    quiet = measure_model_error(model, (trajectory,))
     noisy_record = twice(model, lambda u: 0.3 * np.abs(u), 0.2)
-    noisy = measure_mismatch(model, (noisy_record,))
+    noisy = measure_model_error(model, (noisy_record,))
     expected = 0.3 * np.sqrt(1 - 2 / np.pi)
     assert quiet.gain == pytest.approx(expected, rel=0.05)  # the mean of |u| is no input's answer
     assert noisy.gain == pytest.approx(quiet.gain, rel=0.1)
@@ -81,13 +81,13 @@ def test_noise_of_the_sensor_is_not_mismatch_and_distortion_is():
     once = replace(record, name="once")
     y = once.y[:1024]
     cut = Trajectory(u=once.u[:1024], y=y, step_s=0.01)
-    mismatch = measure_mismatch(model, (cut,))
+    mismatch = measure_model_error(model, (cut,))
     gain = mismatch.gain
     assert gain > 1.5 * quiet.gain
     mean = np.mean(noisy.noise)
     assert mean == pytest.approx(0.2**2, rel=0.1)
     assert max(quiet.noise) < 1e-20
-    mismatch = measure_mismatch(model, (cut,))
+    mismatch = measure_model_error(model, (cut,))
     noise = mismatch.noise
     assert noise == ()  # measured only where an input repeats
 
@@ -117,7 +117,7 @@ def test_a_linear_mismatch_is_all_phase_and_the_loop_is_judged_exactly(seed):
     verdicts = set()
     for factor in (-0.95, -0.5, 0.5, 1.5, 3.0, 8.0):
         record = twice(model, lambda u, f=factor: f * model.simulate(u), 0.0)
-        shown = measure_mismatch(model, (record,))
+        shown = measure_model_error(model, (record,))
         view = shown.views[0]
         np.testing.assert_allclose(view.linear, factor, rtol=1e-6)
         largest = view.rest.max()
@@ -139,14 +139,14 @@ def test_no_phase_is_read_from_noise_below_the_largest_amplitude():
     answers is dropped."""
     model = linear_model(0)
     records = [twice(model, lambda u: 0 * u, 0.2, a, seed) for seed, a in enumerate((0.3, 1.0))]
-    mismatch = measure_mismatch(model, tuple(records))
+    mismatch = measure_model_error(model, tuple(records))
     small, large = mismatch.views
     assert small.amplitude < large.amplitude
     mean = np.mean(small.linear != 0)
     assert mean < 0.1
     mean = np.mean(large.linear != 0)
     assert mean > 0.2
-    mismatch = measure_mismatch(model, tuple(records[:1]))
+    mismatch = measure_model_error(model, tuple(records[:1]))
     views = mismatch.views
     linear = views[0].linear
     assert np.any(linear)  # alone it is the largest
@@ -162,7 +162,7 @@ def test_of_the_two_conditions_the_better_one_counts():
         if radius(model, design.pair, factor) >= 1:
             continue
         trajectory = twice(model, lambda u, f=factor: f * model.simulate(u), 0.0)
-        shown = measure_mismatch(model, (trajectory,))
+        shown = measure_model_error(model, (trajectory,))
         views = tuple(replace(v, linear=0 * v.linear, rest=v.by_frequency) for v in shown.views)
         sizes = replace(shown, views=views)
         resolved_margin = predict_margins(model, design.pair, ONES, sizes).resolved_margin
@@ -195,7 +195,7 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
         difference = c @ x_hat + d @ u - y
         x_hat = a @ x_hat + b @ u + pair_l @ difference
     trajectory = twice(model, lambda u: 1e-9 * u, 0.0)
-    mismatch = measure_mismatch(model, (trajectory,))
+    mismatch = measure_model_error(model, (trajectory,))
     view = mismatch.views
     for stuck, farthest in (((offset, 0.03), 1.0), ((0.1, 10 * offset, 0.3), 2.0), ((), 1.0)):
         shown = Mismatch(views=view, stuck=stuck, farthest=farthest)
@@ -227,10 +227,12 @@ def test_between_two_amplitudes_lies_what_neither_shows():
         for f, a in ((-1.0, 0.1), (0.0, scale))
     ]
     alone = [
-        predict_margins(model, design.pair, ONES, measure_mismatch(model, (one,))).resolved_margin
+        predict_margins(
+            model, design.pair, ONES, measure_model_error(model, (one,))
+        ).resolved_margin
         for one in turned
     ]
-    mismatch = measure_mismatch(model, tuple(turned))
+    mismatch = measure_model_error(model, tuple(turned))
     both = predict_margins(model, design.pair, ONES, mismatch).resolved_margin
     assert both <= min(alone)
 
@@ -252,7 +254,7 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
                                                       True)):  # fmt: skip
         changed_output = left + noise
         trajectory = Trajectory(u=still, y=changed_output, step_s=0.01)
-        shown = measure_mismatch(model, (record,), 0, (trajectory,))
+        shown = measure_model_error(model, (record,), 0, (trajectory,))
         assert shown.plant_comes_to_rest == rests
         pair = motor_design().pair
         margin = predict_margins(model, pair, BALLS, shown).resolved_margin
@@ -301,7 +303,7 @@ def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and
 def test_a_mismatch_is_stored_bit_for_bit(tmp_path: Path):
     """With a trial in closed loop and a rest, and without; infinite gains included."""
     missed_record = twice(linear_model(0), lambda u: 0.3 * np.abs(u), 0.2)
-    shown = measure_mismatch(linear_model(0), (missed_record,))
+    shown = measure_model_error(linear_model(0), (missed_record,))
     view = shown.views[0]
     by_frequency = np.full_like(view.rest, np.inf)
     linear = view.linear + complex(np.inf, 1.0)

@@ -14,7 +14,7 @@ from structured_cases import drawn
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.certificates.theorems.measured_discs_structured import StructuredMeasuredDiscs
-from ssm_study.robustness.coverage import Weights
+from ssm_study.robustness.coverage import DiscWeights
 from ssm_study.robustness.sensitivity import frequency_response
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_search import (
@@ -110,7 +110,7 @@ def test_a_solver_agrees_where_the_largest_kappa_lies(balls: Balls, centre: floa
     """CVXPY looks for P and multipliers at once; the route of the search knows no P."""
     system = one_layer(2, order=2)
     known = context(system, balls)
-    weights = Weights(floor=0.6, output=0.3 * ONE, input=0.4 * ONE)
+    weights = DiscWeights(floor=0.6, output=0.3 * ONE, input=0.4 * ONE)
     nu, _ = optimum_for_weights(MeasuredDiscs, known, weights, centre)
     kappa = 0.98 * np.sqrt(nu)
     assert solvable(known, weights, centre, kappa)
@@ -118,7 +118,7 @@ def test_a_solver_agrees_where_the_largest_kappa_lies(balls: Balls, centre: floa
     assert not solvable(known, weights, centre, kappa)
 
 
-def solvable(known: VerificationContext, weights: Weights, centre: float, kappa: float) -> bool:
+def solvable(known: VerificationContext, weights: DiscWeights, centre: float, kappa: float) -> bool:
     from types import SimpleNamespace
 
     bent = known.balls.output.beta > 0
@@ -189,7 +189,7 @@ def test_a_plant_that_answers_a_sample_before_its_model_is_covered_by_sums_over_
     """
     system = one_layer(3)
     known = context(system)
-    weights = Weights(floor=2.0, output=ZERO, input=1e-3 * ONE)
+    weights = DiscWeights(floor=2.0, output=ZERO, input=1e-3 * ONE)
     proof = certify_largest_radius(known, weights, 0.0)
     assert proof is not None
     alpha_out = known.balls.output.alpha
@@ -223,7 +223,7 @@ def test_a_plant_that_answers_a_sample_before_its_model_is_covered_by_sums_over_
 
 
 def excess_after_an_impulse(
-    system: StateSpace, proof: MeasuredDiscs, weights: Weights
+    system: StateSpace, proof: MeasuredDiscs, weights: DiscWeights
 ) -> np.ndarray:
     """Running sums by which the error exceeds the disc, from rest: they do up to the sample before
     m moves."""

@@ -16,7 +16,7 @@ from verify_lies import failing, invented
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.cli.main import main
 from ssm_study.engine.records import read_record, write_record
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.study.claims import SECTIONS
 from ssm_study.study.file_claims import check_files
 from ssm_study.study.findings import Checked, DerivedColumns, RepeatedSettings
@@ -265,7 +265,7 @@ def test_a_part_without_certificate_is_recorded_with_its_reason(
     told = "riccati; not positive definite in exact arithmetic"
     observer = replace(run.design.observer, certified=False, solver_status=told)
     missed = replace(run.design, observer=observer)  # type: ignore[arg-type]
-    shown = measure_mismatch(run.model, kept.records, kept.start_up_samples)
+    shown = measure_model_error(run.model, kept.records, kept.start_up_samples)
     for made, reason in ((run.design, None), (missed, f"observer: {told}")):
         balls = certified_balls(run.model)
         facts = design_columns(made, run.model, balls, shown)

@@ -19,7 +19,7 @@ from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.margin_by_frequency import margin_curves
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict_margins
-from ssm_study.robustness.record_errors import View
+from ssm_study.robustness.record_errors import ModelErrorAtAmplitude
 from ssm_study.robustness.sensitivity import error_to_input_response
 from ssm_study.signals import Trajectory
 
@@ -42,7 +42,7 @@ def mismatch_of(size: float, amplitude: float = 1.0) -> Mismatch:
     sine = np.sin(ANGLES)
     by_frequency = size * sine**2
     linear = np.zeros(len(ANGLES), dtype=complex)
-    view = View(
+    view = ModelErrorAtAmplitude(
         amplitude=amplitude, gain=size, by_frequency=by_frequency, linear=linear, rest=by_frequency
     )
     return Mismatch(views=(view,))

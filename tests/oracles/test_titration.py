@@ -11,8 +11,8 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.data.simulated import PERIOD, simulate_mismatch_records, simulate_sine_records
 from ssm_study.models.identified import SSM
-from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
-from ssm_study.robustness.sine_trials import measure_sine_mismatch, sensitive_lines
+from ssm_study.robustness.mismatch import Mismatch, measure_model_error
+from ssm_study.robustness.sine_trials import measure_errors_at_sines, sensitive_spectral_lines
 from ssm_study.signals import Scale
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.sine_judgement import sine_columns
@@ -97,10 +97,10 @@ def judged(
     )
     design = request.design(model, balls)
     assert design.certified
-    lines = sensitive_lines(model, design.pair, balls, PERIOD)
+    lines = sensitive_spectral_lines(model, design.pair, balls, PERIOD)
     rng = np.random.default_rng([0, 13])
     records = simulate_sine_records(plant, rng, NOISE, lines)
-    sines = measure_sine_mismatch(model, records, mismatch, PERIOD)
+    sines = measure_errors_at_sines(model, records, mismatch, PERIOD)
     facts = sine_columns(design, model, balls, mismatch, sines)
     return facts["predicted_stable"], swing_of(plant, model, design)
 
@@ -112,7 +112,7 @@ def outcomes(request) -> tuple[Titration, list[tuple[bool, float]]]:
     rng = np.random.default_rng(0)
     trials = simulate_mismatch_records(plant, rng, NOISE)
     full = tuple(trial for trial in trials if trial.name == "trial_at_1")
-    mismatch = measure_mismatch(model, full, 0, trials)
+    mismatch = measure_model_error(model, full, 0, trials)
     assert mismatch.plant_comes_to_rest
     weights = [(0.1, 0.1), (1.0, 1.0)]
     return plant, [judged(plant, model, mismatch, *pair) for pair in weights]

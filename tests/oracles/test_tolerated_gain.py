@@ -17,7 +17,7 @@ from ssm_study.certificates.certificate import Design, certificate_digest
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.measured_discs_structured import StructuredMeasuredDiscs
-from ssm_study.robustness.coverage import Weights
+from ssm_study.robustness.coverage import DiscWeights
 from ssm_study.robustness.sensitivity import error_to_input_response
 from ssm_study.synthesis.deployed import add_gain_certificates, certificate_at_largest_rate
 from ssm_study.synthesis.design import failed_checks
@@ -39,7 +39,7 @@ class _Model:
 
 
 def found(
-    system: StructuredSystem, weights: Weights = INPUT_ALONE
+    system: StructuredSystem, weights: DiscWeights = INPUT_ALONE
 ) -> tuple[VerificationContext, StructuredMeasuredDiscs]:
     design = ASKED.design(_Model(system), BALLS)
     known = VerificationContext(system=system, controlled=system, balls=BALLS, gains=design.gains)

@@ -18,7 +18,7 @@ from ssm_study.api.pictures.picture import (
 )
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
-from ssm_study.robustness.coverage import Premise
+from ssm_study.robustness.coverage import ModelErrorSpectra
 from ssm_study.robustness.coverage_spectra import AveragedSpectrum, MismatchSpectrum
 from ssm_study.robustness.coverage_table import CoverageBand, coverage_table
 from ssm_study.synthesis.measured_discs_run import disc_weights
@@ -29,7 +29,7 @@ HIGHEST = 100.0  # a band that is covered so often says no more than "far"
 
 
 def coverage_picture(
-    design: Design, premise: Premise, step_s: float, input_scale: InputScale | None = None
+    design: Design, premise: ModelErrorSpectra, step_s: float, input_scale: InputScale | None = None
 ) -> Picture:
     """Picture of the coverage (tolerated model error divided by the measured one) in each frequency
     band.
@@ -41,7 +41,7 @@ def coverage_picture(
     part = design.extra_certificates.get(MeasuredDiscs.part)
     if not isinstance(part, MeasuredDiscs):
         raise NothingToShow("No proof speaks of the model error of these gains.")
-    missing = premise.missing_reason(part.centre)
+    missing = premise.insufficient_records_reason(part.centre)
     if missing is not None:
         raise NothingToShow(f"Nothing is covered: {missing}.")
     weights = disc_weights(part)
@@ -76,7 +76,7 @@ def coverage_picture(
     return Picture(title=title, panels=(panel,), wide=True)
 
 
-def record_names(premise: Premise, input_scale: InputScale | None) -> dict[str, str]:
+def record_names(premise: ModelErrorSpectra, input_scale: InputScale | None) -> dict[str, str]:
     """Printed name of each record, with the amplitude of the record's input in physical units."""
     spectra: list[MismatchSpectrum | AveragedSpectrum] = [*premise.repeating, *premise.averaged]
     spectra += premise.sines

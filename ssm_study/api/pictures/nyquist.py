@@ -12,7 +12,7 @@ from ssm_study.bounds.frequency import frequency_response
 from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.record_errors import View
+from ssm_study.robustness.record_errors import ModelErrorAtAmplitude
 from ssm_study.robustness.sensitivity import FINE_ANGLES, error_to_input_response
 from ssm_study.systems import Gains
 
@@ -82,7 +82,9 @@ def loop_responses(
     return plant, closed / (1 + plant * closed)
 
 
-def _nearest_discs(model: Model, gains: Gains, views: Sequence[View]) -> tuple[Series, float]:
+def _nearest_discs(
+    model: Model, gains: Gains, views: Sequence[ModelErrorAtAmplitude]
+) -> tuple[Series, float]:
     """Discs of model error at the amplitude whose discs come nearest to the point -1, with their
     distance.
 

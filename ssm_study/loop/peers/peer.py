@@ -13,7 +13,7 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
+from ssm_study.robustness.mismatch import Mismatch, measure_model_error
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.signals import DataSet, Trajectory
 from ssm_study.systems import Balls
@@ -59,7 +59,7 @@ class Identified:
     @cached_property
     def mismatch(self) -> Mismatch:
         """Error of the identified model in the records, by frequency and input amplitude."""
-        return measure_mismatch(
+        return measure_model_error(
             self.model, self.validation, self.start_up_samples, self.mismatch_records
         )
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ssm_study.engine.stages import Stage
-from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
-from ssm_study.robustness.record_errors import View
+from ssm_study.robustness.mismatch import Mismatch, measure_model_error
+from ssm_study.robustness.record_errors import ModelErrorAtAmplitude
 from ssm_study.signals import DataSet
 from ssm_study.study.stages.free_run import ModelRun
 
@@ -19,7 +19,7 @@ FILE = "mismatch.json"
 def compute_mismatch(folder: Path, data: DataSet, model_run: ModelRun) -> Mismatch:
     """Measure the error between plant and model from the records, and store the measured error."""
     records = data.mismatch_records
-    mismatch = measure_mismatch(model_run.model, data.validation, data.start_up_samples, records)
+    mismatch = measure_model_error(model_run.model, data.validation, data.start_up_samples, records)
     write_mismatch(folder, mismatch)
     return mismatch
 
@@ -46,13 +46,13 @@ def read_mismatch(folder: Path) -> Mismatch:
     return Mismatch(views=views, loop=loop and _read_error_at_amplitude(loop), **other_fields)
 
 
-def _read_error_at_amplitude(content: dict[str, Any]) -> View:
+def _read_error_at_amplitude(content: dict[str, Any]) -> ModelErrorAtAmplitude:
     """Read the model error at one input amplitude from the lists in a file."""
     parts: dict[str, Any] = {}
     for name, value in content.items():
         parts[name] = np.array(value) if isinstance(value, list) else value
     parts["linear"] = parts["linear"].view(complex)
-    return View(**parts)
+    return ModelErrorAtAmplitude(**parts)
 
 
 MISMATCH = Stage("mismatch", compute_mismatch, read_mismatch)

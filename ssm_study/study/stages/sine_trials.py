@@ -9,7 +9,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.evidence.metrics import Judgement, withhold_predictions
-from ssm_study.robustness.coverage import measure_premise
+from ssm_study.robustness.coverage import measure_error_spectra
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.sine_trials import SineMismatch
 from ssm_study.signals import DataSet
@@ -65,7 +65,7 @@ def sine_trial_result_columns(
     model = model_run.model
     start_up = records.start_up_samples
     trials = records.mismatch_records
-    premise = measure_premise(model, records.validation, mismatch, start_up, trials)
+    premise = measure_error_spectra(model, records.validation, mismatch, start_up, trials)
     coverage = reported_coverage(design, model, premise)
     facts = sine_columns(design, model, certified_balls(model), mismatch, sines)
     facts |= sine_coverage_columns(design, sines, coverage)

@@ -14,7 +14,7 @@ from ssm_study.study.stages.free_run import ModelRun
 from ssm_study.synthesis.metrics import design_columns, paper_feasibility_columns
 
 if TYPE_CHECKING:
-    from ssm_study.robustness.coverage import Premise
+    from ssm_study.robustness.coverage import ModelErrorSpectra
     from ssm_study.synthesis.design import Synthesis
 
 
@@ -59,22 +59,24 @@ def compute_synthesis(
     design.save(folder / "certificate.json")
 
 
-def recorded_error_spectra(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise":
+def recorded_error_spectra(model: Any, data: DataSet, mismatch: Mismatch) -> "ModelErrorSpectra":
     """Model error by frequency, measured from recorded data; the plant's stability proof has to
     cover it."""
-    from ssm_study.robustness.coverage import measure_premise
+    from ssm_study.robustness.coverage import measure_error_spectra
 
     records = data.mismatch_records
-    return measure_premise(model, data.validation, mismatch, data.start_up_samples, records)
+    return measure_error_spectra(model, data.validation, mismatch, data.start_up_samples, records)
 
 
-def fresh_error_spectra(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise | None":
+def fresh_error_spectra(
+    model: Any, data: DataSet, mismatch: Mismatch
+) -> "ModelErrorSpectra | None":
     """Model error by frequency in the unused test record of a log; None for a simulated plant."""
-    from ssm_study.robustness.coverage import measure_premise
+    from ssm_study.robustness.coverage import measure_error_spectra
 
     if data.metadata.get("source") == "simulated":
         return None
-    return measure_premise(model, data.test, mismatch, data.start_up_samples)
+    return measure_error_spectra(model, data.test, mismatch, data.start_up_samples)
 
 
 def read_design(folder: Path) -> Design:
