@@ -158,8 +158,10 @@ GROUPS = {
     ),
     "table": Group(
         modules=("table",),
-        tests="tests/laws/test_results_table.py tests/laws/test_table_text.py "
-        "tests/oracles/test_export_recording.py tests/laws/test_over_seeds.py",
+        tests="tests/laws/test_table_words.py tests/laws/test_table_order.py "
+        "tests/laws/test_table_text.py tests/laws/test_table_lines.py "
+        "tests/laws/test_over_seeds.py tests/laws/test_mlflow_calls.py "
+        "tests/laws/test_results_table.py tests/oracles/test_export_recording.py",
         planted=15,
     ),
     "cli": Group(

@@ -16,7 +16,7 @@ def seed_statistics_lines(table: pd.DataFrame) -> list[str]:
 
     Empty where no setting has two seeds. Seeds without a result are left out of its mean.
     """
-    if "seed" not in table or table["seed"].nunique() < FEWEST:
+    if "seed" not in table:
         return []
     settings = setting_columns(table)
     values = {name: requested_values(table, name) for name in settings if name != "seed"}
