@@ -1,5 +1,5 @@
-"""Exact largest contraction rate that Theorems 1 and 2 of Zakwan et al. [Z26] can prove, computed
-without a solver.
+"""Exact largest contraction rate that linear gains can be certified for, computed without a solver.
+It is the limit of Theorems 1 and 2 of Zakwan et al. [Z26].
 
 Theorem 1 is feasible iff `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`, S of minimum energy;
 Theorem 2 is the

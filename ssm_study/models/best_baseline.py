@@ -48,7 +48,7 @@ class Baseline:
         diverges."""
         with np.errstate(all="ignore"):
             runs = simulate_by_kind_of_start(self.model, data, data.test, (self.start,))
-            return finite_fit_percent(runs[self.start])
+            return fit_or_minus_infinity(runs[self.start])
 
 
 def fit_best_baseline(data: DataSet) -> Baseline | None:
@@ -130,12 +130,12 @@ def _score_baseline(
     states."""
     with np.errstate(all="ignore"):
         runs = simulate_by_kind_of_start(model, data, data.validation, starts)
-        fits = {start: finite_fit_percent(run) for start, run in runs.items()}
+        fits = {start: fit_or_minus_infinity(run) for start, run in runs.items()}
     best = max(fits, key=fits.__getitem__)
     return Baseline(words=description, model=model, fit_validation_percent=fits[best], start=best)
 
 
-def finite_fit_percent(run: Simulation) -> float:
+def fit_or_minus_infinity(run: Simulation) -> float:
     """Fit of a free-run simulation in percent; minus infinity if the simulation diverges."""
     fit = run.fit_percent
     return fit if np.isfinite(fit) else -np.inf

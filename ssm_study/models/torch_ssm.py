@@ -306,10 +306,10 @@ class TorchModel(nn.Module, ABC):
         """Simulate a trainable model's output from an initial state. A subclass overrides it where
         it can be cheaper than `advance`."""
         start = u.new_zeros(len(u), self.states) if x0 is None else x0
-        return self.advance(u, start)[0]
+        return self.simulate_with_final_state(u, start)[0]
 
     @abstractmethod
-    def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
+    def simulate_with_final_state(self, u: Signals, x0: States) -> tuple[Signals, States]:
         """Simulate a trainable model, and return its output and its final state."""
 
     @abstractmethod
@@ -352,7 +352,7 @@ class TorchSSM(TorchModel):
         disturbance_count = self.lru.disturbances
         return torch.cat([lifted, u[..., inputs:]], -1) if disturbance_count else lifted
 
-    def advance(
+    def simulate_with_final_state(
         self, u: Signals, x0: States, lifted: Signals | None = None
     ) -> tuple[Signals, States]:
         """Simulate the trainable model, and return its output and its final state."""

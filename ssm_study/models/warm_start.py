@@ -218,8 +218,9 @@ def simulate_from_alternative_states(
 
 
 def initial_state_columns(model: Any, data: DataSet, test: Simulation) -> dict[str, Any]:
-    """Table columns on how initial states of validation and test records were found, and the test
-    fit with the other method. They are null where no test record has a log before it."""
+    """Table columns on whether initial states were estimated or simulated over the preceding log,
+    and the test fit with the alternative. They are null where no test record has a log before
+    it."""
     other = simulate_from_alternative_states(model, data, test)
     if other is None:
         return {"piece_start": None, "fit_test_other_start_percent": None}

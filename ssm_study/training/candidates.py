@@ -200,7 +200,7 @@ class CandidateErrors:
     training_errors: list[float] = field(default_factory=list)
     fits: list[StructuredFit] = field(default_factory=list)
 
-    def add_fold(self, model: Any, fold: DataSet, training_error: float = 0.0) -> None:
+    def add_error_on_fold(self, model: Any, fold: DataSet, training_error: float = 0.0) -> None:
         """Add the free-run error of a model on the held-out part of one more fold. A model that is
         None counts as failed."""
         self.example = model
@@ -215,7 +215,7 @@ class CandidateErrors:
             run = Simulation.simulate_records(model, fold.test, fold.start_up_samples, starts[name])
             errors.append(relative_rms_error(run, fold))
 
-    def add_fit(self, fit: StructuredFit, fold: DataSet) -> None:
+    def add_error_of_fit(self, fit: StructuredFit, fold: DataSet) -> None:
         """Add the free-run error of a trained structured model on the fold that was held out from
         its training."""
         loss = float(fit.loss)
@@ -223,7 +223,7 @@ class CandidateErrors:
         is_finite = np.isfinite(loss)
         model = fit.as_model() if is_finite else None
         relative_error = np.sqrt(loss)
-        self.add_fold(model, fold, 100.0 * relative_error)
+        self.add_error_on_fold(model, fold, 100.0 * relative_error)
 
     @property
     def best_start_kind(self) -> str:
@@ -251,7 +251,7 @@ def cross_validate_linear_model(
         with np.errstate(all="ignore"):
             model = fit_linear_model(part, order, has_feedthrough=delay == 0, kind=kind)
             fit_training = records_fit_percent(model, part.training, part)
-            trial.add_fold(model, part, 100.0 - fit_training)
+            trial.add_error_on_fold(model, part, 100.0 - fit_training)
     return trial
 
 
@@ -329,12 +329,12 @@ def cross_validate_structured_model(
     brief = spec_for_short_training(spec)
     trial = CandidateErrors()
     for fold in folds:
-        if best is not None and is_hopeless(trial.errors, best):
+        if best is not None and is_far_worse_than_best(trial.errors, best):
             break
         part = fold.shift_out_dead_time(int(spec.dead_time)) if spec.dead_time else fold
         fit = StructuredFit(brief, part, seed)
-        fit.take_steps(STEPS)
-        trial.add_fit(fit, part)
+        fit.start_training(STEPS)
+        trial.add_error_of_fit(fit, part)
     return trial
 
 
@@ -345,13 +345,15 @@ def train_further(
     trial = CandidateErrors()
     for fit, fold in zip(fits, folds, strict=True):
         dead_time = int(fit.spec.dead_time)
-        fit.take_further_steps(steps)
+        fit.continue_training(steps)
         shifted_fold = fold.shift_out_dead_time(dead_time) if dead_time else fold
-        trial.add_fit(fit, shifted_fold)
+        trial.add_error_of_fit(fit, shifted_fold)
     return trial
 
 
-def is_hopeless(errors: Sequence[float] | Float[np.ndarray, "folds"], best: Candidate) -> bool:
+def is_far_worse_than_best(
+    errors: Sequence[float] | Float[np.ndarray, "folds"], best: Candidate
+) -> bool:
     """Whether a candidate model's errors on the first folds are many times those of the best
     candidate."""
     count = len(errors)

@@ -15,13 +15,13 @@ from ssm_study.signals import DataSet
 from ssm_study.training.choice_of_paths import choose_delay, choose_input_path, choose_integrator
 from ssm_study.training.choice_of_products import choose_bilinear_model
 from ssm_study.training.choice_of_regression import (
-    add_leading_regression,
+    add_clearly_better_regression,
     choose_regression,
     score_regressions,
 )
 from ssm_study.training.choice_of_size import (
     decide_on_integrator,
-    other_structures,
+    models_of_other_structure,
     simplest_certifiable_candidate,
     try_model_sizes,
 )
@@ -59,12 +59,12 @@ def iterate_model_choices(
     if predictor is None:
         regression = choose_regression(search, candidates, regressions)
         if regression is None:
-            candidates = add_leading_regression(candidates, regressions)
+            candidates = add_clearly_better_regression(candidates, regressions)
         else:
             yield search.build_choice(regression)
     while candidates:
         chosen = simplest_certifiable_candidate(search, candidates)
-        others = other_structures(candidates, chosen)
+        others = models_of_other_structure(candidates, chosen)
         choice = search.build_choice(chosen, others)
         yield replace(choice, predictor=predictor)
         if not search.is_certifiable(chosen):  # then none of them can

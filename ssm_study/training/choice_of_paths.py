@@ -29,7 +29,7 @@ def choose_delay(search: SettingsSearch, data: DataSet) -> None:
     The samples until the output answers are read off the records. A dead time is compared where
     they are `LATE` or more, a direct path where they are none or one, or noise hides the answer.
     """
-    lag = response_lag(data)
+    lag = response_delay(data)
     if search.is_undecided("dead_time"):
         late = lag is not None and lag >= LATE and search.spec.feedthrough is not True
         values = (0, lag - 1) if lag is not None and late else (0,)
@@ -61,7 +61,7 @@ def choose_between_two_values(
     search.adopt_settings(adopted, {name: chosen_value})
 
 
-def response_lag(data: DataSet) -> int | None:
+def response_delay(data: DataSet) -> int | None:
     """Number of samples until the output first responds to the input in a data set; None if noise
     hides it."""
     all_records = join_training_and_validation(data)

@@ -1,5 +1,5 @@
-"""Choice of a linear regression (ARX): a candidate on every log, preferred where unmeasured
-disturbances dominate one.
+"""Choice of a linear ARX model, which is tried on every log and preferred if unmeasured
+disturbances dominate the log.
 
 Output error is fitted by the error of a free run. Where the records hold few independent motions,
 or a slow load acts, its minimum follows what happened by chance, and misses held-out pieces. The
@@ -36,7 +36,7 @@ def score_regressions(search: SettingsSearch) -> list[Candidate]:
     return [search.score_linear_model("regression", lags, delay, REGRESSION) for lags in LAGS]
 
 
-def add_leading_regression(
+def add_clearly_better_regression(
     candidates: Sequence[Candidate], regressions: Sequence[Candidate]
 ) -> list[Candidate]:
     """Add the simplest good regression to the candidate models, if output error is clearly worse

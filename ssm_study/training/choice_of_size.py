@@ -82,17 +82,17 @@ def try_model_sizes(search: SettingsSearch, *, also_integrating: bool = False) -
     sizes = INTEGRATING_SIZES if search.has_integrator else SIZES
     candidates += score_sizes(search, "size", sizes)
     candidates += try_larger_models(search, candidates)
-    candidates += one_layer_without_integrator(search)
+    candidates += candidates_without_neurons_or_integrator(search)
     free = try_noncontracting_models(search)
     contracting = train_finalists(search, candidates)
-    integrating = try_integrating_sizes(search, contracting) if also_integrating else []
+    integrating = try_models_with_integrator(search, contracting) if also_integrating else []
     linear = [candidate for candidate in contracting if candidate.model == LINEAR]
     larger = [candidate for candidate in contracting if candidate.model != LINEAR]
     far_ahead = far_better_noncontracting(free, contracting)
     return [*linear, *integrating, *larger, *far_ahead]
 
 
-def one_layer_without_integrator(search: SettingsSearch) -> list[Candidate]:
+def candidates_without_neurons_or_integrator(search: SettingsSearch) -> list[Candidate]:
     """Candidate models without neurons and without integrator, once an integrator has been chosen;
     otherwise none.
 
@@ -130,7 +130,7 @@ def try_larger_models(
     return candidates[len(smaller_models) :]
 
 
-def try_integrating_sizes(
+def try_models_with_integrator(
     search: SettingsSearch, contracting: Sequence[Candidate]
 ) -> list[Candidate]:
     """Cross-validate models with an integrator, and return those that predict better than all
@@ -257,7 +257,9 @@ def simplest_certifiable_candidate(
     return simplest_good_candidate(candidates)
 
 
-def other_structures(candidates: Sequence[Candidate], chosen: Candidate) -> list[Candidate]:
+def models_of_other_structure(
+    candidates: Sequence[Candidate], chosen: Candidate
+) -> list[Candidate]:
     """Contracting models of other structure that predict about as well as the best, to be averaged
     with the chosen one. Their mean with the chosen one contracts."""
     good = [candidate for candidate in good_candidates(candidates) if candidate is not chosen]

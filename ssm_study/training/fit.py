@@ -82,11 +82,11 @@ class TrainingBatch(nn.Module):
         mapped = self._mapped_inputs(model)
         return model(self.u, x0, **mapped)
 
-    def advance(self, model: TorchModel, x0: States) -> tuple[Signals, States]:
+    def simulate_with_final_state(self, model: TorchModel, x0: States) -> tuple[Signals, States]:
         """Simulate a model over all training windows, and return the outputs and the final states.
         Padding is simulated, too."""
         mapped = self._mapped_inputs(model)
-        return model.advance(self.u, x0, **mapped)
+        return model.simulate_with_final_state(self.u, x0, **mapped)
 
     def _mapped_inputs(self, model: TorchModel) -> dict[str, Signals]:
         """Training inputs after a model's static input map, computed once for all windows; empty
@@ -272,7 +272,7 @@ class Fit(pl.LightningModule):
             outputs = self.training_records.simulate(self.model, x0)
             no_defects = self.training_records.y.new_zeros(0, 0)
             return outputs, no_defects
-        y_hat, ends = self.training_records.advance(self.model, x0)
+        y_hat, ends = self.training_records.simulate_with_final_state(self.model, x0)
         defects = self.starts.shooting_defects(ends, x0)
         return y_hat, defects
 
@@ -383,6 +383,6 @@ def window_initial_states(
     for later in windows.continuing_windows:
         window = records.u[later - 1 : later]
         start = states[later - 1 : later]
-        advanced = model.advance(window, start)
+        advanced = model.simulate_with_final_state(window, start)
         states[later] = advanced[1][0]
     return states

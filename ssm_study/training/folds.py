@@ -93,7 +93,7 @@ def hold_out_pieces(records: Trajectories, fold: int) -> tuple[Trajectories, Tra
 
 
 def limit_total_length(records: Trajectories) -> Trajectories:
-    """Cut records at their ends so that their total length stays below the limit for
+    """Cut off the ends of records so that their total length stays below the limit for
     cross-validation."""
     lengths = (len(record) for record in records)
     total = sum(lengths)

@@ -53,7 +53,7 @@ def levenberg_marquardt_step(
             # What the quadratic model promises.
             model_change = 2 * gradient @ step + step @ normal @ step
             expected = -float(model_change)
-            damping *= damping_factor(gained, expected)
+            damping *= damping_update_factor(gained, expected)
             least, most = DAMPING_RANGE
             limited_damping = max(damping, least)
             return step, value, min(limited_damping, most)
@@ -62,7 +62,7 @@ def levenberg_marquardt_step(
     return None, loss, damping
 
 
-def damping_factor(actual_decrease: float, expected_decrease: float) -> float:
+def damping_update_factor(actual_decrease: float, expected_decrease: float) -> float:
     """Factor that updates the Levenberg-Marquardt damping after a step, from the actual and the
     expected decrease of the loss."""
     if actual_decrease > 0.75 * expected_decrease:

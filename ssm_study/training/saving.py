@@ -1,4 +1,4 @@
-"""Training run by PyTorch Lightning, with its checkpoints and its progress line. A checkpoint of
+"""Training of a model by PyTorch Lightning, with checkpoints and a progress line. A checkpoint of
 something else is refused."""
 
 import copy
@@ -138,7 +138,7 @@ def train_with_lightning(
         DurableCheckpointIO().save_checkpoint(checkpoint, folder / BEST)
         fit.load_state_dict(keeper.kept)
     model, remark = fit.trained_model_with_remark()
-    how = {"seconds": keeper.seconds, "curve": keeper.curve}
+    how = {"seconds": keeper.training_seconds, "curve": keeper.curve}
     return Identification.from_model(model, data, ended=(keeper.ended or early) + remark, **how)
 
 
@@ -212,8 +212,8 @@ class RestoreSignalHandlers(Callback):
 
 
 def build_trainer(settings: "Training", callbacks: list[Callback], folder: Path) -> pl.Trainer:
-    """Build the Lightning trainer. Raises `BadRequest` for an accelerator that this machine does
-    not have."""
+    """Build the Lightning trainer for given training settings, callbacks and folder. Raises
+    `BadRequest` for an accelerator that this machine does not have."""
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     switched_off = ("enable_checkpointing", "enable_progress_bar", "enable_model_summary")
     options: Any = dict.fromkeys(switched_off, False)
@@ -348,7 +348,7 @@ class BestModelCheckpoint(Callback):
         self.began -= self.curve[-1]["seconds"] if self.curve else 0.0  # as if it had never stopped
 
     @property
-    def seconds(self) -> float:
+    def training_seconds(self) -> float:
         """Duration of the training in seconds, including the time before an interruption."""
         return time.perf_counter() - self.began
 
@@ -373,7 +373,9 @@ class BestModelCheckpoint(Callback):
         """Record the fits of the epoch, and store the model if it is the best so far."""
         fits = {name: float(trainer.callback_metrics[name]) for name in FITS}
         self.record_epoch(trainer.current_epoch, fits[FITS[0]], fits[FITS[1]], pl_module)
-        self.curve.append({"epoch": float(trainer.current_epoch), "seconds": self.seconds, **fits})
+        self.curve.append(
+            {"epoch": float(trainer.current_epoch), "seconds": self.training_seconds, **fits}
+        )
         trainer.should_stop = trainer.should_stop or bool(self.ended)
 
     def record_epoch(

@@ -59,7 +59,7 @@ def best_seeds(
     for done in range(1, count + 1):
         seed = first + 1000 * (done - 1)
         fits[seed] = StructuredFit(spec, part, seed)
-        fits[seed].take_steps(STEPS)
+        fits[seed].start_training(STEPS)
         print_line(f"{done} of {count}, {training_fit_as_text(float(fits[seed].loss))}")
     finite = [seed for seed, fit in fits.items() if np.isfinite(float(fit.loss))]
     by_loss = sorted(finite, key=lambda seed: float(fits[seed].loss))

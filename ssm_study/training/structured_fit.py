@@ -118,27 +118,27 @@ class StructuredFit(pl.LightningModule):
             if name not in ("damping", "loss")
         }
 
-    def take_steps(self, steps: int) -> None:
+    def start_training(self, steps: int) -> None:
         """Compute initial parameters, and improve them by a limited number of training steps."""
         start = self._initial_parameters()
         if self.problem.gain_share:
             start = self._train_without_gain_penalty(start)
         at = minimise_simulation_error(self.problem, start, self._trained_blocks, steps)
-        self._store_descent(at)
+        self._store_descent_state(at)
 
-    def take_further_steps(self, steps: int) -> None:
+    def continue_training(self, steps: int) -> None:
         """Continue a training by a limited number of steps."""
-        at = self._current_descent
+        at = self._current_descent_state
         before = np.inf
         for _ in range(steps):
             if has_converged(before, at.loss, at.damping):
                 break
             before = at.loss
             at = take_step(self.problem, at, self._trained_blocks)
-        self._store_descent(at)
+        self._store_descent_state(at)
 
     @property
-    def _current_descent(self) -> DescentState:
+    def _current_descent_state(self) -> DescentState:
         """Current parameters, loss and damping of the training, read from the module's buffers."""
         theta = {name: part.copy() for name, part in self.parameter_blocks.items()}
         return DescentState(theta=theta, loss=float(self.loss), damping=float(self.damping))
@@ -153,19 +153,19 @@ class StructuredFit(pl.LightningModule):
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are in the problem
         """Compute initial parameters in the first epoch; take one training step in all others."""
         if torch.isnan(self.loss):
-            self.take_steps(0)
+            self.start_training(0)
             return
-        next_descent = take_step(self.problem, self._current_descent, self._trained_blocks)
-        self._store_descent(next_descent)
+        next_descent = take_step(self.problem, self._current_descent_state, self._trained_blocks)
+        self._store_descent_state(next_descent)
 
     @property
     def _trained_blocks(self) -> tuple[str, ...]:
         """Names of the parameter blocks of a structured model that training changes."""
         rate = self.spec.rate
         core = CORE if rate is None else FREE_CORE
-        return self._phase_block_names(core, self.spec.input_path != "none")
+        return self._initial_fit_block_names(core, self.spec.input_path != "none")
 
-    def _store_descent(self, state: DescentState) -> None:
+    def _store_descent_state(self, state: DescentState) -> None:
         """Store parameters, loss and damping of the training in the module's buffers."""
         for name in self.parameter_blocks:
             buffer = getattr(self, name)
@@ -232,16 +232,16 @@ class StructuredFit(pl.LightningModule):
         has_input_path = spec.input_path == "free"
         free = replace(short, rate=None)
         theta = add_random_neurons(free, theta, int(spec.neurons), rng)
-        unconstrained = self._phase_block_names(CORE, has_input_path)
+        unconstrained = self._initial_fit_block_names(CORE, has_input_path)
         drawn = minimise_simulation_error(free, theta, unconstrained, spec.start_steps[2])
         if spec.rate is None:
             return drawn
         rate = float(spec.rate)
         theta = contracting_initial_parameters(free, drawn.theta, rate)
-        constrained = self._phase_block_names(FREE_CORE, has_input_path)
+        constrained = self._initial_fit_block_names(FREE_CORE, has_input_path)
         return minimise_simulation_error(short, theta, constrained, RACE)
 
-    def _phase_block_names(self, core: tuple[str, ...], input_path: bool) -> tuple[str, ...]:
+    def _initial_fit_block_names(self, core: tuple[str, ...], input_path: bool) -> tuple[str, ...]:
         """Names of the parameter blocks that are changed in one step of the initial fit."""
         spec = self.spec
         is_open = {

@@ -127,7 +127,8 @@ class SimulationProblem:
         moving = moving if missing.any() else moving[:0]
 
         def residuals_at(moved: Float[np.ndarray, "P"]) -> Float[np.ndarray, "V"]:
-            """Residuals of the gain's sign penalty for given values of the free parameters."""
+            """Residuals of the penalty on the sign of the model's gain, for given free
+            parameters."""
             moved_blocks = unpack_parameters(moved, theta, free)
             return self.gain_sign_residuals(theta | moved_blocks)
 

@@ -104,7 +104,7 @@ class Training:
         requested = getattr(spec, "training_run_count", self.starts)
         trainings = max(requested, members)
         starts = [spec.settings_of_training_run(k) for k in range(trainings)]
-        return self._train_best_of_several(starts, data, session, members)
+        return self._train_and_select_best(starts, data, session, members)
 
     def _choose_settings_and_identify(
         self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
@@ -229,11 +229,11 @@ class Training:
         start_counts = count_short_and_full_runs(spec)
         seeds = best_seeds(brief, data, session.seed, *start_counts, announce)
         starts = [brief] * len(seeds)
-        return self._train_best_of_several(
+        return self._train_and_select_best(
             starts, data, session, spec.members, only_certified=True, seeds=seeds
         )
 
-    def _train_best_of_several(
+    def _train_and_select_best(
         self,
         starts: Sequence["ModelSpec"],
         data: DataSet,

@@ -21,7 +21,7 @@ from ssm_study.training.candidates import (
     CandidateErrors,
     best_candidate,
     fit_linear_model,
-    is_hopeless,
+    is_far_worse_than_best,
     simplest_good_candidate,
 )
 from ssm_study.training.choice import iterate_model_choices
@@ -187,10 +187,10 @@ def test_a_loss_on_one_odd_fold_does_not_hide_gains_on_all_others() -> None:
 def test_far_behind_after_two_folds_is_not_tried_on() -> None:
     best = candidate("best", 2.0, 2.0, 2.0, 2.0)
     errors = [4.0, 4.0]
-    assert is_hopeless(errors, best)
-    assert not is_hopeless([40.0], best)
+    assert is_far_worse_than_best(errors, best)
+    assert not is_far_worse_than_best([40.0], best)
     errors = [2.5, 2.5]
-    assert not is_hopeless(errors, best)
+    assert not is_far_worse_than_best(errors, best)
 
 
 @pytest.mark.parametrize("direct", [True, False])
@@ -268,7 +268,7 @@ def test_a_held_out_piece_starts_from_where_its_output_is_predicted_better() -> 
     data = replace(data_set(samples=400), training=(log[:1800],), validation=validation, test=test)
     trial = CandidateErrors()
     changed_data = replace(data, scale=model.scale, start_up_samples=20)
-    trial.add_fold(model, changed_data)
+    trial.add_error_on_fold(model, changed_data)
     assert trial.best_start_kind == "past"
     upper_limit = trial.by_start["samples"][0]
     assert trial.errors[0] < upper_limit
@@ -314,7 +314,7 @@ def test_a_delayed_structured_model_answers_as_the_model_did() -> None:
     data = data_set(samples=300)
     spec = StructuredSpec(order=2, neurons=2, input_path="free", feedthrough=True, knots=4)
     fit = StructuredFit(spec, data, 0)
-    fit.take_steps(2)
+    fit.start_training(2)
     model = fit.as_model()
     u = data.test[0].u
     late = model.with_dead_time(3).simulate(u)
@@ -382,5 +382,5 @@ def test_a_log_that_stands_still_at_first_trains() -> None:
     start_steps = [5, 5, 3]
     spec = StructuredSpec(order=2, neurons=1, draws=1, start_steps=start_steps)
     fit = StructuredFit(spec, data, 0)
-    fit.take_steps(3)
+    fit.start_training(3)
     assert float(fit.loss) < 0.2

@@ -15,7 +15,7 @@ from ssm_study.training import choice
 from ssm_study.training.candidates import LINEAR, REGRESSION, Candidate, best_candidate
 from ssm_study.training.choice_of_regression import (
     LAGS,
-    add_leading_regression,
+    add_clearly_better_regression,
     choose_regression,
     score_regressions,
 )
@@ -192,7 +192,7 @@ def test_a_regression_ahead_of_output_error_is_a_candidate_and_taken(loaded: Dat
     search = search_in(loaded)
     misses = output_error(60.0, 75.0, 80.0, 40.0)
     leads = regression(30.0, 31.0, 30.0, 30.0)
-    candidates = add_leading_regression([misses, NEURONS], [leads])
+    candidates = add_clearly_better_regression([misses, NEURONS], [leads])
     assert candidates == [misses, leads, NEURONS]
     chosen = simplest_certifiable_candidate(search, candidates)
     assert chosen is leads
@@ -201,16 +201,16 @@ def test_a_regression_ahead_of_output_error_is_a_candidate_and_taken(loaded: Dat
 def test_a_regression_no_better_than_output_error_is_no_candidate() -> None:
     predicts = output_error(31.0, 31.0, 31.0, 31.0)
     as_well = regression(30.0, 30.0, 31.0, 30.0)
-    candidates = add_leading_regression([predicts, NEURONS], [as_well])
+    candidates = add_clearly_better_regression([predicts, NEURONS], [as_well])
     assert candidates == [predicts, NEURONS]
-    assert add_leading_regression([predicts, NEURONS], []) == candidates
+    assert add_clearly_better_regression([predicts, NEURONS], []) == candidates
 
 
 def test_a_regression_behind_neurons_is_not_taken(loaded: DataSet) -> None:
     search = search_in(loaded)
     misses = output_error(60.0, 75.0, 80.0, 40.0)
     behind = regression(40.0, 42.0, 40.0, 38.0)
-    candidates = add_leading_regression([misses, NEURONS], [behind])
+    candidates = add_clearly_better_regression([misses, NEURONS], [behind])
     assert behind in candidates
     chosen = simplest_certifiable_candidate(search, candidates)
     assert chosen is NEURONS
@@ -223,6 +223,6 @@ def test_the_choice_is_not_behind_a_regression_on_the_folds(loaded: DataSet) -> 
     best = best_candidate(regressions)
     misses = output_error(*(best.errors + 10.0))
     neurons_miss = candidate(10.0, *(best.errors + 5.0))
-    candidates = add_leading_regression([misses, neurons_miss], regressions)
+    candidates = add_clearly_better_regression([misses, neurons_miss], regressions)
     chosen = simplest_certifiable_candidate(search, candidates)
     assert chosen.mean_error_percent <= 1.05 * best.mean_error_percent

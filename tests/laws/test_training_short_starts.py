@@ -15,13 +15,13 @@ from ssm_study.signals import DataSet
 from ssm_study.training import choice_of_size
 from ssm_study.training.candidates import Candidate, simplest_good_candidate
 from ssm_study.training.choice_of_size import (
+    candidates_without_neurons_or_integrator,
     decide_on_integrator,
     far_better_noncontracting,
-    one_layer_without_integrator,
-    other_structures,
+    models_of_other_structure,
     simplest_certifiable_candidate,
     train_finalists,
-    try_integrating_sizes,
+    try_models_with_integrator,
     try_noncontracting_models,
     try_sizes_without_neurons,
 )
@@ -119,7 +119,7 @@ def test_other_structures_contract_and_are_about_as_good() -> None:
     integrating = replace(near, settings={"rate": 0.999, "integrating_output": True})
     linear = replace(near, fits=())
     candidates = [chosen, near, behind, free, integrating, linear]
-    assert other_structures(candidates, chosen) == [near]
+    assert models_of_other_structure(candidates, chosen) == [near]
 
 
 def test_what_fails_on_a_fold_is_not_taken_for_its_size() -> None:
@@ -155,7 +155,7 @@ def test_the_best_of_short_starts_goes_on_and_certified_ones_come_first() -> Non
     losses = []
     for seed in seeds:
         fit = StructuredFit(spec, data, seed)
-        fit.take_steps(STEPS)
+        fit.start_training(STEPS)
         losses.append(float(fit.loss))
     assert losses == sorted(losses)
     assert sorted(seeds) == [7, 1007, 2007]
@@ -170,7 +170,7 @@ def test_the_best_of_short_starts_goes_on_and_certified_ones_come_first() -> Non
             return np.array_equal(model.a, last.a)  # type: ignore[attr-defined]
 
     fit = StructuredFit(spec, data, seeds[-1])
-    fit.take_steps(STEPS)
+    fit.start_training(STEPS)
     last = fit.as_model()
     asked = replace(spec, among_starts=OnlyTheLast())
     assert best_seeds(asked, data, 7, 3, kept_count=2) == [seeds[-1], seeds[0]]
@@ -208,9 +208,9 @@ def test_one_layer_stays_where_no_good_model_with_an_integrator_can_be_certified
     one_layer = replace(without, settings={"neurons": 0, "integrating_output": False})
     neurons = replace(without, settings={"neurons": 5, "integrating_output": False})
     search.tried += [one_layer, neurons]
-    assert one_layer_without_integrator(search) == []
+    assert candidates_without_neurons_or_integrator(search) == []
     search.decided["integrating_output"] = True
-    stays = one_layer_without_integrator(search)
+    stays = candidates_without_neurons_or_integrator(search)
     assert [id(each) for each in stays] == [id(one_layer)]
     smallest = candidate("one state", 30.0, 31.0, 30.0, 33.0)
     best = candidate("two states", 10.0, 11.0, 10.0, 12.0)
@@ -269,9 +269,9 @@ def test_an_integrator_that_leads_but_not_clearly_is_trained_further(
     assert decide_on_integrator(search)
     assert not search.has_integrator
     assert search.chosen == []
-    assert try_integrating_sizes(search, [one_layer]) == []
+    assert try_models_with_integrator(search, [one_layer]) == []
     far = replace(one_layer, errors=100.0 * one_layer.errors)
-    leading = try_integrating_sizes(search, [far])
+    leading = try_models_with_integrator(search, [far])
     assert {one.settings["integrating_output"] for one in leading} == {True}
     assert leading[0].question == "longer training"
 

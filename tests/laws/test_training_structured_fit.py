@@ -13,7 +13,7 @@ from ssm_study.models.structured import StructuredSSM
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
-from ssm_study.training.levenberg import damping_factor
+from ssm_study.training.levenberg import damping_update_factor
 from ssm_study.training.optimisers import Lbfgs
 from ssm_study.training.structured_fit import StructuredFit, prune_neurons
 from ssm_study.training.training import Training
@@ -173,7 +173,7 @@ def test_an_integrated_model_is_stored_with_its_integrator(data: DataSet) -> Non
 
 
 def test_the_damping_follows_the_share_of_the_expected_gain():
-    assert damping_factor(0.8, 1.0) == 0.3
-    assert damping_factor(1.5, 2.0) == 1.0
-    assert damping_factor(0.6, 2.0) == 1.0
-    assert damping_factor(0.5, 2.0) == 2.0
+    assert damping_update_factor(0.8, 1.0) == 0.3
+    assert damping_update_factor(1.5, 2.0) == 1.0
+    assert damping_update_factor(0.6, 2.0) == 1.0
+    assert damping_update_factor(0.5, 2.0) == 2.0

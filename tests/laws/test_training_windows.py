@@ -67,15 +67,15 @@ def assert_close(actual: Tensor, expected: Tensor, tolerance: float) -> None:
 
 @each_model
 def test_two_halves_are_the_whole(model: ModelSpec) -> None:
-    """`advance` over a part, then over the rest from where it ended, is the run over both;
-    `forward` agrees."""
+    """A run over a part, then over the rest from where it ended, is the run over both; `forward`
+    agrees."""
     data = unequal()
     net = model.build(data, 0)
     u = torch.randn(3, 60, 1, dtype=torch.float64)
     x0 = torch.randn(3, net.states, dtype=torch.float64)
-    whole, end = net.advance(u, x0)
-    head, middle = net.advance(u[:, :23], x0)
-    tail, end_of_tail = net.advance(u[:, 23:], middle)
+    whole, end = net.simulate_with_final_state(u, x0)
+    head, middle = net.simulate_with_final_state(u[:, :23], x0)
+    tail, end_of_tail = net.simulate_with_final_state(u[:, 23:], middle)
     joined = torch.cat([head, tail], 1)
     assert_close(joined, whole, 1e-9)
     assert_close(end_of_tail, end, 1e-9)

@@ -194,7 +194,7 @@ def test_a_structured_model_is_trained_with_the_load(tmp_path: Path) -> None:
     search = {"starts": 1, "draws": 1}
     spec = StructuredSpec(input_path="free", feedthrough=True, **size, **search)
     fit = StructuredFit(spec, data, 0)
-    fit.take_steps(4)
+    fit.start_training(4)
     theta = fit.parameter_blocks
     free = fit._trained_blocks
     r, j, turn = fit.problem.residual_and_jacobian(theta, free)

@@ -58,8 +58,8 @@ class ObserverOfBall(ProblemCertificate, Observer):
 
     @staticmethod
     def inequality(proof: Any) -> Blocks:
-        """Blocks of the matrix inequality of an observer, Theorem 2 of Zakwan et al. [Z26], for a
-        certificate's matrices."""
+        """Blocks of the matrix inequality that proves an observer's error contracts ([Z26], Theorem
+        2), for a certificate's matrices."""
         contracted_metric = (1 - proof.rate) * proof.q
         error_block = contracted_metric - proof.eta * (proof.c.T @ proof.c)
         error_step = proof.u @ proof.a + proof.alpha * (proof.v @ proof.c)

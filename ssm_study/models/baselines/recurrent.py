@@ -76,7 +76,7 @@ class TorchRecurrent(TorchModel):
         self.read = nn.Linear(hidden, scale.outputs, dtype=torch.float64)
         self.states = hidden if kind == "gru" else 2 * hidden  # the LSTM's h, then its c
 
-    def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
+    def simulate_with_final_state(self, u: Signals, x0: States) -> tuple[Signals, States]:
         state_parts = x0[None].split(self.cell.hidden_size, dim=-1)
         start = [part.contiguous() for part in state_parts]
         if self.kind == "gru":

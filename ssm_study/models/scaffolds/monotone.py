@@ -49,7 +49,7 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
         for c in range(len(self.breakpoints)):
             breakpoints = self.breakpoints[c]
             slopes = self.slopes[c]
-            offsets = continuous_offsets(breakpoints, slopes)
+            offsets = offsets_for_continuity(breakpoints, slopes)
             channel_values = v[..., c]
             piece = np.searchsorted(breakpoints, channel_values, side="right")
             linear_part = slopes[piece] * v[..., c]
@@ -118,7 +118,7 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
         return PortableMap(linear=linear, network=network)
 
 
-def continuous_offsets(
+def offsets_for_continuity(
     breakpoints: Float[np.ndarray, "h"], slopes: Float[np.ndarray, "h1"]
 ) -> Float[np.ndarray, "h1"]:
     """Offsets with which the affine pieces of a piecewise-linear map join continuously. The piece

@@ -162,13 +162,13 @@ class Scaffold(Family, JsonDataclass):
         the model."""
 
     def compose_with_output_matrix(self, m: Square) -> "Scaffold":
-        """Static map that results when this map's output is multiplied by a matrix. `v -> m S(v)`,
-        m the inverse of `jacobian_centre()`; only called where there is one."""
+        """Composition of a static map with a matrix that multiplies the map's output. `v -> m
+        S(v)`, m the inverse of `jacobian_centre()`; only called where there is one."""
         raise NotImplementedError(f"{self.kind}: no centre, so nothing to move")
 
     def compose_with_input_matrix(self, m: Square) -> "Scaffold":
-        """Static map that results when this map's input is multiplied by a matrix first. `v -> S(m
-        v)`, m the inverse of `jacobian_centre()`."""
+        """Composition of a static map with a matrix that multiplies the map's input. `v -> S(m v)`,
+        m the inverse of `jacobian_centre()`."""
         return self.compose_with_output_matrix(m)
 
     @abstractmethod
